@@ -1,0 +1,36 @@
+"""The root of every error the platform raises on purpose.
+
+**Conventions.** A leaf is a subclass with a `code` of its own. Its constructor takes the facts and writes one
+sentence that quotes the value, the limit and the likely mistake. Nothing is raised as a bare `StoneError`.
+"""
+
+from typing import ClassVar
+
+
+class StoneError(Exception):
+    """An input or a state is refused; `code` names the reason for programs, the sentence for people."""
+
+    code: ClassVar[str]
+
+    def __init__(self, sentence: str) -> None:
+        super().__init__(sentence)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Leaves take facts, not sentences, so a pickle carries the finished sentence (worker → parent)."""
+        return _restored, (type(self), self.args, self.__dict__)
+
+
+def _restored(leaf: type[StoneError], args: tuple[object, ...], facts: dict[str, object]) -> StoneError:
+    error = leaf.__new__(leaf)
+    error.args = args
+    error.__dict__.update(facts)
+    return error
+
+
+class ShapeError(StoneError):
+    """An array has another shape than the function is defined for."""
+
+    code = "bad_shape"
+
+    def __init__(self, name: str, shape: tuple[int, ...], expected: str) -> None:
+        super().__init__(f"{name} has shape {shape}; expected {expected}")

@@ -1,0 +1,19 @@
+"""What was noticed about an input: coded, graded, in one sentence each."""
+
+from dataclasses import asdict, dataclass
+from typing import Literal
+
+Severity = Literal["error", "warning", "info"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing noticed; `topic` is the ROS topic, sensor or file it is about ("" when about the whole)."""
+
+    code: str
+    severity: Severity
+    topic: str
+    message: str
+
+    def as_record(self) -> dict[str, str]:
+        return asdict(self)

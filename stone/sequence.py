@@ -1,0 +1,81 @@
+"""The values that travel from ingest to the labeler: a sequence is its frames, its calibration and its sweeps.
+
+**Conventions.** Time is integer nanoseconds. A frame is the synchronised sample at one LiDAR stamp; its token is
+`frame_token(sequence name, stamp)`. Poses are `map_from_ego` at the stamp.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from hashlib import sha256
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.calibration import Calibration
+from stone.se3 import SE3
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """One LiDAR revolution, deskewed to its stamp: finite, non-zero points (N, 3) float32 in the LiDAR frame."""
+
+    stamp_ns: int
+    points_lidar: NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Association:
+    """Which message of one sensor each frame takes: index −1 and dt 0 where none is near enough; dt is signed."""
+
+    topic: str
+    message_index: NDArray[np.int64]
+    dt_ns: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class ExcludedFrame:
+    """A LiDAR stamp that gives no frame, and why (`code` for programs, `reason` for people)."""
+
+    stamp_ns: int
+    code: str
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """The frame table: N usable frames in time order."""
+
+    stamps_ns: NDArray[np.int64]
+    tokens: tuple[str, ...]
+    map_from_ego: SE3
+    associations: Mapping[str, Association] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.tokens)
+
+
+@dataclass(frozen=True, eq=False)
+class Sequence:
+    """One continuous run of the robot, synchronised; `inputs` names what it was made from (name → sha256)."""
+
+    name: str
+    frames: Frames
+    excluded: tuple[ExcludedFrame, ...]
+    calibration: Calibration
+    pose_source: str
+    map_origin_deg_m: tuple[float, float, float] | None = None
+    inputs: Mapping[str, str] = field(default_factory=dict)
+
+
+class SweepSource(Protocol):
+    """Where sweeps come from: a recording on disk, or arrays in memory. Picklable, so that workers can open it."""
+
+    def sweep(self, index: int) -> Sweep:
+        """The sweep of frame `index`."""
+        ...
+
+
+def frame_token(sequence_name: str, stamp_ns: int) -> str:
+    """First 32 hex digits of sha256("<sequence name>:<stamp_ns>") (design §3)."""
+    return sha256(f"{sequence_name}:{stamp_ns}".encode()).hexdigest()[:32]

@@ -1,0 +1,17 @@
+"""What every test may ask for: the folder of real recordings, where this machine has one."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session")
+def field_data() -> Path:
+    """The folder of real recordings by others; never part of the project, so absent on most machines."""
+    folder = Path(os.environ.get("STONE_FIELD_DATA", ROOT.parent / "shared" / "data"))
+    if not folder.is_dir():
+        pytest.skip(f"no field data at {folder}; set STONE_FIELD_DATA to the folder that holds it")
+    return folder
