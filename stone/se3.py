@@ -64,8 +64,8 @@ class SE3:
     def __len__(self) -> int:
         return int(self.wxyz_xyz.shape[0])
 
-    def __getitem__(self, index: object) -> "SE3":
-        return SE3(self.wxyz_xyz[index])  # type: ignore[index]
+    def __getitem__(self, index: int | slice | NDArray[np.integer] | NDArray[np.bool_]) -> "SE3":
+        return SE3(self.wxyz_xyz[index])
 
     def rotation(self) -> Array:
         """Rotation matrices (..., 3, 3)."""
@@ -123,7 +123,7 @@ def rotate(wxyz: Array, vectors: Array) -> Array:
 
 
 def wxyz_from_rotation(rotation: Array) -> Array:
-    """Unit quaternions with w ≥ 0 from rotation matrices (..., 3, 3); the largest component decides (Shepperd, 1978)."""
+    """Unit quaternions with w ≥ 0 from rotation matrices (..., 3, 3), by the largest component (Shepperd, 1978)."""
     r = rotation
     trace = np.trace(r, axis1=-2, axis2=-1)
     squares = np.stack([trace, r[..., 0, 0], r[..., 1, 1], r[..., 2, 2]], axis=-1)
