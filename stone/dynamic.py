@@ -1,0 +1,130 @@
+"""What moved: map voxels that later (or earlier) sweeps looked straight through.
+
+**Conventions.** A range image holds, for each direction from the sensor in the ego frame, the nearest return (m), 0
+where none came back. A map point votes *missed* when all nine pixels around it saw something clearly farther, and
+*hit* when its own pixel saw it. It moved when it was missed `MISSES_PER_HIT` times as often as hit, and at least
+`FEWEST_MISSES` times.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from stone.se3 import SE3
+
+MISSES_PER_HIT = 2
+FEWEST_MISSES = 3
+
+
+@dataclass(frozen=True)
+class DynamicParameters:
+    """Image geometry and reach of the vote; a pixel is about as wide as the gap between two rays."""
+
+    every_frame: int = 5
+    min_elevation_deg: float = -30.0
+    max_elevation_deg: float = 22.0
+    row_deg: float = 0.4
+    column_deg: float = 0.4
+    max_range_m: float = 30.0
+    min_range_m: float = 1.0
+    margin_m: float = 0.3
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns) of the image."""
+        rows = math.ceil((self.max_elevation_deg - self.min_elevation_deg) / self.row_deg)
+        return rows, round(360.0 / self.column_deg)
+
+
+@dataclass(frozen=True, eq=False)
+class RangeImage:
+    """`ranges_m` (rows, columns) float32 seen from `map_from_view`: the sensor's place, the ego's axes."""
+
+    map_from_view: SE3
+    ranges_m: NDArray[np.float32]
+
+
+def range_image(
+    points_ego: NDArray[np.float32], map_from_ego: SE3, sensor_ego: NDArray[np.float64], parameters: DynamicParameters
+) -> RangeImage:
+    """The nearest return in each direction from `sensor_ego` (3,) of the points (N, 3)."""
+    ranges_m = np.zeros(parameters.shape, np.float32)
+    _project(points_ego, sensor_ego, _lens(parameters), ranges_m)
+    view = SE3.from_parts(map_from_ego.wxyz, map_from_ego @ sensor_ego)
+    return RangeImage(view, ranges_m)
+
+
+def vote(
+    points_map: NDArray[np.float64], image: RangeImage, parameters: DynamicParameters, votes: NDArray[np.int32]
+) -> None:
+    """Add this image's verdict on the points (N, 3) to `votes` (N, 2) int32: hits, misses."""
+    p = parameters
+    limits = (p.min_range_m**2, p.max_range_m**2, p.margin_m)
+    _vote(points_map, image.map_from_view.inverse().as_matrix(), (image.ranges_m, _lens(p)), limits, votes)
+
+
+def is_moving(votes: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Which points (N,) moved, by their votes (N, 2)."""
+    hits, misses = votes[:, 0], votes[:, 1]
+    return (misses > MISSES_PER_HIT * hits) & (misses >= FEWEST_MISSES)
+
+
+def _lens(p: DynamicParameters) -> tuple[float, float, float]:
+    """(top elevation rad, rad per row, rad per column)."""
+    return math.radians(p.max_elevation_deg), math.radians(p.row_deg), math.radians(p.column_deg)
+
+
+@njit(inline="always")
+def _pixel(x, y, z, r, lens):  # type: ignore[no-untyped-def]
+    """Row (may lie outside) and column of a direction; columns run clockwise from behind."""
+    row = math.floor((lens[0] - math.asin(z / r)) / lens[1])
+    column = math.floor((math.pi - math.atan2(y, x)) / lens[2])
+    return row, column
+
+
+@njit(cache=True, nogil=True)
+def _project(points, sensor, lens, ranges):  # type: ignore[no-untyped-def]
+    for p in range(points.shape[0]):
+        x, y, z = points[p, 0] - sensor[0], points[p, 1] - sensor[1], points[p, 2] - sensor[2]
+        r = math.sqrt(x * x + y * y + z * z)
+        if r < 1e-3:
+            continue
+        row, column = _pixel(x, y, z, r, lens)
+        if 0 <= row < ranges.shape[0]:
+            column %= ranges.shape[1]
+            if ranges[row, column] == 0 or r < ranges[row, column]:
+                ranges[row, column] = r
+
+
+@njit(cache=True, nogil=True)
+def _nearest_around(ranges, row, column):  # type: ignore[no-untyped-def]
+    """The least of the nine pixels around, so 0 where any of them saw nothing."""
+    nearest = np.float32(1e9)
+    for dr in range(-1, 2):
+        for dc in range(-1, 2):
+            nearest = min(nearest, ranges[row + dr, (column + dc) % ranges.shape[1]])
+    return nearest
+
+
+@njit(cache=True, nogil=True)
+def _vote(points, m, image, limits, votes):  # type: ignore[no-untyped-def]
+    ranges, lens = image
+    for p in range(points.shape[0]):
+        px, py, pz = points[p, 0], points[p, 1], points[p, 2]
+        x = m[0, 0] * px + m[0, 1] * py + m[0, 2] * pz + m[0, 3]
+        y = m[1, 0] * px + m[1, 1] * py + m[1, 2] * pz + m[1, 3]
+        z = m[2, 0] * px + m[2, 1] * py + m[2, 2] * pz + m[2, 3]
+        r2 = x * x + y * y + z * z
+        if not limits[0] <= r2 < limits[1]:
+            continue
+        r = math.sqrt(r2)
+        row, column = _pixel(x, y, z, r, lens)
+        if not 1 <= row < ranges.shape[0] - 1:
+            continue
+        if _nearest_around(ranges, row, column) > r + limits[2]:
+            votes[p, 1] += 1
+        elif abs(ranges[row, column % ranges.shape[1]] - r) < limits[2]:
+            votes[p, 0] += 1
