@@ -1,0 +1,1 @@
+"""The `stone` command: words, options, progress and exit codes around the pipelines."""

@@ -1,0 +1,29 @@
+# make install | demo | test | check | bench: each installs first, which costs nothing when nothing changed.
+.PHONY: install demo test check bench
+.DELETE_ON_ERROR:
+
+BIN := .venv/bin
+INSTALLED := .venv/.installed
+
+install: $(INSTALLED)
+
+$(INSTALLED): requirements.lock pyproject.toml deploy/create-venv.sh deploy/install-system-libraries.sh
+	deploy/create-venv.sh
+	touch $@
+
+demo: install
+	$(BIN)/stone demo
+
+test: install
+	$(BIN)/pytest --numprocesses auto --maxprocesses 4
+
+check: install
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/pytest --numprocesses auto --maxprocesses 4
+
+bench: install
+	$(BIN)/python -m benchmarks.label
+	$(BIN)/python -m benchmarks.score

@@ -1,0 +1,175 @@
+"""The house keeps its shape: the arrow of dependency, small files, plain words, nothing of one machine in it."""
+
+import ast
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("stone", "services", "simulator", "client")
+SOURCES = tuple(path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py")))
+MAX_FILE_LINES = 300
+MAX_FUNCTION_LINES = 50
+EMPTY_WORDS = {"util", "utils", "helper", "helpers", "manager", "common", "misc"}
+EMPTY_VERBS = ("get_", "do_", "handle_")
+STONE_MAY_IMPORT = {"stone", "numpy", "scipy", "numba"} | {
+    "dataclasses", "typing", "enum", "math", "hashlib", "collections", "functools", "itertools", "abc",
+}  # fmt: skip
+# Character classes keep each pattern from finding itself.
+OF_ONE_MACHINE = re.compile(
+    r"[/]work/|[/]tmp/lab|[/]root/|[/]home/[a-z]|[/]opt/[a-z]|farm[-][a-z]+|[:]//[^\s/]+/simple\b|index[-]url"
+)
+
+
+def tracked_files() -> tuple[Path, ...]:
+    if not (ROOT / ".git").exists():
+        pytest.skip("not a git checkout, so nothing says which files are the project's")
+    listing = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True).stdout
+    return tuple(ROOT / name for name in listing.decode().split("\0") if name and (ROOT / name).is_file())
+
+
+def lint_imports(folder: Path) -> subprocess.CompletedProcess[str]:
+    command = [str(Path(sys.executable).parent / "lint-imports"), "--no-cache", "--no-logo"]
+    environment = {**os.environ, "PYTHONPATH": str(folder)}
+    return subprocess.run(command, cwd=folder, env=environment, check=False, capture_output=True, text=True)
+
+
+def functions_of(path: Path) -> Iterator[ast.FunctionDef]:
+    yield from (node for node in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(node, ast.FunctionDef))
+
+
+def names_defined_in(path: Path) -> Iterator[str]:
+    """The module, its folder, its classes, functions and assigned names."""
+    yield from (path.stem, path.parent.name)
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.ClassDef | ast.FunctionDef):
+            yield node.name
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            yield node.id
+
+
+def words_of(name: str) -> set[str]:
+    return {word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)}
+
+
+def statement_lines(function: ast.FunctionDef) -> int:
+    """Lines of the function without its decorators and its docstring."""
+    body = function.body[1:] if ast.get_docstring(function) else function.body
+    return (function.end_lineno or 0) - body[0].lineno + 1 if body else 0
+
+
+def is_kernel(function: ast.FunctionDef) -> bool:
+    return any("njit" in ast.unparse(decorator) for decorator in function.decorator_list)
+
+
+def test_the_import_contracts_are_kept() -> None:
+    outcome = lint_imports(ROOT)
+    assert outcome.returncode == 0, outcome.stdout + outcome.stderr
+
+
+@pytest.mark.parametrize(
+    ("module", "line"),
+    [
+        ("stone/errors.py", "import pathlib"),
+        ("stone/errors.py", "import services.runtime"),
+        ("services/__init__.py", "import client.main"),
+        ("services/eval/__init__.py", "import services.ingest"),
+        ("client/main.py", "import open3d"),
+    ],
+)
+def test_a_broken_import_contract_is_noticed(tmp_path: Path, module: str, line: str) -> None:
+    for package in PACKAGES:
+        shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    with (tmp_path / module).open("a") as source:
+        source.write(f"\n{line}\n")
+    outcome = lint_imports(tmp_path)
+    assert outcome.returncode == 1, outcome.stdout + outcome.stderr
+    assert "BROKEN" in outcome.stdout
+
+
+@pytest.mark.parametrize(
+    "path", [path for path in SOURCES if path.is_relative_to(ROOT / "stone")], ids=lambda p: p.stem
+)
+def test_stone_imports_numbers_and_plain_values_only(path: Path) -> None:
+    imported: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.Import):
+            imported |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            imported.add((node.module or ".").split(".")[0])
+    assert imported <= STONE_MAY_IMPORT
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_a_source_file_is_small_and_plainly_named(path: Path) -> None:
+    source = path.read_text("utf-8")
+    assert len(source.splitlines()) <= MAX_FILE_LINES
+    for name in names_defined_in(path):
+        assert not words_of(name) & EMPTY_WORDS, f"{name} says nothing"
+        assert not name.lstrip("_").startswith(EMPTY_VERBS), f"{name} has an empty verb"
+    for function in functions_of(path):
+        assert is_kernel(function) or statement_lines(function) <= MAX_FUNCTION_LINES, f"{function.name} is too long"
+    assert "# TODO" not in source
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_a_module_says_what_it_is(path: Path) -> None:
+    source = path.read_text("utf-8")
+    assert not source or ast.get_docstring(ast.parse(source)), "a module begins with a docstring"
+
+
+def test_no_tracked_file_names_a_place_of_one_machine() -> None:
+    found = []
+    for path in tracked_files():
+        content = path.read_bytes()
+        if b"\0" in content[:8192]:
+            continue
+        for number, line in enumerate(content.decode("utf-8").splitlines(), 1):
+            if OF_ONE_MACHINE.search(line):
+                found.append(f"{path.relative_to(ROOT)}:{number}: {line.strip()[:100]}")
+    assert found == []
+
+
+def test_no_tracked_file_is_large() -> None:
+    assert [path.name for path in tracked_files() if path.stat().st_size > 2**20] == []
+
+
+def test_the_lock_pins_every_requirement_by_hash_and_names_no_place() -> None:
+    lock = (ROOT / "requirements.lock").read_text("utf-8")
+    assert "://" not in lock
+    requirements = re.sub(r"\\\n", " ", re.sub(r"(?m)^\s*#.*\n", "", lock)).splitlines()
+    assert len(requirements) > 20
+    for requirement in requirements:
+        assert re.match(r"[a-z0-9-]+==\S+", requirement), requirement
+        assert "--hash=sha256:" in requirement, requirement
+
+
+def test_the_lock_covers_what_the_project_asks_for() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+    asked = project["project"]["dependencies"] + project["dependency-groups"]["dev"]
+    pinned = set(re.findall(r"(?m)^([a-z0-9-]+)==", (ROOT / "requirements.lock").read_text("utf-8")))
+    assert {re.split(r"[<>=!~\[]", name)[0].replace(".", "-") for name in asked} <= pinned
+
+
+def test_make_check_runs_every_guard_and_ci_runs_make_check() -> None:
+    makefile = (ROOT / "Makefile").read_text("utf-8")
+    check = makefile[makefile.index("\ncheck:") : makefile.index("\nbench:")]
+    for guard in ("ruff format --check", "ruff check", "mypy", "lint-imports", "pytest"):
+        assert guard in check
+    assert not re.search(r"\|\||\| |^\t-", check, re.MULTILINE), "a guard's failure must stop make"
+    assert "make --no-print-directory check" in (ROOT / ".ci" / "run").read_text("utf-8")
+    assert "make check" in (ROOT / "README.md").read_text("utf-8")
+
+
+def test_every_make_target_that_runs_something_installs_first() -> None:
+    makefile = (ROOT / "Makefile").read_text("utf-8")
+    for target in ("demo", "test", "check", "bench"):
+        assert re.search(rf"(?m)^{target}: install$", makefile)
