@@ -1,0 +1,146 @@
+"""Open a recording, whatever holds it, and read its messages by topic in log-time order.
+
+**Conventions.** Log time is integer nanoseconds. A payload is the whole CDR message, its 4-byte header included, and
+stays valid after the bag is closed. `index` counts within the topic, in log-time order.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.ingest.errors import EncodingRefusedError, UnknownTopicError
+from services.ingest.magic import container_of
+from services.ingest.mcap_store import McapStore
+from services.ingest.rosbags_store import RosbagsStore
+from services.ingest.topic import Topic
+
+__all__ = ["Bag", "RawMessage", "Store", "Topic", "open_bag"]
+
+
+@dataclass(frozen=True, slots=True)
+class RawMessage:
+    log_time_ns: int
+    index: int
+    payload: memoryview
+
+
+class Store(Protocol):
+    """What holds the messages: an MCAP file by memory map, or anything rosbags reads."""
+
+    topics: tuple[Topic, ...]
+    is_indexed: bool
+
+    def log_times_ns(self, topic: str) -> NDArray[np.int64]:
+        """Ascending log times of the topic's messages."""
+        ...
+
+    def payload(self, topic: str, index: int) -> memoryview:
+        """The CDR message at `index` in log-time order."""
+        ...
+
+    def head(self, topic: str, index: int) -> memoryview:
+        """The same, for those who read its first bytes only."""
+        ...
+
+    def expect_scattered_reads(self, is_scattered: bool) -> None:
+        """A hint: few bytes here and there, or everything in order."""
+        ...
+
+    def close(self) -> None: ...
+
+
+class Bag:
+    """An open recording; a context manager."""
+
+    def __init__(self, path: Path, store: Store) -> None:
+        self.path = path
+        self._store = store
+        self._topics = {topic.name: topic for topic in store.topics}
+
+    def __enter__(self) -> "Bag":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        self._store.close()
+
+    @property
+    def topics(self) -> tuple[Topic, ...]:
+        """Every topic that is declared, by name; `count` may be 0."""
+        return self._store.topics
+
+    @property
+    def is_indexed(self) -> bool:
+        """False where the recording had no usable index and had to be walked."""
+        return self._store.is_indexed
+
+    @property
+    def start_ns(self) -> int:
+        """Log time of the first message; 0 for a recording without messages."""
+        return min((int(times[0]) for times in self._all_times()), default=0)
+
+    @property
+    def end_ns(self) -> int:
+        """Log time of the last message; 0 for a recording without messages."""
+        return max((int(times[-1]) for times in self._all_times()), default=0)
+
+    def log_times_ns(self, topic: str) -> NDArray[np.int64]:
+        """Ascending log times (N,) of one topic."""
+        self._check_known(topic)
+        return self._store.log_times_ns(topic)
+
+    def messages(self, topic: str, start: int = 0, stop: int | None = None) -> Iterator[RawMessage]:
+        """Messages `start` to `stop` (half-open indices within the topic) in log-time order.
+
+        Raises: UnknownTopicError, EncodingRefusedError, and where the container lies, its coded refusals.
+        """
+        self._check_readable(topic)
+        times = self._store.log_times_ns(topic)
+        for index in range(*slice(start, stop).indices(len(times))):
+            yield RawMessage(int(times[index]), index, self._store.payload(topic, index))
+
+    def message(self, topic: str, index: int) -> RawMessage:
+        """One message; raises IndexError beyond the topic's count, else as `messages`."""
+        self._check_readable(topic)
+        times = self._store.log_times_ns(topic)
+        position = range(len(times))[index]
+        return RawMessage(int(times[position]), position, self._store.payload(topic, position))
+
+    def heads(self, topic: str) -> Iterator[memoryview]:
+        """Payloads in order for a scan of their first bytes: plain chunks are neither read whole nor checked."""
+        self._check_readable(topic)
+        self._store.expect_scattered_reads(True)
+        try:
+            for index in range(self._topics[topic].count):
+                yield self._store.head(topic, index)
+        finally:
+            self._store.expect_scattered_reads(False)
+
+    def _all_times(self) -> Iterator[NDArray[np.int64]]:
+        return (self._store.log_times_ns(topic.name) for topic in self.topics if topic.count)
+
+    def _check_known(self, topic: str) -> None:
+        if topic not in self._topics:
+            raise UnknownTopicError(self.path.name, topic, tuple(self._topics))
+
+    def _check_readable(self, topic: str) -> None:
+        self._check_known(topic)
+        if (encoding := self._topics[topic].encoding) != "cdr":
+            raise EncodingRefusedError(self.path.name, topic, encoding)
+
+
+def open_bag(path: Path) -> Bag:
+    """Open an `.mcap` file, a `.db3` file or a rosbag2 folder, told apart by content.
+
+    Raises: FileNotFoundError, NotABagError (BAG-001), CutBagError (BAG-010), MalformedBagError (BAG-012) and the
+    other `BAG-*` refusals.
+    """
+    container = container_of(path)
+    return Bag(path, McapStore(path) if container == "mcap" else RosbagsStore(path))

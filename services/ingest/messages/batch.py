@@ -1,0 +1,40 @@
+"""What the decoders of many small messages share: payloads in, checked poses out.
+
+**Conventions.** A decoder takes anything that has a `payload`; positions are metres, quaternions arrive as ROS writes
+them (xyzw) and leave as `wxyz`.
+"""
+
+from collections.abc import Iterable
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.ingest.errors import PoseValueError
+from stone.se3 import SE3
+
+# Drivers write (0, 0, 0, 0) for "unknown"; rounding to float32 or to four decimals stays far above this.
+LEAST_NORM = 1e-3
+
+
+class Stamped(Protocol):
+    """A recorded message, such as `RawMessage`."""
+
+    @property
+    def payload(self) -> memoryview: ...
+
+
+def payloads_of(messages: Iterable[Stamped]) -> list[memoryview]:
+    return [message.payload for message in messages]
+
+
+def poses(translation_m: NDArray[np.float64], xyzw: NDArray[np.float64], type_name: str) -> SE3:
+    """Batch (N,) from (N, 3) and (N, 4); raises PoseValueError for the first pose that is none."""
+    is_finite = np.isfinite(translation_m).all(axis=1) & np.isfinite(xyzw).all(axis=1)
+    if not is_finite.all():
+        raise PoseValueError(type_name, int(np.argmin(is_finite)), "is not finite")
+    norms = np.linalg.norm(xyzw, axis=1)
+    if (norms < LEAST_NORM).any():
+        row = int(np.argmax(norms < LEAST_NORM))
+        raise PoseValueError(type_name, row, f"has a quaternion of norm {norms[row]:.3g}")
+    return SE3.from_parts(xyzw[:, [3, 0, 1, 2]], translation_m)

@@ -1,0 +1,116 @@
+"""Points, times and rings out of a LiDAR cloud, whatever its driver calls them.
+
+**Conventions.** Points without a return are NaN or (0, 0, 0) and are dropped. A time field is recognised by its values:
+the unit is the one in which a cloud lasts between 1 ms and 1 s; it is absolute when the values are a date, relative to
+the header stamp otherwise. Names only nominate fields. Source: Hesai ROS 2.0, Nebula, Velodyne and Ouster drivers.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.ingest.errors import CloudLayoutError
+from services.ingest.messages.point_kernel import pack_points
+
+NS_PER_S = 1_000_000_000
+TIME_NAMES = ("timestamp", "time_stamp", "time", "t", "offset_time", "timeStamp", "ts")
+RING_NAMES = ("ring", "channel", "laser_id", "line")
+LAST_RING = 1023
+# Nanoseconds per unit; a sweep of 1 to 1000 Hz lasts 1e6 to 1e9 ns, so at most one unit fits a spread of values.
+UNITS_NS = (NS_PER_S, 1_000_000, 1_000, 1)
+LEAST_SWEEP_NS, LAST_SWEEP_NS = 1e6, 1e9
+# Dates begin here (1973): no offset within a sweep is that long.
+FIRST_DATE_NS = 1e17
+# An absolute time further from the stamp than this is another clock's, and says nothing about this stamp.
+LAST_CLOCK_DISTANCE_NS = 5 * NS_PER_S
+
+
+@dataclass(frozen=True, eq=False)
+class LidarPoints:
+    """N returns: (N, 3) float32 metres in the LiDAR frame, and where the cloud says so when and by which laser.
+
+    `offset_ns` is relative to the header stamp; `time_meaning` says how it was read ("absolute s", "relative ns",
+    "none", "another clock").
+    """
+
+    points_lidar: NDArray[np.float32]
+    offset_ns: NDArray[np.int64] | None
+    ring: NDArray[np.uint16] | None
+    time_meaning: str
+
+
+def resolve_points(points: NDArray[np.void], stamp_ns: int) -> LidarPoints:
+    """Raises: CloudLayoutError when there are no x, y, z of one floating type."""
+    names = points.dtype.names or ()
+    codes = {points.dtype[name].str for name in "xyz" if name in names}
+    if not set("xyz") <= set(names) or codes not in ({"<f4"}, {"<f8"}):
+        raise CloudLayoutError(f"x, y and z must be floats of one size, its fields are {', '.join(names)}"[:200])
+    xyz, kept = _packed(points) if codes == {"<f4"} else _converted(points)
+    offset_ns, meaning = _offsets(points, kept, stamp_ns)
+    return LidarPoints(xyz, offset_ns, _rings(points, kept), meaning)
+
+
+def _packed(points: NDArray[np.void]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """float32 coordinates, bit for bit, by the kernel."""
+    fields: Mapping[str, tuple[Any, ...]] = points.dtype.fields or {}
+    x_at, y_at, z_at = (int(fields[name][1]) for name in "xyz")
+    raw = points if points.flags.c_contiguous else np.ascontiguousarray(points)
+    rows = raw.view(np.uint8).reshape(len(points), points.dtype.itemsize)
+    bits = np.empty((len(points), 3), np.uint32)
+    kept = np.empty(len(points), np.int32)
+    count = pack_points(rows, x_at, y_at, z_at, bits, kept)
+    return bits[:count].view(np.float32), kept[:count]
+
+
+def _converted(points: NDArray[np.void]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    xyz = np.stack([points[name] for name in "xyz"], axis=-1)
+    with np.errstate(over="ignore"):
+        narrow = xyz.astype(np.float32)
+    kept = np.flatnonzero(np.isfinite(narrow).all(axis=1) & (narrow != 0).any(axis=1)).astype(np.int32)
+    return narrow[kept], kept
+
+
+def _offsets(points: NDArray[np.void], kept: NDArray[np.int32], stamp_ns: int) -> tuple[NDArray[np.int64] | None, str]:
+    """The first nominated field whose values are times."""
+    meaning = "none"
+    for name in TIME_NAMES:
+        if name not in (points.dtype.names or ()) or points.dtype[name].kind not in "fiu" or not len(kept):
+            continue
+        offset_ns, meaning = offsets_from_values(points[name][kept], stamp_ns)
+        if offset_ns is not None:
+            return offset_ns, meaning
+    return None, meaning
+
+
+def offsets_from_values(values: NDArray[np.generic], stamp_ns: int) -> tuple[NDArray[np.int64] | None, str]:
+    """Offsets from the stamp in ns, and how the values were read; None where they are no times of one sweep."""
+    least, last = float(np.min(values)), float(np.max(values))
+    spread = last - least
+    if not np.isfinite(spread):
+        return None, "none"
+    unit_ns = next((unit for unit in UNITS_NS if LEAST_SWEEP_NS < spread * unit <= LAST_SWEEP_NS), None)
+    if unit_ns is None:
+        return None, "none"
+    unit = {NS_PER_S: "s", 1_000_000: "ms", 1_000: "µs", 1: "ns"}[unit_ns]
+    if abs(least) * unit_ns < FIRST_DATE_NS:
+        return np.rint(values.astype(np.float64) * unit_ns).astype(np.int64), f"relative {unit}"
+    if abs(least * unit_ns - stamp_ns) > LAST_CLOCK_DISTANCE_NS:
+        return None, "another clock"
+    # Whole units of the stamp are taken off first: what is left keeps every digit that the field had.
+    whole, rest_ns = divmod(stamp_ns, unit_ns)
+    return np.rint((values.astype(np.float64) - whole) * unit_ns).astype(np.int64) - rest_ns, f"absolute {unit}"
+
+
+def _rings(points: NDArray[np.void], kept: NDArray[np.int32]) -> NDArray[np.uint16] | None:
+    """The first nominated field that holds small whole numbers."""
+    for name in RING_NAMES:
+        if name not in (points.dtype.names or ()) or points.dtype[name].kind not in "fiu":
+            continue
+        values = points[name][kept]
+        is_small = bool(((values >= 0) & (values <= LAST_RING)).all())
+        if is_small and (values.dtype.kind != "f" or bool((values == np.floor(values)).all())):
+            return values.astype(np.uint16)
+    return None
