@@ -18,6 +18,7 @@ from stone.se3 import SE3
 QUANTUM_M = 2.0**-20
 COUNT, FRAMES, OFFSET, VIEW = 0, 1, slice(2, 5), slice(5, 8)
 LOAD_RATIO = 0.55
+SWEEP_REACH_M = 1000.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +51,10 @@ class PointMap:
     def where(self, keep: NDArray[np.bool_]) -> "PointMap":
         return PointMap(self.voxel_m, self.keys[keep], self.moments[keep])
 
+    def where_seen(self, min_frames: int) -> "PointMap":
+        """The voxels that were hit in at least so many frames."""
+        return self.where(np.asarray(self.frames_seen() >= min_frames))
+
 
 def merge(maps: Sequence[PointMap]) -> PointMap:
     """The map of all points of all maps; the maps hold disjoint frames. Exact, so the order does not matter."""
@@ -70,6 +75,7 @@ class PointMapBuilder:
         self._voxel_m = voxel_m
         self._frame = 0
         self._used = 0
+        self.points = 0
         self._allocate(slots)
 
     def _allocate(self, slots: int) -> None:
@@ -78,9 +84,11 @@ class PointMapBuilder:
         self._last_frame = np.full(slots, -1, np.int32)
 
     def insert(self, points_ego: NDArray[np.float32], map_from_ego: SE3, sensor_ego: NDArray[np.float64]) -> None:
-        """Add one sweep (N, 3) seen from `sensor_ego` (3,). Raises `OffLatticeError` for a broken pose."""
-        reach = np.concatenate([map_from_ego.translation_m, points_ego[:0].reshape(-1)])
-        check_reach(reach + np.sign(reach) * 1e3, self._voxel_m)
+        """Add one sweep (N, 3) seen from `sensor_ego` (3,), its points nearer than `SWEEP_REACH_M`.
+
+        Raises `OffLatticeError` for a pose that is not finite or off the lattice.
+        """
+        check_reach(np.abs(map_from_ego.translation_m) + SWEEP_REACH_M, self._voxel_m)
         sensor_map = map_from_ego @ sensor_ego
         matrix = map_from_ego.as_matrix()
         done = 0
@@ -95,6 +103,7 @@ class PointMapBuilder:
             if done < len(points_ego):
                 self._grow()
         self._frame += 1
+        self.points += len(points_ego)
 
     def _grow(self) -> None:
         old = (self._keys, self._moments, self._last_frame)

@@ -4,6 +4,7 @@
 `frame_token(sequence name, stamp)`. Poses are `map_from_ego` at the stamp.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from hashlib import sha256
@@ -13,7 +14,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone.calibration import Calibration
+from stone.errors import StoneError
+from stone.findings import Finding
 from stone.se3 import SE3
+
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+
+
+class SequenceNameError(StoneError):
+    """A sequence name becomes a folder name, so it must be a plain one."""
+
+    code = "bad_sequence_name"
+
+    def __init__(self, name: str) -> None:
+        super().__init__(
+            f"{name[:120]!r} cannot name a sequence: 1 to 100 letters, digits, dots, dashes and underscores, "
+            "beginning with a letter or digit (is it a path?)"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +83,11 @@ class Sequence:
     pose_source: str
     map_origin_deg_m: tuple[float, float, float] | None = None
     inputs: Mapping[str, str] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not NAME.fullmatch(self.name):
+            raise SequenceNameError(self.name)
 
 
 class SweepSource(Protocol):

@@ -1,0 +1,98 @@
+"""Stage 3, per part: cut the label grid of every frame out of the labelled map and write `labels.npz`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.labeler.run import Part, Run, Tile, core_cells
+from services.labeler.scratch import load, save, sight_path, surface_path
+from services.runtime.npz import npz_bytes
+from stone.grid import GRID_SHAPE, Grid, Window, crop, frame_bounds, window_of
+from stone.observed import Observed, union
+from stone.traversability import Reference, classify
+from stone.visibility import SightLines, mark_visible, sight_lines
+from stone.voxels import VOXEL_M
+
+MAX_WINDOW_BYTES = 192 * 2**20
+
+
+@dataclass(frozen=True, eq=False)
+class FrameCounts:
+    """Per frame of a part, in order: voxels by class (n, 4), observed by LiDAR and by cameras (n, 2)."""
+
+    classes: NDArray[np.int64]
+    observed: NDArray[np.int64]
+
+
+def lay_sight_lines(run: Run) -> None:
+    """Lay out once per run what each camera of the calibration can see."""
+    calibration = run.sequence.calibration
+    for mount in calibration.of_kind("camera"):
+        if mount.intrinsics is not None:
+            lines = sight_lines(mount.intrinsics, calibration.ego_from_lidar @ mount.lidar_from_sensor)
+            save(sight_path(run, mount.name), {"voxel": lines.voxel, "nearer": lines.nearer})
+
+
+def frames(run: Run, part: Part, reference: Reference, labels_root: Path) -> FrameCounts:
+    """Write the labels of the frames of `part` under `labels_root`/<frame_token>/."""
+    cameras = [
+        SightLines(**load(path))  # type: ignore[arg-type]
+        for path in sorted((run.scratch / "sight").glob("*.npz"))
+    ]
+    classes, observed = [], []
+    for begin, end in _near_together(run, part):
+        window = _window(run, frame_bounds(run.sequence.frames.map_from_ego[slice(begin, end)]), reference)
+        for index in range(begin, end):
+            semantics, mask_lidar = crop(window, run.sequence.frames.map_from_ego[index])
+            mask_lidar |= semantics > 0
+            mask_camera = _seen(semantics, mask_lidar, cameras)
+            grids = {"semantics": semantics, "mask_lidar": mask_lidar, "mask_camera": mask_camera}
+            _write(labels_root / run.sequence.frames.tokens[index] / "labels.npz", npz_bytes(grids))
+            classes.append(np.bincount(semantics.reshape(-1), minlength=4))
+            observed.append([np.count_nonzero(mask_lidar), np.count_nonzero(mask_camera)])
+    return FrameCounts(np.array(classes, np.int64), np.array(observed, np.int64))
+
+
+def _near_together(run: Run, part: Part) -> list[Part]:
+    """The part cut where its frames lie so far apart that one dense window would not fit the memory."""
+    low, high = frame_bounds(run.sequence.frames.map_from_ego[slice(*part)])
+    if part[1] - part[0] == 1 or np.prod((high - low).astype(np.float64)) <= MAX_WINDOW_BYTES:
+        return [part]
+    middle = (part[0] + part[1]) // 2
+    return _near_together(run, (part[0], middle)) + _near_together(run, (middle, part[1]))
+
+
+def _seen(semantics: Grid, mask_lidar: Grid, cameras: list[SightLines]) -> Grid:
+    """What any camera sees and the LiDAR vouches for: free space is only known where rays passed."""
+    visible = np.zeros(GRID_SHAPE, np.uint8)
+    for lines in cameras:
+        mark_visible(semantics, lines, visible)
+    return visible & mask_lidar
+
+
+def _window(run: Run, bounds: tuple[NDArray[np.int64], NDArray[np.int64]], reference: Reference) -> Window:
+    """The labelled map within a range of voxel indices."""
+    low, high = bounds
+    keys, classes = [np.zeros(0, np.int64)], [np.zeros(0, np.uint8)]
+    seen = [Observed(np.zeros(0, np.int64), np.zeros(0, np.uint64))]
+    for tile in tiles_between(run, low, high):
+        arrays = load(surface_path(run, tile))
+        keys.append(arrays["keys"])  # type: ignore[arg-type]
+        classes.append(classify(arrays["features"], arrays["is_driven"], reference, run.parameters.reference.alpha))  # type: ignore[arg-type]
+        seen.append(Observed(arrays["bricks"], arrays["words"]))  # type: ignore[arg-type]
+    return window_of(np.concatenate(keys), np.concatenate(classes), union(seen), bounds)
+
+
+def tiles_between(run: Run, low: NDArray[np.int64], high: NDArray[np.int64]) -> list[Tile]:
+    """The reconstructed tiles that reach into a range of voxel indices."""
+    cells = core_cells(run.parameters, VOXEL_M)
+    first, last = low[:2] // cells, (high[:2] - 1) // cells
+    around = [(int(i), int(j)) for i in range(first[0], last[0] + 1) for j in range(first[1], last[1] + 1)]
+    return [tile for tile in around if surface_path(run, tile).exists()]
+
+
+def _write(path: Path, payload: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(payload)

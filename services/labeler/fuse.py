@@ -1,0 +1,75 @@
+"""Stage 1, per part: read its sweeps once and leave, per tile, the point map and the observed voxels.
+
+Every n-th sweep also leaves a range image, against which the surface stage votes moving things out.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.labeler.run import Part, Run, core_cells, tiles_of
+from services.labeler.scratch import Arrays, fused_path, images_path, save
+from stone.calibration import Box
+from stone.dynamic import range_image
+from stone.grid import GRID_MAX_M, GRID_MIN_M
+from stone.observed import BRICK, Carver, Observed
+from stone.pointmap import PointMap, PointMapBuilder
+from stone.selection import within, world_points
+from stone.voxels import VOXEL_M
+
+
+@dataclass
+class _Images:
+    poses: list[NDArray[np.float64]] = field(default_factory=list)
+    ranges_m: list[NDArray[np.float32]] = field(default_factory=list)
+
+
+def fuse(run: Run, part: Part) -> int:
+    """Fuse the frames of `part`; returns how many points went into the map."""
+    parameters, frames = run.parameters, run.sequence.frames
+    calibration = run.sequence.calibration
+    builder = PointMapBuilder(parameters.surface.point_voxel_m)
+    carver = Carver(parameters.carve)
+    images = _Images()
+    reach = labelled_box(parameters.selection.margin_m)
+    for index in range(*part):
+        sweep = run.sweeps.sweep(index)
+        pose = frames.map_from_ego[index]
+        points_ego = world_points(
+            sweep.points_lidar, calibration.ego_from_lidar, calibration.self_boxes_ego, parameters.selection.min_range_m
+        )
+        builder.insert(within(points_ego, reach), pose, run.sensor_ego)
+        if index % parameters.carve.every_frame == 0:
+            carver.carve(points_ego, pose, run.sensor_ego)
+        if index % parameters.dynamic.every_frame == 0:
+            image = range_image(points_ego, pose, run.sensor_ego, parameters.dynamic)
+            images.poses.append(image.map_from_view.wxyz_xyz)
+            images.ranges_m.append(image.ranges_m)
+    _leave(run, part, builder.finish(), carver.finish())
+    if images.poses:
+        save(images_path(run, part), {"poses": np.stack(images.poses), "ranges_m": np.stack(images.ranges_m)})
+    return int(builder.points)
+
+
+def labelled_box(margin_m: float) -> Box:
+    """The label grid, `margin_m` wider on every side, in the ego frame."""
+    x, y, z = GRID_MIN_M
+    u, v, w = GRID_MAX_M
+    return Box((x - margin_m, y - margin_m, z - margin_m), (u + margin_m, v + margin_m, w + margin_m))
+
+
+def _leave(run: Run, part: Part, points: PointMap, observed: Observed) -> None:
+    """One file per tile that this part touched."""
+    point_tiles = tiles_of(points.keys, core_cells(run.parameters, points.voxel_m))
+    brick_tiles = tiles_of(observed.keys, core_cells(run.parameters, VOXEL_M * BRICK))
+    for i, j in np.unique(np.concatenate([point_tiles, brick_tiles]), axis=0):
+        mine = (point_tiles == (i, j)).all(axis=1)
+        bricks = (brick_tiles == (i, j)).all(axis=1)
+        arrays: Arrays = {
+            "keys": points.keys[mine],
+            "moments": points.moments[mine],
+            "bricks": observed.keys[bricks],
+            "words": observed.words[bricks],
+        }
+        save(fused_path(run, (int(i), int(j)), part), arrays)

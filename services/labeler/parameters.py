@@ -1,0 +1,71 @@
+"""Every parameter of the labels in one frozen value, and the two profiles the design names."""
+
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+from stone.dynamic import DynamicParameters
+from stone.footprint import BAND_M
+from stone.observed import CarveParameters
+from stone.selection import SelectionParameters
+from stone.terrain import TerrainParameters
+from stone.traversability import ReferenceParameters
+
+Profile = Literal["paper", "local"]
+
+
+@dataclass(frozen=True)
+class SurfaceParameters:
+    """Point map and Poisson reconstruction.
+
+    `width_m` is the finest octree cell: given as a width, never as a depth, whose cell grows with the extent. Vertices
+    farther than `trim_m` from any point are not surface but the solver's guess (19 % of them; a density quantile
+    would leave 11 %).
+    """
+
+    point_voxel_m: float = 0.1
+    min_frames: int = 1
+    normal_neighbours: int = 20
+    width_m: float = 0.2
+    trim_m: float = 0.2
+
+
+@dataclass(frozen=True)
+class TilingParameters:
+    """The map is reconstructed in cubes of `cube_cells` octree cells, of which `halo_m` on each side in plan overlaps.
+
+    A power of two, so that the cube is the octree's root and its cells lie on one lattice in every cube; 256 cells of
+    0.2 m are the design's 51.2 m. `frames_per_part` frames are read or cropped by one task.
+    """
+
+    cube_cells: int = 256
+    halo_m: float = 1.6
+    frames_per_part: int = 60
+
+
+@dataclass(frozen=True)
+class LabelParameters:
+    """All that decides a label, besides the inputs; recorded with every label set."""
+
+    profile: Profile = "paper"
+    selection: SelectionParameters = field(default_factory=SelectionParameters)
+    surface: SurfaceParameters = field(default_factory=SurfaceParameters)
+    tiling: TilingParameters = field(default_factory=TilingParameters)
+    dynamic: DynamicParameters = field(default_factory=DynamicParameters)
+    carve: CarveParameters = field(default_factory=CarveParameters)
+    terrain: TerrainParameters = field(default_factory=TerrainParameters)
+    reference: ReferenceParameters = field(default_factory=ReferenceParameters)
+    footprint_band_m: float = BAND_M
+    local_ground_radius_m: float = 0.5
+
+    @property
+    def core_m(self) -> float:
+        """Side of the part of a cube whose surface is kept; cores tile the plane."""
+        return self.tiling.cube_cells * self.surface.width_m - 2 * self.tiling.halo_m
+
+
+def parameters_for(profile: Profile) -> LabelParameters:
+    """`paper` is the paper to the letter; `local` measures height above the ground nearby and fades a floor in."""
+    if profile == "paper":
+        return LabelParameters()
+    paper = LabelParameters(profile="local")
+    return replace(paper, reference=replace(paper.reference, floor_voxels=200))

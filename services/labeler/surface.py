@@ -1,0 +1,163 @@
+"""Stage 2, per tile: from the fused points to the surface and what it is like in every voxel.
+
+merge → vote out what moved → normals → Poisson → trim → terrain (Eq. 1–3) → voxel features (Eq. 4–5) → T.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.labeler.parameters import LabelParameters
+from services.labeler.poisson import reconstruct
+from services.labeler.run import Run, Tile, in_core, neighbourhood
+from services.labeler.scratch import Arrays, images_path, load, load_fused, save, surface_path
+from stone.dynamic import RangeImage, is_moving, vote
+from stone.footprint import swept
+from stone.lattice import centres_of
+from stone.mesh import Mesh, vertex_normals
+from stone.neighbours import cells_of, is_near, plane_fits
+from stone.observed import Observed, union
+from stone.pointmap import PointMap, merge
+from stone.se3 import SE3
+from stone.terrain import ELEVATION, terrain_features
+from stone.traversability import FeatureSums, sums_of
+from stone.voxels import VOXEL_M, VoxelFeatures, height_above_local_ground, voxel_features
+
+FEWEST_POINTS = 100
+
+
+@dataclass(frozen=True, eq=False)
+class TileSummary:
+    """What the run needs to know of a tile before any voxel gets its class."""
+
+    tile: Tile
+    sums: FeatureSums
+    voxels: int
+    points: int
+    moving: int
+    vertices: int
+    triangles: int
+
+
+def surface(run: Run, tile: Tile) -> TileSummary:
+    """Reconstruct one tile, leave its voxels, mesh and observed bricks in scratch, return its sums."""
+    low, high = _cube(run.parameters, tile)
+    parts = [part for near in neighbourhood(tile) for part in load_fused(run, near)]
+    points = _inside(merge([part[0] for part in parts]), low, high)
+    moving = _moving(run, points)
+    points = points.where(~moving).where_seen(run.parameters.surface.min_frames)
+    mesh, normals = _mesh(run.parameters, points, low)
+    voxels = _features(run.parameters, mesh, normals)
+    voxels = voxels.where(in_core(centres_of(voxels.keys, VOXEL_M), tile, run.parameters.core_m))
+    is_driven = _driven(run, voxels)
+    kept = _core_mesh(mesh, tile, run.parameters.core_m)
+    observed = union([part[1] for part in load_fused(run, tile)])
+    _leave(run, tile, (voxels, is_driven), (kept, observed))
+    sums = sums_of(voxels.features[is_driven], reference_origin(run))
+    inside = int(in_core(points.centroids_map(), tile, run.parameters.core_m).sum())
+    counts = (len(voxels), inside, int(moving.sum()), len(kept.vertices_map), len(kept.triangles))
+    return TileSummary(tile, sums, *counts)
+
+
+def reference_origin(run: Run) -> NDArray[np.float64]:
+    """The point all tiles sum about: the first pose's elevation in profile `paper`, nothing in `local`."""
+    elevation_m = run.sequence.frames.map_from_ego.translation_m[0, 2] if run.parameters.profile == "paper" else 0.0
+    return np.array([elevation_m, 0.0, 0.0])
+
+
+def _cube(parameters: LabelParameters, tile: Tile) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The tile's cube in plan [low, high) (2,), half a cell off the voxel lattice so corners are voxel centres."""
+    low = np.array(tile) * parameters.core_m - parameters.tiling.halo_m + parameters.surface.width_m / 2
+    return low, low + parameters.tiling.cube_cells * parameters.surface.width_m
+
+
+def _inside(points: PointMap, low: NDArray[np.float64], high: NDArray[np.float64]) -> PointMap:
+    xy = points.centroids_map()[:, :2]
+    return points.where(((xy >= low) & (xy < high)).all(axis=1))
+
+
+def _moving(run: Run, points: PointMap) -> NDArray[np.bool_]:
+    """Vote the points of this tile against every range image taken near enough to see them."""
+    votes = np.zeros((len(points), 2), np.int32)
+    if len(points) == 0:
+        return votes[:, 0] > 0
+    centroids = points.centroids_map()
+    low, high = centroids.min(axis=0), centroids.max(axis=0)
+    for begin in sorted((run.scratch / "images").glob("*.npz")):
+        arrays = load(images_path(run, (int(begin.stem), 0)))
+        for pose, ranges_m in zip(arrays["poses"], arrays["ranges_m"], strict=True):
+            gap = np.maximum(0.0, np.maximum(low - pose[4:], pose[4:] - high))
+            if np.linalg.norm(gap) < run.parameters.dynamic.max_range_m:
+                vote(centroids, RangeImage(SE3(pose), ranges_m), run.parameters.dynamic, votes)
+    return is_moving(votes)
+
+
+def _mesh(parameters: LabelParameters, points: PointMap, low: NDArray[np.float64]) -> tuple[Mesh, NDArray[np.float64]]:
+    """The trimmed mesh and its vertex normals; empty where there are too few points for a surface."""
+    centroids, views = points.centroids_map(), points.views_map()
+    fits = plane_fits(cells_of(centroids, parameters.surface.width_m), parameters.surface.normal_neighbours)
+    towards = np.einsum("ni,ni->n", fits.normals, views)
+    normals = np.where(towards[:, None] < 0, -fits.normals, fits.normals)
+    has_plane = np.isfinite(fits.mean_square_m2)
+    if has_plane.sum() < FEWEST_POINTS:
+        return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32)), np.zeros((0, 3))
+    centroids, normals = centroids[has_plane], normals[has_plane]
+    extent, bottom = _upright(centroids, parameters)
+    whole = reconstruct(centroids, normals, np.append(low, bottom), extent)
+    keep = is_near(whole.vertices_map, centroids, parameters.surface.trim_m)
+    return whole.where(keep), vertex_normals(whole)[keep]
+
+
+def _upright(points_map: NDArray[np.float64], parameters: LabelParameters) -> tuple[tuple[int, float], float]:
+    """(cells, width) of a cube tall enough for the relief, and its bottom on the lattice of cell corners."""
+    width_m, cells = parameters.surface.width_m, parameters.tiling.cube_cells
+    z = points_map[:, 2]
+    bottom = (np.floor(z.min() / width_m) - 2.5) * width_m
+    while z.max() >= bottom + (cells - 2) * width_m:
+        cells *= 2
+    return (cells, width_m), float(bottom)
+
+
+def _features(parameters: LabelParameters, mesh: Mesh, normals: NDArray[np.float64]) -> VoxelFeatures:
+    voxels = voxel_features(mesh.vertices_map, terrain_features(mesh, normals, parameters.terrain))
+    if parameters.profile == "local" and len(voxels):
+        height_m = height_above_local_ground(voxels, parameters.local_ground_radius_m)
+        features = voxels.features.copy()
+        features[:, ELEVATION] = height_m
+        return VoxelFeatures(voxels.keys, features)
+    return voxels
+
+
+def _driven(run: Run, voxels: VoxelFeatures) -> NDArray[np.bool_]:
+    poses = run.sequence.frames.map_from_ego
+    return swept(voxels.keys, poses, run.sequence.calibration.footprint, run.parameters.footprint_band_m)
+
+
+def _core_mesh(mesh: Mesh, tile: Tile, core_m: float) -> Mesh:
+    """The triangles whose centroid lies in the core, so that tiles put side by side leave neither gap nor double."""
+    if len(mesh.triangles) == 0:
+        return mesh
+    mine = mesh.triangles[in_core(mesh.vertices_map[mesh.triangles].mean(axis=1), tile, core_m)]
+    used = np.zeros(len(mesh.vertices_map), np.bool_)
+    used[mine] = True
+    return Mesh(mesh.vertices_map, mine).where(used)
+
+
+def _leave(
+    run: Run,
+    tile: Tile,
+    voxels: tuple[VoxelFeatures, NDArray[np.bool_]],
+    rest: tuple[Mesh, Observed],
+) -> None:
+    (features, is_driven), (mesh, observed) = voxels, rest
+    arrays: Arrays = {
+        "keys": features.keys,
+        "features": features.features,
+        "is_driven": is_driven,
+        "vertices": mesh.vertices_map.astype(np.float32),
+        "triangles": mesh.triangles,
+        "bricks": observed.keys,
+        "words": observed.words,
+    }
+    save(surface_path(run, tile), arrays)

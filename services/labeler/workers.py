@@ -1,0 +1,58 @@
+"""Runs the tasks of a stage in other processes, and yields their results in the order of the tasks.
+
+**Conventions.** Workers are processes from a fork server that has imported the kernels and never used Open3D, each
+with one thread for every library: the parallelism is over tasks, and the caller's own process stays small.
+`ProcessPoolExecutor`, not `multiprocessing.Pool`, which once wrote all its results and never returned.
+"""
+
+import os
+import resource
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from typing import Generic, TypeVar
+
+T = TypeVar("T")
+PRELOAD = ["services.labeler.fuse", "services.labeler.surface", "services.labeler.frames"]
+
+
+@dataclass(frozen=True)
+class Done(Generic[T]):
+    """The result of one task, and what its process has used so far."""
+
+    value: T
+    peak_bytes: int
+    cpu_s: float
+    pid: int
+
+
+class Workers:
+    """`with Workers(n) as workers: for done in workers.run(task, arguments): …`."""
+
+    def __init__(self, processes: int) -> None:
+        context = get_context("forkserver")
+        context.set_forkserver_preload(PRELOAD)
+        self._pool = ProcessPoolExecutor(processes, mp_context=context, initializer=_one_thread)
+
+    def __enter__(self) -> "Workers":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._pool.shutdown(wait=True, cancel_futures=True)
+
+    def run(self, task: Callable[..., T], arguments: Sequence[tuple[object, ...]]) -> Iterator[Done[T]]:
+        """The result of `task(*arguments[i])` for every i, in order; the first that raises ends the stage."""
+        futures = [self._pool.submit(_measured, task, one) for one in arguments]
+        return (future.result() for future in futures)
+
+
+def _measured(task: Callable[..., T], arguments: tuple[object, ...]) -> Done[T]:
+    value = task(*arguments)
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    return Done(value, used.ru_maxrss * 1024, used.ru_utime + used.ru_stime, os.getpid())
+
+
+def _one_thread() -> None:
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
+        os.environ[name] = "1"
