@@ -1,0 +1,98 @@
+"""Ground truth on disk: `gts/<sequence>/<frame_token>/labels.npz`, as the labeler writes it.
+
+**Conventions.** `labels.npz` holds `semantics`, and may hold `mask_lidar` and `mask_camera`: uint8 (256, 256, 32). The
+folder may be the one that holds `gts` or `gts` itself. Evaluated voxels by mask: `all` — every voxel, as the paper's
+tables, whose 0 mixes free and unknown; `lidar`, `camera` — where that mask is not 0.
+"""
+
+from dataclasses import dataclass
+from hashlib import sha256
+from itertools import islice
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+
+from services.eval.errors import GroundTruthError, SubmissionError, UnreadableInputError
+from services.eval.manifest import MAX_FRAMES, SEQUENCE_NAME, Manifest, is_token
+from services.eval.npz_frame import npz_members, read_grid
+from stone.bitplanes import GRID_SHAPE, LabelRangeError, TruthPlanes, truth_planes
+
+Mask = Literal["all", "lidar", "camera"]
+MASKS: tuple[Mask, ...] = get_args(Mask)
+KEYS = frozenset({"semantics", "mask_lidar", "mask_camera"})
+MAX_LABELS_BYTES = 8 * 2**20
+
+
+@dataclass(frozen=True)
+class GroundTruth:
+    """The label files of a folder: `paths` by frame token, and the manifest they make."""
+
+    folder: Path
+    manifest: Manifest
+    mask: Mask
+
+    def path(self, sequence: str, token: str) -> Path:
+        return self.folder / sequence / token / "labels.npz"
+
+    def paths(self) -> dict[str, Path]:
+        sequences = self.manifest.sequences.items()
+        return {token: self.path(sequence, token) for sequence, tokens in sequences for token in tokens}
+
+
+def find_ground_truth(folder: Path, mask: Mask = "all") -> GroundTruth:
+    """The frames that have labels in this folder, sequences and tokens in the order of their names.
+
+    Raises `UnreadableInputError` where there is no such folder, `GroundTruthError` where it holds no label file or a
+    name that is none of ours.
+    """
+    root = folder / "gts" if (folder / "gts").is_dir() else folder
+    if not root.is_dir():
+        raise UnreadableInputError(folder, "there is no such folder")
+    sequences: dict[str, list[str]] = {}
+    for path in islice(sorted(root.glob("*/*/labels.npz")), MAX_FRAMES + 1):
+        sequence, token = path.parts[-3:-1]
+        if not (is_token(token) and SEQUENCE_NAME.fullmatch(sequence)):
+            raise GroundTruthError(path, f"{token[:40]!r} is no frame token of 32 hex digits")
+        sequences.setdefault(sequence, []).append(token)
+    manifest = Manifest({name: tuple(tokens) for name, tokens in sequences.items()})
+    if not 0 < len(manifest.tokens) <= MAX_FRAMES:
+        raise GroundTruthError(root, f"{len(manifest.tokens)} label files, of 1 to {MAX_FRAMES}")
+    if len(set(manifest.tokens)) < len(manifest.tokens):
+        raise GroundTruthError(root, "two sequences share a frame token")
+    return GroundTruth(root, manifest, mask)
+
+
+def read_truth(path: Path, mask: Mask) -> TruthPlanes:
+    """The ground truth of one frame, read as strictly as a submission is.
+
+    Raises `UnreadableInputError`, and `GroundTruthError` for anything but a label file of the labeler.
+    """
+    try:
+        with path.open("rb") as file:
+            npz = file.read(MAX_LABELS_BYTES + 1)
+    except OSError as error:
+        raise UnreadableInputError(path, error.strerror or "unknown reason") from error
+    if len(npz) > MAX_LABELS_BYTES:
+        raise GroundTruthError(path, f"larger than {MAX_LABELS_BYTES} bytes")
+    try:
+        return _planes(npz, mask)
+    except (SubmissionError, LabelRangeError, KeyError) as error:
+        fault = f"no array {error}" if isinstance(error, KeyError) else str(error)
+        raise GroundTruthError(path, fault) from error
+
+
+def _planes(npz: bytes, mask: Mask) -> TruthPlanes:
+    members = npz_members(npz)
+    extra = sorted(set(members) - KEYS)
+    if extra:
+        raise KeyError(f"other than {', '.join(sorted(KEYS))}, but {extra[0]}")
+    semantics = read_grid(npz, members["semantics"])
+    if mask == "all":
+        return truth_planes(semantics, np.ones(GRID_SHAPE, np.bool_))
+    return truth_planes(semantics, read_grid(npz, members[f"mask_{mask}"]) != 0)
+
+
+def truth_hash(truth: TruthPlanes) -> bytes:
+    """Of all that a score depends on in one frame: the labels where they are evaluated, and where that is."""
+    return sha256(truth.planes.data).digest()

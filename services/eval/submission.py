@@ -1,0 +1,33 @@
+"""Writes submissions: a zip of `<frame_token>.npz`, one uint8 grid each."""
+
+import zipfile
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.eval.errors import BadDtypeError, BadShapeError
+from services.runtime.atomic import atomic_file
+from services.runtime.npz import npz_bytes
+from stone.bitplanes import GRID_SHAPE
+
+Grid = NDArray[np.uint8]
+
+
+def write_submission(path: Path, frames: Iterable[tuple[str, Grid]]) -> None:
+    """Frames (token, grid) as a submission, whole or absent; the same frames give the same bytes.
+
+    Frames are stored, not deflated again: they are deflated inside. Raises `BadDtypeError`, `BadShapeError`.
+    """
+    with atomic_file(path) as staging, zipfile.ZipFile(staging, "w") as archive:
+        for token, grid in frames:
+            archive.writestr(zipfile.ZipInfo(f"{token}.npz"), _frame(grid))
+
+
+def _frame(grid: Grid) -> bytes:
+    if grid.dtype != np.uint8:
+        raise BadDtypeError("uint8 ('|u1')", str(grid.dtype))
+    if grid.shape != GRID_SHAPE:
+        raise BadShapeError(str(GRID_SHAPE), str(grid.shape))
+    return npz_bytes({"semantics": grid})

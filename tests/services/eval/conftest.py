@@ -1,0 +1,53 @@
+"""A small ground truth on disk, and predictions of it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from services.eval.ground_truth import find_ground_truth
+from services.eval.manifest import write_manifest
+from services.runtime.npz import npz_bytes
+from stone.bitplanes import GRID_SHAPE
+from stone.sequence import frame_token
+
+Grid = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """`folder` holds gts; labels, lidar masks and predictions by token."""
+
+    folder: Path
+    manifest_path: Path
+    labels: Mapping[str, Grid]
+    masks: Mapping[str, Grid]
+    predictions: Mapping[str, Grid]
+
+
+def speckled(seed: int, high: int = 4) -> Grid:
+    rng = np.random.default_rng(seed)
+    is_set = rng.random(GRID_SHAPE, dtype=np.float32) < 0.05
+    return np.where(is_set, rng.integers(0, high, GRID_SHAPE), 0).astype(np.uint8)
+
+
+@pytest.fixture(scope="session")
+def world(tmp_path_factory: pytest.TempPathFactory) -> World:
+    folder = tmp_path_factory.mktemp("world")
+    frames = [("north", 1), ("north", 2), ("south", 3)]
+    tokens = [frame_token(name, stamp_ns) for name, stamp_ns in frames]
+    labels = {token: speckled(index) for index, token in enumerate(tokens)}
+    masks = {token: (speckled(10 + index) == 0).astype(np.uint8) for index, token in enumerate(tokens)}
+    errors = {token: speckled(20 + index) for index, token in enumerate(tokens)}
+    predictions = {token: np.where(errors[token] > 0, errors[token], labels[token]) for token in tokens}
+    for (name, _), token in zip(frames, tokens, strict=True):
+        target = folder / "gts" / name / token / "labels.npz"
+        target.parent.mkdir(parents=True)
+        arrays = {"semantics": labels[token], "mask_lidar": masks[token], "mask_camera": masks[token] * 0}
+        target.write_bytes(npz_bytes(arrays))
+    manifest_path = folder / "manifest.json"
+    write_manifest(manifest_path, find_ground_truth(folder).manifest)
+    return World(folder, manifest_path, labels, masks, predictions)

@@ -1,0 +1,157 @@
+"""Scores are those of a plain histogram over the files; what cannot be scored is refused whole."""
+
+import json
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from services.eval.errors import BadDtypeError, BadShapeError, GroundTruthError, UnreadableInputError
+from services.eval.ground_truth import Mask
+from services.eval.pipeline import score, validate
+from services.eval.submission import write_submission
+from services.eval.validation import SubmissionRefusedError
+from services.runtime.npz import npz_bytes
+from stone.bitplanes import GRID_SHAPE
+from stone.confusion import confusion_matrix, ious
+from tests.services.eval.conftest import World
+
+KEYS = ["frames", "iou_occ", "iou_t", "iou_p", "iou_n", "miou", "iou_within_occupied", "confusion", "signature"]
+
+
+@pytest.fixture
+def submission(world: World, tmp_path: Path) -> Path:
+    write_submission(tmp_path / "sub.zip", world.predictions.items())
+    return tmp_path / "sub.zip"
+
+
+def plain_confusion(world: World, mask: Mask) -> np.ndarray[tuple[int, int], np.dtype[np.int64]]:
+    """The oracle: numpy alone, on the arrays that the files were written from."""
+    everywhere, nowhere = np.ones(GRID_SHAPE, np.bool_), np.zeros(GRID_SHAPE, np.bool_)
+    total = np.zeros((4, 4), np.int64)
+    for token, labels in world.labels.items():
+        evaluated = {"all": everywhere, "lidar": world.masks[token] > 0, "camera": nowhere}[mask]
+        total += confusion_matrix(labels, world.predictions[token], evaluated)
+    return total
+
+
+@pytest.mark.parametrize("mask", ["all", "lidar", "camera"])
+@pytest.mark.parametrize("threads", [1, 2])
+def test_scores_are_those_of_a_plain_histogram(mask: Mask, threads: int, world: World, submission: Path) -> None:
+    record = score(submission, world.folder, mask=mask, threads=threads).as_record()
+    expected = plain_confusion(world, mask)
+    assert list(record)[: len(KEYS)] == KEYS
+    assert record["frames"] == 3
+    assert record["confusion"] == expected.tolist()
+    assert {key: record[key] for key in vars(ious(expected))} == vars(ious(expected))
+    assert json.loads(json.dumps(record, allow_nan=False)) == record
+
+
+def test_a_perfect_submission_scores_one_and_a_wrong_one_zero(world: World, tmp_path: Path) -> None:
+    write_submission(tmp_path / "perfect.zip", world.labels.items())
+    disjoint = {token: ((labels + 1) % 4).astype(np.uint8) for token, labels in world.labels.items()}
+    write_submission(tmp_path / "disjoint.zip", disjoint.items())
+    perfect = score(tmp_path / "perfect.zip", world.folder).as_record()
+    assert [perfect[key] for key in KEYS[1:6]] == [1.0] * 5
+    wrong = score(tmp_path / "disjoint.zip", world.folder).as_record()
+    assert [wrong[key] for key in KEYS[2:6]] == [0.0] * 4
+
+
+def test_rings_and_sequences_add_to_the_whole(world: World, submission: Path) -> None:
+    record = score(submission, world.folder).as_record()
+    for parts in (record["rings"], record["sequences"]):
+        assert isinstance(parts, dict)
+        supports = [part["support"] for part in parts.values()]
+        assert {key: sum(s[key] for s in supports) for key in supports[0]} == record["support"]
+
+
+def test_the_signature_follows_the_ground_truth_and_the_mask_not_the_prediction(
+    world: World, submission: Path, tmp_path: Path
+) -> None:
+    write_submission(tmp_path / "perfect.zip", world.labels.items())
+    first = score(submission, world.folder).signature
+    assert score(tmp_path / "perfect.zip", world.folder, threads=1).signature == first
+    assert score(submission, world.folder, mask="lidar").signature.ground_truth != first.ground_truth
+    assert score(submission, world.folder, mask="lidar").signature.mask == "lidar"
+
+
+def test_the_folder_above_gts_and_gts_itself_are_the_same_ground_truth(world: World, submission: Path) -> None:
+    assert score(submission, world.folder).as_record() == score(submission, world.folder / "gts").as_record()
+
+
+def test_progress_tells_every_frame_once(world: World, submission: Path) -> None:
+    told: list[tuple[str, int, int]] = []
+    score(submission, world.folder, progress=lambda *step: told.append(step))
+    validate(submission, world.manifest_path, progress=lambda *step: told.append(step))
+    assert told == [("score", 3, 3), ("validate", 3, 3)]
+
+
+def test_a_refused_submission_is_not_scored(world: World, tmp_path: Path) -> None:
+    spoiled = {token: np.where(grid == 3, 4, grid).astype(np.uint8) for token, grid in world.predictions.items()}
+    write_submission(tmp_path / "sub.zip", spoiled.items())
+    with pytest.raises(SubmissionRefusedError, match=r"3 problems .* label_out_of_range") as refusal:
+        score(tmp_path / "sub.zip", world.folder)
+    assert refusal.value.validation == validate(tmp_path / "sub.zip", world.manifest_path)
+
+
+def test_missing_frames_are_refused_before_any_is_counted(world: World, tmp_path: Path) -> None:
+    write_submission(tmp_path / "sub.zip", list(world.predictions.items())[:1])
+    with pytest.raises(SubmissionRefusedError, match=r"2 problems .* missing_frame"):
+        score(tmp_path / "sub.zip", world.folder)
+
+
+def test_the_first_hundred_problems_are_told_and_all_are_counted(world: World, tmp_path: Path) -> None:
+    grid = next(iter(world.labels.values()))
+    write_submission(tmp_path / "sub.zip", ((f"{index:032x}", grid[:]) for index in range(120)))
+    verdict = validate(tmp_path / "sub.zip", world.manifest_path)
+    assert (len(verdict.errors), verdict.errors_total, verdict.ok) == (100, 123, False)
+
+
+def test_a_ground_truth_that_is_none_is_refused(world: World, submission: Path, tmp_path: Path) -> None:
+    with pytest.raises(UnreadableInputError, match="no such folder"):
+        score(submission, tmp_path / "absent")
+    with pytest.raises(GroundTruthError, match="0 label files"):
+        score(submission, tmp_path)
+    with pytest.raises(UnreadableInputError, match=r"absent\.zip cannot be read"):
+        score(tmp_path / "absent.zip", world.folder)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "fault"),
+    [
+        ("a" * 32, b"not an npz", "npz"),
+        ("a" * 32, npz_bytes({"labels": np.zeros(GRID_SHAPE, np.uint8)}), "no array"),
+        ("a" * 32, npz_bytes({"semantics": np.full(GRID_SHAPE, 9, np.uint8)}), "a voxel holds 9"),
+        ("a" * 32, npz_bytes({"mask_lidar": np.zeros(GRID_SHAPE, np.uint8)}), "semantics"),
+        ("a" * 32, bytes(9 * 2**20), "larger than 8388608 bytes"),
+        ("frame-1", b"", "'frame-1' is no frame token"),
+    ],
+)
+def test_a_broken_label_file_is_refused_with_its_path(name: str, content: bytes, fault: str, tmp_path: Path) -> None:
+    path = tmp_path / "gts" / "s" / name / "labels.npz"
+    path.parent.mkdir(parents=True)
+    path.write_bytes(content)
+    write_submission(tmp_path / "sub.zip", [(name, np.zeros(GRID_SHAPE, np.uint8))])
+    with pytest.raises(GroundTruthError, match=f"labels.npz: .*{fault}"):
+        score(tmp_path / "sub.zip", tmp_path)
+
+
+def test_the_same_submission_is_the_same_bytes(world: World, submission: Path, tmp_path: Path) -> None:
+    write_submission(tmp_path / "again.zip", world.predictions.items())
+    assert (tmp_path / "again.zip").read_bytes() == submission.read_bytes()
+
+
+def test_numpy_opens_what_the_writer_writes(world: World, submission: Path, tmp_path: Path) -> None:
+
+    token = next(iter(world.predictions))
+    with zipfile.ZipFile(submission) as archive, archive.open(f"{token}.npz") as file, np.load(file) as frame:
+        np.testing.assert_array_equal(frame["semantics"], world.predictions[token])
+
+
+def test_the_writer_takes_only_grids(tmp_path: Path) -> None:
+    with pytest.raises(BadDtypeError, match="int64"):
+        write_submission(tmp_path / "s.zip", [("a" * 32, np.zeros(GRID_SHAPE, np.int64))])
+    with pytest.raises(BadShapeError, match=r"\(2, 2, 2\)"):
+        write_submission(tmp_path / "s.zip", [("a" * 32, np.zeros((2, 2, 2), np.uint8))])
+    assert list(tmp_path.iterdir()) == []
