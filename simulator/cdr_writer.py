@@ -1,0 +1,101 @@
+"""ROS 2 messages of one fixed layout, written as numpy records: a whole topic is one array assignment.
+
+**Conventions.** XCDR1, little endian: four bytes of encapsulation, then every primitive aligned to its own size
+counted from the end of those four bytes (OMG DDS-XTypes 1.3, 7.4.1). Strings are constants of the layout, so all
+offsets are constants too. A message whose last part varies (a cloud, a JPEG) is `head + data + tail`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+ENCAPSULATION_BYTES = 4
+CDR_LITTLE_ENDIAN = 0x0100  # bytes 00 01 00 00
+
+
+@dataclass(frozen=True)
+class Member:
+    """One primitive, fixed array or array of `stride`-padded structs; `default` fills every new record."""
+
+    name: str
+    dtype: DTypeLike
+    default: object = 0
+
+
+@dataclass(frozen=True)
+class Text:
+    """A string that is the same in every message of the layout."""
+
+    name: str
+    value: str
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """The record type of one message kind and a template with every constant in place."""
+
+    dtype: np.dtype[np.void]
+    template: NDArray[np.void]
+
+    def records(self, count: int) -> NDArray[np.void]:
+        """`count` messages (count,), constants filled in; a row's `tobytes()` is the whole CDR message."""
+        return np.repeat(self.template, count)
+
+
+def header(frame_id: str) -> tuple[Member | Text, ...]:
+    """std_msgs/Header with fields `sec`, `nanosec`."""
+    return (Member("sec", "<i4"), Member("nanosec", "<u4"), Text("frame_id", frame_id))
+
+
+def sequence_length(name: str, length: int = 0) -> Member:
+    return Member(name, "<u4", length)
+
+
+def layout(members: Sequence[Member | Text]) -> Layout:
+    """Offsets by the alignment rule; the record ends where the last member ends."""
+    names, offsets, defaults = ["encapsulation"], [0], [np.array(CDR_LITTLE_ENDIAN)]
+    formats: list[np.dtype[Any]] = [np.dtype("<u4")]
+    end = ENCAPSULATION_BYTES
+    for member in _expanded(members):
+        dtype = np.dtype(member.dtype)
+        size = _alignment(dtype)
+        start = end + (ENCAPSULATION_BYTES - end) % size
+        names.append(member.name)
+        formats.append(dtype)
+        offsets.append(start)
+        defaults.append(np.asarray(member.default))
+        end = start + dtype.itemsize
+    spec = {"names": names, "formats": formats, "offsets": offsets, "itemsize": end}
+    record = np.dtype(spec)  # type: ignore[call-overload]
+    template = np.zeros(1, record)
+    for name, default in zip(names, defaults, strict=True):
+        template[name] = default
+    return Layout(record, template)
+
+
+def _expanded(members: Sequence[Member | Text]) -> list[Member]:
+    flat: list[Member] = []
+    for member in members:
+        if isinstance(member, Member):
+            flat.append(member)
+            continue
+        text = member.value.encode() + b"\0"
+        flat.append(Member(f"{member.name}_length", "<u4", len(text)))
+        flat.append(Member(member.name, f"S{len(text)}", text))
+    return flat
+
+
+def _alignment(dtype: np.dtype[np.generic]) -> int:
+    base = dtype.base
+    if base.fields is not None:
+        return _alignment(base[0])
+    return 1 if base.kind in "SV" else base.itemsize
+
+
+def stamp_parts(stamps_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Integer nanoseconds as builtin_interfaces/Time: (sec, nanosec)."""
+    sec, nanosec = np.divmod(stamps_ns, 1_000_000_000)
+    return sec, nanosec

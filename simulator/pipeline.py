@@ -1,0 +1,90 @@
+"""`simulate`: a drive through a drawn world, recorded by the whole rig of the paper, with its exact truth.
+
+**Conventions.** One sweep at a time: cast, pack, write, forget; memory does not grow with the recording's bytes.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from services.runtime.atomic import atomic_directory, atomic_file
+from simulator import rig
+from simulator.bag_writer import open_bag_writer
+from simulator.calibration_yaml import write_calibration
+from simulator.cameras import build_ring, take_pictures
+from simulator.lidar import build_lidar, sweep_points
+from simulator.navigation import Fixes, Inertia, take_fixes, take_inertia
+from simulator.options import SimulateOptions
+from simulator.radar import scan, scan_stamps_ns, stale_detections
+from simulator.recorder import Recorder
+from simulator.scene import Scene
+from simulator.truth import TRUTH_MARK, truth_of, write_truth
+from simulator.world import START_NS, World, build_world, generator
+
+Progress = Callable[[str, int, int], None]
+LEAD_NS = 215_000_000  # navigation runs before the first sweep; no sweep falls on a fix
+TAIL_NS = 85_000_000
+
+
+def _silent(stage: str, done: int, total: int) -> None:
+    """No progress wanted."""
+
+
+def calibration_path(bag: Path) -> Path:
+    """OUT.calibration.yaml beside OUT.mcap."""
+    return bag.with_name(f"{bag.stem}.calibration.yaml")
+
+
+def sweep_stamps_ns(options: SimulateOptions) -> list[int]:
+    """The stamps of the recording's sweeps: 10 Hz."""
+    return [START_NS + LEAD_NS + index * rig.SWEEP_NS for index in range(int(options.seconds * 10 + 1e-6))]
+
+
+def simulate(out: Path, options: SimulateOptions, truth_dir: Path | None = None, progress: Progress = _silent) -> None:
+    """Write the bag at `out`, `calibration_path(out)` beside it, and the truth folder if one is asked for.
+
+    `stone label OUT.mcap --calibration OUT.calibration.yaml` then works. Each of the three is whole or absent.
+    Raises `OutputExistsError` when something that is not ours stands in the way.
+    """
+    progress("build world", 0, 1)
+    world = build_world(options)
+    progress("build world", 1, 1)
+    if truth_dir is not None:
+        with atomic_directory(truth_dir, replaces=TRUTH_MARK) as staging:
+            write_truth(truth_of(world, sweep_stamps_ns(options)), options, staging)
+    with atomic_file(calibration_path(out)) as staging:
+        write_calibration(rig.calibration(options.camera_width_px), staging)
+    with atomic_file(out) as staging:
+        _record(staging, options, world, progress)
+
+
+def _record(path: Path, options: SimulateOptions, world: World, progress: Progress) -> None:
+    scene, lidar, ring = Scene(world.terrain, world.objects), build_lidar(options), build_ring(options)
+    draws = {part: generator(options.seed, part) for part in ("lidar", "camera", "radar", "fixes", "imu", "stale")}
+    stamps = sweep_stamps_ns(options)
+    duration_ns = LEAD_NS + len(stamps) * rig.SWEEP_NS + TAIL_NS
+    fixes = take_fixes(world.trajectory, duration_ns, draws["fixes"])
+    inertia = take_inertia(world.trajectory, duration_ns, draws["imu"])
+    stale = stale_detections(draws["stale"])
+    with open_bag_writer(path, options.compression) as bag:
+        recorder = Recorder(bag, options)
+        recorder.static_transforms(START_NS)
+        written_until = START_NS
+        for index, stamp_ns in enumerate(stamps):
+            _navigate(recorder, fixes, inertia, (written_until, stamp_ns))
+            bag.flush_before(stamp_ns)
+            recorder.sweep(stamp_ns, sweep_points(world, scene, lidar, stamp_ns, draws["lidar"]))
+            for lists in scan(world, scene, scan_stamps_ns(stamp_ns), stale, draws["radar"]):
+                recorder.radar_lists(lists)
+            for picture in take_pictures(world, scene, ring, stamp_ns, draws["camera"]) if options.cameras else ():
+                recorder.picture(picture)
+            written_until = stamp_ns
+            progress("record sweeps", index + 1, len(stamps))
+        _navigate(recorder, fixes, inertia, (written_until, START_NS + duration_ns + 1))
+
+
+def _navigate(recorder: Recorder, fixes: Fixes, inertia: Inertia, window_ns: tuple[int, int]) -> None:
+    """Hand over the receiver's and the IMU's samples of a half-open window of true time."""
+    recorder.fixes(fixes, slice(*np.searchsorted(fixes.stamps_ns, window_ns)))
+    recorder.inertia(inertia, slice(*np.searchsorted(inertia.stamps_ns, window_ns)))

@@ -1,0 +1,162 @@
+"""The messages of the rig as layouts: what the drivers of the paper's sensors publish, byte for byte.
+
+**Conventions.** Field names as in the ROS definitions; nested names joined by their last word where it is unambiguous.
+Sources: sensor_msgs and tf2_msgs (Humble), HesaiLidar_ROS_2.0 (26-byte points), ars548_messages, novatel_oem7_msgs
+(Humble branch).
+"""
+
+import numpy as np
+
+from simulator.cdr_writer import Layout, Member, Text, header, layout, sequence_length
+
+POINT_STEP_BYTES = 26
+POINT_OFFSETS_BYTES = {"x": 0, "y": 4, "z": 8, "intensity": 12, "ring": 16, "timestamp": 18}
+HESAI_POINT = np.dtype(
+    {
+        "names": ["x", "y", "z", "intensity", "ring", "timestamp"],
+        "formats": ["<f4", "<f4", "<f4", "<f4", "<u2", "<f8"],
+        "offsets": list(POINT_OFFSETS_BYTES.values()),
+        "itemsize": POINT_STEP_BYTES,
+    }
+)
+POINT_FIELD_TYPES = {"x": 7, "y": 7, "z": 7, "intensity": 7, "ring": 4, "timestamp": 8}
+
+MAX_DETECTIONS = 800
+DETECTION_STRIDE_BYTES = 52
+DETECTION = np.dtype(
+    {
+        "names": [
+            "azimuth", "azimuth_std", "invalid_flags", "elevation", "elevation_std", "range", "range_std",
+            "range_rate", "range_rate_std", "rcs", "measurement_id", "positive_predictive_value", "classification",
+            "multi_target_probability", "object_id", "ambiguity_flag", "sort_index",
+        ],
+        "formats": [
+            "<f4", "<f4", "u1", "<f4", "<f4", "<f4", "<f4", "<f4", "<f4",
+            "i1", "<u2", "u1", "u1", "u1", "<u2", "u1", "<u2",
+        ],
+        "offsets": [0, 4, 8, 12, 16, 20, 24, 28, 32, 36, 38, 40, 41, 42, 44, 46, 48],
+        "itemsize": DETECTION_STRIDE_BYTES,
+    }
+)  # fmt: skip
+
+
+def cloud_head(frame_id: str) -> Layout:
+    """sensor_msgs/PointCloud2 up to the points; `is_dense` (one byte) follows them."""
+    members: list[Member | Text] = [*header(frame_id), Member("height", "<u4", 1), Member("width", "<u4")]
+    members.append(sequence_length("field_count", len(POINT_FIELD_TYPES)))
+    for name, code in POINT_FIELD_TYPES.items():
+        members += [
+            Text(f"{name}_name", name),
+            Member(f"{name}_offset", "<u4", POINT_OFFSETS_BYTES[name]),
+            Member(f"{name}_datatype", "u1", code),
+            Member(f"{name}_count", "<u4", 1),
+        ]
+    members += [Member("is_bigendian", "u1"), Member("point_step", "<u4", POINT_STEP_BYTES), Member("row_step", "<u4")]
+    return layout([*members, sequence_length("data_length")])
+
+
+def compressed_image_head(frame_id: str) -> Layout:
+    """sensor_msgs/CompressedImage up to the JPEG bytes."""
+    return layout([*header(frame_id), Text("format", "jpeg"), sequence_length("data_length")])
+
+
+def camera_info(frame_id: str, model: str, coefficients: int) -> Layout:
+    """sensor_msgs/CameraInfo."""
+    roi = [Member(f"roi_{name}", "<u4") for name in ("x_offset", "y_offset", "height", "width")]
+    return layout(
+        [
+            *header(frame_id), Member("height", "<u4"), Member("width", "<u4"), Text("distortion_model", model),
+            sequence_length("d_length", coefficients), Member("d", f"({coefficients},)<f8"), Member("k", "(9,)<f8"),
+            Member("r", "(9,)<f8"), Member("p", "(12,)<f8"), Member("binning_x", "<u4"), Member("binning_y", "<u4"),
+            *roi, Member("do_rectify", "u1"),
+        ]
+    )  # fmt: skip
+
+
+def imu(frame_id: str) -> Layout:
+    """sensor_msgs/Imu; the orientation is marked absent (first covariance −1), as the Epson driver does."""
+    absent = np.array([-1.0, 0, 0, 0, 0, 0, 0, 0, 0])
+    return layout(
+        [
+            *header(frame_id),
+            Member("orientation_xyzw", "(4,)<f8", np.array([0.0, 0, 0, 1])),
+            Member("orientation_covariance", "(9,)<f8", absent),
+            Member("angular_velocity", "(3,)<f8"),
+            Member("angular_velocity_covariance", "(9,)<f8"),
+            Member("linear_acceleration", "(3,)<f8"),
+            Member("linear_acceleration_covariance", "(9,)<f8"),
+        ]
+    )
+
+
+def _oem7_header(name: str, message_id: int) -> list[Member | Text]:
+    return [
+        Text("message_name", name), Member("message_id", "<u2", message_id), Member("message_type", "u1"),
+        Member("sequence_number", "<u4"), Member("time_status", "u1"), Member("gps_week_number", "<u2"),
+        Member("gps_week_milliseconds", "<u4"), Member("receiver_status", "<u4"), Member("idle_time", "<f4", 40.0),
+    ]  # fmt: skip
+
+
+def inspvax(frame_id: str) -> Layout:
+    """novatel_oem7_msgs/INSPVAX (log 1465)."""
+    doubles = ("latitude", "longitude", "height")
+    motion = ("north_velocity", "east_velocity", "up_velocity", "roll", "pitch", "azimuth")
+    deviations = ("latitude", "longitude", "height", *motion)
+    return layout(
+        [
+            *header(frame_id), *_oem7_header("INSPVAX", 1465),
+            Member("ins_status", "<u4"), Member("pos_type", "<u4"), *(Member(name, "<f8") for name in doubles),
+            Member("undulation", "<f4"), *(Member(name, "<f8") for name in motion),
+            *(Member(f"{name}_stdev", "<f4") for name in deviations),
+            Member("ext_sol_status", "<u4"), Member("time_since_update", "<u2"),
+        ]
+    )  # fmt: skip
+
+
+def bestpos(frame_id: str) -> Layout:
+    """novatel_oem7_msgs/BESTPOS (log 42); `hgt` is above mean sea level."""
+    counts = ("num_svs", "num_sol_svs", "num_sol_l1_svs", "num_sol_multi_svs", "reserved", "ext_sol_stat")
+    return layout(
+        [
+            *header(frame_id), *_oem7_header("BESTPOS", 42),
+            Member("sol_status", "<u4"), Member("pos_type", "<u4"), Member("lat", "<f8"), Member("lon", "<f8"),
+            Member("hgt", "<f8"), Member("undulation", "<f4"), Member("datum_id", "<u4", 61),
+            Member("lat_stdev", "<f4"), Member("lon_stdev", "<f4"), Member("hgt_stdev", "<f4"),
+            Member("stn_id", "(4,)i1"), Member("diff_age", "<f4"), Member("sol_age", "<f4"),
+            *(Member(name, "u1") for name in counts),
+            Member("galileo_beidou_sig_mask", "u1"), Member("gps_glonass_sig_mask", "u1"),
+        ]
+    )  # fmt: skip
+
+
+def detection_list(frame_id: str) -> Layout:
+    """ars548_messages/DetectionList: 800 slots always, `list_numofdetections` of them valid."""
+    pose = ("xpos", "xstd", "ypos", "ystd", "zpos", "zstd", "roll", "rollstd", "pitch", "pitchstd", "yaw", "yawstd")
+    return layout(
+        [
+            *header(frame_id), Member("crc", "<u8"), Member("length", "<u4"), Member("sqc", "<u4"),
+            Member("dataid", "<u4"), Member("timestamp_nanoseconds", "<u4"), Member("timestamp_seconds", "<u4"),
+            Member("timestamp_syncstatus", "u1", 1), Member("eventdataqualifier", "<u4"),
+            Member("extendedqualifier", "u1"), Member("origin_invalidflags", "<u2"),
+            *(Member(f"origin_{name}", "<f4") for name in pose), Member("list_invalidflags", "u1"),
+            Member("list_detections", (DETECTION, (MAX_DETECTIONS,))),
+            Member("list_radveldomain_min", "<f4", -60.0), Member("list_radveldomain_max", "<f4", 30.0),
+            Member("list_numofdetections", "<u4"), Member("aln_azimuthcorrection", "<f4"),
+            Member("aln_elevationcorrection", "<f4"), Member("aln_status", "u1"),
+        ]
+    )  # fmt: skip
+
+
+def static_transforms(frame_pairs: list[tuple[str, str]]) -> Layout:
+    """tf2_msgs/TFMessage; pair i gives fields `translation_i` and `rotation_xyzw_i`, parent_from_child."""
+    members: list[Member | Text] = [sequence_length("transform_count", len(frame_pairs))]
+    for index, (parent, child) in enumerate(frame_pairs):
+        members += [
+            Member(f"sec_{index}", "<i4"),
+            Member(f"nanosec_{index}", "<u4"),
+            Text(f"parent_{index}", parent),
+            Text(f"child_{index}", child),
+            Member(f"translation_{index}", "(3,)<f8"),
+            Member(f"rotation_xyzw_{index}", "(4,)<f8"),
+        ]
+    return layout(members)
