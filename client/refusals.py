@@ -1,0 +1,64 @@
+"""The one place where a refused input becomes an exit code.
+
+**Conventions.** A refusal is one line `code: sentence` on stderr for each finding and exit code 1; under `--json` the
+same findings are an object on stdout. Errors that are not `StoneError` and not the machine's own refusals (no
+permission, no space) are faults of the program and keep their traceback.
+"""
+
+import errno
+from collections.abc import Iterable
+from typing import Any, NoReturn
+
+import typer
+from typer.core import TyperGroup
+
+from client.streams import echo_finding, echo_json, one_line, wants_json
+from services.eval.validation import Validation
+from stone.errors import StoneError
+from stone.findings import Finding
+
+REFUSED = 1
+MACHINE_SAYS_NO = {
+    errno.EACCES: "not_permitted",
+    errno.EPERM: "not_permitted",
+    errno.EROFS: "not_permitted",
+    errno.ENOSPC: "disk_full",
+    errno.EDQUOT: "disk_full",
+    errno.EFBIG: "disk_full",
+}
+
+
+class RefusingGroup(TyperGroup):
+    """A group of commands whose `StoneError`s end as refusals."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except StoneError as error:
+            refuse([Finding(error.code, "error", "", str(error))], as_json=wants_json(ctx))
+        except OSError as error:
+            if error.errno not in MACHINE_SAYS_NO:
+                raise
+            code = MACHINE_SAYS_NO[error.errno]
+            refuse([Finding(code, "error", "", f"{error.filename}: {error.strerror}")], as_json=wants_json(ctx))
+
+
+def refuse(findings: Iterable[Finding], *, as_json: bool) -> NoReturn:
+    """Say each finding on a line of its own and end the command with exit code 1."""
+    said = tuple(findings)
+    for finding in said:
+        echo_finding(finding, finding.code)
+    if as_json:
+        echo_json({"findings": [finding.as_record() for finding in said]})
+    raise typer.Exit(REFUSED)
+
+
+def refuse_submission(validation: Validation, *, as_json: bool) -> NoReturn:
+    """Say each problem of a submission on a line of its own and end the command with exit code 1."""
+    for problem in validation.errors:
+        typer.echo(one_line(str(problem)), err=True)
+    if validation.errors_total > len(validation.errors):
+        typer.echo(f"… and {validation.errors_total - len(validation.errors)} more", err=True)
+    if as_json:
+        echo_json(validation.as_record())
+    raise typer.Exit(REFUSED)

@@ -1,0 +1,52 @@
+"""What goes to which stream, and in what clothes.
+
+**Conventions.** stdout carries the answer (a table, or one JSON object under `--json`); stderr carries progress,
+warnings and refusals. Names from recordings and archives are hostile: control characters are shown, never sent.
+"""
+
+import json
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any
+
+import typer
+
+from stone.findings import Finding
+
+WANTS_JSON = "stone.wants_json"
+
+
+def _remember(context: typer.Context, value: bool) -> bool:
+    context.find_root().meta[WANTS_JSON] = value
+    return value
+
+
+JsonOption = Annotated[
+    bool, typer.Option("--json", callback=_remember, help="Print one JSON object instead of tables.")
+]
+
+
+def wants_json(context: typer.Context) -> bool:
+    """Whether the command that runs under this context was given `--json`."""
+    return bool(context.find_root().meta.get(WANTS_JSON, False))
+
+
+def echo_json(record: Mapping[str, Any]) -> None:
+    """One JSON object and a newline; NaN and infinity are not JSON, so they raise `ValueError`."""
+    typer.echo(json.dumps(record, allow_nan=False))
+
+
+def echo_findings(findings: Iterable[Finding]) -> None:
+    """Warnings and remarks, one line each, on stderr."""
+    for finding in findings:
+        echo_finding(finding, f"{finding.severity}: {finding.code}")
+
+
+def echo_finding(finding: Finding, label: str) -> None:
+    """One finding as one line on stderr, after its label and what it is about."""
+    about = f"{finding.topic}: " if finding.topic else ""
+    typer.echo(one_line(f"{label}: {about}{finding.message}"), err=True)
+
+
+def one_line(text: str) -> str:
+    """`text` with every control character spelled out (`\\n`, `\\x1b`), so that it is one harmless line."""
+    return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)

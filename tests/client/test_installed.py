@@ -1,0 +1,78 @@
+"""The installed `stone`, as a user meets it: a process with streams, signals and an exit code."""
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+STONE = Path(sys.executable).parent / "stone"
+HEAVY = ("numpy", "scipy", "numba", "pyarrow", "open3d", "pydantic", "mcap", "rosbags")
+SIMULATE = ("simulate", "run.mcap", "--truth", "truth", "--seconds", "600", "--channels", "16", "--columns", "180")
+
+
+def run(*arguments: str, folder: Path | None = None) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([STONE, *arguments], cwd=folder, check=False, capture_output=True, text=True, timeout=120)
+
+
+def test_help_comes_at_once() -> None:
+    run("--help")
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    assert run("--help").returncode == 0
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 0.5
+
+
+def test_help_loads_nothing_heavy() -> None:
+    program = f"import sys, client.main; print(*[name for name in {HEAVY} if name in sys.modules])"
+    outcome = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
+    assert outcome.stdout.strip() == ""
+
+
+def test_exit_codes_reach_the_shell(tmp_path: Path) -> None:
+    (tmp_path / "page.zip").write_text("<html>")
+    (tmp_path / "manifest.json").write_text(json.dumps({"stone_manifest": 1, "sequences": {"a": ["0" * 32]}}))
+    refused = run("validate", "page.zip", "--manifest", "manifest.json", "--json", folder=tmp_path)
+    assert refused.returncode == 1
+    assert json.loads(refused.stdout)["ok"] is False
+    assert "Traceback" not in refused.stderr
+    assert run("validate", "absent.zip", "--manifest", "manifest.json", folder=tmp_path).returncode == 2
+    assert run("--help").returncode == 0
+
+
+def test_a_reader_that_leaves_early_is_no_fault(tmp_path: Path) -> None:
+    outcome = subprocess.run(f"{STONE} --help | head -c 1", shell=True, check=True, capture_output=True, text=True)
+    assert "Traceback" not in outcome.stderr
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_an_interrupted_command_says_so_and_leaves_nothing_half_written(tmp_path: Path, number: int, code: int) -> None:
+    with subprocess.Popen([STONE, *SIMULATE], cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
+        wait_for_staging(tmp_path, "run.mcap")
+        process.send_signal(number)
+        _, said = process.communicate(timeout=60)
+    assert process.returncode == code
+    assert "Traceback" not in said
+    assert not (tmp_path / "run.mcap").exists()
+    assert [name for name in os.listdir(tmp_path) if name.endswith(".partial")] == []
+
+
+def wait_for_staging(folder: Path, name: str) -> None:
+    until = time.monotonic() + 60
+    while not any(folder.glob(f".{name}.*.partial")):
+        assert time.monotonic() < until, "the command never began to write"
+        time.sleep(0.05)
+
+
+def test_an_output_in_a_folder_that_may_not_be_written_is_refused(tmp_path: Path) -> None:
+    if os.geteuid() == 0:
+        pytest.skip("root may write everywhere")
+    tmp_path.chmod(0o500)
+    refused = run("simulate", "run.mcap", "--seconds", "1", folder=tmp_path)
+    assert refused.returncode == 1
+    assert refused.stderr.splitlines()[-1].startswith("not_permitted: ")
