@@ -17,9 +17,9 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from stone.errors import ShapeError, StoneError
+from stone.grid import GRID_SHAPE, Grid
+from stone.voxels import VOXEL_M
 
-GRID_SHAPE = (256, 256, 32)
-VOXEL_SIZE_M = 0.2
 RING_EDGES_M = (10.0, 20.0)
 RINGS = len(RING_EDGES_M) + 1
 CLASSES = 4
@@ -27,7 +27,6 @@ VOXELS = GRID_SHAPE[0] * GRID_SHAPE[1] * GRID_SHAPE[2]
 COLUMNS = VOXELS // 32
 WORDS = VOXELS // 64
 
-Grid = NDArray[np.uint8]
 Planes = NDArray[np.uint64]
 Confusion = NDArray[np.int32]
 
@@ -62,7 +61,7 @@ class TruthPlanes:
 
 def column_rings() -> NDArray[np.int64]:
     """Ring of each column (65536,), x slowest."""
-    half = [(np.arange(n) - n / 2 + 0.5) * VOXEL_SIZE_M for n in GRID_SHAPE[:2]]
+    half = [(np.arange(n) - n / 2 + 0.5) * VOXEL_M for n in GRID_SHAPE[:2]]
     distance_m = np.hypot(half[0][:, None], half[1][None, :])
     return np.asarray(np.digitize(distance_m, RING_EDGES_M).ravel(), dtype=np.int64)
 

@@ -23,8 +23,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stone.bitplanes import CLASSES, GRID_SHAPE, VOXEL_SIZE_M
+from stone.bitplanes import CLASSES
 from stone.errors import ShapeError
+from stone.grid import GRID_SHAPE
+from stone.voxels import VOXEL_M
 
 METRIC_VERSION = "stone-iou-1"
 CLASS_NAMES = ("free", "T", "P", "N")
@@ -55,7 +57,7 @@ class Signature:
 
     def __str__(self) -> str:
         """`truth` is the first 16 hex digits of the hash of everything that was evaluated."""
-        grid = "x".join(map(str, GRID_SHAPE)) + f"@{VOXEL_SIZE_M}m"
+        grid = "x".join(map(str, GRID_SHAPE)) + f"@{VOXEL_M}m"
         classes = ",".join(f"{index}={name}" for index, name in enumerate(CLASS_NAMES))
         return f"metric:{self.metric}|truth:{self.ground_truth[:16]}|mask:{self.mask}|grid:{grid}|classes:{classes}"
 

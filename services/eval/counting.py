@@ -14,7 +14,8 @@ from services.eval.errors import LabelOutOfRangeError, SubmissionError
 from services.eval.npz_frame import prediction_grid
 from services.eval.submission_zip import Submission
 from services.eval.validation import Problem, problem_of
-from stone.bitplanes import CLASSES, Confusion, Grid, LabelRangeError, TruthPlanes, confusion_by_ring
+from stone.bitplanes import CLASSES, Confusion, LabelRangeError, TruthPlanes, confusion_by_ring
+from stone.grid import Grid
 
 Progress = Callable[[str, int, int], None]
 T = TypeVar("T")

@@ -16,7 +16,8 @@ import numpy as np
 from services.eval.errors import GroundTruthError, SubmissionError, UnreadableInputError
 from services.eval.manifest import MAX_FRAMES, SEQUENCE_NAME, Manifest, is_token
 from services.eval.npz_frame import npz_members, read_grid
-from stone.bitplanes import GRID_SHAPE, LabelRangeError, TruthPlanes, truth_planes
+from stone.bitplanes import LabelRangeError, TruthPlanes, truth_planes
+from stone.grid import GRID_SHAPE
 
 Mask = Literal["all", "lidar", "camera"]
 MASKS: tuple[Mask, ...] = get_args(Mask)

@@ -30,7 +30,8 @@ from services.eval.errors import (
     TruncatedError,
 )
 from services.eval.zip_directory import STORED, Member, ReadAt, payload_span, read_directory
-from stone.bitplanes import GRID_SHAPE, VOXELS
+from stone.bitplanes import VOXELS
+from stone.grid import GRID_SHAPE
 
 PREDICTION_KEYS = ("semantics", "arr_0")
 MAX_HEADER_BYTES = 4096

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from services.eval.errors import BadDtypeError, BadShapeError
 from services.runtime.atomic import atomic_file
 from services.runtime.npz import npz_bytes
-from stone.bitplanes import GRID_SHAPE
+from stone.grid import GRID_SHAPE
 
 Grid = NDArray[np.uint8]
 

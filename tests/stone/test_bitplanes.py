@@ -6,17 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from stone.bitplanes import (
-    COLUMNS,
-    GRID_SHAPE,
-    RINGS,
-    LabelRangeError,
-    column_rings,
-    confusion_by_ring,
-    truth_planes,
-)
+from stone.bitplanes import COLUMNS, RINGS, LabelRangeError, column_rings, confusion_by_ring, truth_planes
 from stone.confusion import confusion_matrix
 from stone.errors import ShapeError
+from stone.grid import GRID_SHAPE
 
 Grid = NDArray[np.uint8]
 

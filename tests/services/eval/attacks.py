@@ -112,9 +112,9 @@ def patched(build: Build, at: Callable[[bytes], int], replacement: bytes) -> Bui
 
     def rebuild(path: Path) -> None:
         build(path)
-        raw = bytearray(path.read_bytes())
-        raw[at(raw) : at(raw) + len(replacement)] = replacement
-        path.write_bytes(raw)
+        raw = path.read_bytes()
+        start = at(raw)
+        path.write_bytes(raw[:start] + replacement + raw[start + len(replacement) :])
 
     return rebuild
 

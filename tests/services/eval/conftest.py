@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from services.eval.ground_truth import find_ground_truth
 from services.eval.manifest import write_manifest
 from services.runtime.npz import npz_bytes
-from stone.bitplanes import GRID_SHAPE
+from stone.grid import GRID_SHAPE
 from stone.sequence import frame_token
 
 Grid = NDArray[np.uint8]

@@ -13,8 +13,8 @@ from services.eval.pipeline import score, validate
 from services.eval.submission import write_submission
 from services.eval.validation import SubmissionRefusedError
 from services.runtime.npz import npz_bytes
-from stone.bitplanes import GRID_SHAPE
 from stone.confusion import confusion_matrix, ious
+from stone.grid import GRID_SHAPE
 from tests.services.eval.conftest import World
 
 KEYS = ["frames", "iou_occ", "iou_t", "iou_p", "iou_n", "miou", "iou_within_occupied", "confusion", "signature"]
