@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
-from client.streams import echo_finding, echo_json, one_line, wants_json
+from client.streams import echo_findings, echo_json, one_line, wants_json
 from services.eval.validation import Validation
 from stone.errors import StoneError
 from stone.findings import Finding
@@ -46,8 +46,7 @@ class RefusingGroup(TyperGroup):
 def refuse(findings: Iterable[Finding], *, as_json: bool) -> NoReturn:
     """Say each finding on a line of its own and end the command with exit code 1."""
     said = tuple(findings)
-    for finding in said:
-        echo_finding(finding, finding.code)
+    echo_findings(said)
     if as_json:
         echo_json({"findings": [finding.as_record() for finding in said]})
     raise typer.Exit(REFUSED)

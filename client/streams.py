@@ -36,15 +36,11 @@ def echo_json(record: Mapping[str, Any]) -> None:
 
 
 def echo_findings(findings: Iterable[Finding]) -> None:
-    """Warnings and remarks, one line each, on stderr."""
+    """One line each on stderr; what is not an error says so first."""
     for finding in findings:
-        echo_finding(finding, f"{finding.severity}: {finding.code}")
-
-
-def echo_finding(finding: Finding, label: str) -> None:
-    """One finding as one line on stderr, after its label and what it is about."""
-    about = f"{finding.topic}: " if finding.topic else ""
-    typer.echo(one_line(f"{label}: {about}{finding.message}"), err=True)
+        grade = "" if finding.severity == "error" else f"{finding.severity}: "
+        about = f"{finding.topic}: " if finding.topic else ""
+        typer.echo(one_line(f"{grade}{finding.code}: {about}{finding.message}"), err=True)
 
 
 def one_line(text: str) -> str:

@@ -6,6 +6,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from rich.box import SIMPLE
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -14,16 +15,20 @@ from client.streams import one_line
 
 CLASSES = ("free", "T", "P", "N")
 DASH = "–"
+PIPE_COLUMNS = 120
 
 
 def show(table: Table) -> None:
-    """Print a table on stdout; names in it are never read as markup."""
-    Console().print(table)
+    """Print a table on stdout, as wide as the terminal, or wide enough for most names where there is none."""
+    console = Console()
+    if not console.is_terminal:
+        console.width = PIPE_COLUMNS
+    console.print(table)
 
 
 def plain_table(title: str, *columns: str) -> Table:
     """A table whose first column is text and whose others are numbers, right-aligned."""
-    table = Table(title=title, title_justify="left")
+    table = Table(title=title, title_justify="left", box=SIMPLE)
     for position, column in enumerate(columns):
         table.add_column(column, justify="left" if position == 0 else "right")
     return table
@@ -32,15 +37,15 @@ def plain_table(title: str, *columns: str) -> Table:
 def inspection_table(record: Mapping[str, Any]) -> Table:
     """Topics of a recording with their role, rate and gaps (the record of `stone inspect --json`)."""
     duration_s = record["duration_ns"] / 1e9
-    table = Table(title=f"{duration_s:.1f} s, {len(record['topics'])} topics", title_justify="left")
+    table = Table(title=f"{duration_s:.1f} s, {len(record['topics'])} topics", title_justify="left", box=SIMPLE)
     for column in ("topic", "type", "role"):
         table.add_column(column, overflow="fold")
-    for column in ("messages", "rate [Hz]", "gaps"):
+    for column in ("messages", "Hz", "gaps"):
         table.add_column(column, justify="right")
     for topic in record["topics"]:
         rate = DASH if topic["rate_hz"] is None else f"{topic['rate_hz']:.1f}"
-        role = topic["role"] or DASH
-        table.add_row(*_safe(topic["name"], topic["type"], role), str(topic["count"]), rate, str(len(topic["gaps"])))
+        names = (topic["name"], topic["type"].rpartition("/")[2], topic["role"] or DASH)
+        table.add_row(*map(_safe, names), str(topic["count"]), rate, str(len(topic["gaps"])))
     return table
 
 
@@ -73,5 +78,5 @@ def _percent(ratio: float | None) -> str:
     return DASH if ratio is None else f"{100 * ratio:.1f} %"
 
 
-def _safe(*texts: str) -> tuple[str, ...]:
-    return tuple(escape(one_line(text)) for text in texts)
+def _safe(text: str) -> str:
+    return escape(one_line(text))
