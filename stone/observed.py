@@ -22,12 +22,13 @@ LOAD_RATIO = 0.5
 
 @dataclass(frozen=True)
 class CarveParameters:
-    """How rays are followed. Neighbouring rays pass through the same voxels near the sensor, so of a dense sweep only
-    every n-th ray is followed from the sensor on, the others from `thin_until_m` on; n keeps about `dense_rays`."""
+    """How rays are followed. Neighbouring rays pass through the same voxels near the sensor, so in a sweep of more than
+    `sparse_rays` one ray in eight is followed from the sensor on, one more in eight from `thin_m` on, two more from
+    twice and the other four from three times that range: at each there is still more than one ray per voxel."""
 
     max_range_m: float = 40.0
-    thin_until_m: float = 8.0
-    dense_rays: int = 40_000
+    thin_m: float = 8.0
+    sparse_rays: int = 40_000
     every_frame: int = 5
 
 
@@ -73,8 +74,8 @@ class Carver:
     def carve(self, points_ego: NDArray[np.float32], map_from_ego: SE3, sensor_ego: NDArray[np.float64]) -> None:
         """Mark every voxel on the way from `sensor_ego` (3,) to each of the points (N, 3), both ends included."""
         p = self._parameters
-        stride = max(1, len(points_ego) // p.dense_rays)
-        reach = (p.max_range_m / VOXEL_M, p.thin_until_m / VOXEL_M, stride)
+        thin_m = p.thin_m if len(points_ego) > p.sparse_rays else 0.0
+        reach = (p.max_range_m / VOXEL_M, thin_m / VOXEL_M)
         view = (map_from_ego.as_matrix(), (map_from_ego @ sensor_ego) / VOXEL_M)
         done = 0
         while done < len(points_ego):
@@ -111,8 +112,8 @@ def _carve(points, begin, view, reach, table, used):  # type: ignore[no-untyped-
     for p in range(begin, points.shape[0]):
         if used >= limit:
             return p, used
-        begin_at = 0.0 if p % reach[2] == 0 else reach[1]
-        used = _follow(points[p], view, (begin_at, reach[0]), keys, words, used)
+        level = 0 if p % 8 == 0 else 1 if p % 8 == 4 else 2 if p % 4 == 2 else 3
+        used = _follow(points[p], view, (level * reach[1], reach[0]), keys, words, used)
     return points.shape[0], used
 
 

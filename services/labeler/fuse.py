@@ -63,13 +63,19 @@ def _leave(run: Run, part: Part, points: PointMap, observed: Observed) -> None:
     """One file per tile that this part touched."""
     point_tiles = tiles_of(points.keys, core_cells(run.parameters, points.voxel_m))
     brick_tiles = tiles_of(observed.keys, core_cells(run.parameters, VOXEL_M * BRICK))
-    for i, j in np.unique(np.concatenate([point_tiles, brick_tiles]), axis=0):
-        mine = (point_tiles == (i, j)).all(axis=1)
-        bricks = (brick_tiles == (i, j)).all(axis=1)
+    for i, j in sorted(_distinct(point_tiles) | _distinct(brick_tiles)):
+        mine = (point_tiles[:, 0] == i) & (point_tiles[:, 1] == j)
+        bricks = (brick_tiles[:, 0] == i) & (brick_tiles[:, 1] == j)
         arrays: Arrays = {
             "keys": points.keys[mine],
             "moments": points.moments[mine],
             "bricks": observed.keys[bricks],
             "words": observed.words[bricks],
         }
-        save(fused_path(run, (int(i), int(j)), part), arrays)
+        save(fused_path(run, (i, j), part), arrays)
+
+
+def _distinct(tiles: NDArray[np.int64]) -> set[tuple[int, int]]:
+    """The tiles (N, 2) that occur; keys are sorted, so equal tiles come in runs."""
+    starts = np.append(True, (np.diff(tiles, axis=0) != 0).any(axis=1))[: len(tiles)]
+    return {(int(i), int(j)) for i, j in tiles[starts]}
