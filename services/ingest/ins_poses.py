@@ -1,0 +1,132 @@
+"""The ego trajectory from a NovAtel INS: local ENU metres, the receiver's time, the lever arm turned along.
+
+    map_from_ego = map_from_ins @ (ego_from_lidar @ lidar_from_ins)⁻¹
+
+**Conventions.** `map` is east, north, up around the first usable solution (WGS 84, ellipsoidal height). The INS frame
+of the calibration is x forward, y left, z up: the driver's rule setRPY(roll, −pitch, 90° − azimuth). Stamps are
+rebuilt from GPS week and milliseconds; the driver's header stamps are the host's publish times. North and up are those
+of each point, not of the origin: 0.009° apart a kilometre away.
+"""
+
+from collections.abc import Iterable
+
+import numpy as np
+import pymap3d
+from numpy.typing import NDArray
+
+from services.ingest.messages.batch import Stamped
+from services.ingest.messages.novatel import (
+    INS_ALIGNMENT_COMPLETE,
+    INS_RTKFIXED,
+    INS_SOLUTION_FREE,
+    INS_SOLUTION_GOOD,
+    NARROW_INT,
+    FixSamples,
+    InsSamples,
+    decode_inspva,
+)
+from services.ingest.poses import PoseTrack
+from services.ingest.recorded import in_order
+from services.ingest.synchronisation_errors import NoUsablePoseError
+from stone.calibration import Calibration, Mount
+from stone.calibration_errors import MissingSensorError
+from stone.findings import Finding
+from stone.se3 import SE3, multiply
+from stone.trajectory import Trajectory
+
+USABLE_STATUS = (INS_SOLUTION_GOOD, INS_SOLUTION_FREE, INS_ALIGNMENT_COMPLETE)
+RTK_FIXED = (NARROW_INT, INS_RTKFIXED)
+RTK_SHARE_USUAL = 0.95
+HOST_JITTER_NS = 500_000
+
+
+def track_from_ins(
+    messages: Iterable[Stamped], topic: str, calibration: Calibration, fixes: FixSamples | None
+) -> PoseTrack:
+    """Raises MissingSensorError (no INS in the calibration), NoUsablePoseError, and what `decode_inspva` raises."""
+    mount = _ins_mount(calibration)
+    samples = decode_inspva(messages)
+    source = f"{topic} (novatel_oem7_msgs/msg/{'INSPVA' if samples.pos_type is None else 'INSPVAX'})"
+    rows = _usable(samples, source)
+    ordered = in_order(topic, samples.gps_stamps_ns[rows])
+    rows = rows[ordered.index]
+    map_from_ins, origin = enu_poses(samples, rows)
+    ins_from_ego = (calibration.ego_from_lidar @ mount.lidar_from_sensor).inverse()
+    trajectory = Trajectory(ordered.stamps_ns + mount.time_offset_ns, map_from_ins @ ins_from_ego)
+    findings = ordered.findings + _clock(samples, rows, topic) + _quality(samples, rows, topic, fixes)
+    return PoseTrack(trajectory, source, findings, origin)
+
+
+def enu_poses(samples: InsSamples, rows: NDArray[np.int64]) -> tuple[SE3, tuple[float, float, float]]:
+    """`map_from_ins` (N,) at `rows`, and the map's origin: the first of them."""
+    latitude, longitude, height = (
+        values[rows] for values in (samples.latitude_deg, samples.longitude_deg, samples.height_m)
+    )
+    origin = (float(latitude[0]), float(longitude[0]), float(height[0]))
+    position_m = np.stack(pymap3d.geodetic2enu(latitude, longitude, height, *origin), axis=-1)
+    wxyz = enu_from_body_wxyz(samples.roll_deg[rows], samples.pitch_deg[rows], samples.azimuth_deg[rows])
+    return SE3.from_parts(wxyz, position_m), origin
+
+
+def enu_from_body_wxyz(
+    roll_deg: NDArray[np.float64], pitch_deg: NDArray[np.float64], azimuth_deg: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Quaternions (N, 4) of Rz(90° − azimuth) Ry(−pitch) Rx(roll): east, north, up from forward, left, up."""
+    yaw = _about(2, np.deg2rad(90.0 - azimuth_deg))
+    return multiply(multiply(yaw, _about(1, np.deg2rad(-pitch_deg))), _about(0, np.deg2rad(roll_deg)))
+
+
+def _about(axis: int, angle_rad: NDArray[np.float64]) -> NDArray[np.float64]:
+    wxyz = np.zeros((*angle_rad.shape, 4))
+    wxyz[..., 0], wxyz[..., 1 + axis] = np.cos(angle_rad / 2), np.sin(angle_rad / 2)
+    return wxyz
+
+
+def _ins_mount(calibration: Calibration) -> Mount:
+    mounts = calibration.of_kind("ins")
+    if not mounts:
+        raise MissingSensorError(["INS"], [mount.name for mount in calibration.mounts], "the recorded INS pose")
+    return mounts[0]
+
+
+def _usable(samples: InsSamples, source: str) -> NDArray[np.int64]:
+    """Rows with a solution, a time, and numbers that are a place on Earth and an attitude."""
+    place = (samples.latitude_deg, samples.longitude_deg, samples.height_m)
+    attitude = (samples.roll_deg, samples.pitch_deg, samples.azimuth_deg)
+    has_numbers = np.isfinite(np.stack([*place, *attitude])).all(axis=0) & (np.abs(samples.latitude_deg) <= 90)
+    has_solution, has_time = np.isin(samples.ins_status, USABLE_STATUS), samples.gps_stamps_ns > 0
+    rows = np.flatnonzero(has_numbers & has_solution & has_time).astype(np.int64)
+    if not len(rows):
+        why = (
+            f"{int((~has_solution).sum())} without an aligned solution, {int((~has_time).sum())} without GPS time, "
+            f"{int((~has_numbers).sum())} with impossible numbers"
+        )
+        raise NoUsablePoseError(source, len(samples.ins_status), why)
+    return rows
+
+
+def _clock(samples: InsSamples, rows: NDArray[np.int64], topic: str) -> tuple[Finding, ...]:
+    late_ns = samples.host_stamps_ns[rows] - samples.gps_stamps_ns[rows]
+    jitter_ns = float(np.std(late_ns - np.median(late_ns)))
+    if jitter_ns <= HOST_JITTER_NS:
+        return ()
+    sentence = (
+        f"stamped on the host (jitter {jitter_ns / 1e6:.2f} ms); GPS time is used instead "
+        f"(median offset {float(np.median(late_ns)) / 1e6:.2f} ms)"
+    )
+    return (Finding("TIM-201", "warning", topic, sentence),)
+
+
+def _quality(samples: InsSamples, rows: NDArray[np.int64], topic: str, fixes: FixSamples | None) -> tuple[Finding, ...]:
+    """RTK share by INSPVAX itself, else by BESTPOS; and samples that were no solution."""
+    findings: list[Finding] = []
+    if len(rows) < len(samples.ins_status):
+        sentence = f"{len(samples.ins_status) - len(rows)} of {len(samples.ins_status)} samples were no solution"
+        findings.append(Finding("GNS-303", "warning", topic, f"{sentence} and are left out"))
+    types = samples.pos_type[rows] if samples.pos_type is not None else fixes.pos_type if fixes is not None else None
+    if types is None or not len(types):
+        return (*findings, Finding("GNS-301", "warning", topic, "nothing tells whether RTK was fixed (no BESTPOS)"))
+    share = float(np.isin(types, RTK_FIXED).mean())
+    if share < RTK_SHARE_USUAL:
+        findings.append(Finding("GNS-301", "warning", topic, f"RTK was fixed only {share * 100:.1f} % of the time"))
+    return tuple(findings)
