@@ -142,9 +142,6 @@ def _unread_time(clock: LidarClock, sources: Sources, options: SynchroniseOption
 def _usable_finding(posed: PosedFrames) -> tuple[Finding, ...]:
     if not posed.excluded:
         return ()
-    counts = Counter(excluded.code for excluded in posed.excluded)
-    reasons = ", ".join(f"{count} {code}" for code, count in sorted(counts.items()))
     total = len(posed.frames) + len(posed.excluded)
-    return (
-        Finding("SYN-501", "warning", "", f"{len(posed.frames)} of {total} sweeps are frames; excluded: {reasons}"),
-    )
+    sentence = f"{len(posed.frames)} of {total} sweeps are frames; excluded: {counted_reasons(posed.excluded)}"
+    return (Finding("SYN-501", "warning", "", sentence),)

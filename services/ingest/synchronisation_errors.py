@@ -80,6 +80,6 @@ class NoFramesError(StoneError):
     def __init__(self, reasons: str, lidar_s: tuple[float, float], poses_s: tuple[float, float]) -> None:
         super().__init__(
             f"no sweep is usable ({reasons}): LiDAR stamps run from {lidar_s[0]:.3f} to {lidar_s[1]:.3f} s, poses from "
-            f"{poses_s[0]:.3f} to {poses_s[1]:.3f} s, {lidar_s[0] - poses_s[0]:+.3f} s apart at the start (18 s is GPS, "
-            "37 s TAI, hours a time zone; for pose_gap, raise the limit or the rate of the poses)"
+            f"{poses_s[0]:.3f} to {poses_s[1]:.3f} s, {lidar_s[0] - poses_s[0]:+.3f} s apart at the start (18 s is "
+            "GPS, 37 s TAI, hours a time zone; for pose_gap, raise the limit or the rate of the poses)"
         )
