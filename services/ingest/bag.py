@@ -4,7 +4,7 @@
 stays valid after the bag is closed. `index` counts within the topic, in log-time order.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.ingest.errors import EncodingRefusedError, UnknownTopicError
-from services.ingest.magic import container_of
+from services.ingest.magic import container_of, sole_mcap
 from services.ingest.mcap_store import McapStore
 from services.ingest.rosbags_store import RosbagsStore
 from services.ingest.topic import Topic
@@ -43,12 +43,8 @@ class Store(Protocol):
         """The CDR message at `index` in log-time order."""
         ...
 
-    def head(self, topic: str, index: int) -> memoryview:
-        """The same, for those who read its first bytes only."""
-        ...
-
-    def expect_scattered_reads(self, is_scattered: bool) -> None:
-        """A hint: few bytes here and there, or everything in order."""
+    def heads(self, topics: Sequence[str]) -> Iterator[tuple[str, int, memoryview]]:
+        """Topic, index and CDR message of every message, in the order in which they are stored."""
         ...
 
     def close(self) -> None: ...
@@ -113,15 +109,15 @@ class Bag:
         position = range(len(times))[index]
         return RawMessage(int(times[position]), position, self._store.payload(topic, position))
 
-    def heads(self, topic: str) -> Iterator[memoryview]:
-        """Payloads in order for a scan of their first bytes: plain chunks are neither read whole nor checked."""
-        self._check_readable(topic)
-        self._store.expect_scattered_reads(True)
-        try:
-            for index in range(self._topics[topic].count):
-                yield self._store.head(topic, index)
-        finally:
-            self._store.expect_scattered_reads(False)
+    def heads(self, topics: Sequence[str]) -> Iterator[tuple[str, int, memoryview]]:
+        """(topic, index, payload) of all messages, in storage order, for a scan of their first bytes.
+
+        Every chunk is inflated once, whatever the number of topics; plain chunks are neither read whole nor checked.
+        Raises: as `messages`.
+        """
+        for topic in topics:
+            self._check_readable(topic)
+        yield from self._store.heads(topics)
 
     def _all_times(self) -> Iterator[NDArray[np.int64]]:
         return (self._store.log_times_ns(topic.name) for topic in self.topics if topic.count)
@@ -142,5 +138,6 @@ def open_bag(path: Path) -> Bag:
     Raises: FileNotFoundError, NotABagError (BAG-001), CutBagError (BAG-010), MalformedBagError (BAG-012) and the
     other `BAG-*` refusals.
     """
-    container = container_of(path)
-    return Bag(path, McapStore(path) if container == "mcap" else RosbagsStore(path))
+    file = sole_mcap(path)
+    container = container_of(file)
+    return Bag(path, McapStore(file) if container == "mcap" else RosbagsStore(file))

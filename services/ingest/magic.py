@@ -43,6 +43,14 @@ def container_of(path: Path) -> Container:
     raise NotABagError(path.name, first, _looks_like(first))
 
 
+def sole_mcap(path: Path) -> Path:
+    """The one MCAP file of a rosbag2 folder that is not split; `path` itself for everything else."""
+    if not path.is_dir():
+        return path
+    files = [file for file in path.iterdir() if file.name != "metadata.yaml"]
+    return files[0] if len(files) == 1 and files[0].suffix == ".mcap" else path
+
+
 def _container_of_folder(path: Path) -> Container:
     if (path / "metadata.yaml").is_file():
         return "folder"

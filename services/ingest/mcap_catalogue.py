@@ -64,12 +64,16 @@ class _Draft:
     def columns_of(self, channel_id: int) -> tuple["array[int]", "array[int]", "array[int]"]:
         return self.columns.setdefault(channel_id, (array("q"), array("i"), array("q")))
 
+    def missing(self) -> list[str]:
+        """Channels that messages speak of and schemas that channels speak of, without a definition."""
+        schemas = {channel.schema_id for channel in self.channels.values() if channel.schema_id}
+        return [f"channel {channel_id}" for channel_id in sorted(self.columns.keys() - self.channels.keys())] + [
+            f"schema {schema_id}" for schema_id in sorted(schemas - self.schemas.keys())
+        ]
+
     def finished(self, where: str, is_indexed: bool) -> Catalogue:
-        if unknown := self.columns.keys() - self.channels.keys():
-            raise MalformedBagError(where, f"messages speak of channel {min(unknown)}, which is nowhere defined")
-        orphans = {c.schema_id for c in self.channels.values() if c.schema_id} - self.schemas.keys()
-        if orphans:
-            raise MalformedBagError(where, f"a channel speaks of schema {min(orphans)}, which is nowhere defined")
+        if missing := self.missing():
+            raise MalformedBagError(where, f"its records speak of {missing[0]}, which is nowhere defined")
         entries = {channel_id: _entries(columns) for channel_id, columns in self.columns.items()}
         return Catalogue(self.schemas, self.channels, tuple(self.chunks), entries, is_indexed)
 
@@ -126,8 +130,7 @@ def _from_summary(view: memoryview, data: Record, footer_offset: int, name: str)
             raise MalformedBagError(name, f"the chunk index at byte {index.chunk_offset} overlaps the one before it")
         reached = _add_indexed_chunk(view, data, index, draft, name)
     told = sum(len(columns[0]) for columns in draft.columns.values())
-    is_complete = told == statistics.message_count and draft.columns.keys() <= draft.channels.keys()
-    return draft if is_complete else None
+    return draft if told == statistics.message_count and not draft.missing() else None
 
 
 def _add_indexed_chunk(view: memoryview, data: Record, index: wire.ChunkIndex, draft: _Draft, name: str) -> int:

@@ -4,7 +4,7 @@
 rosbags raises on damaged input is of many kinds, so it becomes one coded refusal here.
 """
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
 from typing import TypeVar
 
@@ -43,11 +43,11 @@ class RosbagsStore:
     def payload(self, topic: str, index: int) -> memoryview:
         return memoryview(self._guarded(lambda: self._read(topic, index)))
 
-    def head(self, topic: str, index: int) -> memoryview:
-        return self.payload(topic, index)
-
-    def expect_scattered_reads(self, is_scattered: bool) -> None:
-        """Nothing to say to a database."""
+    def heads(self, topics: Sequence[str]) -> Iterator[tuple[str, int, memoryview]]:
+        """Topic by topic: a database has no chunks that would be opened twice."""
+        for topic in topics:
+            for index in range(len(self._times[topic])):
+                yield topic, index, self.payload(topic, index)
 
     def close(self) -> None:
         self._stream = None

@@ -1,10 +1,10 @@
 """NovAtel OEM7 INSPVA, INSPVAX and BESTPOS: what the receiver computed, at the time it computed it for.
 
 **Conventions.** The header stamp is when the host published (`host_stamps_ns`); `gps_stamps_ns` is rebuilt from GPS
-week and milliseconds and is 0 where the receiver knew no week. Angles are degrees as logged: azimuth clockwise from north,
-roll right-handed about forward, pitch nose up. The driver's rule for ENU axes, x forward, is setRPY(roll, −pitch,
-90° − azimuth). Two versions of `Oem7Header` exist (Humble adds receiver_status and idle_time), told apart by length
-and, where lengths agree, by values. Source: novatel_oem7_driver, branches humble and master.
+week and milliseconds and is 0 where the receiver knew no week. Angles are degrees as logged: azimuth clockwise from
+north, roll right-handed about forward, pitch nose up. The driver's rule for ENU axes, x forward, is setRPY(roll,
+−pitch, 90° − azimuth). Two versions of `Oem7Header` exist (Humble adds receiver_status and idle_time), told apart by
+length and, where lengths agree, by values. Source: novatel_oem7_driver, branches humble and master.
 """
 
 from collections.abc import Iterable, Sequence

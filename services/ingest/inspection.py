@@ -1,0 +1,98 @@
+"""Look at a recording without decoding it: topics, roles, rates, gaps, and what is wrong with them.
+
+**Conventions.** Stamps are header stamps where a type has them (`services.ingest.timing`). Of a cloud topic one
+cloud is viewed, of a NovAtel topic all messages are (they are small). A topic that cannot be read is a finding,
+not a failure; a container that cannot be read is refused.
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from services.ingest import checks
+from services.ingest.bag import Bag, Topic, open_bag
+from services.ingest.messages.pointcloud2 import decode_cloud
+from services.ingest.roles import POINT_CLOUD, Role, TopicFacts, role_of
+from services.ingest.scan import Scan, scan_of
+from services.ingest.timing import Timing, measure
+from stone.errors import StoneError
+from stone.findings import Finding
+
+NO_STAMPS = np.zeros(0, np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class InspectedTopic:
+    """One topic and when its messages were taken."""
+
+    topic: Topic
+    role: Role
+    timing: Timing
+
+    def as_record(self) -> dict[str, object]:
+        rate_hz = self.timing.rate_hz
+        return {
+            "name": self.topic.name,
+            "type": self.topic.type,
+            "count": self.topic.count,
+            "role": self.role,
+            "rate_hz": None if rate_hz is None else round(rate_hz, 3),
+            "gaps": [gap.as_record() for gap in self.timing.gaps],
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Inspection:
+    """What `stone inspect` prints; `duration_ns` is from the first to the last message in log time."""
+
+    duration_ns: int
+    topics: tuple[InspectedTopic, ...]
+    findings: tuple[Finding, ...]
+
+    def as_record(self) -> dict[str, object]:
+        return {
+            "duration_ns": self.duration_ns,
+            "topics": [topic.as_record() for topic in self.topics],
+            "findings": [finding.as_record() for finding in self.findings],
+        }
+
+
+def inspect(path: Path) -> Inspection:
+    """Raises: FileNotFoundError and the `BAG-*` refusals of `open_bag`."""
+    with open_bag(path) as bag:
+        scan = scan_of(bag, checks.is_compared_to_gps)
+        findings: list[Finding] = list(checks.container_findings(bag))
+        topics = tuple(_inspected(bag, topic, scan, findings) for topic in bag.topics)
+        by_role = [(topic.topic, topic.role, topic.timing) for topic in topics]
+        findings += checks.topic_findings(by_role)
+        findings += checks.clock_findings(by_role)
+        findings += checks.host_stamp_findings(scan, by_role)
+        findings += checks.distance_findings(bag, by_role)
+        return Inspection(bag.end_ns - bag.start_ns, topics, tuple(findings))
+
+
+def _inspected(bag: Bag, topic: Topic, scan: Scan, findings: list[Finding]) -> InspectedTopic:
+    """A topic that lies is timed by the recorder's clock, and named for its lie."""
+    stamps_ns = scan.stamps_ns.get(topic.name, NO_STAMPS)
+    has_header = bool(stamps_ns.any())
+    timing = measure(stamps_ns if has_header else bag.log_times_ns(topic.name), has_header)
+    facts = TopicFacts(topic.name, topic.type, timing.rate_hz)
+    try:
+        if topic.name in scan.refused:
+            raise scan.refused[topic.name]
+        if topic.type == POINT_CLOUD and topic.encoding == "cdr" and topic.count:
+            facts = _cloud_facts(bag, facts, topic, findings)
+    except StoneError as error:
+        findings.append(Finding(error.code, "error", topic.name, str(error)))
+    return InspectedTopic(topic, role_of(facts), timing)
+
+
+def _cloud_facts(bag: Bag, facts: TopicFacts, topic: Topic, findings: list[Finding]) -> TopicFacts:
+    """What one cloud, of the middle of the recording, adds."""
+    cloud = decode_cloud(bag.message(topic.name, topic.count // 2).payload)
+    fields = frozenset(cloud.points.dtype.names or ())
+    known = replace(facts, point_fields=fields, point_count=len(cloud.points))
+    if role_of(known) == "lidar":
+        findings += checks.cloud_findings(topic, cloud)
+    return known

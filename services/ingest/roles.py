@@ -1,0 +1,69 @@
+"""What a topic is for, resolved by its type, then its fields and size, then its rate; its name only breaks ties.
+
+**Conventions.** A cloud is a radar's when it measures speed or cross section and has no ring, or when it is too
+small to be a revolution and has no ring. Source: field layouts of the Hesai, Nebula, Velodyne, Ouster and
+ARS 548 drivers.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+Role = Literal["lidar", "camera", "radar", "gnss", "ins", "imu", "odometry", "tf", "tf_static", "camera_info", "other"]
+
+ROLE_OF_TYPE: dict[str, Role] = {
+    "sensor_msgs/msg/Image": "camera",
+    "sensor_msgs/msg/CompressedImage": "camera",
+    "sensor_msgs/msg/CameraInfo": "camera_info",
+    "sensor_msgs/msg/Imu": "imu",
+    "sensor_msgs/msg/NavSatFix": "gnss",
+    "gps_msgs/msg/GPSFix": "gnss",
+    "gps_common/msg/GPSFix": "gnss",
+    "novatel_oem7_msgs/msg/BESTPOS": "gnss",
+    "novatel_oem7_msgs/msg/INSPVA": "ins",
+    "novatel_oem7_msgs/msg/INSPVAX": "ins",
+    "nav_msgs/msg/Odometry": "odometry",
+    "ars548_messages/msg/DetectionList": "radar",
+    "continental_msgs/msg/ContinentalArs548DetectionList": "radar",
+    "radar_msgs/msg/RadarScan": "radar",
+}
+POINT_CLOUD, TRANSFORMS = "sensor_msgs/msg/PointCloud2", "tf2_msgs/msg/TFMessage"
+RING_FIELDS = frozenset({"ring", "channel", "laser_id", "line"})
+DOPPLER_FIELDS = frozenset({"rcs", "range_rate", "v", "v_r", "doppler", "velocity", "radial_speed"})
+# A 16-beam LiDAR returns tens of thousands of points a turn, an ARS 548 at most 800.
+LEAST_LIDAR_POINTS = 1000
+# Static transforms are latched: whoever repeats them does so less often than any moving joint is reported.
+LAST_STATIC_RATE_HZ = 1.0
+
+
+@dataclass(frozen=True)
+class TopicFacts:
+    """What is known of a topic without reading it all; `point_fields` and `point_count` are of its first cloud."""
+
+    name: str
+    type: str
+    rate_hz: float | None
+    point_fields: frozenset[str] = frozenset()
+    point_count: int = 0
+
+
+def role_of(facts: TopicFacts) -> Role:
+    """The one role of a topic; "other" where nothing here uses it."""
+    if facts.type == POINT_CLOUD:
+        return _role_of_cloud(facts)
+    if facts.type == TRANSFORMS:
+        is_slow = facts.rate_hz is None or facts.rate_hz < LAST_STATIC_RATE_HZ
+        return "tf_static" if is_slow and facts.name.rstrip("/").endswith("static") else "tf"
+    return ROLE_OF_TYPE.get(facts.type, "other")
+
+
+def _role_of_cloud(facts: TopicFacts) -> Role:
+    names = frozenset(name.lower() for name in facts.point_fields)
+    if names & RING_FIELDS:
+        return "lidar"
+    if names & DOPPLER_FIELDS:
+        return "radar"
+    if facts.point_count >= LEAST_LIDAR_POINTS:
+        return "lidar"
+    if facts.point_count > 0:
+        return "radar"
+    return "radar" if "radar" in facts.name.lower() else "lidar"
