@@ -14,12 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from client.progress import Report
+from client.sequences import open_sequence
 from services.eval.manifest import Manifest, write_manifest
 from services.eval.pipeline import score, validate
 from services.eval.submission import write_submission
 from services.eval.validation import SubmissionRefusedError
-from services.ingest.calibration_file import read_calibration
-from services.ingest.pipeline import SynchroniseOptions, synchronise
 from services.labeler.parameters import parameters_for
 from services.labeler.pipeline import LabelOptions, label
 from services.runtime.atomic import atomic_directory
@@ -48,8 +47,7 @@ def run_demo(directory: Path, plan: DemoPlan, progress: Report) -> dict[str, Any
     with atomic_directory(directory, replaces=MARK) as folder:
         bag = folder / "run.mcap"
         simulate(bag, plan.simulation, folder / "truth", progress)
-        calibration, _ = read_calibration(calibration_path(bag))
-        sequence, sweeps = synchronise(bag, calibration, SynchroniseOptions(), SEQUENCE)
+        sequence, sweeps = open_sequence(bag, calibration_path(bag), SEQUENCE)
         labels = label(
             sequence, sweeps, folder / "labels", LabelOptions(parameters_for("paper"), plan.workers), progress
         )

@@ -39,7 +39,8 @@ def echo_findings(findings: Iterable[Finding]) -> None:
     """One line each on stderr; what is not an error says so first."""
     for finding in findings:
         grade = "" if finding.severity == "error" else f"{finding.severity}: "
-        about = f"{finding.topic}: " if finding.topic else ""
+        is_named = not finding.topic or finding.message.startswith(finding.topic)
+        about = "" if is_named else f"{finding.topic}: "
         typer.echo(one_line(f"{grade}{finding.code}: {about}{finding.message}"), err=True)
 
 

@@ -45,15 +45,13 @@ def label(
     """Label every frame of a recording: free, traversable, potentially traversable or not, in 0.2 m voxels."""
     if odometry == "kiss-icp":
         raise typer.BadParameter("kiss-icp is not built in yet; the bag must hold poses", param_hint="--odometry")
-    from services.ingest.calibration_file import read_calibration
-    from services.ingest.pipeline import SynchroniseOptions, synchronise
+    from client.sequences import open_sequence
     from services.labeler.parameters import parameters_for
     from services.labeler.pipeline import LabelOptions
     from services.labeler.pipeline import label as label_sequence
 
-    rig, findings = read_calibration(calibration)
     with reported() as progress:
-        sequence, sweeps = synchronise(bag, rig, SynchroniseOptions(odometry_topic=odometry), bag.stem)
+        sequence, sweeps = open_sequence(bag, calibration, bag.stem, odometry_topic=odometry)
         options = LabelOptions(parameters_for(profile.value), workers or cores())
         record = label_sequence(sequence, sweeps, output, options, progress).as_record()
     if as_json:
@@ -62,4 +60,4 @@ def label(
         title = f"{record['frames']} frames labelled, {len(record['excluded'])} excluded"
         show(class_table(title, record["class_share_of_occupied"]))
         typer.echo(f"Labels: {output}\nPicture: {output / 'bev.png'}")
-    echo_findings((*findings, *(Finding(**finding) for finding in record["findings"])))
+    echo_findings(Finding(**finding) for finding in record["findings"])

@@ -1,0 +1,135 @@
+"""A small simulated world goes the whole way through the real pipelines, by the installed command."""
+
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from client.demo import DemoPlan, run_demo
+from services.eval.submission import write_submission
+from simulator.options import SimulateOptions
+from simulator.pipeline import simulate
+
+STONE = Path(sys.executable).parent / "stone"
+Spoil = Callable[[Path, Path], None]
+SMALL = SimulateOptions(seconds=4.0, seed=3, channels=32, columns=360, cameras=False)
+REFUSAL = re.compile(r"[A-Za-z]+[-_A-Za-z0-9]*: \S.*")
+
+
+def stone(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([STONE, *arguments], check=False, capture_output=True, text=True, timeout=300)
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("whole") / "demo"
+    run_demo(folder, DemoPlan(SMALL, workers=1), lambda *_: None)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording too short to take long, with its calibration beside it."""
+    bag = tmp_path_factory.mktemp("recording") / "run.mcap"
+    simulate(bag, SimulateOptions(seconds=1.0, channels=16, columns=180, cameras=False))
+    return bag
+
+
+def test_the_demo_leaves_everything_it_promises(demo: Path) -> None:
+    names = {entry.name for entry in demo.iterdir()}
+    assert names >= {"run.mcap", "truth", "labels", "manifest.json", "baseline.zip", "demo.json"}
+    assert (demo / "labels" / "bev.png").read_bytes().startswith(b"\x89PNG")
+    assert not [name for name in names if name.endswith(".partial")]
+
+
+def test_every_frame_has_labels_as_the_design_fixes_them(demo: Path) -> None:
+    tokens = json.loads((demo / "manifest.json").read_text())["sequences"]["demo"]
+    report = json.loads((demo / "labels" / "report.json").read_text())
+    files = sorted(demo.glob("labels/gts/demo/*/labels.npz"))
+    assert {path.parent.name for path in files} == set(tokens)
+    assert report["frames"] == len(files) > 30
+    assert set(report["inputs"]) == {"run.mcap", "run.calibration.yaml"}
+    for path in files:
+        labels = np.load(path)
+        for key in ("semantics", "mask_lidar", "mask_camera"):
+            assert labels[key].shape == (256, 256, 32)
+            assert labels[key].dtype == np.uint8
+        assert labels["semantics"].max() <= 3
+        assert (labels["semantics"][126:130, 127:129] == 1).any(), "the robot stands on what it drove over"
+
+
+def test_the_baseline_is_scored_between_nothing_and_perfect(demo: Path) -> None:
+    score = stone("score", demo / "baseline.zip", "--ground-truth", demo / "labels", "--json")
+    assert score.returncode == 0, score.stderr
+    record = json.loads(score.stdout)
+    assert 0.02 < record["iou_occ"] < 0.98
+    assert record == json.loads((demo / "demo.json").read_text())["baseline"]
+    valid = stone("validate", demo / "baseline.zip", "--manifest", demo / "manifest.json")
+    assert (valid.returncode, valid.stdout) == (0, "valid\n")
+
+
+def test_the_labels_themselves_score_one(demo: Path, tmp_path: Path) -> None:
+    files = sorted(demo.glob("labels/gts/demo/*/labels.npz"))
+    write_submission(tmp_path / "perfect.zip", ((path.parent.name, np.load(path)["semantics"]) for path in files))
+    record = json.loads(stone("score", tmp_path / "perfect.zip", "--ground-truth", demo / "labels", "--json").stdout)
+    assert (record["iou_occ"], record["miou"]) == (1.0, 1.0)
+
+
+def test_a_second_demo_replaces_the_first_but_nothing_else(tmp_path: Path) -> None:
+    (tmp_path / "precious").write_text("")
+    refused = stone("demo", "-o", tmp_path)
+    assert refused.returncode == 1
+    assert refused.stderr.startswith("output_exists: ")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["precious"]
+
+
+def test_label_by_hand_is_what_the_demo_did(demo: Path, tmp_path: Path) -> None:
+    arguments = (demo / "run.mcap", "--calibration", demo / "run.calibration.yaml", "-o", tmp_path / "labels")
+    outcome = stone("label", *arguments, "--workers", "2", "--json")
+    assert outcome.returncode == 0, outcome.stderr
+    record = json.loads(outcome.stdout)
+    assert record == json.loads((tmp_path / "labels" / "report.json").read_text())
+    theirs = json.loads((demo / "labels" / "report.json").read_text())
+    assert record["class_share_of_occupied"] == theirs["class_share_of_occupied"]
+
+
+def truncated(bag: Path, calibration: Path) -> None:
+    bag.write_bytes(bag.read_bytes()[: bag.stat().st_size // 2])
+
+
+def a_web_page(bag: Path, calibration: Path) -> None:
+    bag.write_text("<!doctype html><title>Sign in</title>")
+
+
+def a_mirror(bag: Path, calibration: Path) -> None:
+    matrix = "[[-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 1], [0, 0, 0, 1]]"
+    calibration.write_text(f"stone_calibration: 1\nname: mirror\nego_from_lidar: {{matrix: {matrix}}}\n")
+
+
+def a_bomb_of_aliases(bag: Path, calibration: Path) -> None:
+    rows = "\n".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, 12))
+    calibration.write_text(f"stone_calibration: 1\na0: &a0 [x]\n{rows}\n")
+
+
+def no_text(bag: Path, calibration: Path) -> None:
+    calibration.write_bytes(bytes(range(256)))
+
+
+@pytest.mark.parametrize(
+    "spoil", [truncated, a_web_page, a_mirror, a_bomb_of_aliases, no_text], ids=lambda f: f.__name__
+)
+def test_a_spoilt_input_is_refused_and_leaves_nothing(spoil: Spoil, recording: Path, tmp_path: Path) -> None:
+    bag, calibration = tmp_path / "run.mcap", tmp_path / "rig.yaml"
+    bag.write_bytes(recording.read_bytes())
+    calibration.write_bytes(recording.with_name("run.calibration.yaml").read_bytes())
+    spoil(bag, calibration)
+    outcome = stone("label", bag, "--calibration", calibration, "-o", tmp_path / "out", "--json")
+    assert outcome.returncode == 1, outcome.stderr
+    assert REFUSAL.fullmatch(outcome.stderr.rstrip("\n")), outcome.stderr
+    assert json.loads(outcome.stdout)["findings"][0]["severity"] == "error"
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["rig.yaml", "run.mcap"]
