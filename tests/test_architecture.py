@@ -19,8 +19,9 @@ MAX_FILE_LINES = 300
 MAX_FUNCTION_LINES = 50
 EMPTY_WORDS = {"util", "utils", "helper", "helpers", "manager", "common", "misc"}
 EMPTY_VERBS = ("get_", "do_", "handle_")
-STONE_MAY_IMPORT = {"stone", "numpy", "scipy", "numba"} | {
-    "dataclasses", "typing", "enum", "math", "hashlib", "collections", "functools", "itertools", "abc",
+# llvmlite is the half of numba that emits instructions; an intrinsic (popcount) needs its types.
+STONE_MAY_IMPORT = {"stone", "numpy", "scipy", "numba", "llvmlite"} | {
+    "dataclasses", "typing", "enum", "math", "hashlib", "collections", "functools", "itertools", "abc", "re",
 }  # fmt: skip
 # Character classes keep each pattern from finding itself.
 OF_ONE_MACHINE = re.compile(
