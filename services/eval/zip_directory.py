@@ -103,8 +103,9 @@ def _read_end(read_at: ReadAt, size_bytes: int) -> _End:
     if at + END.size + comment_bytes != len(tail):
         raise NotZipError("the end record last in the file", f"{len(tail) - at - END.size - comment_bytes} bytes more")
     position = size_bytes - tail_bytes + at
-    if IN_EXTRA_16 in (here, entries) or IN_EXTRA_32 in (directory_bytes, offset):
-        return _read_end64(read_at, position)
+    locator = read_at(position - LOCATOR64.size, LOCATOR64.size) if position >= LOCATOR64.size else b""
+    if locator[:4] == b"PK\6\7":
+        return _read_end64(read_at, locator, position - LOCATOR64.size)
     if disk or start_disk or here != entries:
         raise UnsupportedZipError("an archive in one part", f"part {disk} of several")
     if offset + directory_bytes != position:
@@ -112,12 +113,9 @@ def _read_end(read_at: ReadAt, size_bytes: int) -> _End:
     return _End(entries, directory_bytes, offset)
 
 
-def _read_end64(read_at: ReadAt, end_position: int) -> _End:
-    at = end_position - LOCATOR64.size
-    raw = read_at(at, LOCATOR64.size) if at >= 0 else b""
-    if raw[:4] != b"PK\6\7":
-        raise TruncatedError("a zip64 locator before the end record", "none")
-    position = LOCATOR64.unpack(raw)[2]
+def _read_end64(read_at: ReadAt, locator: bytes, at: int) -> _End:
+    """The wide end record named by the locator at byte `at`."""
+    position = LOCATOR64.unpack(locator)[2]
     if position + END64.size > at:
         raise TruncatedError(f"a zip64 end record before byte {at}", f"one at byte {position}")
     record = read_at(position, END64.size)

@@ -1,0 +1,111 @@
+"""The directory reader agrees with zipfile on honest archives and never lets a damaged one through unseen."""
+
+import io
+import zipfile
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from services.eval.errors import NotZipError, SubmissionError, TooLargeError, TruncatedError
+from services.eval.npz_frame import prediction_grid
+from services.eval.zip_directory import payload_span, read_directory
+from services.runtime.npz import npz_bytes
+from tests.services.eval.attacks import grid, saved, stored
+
+PREDICTION = grid()
+NPZ = npz_bytes({"semantics": PREDICTION})
+
+
+def reader(raw: bytes) -> Callable[[int, int], bytes]:
+    return lambda offset, count: raw[offset : offset + count]
+
+
+def archive_of(files: dict[str, bytes], method: int, comment: bytes = b"") -> bytes:
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", method) as opened:
+        opened.comment = comment
+        for name, payload in files.items():
+            opened.writestr(name, payload)
+    return file.getvalue()
+
+
+@given(
+    st.dictionaries(st.text("abé/.", min_size=1, max_size=20), st.binary(max_size=60), max_size=6),
+    st.sampled_from([zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED]),
+    st.binary(max_size=40).filter(lambda comment: b"PK\5\6" not in comment),
+)
+def test_honest_archives_are_read_as_zipfile_reads_them(files: dict[str, bytes], method: int, comment: bytes) -> None:
+    raw = archive_of(files, method, comment)
+    members = read_directory(reader(raw), len(raw), 10)
+    with zipfile.ZipFile(io.BytesIO(raw)) as opened:
+        for member, info in zip(members, opened.infolist(), strict=True):
+            facts = (member.name, member.crc32, member.packed_bytes, member.unpacked_bytes, member.offset)
+            assert facts == (info.filename, info.CRC, info.compress_size, info.file_size, info.header_offset)
+            start, stop = payload_span(reader(raw), member)
+            assert stop - start == info.compress_size
+            if method == zipfile.ZIP_STORED:
+                assert raw[start:stop] == files[member.name]
+
+
+def test_zip64_end_records_are_understood(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(zipfile, "ZIP_FILECOUNT_LIMIT", 2)
+    monkeypatch.setattr(zipfile, "ZIP64_LIMIT", 50)
+    files = {f"{index}": bytes([index]) * 60 for index in range(4)}
+    raw = archive_of(files, zipfile.ZIP_STORED)
+    assert b"PK\6\6" in raw
+    members = read_directory(reader(raw), len(raw), 10)
+    assert {member.name: raw[slice(*payload_span(reader(raw), member))] for member in members} == files
+    with pytest.raises(TooLargeError, match="at most 3 files in the archive, found 4"):
+        read_directory(reader(raw), len(raw), 3)
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.integers(0, len(NPZ) * 8 - 1))
+def test_no_flipped_bit_changes_a_grid_unseen(bit: int) -> None:
+    damaged = bytearray(NPZ)
+    damaged[bit // 8] ^= 1 << bit % 8
+    try:
+        found = prediction_grid(damaged)
+    except SubmissionError:
+        return
+    np.testing.assert_array_equal(found, PREDICTION)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.integers(0, len(NPZ) - 1))
+def test_every_cut_is_refused(length: int) -> None:
+    with pytest.raises(SubmissionError, match="expected"):
+        prediction_grid(NPZ[:length])
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.data())
+def test_no_damage_to_the_frame_of_an_archive_escapes_as_another_error(data: st.DataObject) -> None:
+    """Headers, directory and end record: where the structure is."""
+    damaged = bytearray(NPZ)
+    for _ in range(data.draw(st.integers(1, 4))):
+        near_start = data.draw(st.booleans())
+        place = data.draw(st.integers(0, 60) if near_start else st.integers(len(NPZ) - 90, len(NPZ) - 1))
+        damaged[place] = data.draw(st.integers(0, 255))
+    try:
+        found = prediction_grid(damaged)
+    except SubmissionError:
+        return
+    np.testing.assert_array_equal(found, PREDICTION)
+
+
+@pytest.mark.parametrize("npz", [NPZ, saved(semantics=PREDICTION), saved(PREDICTION), stored(PREDICTION)])
+def test_every_honest_writer_is_read(npz: bytes) -> None:
+    np.testing.assert_array_equal(prediction_grid(npz), PREDICTION)
+
+
+def test_what_is_no_zip_and_what_was_one_are_told_apart() -> None:
+    with pytest.raises(NotZipError, match="an empty file"):
+        read_directory(reader(b""), 0, 10)
+    raw = archive_of({"a": b"x" * 100}, zipfile.ZIP_STORED)
+    without_middle = raw[:20] + raw[60:]
+    with pytest.raises(TruncatedError, match="the directory to end at byte"):
+        read_directory(reader(without_middle), len(without_middle), 10)
