@@ -18,6 +18,9 @@ from stone.se3 import SE3
 MISSES_PER_HIT = 2
 FEWEST_MISSES = 3
 
+# A spinning LiDAR covers about 360° × 27°: so many pixels of 0.4° hold its rays.
+FIELD_PX, RAYS_PER_PIXEL, MAX_SPREAD_PX = 60_000, 2.0, 3
+
 
 @dataclass(frozen=True)
 class DynamicParameters:
@@ -52,9 +55,18 @@ def range_image(
 ) -> RangeImage:
     """The nearest return in each direction from `sensor_ego` (3,) of the points (N, 3)."""
     ranges_m = np.zeros(parameters.shape, np.float32)
-    _project(points_ego, sensor_ego, _lens(parameters), ranges_m)
+    _project(points_ego, sensor_ego, (_lens(parameters), spread_px(len(points_ego))), ranges_m)
     view = SE3.from_parts(map_from_ego.wxyz, map_from_ego @ sensor_ego)
     return RangeImage(view, ranges_m)
+
+
+def spread_px(rays: int) -> int:
+    """How many pixels around its own a return fills, so that a sparse sweep leaves no holes between its rays.
+
+    Aims at `RAYS_PER_PIXEL` in the square it fills; the nearest return wins, so spreading only makes votes rarer.
+    """
+    width_px = math.sqrt(RAYS_PER_PIXEL * FIELD_PX / max(rays, 1))
+    return min(MAX_SPREAD_PX, max(0, math.ceil((width_px - 1.0) / 2.0)))
 
 
 def vote(
@@ -86,17 +98,19 @@ def _pixel(x, y, z, r, lens):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _project(points, sensor, lens, ranges):  # type: ignore[no-untyped-def]
+def _project(points, sensor, optics, ranges):  # type: ignore[no-untyped-def]
+    lens, spread = optics
     for p in range(points.shape[0]):
         x, y, z = points[p, 0] - sensor[0], points[p, 1] - sensor[1], points[p, 2] - sensor[2]
         r = math.sqrt(x * x + y * y + z * z)
         if r < 1e-3:
             continue
         row, column = _pixel(x, y, z, r, lens)
-        if 0 <= row < ranges.shape[0]:
-            column %= ranges.shape[1]
-            if ranges[row, column] == 0 or r < ranges[row, column]:
-                ranges[row, column] = r
+        for i in range(max(0, row - spread), min(ranges.shape[0], row + spread + 1)):
+            for j in range(column - spread, column + spread + 1):
+                known = ranges[i, j % ranges.shape[1]]
+                if known == 0 or r < known:
+                    ranges[i, j % ranges.shape[1]] = r
 
 
 @njit(cache=True, nogil=True)
