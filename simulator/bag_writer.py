@@ -11,7 +11,7 @@ from pathlib import Path
 
 from mcap.writer import CompressionType, Writer
 
-from simulator.message_text import message_definition
+from services.ingest.messages.registry import message_definition
 from simulator.options import Compression
 
 COMPRESSIONS = {"none": CompressionType.NONE, "lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD}

@@ -38,11 +38,16 @@ class Layout:
     """The record type of one message kind and a template with every constant in place."""
 
     dtype: np.dtype[np.void]
-    template: NDArray[np.void]
+    template: bytes
 
     def records(self, count: int) -> NDArray[np.void]:
         """`count` messages (count,), constants filled in; a row's `tobytes()` is the whole CDR message."""
-        return np.repeat(self.template, count)
+        return tiled(self.template, count, self.dtype)
+
+
+def tiled(template: bytes, count: int, dtype: np.dtype[np.void]) -> NDArray[np.void]:
+    """Records repeated byte by byte: numpy's own copies leave the bytes between fields undefined."""
+    return np.frombuffer(bytearray(template * count), dtype)
 
 
 def header(frame_id: str) -> tuple[Member | Text, ...]:
@@ -73,7 +78,7 @@ def layout(members: Sequence[Member | Text]) -> Layout:
     template = np.zeros(1, record)
     for name, default in zip(names, defaults, strict=True):
         template[name] = default
-    return Layout(record, template)
+    return Layout(record, template.tobytes())
 
 
 def _expanded(members: Sequence[Member | Text]) -> list[Member]:

@@ -92,7 +92,8 @@ def take_inertia(trajectory: Trajectory, duration_ns: int, rng: np.random.Genera
     """By central differences of the exact poses, with white noise."""
     count = duration_ns // POSE_NS
     stamps = trajectory.start_ns + np.arange(count, dtype=np.int64) * POSE_NS
-    before, here, after = (trajectory.at(stamps + shift) @ rig.EGO_FROM_IMU for shift in (-POSE_NS, 0, POSE_NS))
+    centre = np.maximum(stamps, stamps[:1] + POSE_NS)  # the first sample has nothing before it
+    before, here, after = (trajectory.at(centre + shift) @ rig.EGO_FROM_IMU for shift in (-POSE_NS, 0, POSE_NS))
     step_s = POSE_NS * 1e-9
     turn = (before.inverse() @ after).wxyz
     rates = turn[:, 1:] * np.sign(turn[:, :1]) / step_s

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator import rig
+from simulator.cdr_writer import tiled
 from simulator.navigation import FIX_NS
 from simulator.objects import Surface
 from simulator.path import POSE_NS
@@ -75,7 +76,7 @@ def scan(
     chance = np.array([CHANCE[kind] for kind in Surface])[surface]
     is_seen = (rng.random(chance.shape) < chance) & np.isfinite(range_m)
     approach = np.einsum("sri,si->sr", directions, velocity)
-    slots = np.tile(stale, (len(stamps), 1))
+    slots = tiled(stale.tobytes(), len(stamps), DETECTION).reshape(len(stamps), MAX_DETECTIONS)
     for row in range(len(stamps)):
         _fill(slots[row], is_seen[row], (azimuth[row], elevation[row], range_m[row], -approach[row]), surface[row], rng)
     counts = is_seen.sum(axis=1).reshape(len(stamps_ns), -1)
@@ -94,7 +95,6 @@ def _fill(
     azimuth, elevation, range_m, range_rate = (values[is_seen] for values in measured)
     count = len(azimuth)
     valid = slots[:count]
-    valid[...] = np.zeros((), DETECTION)
     noise = rng.standard_normal((4, count))
     for name, value, deviation, row in (
         ("azimuth", azimuth, 0.004, 0),

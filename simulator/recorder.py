@@ -135,11 +135,11 @@ def _info_layout(camera: rig.CameraSpec, options: SimulateOptions) -> Layout:
     lens = rig.intrinsics(options.camera_width_px)
     layout = ros_messages.camera_info(camera.frame_id, lens.model, len(lens.distortion))
     k = np.array([[lens.fx_px, 0, lens.cx_px], [0, lens.fy_px, lens.cy_px], [0, 0, 1]])
-    template = layout.template.copy()
+    template = layout.records(1)
     template["width"], template["height"] = lens.width_px, lens.height_px
     template["k"], template["r"] = k.ravel(), np.eye(3).ravel()
     template["p"] = np.concatenate([k, np.zeros((3, 1))], axis=1).ravel()
-    return Layout(layout.dtype, template)
+    return Layout(layout.dtype, template.tobytes())
 
 
 def _fill_receiver(

@@ -2,7 +2,7 @@
 
 **Conventions.** A terrain is a lattice of heights: `height_m[i, j]` at `origin + (j, i) · resolution`, bilinear
 between. Lowland rolls along x, so that one drive meets the heights that drivable ground around it has; hillsides
-rise at 30–42° from the lowland's edge and are undrivable for their slope alone.
+rise at 33–43° from the lowland's edge and are undrivable for their slope alone.
 """
 
 from dataclasses import dataclass
@@ -65,7 +65,12 @@ def build_terrain(extent_m: tuple[float, float], track_m: Array, rng: np.random.
     shape = (round(extent_m[1] / RESOLUTION_M) + 1, round(extent_m[0] / RESOLUTION_M) + 1)
     distance = _distance_to(track_m, shape)
     lowland = _lowland(distance, rng)
-    height = _rollers(shape, rng) + _hillsides(lowland, rng) + _micro_relief(lowland, rng) - _ditch(track_m, shape, rng)
+    height = (
+        _rollers(shape, float(track_m[0, 0]), rng)
+        + _hillsides(lowland, rng)
+        + _micro_relief(lowland, rng)
+        - _ditch(track_m, shape, rng)
+    )
     return Terrain(height, lowland, distance)
 
 
@@ -83,20 +88,24 @@ def _lowland(distance_m: Array, rng: np.random.Generator) -> NDArray[np.bool_]:
     return (hilliness < np.quantile(hilliness, 1 - HILL_COVER_RATIO)) | (distance_m < PATH_CLEAR_M)
 
 
-def _rollers(shape: tuple[int, int], rng: np.random.Generator) -> Array:
-    """Swells across the valley with bent crests: heights repeat along x, slopes stay below ≈ 18°."""
+def _rollers(shape: tuple[int, int], start_x_m: float, rng: np.random.Generator) -> Array:
+    """Swells across the valley with bent crests: heights repeat along x, slopes stay below ≈ 18°.
+
+    The drive starts near a crest or a hollow, so that even 20 s of it meet both.
+    """
     x = np.arange(shape[1]) * RESOLUTION_M
-    phases = rng.uniform(0, 2 * np.pi, 3)
-    along = x[None] + 2.5 * fractal(shape, (25.0, 80.0), 1.5, rng)
-    swell = 1.30 * np.sin(2 * np.pi * along / 37.0 + phases[0]) + 0.28 * np.sin(2 * np.pi * along / 13.0 + phases[1])
-    return np.asarray(swell + 0.10 * fractal(shape, (8.0, 20.0), 1.5, rng))
+    start = np.pi / 2 * rng.choice([-1.0, 1.0]) + rng.uniform(-0.4, 0.4)
+    phase = rng.uniform(0, 2 * np.pi)
+    along = x[None] - start_x_m + 0.8 * fractal(shape, (25.0, 80.0), 1.5, rng)
+    swell = 1.45 * np.sin(2 * np.pi * along / 42.0 + start) + 0.18 * np.sin(2 * np.pi * along / 13.0 + phase)
+    return np.asarray(swell + 0.06 * fractal(shape, (8.0, 20.0), 1.5, rng))
 
 
 def _hillsides(lowland: NDArray[np.bool_], rng: np.random.Generator) -> Array:
-    """Height above the lowland: distance to its edge times the tangent of 30–42°, with broken rock on it."""
+    """Height above the lowland: distance to its edge times the tangent of 33–43°, with broken rock on it."""
     shape = (lowland.shape[0], lowland.shape[1])
     distance = distance_transform_edt(~lowland) * RESOLUTION_M
-    steepness = np.tan(np.deg2rad(36.0 + 3.0 * np.clip(fractal(shape, (10.0, 40.0), 1.5, rng), -2, 2)))
+    steepness = np.tan(np.deg2rad(38.0 + 2.5 * np.clip(fractal(shape, (10.0, 40.0), 1.5, rng), -2, 2)))
     broken = 0.10 * fractal(shape, (0.8, 4.0), 1.5, rng) * np.clip(distance / 1.5, 0, 1)
     return np.asarray(gaussian_filter(distance * steepness, 0.25 / RESOLUTION_M) + broken)
 
