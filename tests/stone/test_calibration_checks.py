@@ -136,9 +136,24 @@ def test_a_quaternion_far_from_unit_is_refused(norm):
         checked_norm("INS", np.array([norm, 0, 0, 0]))
 
 
-def test_an_identity_written_as_xyzw_raises_a_doubt():
-    _, findings = quaternion_and_translation("INS", "ins", np.array([0.0, 0, 0, 1]), np.zeros(3))
+def test_an_identity_written_as_xyzw_raises_a_doubt_about_the_lidar():
+    _, findings = quaternion_and_translation("ego_from_lidar", "lidar", np.array([0.0, 0, 0, 1]), np.zeros(3))
     assert "read as xyzw it is the likelier mount" in findings[0].message
+
+
+@pytest.mark.parametrize("kind", ["radar", "ins", "imu"])
+def test_a_sensor_that_looks_backwards_is_not_doubted(kind):
+    assert quaternion_and_translation("REAR", kind, np.array([0.0, 0, 0, 1]), np.zeros(3))[1] == ()
+
+
+@pytest.mark.parametrize("yaw_deg", [75, 90, 150, 180])
+def test_a_level_sensor_turned_sideways_and_written_as_xyzw_is_doubted(yaw_deg):
+    """At small angles the mistake reads as another level mount; nothing in the numbers tells."""
+    half_rad = np.deg2rad(yaw_deg) / 2
+    _, findings = quaternion_and_translation(
+        "INS", "ins", np.array([0, 0, np.sin(half_rad), np.cos(half_rad)]), np.zeros(3)
+    )
+    assert [finding.code for finding in findings] == ["CAL-402"]
 
 
 @pytest.mark.parametrize("yaw_deg", [-150, -60, 0, 45, 120])
