@@ -79,7 +79,7 @@ def frame_bounds(map_from_ego: SE3, margin_voxels: int = 2) -> tuple[NDArray[np.
     """The half-open range of map voxel indices that the grids at these poses (P,) can touch."""
     low, high = np.array(GRID_MIN_M), np.array(GRID_MAX_M)
     corners = np.array([[(low, high)[(c >> axis) & 1][axis] for axis in range(3)] for c in range(8)])
-    corners_map = map_from_ego[:, None] @ corners if map_from_ego.batch else map_from_ego @ corners
+    corners_map = SE3(map_from_ego.wxyz_xyz[..., None, :]) @ corners
     indices = np.floor(corners_map.reshape(-1, 3) / VOXEL_M).astype(np.int64)
     return indices.min(axis=0) - margin_voxels, indices.max(axis=0) + margin_voxels + 1
 

@@ -33,26 +33,27 @@ class OffLatticeError(StoneError):
 
 
 @njit(inline="always")
-def pack(i: int, j: int, k: int) -> int:
+def pack(i: int, j: int, k: int) -> np.int64:
     """The key of voxel (i, j, k)."""
     return ((np.int64(i) + BIAS) << 42) | ((np.int64(j) + BIAS) << 21) | (np.int64(k) + BIAS)
 
 
 @njit(inline="always")
-def scatter(key: int) -> int:
+def scatter(key: np.int64) -> np.uint64:
     """Fibonacci hashing (Knuth, TAOCP 3, 6.4); the xor brings the high bits down to where the mask looks."""
     mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
     return mixed ^ (mixed >> np.uint64(32))
 
 
 @njit(inline="always")
-def find(table_keys: Keys, table_rows: NDArray[np.int32], key: int) -> int:
+def find(table_keys: Keys, table_rows: NDArray[np.int32], key: np.int64) -> int:
     """Row of `key`, or −1."""
     mask = np.uint64(table_keys.size - 1)
     slot = scatter(key) & mask
     while True:
         if table_keys[slot] == key:
-            return table_rows[slot]
+            row: int = table_rows[slot]
+            return row
         if table_keys[slot] == EMPTY:
             return -1
         slot = (slot + np.uint64(1)) & mask
@@ -126,4 +127,4 @@ def keys_from_indices(indices: NDArray[np.int64]) -> Keys:
 
 def centres_of(keys: Keys, size_m: float) -> NDArray[np.float64]:
     """Voxel centres (N, 3), metres."""
-    return (indices_of(keys) + 0.5) * size_m
+    return np.asarray((indices_of(keys) + 0.5) * size_m, dtype=np.float64)

@@ -32,7 +32,8 @@ def vertex_normals(mesh: Mesh) -> NDArray[np.float64]:
     normals = np.zeros(mesh.vertices_map.shape)
     _accumulate(mesh.vertices_map, mesh.triangles, normals)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+    unit: NDArray[np.float64] = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+    return unit
 
 
 @njit(cache=True, nogil=True)

@@ -88,8 +88,8 @@ class PointMapBuilder:
 
         Raises `OffLatticeError` for a pose that is not finite or off the lattice.
         """
-        check_reach(np.abs(map_from_ego.translation_m) + SWEEP_REACH_M, self._voxel_m)
         sensor_map = map_from_ego @ sensor_ego
+        check_reach(np.abs(sensor_map) + SWEEP_REACH_M, self._voxel_m)  # a broken rotation shows in the sensor's place
         matrix = map_from_ego.as_matrix()
         done = 0
         while done < len(points_ego):

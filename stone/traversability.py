@@ -98,7 +98,8 @@ def reference_of(sums: FeatureSums, parameters: ReferenceParameters) -> Referenc
 def distance_squared(features: Array, reference: Reference) -> Array:
     """D² = (F−μ)ᵀ Σ⁻¹ (F−μ), the squared Mahalanobis distance (K,) of features (K, 3) (Eq. 6)."""
     centred = features - reference.mean
-    return np.einsum("ki,ki->k", centred @ np.linalg.inv(reference.covariance), centred)
+    scaled = centred @ np.linalg.inv(reference.covariance)
+    return np.asarray(np.einsum("ki,ki->k", scaled, centred), dtype=np.float64)
 
 
 def threshold(alpha: float) -> float:

@@ -74,7 +74,7 @@ def _cube(parameters: LabelParameters, tile: Tile) -> tuple[NDArray[np.float64],
 
 def _inside(points: PointMap, low: NDArray[np.float64], high: NDArray[np.float64]) -> PointMap:
     xy = points.centroids_map()[:, :2]
-    return points.where(((xy >= low) & (xy < high)).all(axis=1))
+    return points.where(np.asarray(((xy >= low) & (xy < high)).all(axis=1), dtype=np.bool_))
 
 
 def _moving(run: Run, points: PointMap) -> NDArray[np.bool_]:

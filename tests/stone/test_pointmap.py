@@ -1,0 +1,110 @@
+"""The point map against a dict of lists, and that its bits do not depend on order or grouping."""
+
+import math
+from collections import defaultdict
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from stone.lattice import OffLatticeError, indices_of
+from stone.pointmap import QUANTUM_M, PointMapBuilder, merge
+from stone.se3 import SE3
+
+VOXEL_M = 0.1
+SENSOR_EGO = np.array([0.3, -0.1, 1.2])
+SEEDS = st.integers(0, 2**32)
+
+
+def sweeps_of(seed, count=5, points=400):
+    """(points in the ego frame, pose) of so many sweeps that hit the same few voxels."""
+    rng = np.random.default_rng(seed)
+    wxyz, xyz = rng.normal(size=(count, 4)), rng.uniform(-0.3, 0.3, (count, 3))
+    poses = SE3.from_parts(wxyz, xyz + np.array([-40.0, 70.0, 3.0]))
+    return [(rng.uniform(-0.5, 0.5, (points, 3)).astype(np.float32), poses[i]) for i in range(count)]
+
+
+def map_of(sweeps, slots=1 << 12):
+    builder = PointMapBuilder(VOXEL_M, slots)
+    for points, pose in sweeps:
+        builder.insert(points, pose, SENSOR_EGO)
+    return builder.finish()
+
+
+def assert_same_bits(a, b):
+    assert a.keys.tobytes() == b.keys.tobytes()
+    assert a.moments.tobytes() == b.moments.tobytes()
+
+
+@settings(max_examples=5, deadline=None)
+@given(SEEDS)
+def test_each_voxel_holds_what_a_dict_of_lists_holds(seed):
+    sweeps = sweeps_of(seed)
+    points, views, frames = defaultdict(list), defaultdict(list), defaultdict(set)
+    for frame, (points_ego, pose) in enumerate(sweeps):
+        sensor = pose @ SENSOR_EGO
+        for point in pose @ points_ego.astype(np.float64):
+            voxel = tuple(math.floor(c / VOXEL_M) for c in point)
+            points[voxel].append(point)
+            views[voxel].append((sensor - point) / np.linalg.norm(sensor - point))
+            frames[voxel].add(frame)
+    made = map_of(sweeps)
+    voxels = sorted(points)
+    assert [tuple(row) for row in indices_of(made.keys).tolist()] == voxels
+    assert made.counts().tolist() == [len(points[v]) for v in voxels]
+    assert made.frames_seen().tolist() == [len(frames[v]) for v in voxels]
+    np.testing.assert_allclose(made.centroids_map(), [np.mean(points[v], axis=0) for v in voxels], atol=2 * QUANTUM_M)
+    np.testing.assert_allclose(made.views_map(), [np.mean(views[v], axis=0) for v in voxels], atol=2 * QUANTUM_M)
+
+
+@settings(max_examples=10, deadline=None)
+@given(SEEDS, st.permutations(range(5)))
+def test_sweep_order_does_not_matter(seed, order):
+    sweeps = sweeps_of(seed)
+    assert_same_bits(map_of(sweeps), map_of([sweeps[i] for i in order]))
+
+
+@settings(max_examples=10, deadline=None)
+@given(SEEDS, st.integers(1, 4), st.booleans())
+def test_parts_add_up_to_the_whole(seed, cut, is_swapped):
+    sweeps = sweeps_of(seed)
+    parts = [map_of(sweeps[:cut]), map_of(sweeps[cut:])]
+    assert_same_bits(merge(parts[::-1] if is_swapped else parts), map_of(sweeps))
+
+
+def test_a_table_that_grew_in_mid_sweep_holds_the_same_bits():
+    sweeps = sweeps_of(3)
+    assert len(map_of(sweeps)) > 16
+    assert_same_bits(map_of(sweeps, slots=16), map_of(sweeps))
+
+
+def test_a_view_points_at_the_sensor_and_is_not_longer_than_one():
+    made = map_of(sweeps_of(4, count=1))
+    to_sensor = sweeps_of(4, count=1)[0][1] @ SENSOR_EGO - made.centroids_map()
+    assert (np.einsum("ni,ni->n", to_sensor, made.views_map()) > 0).all()
+    assert (np.linalg.norm(made.views_map(), axis=1) <= 1 + 3 * QUANTUM_M).all()
+
+
+def test_only_voxels_seen_in_enough_frames_are_kept():
+    made = map_of(sweeps_of(5))
+    kept = made.where_seen(3)
+    assert 0 < len(kept) < len(made)
+    assert kept.keys.tolist() == made.keys[made.frames_seen() >= 3].tolist()
+
+
+def test_nothing_inserted_is_an_empty_map():
+    empty = PointMapBuilder(VOXEL_M, 16).finish()
+    assert len(empty) == 0
+    assert len(merge([empty, empty])) == 0
+    assert empty.centroids_map().shape == (0, 3)
+
+
+@pytest.mark.parametrize(
+    "broken", [[1, 0, 0, 0, math.nan, 0, 0], [math.nan, 0, 0, 0, 1, 2, 3], [1, 0, 0, 0, 4.2e6, 0, 0]]
+)
+def test_a_broken_pose_is_refused(broken):
+    builder = PointMapBuilder(VOXEL_M, 16)
+    with pytest.raises(OffLatticeError, match="is a pose broken or given in global"):
+        builder.insert(np.ones((1, 3), np.float32), SE3(np.array(broken, np.float64)), SENSOR_EGO)
+    assert len(builder.finish()) == 0
