@@ -5,15 +5,13 @@ the unit is the one in which a cloud lasts between 1 ms and 1 s; it is absolute 
 the header stamp otherwise. Names only nominate fields. Source: Hesai ROS 2.0, Nebula, Velodyne and Ouster drivers.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from services.ingest.errors import CloudLayoutError
-from services.ingest.messages.point_kernel import pack_points
+from services.ingest.messages.point_kernel import gather, pack_points
 
 NS_PER_S = 1_000_000_000
 TIME_NAMES = ("timestamp", "time_stamp", "time", "t", "offset_time", "timeStamp", "ts")
@@ -48,29 +46,17 @@ def resolve_points(points: NDArray[np.void], stamp_ns: int) -> LidarPoints:
     codes = {points.dtype[name].str for name in "xyz" if name in names}
     if not set("xyz") <= set(names) or codes not in ({"<f4"}, {"<f8"}):
         raise CloudLayoutError(f"x, y and z must be floats of one size, its fields are {', '.join(names)}"[:200])
-    xyz, kept = _packed(points) if codes == {"<f4"} else _converted(points)
+    xyz, kept = _packed(points)
     offset_ns, meaning = _offsets(points, kept, stamp_ns)
     return LidarPoints(xyz, offset_ns, _rings(points, kept), meaning)
 
 
 def _packed(points: NDArray[np.void]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """float32 coordinates, bit for bit, by the kernel."""
-    fields: Mapping[str, tuple[Any, ...]] = points.dtype.fields or {}
-    x_at, y_at, z_at = (int(fields[name][1]) for name in "xyz")
-    raw = points if points.flags.c_contiguous else np.ascontiguousarray(points)
-    rows = raw.view(np.uint8).reshape(len(points), points.dtype.itemsize)
-    bits = np.empty((len(points), 3), np.uint32)
+    """The returns and their rows."""
+    xyz = np.empty((len(points), 3), np.float32)
     kept = np.empty(len(points), np.int32)
-    count = pack_points(rows, x_at, y_at, z_at, bits, kept)
-    return bits[:count].view(np.float32), kept[:count]
-
-
-def _converted(points: NDArray[np.void]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    xyz = np.stack([points[name] for name in "xyz"], axis=-1)
-    with np.errstate(over="ignore"):
-        narrow = xyz.astype(np.float32)
-    kept = np.flatnonzero(np.isfinite(narrow).all(axis=1) & (narrow != 0).any(axis=1)).astype(np.int32)
-    return narrow[kept], kept
+    count = pack_points((points["x"], points["y"], points["z"]), xyz, kept)
+    return xyz[:count], kept[:count]
 
 
 def _offsets(points: NDArray[np.void], kept: NDArray[np.int32], stamp_ns: int) -> tuple[NDArray[np.int64] | None, str]:
@@ -79,13 +65,15 @@ def _offsets(points: NDArray[np.void], kept: NDArray[np.int32], stamp_ns: int) -
     for name in TIME_NAMES:
         if name not in (points.dtype.names or ()) or points.dtype[name].kind not in "fiu" or not len(kept):
             continue
-        offset_ns, meaning = offsets_from_values(points[name][kept], stamp_ns)
+        values = np.empty(len(kept))
+        gather(points[name], kept, values)
+        offset_ns, meaning = offsets_from_values(values, stamp_ns)
         if offset_ns is not None:
             return offset_ns, meaning
     return None, meaning
 
 
-def offsets_from_values(values: NDArray[np.generic], stamp_ns: int) -> tuple[NDArray[np.int64] | None, str]:
+def offsets_from_values(values: NDArray[np.float64], stamp_ns: int) -> tuple[NDArray[np.int64] | None, str]:
     """Offsets from the stamp in ns, and how the values were read; None where they are no times of one sweep."""
     least, last = float(np.min(values)), float(np.max(values))
     spread = last - least
@@ -96,12 +84,12 @@ def offsets_from_values(values: NDArray[np.generic], stamp_ns: int) -> tuple[NDA
         return None, "none"
     unit = {NS_PER_S: "s", 1_000_000: "ms", 1_000: "µs", 1: "ns"}[unit_ns]
     if abs(least) * unit_ns < FIRST_DATE_NS:
-        return np.rint(values.astype(np.float64) * unit_ns).astype(np.int64), f"relative {unit}"
+        return np.rint(values * unit_ns).astype(np.int64), f"relative {unit}"
     if abs(least * unit_ns - stamp_ns) > LAST_CLOCK_DISTANCE_NS:
         return None, "another clock"
     # Whole units of the stamp are taken off first: what is left keeps every digit that the field had.
     whole, rest_ns = divmod(stamp_ns, unit_ns)
-    return np.rint((values.astype(np.float64) - whole) * unit_ns).astype(np.int64) - rest_ns, f"absolute {unit}"
+    return np.rint((values - whole) * unit_ns).astype(np.int64) - rest_ns, f"absolute {unit}"
 
 
 def _rings(points: NDArray[np.void], kept: NDArray[np.int32]) -> NDArray[np.uint16] | None:

@@ -1,39 +1,37 @@
-"""The hot loop of reading a cloud: three unaligned floats a point, kept when they are a return.
+"""The hot loops of reading a cloud: unaligned columns of its records in, packed returns out.
 
-**Conventions.** Works on bits, so coordinates come out exactly as they were recorded. A coordinate is NaN or infinite
-when its exponent bits are all set; it is zero, of either sign, when all but the sign are clear (IEEE 754).
+**Conventions.** Columns are fields of a structured view, unaligned and strided; nothing of them is copied before it is
+known to be a return. No fastmath: NaN and −0 must be told apart from numbers as IEEE 754 does.
 """
+
+from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-_EXPONENT = np.uint32(0x7F800000)
-_MAGNITUDE = np.uint32(0x7FFFFFFF)
-_ZERO = np.uint32(0)
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _word(rows: NDArray[np.uint8], row: int, at: int) -> np.uint32:
-    return (
-        np.uint32(rows[row, at])
-        | (np.uint32(rows[row, at + 1]) << np.uint32(8))
-        | (np.uint32(rows[row, at + 2]) << np.uint32(16))
-        | (np.uint32(rows[row, at + 3]) << np.uint32(24))
-    )
-
 
 @njit(cache=True, nogil=True)
 def pack_points(
-    rows: NDArray[np.uint8], x_at: int, y_at: int, z_at: int, bits: NDArray[np.uint32], kept: NDArray[np.int32]
+    xyz: tuple[NDArray[Any], NDArray[Any], NDArray[Any]], points: NDArray[np.float32], kept: NDArray[np.int32]
 ) -> int:
-    """Fill `bits` (N, 3) with the float32 bits of every return and `kept` (N,) with its row; gives how many."""
+    """Fill `points` (N, 3) with every finite, non-zero point and `kept` (N,) with its row; gives how many.
+
+    Doubles are rounded to float32 first: what overflows is no return.
+    """
     count = 0
-    for row in range(rows.shape[0]):
-        x, y, z = _word(rows, row, x_at), _word(rows, row, y_at), _word(rows, row, z_at)
-        is_finite = (x & _EXPONENT) != _EXPONENT and (y & _EXPONENT) != _EXPONENT and (z & _EXPONENT) != _EXPONENT
-        if is_finite and ((x | y | z) & _MAGNITUDE) != _ZERO:
-            bits[count, 0], bits[count, 1], bits[count, 2] = x, y, z
+    for row in range(len(xyz[0])):
+        x, y, z = np.float32(xyz[0][row]), np.float32(xyz[1][row]), np.float32(xyz[2][row])
+        is_finite = np.isfinite(x) & np.isfinite(y) & np.isfinite(z)
+        if is_finite & ((x != 0) | (y != 0) | (z != 0)):
+            points[count, 0], points[count, 1], points[count, 2] = x, y, z
             kept[count] = row
             count += 1
     return count
+
+
+@njit(cache=True, nogil=True)
+def gather(column: NDArray[Any], kept: NDArray[np.int32], values: NDArray[np.float64]) -> None:
+    """`values[i] = column[kept[i]]`; exact for every field type of a cloud."""
+    for place in range(len(kept)):
+        values[place] = column[kept[place]]
