@@ -50,6 +50,17 @@ def test_every_member_passes_the_checks_of_zipfile() -> None:
         assert opened.namelist() == ["semantics.npy", "mask_lidar.npy"]
 
 
+@pytest.mark.parametrize("level", [None, 1, 6])
+def test_grids_survive_at_every_level(level: int | None) -> None:
+    grid = np.random.default_rng(0).integers(0, 4, (64, 64, 32), dtype=np.uint8)
+    archive = npz_bytes({"noise": grid, "free": grid * 0}, level)
+    with zipfile.ZipFile(io.BytesIO(archive)) as opened:
+        assert opened.testzip() is None
+    with np.load(io.BytesIO(archive)) as stored:
+        np.testing.assert_array_equal(stored["noise"], grid)
+        assert not stored["free"].any()
+
+
 def test_the_same_arrays_give_the_same_bytes() -> None:
     grid = np.random.default_rng(0).integers(0, 4, (16, 16, 8), dtype=np.uint8)
     assert npz_bytes({"semantics": grid}) == npz_bytes({"semantics": grid.copy()})
