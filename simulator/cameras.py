@@ -15,9 +15,8 @@ from simulator import rig
 from simulator.objects import Surface
 from simulator.options import SimulateOptions
 from simulator.scene import Hits, Scene, put_walker
-from simulator.world import World
 
-RAY_COLUMNS, RAY_ROWS = 96, 60
+RAY_COLUMNS, RAY_ROWS = 80, 50
 JPEG_QUALITY = 80
 TRIGGER_JITTER_NS = 50_000
 SUN = np.array([0.35, -0.45, 0.82], np.float32)
@@ -62,13 +61,11 @@ def build_ring(options: SimulateOptions) -> CameraRing:
     return CameraRing(rig.cameras(), rays.astype(np.float32), (lens.width_px, lens.height_px), palette)
 
 
-def take_pictures(
-    world: World, scene: Scene, ring: CameraRing, stamp_ns: int, rng: np.random.Generator
-) -> list[Picture]:
+def take_pictures(scene: Scene, ring: CameraRing, stamp_ns: int, rng: np.random.Generator) -> list[Picture]:
     """The six exposures of the sweep at `stamp_ns`, in the order of `ring.cameras`."""
     jitter = rng.integers(-TRIGGER_JITTER_NS, TRIGGER_JITTER_NS, len(ring.cameras))
     stamps = stamp_ns + np.array([camera.phase_ns for camera in ring.cameras]) + jitter
-    poses = world.trajectory.at(stamps)
+    poses = scene.world.trajectory.at(stamps)
     turns, places = [], []
     for index, camera in enumerate(ring.cameras):
         map_from_camera = poses[index] @ rig.ego_from_camera(camera)
@@ -77,7 +74,7 @@ def take_pictures(
     directions = (ring.directions @ np.swapaxes(np.array(turns), -1, -2)).reshape(-1, 3)
     origins = np.repeat(np.array(places), len(ring.directions), axis=0)
     hits = scene.cast(origins, directions)
-    put_walker(hits, world.walker.foot_m(stamp_ns + rig.SWEEP_NS // 2), (origins, directions), slice(None))
+    put_walker(hits, scene.world.walker.foot_m(stamp_ns + rig.SWEEP_NS // 2), (origins, directions), slice(None))
     pixels = shade(hits, origins, directions, ring.palette).reshape(len(ring.cameras), RAY_ROWS, RAY_COLUMNS, 3)
     return [
         Picture(camera, int(stamps[index]), _jpeg(pixels[index], ring.size_px))

@@ -14,7 +14,6 @@ from simulator.objects import Surface
 from simulator.options import SimulateOptions
 from simulator.ros_messages import HESAI_POINT
 from simulator.scene import Rays, Scene, put_walker
-from simulator.world import World
 from stone.calibration import Box
 from stone.se3 import Array
 
@@ -52,9 +51,9 @@ def build_lidar(options: SimulateOptions) -> Lidar:
     return Lidar(directions.astype(np.float32), robot_range(fan.reshape(-1, 3)), ring, intensity)
 
 
-def sweep_points(world: World, scene: Scene, lidar: Lidar, stamp_ns: int, rng: np.random.Generator) -> NDArray[np.void]:
+def sweep_points(scene: Scene, lidar: Lidar, stamp_ns: int, rng: np.random.Generator) -> NDArray[np.void]:
     """One sweep as `HESAI_POINT` records (rays,), in firing order."""
-    packets_ns = lidar.packet_stamps_ns(stamp_ns)
+    world, packets_ns = scene.world, lidar.packet_stamps_ns(stamp_ns)
     map_from_lidar = world.trajectory.at(packets_ns) @ rig.EGO_FROM_LIDAR
     turn = map_from_lidar.rotation().astype(np.float32)
     directions = np.matmul(lidar.directions, np.swapaxes(turn, -1, -2)).reshape(-1, 3)

@@ -60,7 +60,7 @@ def simulate(out: Path, options: SimulateOptions, truth_dir: Path | None = None,
 
 
 def _record(path: Path, options: SimulateOptions, world: World, progress: Progress) -> None:
-    scene, lidar, ring = Scene(world.terrain, world.objects), build_lidar(options), build_ring(options)
+    scene, lidar, ring = Scene(world), build_lidar(options), build_ring(options)
     draws = {part: generator(options.seed, part) for part in ("lidar", "camera", "radar", "fixes", "imu", "stale")}
     stamps = sweep_stamps_ns(options)
     duration_ns = LEAD_NS + len(stamps) * rig.SWEEP_NS + TAIL_NS
@@ -74,10 +74,10 @@ def _record(path: Path, options: SimulateOptions, world: World, progress: Progre
         for index, stamp_ns in enumerate(stamps):
             _navigate(recorder, fixes, inertia, (written_until, stamp_ns))
             bag.flush_before(stamp_ns)
-            recorder.sweep(stamp_ns, sweep_points(world, scene, lidar, stamp_ns, draws["lidar"]))
-            for lists in scan(world, scene, scan_stamps_ns(stamp_ns), stale, draws["radar"]):
+            recorder.sweep(stamp_ns, sweep_points(scene, lidar, stamp_ns, draws["lidar"]))
+            for lists in scan(scene, scan_stamps_ns(stamp_ns), stale, draws["radar"]):
                 recorder.radar_lists(lists)
-            for picture in take_pictures(world, scene, ring, stamp_ns, draws["camera"]) if options.cameras else ():
+            for picture in take_pictures(scene, ring, stamp_ns, draws["camera"]) if options.cameras else ():
                 recorder.picture(picture)
             written_until = stamp_ns
             progress("record sweeps", index + 1, len(stamps))

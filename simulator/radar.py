@@ -17,7 +17,6 @@ from simulator.objects import Surface
 from simulator.path import POSE_NS
 from simulator.ros_messages import DETECTION, MAX_DETECTIONS
 from simulator.scene import Scene
-from simulator.world import World
 from stone.se3 import SE3, Array
 
 RAYS = 400
@@ -54,15 +53,13 @@ def stale_detections(rng: np.random.Generator) -> NDArray[np.void]:
     return stale
 
 
-def scan(
-    world: World, scene: Scene, stamps_ns: list[int], stale: NDArray[np.void], rng: np.random.Generator
-) -> list[RadarLists]:
+def scan(scene: Scene, stamps_ns: list[int], stale: NDArray[np.void], rng: np.random.Generator) -> list[RadarLists]:
     """All radars at these stamps, in one cast."""
     mounts = [rig.ego_from_radar(channel) for channel in rig.RADARS]
     stamps = np.repeat(np.array(stamps_ns, np.int64), len(mounts))
     ego_from_radar = SE3(np.tile(np.array([mount.wxyz_xyz for mount in mounts]), (len(stamps_ns), 1)))
-    pose = world.trajectory.at(stamps) @ ego_from_radar
-    later = world.trajectory.at(stamps + POSE_NS) @ ego_from_radar
+    pose = scene.world.trajectory.at(stamps) @ ego_from_radar
+    later = scene.world.trajectory.at(stamps + POSE_NS) @ ego_from_radar
     velocity = (later.translation_m - pose.translation_m) / (POSE_NS * 1e-9)
     azimuth = rng.uniform(-VIEW_AZIMUTH_RAD, VIEW_AZIMUTH_RAD, (len(stamps), RAYS))
     elevation = rng.uniform(-VIEW_ELEVATION_RAD, VIEW_ELEVATION_RAD, (len(stamps), RAYS))
@@ -78,7 +75,9 @@ def scan(
     approach = np.einsum("sri,si->sr", directions, velocity)
     slots = tiled(stale.tobytes(), len(stamps), DETECTION).reshape(len(stamps), MAX_DETECTIONS)
     for row in range(len(stamps)):
-        _fill(slots[row], is_seen[row], (azimuth[row], elevation[row], range_m[row], -approach[row]), surface[row], rng)
+        seen = is_seen[row]
+        measured = (azimuth[row, seen], elevation[row, seen], range_m[row, seen], -approach[row, seen])
+        _fill(slots[row], measured, surface[row, seen], rng)
     counts = is_seen.sum(axis=1).reshape(len(stamps_ns), -1)
     lists = slots.reshape(len(stamps_ns), -1, MAX_DETECTIONS)
     return [RadarLists(stamp, counts[index], lists[index]) for index, stamp in enumerate(stamps_ns)]
@@ -86,13 +85,12 @@ def scan(
 
 def _fill(
     slots: NDArray[np.void],
-    is_seen: NDArray[np.bool_],
     measured: tuple[Array, Array, NDArray[np.float32], Array],
     surface: NDArray[np.uint8],
     rng: np.random.Generator,
 ) -> None:
     """Write the seen rays into the first slots of one list, with the sensor's noise and its own deviations."""
-    azimuth, elevation, range_m, range_rate = (values[is_seen] for values in measured)
+    azimuth, elevation, range_m, range_rate = measured
     count = len(azimuth)
     valid = slots[:count]
     noise = rng.standard_normal((4, count))
@@ -104,7 +102,7 @@ def _fill(
     ):
         valid[name] = value + deviation * noise[row]
         valid[f"{name}_std"] = deviation
-    valid["rcs"] = np.array([RCS_DBSM[kind] for kind in Surface], np.int8)[surface[is_seen]]
+    valid["rcs"] = np.array([RCS_DBSM[kind] for kind in Surface], np.int8)[surface]
     valid["measurement_id"] = np.arange(count)
     valid["positive_predictive_value"] = 95
     valid["sort_index"] = np.arange(count)

@@ -11,9 +11,10 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
-from simulator.objects import Objects, Surface
+from simulator.objects import Surface
 from simulator.terrain import Terrain
 from simulator.walker import walker_range
+from simulator.world import World
 from stone.se3 import Array
 
 Rays = NDArray[np.float32]
@@ -31,9 +32,11 @@ class Hits:
 class Scene:
     """Built once per world; `cast` as often as needed."""
 
-    def __init__(self, terrain: Terrain, objects: Objects) -> None:
+    def __init__(self, world: World) -> None:
+        self.world = world
+        objects = world.objects
         self._scene = o3d.t.geometry.RaycastingScene()
-        self._scene.add_triangles(*(_tensor(part) for part in ground_mesh(terrain)))
+        self._scene.add_triangles(*(_tensor(part) for part in ground_mesh(world.terrain)))
         corners = np.ascontiguousarray(objects.triangles.reshape(-1, 3))
         faces = np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)
         self._scene.add_triangles(_tensor(corners), _tensor(faces))

@@ -6,8 +6,11 @@ air are not judged. The folder holds `heightfield.npz`, `poses.npz` and `world.j
 """
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,27 +105,38 @@ class Truth:
         return np.asarray(self.obstacle_top_m[row, column])
 
 
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """What the truth is worked out from: heights (ny, nx) on a lattice and the obstacles on them."""
+
+    height_m: Array
+    obstacles: NDArray[np.void]
+    origin_m: tuple[float, float]
+    resolution_m: float
+
+
 def truth_of(world: World, sweep_stamps_ns: list[int]) -> Truth:
     """The truth of a world in memory."""
     terrain = world.terrain
-    stamps = np.array(sweep_stamps_ns, np.int64)
-    obstacles = world.objects.obstacles
-    return _truth(terrain.height_m, obstacles, world.trajectory, stamps, (terrain.origin_m, terrain.resolution_m))
+    ground = Ground(terrain.height_m, world.objects.obstacles, terrain.origin_m, terrain.resolution_m)
+    return truth_over(ground, world.trajectory, np.array(sweep_stamps_ns, np.int64))
 
 
-def _truth(
-    height_m: Array,
-    obstacles: NDArray[np.void],
-    trajectory: Trajectory,
-    stamps: NDArray[np.int64],
-    lattice: tuple[tuple[float, float], float],
-) -> Truth:
-    origin, resolution = lattice
-    fields = drivability(height_m, resolution)
-    extent = ((height_m.shape[1] - 1) * resolution, (height_m.shape[0] - 1) * resolution)
-    tops = obstacle_tops(obstacles, origin, extent)
+def truth_over(ground: Ground, trajectory: Trajectory, sweep_stamps_ns: NDArray[np.int64]) -> Truth:
+    """The truth of a drive over this ground."""
+    fields = drivability(ground.height_m, ground.resolution_m)
+    rows, columns = ground.height_m.shape
+    extent = ((columns - 1) * ground.resolution_m, (rows - 1) * ground.resolution_m)
     return Truth(
-        height_m, fields.slope_rad, fields.is_drivable, obstacles, tops, trajectory, stamps, origin, resolution
+        ground.height_m,
+        fields.slope_rad,
+        fields.is_drivable,
+        ground.obstacles,
+        obstacle_tops(ground.obstacles, ground.origin_m, extent),
+        trajectory,
+        sweep_stamps_ns,
+        ground.origin_m,
+        ground.resolution_m,
     )
 
 
@@ -174,12 +188,15 @@ def read_truth(folder: Path) -> Truth:
             stamps = drive["stamps_ns"]
             _check_stamps(folder, stamps)
             trajectory = Trajectory(int(stamps[0]), SE3(drive["map_from_ego"]))
-            x, y = ground["origin_m"].tolist()
-            lattice = ((float(x), float(y)), float(ground["resolution_m"]))
-            obstacles = ground["obstacles"].astype(OBSTACLE)
-            return _truth(ground["height_m"], obstacles, trajectory, drive["sweep_stamps_ns"], lattice)
-    except (OSError, KeyError, ValueError) as error:
+            return truth_over(_ground(ground), trajectory, drive["sweep_stamps_ns"])
+    except (OSError, KeyError, TypeError, ValueError, BadZipFile) as error:
         raise TruthFolderError(folder, str(error)) from error
+
+
+def _ground(fields: Mapping[str, NDArray[Any]]) -> Ground:
+    x, y = fields["origin_m"].tolist()
+    obstacles = fields["obstacles"].astype(OBSTACLE)
+    return Ground(fields["height_m"], obstacles, (float(x), float(y)), float(fields["resolution_m"]))
 
 
 def _check_stamps(folder: Path, stamps_ns: NDArray[np.int64]) -> None:

@@ -10,8 +10,17 @@ from numpy.typing import NDArray
 from simulator.drivability import drivability
 from simulator.objects import OBSTACLE
 from simulator.path import POSE_NS, Trajectory
-from simulator.truth import DRIVABLE, NOT_DRIVABLE, NOT_JUDGED, Truth, TruthFolderError, TruthStampError, read_truth
-from simulator.truth import _truth as truth_of_parts
+from simulator.truth import (
+    DRIVABLE,
+    NOT_DRIVABLE,
+    NOT_JUDGED,
+    Ground,
+    Truth,
+    TruthFolderError,
+    TruthStampError,
+    read_truth,
+    truth_over,
+)
 from stone.se3 import SE3
 from tests.simulator.conftest import Recording
 
@@ -26,7 +35,7 @@ def plane(tilt_deg: float, rows: int = 60, columns: int = 80) -> NDArray[np.floa
 def truth_on(height_m: NDArray[np.float64], obstacles: list[tuple[float, ...]] | None = None) -> Truth:
     drive = Trajectory(1000, SE3.identity((4,)))
     rows = np.array(obstacles or [], OBSTACLE)
-    return truth_of_parts(height_m, rows, drive, np.array([1000]), ((0.0, 0.0), RESOLUTION_M))
+    return truth_over(Ground(height_m, rows, (0.0, 0.0), RESOLUTION_M), drive, np.array([1000]))
 
 
 @pytest.mark.parametrize("tilt_deg", [0.0, 5.0, 21.0, 35.0])
