@@ -52,8 +52,6 @@ def npz_bytes(arrays: Mapping[str, NDArray[Any]], level: int | None = None) -> b
         npy = npy_bytes(key, array)
         is_grid = array.dtype == np.uint8 and array.nbytes >= LEAST_GRID_BYTES and level is None
         payload = deflate_grid(npy) if is_grid else bytes(deflate.deflate_compress(npy, level or LEVEL))
-            deflate_grid(np.frombuffer(npy, np.uint8)) if is_grid else deflate.deflate_compress(npy, level or LEVEL)
-        )
         _add_member(body, directory, f"{key}.npy".encode(), npy, payload)
     count = len(arrays)
     end = struct.pack("<4s4H2IH", b"PK\5\6", 0, 0, count, count, len(directory), len(body), 0)
