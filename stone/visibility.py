@@ -5,7 +5,6 @@ is in the image and the voxel one step nearer to the camera is seen and free (or
 depend on the calibration alone, so they are laid out once per robot and each frame is one pass.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +17,7 @@ from stone.se3 import SE3
 from stone.voxels import VOXEL_M
 
 SOURCE = -1
+NEAR_M = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,11 +34,11 @@ def sight_lines(intrinsics: CameraIntrinsics, ego_from_camera: SE3) -> SightLine
     The image border is that of the undistorted pinhole: distortion bends lines within the image by less than a voxel
     at the ranges of the grid, and models that fold back would otherwise claim voxels behind the border.
     """
-    centres = _centres()
-    steps = np.linalg.norm(centres - ego_from_camera.translation_m, axis=1) / VOXEL_M
-    seen = np.flatnonzero(_is_in_image(centres, intrinsics, ego_from_camera))
-    seen = seen[np.argsort(steps[seen], kind="stable")]
     camera = (ego_from_camera.translation_m - np.array(GRID_MIN_M)) / VOXEL_M
+    seen = np.concatenate([_in_image(plane, intrinsics, ego_from_camera) for plane in range(GRID_SHAPE[0])])
+    index = np.stack(np.unravel_index(seen, GRID_SHAPE), axis=1).astype(np.float32)
+    steps = np.linalg.norm(index + np.float32(0.5) - camera.astype(np.float32), axis=1)
+    seen = seen[np.argsort(steps, kind="stable")]
     nearer = np.empty(len(seen), np.int32)
     _lay_out(seen, camera, nearer)
     return SightLines(seen.astype(np.int32), nearer)
@@ -50,17 +50,16 @@ def mark_visible(classes: Grid, lines: SightLines, visible: Grid) -> None:
     _look(classes.reshape(-1), lines.voxel, lines.nearer, reached, visible.reshape(-1))
 
 
-def _centres() -> NDArray[np.float64]:
-    index = np.stack(np.unravel_index(np.arange(math.prod(GRID_SHAPE)), GRID_SHAPE), axis=1)
-    return np.asarray((index + 0.5) * VOXEL_M + np.array(GRID_MIN_M), dtype=np.float64)
-
-
-def _is_in_image(centres: NDArray[np.float64], k: CameraIntrinsics, ego_from_camera: SE3) -> NDArray[np.bool_]:
+def _in_image(plane: int, k: CameraIntrinsics, ego_from_camera: SE3) -> NDArray[np.int64]:
+    """Flat indices of the voxels of one plane of constant x that project into the image."""
+    size = GRID_SHAPE[1] * GRID_SHAPE[2]
+    flat = np.arange(plane * size, (plane + 1) * size)
+    centres = (np.stack(np.unravel_index(flat, GRID_SHAPE), axis=1) + 0.5) * VOXEL_M + np.array(GRID_MIN_M)
     x, y, z = (ego_from_camera.inverse() @ centres).T
-    depth = np.where(z > 0.1, z, np.inf)
+    depth = np.where(z > NEAR_M, z, np.inf)
     u, v = k.fx_px * x / depth + k.cx_px, k.fy_px * y / depth + k.cy_px
     is_inside = (u >= 0) & (u < k.width_px) & (v >= 0) & (v < k.height_px)
-    return np.asarray(is_inside & (z > 0.1), dtype=np.bool_)
+    return flat[is_inside & (z > NEAR_M)]
 
 
 @njit(cache=True, nogil=True)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from services.labeler.run import Part, Run, Tile, core_cells
 from services.labeler.scratch import load, save, sight_path, surface_path
 from services.runtime.npz import npz_bytes
+from stone.calibration import Mount
 from stone.grid import GRID_SHAPE, Grid, Window, crop, frame_bounds, window_of
 from stone.observed import Observed, union
 from stone.traversability import Reference, classify
@@ -26,13 +27,11 @@ class FrameCounts:
     observed: NDArray[np.int64]
 
 
-def lay_sight_lines(run: Run) -> None:
-    """Lay out once per run what each camera of the calibration can see."""
-    calibration = run.sequence.calibration
-    for mount in calibration.of_kind("camera"):
-        if mount.intrinsics is not None:
-            lines = sight_lines(mount.intrinsics, calibration.ego_from_lidar @ mount.lidar_from_sensor)
-            save(sight_path(run, mount.name), {"voxel": lines.voxel, "nearer": lines.nearer})
+def lay_sight_lines(run: Run, mount: Mount) -> None:
+    """Lay out once per run what this camera can see; nothing without its intrinsics."""
+    if mount.intrinsics is not None:
+        lines = sight_lines(mount.intrinsics, run.sequence.calibration.ego_from_lidar @ mount.lidar_from_sensor)
+        save(sight_path(run, mount.name), {"voxel": lines.voxel, "nearer": lines.nearer})
 
 
 def frames(run: Run, part: Part, reference: Reference, labels_root: Path) -> FrameCounts:

@@ -106,7 +106,7 @@ def _labelled(run: Run, out: Path, stages: _Stages) -> LabelReport:
     tiles = stages.run("surface", surface, [(run, tile) for tile in _largest_first(run)])
     tiles.sort(key=lambda summary: summary.tile)
     reference = reference_of(total_of([tile.sums for tile in tiles]), run.parameters.reference)
-    stages.run("sight lines", lay_sight_lines, [(run,)])
+    stages.run("sight lines", lay_sight_lines, [(run, mount) for mount in run.sequence.calibration.of_kind("camera")])
     counts = concatenated(stages.run("frames", frames, [(run, part, reference, labels_root) for part in parts]))
     stages.run("pictures", write_pictures, [(run, tiles, reference, out)])
     write_frames(out / "frames.parquet", run.sequence, counts)

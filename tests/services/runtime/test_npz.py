@@ -50,8 +50,8 @@ def test_every_member_passes_the_checks_of_zipfile() -> None:
         assert opened.namelist() == ["semantics.npy", "mask_lidar.npy"]
 
 
-@pytest.mark.parametrize("level", [None, 1, 6])
-def test_grids_survive_at_every_level(level: int | None) -> None:
+@pytest.mark.parametrize("level", [0, 1, 3])
+def test_grids_survive_at_every_level(level: int) -> None:
     grid = np.random.default_rng(0).integers(0, 4, (64, 64, 32), dtype=np.uint8)
     archive = npz_bytes({"noise": grid, "free": grid * 0}, level)
     with zipfile.ZipFile(io.BytesIO(archive)) as opened:
