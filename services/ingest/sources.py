@@ -34,6 +34,17 @@ class Sources:
     tf_static: tuple[str, ...]
     associated: tuple[tuple[Topic, Role], ...]
 
+    @property
+    def scanned(self) -> tuple[str, ...]:
+        """Topics of which the header stamps are needed."""
+        return (self.lidar.name, *(topic.name for topic, _ in self.associated))
+
+    @property
+    def whole(self) -> tuple[str, ...]:
+        """Topics of which every message is needed; they are small."""
+        fixes = (self.fixes.name,) if self.fixes is not None and self.pose_role == "ins" else ()
+        return (*self.tf_static, *fixes, self.pose.name)
+
 
 def choose_sources(bag: Bag, lidar_topic: str | None, odometry_topic: str | None) -> Sources:
     """Raises NoLidarError, NoPoseSourceError, AmbiguousTopicsError, WrongTopicError; what decoding a cloud raises."""

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.ingest.extrinsics import plain
+from services.ingest.lidar_clock import LidarClock
 from services.ingest.recorded import Ordered, Recorded, in_order
 from services.ingest.roles import Role
 from services.ingest.sources import Sources
@@ -34,19 +35,11 @@ EXCLUSIONS = {
 
 
 @dataclass(frozen=True, eq=False)
-class LidarClock:
-    """The sweeps of one topic in time order; `span_ns` = (first, last) point time, (0, 0) where points have none."""
-
-    ordered: Ordered
-    points: NDArray[np.int64]
-    span_ns: tuple[int, int]
-
-
-@dataclass(frozen=True, eq=False)
 class PosedFrames:
-    """`message_index` (N,) of each frame's sweep in its topic."""
+    """`message_index` (N,) of each frame's sweep in its topic; `period_ns` of all sweeps, usable or not."""
 
     frames: Frames
+    period_ns: int
     message_index: NDArray[np.int64]
     excluded: tuple[ExcludedFrame, ...]
 
@@ -67,7 +60,16 @@ def frames_with_pose(name: str, clock: LidarClock, trajectory: Trajectory, max_g
     )
     if not len(rows):
         raise NoFramesError(counted_reasons(excluded), _seconds(stamps_ns), _seconds(trajectory.stamps_ns))
-    return PosedFrames(frames, clock.ordered.index[rows], excluded)
+    return PosedFrames(frames, typical_period_ns(stamps_ns), clock.ordered.index[rows], excluded)
+
+
+def usable_finding(posed: PosedFrames) -> tuple[Finding, ...]:
+    """How many sweeps are frames, when not all are."""
+    if not posed.excluded:
+        return ()
+    total = len(posed.frames) + len(posed.excluded)
+    sentence = f"{len(posed.frames)} of {total} sweeps are frames; excluded: {counted_reasons(posed.excluded)}"
+    return (Finding("SYN-501", "warning", "", sentence),)
 
 
 def counted_reasons(excluded: tuple[ExcludedFrame, ...]) -> str:
@@ -98,7 +100,7 @@ def _exclusion(stamp_ns: int, is_empty: bool, found: list[tuple[PoseStatus, int]
 
 
 def associate(
-    recorded: Recorded, sources: Sources, calibration: Calibration, frames: Frames
+    recorded: Recorded, sources: Sources, calibration: Calibration, posed: PosedFrames
 ) -> tuple[dict[str, Association], tuple[Finding, ...]]:
     """One association per topic, under the channel the calibration knows it by, else under the topic's own name."""
     associations: dict[str, Association] = {}
@@ -107,7 +109,7 @@ def associate(
         mount = mount_of(topic.name, recorded.frame_id(topic.name), role, calibration)
         key = mount.name if mount is not None and mount.name not in associations else topic.name
         ordered = in_order(topic.name, recorded.stamps_ns(topic.name) + (mount.time_offset_ns if mount else 0))
-        associations[key], noticed = _association(topic.name, role, ordered, frames)
+        associations[key], noticed = _association(topic.name, role, ordered, posed)
         findings += [*ordered.findings, *noticed]
     return associations, tuple(findings)
 
@@ -122,16 +124,16 @@ def mount_of(topic: str, frame_id: str, role: Role, calibration: Calibration) ->
     return next((mount for mount in mounts if mount.name.lower() in parts), None)
 
 
-def _association(topic: str, role: Role, ordered: Ordered, frames: Frames) -> tuple[Association, list[Finding]]:
-    findings: list[Finding] = []
+def _association(topic: str, role: Role, ordered: Ordered, posed: PosedFrames) -> tuple[Association, list[Finding]]:
+    frames_ns, findings = posed.frames.stamps_ns, list[Finding]()
     if role == "camera":
-        found, phase_ns = triggered_samples(frames.stamps_ns, ordered.stamps_ns, typical_period_ns(frames.stamps_ns))
+        found, phase_ns = triggered_samples(frames_ns, ordered.stamps_ns, posed.period_ns)
         late_ns = np.abs(found.dt_ns - phase_ns)[found.index >= 0]
         findings += _phase_finding(topic, late_ns, phase_ns)
     else:
         period_ns = typical_period_ns(ordered.stamps_ns)
         tolerance_ns = period_ns // 2 + max(period_ns // JITTER_PERIODS, LEAST_JITTER_NS)
-        found = nearest_samples(frames.stamps_ns, ordered.stamps_ns, tolerance_ns)
+        found = nearest_samples(frames_ns, ordered.stamps_ns, tolerance_ns)
     index = np.where(found.index >= 0, ordered.index[found.index], -1)
     missing = int((index < 0).sum())
     if missing:

@@ -8,7 +8,8 @@ import pytest
 from services.ingest.calibration_file import read_calibration
 from services.ingest.errors import CloudLayoutError, NotABagError
 from services.ingest.extrinsics import static_tree
-from services.ingest.pipeline import SynchroniseOptions, recording_sha256, synchronise
+from services.ingest.fingerprint import recording_sha256
+from services.ingest.pipeline import SynchroniseOptions, synchronise
 from services.ingest.poses import Rig, track_from_odometry
 from services.ingest.synchronisation_errors import (
     AmbiguousTopicsError,
@@ -185,10 +186,11 @@ def test_hostile_files_are_refused(tmp_path):
     with pytest.raises(CloudLayoutError, match="point_step"):
         synchronised(written(tmp_path / "lies.mcap", lying, odometry()))
     one = sweeps()
-    one[7] = plain_sweep(int(STAMPS_NS[7]), point_step=3)
-    _, source = synchronised(written(tmp_path / "late.mcap", one, odometry()), is_deskewed=False)
+    one[6] = plain_sweep(int(STAMPS_NS[6]), point_step=3)
+    _, source = synchronised(written(tmp_path / "late.mcap", one, odometry()))
+    assert source.sweep(5).points_lidar.shape == (1200, 3)
     with pytest.raises(CloudLayoutError, match="point_step"):
-        source.sweep(7)
+        source.sweep(6)
 
 
 def test_a_pose_topic_without_a_message_is_refused():
