@@ -175,3 +175,18 @@ def test_every_make_target_that_runs_something_installs_first() -> None:
     makefile = (ROOT / "Makefile").read_text("utf-8")
     for target in ("demo", "test", "check", "bench"):
         assert re.search(rf"(?m)^{target}: install$", makefile)
+
+
+@pytest.mark.parametrize("page", sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")]), ids=lambda p: p.name)
+def test_the_pages_point_at_what_exists(page: Path) -> None:
+    for link in re.findall(r"\]\(([^)#]+)", page.read_text("utf-8")):
+        assert link.startswith("https://") or (page.parent / link).exists(), link
+
+
+@pytest.mark.parametrize("page", sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")]), ids=lambda p: p.name)
+def test_the_pages_name_only_commands_and_targets_that_exist(page: Path) -> None:
+    text = page.read_text("utf-8")
+    commands = {path.stem for path in (ROOT / "client" / "commands").glob("*.py")}
+    targets = set(re.findall(r"(?m)^(\w+):", (ROOT / "Makefile").read_text("utf-8")))
+    assert set(re.findall(r"bin/stone (\w+)", text)) <= commands
+    assert set(re.findall(r"(?m)(?:`|^)make (\w+)", text)) <= targets
