@@ -59,7 +59,7 @@ def _in_image(plane: int, k: CameraIntrinsics, ego_from_camera: SE3) -> NDArray[
     depth = np.where(z > NEAR_M, z, np.inf)
     u, v = k.fx_px * x / depth + k.cx_px, k.fy_px * y / depth + k.cy_px
     is_inside = (u >= 0) & (u < k.width_px) & (v >= 0) & (v < k.height_px)
-    return flat[is_inside & (z > NEAR_M)]
+    return np.asarray(flat[is_inside & (z > NEAR_M)], dtype=np.int64)
 
 
 @njit(cache=True, nogil=True)
