@@ -6,19 +6,21 @@ the header stamp otherwise. Names only nominate fields. Source: Hesai ROS 2.0, N
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from services.ingest.errors import CloudLayoutError
-from services.ingest.messages.point_kernel import gather, pack_points
+from services.ingest.messages.point_kernel import pack_points, scaled, small_wholes, span
 
 NS_PER_S = 1_000_000_000
 TIME_NAMES = ("timestamp", "time_stamp", "time", "t", "offset_time", "timeStamp", "ts")
 RING_NAMES = ("ring", "channel", "laser_id", "line")
 LAST_RING = 1023
 # Nanoseconds per unit; a sweep of 1 to 1000 Hz lasts 1e6 to 1e9 ns, so at most one unit fits a spread of values.
-UNITS_NS = (NS_PER_S, 1_000_000, 1_000, 1)
+UNIT_NAMES = {NS_PER_S: "s", 1_000_000: "ms", 1_000: "µs", 1: "ns"}
+UNITS_NS = tuple(UNIT_NAMES)
 LEAST_SWEEP_NS, LAST_SWEEP_NS = 1e6, 1e9
 # Dates begin here (1973): no offset within a sweep is that long.
 FIRST_DATE_NS = 1e17
@@ -65,31 +67,32 @@ def _offsets(points: NDArray[np.void], kept: NDArray[np.int32], stamp_ns: int) -
     for name in TIME_NAMES:
         if name not in (points.dtype.names or ()) or points.dtype[name].kind not in "fiu" or not len(kept):
             continue
-        values = np.empty(len(kept))
-        gather(points[name], kept, values)
-        offset_ns, meaning = offsets_from_values(values, stamp_ns)
+        offset_ns, meaning = offsets_from_values(points[name], kept, stamp_ns)
         if offset_ns is not None:
             return offset_ns, meaning
     return None, meaning
 
 
-def offsets_from_values(values: NDArray[np.float64], stamp_ns: int) -> tuple[NDArray[np.int64] | None, str]:
-    """Offsets from the stamp in ns, and how the values were read; None where they are no times of one sweep."""
-    least, last = float(np.min(values)), float(np.max(values))
-    spread = last - least
-    if not np.isfinite(spread):
-        return None, "none"
-    unit_ns = next((unit for unit in UNITS_NS if LEAST_SWEEP_NS < spread * unit <= LAST_SWEEP_NS), None)
+def offsets_from_values(
+    column: NDArray[Any], kept: NDArray[np.int32], stamp_ns: int
+) -> tuple[NDArray[np.int64] | None, str]:
+    """Offsets of `column[kept]` from the stamp in ns, and how they were read; None where they are no times."""
+    least, last = span(column, kept)
+    length = last - least
+    unit_ns = next((unit for unit in UNITS_NS if LEAST_SWEEP_NS < length * unit <= LAST_SWEEP_NS), None)
     if unit_ns is None:
         return None, "none"
-    unit = {NS_PER_S: "s", 1_000_000: "ms", 1_000: "µs", 1: "ns"}[unit_ns]
+    unit, offset_ns = UNIT_NAMES[unit_ns], np.empty(len(kept), np.int64)
     if abs(least) * unit_ns < FIRST_DATE_NS:
-        return np.rint(values * unit_ns).astype(np.int64), f"relative {unit}"
+        scaled(column, kept, 0.0, float(unit_ns), offset_ns)
+        return offset_ns, f"relative {unit}"
     if abs(least * unit_ns - stamp_ns) > LAST_CLOCK_DISTANCE_NS:
         return None, "another clock"
     # Whole units of the stamp are taken off first: what is left keeps every digit that the field had.
     whole, rest_ns = divmod(stamp_ns, unit_ns)
-    return np.rint((values - whole) * unit_ns).astype(np.int64) - rest_ns, f"absolute {unit}"
+    scaled(column, kept, float(whole), float(unit_ns), offset_ns)
+    offset_ns -= rest_ns
+    return offset_ns, f"absolute {unit}"
 
 
 def _rings(points: NDArray[np.void], kept: NDArray[np.int32]) -> NDArray[np.uint16] | None:
@@ -97,8 +100,7 @@ def _rings(points: NDArray[np.void], kept: NDArray[np.int32]) -> NDArray[np.uint
     for name in RING_NAMES:
         if name not in (points.dtype.names or ()) or points.dtype[name].kind not in "fiu":
             continue
-        values = points[name][kept]
-        is_small = bool(((values >= 0) & (values <= LAST_RING)).all())
-        if is_small and (values.dtype.kind != "f" or bool((values == np.floor(values)).all())):
-            return values.astype(np.uint16)
+        values = np.empty(len(kept), np.uint16)
+        if small_wholes(points[name], kept, LAST_RING, values):
+            return values
     return None

@@ -31,7 +31,32 @@ def pack_points(
 
 
 @njit(cache=True, nogil=True)
-def gather(column: NDArray[Any], kept: NDArray[np.int32], values: NDArray[np.float64]) -> None:
-    """`values[i] = column[kept[i]]`; exact for every field type of a cloud."""
+def span(column: NDArray[Any], kept: NDArray[np.int32]) -> tuple[float, float]:
+    """Least and last of `column[kept]`, NaN twice where one of them is not finite; `kept` is not empty."""
+    least, last = np.inf, -np.inf
+    for row in kept:
+        value = np.float64(column[row])
+        if not np.isfinite(value):
+            return np.nan, np.nan
+        least, last = min(least, value), max(last, value)
+    return least, last
+
+
+@njit(cache=True, nogil=True)
+def scaled(
+    column: NDArray[Any], kept: NDArray[np.int32], whole: float, unit_ns: float, offset_ns: NDArray[np.int64]
+) -> None:
+    """`offset_ns[i] = round((column[kept[i]] − whole) · unit_ns)`, half to even."""
     for place in range(len(kept)):
-        values[place] = column[kept[place]]
+        offset_ns[place] = np.int64(np.rint((np.float64(column[kept[place]]) - whole) * unit_ns))
+
+
+@njit(cache=True, nogil=True)
+def small_wholes(column: NDArray[Any], kept: NDArray[np.int32], last: int, values: NDArray[np.uint16]) -> bool:
+    """`values[i] = column[kept[i]]`; False, with `values` unfinished, at the first that is not a whole 0…last."""
+    for place in range(len(kept)):
+        value = column[kept[place]]
+        if not (value >= 0 and value <= last) or value != np.floor(value):
+            return False
+        values[place] = np.uint16(value)
+    return True

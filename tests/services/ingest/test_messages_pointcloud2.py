@@ -134,14 +134,19 @@ def test_a_time_is_read_by_its_values_whatever_its_name(
     assert np.abs(read.offset_ns - offset_s * 1e9).max() < 1100
 
 
-@pytest.mark.parametrize("values", [np.zeros(9), np.full(9, START_NS / 1e9), np.arange(9) * 1e-9, np.arange(9) * 1e30])
+UNTIMED = [np.where(np.arange(9) == 4, bad, np.arange(9) * 0.01) for bad in (np.nan, np.inf, -np.inf)]
+
+
+@pytest.mark.parametrize(
+    "values", [np.zeros(9), np.full(9, START_NS / 1e9), np.arange(9) * 1e-9, np.arange(9) * 1e30, *UNTIMED]
+)
 def test_values_that_no_sweep_lasts_are_no_times(values: NDArray[np.float64]) -> None:
-    assert offsets_from_values(values, START_NS) == (None, "none")
+    assert offsets_from_values(values, np.arange(9, dtype=np.int32), START_NS) == (None, "none")
 
 
 def test_times_of_another_clock_are_not_taken_for_offsets() -> None:
     values = START_NS / 1e9 - 37 + np.arange(500) * 0.0002
-    assert offsets_from_values(values, START_NS) == (None, "another clock")
+    assert offsets_from_values(values, np.arange(500, dtype=np.int32), START_NS) == (None, "another clock")
 
 
 def test_a_ring_is_a_small_whole_number_whatever_its_name() -> None:
