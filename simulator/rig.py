@@ -2,8 +2,7 @@
 
 **Conventions.** Mounts are `ego_from_<sensor>` (x forward, y left, z up; cameras optical) and become
 `lidar_from_<sensor>` in the calibration. The LiDAR frame is Hesai's: +y is forward, azimuth grows clockwise from +y.
-A sweep starts at `SWEEP_START_RAD`, just before the rear right camera's neighbour, so every camera's phase lies
-inside the sweep.
+A sweep starts at `SWEEP_START_RAD`, 15° before it looks straight back, so that every camera fires well inside it.
 """
 
 from dataclasses import dataclass
