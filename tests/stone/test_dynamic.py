@@ -1,0 +1,138 @@
+"""Votes in scenes where it is known what moved."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from stone.dynamic import FEWEST_MISSES, MAX_SPREAD_PX, DynamicParameters, is_moving, range_image, spread_px, vote
+from stone.se3 import SE3
+
+PARAMETERS = DynamicParameters()
+SENSOR_EGO = np.array([0.2, 0.0, 1.2])
+WALL_X_M, BOX_X_M = 12.0, 6.0
+
+
+def directions(step_deg=0.2, azimuth_deg=50):
+    azimuth, elevation = np.meshgrid(
+        np.radians(np.arange(-azimuth_deg, azimuth_deg, step_deg)), np.radians(np.arange(-25, 20, step_deg))
+    )
+    return np.stack([np.ones_like(azimuth), np.tan(azimuth), np.tan(elevation) / np.cos(azimuth)], -1).reshape(-1, 3)
+
+
+def at_plane(x_map, pose):
+    """Where rays of a level robot facing +x meet the plane x = x_map, in the ego frame."""
+    return SENSOR_EGO + directions() * (x_map - (pose @ SENSOR_EGO)[0])
+
+
+def is_box(points):
+    return (np.abs(points[:, 1]) < 1) & (np.abs(points[:, 2] - 1.2) < 0.8)
+
+
+def seen(pose, has_box):
+    """One sweep of a wall, and of a box face before it."""
+    wall, face = at_plane(WALL_X_M, pose), at_plane(BOX_X_M, pose)
+    hit = is_box(pose @ face) if has_box else np.zeros(len(face), np.bool_)
+    return np.where(hit[:, None], face, wall).astype(np.float32)
+
+
+def robot_at(x):
+    return SE3(np.array([1.0, 0, 0, 0, x, 0, 0]))
+
+
+def votes_on(points_map, visits):
+    votes = np.zeros((len(points_map), 2), np.int32)
+    for x, has_box in visits:
+        image = range_image(seen(robot_at(x), has_box), robot_at(x), SENSOR_EGO, PARAMETERS)
+        vote(points_map, image, PARAMETERS, votes)
+    return votes
+
+
+def wall_points():
+    y, z = np.meshgrid(np.arange(-4, 4, 0.2), np.arange(-0.5, 3, 0.2))
+    return np.stack([np.full(y.size, WALL_X_M), y.ravel(), z.ravel()], axis=1)
+
+
+def box_points():
+    y, z = np.meshgrid(np.arange(-0.8, 0.81, 0.2), np.arange(0.6, 1.81, 0.2))
+    return np.stack([np.full(y.size, BOX_X_M), y.ravel(), z.ravel()], axis=1)
+
+
+def test_a_box_that_was_there_and_went_is_voted_out():
+    visits = [(0.0, True), *((0.3 * i, False) for i in range(1, 7))]
+    assert is_moving(votes_on(box_points(), visits)).all()
+
+
+def test_a_box_that_stays_is_kept():
+    votes = votes_on(box_points(), [(0.3 * i, True) for i in range(7)])
+    assert not is_moving(votes).any()
+    assert (votes[:, 0] >= 5).mean() > 0.9
+
+
+def test_a_wall_is_kept_though_a_box_hid_it_at_times():
+    votes = votes_on(wall_points(), [(0.3 * i, i % 2 == 0) for i in range(8)])
+    assert not is_moving(votes).any()
+    assert not votes[:, 1].any()
+
+
+def test_where_no_ray_went_nothing_is_voted():
+    behind = wall_points() * [-1, 1, 1]
+    above = wall_points() + np.array([0, 0, 30])
+    hidden = wall_points() + np.array([5, 0, 0])
+    for points in (behind, above, hidden):
+        assert not votes_on(points, [(0.3 * i, False) for i in range(8)]).any()
+
+
+def test_points_out_of_reach_are_not_judged():
+    reach = PARAMETERS.max_range_m
+    image = range_image((directions() * 60).astype(np.float32), robot_at(0), np.zeros(3), PARAMETERS)
+    votes = np.zeros((4, 2), np.int32)
+    vote(np.array([[reach + 0.1, 0, 0], [0.9, 0, 0], [reach - 0.1, 0, 0], [1.1, 0, 0]]), image, PARAMETERS, votes)
+    assert votes.tolist() == [[0, 0], [0, 0], [0, 1], [0, 1]]
+
+
+def image_slowly(points):
+    """The nearest return among those whose pixel is at most `spread_px` away, pixel by pixel; 0 where there is none."""
+    rows, columns = PARAMETERS.shape
+    ranges_m, spread = np.full((rows, columns), np.inf), spread_px(len(points))
+    for x, y, z in points.astype(np.float64) - SENSOR_EGO:
+        r = math.sqrt(x * x + y * y + z * z)
+        row = math.floor((PARAMETERS.max_elevation_deg - math.degrees(math.asin(z / r))) / PARAMETERS.row_deg)
+        column = math.floor((180 - math.degrees(math.atan2(y, x))) / PARAMETERS.column_deg)
+        around = range(-spread, spread + 1)
+        for i, j in [(row + di, (column + dj) % columns) for di in around for dj in around]:
+            if 0 <= i < rows:
+                ranges_m[i, j] = min(ranges_m[i, j], r)
+    return np.where(np.isfinite(ranges_m), ranges_m, 0)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_an_image_holds_the_nearest_return_of_each_direction(seed):
+    points = np.random.default_rng(seed).uniform(-20, 20, (800, 3)).astype(np.float32)
+    made = range_image(points, robot_at(0), SENSOR_EGO, PARAMETERS).ranges_m
+    np.testing.assert_allclose(made, image_slowly(points), atol=1e-4)
+
+
+def test_dense_sweeps_fill_their_own_pixels_only_and_sparse_ones_those_around():
+    assert spread_px(200_000) == 0
+    assert spread_px(58_000) == 1
+    assert spread_px(1) == spread_px(0) == MAX_SPREAD_PX
+    widths = [spread_px(rays) for rays in range(0, 200_000, 500)]
+    assert widths == sorted(widths, reverse=True)
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.floats(-math.pi, math.pi), st.floats(-500, 500), st.floats(-500, 500))
+def test_moving_and_yawing_the_world_moves_no_vote_off_its_point(yaw, x, y):
+    world = SE3(np.array([math.cos(yaw / 2), 0, 0, math.sin(yaw / 2), x, y, 3.0]))
+    votes = np.zeros((len(box_points()), 2), np.int32)
+    image = range_image(seen(robot_at(0), False), world @ robot_at(0), SENSOR_EGO, PARAMETERS)
+    vote(world @ box_points(), image, PARAMETERS, votes)
+    assert (votes == votes_on(box_points(), [(0.0, False)])).all()
+
+
+def test_it_takes_more_than_twice_as_many_misses_as_hits():
+    votes = np.array([[0, FEWEST_MISSES - 1], [0, FEWEST_MISSES], [2, 4], [2, 5], [0, 0]], np.int32)
+    assert is_moving(votes).tolist() == [False, True, False, True, False]
