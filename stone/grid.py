@@ -75,6 +75,33 @@ def _put_observed(voxels, corners, words):  # type: ignore[no-untyped-def]
                 voxels[i, j, k] |= OBSERVED_BIT
 
 
+def reconcile(classes: Grid, observed: Grid, visible: Grid) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Make the masks agree in place: what is labelled was observed, and cameras vouch for no voxel no ray reached.
+
+    Returns the voxels by class (4,) and how many are in each mask (2,).
+    """
+    by_class, by_mask = np.zeros(4, np.int64), np.zeros(2, np.int64)
+    _reconcile(classes.reshape(-1), observed.reshape(-1), visible.reshape(-1), (by_class, by_mask))
+    return by_class, by_mask
+
+
+@njit(cache=True, nogil=True)
+def _reconcile(classes, observed, visible, counts):  # type: ignore[no-untyped-def]
+    t = p = n = lidar = camera = 0
+    for v in range(classes.size):
+        seen = observed[v] | np.uint8(classes[v] != 0)
+        observed[v] = seen
+        visible[v] &= seen
+        t += classes[v] == 1
+        p += classes[v] == 2
+        n += classes[v] == 3
+        lidar += seen
+        camera += visible[v]
+    counts[0][0] = classes.size - t - p - n
+    counts[0][1], counts[0][2], counts[0][3] = t, p, n
+    counts[1][0], counts[1][1] = lidar, camera
+
+
 def frame_bounds(map_from_ego: SE3, margin_voxels: int = 2) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """The half-open range of map voxel indices that the grids at these poses (P,) can touch."""
     low, high = np.array(GRID_MIN_M), np.array(GRID_MAX_M)
@@ -115,23 +142,49 @@ def _crop(voxels, scaled, low, out):  # type: ignore[no-untyped-def]
             first += scaled[r, axis] * (low[axis] + 0.5 * VOXEL_M)
         start[r] = round(first * one)
     sx, sy, sz = voxels.shape
+    flat = voxels.reshape(-1)
+    count = classes.shape[2]
+    cells = np.empty(count, np.uint8)
+    su, sv, sw = step[0, 2], step[1, 2], step[2, 2]
     for a in range(classes.shape[0]):
         for b in range(classes.shape[1]):
             u = start[0] + a * step[0, 0] + b * step[0, 1]
             v = start[1] + a * step[1, 0] + b * step[1, 1]
             w = start[2] + a * step[2, 0] + b * step[2, 1]
-            for c in range(classes.shape[2]):
-                i, j, k = u >> FRACTION_BITS, v >> FRACTION_BITS, w >> FRACTION_BITS
-                if 0 <= i < sx and 0 <= j < sy and 0 <= k < sz:
-                    bits = voxels[i, j, k]
-                    observed[a, b, c] = bits >> np.uint8(3)
-                    if bits & CLASS_BITS:
-                        classes[a, b, c] = bits & CLASS_BITS
-                    elif bits & NEAR_BIT:
-                        _close(voxels, (u, v, w), step, classes, (a, b, c))
-                u += step[0, 2]
-                v += step[1, 2]
-                w += step[2, 2]
+            any_bits = _column(flat, (sx, sy, sz), (u, v, w, su, sv, sw), cells)
+            if any_bits == 0:
+                continue
+            for c in range(count):
+                observed[a, b, c] = cells[c] >> np.uint8(3)
+            if any_bits & (CLASS_BITS | NEAR_BIT) == 0:
+                continue
+            for c in range(count):
+                if cells[c] & CLASS_BITS:
+                    classes[a, b, c] = cells[c] & CLASS_BITS
+                elif cells[c] & NEAR_BIT:
+                    _close(voxels, (u + c * su, v + c * sv, w + c * sw), step, classes, (a, b, c))
+
+
+@njit(inline="always")
+def _column(flat, shape, line, cells):  # type: ignore[no-untyped-def]
+    """Fetch the map voxels along one upright line of ego centres; returns all their bits together."""
+    u, v, w, su, sv, sw = line
+    last = cells.size - 1
+    inside = 0 <= u >> FRACTION_BITS < shape[0] and 0 <= (u + last * su) >> FRACTION_BITS < shape[0]
+    inside &= 0 <= v >> FRACTION_BITS < shape[1] and 0 <= (v + last * sv) >> FRACTION_BITS < shape[1]
+    inside &= 0 <= w >> FRACTION_BITS < shape[2] and 0 <= (w + last * sw) >> FRACTION_BITS < shape[2]
+    any_bits = np.uint8(0)
+    for c in range(cells.size):
+        i, j, k = u >> FRACTION_BITS, v >> FRACTION_BITS, w >> FRACTION_BITS
+        if inside or (0 <= i < shape[0] and 0 <= j < shape[1] and 0 <= k < shape[2]):
+            cells[c] = flat[(i * shape[1] + j) * shape[2] + k]
+        else:
+            cells[c] = 0
+        any_bits |= cells[c]
+        u += su
+        v += sv
+        w += sw
+    return any_bits
 
 
 @njit(inline="always")

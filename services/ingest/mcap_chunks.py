@@ -6,13 +6,13 @@ written and the whole chunk is about to be touched anyway: compressed chunks whe
 their first message is read, never on a header-only scan (which would turn milliseconds into a read of the file).
 """
 
-import zlib
 from collections.abc import Iterator
 from io import BytesIO
 
 import cramjam
 import numpy as np
 import zstandard
+from isal import isal_zlib
 from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
 
 from services.ingest.errors import (
@@ -49,7 +49,7 @@ def inflate(view: memoryview, chunk: Chunk) -> memoryview:
 
 def check_crc32(records: memoryview, chunk: Chunk) -> None:
     """0 means that the writer did not compute one (ROS 2 Humble's default)."""
-    if chunk.crc32 and (found := zlib.crc32(records)) != chunk.crc32:
+    if chunk.crc32 and (found := isal_zlib.crc32(records)) != chunk.crc32:
         raise ChecksumError(chunk.where, found, chunk.crc32)
 
 

@@ -20,6 +20,7 @@ from services.ingest.mcap_chunks import check_crc32, inflate
 from services.ingest.topic import Topic
 
 KEPT_CHUNKS = 2
+FORGET_BYTES = 64 * 2**20  # in a file without chunks, how far to read on before giving pages back
 
 
 class McapStore:
@@ -33,6 +34,7 @@ class McapStore:
         self._catalogue = read_catalogue(self._view, self._name)
         self._chunks: OrderedDict[int, memoryview] = OrderedDict()
         self._checked: set[int] = set()
+        self._near_byte = 0
         self._entries = _merged_by_topic(self._catalogue, self._name)
         self.topics = _topics(self._catalogue, self._entries)
         self.is_indexed = self._catalogue.is_indexed
@@ -70,6 +72,9 @@ class McapStore:
     def _payload(self, topic: str, index: int, *, is_checked: bool) -> memoryview:
         entries = self._entries[topic]
         number, offset = int(entries.chunk[index]), int(entries.offset[index])
+        if number < 0 and abs(offset - self._near_byte) > FORGET_BYTES:
+            self._forget(0, len(self._map))
+            self._near_byte = offset
         view = self._view if number < 0 else self._records(number, is_checked)
         where = self._name if number < 0 else self._catalogue.chunks[number].where
         record = wire.record_at(view, offset, len(view), where)
@@ -90,9 +95,15 @@ class McapStore:
             self._chunks.move_to_end(number)
             return self._chunks[number]
         while len(self._chunks) >= KEPT_CHUNKS:
-            self._chunks.popitem(last=False)
+            dropped, _ = self._chunks.popitem(last=False)
+            self._forget(self._catalogue.chunks[dropped].start, self._catalogue.chunks[dropped].stop)
         self._chunks[number] = inflate(self._view, chunk)
         return self._chunks[number]
+
+    def _forget(self, start: int, stop: int) -> None:
+        """Give the pages of these bytes back: read again they cost a page fault, kept they count as our memory."""
+        first = start - start % mmap.PAGESIZE
+        self._map.madvise(mmap.MADV_DONTNEED, first, stop - first)
 
     def _refuse_other_encodings(self) -> None:
         recorded = [channel for channel in self._catalogue.channels.values() if channel.topic in self._entries]

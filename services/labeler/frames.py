@@ -10,7 +10,7 @@ from services.labeler.run import Part, Run, Tile, core_cells
 from services.labeler.scratch import load, save, sight_path, surface_path
 from services.runtime.npz import npz_bytes
 from stone.calibration import Mount
-from stone.grid import GRID_SHAPE, Grid, Window, crop, frame_bounds, window_of
+from stone.grid import GRID_SHAPE, Grid, Window, crop, frame_bounds, reconcile, window_of
 from stone.observed import Observed, union
 from stone.traversability import Reference, classify
 from stone.visibility import SightLines, mark_visible, sight_lines
@@ -45,12 +45,12 @@ def frames(run: Run, part: Part, reference: Reference, labels_root: Path) -> Fra
         window = _window(run, frame_bounds(run.sequence.frames.map_from_ego[slice(begin, end)]), reference)
         for index in range(begin, end):
             semantics, mask_lidar = crop(window, run.sequence.frames.map_from_ego[index])
-            mask_lidar |= semantics > 0
-            mask_camera = _seen(semantics, mask_lidar, cameras)
+            mask_camera = _seen(semantics, cameras)
+            by_class, by_mask = reconcile(semantics, mask_lidar, mask_camera)
             grids = {"semantics": semantics, "mask_lidar": mask_lidar, "mask_camera": mask_camera}
             _write(labels_root / run.sequence.frames.tokens[index] / "labels.npz", npz_bytes(grids))
-            classes.append(np.bincount(semantics.reshape(-1), minlength=4))
-            observed.append([np.count_nonzero(mask_lidar), np.count_nonzero(mask_camera)])
+            classes.append(by_class)
+            observed.append(by_mask)
     return FrameCounts(np.array(classes, np.int64), np.array(observed, np.int64))
 
 
@@ -63,12 +63,12 @@ def _near_together(run: Run, part: Part) -> list[Part]:
     return _near_together(run, (part[0], middle)) + _near_together(run, (middle, part[1]))
 
 
-def _seen(semantics: Grid, mask_lidar: Grid, cameras: list[SightLines]) -> Grid:
-    """What any camera sees and the LiDAR vouches for: free space is only known where rays passed."""
+def _seen(semantics: Grid, cameras: list[SightLines]) -> Grid:
+    """What any camera sees past the labelled voxels."""
     visible = np.zeros(GRID_SHAPE, np.uint8)
     for lines in cameras:
         mark_visible(semantics, lines, visible)
-    return visible & mask_lidar
+    return visible
 
 
 def _window(run: Run, bounds: tuple[NDArray[np.int64], NDArray[np.int64]], reference: Reference) -> Window:
