@@ -7,6 +7,7 @@ would bend every line towards the grid's axes. The steps depend on the calibrati
 per robot and each frame is one pass.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,7 +53,7 @@ def sight_lines(intrinsics: CameraIntrinsics, ego_from_camera: SE3) -> SightLine
 def mark_visible(classes: Grid, lines: SightLines, visible: Grid) -> None:
     """Set to 1 in `visible` (the grid's shape) what this camera sees of the scene `classes`."""
     flat = classes.reshape(-1)
-    way = np.where(flat > 0, 0, OPEN).astype(np.uint8)  # where the image does not reach, only what is there blocks
+    way = (flat == 0) * np.uint8(OPEN)  # where the image does not reach, only what is there blocks
     _look(flat, (lines.voxel, lines.nearer, lines.weight), way, visible.reshape(-1))
 
 
@@ -76,6 +77,7 @@ def _lay_out(seen, camera, nearer, weight):  # type: ignore[no-untyped-def]
         way = (camera[0] - (at[0] + 0.5), camera[1] - (at[1] + 0.5), camera[2] - (at[2] + 0.5))
         longest = max(abs(way[0]), abs(way[1]), abs(way[2]))
         if longest <= 1.0:
+            weight[s, 0] = OPEN
             continue
         main = 0 if abs(way[0]) == longest else 1 if abs(way[1]) == longest else 2
         one, other = (main + 1) % 3, (main + 2) % 3
@@ -85,9 +87,7 @@ def _lay_out(seen, camera, nearer, weight):  # type: ignore[no-untyped-def]
         for corner in range(4):
             du, dv = corner & 1, corner >> 1
             iu, iv = math.floor(u) + du, math.floor(v) + dv
-            share = (u - math.floor(u) if du else 1 - u + math.floor(u)) * (
-                v - math.floor(v) if dv else 1 - v + math.floor(v)
-            )
+            share = (1.0 - abs(u - iu)) * (1.0 - abs(v - iv))
             part = left if corner == 3 else min(left, round(share * OPEN))
             left -= part
             flat, inside = _flat(main, at[main] + step, iu, iv)
@@ -112,7 +112,7 @@ def _look(classes, lines, way, visible):  # type: ignore[no-untyped-def]
         for corner in range(4):
             n = nearer[s, corner]
             total += weight[s, corner] * (OPEN if n < 0 else way[n])
-        reached = OPEN if nearer[s, 0] < 0 and weight[s, 0] == 0 and total == 0 else total // OPEN
+        reached = total // OPEN
         v = voxel[s]
         if 2 * reached >= OPEN:
             visible[v] = 1
