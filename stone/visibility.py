@@ -22,16 +22,19 @@ from stone.voxels import VOXEL_M
 SOURCE = -1
 OPEN = 240  # a way that nothing blocks; 16 × 15 levels fit a byte
 NEAR_M = 0.1
+RIM_M = 2 * VOXEL_M  # lines are followed so far around the image, else they would look around walls there
 
 
 @dataclass(frozen=True, eq=False)
 class SightLines:
-    """Voxels in the image, nearest first: flat index `voxel` (S,), those of the four around the point one step nearer,
-    `nearer` (S, 4), −1 at the source, and their `weight` (S, 4), which add up to `OPEN`."""
+    """Voxels in and around the image, nearest first: flat index `voxel` (S,), those of the four around the point one
+    step nearer, `nearer` (S, 4), −1 at the source, and their `weight` (S, 4), which add up to `OPEN`; `is_inside` (S,)
+    tells those in the image."""
 
     voxel: NDArray[np.int32]
     nearer: NDArray[np.int32]
     weight: NDArray[np.uint8]
+    is_inside: NDArray[np.bool_]
 
 
 def sight_lines(intrinsics: CameraIntrinsics, ego_from_camera: SE3) -> SightLines:
@@ -41,32 +44,36 @@ def sight_lines(intrinsics: CameraIntrinsics, ego_from_camera: SE3) -> SightLine
     at the ranges of the grid, and models that fold back would otherwise claim voxels behind the border.
     """
     camera = (ego_from_camera.translation_m - np.array(GRID_MIN_M)) / VOXEL_M
-    seen = np.concatenate([_in_image(plane, intrinsics, ego_from_camera) for plane in range(GRID_SHAPE[0])])
+    planes = [_in_image(plane, intrinsics, ego_from_camera) for plane in range(GRID_SHAPE[0])]
+    seen, inside = (np.concatenate(parts) for parts in zip(*planes, strict=True))
     index = np.stack(np.unravel_index(seen, GRID_SHAPE), axis=1).astype(np.float32)
     steps = np.linalg.norm(index + np.float32(0.5) - camera.astype(np.float32), axis=1)
-    seen = seen[np.argsort(steps, kind="stable")]
+    order = np.argsort(steps, kind="stable")
+    seen, inside = seen[order], inside[order]
     nearer, weight = np.full((len(seen), 4), SOURCE, np.int32), np.zeros((len(seen), 4), np.uint8)
     _lay_out(seen, camera, nearer, weight)
-    return SightLines(seen.astype(np.int32), nearer, weight)
+    return SightLines(seen.astype(np.int32), nearer, weight, inside)
 
 
 def mark_visible(classes: Grid, lines: SightLines, visible: Grid) -> None:
     """Set to 1 in `visible` (the grid's shape) what this camera sees of the scene `classes`."""
     flat = classes.reshape(-1)
     way = (flat == 0) * np.uint8(OPEN)  # where the image does not reach, only what is there blocks
-    _look(flat, (lines.voxel, lines.nearer, lines.weight), way, visible.reshape(-1))
+    _look(flat, (lines.voxel, lines.nearer, lines.weight, lines.is_inside), way, visible.reshape(-1))
 
 
-def _in_image(plane: int, k: CameraIntrinsics, ego_from_camera: SE3) -> NDArray[np.int64]:
-    """Flat indices of the voxels of one plane of constant x that project into the image."""
+def _in_image(plane: int, k: CameraIntrinsics, ego_from_camera: SE3) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Of one plane of constant x: the voxels (flat) nearer than `RIM_M` to the image, and which are in it."""
     size = GRID_SHAPE[1] * GRID_SHAPE[2]
     flat = np.arange(plane * size, (plane + 1) * size)
     centres = (np.stack(np.unravel_index(flat, GRID_SHAPE), axis=1) + 0.5) * VOXEL_M + np.array(GRID_MIN_M)
     x, y, z = (ego_from_camera.inverse() @ centres).T
     depth = np.where(z > NEAR_M, z, np.inf)
     u, v = k.fx_px * x / depth + k.cx_px, k.fy_px * y / depth + k.cy_px
-    is_inside = (u >= 0) & (u < k.width_px) & (v >= 0) & (v < k.height_px)
-    return np.asarray(flat[is_inside & (z > NEAR_M)], dtype=np.int64)
+    rim_u, rim_v = RIM_M * k.fx_px / depth, RIM_M * k.fy_px / depth
+    is_inside = (u >= 0) & (u < k.width_px) & (v >= 0) & (v < k.height_px) & (z > NEAR_M)
+    is_near = (u >= -rim_u) & (u < k.width_px + rim_u) & (v >= -rim_v) & (v < k.height_px + rim_v) & (z > NEAR_M)
+    return flat[is_near], is_inside[is_near]
 
 
 @njit(cache=True, nogil=True)
@@ -106,7 +113,7 @@ def _flat(main, m, u, v):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _look(classes, lines, way, visible):  # type: ignore[no-untyped-def]
     """`way`: how open the line of sight through each voxel is, 0 … `OPEN`; 0 where the voxel is labelled itself."""
-    voxel, nearer, weight = lines
+    voxel, nearer, weight, is_inside = lines
     for s in range(voxel.size):
         total = 0
         for corner in range(4):
@@ -114,6 +121,6 @@ def _look(classes, lines, way, visible):  # type: ignore[no-untyped-def]
             total += weight[s, corner] * (OPEN if n < 0 else way[n])
         reached = total // OPEN
         v = voxel[s]
-        if 2 * reached >= OPEN:
+        if 2 * reached >= OPEN and is_inside[s]:
             visible[v] = 1
         way[v] = 0 if classes[v] else reached

@@ -31,7 +31,7 @@ def lay_sight_lines(run: Run, mount: Mount) -> None:
     """Lay out once per run what this camera can see; nothing without its intrinsics."""
     if mount.intrinsics is not None:
         lines = sight_lines(mount.intrinsics, run.sequence.calibration.ego_from_lidar @ mount.lidar_from_sensor)
-        save(sight_path(run, mount.name), {"voxel": lines.voxel, "nearer": lines.nearer, "weight": lines.weight})
+        save(sight_path(run, mount.name), vars(lines))
 
 
 def frames(run: Run, part: Part, reference: Reference, labels_root: Path) -> FrameCounts:
