@@ -10,13 +10,13 @@ from stone.sequence import Sequence, SweepSource
 
 
 def open_sequence(
-    bag: Path, calibration: Path, name: str, *, odometry_topic: str | None = None
+    bag: Path, calibration: Path, name: str, options: SynchroniseOptions | None = None
 ) -> tuple[Sequence, SweepSource]:
     """The sequence `name`; it carries what was noticed about the calibration, and the hashes of both files.
 
     Raises what `read_calibration` and `synchronise` raise.
     """
     rig, noticed = read_calibration(calibration)
-    sequence, sweeps = synchronise(bag, rig, SynchroniseOptions(odometry_topic=odometry_topic), name)
+    sequence, sweeps = synchronise(bag, rig, options or SynchroniseOptions(), name)
     inputs = {**sequence.inputs, calibration.name: sha256(calibration.read_bytes()).hexdigest()}
     return replace(sequence, inputs=inputs, findings=(*noticed, *sequence.findings)), sweeps

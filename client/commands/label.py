@@ -32,6 +32,10 @@ OdometryOption = Annotated[
     str | None, typer.Option(metavar="TOPIC", help="The topic that gives the poses; else the best the bag has.")
 ]
 
+LidarOption = Annotated[
+    str | None, typer.Option(metavar="TOPIC", help="The topic of the LiDAR's clouds, where the bag has several.")
+]
+
 
 def label(
     bag: BagArgument,
@@ -39,6 +43,7 @@ def label(
     output: OutputOption,
     profile: ProfileOption = Profile.PAPER,
     odometry: OdometryOption = None,
+    lidar: LidarOption = None,
     workers: WorkersOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -46,12 +51,14 @@ def label(
     if odometry == "kiss-icp":
         raise typer.BadParameter("kiss-icp is not built in yet; the bag must hold poses", param_hint="--odometry")
     from client.sequences import open_sequence
+    from services.ingest.pipeline import SynchroniseOptions
     from services.labeler.parameters import parameters_for
     from services.labeler.pipeline import LabelOptions
     from services.labeler.pipeline import label as label_sequence
 
     with reported() as progress:
-        sequence, sweeps = open_sequence(bag, calibration, bag.stem, odometry_topic=odometry)
+        topics = SynchroniseOptions(odometry_topic=odometry, lidar_topic=lidar)
+        sequence, sweeps = open_sequence(bag, calibration, bag.stem, topics)
         options = LabelOptions(parameters_for(profile.value), workers or cores())
         record = label_sequence(sequence, sweeps, output, options, progress).as_record()
     if as_json:
