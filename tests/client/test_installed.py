@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.signals import hear_signals
+
 STONE = Path(sys.executable).parent / "stone"
 HEAVY = ("numpy", "scipy", "numba", "pyarrow", "open3d", "pydantic", "mcap", "rosbags")
 SIMULATE = ("simulate", "run.mcap", "--truth", "truth", "--seconds", "600", "--channels", "16", "--columns", "180")
@@ -52,10 +54,15 @@ def test_a_reader_that_leaves_early_is_no_fault(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_an_interrupted_command_says_so_and_leaves_nothing_half_written(tmp_path: Path, number: int, code: int) -> None:
-    with subprocess.Popen([STONE, *SIMULATE], cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
+    process = subprocess.Popen(
+        [STONE, *SIMULATE], cwd=tmp_path, stderr=subprocess.PIPE, text=True, preexec_fn=hear_signals
+    )
+    try:
         wait_for_staging(tmp_path, "run.mcap")
         process.send_signal(number)
         _, said = process.communicate(timeout=60)
+    finally:
+        process.kill()
     assert process.returncode == code
     assert "Traceback" not in said
     assert not (tmp_path / "run.mcap").exists()

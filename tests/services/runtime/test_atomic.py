@@ -20,6 +20,7 @@ SLOW_FOLDER = """
 import sys, time
 from pathlib import Path
 from services.runtime.atomic import atomic_directory
+from tests.signals import hear_signals
 with atomic_directory(Path(sys.argv[1]), replaces="report.json") as staging:
     (staging / "report.json").write_text("half")
     print("writing", flush=True)
@@ -40,11 +41,16 @@ def leftovers(folder: Path) -> list[str]:
 def interrupted_run(target: Path, number: int) -> int:
     """Start a run that never ends by itself, stop it with this signal while it writes, return its exit code."""
     command = [sys.executable, "-c", SLOW_FOLDER, str(target)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, cwd=ROOT) as run:
+    quiet = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    run = subprocess.Popen(command, cwd=ROOT, preexec_fn=hear_signals, **quiet)
+    try:
         assert run.stdout is not None
-        assert run.stdout.readline() == b"writing\n"
+        with run.stdout:
+            assert run.stdout.readline() == b"writing\n"
         run.send_signal(number)
         return run.wait(timeout=20)
+    finally:
+        run.kill()
 
 
 def dead_pid() -> int:
