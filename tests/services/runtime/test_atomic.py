@@ -14,13 +14,13 @@ import pytest
 
 from services.runtime.atomic import atomic_directory, atomic_file
 from services.runtime.errors import OutputExistsError
+from tests.signals import hear_signals
 
 ROOT = Path(__file__).resolve().parents[3]
 SLOW_FOLDER = """
 import sys, time
 from pathlib import Path
 from services.runtime.atomic import atomic_directory
-from tests.signals import hear_signals
 with atomic_directory(Path(sys.argv[1]), replaces="report.json") as staging:
     (staging / "report.json").write_text("half")
     print("writing", flush=True)
