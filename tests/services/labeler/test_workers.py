@@ -1,0 +1,84 @@
+"""Workers give results in order, pass errors on, and do not outlive who asked for them."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from services.labeler.errors import NoFramesError
+from services.labeler.workers import Workers
+from stone.calibration import Calibration
+from stone.se3 import SE3
+from stone.sequence import Frames, Sequence
+from tests.signals import hear_signals
+
+ROOT = Path(__file__).resolve().parents[3]
+ENDLESS = """
+import os, time
+from services.labeler.workers import Workers
+from tests.services.labeler.test_workers import pid_then_sleep
+if __name__ == "__main__":
+    with Workers(2) as workers:
+        for done in workers.run(pid_then_sleep, [(0.0,), (0.0,), (600.0,), (600.0,)]):
+            print(done.pid, flush=True)
+"""
+
+
+def square(number: int) -> int:
+    time.sleep(0.05 * (3 - number))
+    return number * number
+
+
+def pid_then_sleep(seconds: float) -> int:
+    time.sleep(seconds)
+    return os.getpid()
+
+
+def refuse(name: str) -> None:
+    import numpy as np
+
+    frames = Frames(np.zeros(0, np.int64), (), SE3.identity((0,)))
+    raise NoFramesError(Sequence(name, frames, (), Calibration("rig", SE3.identity()), "none"))
+
+
+def test_results_come_in_the_order_of_the_tasks() -> None:
+    with Workers(2) as workers:
+        assert [done.value for done in workers.run(square, [(0,), (1,), (2,)])] == [0, 1, 4]
+
+
+def test_a_refusal_in_a_worker_reaches_the_caller_as_it_was() -> None:
+    with Workers(1) as workers, pytest.raises(NoFramesError, match=r"sequence run has no usable frame"):
+        list(workers.run(refuse, [("run",)]))
+
+
+def test_a_failure_does_not_wait_for_the_other_tasks() -> None:
+    begin = time.monotonic()
+    with pytest.raises(NoFramesError), Workers(2) as workers:
+        list(workers.run(_refuse_or_sleep, [(0.0,), (600.0,)]))
+    assert time.monotonic() - begin < 60
+
+
+def _refuse_or_sleep(seconds: float) -> None:
+    time.sleep(seconds)
+    refuse("run")
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_workers_end_with_a_command_that_is_killed(tmp_path: Path, number: int) -> None:
+    (tmp_path / "endless.py").write_text(ENDLESS)
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    command = [sys.executable, str(tmp_path / "endless.py")]
+    run = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True, preexec_fn=hear_signals)
+    assert run.stdout is not None
+    with run.stdout:
+        pids = {int(run.stdout.readline()) for _ in range(2)}
+        run.send_signal(number)
+        run.wait(timeout=20)
+    until = time.monotonic() + 20
+    while any(Path(f"/proc/{pid}").exists() for pid in pids):
+        assert time.monotonic() < until, f"workers {pids} are still alive"
+        time.sleep(0.05)
