@@ -7,7 +7,9 @@ where none came back. A map point votes *missed* when all nine pixels around it 
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 from numba import njit
@@ -20,6 +22,9 @@ FEWEST_MISSES = 3
 
 # A spinning LiDAR covers about 360° × 27°: so many pixels of 0.4° hold its rays.
 FIELD_PX, RAYS_PER_PIXEL, MAX_SPREAD_PX = 60_000, 2.0, 3
+# Few rings leave wide gaps between them however many rays each has: sixteen over 40° leave 2.7°.
+MAX_RING_GAP_PX = 7
+MARGIN_PX = MAX_RING_GAP_PX - 1
 
 
 @dataclass(frozen=True)
@@ -54,10 +59,13 @@ def range_image(
     points_ego: NDArray[np.float32], map_from_ego: SE3, sensor_ego: NDArray[np.float64], parameters: DynamicParameters
 ) -> RangeImage:
     """The nearest return in each direction from `sensor_ego` (3,) of the points (N, 3)."""
-    ranges_m = np.zeros(parameters.shape, np.float32)
-    _project(points_ego, sensor_ego, (_lens(parameters), spread_px(len(points_ego))), ranges_m)
+    rows, columns = parameters.shape
+    nearest_m = np.full((rows + 2 * MARGIN_PX, columns), np.inf, np.float32)
+    _project(points_ego, sensor_ego, _lens(parameters), nearest_m)
+    sideways = spread_px(len(points_ego))
+    nearest_m = _spread(nearest_m, max(sideways, ring_spread_px(nearest_m)), sideways)[MARGIN_PX:-MARGIN_PX]
     view = SE3.from_parts(map_from_ego.wxyz, map_from_ego @ sensor_ego)
-    return RangeImage(view, ranges_m)
+    return RangeImage(view, np.where(np.isfinite(nearest_m), nearest_m, np.float32(0)))
 
 
 def spread_px(rays: int) -> int:
@@ -67,6 +75,17 @@ def spread_px(rays: int) -> int:
     """
     width_px = math.sqrt(RAYS_PER_PIXEL * FIELD_PX / max(rays, 1))
     return min(MAX_SPREAD_PX, max(0, math.ceil((width_px - 1.0) / 2.0)))
+
+
+def ring_spread_px(nearest_m: NDArray[np.float32]) -> int:
+    """How many rows up and down returns (rows, columns; inf = none) must fill, given the median gap between rings.
+
+    Just so many that each pixel and its neighbours hold a ray above and a ray below: where only the one above is seen,
+    it strikes the ground farther out, and the ground itself is voted out. Gaps too wide to be between rings fill none.
+    """
+    counts = _gap_counts(nearest_m, MAX_RING_GAP_PX + 1)
+    median_px = int(np.argmax(2 * np.cumsum(counts) >= counts.sum()))
+    return max(0, median_px - 1) if median_px <= MAX_RING_GAP_PX else 0
 
 
 def vote(
@@ -84,6 +103,19 @@ def is_moving(votes: NDArray[np.int32]) -> NDArray[np.bool_]:
     return (misses > MISSES_PER_HIT * hits) & (misses >= FEWEST_MISSES)
 
 
+def _spread(nearest_m: NDArray[np.float32], up_px: int, sideways_px: int) -> NDArray[np.float32]:
+    """The least of the pixels (rows, columns) around each; columns close into a ring, beyond the rows is nothing."""
+    rows, columns = nearest_m.shape
+    ring = np.pad(nearest_m, ((0, 0), (sideways_px, sideways_px)), mode="wrap")
+    wide = _least([ring[:, shift : shift + columns] for shift in range(2 * sideways_px + 1)])
+    tall = np.pad(wide, ((up_px, up_px), (0, 0)), constant_values=np.inf)
+    return _least([tall[shift : shift + rows] for shift in range(2 * up_px + 1)])
+
+
+def _least(shifted: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+    return reduce(np.minimum, shifted)
+
+
 def _lens(p: DynamicParameters) -> tuple[float, float, float]:
     """(top elevation rad, rad per row, rad per column)."""
     return math.radians(p.max_elevation_deg), math.radians(p.row_deg), math.radians(p.column_deg)
@@ -98,19 +130,32 @@ def _pixel(x, y, z, r, lens):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _project(points, sensor, optics, ranges):  # type: ignore[no-untyped-def]
-    lens, spread = optics
+def _project(points, sensor, lens, nearest):  # type: ignore[no-untyped-def]
+    """Fill `nearest`, whose rows begin `MARGIN_PX` above the field: what lies just outside may spread into it."""
     for p in range(points.shape[0]):
         x, y, z = points[p, 0] - sensor[0], points[p, 1] - sensor[1], points[p, 2] - sensor[2]
         r = math.sqrt(x * x + y * y + z * z)
         if r < 1e-3:
             continue
         row, column = _pixel(x, y, z, r, lens)
-        for i in range(max(0, row - spread), min(ranges.shape[0], row + spread + 1)):
-            for j in range(column - spread, column + spread + 1):
-                known = ranges[i, j % ranges.shape[1]]
-                if known == 0 or r < known:
-                    ranges[i, j % ranges.shape[1]] = r
+        row, column = row + MARGIN_PX, column % nearest.shape[1]
+        if 0 <= row < nearest.shape[0]:
+            nearest[row, column] = min(nearest[row, column], r)
+
+
+@njit(cache=True, nogil=True)
+def _gap_counts(nearest, widest):  # type: ignore[no-untyped-def]
+    """How many returns lie so many rows below the next above them in their column; `widest` counts all from there."""
+    counts = np.zeros(widest + 1, np.int64)
+    above = np.full(nearest.shape[1], -1, np.int64)
+    for row in range(nearest.shape[0]):
+        for column in range(nearest.shape[1]):
+            if nearest[row, column] == np.inf:
+                continue
+            if above[column] >= 0:
+                counts[min(row - above[column], widest)] += 1
+            above[column] = row
+    return counts
 
 
 @njit(cache=True, nogil=True)

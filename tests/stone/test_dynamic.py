@@ -7,7 +7,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stone.dynamic import FEWEST_MISSES, MAX_SPREAD_PX, DynamicParameters, is_moving, range_image, spread_px, vote
+from stone.dynamic import (
+    FEWEST_MISSES,
+    MAX_RING_GAP_PX,
+    MAX_SPREAD_PX,
+    DynamicParameters,
+    is_moving,
+    range_image,
+    ring_spread_px,
+    spread_px,
+    vote,
+)
 from stone.se3 import SE3
 
 PARAMETERS = DynamicParameters()
@@ -136,3 +146,56 @@ def test_moving_and_yawing_the_world_moves_no_vote_off_its_point(yaw, x, y):
 def test_it_takes_more_than_twice_as_many_misses_as_hits():
     votes = np.array([[0, FEWEST_MISSES - 1], [0, FEWEST_MISSES], [2, 4], [2, 5], [0, 0]], np.int32)
     assert is_moving(votes).tolist() == [False, True, False, True, False]
+
+
+def ringed_image(gap_px, rows=60, columns=20):
+    nearest_m = np.full((rows, columns), np.inf, np.float32)
+    nearest_m[::gap_px] = 5.0
+    return nearest_m
+
+
+def test_returns_reach_just_short_of_the_next_ring_so_that_each_pixel_holds_one_above_and_one_below():
+    for gap_px in range(1, MAX_RING_GAP_PX + 1):
+        assert ring_spread_px(ringed_image(gap_px)) == gap_px - 1
+    assert ring_spread_px(ringed_image(MAX_RING_GAP_PX + 1)) == 0
+    assert ring_spread_px(np.full((60, 20), np.inf, np.float32)) == 0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_ring_gap_is_the_median_over_all_columns(seed):
+    rng = np.random.default_rng(seed)
+    nearest_m = np.where(rng.random((90, 40)) < rng.uniform(0.2, 0.9), 3.0, np.inf).astype(np.float32)
+    gaps_px = np.sort(np.concatenate([np.diff(np.flatnonzero(np.isfinite(column))) for column in nearest_m.T]))
+    assert ring_spread_px(nearest_m) == max(0, gaps_px[(len(gaps_px) - 1) // 2] - 1)
+
+
+def fan(rings):
+    """Unit rays of a LiDAR with so many rings from 15° to −25°."""
+    azimuth, elevation = np.meshgrid(np.radians(np.arange(-40, 40, 0.2)), np.radians(np.linspace(15, -25, rings)))
+    flat = np.cos(elevation)
+    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], -1).reshape(-1, 3)
+
+
+def empty_plain(rings):
+    """One sweep of level ground at z = 0 with a hazy end at 40 m, in the ego frame."""
+    rays = fan(rings)
+    reach = np.minimum(40.0, np.where(rays[:, 2] < 0, -SENSOR_EGO[2] / np.minimum(rays[:, 2], -1e-9), 40.0))
+    return (SENSOR_EGO + rays * reach[:, None]).astype(np.float32)
+
+
+def votes_on_the_plain(points_map, rings):
+    votes = np.zeros((len(points_map), 2), np.int32)
+    for x in np.arange(0.0, 4.0, 0.4):
+        image = range_image(empty_plain(rings), robot_at(x), SENSOR_EGO, PARAMETERS)
+        vote(points_map, image, PARAMETERS, votes)
+    return votes
+
+
+@pytest.mark.parametrize("rings", [16, 32, 64, 128])
+def test_who_left_is_voted_out_and_the_ground_is_not_however_few_rings_look(rings):
+    z, y = np.meshgrid(np.arange(0.8, 1.7, 0.1), np.arange(-0.2, 0.21, 0.1))
+    person = np.stack([np.full(z.size, 8.0), y.ravel(), z.ravel()], axis=1)
+    assert is_moving(votes_on_the_plain(person, rings)).all()
+    x, y = np.meshgrid(np.arange(3.0, 14.0, 0.1), np.arange(-1.5, 1.51, 0.1))
+    ground = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
+    assert not is_moving(votes_on_the_plain(ground, rings)).any()
