@@ -94,7 +94,8 @@ def vote(
     """Add this image's verdict on the points (N, 3) to `votes` (N, 2) int32: hits, misses."""
     p = parameters
     limits = (p.min_range_m**2, p.max_range_m**2, p.margin_m)
-    _vote(points_map, image.map_from_view.inverse().as_matrix(), (image.ranges_m, _lens(p)), limits, votes)
+    around_m = _spread(image.ranges_m, 1, 1)  # 0 where any of the nine saw nothing
+    _vote(points_map, image.map_from_view.inverse().as_matrix(), (image.ranges_m, around_m, _lens(p)), limits, votes)
 
 
 def is_moving(votes: NDArray[np.int32]) -> NDArray[np.bool_]:
@@ -159,18 +160,8 @@ def _gap_counts(nearest, widest):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _nearest_around(ranges, row, column):  # type: ignore[no-untyped-def]
-    """The least of the nine pixels around, so 0 where any of them saw nothing."""
-    nearest = np.float32(1e9)
-    for dr in range(-1, 2):
-        for dc in range(-1, 2):
-            nearest = min(nearest, ranges[row + dr, (column + dc) % ranges.shape[1]])
-    return nearest
-
-
-@njit(cache=True, nogil=True)
 def _vote(points, m, image, limits, votes):  # type: ignore[no-untyped-def]
-    ranges, lens = image
+    ranges, around, lens = image
     for p in range(points.shape[0]):
         px, py, pz = points[p, 0], points[p, 1], points[p, 2]
         x = m[0, 0] * px + m[0, 1] * py + m[0, 2] * pz + m[0, 3]
@@ -183,7 +174,8 @@ def _vote(points, m, image, limits, votes):  # type: ignore[no-untyped-def]
         row, column = _pixel(x, y, z, r, lens)
         if not 1 <= row < ranges.shape[0] - 1:
             continue
-        if _nearest_around(ranges, row, column) > r + limits[2]:
+        column = column % ranges.shape[1]
+        if around[row, column] > r + limits[2]:
             votes[p, 1] += 1
-        elif abs(ranges[row, column % ranges.shape[1]] - r) < limits[2]:
+        elif abs(ranges[row, column] - r) < limits[2]:
             votes[p, 0] += 1
