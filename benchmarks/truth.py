@@ -110,7 +110,7 @@ def _check_figures(drive: Drive, labels: Path) -> dict[str, str]:
         "slope: median absolute error, degrees": f"{np.median(errors_deg):.2f}",
         "slope: ground vertices": f"{len(errors_deg)}",
         "T under the footprint, centre of the grid's voxel": _share(footprint.in_grid_t, footprint.in_grid),
-        "T under the footprint, and centre of the map's": _share(footprint.in_map_t, footprint.in_map),
+        "T under the footprint, and the map's, with surface": _share(footprint.in_map_t, footprint.in_map),
         f"labelled voxels of every {EVIDENCE_EVERY}th frame": f"{evidence.labelled}",
         f"… with no point within {EVIDENCE_M} m": _share(evidence.without_point, evidence.labelled),
         f"… with no ray within {EVIDENCE_M} m": _share(evidence.without_ray, evidence.labelled),

@@ -108,9 +108,10 @@ def _near_objects(xy: Array, obstacles: NDArray[np.void]) -> NDArray[np.bool_]:
 class FootprintCounts:
     """Occupied voxels under the footprint, and those of them labelled T.
 
-    `in_grid`: the voxel's own centre is under the footprint. `in_map`: so is the centre of the map voxel it was cut
-    from. The labels are made in the map; an ego voxel takes the class of the map voxel that holds its centre, whose
-    own centre may lie up to half a diagonal (0.17 m) away and so beyond the footprint.
+    `in_grid`: the voxel's own centre is under the footprint. `in_map`: so is the centre of the map voxel around it,
+    and that one holds surface (a vertex of the mesh). The labels are made in the map: an ego voxel takes the class of
+    the map voxel that holds its centre, whose own centre may lie up to half a diagonal (0.17 m) away and so beyond the
+    footprint; and where that one is empty, `stone.grid` may have closed a gap with the class of another.
     """
 
     in_grid: int
@@ -125,12 +126,14 @@ def footprint_counts(drive: Drive, labels: Path) -> FootprintCounts:
     half = np.array([footprint.length_m / 2, footprint.width_m / 2, FOOTPRINT_BAND_M])
     index = np.argwhere(np.ones(GRID_SHAPE, np.bool_))
     index = index[(np.abs(grid_centres(index)) <= half).all(axis=1)]
+    surface = np.unique(keys_of(read_mesh(labels / "mesh.ply").vertices_map, VOXEL_M))
     total = np.zeros(4, np.int64)
     for frame in range(len(drive.sequence.frames)):
         classes = drive.semantics(labels, frame)[tuple(index.T)]
         map_from_ego = drive.sequence.frames.map_from_ego[frame]
-        cells = np.floor((map_from_ego @ grid_centres(index)) / VOXEL_M)
-        is_under = (np.abs(map_from_ego.inverse() @ ((cells + 0.5) * VOXEL_M)) <= half).all(axis=1)
+        keys = keys_of(map_from_ego @ grid_centres(index), VOXEL_M)
+        is_under = (np.abs(map_from_ego.inverse() @ centres_of(keys, VOXEL_M)) <= half).all(axis=1)
+        is_under &= np.isin(keys, surface)
         occupied, driven = classes > 0, classes == 1
         total += [np.count_nonzero(part) for part in (occupied, driven, occupied & is_under, driven & is_under)]
     return FootprintCounts(*total.tolist())
