@@ -5,14 +5,17 @@ a stage that runs twice writes the same bytes. All of it is deleted when the run
 """
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from services.labeler.run import Part, Run, Tile
-from stone.observed import Observed
+from stone.dynamic import RangeImage
+from stone.observed import Observed, union
 from stone.pointmap import PointMap
+from stone.se3 import SE3
 
 Arrays = dict[str, NDArray[np.generic]]
 
@@ -54,11 +57,39 @@ def fused_tiles(run: Run) -> list[Tile]:
     return sorted((int(i), int(j)) for i, j in names)
 
 
-def load_fused(run: Run, tile: Tile) -> list[tuple[PointMap, Observed]]:
-    """The point map and the observed voxels of this tile, part by part; empty where nothing fell."""
+def load_points(run: Run, tile: Tile, low: NDArray[np.float64], high: NDArray[np.float64]) -> list[PointMap]:
+    """The point maps of this tile, part by part, cut in plan to [low, high) (2,) as they come."""
     found = []
-    for path in sorted((run.scratch / "fused" / f"{tile[0]}_{tile[1]}").glob("[0-9]*.npz")):
-        arrays = load(path)
-        points = PointMap(run.parameters.surface.point_voxel_m, arrays["keys"], arrays["moments"])  # type: ignore[arg-type]
-        found.append((points, Observed(arrays["bricks"], arrays["words"])))  # type: ignore[arg-type]
+    for path in _fused_parts(run, tile):
+        with np.load(path, allow_pickle=False) as archive:
+            keys, moments = archive["keys"], archive["moments"]
+        points = PointMap(run.parameters.surface.point_voxel_m, keys, moments)
+        xy = points.centroids_map()[:, :2]
+        found.append(points.where(np.asarray(((xy >= low) & (xy < high)).all(axis=1))))
     return found
+
+
+def load_observed(run: Run, tile: Tile) -> Observed:
+    """What any part observed in this tile."""
+    found = [Observed(np.zeros(0, np.int64), np.zeros(0, np.uint64))]
+    for path in _fused_parts(run, tile):
+        with np.load(path, allow_pickle=False) as archive:
+            found.append(Observed(archive["bricks"], archive["words"]))
+    return union(found)
+
+
+def images_near(run: Run, low: NDArray[np.float64], high: NDArray[np.float64]) -> Iterator[RangeImage]:
+    """The range images taken within reach of the box [low, high] (3,), one part in memory at a time."""
+    for path in sorted((run.scratch / "images").glob("[0-9]*.npz")):
+        with np.load(path, allow_pickle=False) as archive:
+            poses = archive["poses"]
+            places = poses[:, 4:]
+            gaps = np.maximum(0.0, np.maximum(low - places, places - high))
+            near = np.flatnonzero(np.linalg.norm(gaps, axis=1) < run.parameters.dynamic.max_range_m)
+            ranges_m = archive["ranges_m"] if len(near) else poses
+        for index in near:
+            yield RangeImage(SE3(poses[index]), ranges_m[index])
+
+
+def _fused_parts(run: Run, tile: Tile) -> list[Path]:
+    return sorted((run.scratch / "fused" / f"{tile[0]}_{tile[1]}").glob("[0-9]*.npz"))

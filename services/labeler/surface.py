@@ -11,15 +11,14 @@ from numpy.typing import NDArray
 from services.labeler.parameters import LabelParameters
 from services.labeler.poisson import reconstruct
 from services.labeler.run import Run, Tile, in_core, neighbourhood
-from services.labeler.scratch import Arrays, images_path, load, load_fused, save, surface_path
-from stone.dynamic import RangeImage, is_moving, vote
+from services.labeler.scratch import Arrays, images_near, load_observed, load_points, save, surface_path
+from stone.dynamic import is_moving, vote
 from stone.footprint import swept
 from stone.lattice import centres_of
 from stone.mesh import Mesh, vertex_normals
 from stone.neighbours import cells_of, is_near, plane_fits
-from stone.observed import Observed, union
+from stone.observed import Observed
 from stone.pointmap import PointMap, merge
-from stone.se3 import SE3
 from stone.terrain import ELEVATION, terrain_features
 from stone.traversability import FeatureSums, sums_of
 from stone.voxels import VOXEL_M, VoxelFeatures, height_above_local_ground, voxel_features
@@ -43,8 +42,7 @@ class TileSummary:
 def surface(run: Run, tile: Tile) -> TileSummary:
     """Reconstruct one tile, leave its voxels, mesh and observed bricks in scratch, return its sums."""
     low, high = _cube(run.parameters, tile)
-    parts = [part for near in neighbourhood(tile) for part in load_fused(run, near)]
-    points = _inside(merge([part[0] for part in parts]), low, high)
+    points = merge([part for near in neighbourhood(tile) for part in load_points(run, near, low, high)])
     moving = _moving(run, points)
     points = points.where(~moving).where_seen(run.parameters.surface.min_frames)
     mesh, normals = _mesh(run.parameters, points, low)
@@ -52,7 +50,7 @@ def surface(run: Run, tile: Tile) -> TileSummary:
     voxels = voxels.where(in_core(centres_of(voxels.keys, VOXEL_M), tile, run.parameters.core_m))
     is_driven = _driven(run, voxels)
     kept = _core_mesh(mesh, tile, run.parameters.core_m)
-    observed = union([part[1] for part in load_fused(run, tile)])
+    observed = load_observed(run, tile)
     _leave(run, tile, (voxels, is_driven), (kept, observed))
     sums = sums_of(voxels.features[is_driven], reference_origin(run))
     inside = int(in_core(points.centroids_map(), tile, run.parameters.core_m).sum())
@@ -72,24 +70,14 @@ def _cube(parameters: LabelParameters, tile: Tile) -> tuple[NDArray[np.float64],
     return low, low + parameters.tiling.cube_cells * parameters.surface.width_m
 
 
-def _inside(points: PointMap, low: NDArray[np.float64], high: NDArray[np.float64]) -> PointMap:
-    xy = points.centroids_map()[:, :2]
-    return points.where(np.asarray(((xy >= low) & (xy < high)).all(axis=1), dtype=np.bool_))
-
-
 def _moving(run: Run, points: PointMap) -> NDArray[np.bool_]:
     """Vote the points of this tile against every range image taken near enough to see them."""
     votes = np.zeros((len(points), 2), np.int32)
     if len(points) == 0:
         return votes[:, 0] > 0
     centroids = points.centroids_map()
-    low, high = centroids.min(axis=0), centroids.max(axis=0)
-    for begin in sorted((run.scratch / "images").glob("*.npz")):
-        arrays = load(images_path(run, (int(begin.stem), 0)))
-        for pose, ranges_m in zip(arrays["poses"], arrays["ranges_m"], strict=True):
-            gap = np.maximum(0.0, np.maximum(low - pose[4:], pose[4:] - high))
-            if np.linalg.norm(gap) < run.parameters.dynamic.max_range_m:
-                vote(centroids, RangeImage(SE3(pose), ranges_m), run.parameters.dynamic, votes)
+    for image in images_near(run, centroids.min(axis=0), centroids.max(axis=0)):
+        vote(centroids, image, run.parameters.dynamic, votes)
     return is_moving(votes)
 
 
