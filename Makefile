@@ -1,5 +1,5 @@
-# make install | demo | test | check | bench: each installs first, which costs nothing when nothing changed.
-.PHONY: install demo test check bench
+# make install | demo | test | check | bench | bench-truth: each installs first, which costs nothing when nothing changed.
+.PHONY: install demo test check bench bench-truth
 .DELETE_ON_ERROR:
 
 BIN := .venv/bin
@@ -27,3 +27,6 @@ check: install
 bench: install
 	$(BIN)/python -m benchmarks.label
 	$(BIN)/python -m benchmarks.score
+
+bench-truth: install
+	$(BIN)/python -m benchmarks.truth

@@ -104,10 +104,11 @@ def _verdict_figures(verdict: Verdict) -> dict[str, str]:
 
 
 def _check_figures(drive: Drive, labels: Path) -> dict[str, str]:
-    errors_deg = slope_errors_deg(drive, labels / "mesh.ply")
+    errors_deg, smoothed_deg = slope_errors_deg(drive, labels / "mesh.ply")
     footprint, evidence = footprint_counts(drive, labels), evidence_counts(drive, labels)
     return {
         "slope: median absolute error, degrees": f"{np.median(errors_deg):.2f}",
+        "… against the ground smoothed over 0.4 m": f"{np.median(smoothed_deg):.2f}",
         "slope: ground vertices": f"{len(errors_deg)}",
         "T under the footprint, centre of the grid's voxel": _share(footprint.in_grid_t, footprint.in_grid),
         "T under the footprint, and the map's, with surface": _share(footprint.in_map_t, footprint.in_map),

@@ -54,13 +54,15 @@ def grid_centres(index: NDArray[np.int64]) -> Array:
     return np.asarray((index + 0.5) * VOXEL_M + np.asarray(GRID_MIN_M))
 
 
-def slope_errors_deg(drive: Drive, mesh_path: Path) -> Array:
-    """|slope of the mesh − slope of the truth| at the vertices that are ground.
+def slope_errors_deg(drive: Drive, mesh_path: Path) -> tuple[Array, Array]:
+    """|slope of the mesh − slope of the truth| at the vertices that are ground, against two truths.
+
+    The first is the true ground seen through the same triangles, so at the mesh's own scale; the second the true ground
+    smoothed over 0.4 m, the robot's scale, where relief that the mesh rightly resolves counts as error.
 
     Ground: within `GROUND_BAND_M` of the true height and at least `OBJECT_MARGIN_M` in plan from every obstacle (rock,
-    bush, trunk, wall; grass stays in). The slope of a vertex is that of the area-weighted mean of its faces' normals;
-    the truth's is that of the ground smoothed over 0.4 m, so what the mesh resolves below that counts as error. A
-    vertex goes from the map into the world through the ego frame of the nearest frame in plan.
+    bush, trunk, wall; grass stays in). The slope of a vertex is that of the area-weighted mean of its faces' normals.
+    A vertex goes from the map into the world through the ego frame of the nearest frame in plan.
     """
     mesh = read_mesh(mesh_path)
     map_from_ego, world_from_ego = drive.sequence.frames.map_from_ego, drive.world_from_ego()
@@ -70,8 +72,11 @@ def slope_errors_deg(drive: Drive, mesh_path: Path) -> Array:
     xy = vertices[:, :2]
     is_ground = np.abs(vertices[:, 2] - drive.truth.elevation_m(xy)) <= GROUND_BAND_M
     is_ground &= ~_near_objects(xy, drive.truth.obstacles) & (np.linalg.norm(normals, axis=1) > 0)
-    slope = np.arccos(np.clip(normals[is_ground, 2], -1.0, 1.0))
-    return np.asarray(np.rad2deg(np.abs(slope - drive.truth.slope_rad(xy[is_ground]))))
+    slope_rad = np.arccos(np.clip(normals[is_ground, 2], -1.0, 1.0))
+    true_mesh = Mesh(np.column_stack([xy, drive.truth.elevation_m(xy)]), mesh.triangles)
+    true_rad = np.arccos(np.clip(area_normals(true_mesh)[is_ground, 2], -1.0, 1.0))
+    smooth_rad = drive.truth.slope_rad(xy[is_ground])
+    return np.rad2deg(np.abs(slope_rad - true_rad)), np.rad2deg(np.abs(slope_rad - smooth_rad))
 
 
 def read_mesh(path: Path) -> Mesh:
