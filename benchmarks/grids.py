@@ -1,7 +1,7 @@
 """Label grids that look like off-road scenes, and predictions with errors like a network's: correlated, not salt.
 
 **Conventions.** Grids are (256, 256, 32) uint8, z fastest. A window slides over a fractal world, so neighbouring frames
-resemble each other. A share of 6 % of the voxels is occupied; IoU lies near 0.4. Same seed, same grids.
+resemble each other. Same seed, same grids.
 """
 
 from collections.abc import Iterator
