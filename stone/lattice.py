@@ -46,26 +46,27 @@ def scatter(key: np.int64) -> np.uint64:
 
 
 @njit(inline="always")
-def find(table_keys: Keys, table_rows: NDArray[np.int32], key: np.int64) -> int:
-    """Row of `key`, or −1."""
+def slot_of(table_keys: Keys, key: np.int64) -> np.int64:
+    """Where `key` stands in a table with free slots, or the `EMPTY` slot where it would."""
     mask = np.uint64(table_keys.size - 1)
     slot = scatter(key) & mask
-    while True:
-        if table_keys[slot] == key:
-            row: int = table_rows[slot]
-            return row
-        if table_keys[slot] == EMPTY:
-            return -1
+    while table_keys[slot] != key and table_keys[slot] != EMPTY:
         slot = (slot + np.uint64(1)) & mask
+    return np.int64(slot)
+
+
+@njit(inline="always")
+def find(table_keys: Keys, table_rows: NDArray[np.int32], key: np.int64) -> int:
+    """Row of `key`, or −1."""
+    slot = slot_of(table_keys, key)
+    row: int = table_rows[slot] if table_keys[slot] == key else -1
+    return row
 
 
 @njit(cache=True, nogil=True)
 def _fill(keys: Keys, table_keys: Keys, table_rows: NDArray[np.int32]) -> None:
-    mask = np.uint64(table_keys.size - 1)
     for row in range(keys.size):
-        slot = scatter(keys[row]) & mask
-        while table_keys[slot] != EMPTY:
-            slot = (slot + np.uint64(1)) & mask
+        slot = slot_of(table_keys, keys[row])
         table_keys[slot] = keys[row]
         table_rows[slot] = row
 

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from stone.lattice import BIAS, MASK, Table, find, keys_of, pack, table_of
+from stone.lattice import BIAS, MASK, Table, check_reach, find, keys_of, pack, table_of
 
 RINGS = 2
 WIDEST = (2 * RINGS + 1) ** 3
@@ -69,7 +69,7 @@ def is_near(queries: NDArray[np.float64], points: NDArray[np.float64], radius_m:
     near = np.zeros(len(queries), np.bool_)
     if len(points) and len(queries):
         cells = cells_of(points, radius_m)
-        keys_of(queries, radius_m)  # the same refusal for queries off the lattice
+        check_reach(queries, radius_m)
         _near(
             np.ascontiguousarray(queries),
             cells.points,

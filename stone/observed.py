@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from stone.lattice import BIAS, EMPTY, MASK, Keys, pack, scatter
+from stone.lattice import EMPTY, Keys, indices_of, keys_from_indices, pack, slot_of
 from stone.se3 import SE3
 from stone.voxels import VOXEL_M
 
@@ -43,11 +43,8 @@ class Observed:
         """The keys of all observed voxels on the `VOXEL_M` lattice."""
         bits = np.unpackbits(self.words.astype("<u8").view(np.uint8), bitorder="little").reshape(-1, 64)
         brick, bit = np.nonzero(bits)
-        keys = self.keys[brick]
-        x = (((keys >> 42) - BIAS) * BRICK + (bit >> 4)) + BIAS
-        y = ((((keys >> 21) & MASK) - BIAS) * BRICK + ((bit >> 2) & 3)) + BIAS
-        z = (((keys & MASK) - BIAS) * BRICK + (bit & 3)) + BIAS
-        return np.asarray((x << 42) | (y << 21) | z, dtype=np.int64)
+        corner = np.stack([bit >> 4, (bit >> 2) & 3, bit & 3], axis=1)
+        return keys_from_indices(indices_of(self.keys[brick]) * BRICK + corner)
 
 
 def union(parts: Sequence[Observed]) -> Observed:
@@ -95,15 +92,6 @@ class Carver:
         return Observed(self._keys[order], self._words[order])
 
 
-@njit(inline="always")
-def _slot(keys, key):  # type: ignore[no-untyped-def]
-    mask = np.uint64(keys.size - 1)
-    slot = scatter(key) & mask
-    while keys[slot] != key and keys[slot] != EMPTY:
-        slot = (slot + np.uint64(1)) & mask
-    return np.int64(slot)
-
-
 @njit(cache=True, nogil=True)
 def _carve(points, begin, view, reach, table, used):  # type: ignore[no-untyped-def]
     """Follow rays from `begin` until all are done or the table is too full; (rays done, slots used)."""
@@ -144,7 +132,7 @@ def _follow(point, view, span, keys, words, used):  # type: ignore[no-untyped-de
     while True:
         key = pack(i >> 2, j >> 2, k >> 2)
         if key != last:
-            slot = _slot(keys, key)
+            slot = slot_of(keys, key)
             if keys[slot] == EMPTY:
                 keys[slot] = key
                 used += 1
@@ -171,6 +159,6 @@ def _follow(point, view, span, keys, words, used):  # type: ignore[no-untyped-de
 def _rehash(old, new):  # type: ignore[no-untyped-def]
     for row in range(old[0].size):
         if old[0][row] != EMPTY:
-            slot = _slot(new[0], old[0][row])
+            slot = slot_of(new[0], old[0][row])
             new[0][slot] = old[0][row]
             new[1][slot] = old[1][row]

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from stone.lattice import EMPTY, Keys, centres_of, check_reach, pack, scatter
+from stone.lattice import EMPTY, Keys, centres_of, check_reach, pack, slot_of
 from stone.se3 import SE3
 
 QUANTUM_M = 2.0**-20
@@ -122,7 +122,6 @@ def _insert(points, begin, sweep, table, used):  # type: ignore[no-untyped-def]
     """Insert from `begin` until all points are in or the table is too full; (points done, slots used)."""
     pose, sensor, voxel_m, frame = sweep
     keys, moments, last_frame = table
-    mask = np.uint64(keys.size - 1)
     inverse, unit = 1.0 / voxel_m, 1.0 / QUANTUM_M
     limit = int(keys.size * LOAD_RATIO)
     last_key, row = np.int64(EMPTY), np.int64(0)
@@ -134,15 +133,13 @@ def _insert(points, begin, sweep, table, used):  # type: ignore[no-untyped-def]
         i, j, k = math.floor(mx * inverse), math.floor(my * inverse), math.floor(mz * inverse)
         key = pack(i, j, k)
         if key != last_key:
-            slot = scatter(key) & mask
-            while keys[slot] != key and keys[slot] != EMPTY:
-                slot = (slot + np.uint64(1)) & mask
+            slot = slot_of(keys, key)
             if keys[slot] == EMPTY:
                 if used >= limit:
                     return p, used
                 keys[slot] = key
                 used += 1
-            last_key, row = key, np.int64(slot)
+            last_key, row = key, slot
         vx, vy, vz = sensor[0] - mx, sensor[1] - my, sensor[2] - mz
         scale = unit / math.sqrt(vx * vx + vy * vy + vz * vz + 1e-12)
         moment = moments[row]
@@ -162,14 +159,11 @@ def _insert(points, begin, sweep, table, used):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _rehash(old, new):  # type: ignore[no-untyped-def]
     keys, moments, last_frame = new
-    mask = np.uint64(keys.size - 1)
     for row in range(old[0].size):
         key = old[0][row]
         if key == EMPTY:
             continue
-        slot = scatter(key) & mask
-        while keys[slot] != EMPTY:
-            slot = (slot + np.uint64(1)) & mask
+        slot = slot_of(keys, key)
         keys[slot] = key
         moments[slot] = old[1][row]
         last_frame[slot] = old[2][row]

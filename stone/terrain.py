@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stone.mesh import Mesh, vertex_normals
+from stone.mesh import Mesh
 from stone.neighbours import cells_of, plane_fits
 
 ELEVATION, SLOPE, ROUGHNESS = 0, 1, 2
@@ -36,6 +36,3 @@ def roughness(vertices_map: NDArray[np.float64], parameters: TerrainParameters) 
     fits = plane_fits(cells_of(vertices_map, parameters.cell_m), parameters.neighbours)
     mean_square = np.nan_to_num(fits.mean_square_m2, nan=0.0)
     return np.log(np.maximum(mean_square, parameters.roughness_floor_m2))
-
-
-__all__ = ["ELEVATION", "ROUGHNESS", "SLOPE", "TerrainParameters", "roughness", "terrain_features", "vertex_normals"]

@@ -42,7 +42,9 @@ def height_above_local_ground(voxels: VoxelFeatures, radius_m: float) -> NDArray
     The floor is the minimum over a square window of columns, then its mean over the window.
     """
     columns = indices_of(voxels.keys)[:, :2]
-    origin = columns.min(axis=0, initial=0) if len(columns) == 0 else columns.min(axis=0)
+    if len(columns) == 0:
+        return np.zeros(0)
+    origin = columns.min(axis=0)
     reach = round(radius_m / VOXEL_M)
     at = columns - origin + 2 * reach
     shape = tuple(at.max(axis=0, initial=0) + 2 * reach + 1)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.labeler.run import Part, Run, Tile, core_cells
-from services.labeler.scratch import load, save, sight_path, surface_path
+from services.labeler.scratch import Arrays, load, save, sight_path, surface_path
 from services.runtime.npz import npz_bytes
 from stone.calibration import Mount
 from stone.grid import GRID_SHAPE, Grid, Window, crop, frame_bounds, reconcile, window_of
@@ -71,15 +71,22 @@ def _seen(semantics: Grid, cameras: list[SightLines]) -> Grid:
     return visible
 
 
+def labelled_tile(run: Run, tile: Tile, reference: Reference) -> tuple[Arrays, NDArray[np.uint8]]:
+    """What the surface stage left of this tile, and the class of each of its voxels (K,)."""
+    arrays = load(surface_path(run, tile))
+    alpha = run.parameters.reference.alpha
+    return arrays, classify(arrays["features"], arrays["is_driven"], reference, alpha)  # type: ignore[arg-type]
+
+
 def _window(run: Run, bounds: tuple[NDArray[np.int64], NDArray[np.int64]], reference: Reference) -> Window:
     """The labelled map within a range of voxel indices."""
     low, high = bounds
     keys, classes = [np.zeros(0, np.int64)], [np.zeros(0, np.uint8)]
     seen = [Observed(np.zeros(0, np.int64), np.zeros(0, np.uint64))]
     for tile in tiles_between(run, low, high):
-        arrays = load(surface_path(run, tile))
+        arrays, kinds = labelled_tile(run, tile, reference)
         keys.append(arrays["keys"])  # type: ignore[arg-type]
-        classes.append(classify(arrays["features"], arrays["is_driven"], reference, run.parameters.reference.alpha))  # type: ignore[arg-type]
+        classes.append(kinds)
         seen.append(Observed(arrays["bricks"], arrays["words"]))  # type: ignore[arg-type]
     return window_of(np.concatenate(keys), np.concatenate(classes), union(seen), bounds)
 

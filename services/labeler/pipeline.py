@@ -23,21 +23,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.labeler.errors import NoFramesError
-from services.labeler.frames import FrameCounts, frames, lay_sight_lines
+from services.labeler.frames import frames, labelled_tile, lay_sight_lines
 from services.labeler.fuse import fuse
 from services.labeler.parameters import LabelParameters
 from services.labeler.picture import TopView, write_top_view
 from services.labeler.ply import Piece, class_at, write_mesh
 from services.labeler.report import LabelReport, Meter, label_findings
 from services.labeler.run import Run, Tile, parts_of
-from services.labeler.scratch import fused_tiles, load, surface_path
+from services.labeler.scratch import fused_tiles
 from services.labeler.surface import TileSummary, surface
 from services.labeler.tables import concatenated, write_frames
 from services.labeler.workers import Workers
 from services.runtime.atomic import atomic_directory
-from stone.lattice import Keys
 from stone.sequence import Sequence, SweepSource
-from stone.traversability import Reference, classify, reference_of, total_of
+from stone.traversability import Reference, reference_of, total_of
 
 T = TypeVar("T")
 Progress = Callable[[str, int, int], None]
@@ -129,23 +128,14 @@ def write_pictures(run: Run, tiles: list[TileSummary], reference: Reference, out
     """`bev.png` and `mesh.ply`, tile by tile."""
     view = TopView({})
     for summary in tiles:
-        view.add(summary.tile, *_classes(run, summary.tile, reference))
+        arrays, classes = labelled_tile(run, summary.tile, reference)
+        view.add(summary.tile, arrays["keys"], classes)  # type: ignore[arg-type]
     write_top_view(out / "bev.png", view, run.sequence.frames.map_from_ego)
     totals = (sum(tile.vertices for tile in tiles), sum(tile.triangles for tile in tiles))
     write_mesh(out / "mesh.ply", totals, [partial(_piece, run, tile.tile, reference) for tile in tiles])
 
 
-def _classes(run: Run, tile: Tile, reference: Reference) -> tuple[Keys, NDArray[np.uint8]]:
-    arrays = load(surface_path(run, tile))
-    alpha = run.parameters.reference.alpha
-    return arrays["keys"], classify(arrays["features"], arrays["is_driven"], reference, alpha)  # type: ignore[arg-type,return-value]
-
-
 def _piece(run: Run, tile: Tile, reference: Reference) -> Piece:
-    arrays = load(surface_path(run, tile))
-    keys, classes = _classes(run, tile, reference)
+    arrays, classes = labelled_tile(run, tile, reference)
     vertices: NDArray[np.float32] = arrays["vertices"]  # type: ignore[assignment]
-    return vertices, arrays["triangles"], class_at(vertices, keys, classes)  # type: ignore[return-value]
-
-
-__all__ = ["FrameCounts", "LabelOptions", "LabelReport", "label"]
+    return vertices, arrays["triangles"], class_at(vertices, arrays["keys"], classes)  # type: ignore[return-value,arg-type]
