@@ -59,12 +59,15 @@ def test_a_rotation_with_five_decimals_passes_as_it_is(seed):
 @settings(max_examples=50, deadline=None)
 @given(seeds)
 def test_a_rotation_slightly_off_is_projected_to_the_nearest_and_said(seed):
-    noise = np.random.default_rng(seed).normal(0, 5e-4, (3, 3))
+    random = np.random.default_rng(seed)
+    stretch = random.normal(size=(3, 3))
+    stretch += stretch.T
+    stretch *= random.uniform(2e-4, 2e-3) / np.linalg.norm(stretch)  # so ‖RᵀR−I‖ is 4e-4 to 4e-3, within the warning
     exact = a_rotation(seed)
-    mended, findings = checked_rotation("CAM", exact + noise + 2e-4 * exact)
+    mended, findings = checked_rotation("CAM", exact @ (np.eye(3) + stretch))
     np.testing.assert_allclose(mended.T @ mended, np.eye(3), atol=1e-12)
     assert np.linalg.det(mended) == pytest.approx(1)
-    np.testing.assert_allclose(mended, exact, atol=5e-3)
+    np.testing.assert_allclose(mended, exact, atol=1e-12)  # the rotation of a polar decomposition is the nearest
     assert [(f.code, f.severity, f.topic) for f in findings] == [("CAL-401", "warning", "CAM")]
 
 
