@@ -1,0 +1,50 @@
+"""The Celery application: a queue per service, prefork workers, and bells instead of payloads.
+
+**Conventions.** A message says "there is work in this queue" and no more: the worker that hears it claims the next
+job from the database (`services/runtime/jobs`). So a message lost costs a second (the sweeper rings again), a message
+delivered twice finds nothing to do, and priorities and fairness are decided where they can be queried.
+
+**The pool is prefork**, on evidence (Celery 5.7, Open3D 0.20): thread pools enforce no time limits and share a GIL with
+Open3D's bindings; memory, filesystem and SQL brokers lose running work on kill −9. A parent that *used* Open3D
+before forking leaves its children with one thread for ever, one that only imported it does not, so the parent imports
+the kernels (children start in milliseconds) and never calls them. Each child has one thread per library: the
+parallelism is over jobs. `worker_cancel_long_running_tasks_on_connection_loss` stays off: it loses jobs.
+"""
+
+from celery import Celery
+
+from services.runtime.settings import Settings
+
+QUEUES = ("ingest", "labeler", "eval")
+
+
+def make_app(settings: Settings) -> Celery:
+    """The application for these settings; sending needs none of the services, working imports their tasks."""
+    app = Celery("stone", broker=settings.broker.url, include=[f"services.{name}.tasks" for name in QUEUES])
+    app.conf.update(
+        task_ignore_result=True,
+        task_acks_late=True,
+        task_reject_on_worker_lost=False,  # attempts are counted in the database; a poisoned job must not loop here
+        worker_prefetch_multiplier=1,
+        worker_disable_prefetch=True,  # a bell held by a busy worker is not heard by an idle one
+        worker_cancel_long_running_tasks_on_connection_loss=False,
+        worker_max_tasks_per_child=200,
+        worker_redirect_stdouts=False,
+        worker_hijack_root_logger=False,
+        task_time_limit=settings.jobs.time_limit_s
+        + 60,  # a job's own limit is enforced in the attempt; this is the net
+        task_default_queue="ingest",
+        task_routes={f"{name}.work": {"queue": name} for name in QUEUES},
+        broker_connection_retry_on_startup=True,
+        broker_transport_options={
+            "visibility_timeout": settings.broker.visibility_timeout_s,
+            "unacked_restore_interval": 5,  # kombu's own cadence redelivers up to 90 s late
+            "unacked_restore_throttle": 1,
+            "socket_connect_timeout": 2,
+            "socket_timeout": 30,
+        },
+    )
+    return app
+
+
+app = make_app(Settings())

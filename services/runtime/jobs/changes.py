@@ -1,0 +1,20 @@
+"""Compare-and-set: an UPDATE whose WHERE says what must still be true, and whether it was."""
+
+from typing import cast
+
+from sqlalchemy import CursorResult, Update, select
+from sqlalchemy.orm import Session
+
+from services.runtime.orm import Job
+
+
+def rows_changed(session: Session, statement: Update) -> int:
+    """How many rows the update changed; 0 means that somebody else was first."""
+    result = session.execute(statement.execution_options(synchronize_session=False))
+    return cast("CursorResult[None]", result).rowcount
+
+
+def lock_run(session: Session, root_id: str) -> Job:
+    """The run's row, locked until the end of the transaction: endings within one run come one after another."""
+    locked = select(Job).where(Job.id == root_id).with_for_update().execution_options(populate_existing=True)
+    return session.scalars(locked).one()

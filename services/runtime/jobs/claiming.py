@@ -1,0 +1,68 @@
+"""A worker that heard a bell takes the next job: the most urgent, of the owner with least running, the oldest."""
+
+import os
+import socket
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import Select, func, select, update
+from sqlalchemy.orm import Session, aliased
+
+from services.runtime.jobs.changes import rows_changed
+from services.runtime.orm import Job, JobAttempt, Queue
+from services.runtime.orm.base import now_ns
+
+CANDIDATES = 8
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A job that is ours to run: nobody else holds this (job, attempt)."""
+
+    job_id: str
+    root_id: str
+    sequence_id: str | None
+    kind: str
+    attempt: int
+    arguments: dict[str, Any]
+
+
+def claim(session: Session, queue: str) -> Claim | None:
+    """Take the next ready job of `queue`; None when there is none, or when the queue is paused."""
+    if session.scalar(select(Queue.mode).where(Queue.name == queue)) == "paused":
+        return None
+    for job in session.scalars(_ready(queue)).all():
+        taken = update(Job).where(Job.id == job.id, Job.state == "queued", Job.attempt == job.attempt)
+        now = now_ns()
+        values = {"state": "running", "attempt": job.attempt + 1, "attempts_left": job.attempts_left - 1}
+        clean = {"started_ns": now, "stage": "", "done": 0, "total": 0, "heartbeats": 0, "revision": Job.revision + 1}
+        if rows_changed(session, taken.values(**values, **clean)):
+            session.add(JobAttempt(job_id=job.id, number=job.attempt + 1, worker=worker_name(), started_ns=now))
+            _start_run(session, job, now)
+            return Claim(job.id, job.root_id, job.sequence_id, job.kind, job.attempt + 1, dict(job.arguments))
+    return None
+
+
+def worker_name() -> str:
+    """Host and pid: enough for an administrator to find the process."""
+    return f"{socket.gethostname()}:{os.getpid()}"
+
+
+def _ready(queue: str) -> Select[Job]:
+    busy = aliased(Job)
+    running = (
+        select(func.count()).where(busy.owner_id == Job.owner_id, busy.state == "running", busy.queue == queue)
+    ).scalar_subquery()
+    return (
+        select(Job)
+        .where(Job.queue == queue, Job.state == "queued", Job.needs_left == 0)
+        .order_by(Job.priority.desc(), running, Job.id)
+        .limit(CANDIDATES)
+        .execution_options(populate_existing=True)
+    )
+
+
+def _start_run(session: Session, job: Job, now: int) -> None:
+    if job.root_id != job.id:
+        waiting = update(Job).where(Job.id == job.root_id, Job.state == "queued")
+        session.execute(waiting.values(state="running", started_ns=now, revision=Job.revision + 1))

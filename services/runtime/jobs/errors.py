@@ -1,0 +1,48 @@
+"""Why a job stops, or cannot be steered as asked."""
+
+from stone.errors import StoneError
+
+
+class JobCancelledError(StoneError):
+    """The job was asked to stop; raised inside its attempt at the next report of progress."""
+
+    code = "cancelled"
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(f"cancelled: {reason}")
+
+
+class LostAttemptError(StoneError):
+    """The job is no longer this attempt's: it was terminated, or given to another worker after silence."""
+
+    code = "attempt_lost"
+
+    def __init__(self, job_id: str, attempt: int) -> None:
+        super().__init__(f"attempt {attempt} of job {job_id} no longer holds it; what it made is dropped")
+
+
+class JobStateError(StoneError):
+    """The job is not in a state in which this can be done."""
+
+    code = "wrong_state"
+
+    def __init__(self, job_id: str, state: str, act: str, allowed: str) -> None:
+        super().__init__(f"job {job_id} is {state} and cannot be {act}; only {allowed} jobs can")
+
+
+class UnknownKindError(StoneError):
+    """No worker of this queue knows such a job: the services run different versions of the code."""
+
+    code = "unknown_kind"
+
+    def __init__(self, kind: str, known: list[str]) -> None:
+        super().__init__(f"no stage {kind!r} in this worker; it knows {known} (do all services run the same version?)")
+
+
+class QueueDrainingError(StoneError):
+    """The queue takes nothing new until it is opened again."""
+
+    code = "queue_draining"
+
+    def __init__(self, queue: str) -> None:
+        super().__init__(f"queue {queue!r} is draining and takes no new jobs; try again when it is open")

@@ -1,0 +1,152 @@
+"""A job ends: succeeded with what follows from it, failed with its reason, or cancelled; then perhaps its run too.
+
+**Conventions.** Each function is one transaction's worth and returns whether this attempt still held the job; when it
+did not, nothing was changed. The run's row is locked first, so two last jobs cannot both leave the run open.
+"""
+
+import resource
+from dataclasses import dataclass
+
+from sqlalchemy import Update, func, select, update
+from sqlalchemy.orm import Session
+
+from services.runtime.database import ring_after_commit
+from services.runtime.jobs.changes import lock_run, rows_changed
+from services.runtime.jobs.claiming import Claim
+from services.runtime.jobs.queueing import add_jobs
+from services.runtime.jobs.specs import TERMINAL, Outcome
+from services.runtime.orm import Job, JobAttempt, JobNeed
+from services.runtime.orm.base import now_ns
+
+LONGEST_FAILURE = 2000
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why an attempt or a job ended badly: a code for programs, a sentence for people."""
+
+    code: str
+    sentence: str
+
+    def columns(self) -> dict[str, str]:
+        return {"failure_code": self.code, "failure": self.sentence[:LONGEST_FAILURE]}
+
+
+def succeed(session: Session, claim: Claim, outcome: Outcome, max_attempts: int) -> bool:
+    """Record the success, the rows it brings and the jobs that follow; ready dependents are rung for."""
+    run = lock_run(session, claim.root_id)
+    if not _leave(session, claim, "succeeded", result=dict(outcome.result)):
+        return False
+    _note(session, claim, "succeeded", None)
+    outcome.commit(session)
+    if claim.job_id == claim.root_id:
+        if outcome.then:
+            raise ValueError(f"{claim.kind} is a run of its own and cannot be followed by other jobs")
+        return True
+    if run.state == "running" and not run.cancel_reason:
+        add_jobs(session, run, outcome.then, max_attempts)
+        _release(session, claim.job_id)
+    _finish_run(session, run)
+    return True
+
+
+def fail(session: Session, claim: Claim, failure: Failure) -> bool:
+    """Record the failure; its run fails with it, and what the run had queued is cancelled."""
+    run = lock_run(session, claim.root_id)
+    if not _leave(session, claim, "failed", **failure.columns()):
+        return False
+    _note(session, claim, "failed", failure)
+    fail_run(session, run, claim.job_id, failure)
+    return True
+
+
+def cancelled(session: Session, claim: Claim) -> bool:
+    """Record that the attempt stopped because it was asked to."""
+    run = lock_run(session, claim.root_id)
+    if not _leave(session, claim, "cancelled"):
+        return False
+    _note(session, claim, "cancelled", None)
+    _finish_run(session, run)
+    return True
+
+
+def give_back(session: Session, claim: Claim, failure: Failure) -> bool:
+    """Queue the job again after an attempt that failed for no fault of the input; false when none is left to it."""
+    run = lock_run(session, claim.root_id)
+    held = _held(claim).where(Job.attempts_left > 0)
+    if run.cancel_reason or not rows_changed(session, held.values(state="queued", revision=Job.revision + 1)):
+        return False
+    _note(session, claim, "lost", failure)
+    ring_after_commit(session, claim.kind.partition(".")[0])
+    return True
+
+
+def fail_run(session: Session, run: Job, job_id: str, failure: Failure) -> None:
+    """The run of a failed job: nothing more of it starts, what runs is asked to stop, and its reason is kept."""
+    if run.id == job_id:
+        return
+    if not run.failure_code:
+        run.failure_code, run.failure = failure.code, failure.sentence[:LONGEST_FAILURE]
+        run.cancel_reason = run.cancel_reason or f"job {job_id} failed: {failure.code}"
+    cancel_queued(session, run)
+    _finish_run(session, run)
+
+
+def cancel_queued(session: Session, run: Job) -> None:
+    """What the run has not started will not start."""
+    queued = update(Job).where(Job.root_id == run.id, Job.id != run.id, Job.state == "queued")
+    session.execute(queued.values(state="cancelled", finished_ns=now_ns(), revision=Job.revision + 1))
+
+
+def settle(session: Session, run: Job) -> None:
+    """End the run if nothing of it is left to end."""
+    _finish_run(session, run)
+
+
+def _finish_run(session: Session, run: Job) -> None:
+    if run.queue:  # a job that is its own run has ended itself
+        return
+    session.flush()
+    counts = dict(
+        session.execute(
+            select(Job.state, func.count()).where(Job.root_id == run.id, Job.id != run.id).group_by(Job.state)
+        ).tuples()
+    )
+    run.revision += 1
+    if run.state in TERMINAL or counts.get("running", 0) or counts.get("queued", 0):
+        return
+    if run.failure_code:
+        run.state = "failed"
+    else:
+        run.state = "cancelled" if run.cancel_reason else "succeeded"
+    run.finished_ns = now_ns()
+
+
+def _release(session: Session, job_id: str) -> None:
+    """Count this success off in every job that waits for it; those that wait for nothing more are rung for."""
+    waiting = select(JobNeed.job_id).where(JobNeed.needed_id == job_id)
+    session.execute(
+        update(Job).where(Job.id.in_(waiting)).values(needs_left=Job.needs_left - 1),
+        execution_options={"synchronize_session": False},
+    )
+    ready = select(Job.queue).where(Job.id.in_(waiting), Job.needs_left == 0, Job.state == "queued")
+    for queue in session.scalars(ready):
+        ring_after_commit(session, queue)
+
+
+def _held(claim: Claim) -> Update:
+    return update(Job).where(Job.id == claim.job_id, Job.state == "running", Job.attempt == claim.attempt)
+
+
+def _leave(session: Session, claim: Claim, state: str, **columns: object) -> bool:
+    values = {"state": state, "finished_ns": now_ns(), "revision": Job.revision + 1, **columns}
+    return rows_changed(session, _held(claim).values(**values)) == 1
+
+
+def _note(session: Session, claim: Claim, outcome: str, failure: Failure | None) -> None:
+    """Close the attempt's own row; the process's cost is kept when it is the process itself that speaks."""
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    attempt = update(JobAttempt).where(JobAttempt.job_id == claim.job_id, JobAttempt.number == claim.attempt)
+    cost = {} if outcome == "lost" else {"peak_bytes": used.ru_maxrss * 1024}
+    columns = failure.columns() if failure else {}
+    session.execute(attempt.values(outcome=outcome, finished_ns=now_ns(), **cost, **columns))

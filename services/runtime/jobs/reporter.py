@@ -1,0 +1,160 @@
+"""The voice of a running attempt: heartbeats, progress and log lines go out, the wish to stop comes in.
+
+**Conventions.** A thread writes at most once every `progress_s` and at least once every `heartbeat_s`; the handler only
+touches memory. Writing is a compare-and-set: an attempt that no longer holds its job (terminated, or taken over after
+silence) ends its whole process at once, whatever library it is in, so that no zombie works on. A database that is away
+for a while silences the attempt, which goes on; if it stays away longer than a lease, another worker takes over.
+"""
+
+import os
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from threading import Event, Lock, Thread
+from typing import Any
+
+import structlog
+from sqlalchemy import select, update
+from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.orm import Session
+
+from services.runtime.jobs.changes import rows_changed
+from services.runtime.jobs.claiming import Claim
+from services.runtime.jobs.errors import JobCancelledError
+from services.runtime.jobs.finishing import Failure, fail
+from services.runtime.orm import Job, JobLine
+from services.runtime.orm.base import now_ns
+from services.runtime.platform import Platform
+
+LONGEST_EVENT = 1000
+LOST = 70  # EX_SOFTWARE: the exit code of a worker process that ended itself
+
+log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True)
+class _Line:
+    level: str
+    event: str
+    facts: dict[str, Any]
+    logged_ns: int
+
+
+class Reporter:
+    """`with Reporter(platform, claim) as attempt: handler(attempt)`; the `Attempt` that handlers see."""
+
+    def __init__(self, platform: Platform, claim: Claim) -> None:
+        self._platform, self._claim = platform, claim
+        self._limits = platform.settings.jobs
+        self._lock = Lock()
+        self._lines: list[_Line] = []
+        self._logged = self._written = 0
+        self._progress: tuple[str, int, int] | None = None
+        self._cancel_reason = ""
+        self._begin = time.monotonic()
+        self._leaving = Event()
+        self._thread = Thread(target=self._speak, name=f"reporter-{claim.job_id[:8]}", daemon=True)
+
+    @property
+    def job_id(self) -> str:
+        return self._claim.job_id
+
+    @property
+    def root_id(self) -> str:
+        return self._claim.root_id
+
+    @property
+    def sequence_id(self) -> str | None:
+        return self._claim.sequence_id
+
+    @property
+    def arguments(self) -> Mapping[str, Any]:
+        return self._claim.arguments
+
+    def __enter__(self) -> "Reporter":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._leaving.set()
+        self._thread.join()
+        self._flush(is_last=True)
+
+    def progress(self, stage: str, done: int, total: int) -> None:
+        """Note how far the job is. Raises `JobCancelledError` when it is to stop."""
+        with self._lock:
+            self._progress = (stage, done, total)
+        self.stop_if_asked()
+
+    def stop_if_asked(self) -> None:
+        """Raises `JobCancelledError` when somebody asked the job to stop."""
+        if self._cancel_reason:
+            raise JobCancelledError(self._cancel_reason)
+
+    def log(self, event: str, level: str = "info", **facts: Any) -> None:
+        """Keep a line; beyond the limit of lines per attempt the last one says that there were more."""
+        with self._lock:
+            self._logged += 1
+            limit = self._limits.log_lines_per_attempt
+            if self._logged == limit:
+                event, level, facts = f"more than {limit} lines; the rest is not kept", "warning", {}
+            if self._logged <= limit:
+                self._lines.append(_Line(level, event[:LONGEST_EVENT], facts, now_ns()))
+
+    def _speak(self) -> None:
+        beat = time.monotonic()
+        while not self._leaving.wait(self._limits.progress_s):
+            if time.monotonic() - self._begin > self._limits.time_limit_s:
+                self._time_out()
+            is_due = time.monotonic() - beat >= self._limits.heartbeat_s
+            if is_due or self._progress or self._lines:
+                self._flush(is_last=False)
+                beat = time.monotonic()
+
+    def _flush(self, *, is_last: bool) -> None:
+        with self._lock:
+            lines, self._lines = self._lines, []
+            progress, self._progress = self._progress, None
+        try:
+            with self._platform.database.transaction() as session:
+                self._write_lines(session, lines)
+                is_ours = is_last or self._beat(session, progress)
+        except SQLAlchemyError as error:
+            log.warning("progress not written; the job goes on", job_id=self.job_id, reason=str(error))
+            with self._lock:
+                self._lines, self._progress = lines + self._lines, self._progress or progress
+            return
+        self._written += len(lines)
+        if not is_ours:
+            self._end_process("attempt lost")
+
+    def _beat(self, session: Session, progress: tuple[str, int, int] | None) -> bool:
+        held = update(Job).where(Job.id == self.job_id, Job.attempt == self._claim.attempt, Job.state == "running")
+        values: dict[str, Any] = {"heartbeats": Job.heartbeats + 1}
+        if progress:
+            stage, done, total = progress
+            values |= {"stage": stage, "done": done, "total": total, "progress_ns": now_ns()}
+            values["revision"] = Job.revision + 1
+        if not rows_changed(session, held.values(**values)):
+            return self._leaving.is_set()  # it ended while we were about to speak: its own doing
+        own_or_run = select(Job.cancel_reason).where(Job.id.in_((self.job_id, self.root_id)), Job.cancel_reason != "")
+        self._cancel_reason = session.scalar(own_or_run) or ""
+        return True
+
+    def _write_lines(self, session: Session, lines: list[_Line]) -> None:
+        for number, line in enumerate(lines, start=self._written):
+            row = JobLine(job_id=self.job_id, attempt=self._claim.attempt, number=number, level=line.level)
+            row.event, row.facts, row.logged_ns = line.event, line.facts, line.logged_ns
+            session.add(row)
+
+    def _time_out(self) -> None:
+        limit_s = self._limits.time_limit_s
+        sentence = f"ran longer than {limit_s:.0f} s and was stopped; stages are cut to take minutes, is the input odd?"
+        with self._platform.database.transaction() as session:
+            fail(session, self._claim, Failure("time_limit", sentence))
+        self._end_process("time limit")
+
+    def _end_process(self, reason: str) -> None:
+        """The handler may be inside a library that hears nothing; a process that ends stops surely."""
+        log.warning("process ends itself", job_id=self.job_id, attempt=self._claim.attempt, reason=reason)
+        os._exit(LOST)

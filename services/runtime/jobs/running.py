@@ -1,0 +1,68 @@
+"""One attempt at a job: claim, call its handler, record how it ended. What a Celery task is one line around.
+
+**Conventions.** A `StoneError` is a refusal of the input: the job fails at once, with its code. Anything else is a
+fault of ours or of the machine: the job is queued again until its attempts are used up, then it fails as
+`internal_error` with the exception's own words; the traceback is in the attempt's log.
+"""
+
+import traceback
+
+import structlog
+
+from services.runtime.jobs.claiming import Claim, claim
+from services.runtime.jobs.errors import JobCancelledError, LostAttemptError, UnknownKindError
+from services.runtime.jobs.finishing import Failure, cancelled, fail, give_back, succeed
+from services.runtime.jobs.reporter import Reporter
+from services.runtime.jobs.specs import Handlers, Outcome
+from services.runtime.platform import Platform
+from stone.errors import StoneError
+
+log = structlog.get_logger(__name__)
+
+
+def run_next(platform: Platform, queue: str, handlers: Handlers) -> bool:
+    """Run the next ready job of `queue` to its end; False when there was none (somebody else heard the bell first)."""
+    with platform.database.transaction() as session:
+        taken = claim(session, queue)
+    if taken is None:
+        return False
+    with Reporter(platform, taken) as reporter:
+        _attempt(platform, taken, handlers, reporter)
+    return True
+
+
+def _attempt(platform: Platform, taken: Claim, handlers: Handlers, reporter: Reporter) -> None:
+    try:
+        if taken.kind not in handlers:
+            raise UnknownKindError(taken.kind, sorted(handlers))
+        outcome = handlers[taken.kind](reporter)
+        reporter.stop_if_asked()
+        _succeed(platform, taken, outcome)
+    except LostAttemptError as error:
+        log.warning("attempt lost", job_id=taken.job_id, attempt=taken.attempt, reason=str(error))
+    except JobCancelledError as error:
+        reporter.log(str(error), "warning")
+        with platform.database.transaction() as session:
+            cancelled(session, taken)
+    except StoneError as error:
+        _fail(platform, taken, reporter, Failure(error.code, str(error)))
+    except Exception as error:
+        reporter.log("the stage raised", "error", traceback=traceback.format_exc()[-8000:])
+        failure = Failure("internal_error", f"{type(error).__name__}: {error}")
+        with platform.database.transaction() as session:
+            is_queued = give_back(session, taken, failure)
+        if not is_queued:
+            _fail(platform, taken, reporter, failure)
+
+
+def _succeed(platform: Platform, taken: Claim, outcome: Outcome) -> None:
+    """Raises `LostAttemptError` when the job went to somebody else meanwhile; nothing is written then."""
+    with platform.database.transaction() as session:
+        if not succeed(session, taken, outcome, platform.settings.jobs.max_attempts):
+            raise LostAttemptError(taken.job_id, taken.attempt)
+
+
+def _fail(platform: Platform, taken: Claim, reporter: Reporter, failure: Failure) -> None:
+    reporter.log(failure.sentence, "error", code=failure.code)
+    with platform.database.transaction() as session:
+        fail(session, taken, failure)

@@ -1,0 +1,81 @@
+"""What a job is asked to be, what it is told when it runs, and what it answers.
+
+**Conventions.** `kind` is `<queue>.<stage>`. Arguments and results are small JSON objects; data goes through the store.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from sqlalchemy.orm import Session
+
+TERMINAL = ("succeeded", "failed", "cancelled")
+
+
+@dataclass(frozen=True)
+class JobSpec:
+    """A job to be. `key` names it among its batch; `needs` are keys of that batch that must succeed before it."""
+
+    kind: str
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+    key: str = ""
+    needs: tuple[str, ...] = ()
+
+    @property
+    def queue(self) -> str:
+        return self.kind.partition(".")[0]
+
+
+@dataclass(frozen=True)
+class Context:
+    """For whom a job works and how urgently (higher first)."""
+
+    owner_id: str
+    sequence_id: str | None = None
+    priority: int = 0
+
+
+def nothing(_session: Session) -> None:
+    """Write no rows."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a handler answers when it succeeds.
+
+    `then` are jobs of the same run that come to life with this success; `commit` writes rows in the same transaction as
+    the success itself, so both happen or neither. An attempt that lost the race
+    never commits.
+    """
+
+    result: Mapping[str, Any] = field(default_factory=dict)
+    then: tuple[JobSpec, ...] = ()
+    commit: Callable[[Session], None] = nothing
+
+
+class Attempt(Protocol):
+    """What a handler is given: who it is, its arguments, and ways to speak while it works."""
+
+    @property
+    def job_id(self) -> str: ...
+
+    @property
+    def root_id(self) -> str: ...
+
+    @property
+    def sequence_id(self) -> str | None: ...
+
+    @property
+    def arguments(self) -> Mapping[str, Any]: ...
+
+    def progress(self, stage: str, done: int, total: int) -> None:
+        """Say how far it is, as often as it likes. Raises `JobCancelledError` when the job is to stop."""
+        ...
+
+    def log(self, event: str, level: str = "info", **facts: Any) -> None:
+        """Keep a line with the attempt, readable while it runs."""
+        ...
+
+
+Handler = Callable[[Attempt], Outcome]
+Handlers = Mapping[str, Handler]

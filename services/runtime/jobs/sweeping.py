@@ -1,0 +1,97 @@
+"""What died is taken up again: attempts that fell silent, bells that were lost.
+
+**Conventions.** A sweeper remembers when, on its own monotonic clock, it last saw the heartbeats of an attempt change;
+one that stood still for a lease is given back, or failed as `worker_lost` when no attempt is left. No two clocks are
+ever compared. Several sweepers may run; each change is a compare-and-set, so they do nothing twice.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import structlog
+from redis import RedisError
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+from services.runtime.jobs.claiming import Claim
+from services.runtime.jobs.finishing import Failure, fail, give_back
+from services.runtime.orm import Job, Queue
+from services.runtime.platform import Platform
+
+log = structlog.get_logger(__name__)
+
+Pulse = tuple[str, int]
+
+
+@dataclass
+class Sweeper:
+    """`sweep()` every second or so; `waiting(queue)` counts bells not yet heard, `ring` rings more."""
+
+    platform: Platform
+    waiting: Callable[[str], int]
+    ring: Callable[[str, int], None]
+    monotonic_s: Callable[[], float] = time.monotonic
+    _seen: dict[Pulse, tuple[int, float]] = field(default_factory=dict)
+    _quiet: dict[str, int] = field(default_factory=dict)
+
+    def sweep(self) -> None:
+        """Give back what fell silent, then ring for ready jobs that no bell stands for."""
+        self.recover()
+        self.ring_again()
+
+    def recover(self) -> int:
+        """Give back every attempt whose heartbeats stood still for a lease; how many there were."""
+        now_s = self.monotonic_s()
+        with self.platform.database.reading() as session:
+            running = session.scalars(select(Job).where(Job.state == "running", Job.queue != "")).all()
+        pulses = {(job.id, job.attempt): job.heartbeats for job in running}
+        before, self._seen = self._seen, {}
+        for pulse, beats in pulses.items():
+            known, since_s = before.get(pulse, (-1, now_s))
+            self._seen[pulse] = (beats, since_s if known == beats else now_s)
+        lease_s = self.platform.settings.jobs.lease_s
+        silent = [job for job in running if now_s - self._seen[job.id, job.attempt][1] >= lease_s]
+        for job in silent:
+            self._give_back(job)
+        return len(silent)
+
+    def ring_again(self) -> None:
+        """Ring for ready jobs without a bell: twice in a row, so that a bell under way is not doubled."""
+        with self.platform.database.reading() as session:
+            ready = _ready(session)
+        missing = {}
+        for queue, jobs in ready.items():
+            try:
+                missing[queue] = max(0, jobs - self.waiting(queue))
+            except (RedisError, OSError) as error:
+                log.warning("broker away", queue=queue, reason=str(error))
+                return
+        for queue, count in missing.items():
+            lost = min(count, self._quiet.get(queue, 0))
+            if lost:
+                self.ring(queue, lost)
+        self._quiet = missing
+
+    def _give_back(self, job: Job) -> None:
+        claim = Claim(job.id, job.root_id, job.sequence_id, job.kind, job.attempt, {})
+        lease_s = self.platform.settings.jobs.lease_s
+        failure = Failure("worker_lost", f"attempt {job.attempt} gave no sign of life for {lease_s:g} s")
+        with self.platform.database.transaction() as session:
+            if session.get_one(Job, job.id).heartbeats != job.heartbeats:
+                return
+            is_queued = give_back(session, claim, failure)
+            if not is_queued:
+                fail(session, claim, failure)
+        log.warning("attempt lost", job_id=job.id, kind=job.kind, attempt=job.attempt, is_queued=is_queued)
+
+
+def _ready(session: Session) -> dict[str, int]:
+    """Ready jobs per queue that is not paused."""
+    paused = select(Queue.name).where(Queue.mode == "paused")
+    ready = (
+        select(Job.queue, func.count())
+        .where(Job.state == "queued", Job.needs_left == 0, Job.queue != "", Job.queue.not_in(paused))
+        .group_by(Job.queue)
+    )
+    return dict(session.execute(ready).tuples().all())

@@ -1,0 +1,34 @@
+"""The rows: names, states and keys of things, never arrays. One module per noun; `Base.metadata` knows them all."""
+
+from services.runtime.orm.artefacts import Artefact, Blob, LabelledFrame, LabelSet
+from services.runtime.orm.base import Base, new_id
+from services.runtime.orm.books import AuditEntry, IdempotentReply, QuotaEntry
+from services.runtime.orm.jobs import Job, JobAttempt, JobLine, JobNeed, Queue
+from services.runtime.orm.people import Team, TeamMember, Token, User, WebSession
+from services.runtime.orm.sequences import Calibration, Recording, Sequence, Upload
+
+__all__ = [
+    "Artefact",
+    "AuditEntry",
+    "Base",
+    "Blob",
+    "Calibration",
+    "IdempotentReply",
+    "Job",
+    "JobAttempt",
+    "JobLine",
+    "JobNeed",
+    "LabelSet",
+    "LabelledFrame",
+    "Queue",
+    "QuotaEntry",
+    "Recording",
+    "Sequence",
+    "Team",
+    "TeamMember",
+    "Token",
+    "Upload",
+    "User",
+    "WebSession",
+    "new_id",
+]

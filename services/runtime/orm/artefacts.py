@@ -1,0 +1,62 @@
+"""What the platform makes: blobs by content, artefacts that name them, label sets and their frames."""
+
+from sqlalchemy import ForeignKey, Index, String
+from sqlalchemy.orm import Mapped, mapped_column
+
+from services.runtime.orm.base import Base, Bytes, Id, Ns, Record, new_id, now_ns
+
+
+class Blob(Base):
+    """Bytes in the store. A row is deleted before its object, and a content stored again gets a new `object_key`, so
+    nothing a row names is ever removed. Whoever refers to a blob does so by a foreign key, which forbids its deletion.
+    """
+
+    __tablename__ = "blobs"
+    sha256: Mapped[str] = mapped_column(String(64), primary_key=True)
+    object_key: Mapped[str] = mapped_column(String(160), unique=True)
+    size_bytes: Mapped[Bytes]
+    created_ns: Mapped[Ns] = mapped_column(default=now_ns)
+
+
+class LabelSet(Base):
+    """The labels of a sequence under one recipe (sha256 of inputs, parameters and code version); made once."""
+
+    __tablename__ = "label_sets"
+    id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
+    sequence_id: Mapped[Id] = mapped_column(ForeignKey("sequences.id", ondelete="CASCADE"), index=True)
+    job_id: Mapped[Id] = mapped_column(ForeignKey("jobs.id"))
+    recipe: Mapped[str] = mapped_column(String(64))
+    parameters: Mapped[Record]
+    code_version: Mapped[str] = mapped_column(String(64))
+    frames: Mapped[int]
+    created_ns: Mapped[Ns] = mapped_column(default=now_ns)
+
+    __table_args__ = (Index("uq_label_sets_sequence_recipe", "sequence_id", "recipe", unique=True),)
+
+
+class Artefact(Base):
+    """One file of a label set: `report.json`, `bev.png`, `mesh.ply`, `frames.parquet`, `labels/000000.pack`."""
+
+    __tablename__ = "artefacts"
+    id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
+    label_set_id: Mapped[Id] = mapped_column(ForeignKey("label_sets.id", ondelete="CASCADE"))
+    name: Mapped[str] = mapped_column(String(128))
+    media_type: Mapped[str] = mapped_column(String(64))
+    blob_sha256: Mapped[str] = mapped_column(ForeignKey("blobs.sha256"), index=True)
+    size_bytes: Mapped[Bytes]
+
+    __table_args__ = (Index("uq_artefacts_label_set_name", "label_set_id", "name", unique=True),)
+
+
+class LabelledFrame(Base):
+    """Where the `labels.npz` of a frame lies: a byte range [offset, offset + length) of a pack."""
+
+    __tablename__ = "labelled_frames"
+    label_set_id: Mapped[Id] = mapped_column(ForeignKey("label_sets.id", ondelete="CASCADE"), primary_key=True)
+    ordinal: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    token: Mapped[str] = mapped_column(String(32), index=True)
+    stamp_ns: Mapped[Ns]
+    pack_id: Mapped[Id] = mapped_column(ForeignKey("artefacts.id", ondelete="CASCADE"))
+    offset_bytes: Mapped[Bytes]
+    length_bytes: Mapped[Bytes]
+    sha256: Mapped[str] = mapped_column(String(64))

@@ -1,0 +1,40 @@
+"""What every row shares.
+
+**Conventions.** An id is 32 hex digits, the first twelve a millisecond clock: rows sort by age, ids cannot be guessed
+(80 random bits). Times are integer nanoseconds since 1970, `<verb>_ns`. Every constraint has a name, so that
+migrations can speak of it on both databases.
+"""
+
+import time
+from secrets import token_hex
+from typing import Annotated, Any, ClassVar
+
+from sqlalchemy import JSON, BigInteger, MetaData, String
+from sqlalchemy.orm import DeclarativeBase, mapped_column
+
+Id = Annotated[str, mapped_column(String(32))]
+Ns = Annotated[int, mapped_column(BigInteger)]
+Bytes = Annotated[int, mapped_column(BigInteger)]
+Record = Annotated[dict[str, Any], mapped_column(JSON)]
+
+NAMING = {
+    "ix": "ix_%(table_name)s_%(column_0_N_name)s",
+    "uq": "uq_%(table_name)s_%(column_0_N_name)s",
+    "ck": "ck_%(table_name)s_%(constraint_name)s",
+    "fk": "fk_%(table_name)s_%(column_0_N_name)s",
+    "pk": "pk_%(table_name)s",
+}
+
+
+class Base(DeclarativeBase):
+    metadata: ClassVar[MetaData] = MetaData(naming_convention=NAMING)
+
+
+def now_ns() -> int:
+    """The wall clock. For people and for expiry in days; no lease and no order of work depends on it."""
+    return time.time_ns()
+
+
+def new_id() -> str:
+    """A fresh id: sortable by age, not guessable."""
+    return f"{time.time_ns() // 1_000_000:012x}{token_hex(10)}"

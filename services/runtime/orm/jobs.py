@@ -1,0 +1,93 @@
+"""Work: jobs, what they wait for, their attempts and log lines, and the queues' switches.
+
+**Conventions.** `state` is queued, running, succeeded, failed or cancelled; only `services/runtime/jobs` changes it,
+always by compare-and-set. A job whose `queue` is empty is a run: it holds its children together and no worker takes it.
+"""
+
+from typing import Any
+
+from sqlalchemy import JSON, ForeignKey, Index, String
+from sqlalchemy.orm import Mapped, mapped_column
+
+from services.runtime.orm.base import Base, Id, Ns, Record, new_id, now_ns
+
+
+class Job(Base):
+    """`needs_left` jobs must succeed before this one is ready; `heartbeats` grows while an attempt lives."""
+
+    __tablename__ = "jobs"
+    id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
+    root_id: Mapped[Id] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"), index=True)
+    owner_id: Mapped[Id] = mapped_column(ForeignKey("users.id"), index=True)
+    sequence_id: Mapped[Id | None] = mapped_column(ForeignKey("sequences.id"), index=True)
+    kind: Mapped[str] = mapped_column(String(64))
+    queue: Mapped[str] = mapped_column(String(16), default="")
+    state: Mapped[str] = mapped_column(String(16), default="queued")
+    priority: Mapped[int] = mapped_column(default=0)
+    arguments: Mapped[Record] = mapped_column(default=dict)
+    needs_left: Mapped[int] = mapped_column(default=0)
+    attempt: Mapped[int] = mapped_column(default=0)
+    attempts_left: Mapped[int] = mapped_column(default=3)
+    heartbeats: Mapped[int] = mapped_column(default=0)
+    cancel_reason: Mapped[str] = mapped_column(String(512), default="")
+    stage: Mapped[str] = mapped_column(String(64), default="")
+    done: Mapped[int] = mapped_column(default=0)
+    total: Mapped[int] = mapped_column(default=0)
+    progress_ns: Mapped[Ns | None]
+    result: Mapped[Record | None] = mapped_column(JSON)
+    failure_code: Mapped[str] = mapped_column(String(64), default="")
+    failure: Mapped[str] = mapped_column(String(2000), default="")
+    revision: Mapped[int] = mapped_column(default=1)
+    created_ns: Mapped[Ns] = mapped_column(default=now_ns)
+    started_ns: Mapped[Ns | None]
+    finished_ns: Mapped[Ns | None]
+
+    __table_args__ = (
+        Index("ix_jobs_ready", "queue", "state", "needs_left", "priority", "id"),
+        Index("ix_jobs_owner_state", "owner_id", "state"),
+    )
+
+
+class JobNeed(Base):
+    """`job_id` waits until `needed_id` has succeeded."""
+
+    __tablename__ = "job_needs"
+    job_id: Mapped[Id] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True)
+    needed_id: Mapped[Id] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True, index=True)
+
+
+class JobAttempt(Base):
+    """One try at a job by one process. `outcome` is empty while it runs, else succeeded, failed, cancelled or lost."""
+
+    __tablename__ = "job_attempts"
+    job_id: Mapped[Id] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True)
+    number: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    worker: Mapped[str] = mapped_column(String(128))
+    outcome: Mapped[str] = mapped_column(String(16), default="")
+    failure_code: Mapped[str] = mapped_column(String(64), default="")
+    failure: Mapped[str] = mapped_column(String(2000), default="")
+    cpu_s: Mapped[float | None]
+    peak_bytes: Mapped[Ns | None]
+    started_ns: Mapped[Ns] = mapped_column(default=now_ns)
+    finished_ns: Mapped[Ns | None]
+
+
+class JobLine(Base):
+    """A structured log line of an attempt, numbered from 0."""
+
+    __tablename__ = "job_lines"
+    job_id: Mapped[Id] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True)
+    attempt: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    number: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    logged_ns: Mapped[Ns] = mapped_column(default=now_ns)
+    level: Mapped[str] = mapped_column(String(8))
+    event: Mapped[str] = mapped_column(String(1000))
+    facts: Mapped[dict[str, Any]] = mapped_column(JSON, default=dict)
+
+
+class Queue(Base):
+    """The switch of a queue: open, paused (nothing new starts) or draining (what is queued runs, nothing is added)."""
+
+    __tablename__ = "queues"
+    name: Mapped[str] = mapped_column(String(16), primary_key=True)
+    mode: Mapped[str] = mapped_column(String(16), default="open")

@@ -1,0 +1,60 @@
+"""Who may do what: users, their tokens and browser sessions, teams. Secrets are stored as hashes only."""
+
+from sqlalchemy import JSON, ForeignKey, String
+from sqlalchemy.orm import Mapped, mapped_column, relationship
+
+from services.runtime.orm.base import Base, Id, Ns, new_id, now_ns
+
+
+class User(Base):
+    """`role` is administrator, curator or participant; `password_hash` (argon2id) is empty for tokens only."""
+
+    __tablename__ = "users"
+    id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
+    name: Mapped[str] = mapped_column(String(64), unique=True)
+    role: Mapped[str] = mapped_column(String(16))
+    password_hash: Mapped[str] = mapped_column(String(256), default="")
+    is_active: Mapped[bool] = mapped_column(default=True)
+    created_ns: Mapped[Ns] = mapped_column(default=now_ns)
+
+
+class Token(Base):
+    """`scopes` lists read, upload, submit, admin; `secret_hash` is the sha256 of 32 random bytes in base64url."""
+
+    __tablename__ = "tokens"
+    id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
+    user_id: Mapped[Id] = mapped_column(ForeignKey("users.id", ondelete="CASCADE"), index=True)
+    name: Mapped[str] = mapped_column(String(64))
+    secret_hash: Mapped[str] = mapped_column(String(64), unique=True)
+    scopes: Mapped[list[str]] = mapped_column(JSON)
+    created_ns: Mapped[Ns] = mapped_column(default=now_ns)
+    expires_ns: Mapped[Ns]
+    used_ns: Mapped[Ns | None]
+    user: Mapped[User] = relationship(lazy="joined")
+
+
+class WebSession(Base):
+    """A signed-in browser: the cookie's hash, and the CSRF token that unsafe requests must repeat."""
+
+    __tablename__ = "web_sessions"
+    id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
+    user_id: Mapped[Id] = mapped_column(ForeignKey("users.id", ondelete="CASCADE"), index=True)
+    secret_hash: Mapped[str] = mapped_column(String(64), unique=True)
+    csrf_token: Mapped[str] = mapped_column(String(64))
+    created_ns: Mapped[Ns] = mapped_column(default=now_ns)
+    expires_ns: Mapped[Ns]
+    user: Mapped[User] = relationship(lazy="joined")
+
+
+class Team(Base):
+    __tablename__ = "teams"
+    id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
+    name: Mapped[str] = mapped_column(String(64), unique=True)
+    created_ns: Mapped[Ns] = mapped_column(default=now_ns)
+
+
+class TeamMember(Base):
+    __tablename__ = "team_members"
+    team_id: Mapped[Id] = mapped_column(ForeignKey("teams.id", ondelete="CASCADE"), primary_key=True)
+    user_id: Mapped[Id] = mapped_column(ForeignKey("users.id", ondelete="CASCADE"), primary_key=True)
+    is_owner: Mapped[bool] = mapped_column(default=False)

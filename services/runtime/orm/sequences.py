@@ -1,0 +1,92 @@
+"""What the field engineer brings: sequences with their recordings, calibrations, and uploads under way."""
+
+from typing import Any
+
+from sqlalchemy import JSON, ForeignKey, Index, String, text
+from sqlalchemy.orm import Mapped, mapped_column
+
+from services.runtime.orm.base import Base, Bytes, Id, Ns, Record, new_id, now_ns
+
+
+class Calibration(Base):
+    """A calibration as uploaded; immutable. `sensors` is what a list shows; `findings` are its checks' warnings."""
+
+    __tablename__ = "calibrations"
+    id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
+    owner_id: Mapped[Id] = mapped_column(ForeignKey("users.id"), index=True)
+    name: Mapped[str] = mapped_column(String(128))
+    version: Mapped[int]
+    filename: Mapped[str] = mapped_column(String(255))
+    sha256: Mapped[str] = mapped_column(String(64))
+    blob_sha256: Mapped[str] = mapped_column(ForeignKey("blobs.sha256"), index=True)
+    sensors: Mapped[list[Any]] = mapped_column(JSON)
+    findings: Mapped[list[Any]] = mapped_column(JSON)
+    created_ns: Mapped[Ns] = mapped_column(default=now_ns)
+
+    __table_args__ = (Index("ix_calibrations_owner_name_version", "owner_id", "name", "version", unique=True),)
+
+
+class Sequence(Base):
+    """One continuous run of the robot. `revision` counts changes (ETag); deleted: the row stays."""
+
+    __tablename__ = "sequences"
+    id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
+    owner_id: Mapped[Id] = mapped_column(ForeignKey("users.id"), index=True)
+    name: Mapped[str] = mapped_column(String(64))
+    environment: Mapped[str] = mapped_column(String(64), default="")
+    illumination: Mapped[str] = mapped_column(String(64), default="")
+    region: Mapped[str] = mapped_column(String(64), default="")
+    platform: Mapped[str] = mapped_column(String(64), default="")
+    calibration_id: Mapped[Id | None] = mapped_column(ForeignKey("calibrations.id"))
+    revision: Mapped[int] = mapped_column(default=1)
+    created_ns: Mapped[Ns] = mapped_column(default=now_ns)
+    deleted_ns: Mapped[Ns | None]
+
+    __table_args__ = (
+        Index(
+            "uq_sequences_owner_name_alive",
+            "owner_id",
+            "name",
+            unique=True,
+            sqlite_where=text("deleted_ns IS NULL"),
+            postgresql_where=text("deleted_ns IS NULL"),
+        ),
+    )
+
+
+class Upload(Base):
+    """A file under way. Its offset is the number of bytes on disk, never a column.
+
+    `state`: open, complete (all bytes there, sha256 verified), consumed (by a recording), failed, expired, terminated.
+    """
+
+    __tablename__ = "uploads"
+    id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
+    owner_id: Mapped[Id] = mapped_column(ForeignKey("users.id"), index=True)
+    purpose: Mapped[str] = mapped_column(String(32))
+    target_id: Mapped[str] = mapped_column(String(64), default="")
+    filename: Mapped[str] = mapped_column(String(255))
+    length_bytes: Mapped[Bytes]
+    declared_sha256: Mapped[str] = mapped_column(String(64), default="")
+    sha256: Mapped[str] = mapped_column(String(64), default="", index=True)
+    state: Mapped[str] = mapped_column(String(16), default="open", index=True)
+    detail: Mapped[str] = mapped_column(String(512), default="")
+    created_ns: Mapped[Ns] = mapped_column(default=now_ns)
+    expires_ns: Mapped[Ns]
+
+
+class Recording(Base):
+    """One bag of a sequence. `state`: received, registered (read and kept as a blob), refused (see `findings`)."""
+
+    __tablename__ = "recordings"
+    id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
+    sequence_id: Mapped[Id] = mapped_column(ForeignKey("sequences.id", ondelete="CASCADE"), index=True)
+    upload_id: Mapped[Id | None] = mapped_column(ForeignKey("uploads.id"), unique=True)
+    filename: Mapped[str] = mapped_column(String(255))
+    size_bytes: Mapped[Bytes]
+    sha256: Mapped[str] = mapped_column(String(64))
+    blob_sha256: Mapped[str | None] = mapped_column(ForeignKey("blobs.sha256"), index=True)
+    state: Mapped[str] = mapped_column(String(16), default="received")
+    inspection: Mapped[Record | None] = mapped_column(JSON)
+    findings: Mapped[list[Any]] = mapped_column(JSON, default=list)
+    created_ns: Mapped[Ns] = mapped_column(default=now_ns)
