@@ -32,7 +32,7 @@ class Sequence(Base):
     __tablename__ = "sequences"
     id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
     owner_id: Mapped[Id] = mapped_column(ForeignKey("users.id"), index=True)
-    name: Mapped[str] = mapped_column(String(64))
+    name: Mapped[str] = mapped_column(String(100))
     environment: Mapped[str] = mapped_column(String(64), default="")
     illumination: Mapped[str] = mapped_column(String(64), default="")
     region: Mapped[str] = mapped_column(String(64), default="")
