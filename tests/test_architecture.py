@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("stone", "services", "simulator", "client")
+PACKAGES = ("stone", "services", "simulator", "client", "api")
 SOURCES = tuple(path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py")))
 MAX_FILE_LINES = 300
 MAX_FUNCTION_LINES = 50

@@ -70,12 +70,17 @@ def cancelled(session: Session, claim: Claim) -> bool:
     return True
 
 
-def give_back(session: Session, claim: Claim, failure: Failure) -> bool:
-    """Queue the job again after an attempt that failed for no fault of the input; false when none is left to it."""
+def lose(session: Session, claim: Claim, failure: Failure) -> bool:
+    """After an attempt that ended for no fault of the input: queue the job again, or end it when no try is left to it.
+
+    A job that was asked to stop is not tried again: it ends cancelled.
+    """
     run = lock_run(session, claim.root_id)
+    if run.cancel_reason:
+        return cancelled(session, claim)
     held = _held(claim).where(Job.attempts_left > 0)
-    if run.cancel_reason or not rows_changed(session, held.values(state="queued", revision=Job.revision + 1)):
-        return False
+    if not rows_changed(session, held.values(state="queued", revision=Job.revision + 1)):
+        return fail(session, claim, failure)
     _note(session, claim, "lost", failure)
     ring_after_commit(session, claim.kind.partition(".")[0])
     return True
@@ -110,7 +115,7 @@ def _finish_run(session: Session, run: Job) -> None:
     counts = dict(
         session.execute(
             select(Job.state, func.count()).where(Job.root_id == run.id, Job.id != run.id).group_by(Job.state)
-        ).tuples()
+        ).all()
     )
     run.revision += 1
     if run.state in TERMINAL or counts.get("running", 0) or counts.get("queued", 0):

@@ -11,7 +11,7 @@ import structlog
 
 from services.runtime.jobs.claiming import Claim, claim
 from services.runtime.jobs.errors import JobCancelledError, LostAttemptError, UnknownKindError
-from services.runtime.jobs.finishing import Failure, cancelled, fail, give_back, succeed
+from services.runtime.jobs.finishing import Failure, cancelled, fail, lose, succeed
 from services.runtime.jobs.reporter import Reporter
 from services.runtime.jobs.specs import Handlers, Outcome
 from services.runtime.platform import Platform
@@ -48,11 +48,8 @@ def _attempt(platform: Platform, taken: Claim, handlers: Handlers, reporter: Rep
         _fail(platform, taken, reporter, Failure(error.code, str(error)))
     except Exception as error:
         reporter.log("the stage raised", "error", traceback=traceback.format_exc()[-8000:])
-        failure = Failure("internal_error", f"{type(error).__name__}: {error}")
         with platform.database.transaction() as session:
-            is_queued = give_back(session, taken, failure)
-        if not is_queued:
-            _fail(platform, taken, reporter, failure)
+            lose(session, taken, Failure("internal_error", f"{type(error).__name__}: {error}"))
 
 
 def _succeed(platform: Platform, taken: Claim, outcome: Outcome) -> None:

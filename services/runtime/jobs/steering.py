@@ -42,7 +42,7 @@ def terminate(session: Session, root_id: str, reason: str) -> Job:
     run.cancel_reason = reason or "terminated"
     session.flush()
     doomed = select(Job.id, Job.attempt).where(Job.root_id == root_id, Job.state == "running", Job.queue != "")
-    for job_id, number in session.execute(doomed).tuples().all():
+    for job_id, number in session.execute(doomed).all():
         attempt = update(JobAttempt).where(JobAttempt.job_id == job_id, JobAttempt.number == number)
         session.execute(attempt.values(outcome="cancelled", failure=run.cancel_reason, finished_ns=now_ns()))
     alive = update(Job).where(Job.root_id == root_id, Job.state.in_(("queued", "running")))

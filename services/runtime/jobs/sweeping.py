@@ -15,7 +15,7 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from services.runtime.jobs.claiming import Claim
-from services.runtime.jobs.finishing import Failure, fail, give_back
+from services.runtime.jobs.finishing import Failure, lose
 from services.runtime.orm import Job, Queue
 from services.runtime.platform import Platform
 
@@ -53,7 +53,7 @@ class Sweeper:
         lease_s = self.platform.settings.jobs.lease_s
         silent = [job for job in running if now_s - self._seen[job.id, job.attempt][1] >= lease_s]
         for job in silent:
-            self._give_back(job)
+            self._lose(job)
         return len(silent)
 
     def ring_again(self) -> None:
@@ -73,17 +73,15 @@ class Sweeper:
                 self.ring(queue, lost)
         self._quiet = missing
 
-    def _give_back(self, job: Job) -> None:
+    def _lose(self, job: Job) -> None:
         claim = Claim(job.id, job.root_id, job.sequence_id, job.kind, job.attempt, {})
         lease_s = self.platform.settings.jobs.lease_s
         failure = Failure("worker_lost", f"attempt {job.attempt} gave no sign of life for {lease_s:g} s")
         with self.platform.database.transaction() as session:
             if session.get_one(Job, job.id).heartbeats != job.heartbeats:
                 return
-            is_queued = give_back(session, claim, failure)
-            if not is_queued:
-                fail(session, claim, failure)
-        log.warning("attempt lost", job_id=job.id, kind=job.kind, attempt=job.attempt, is_queued=is_queued)
+            lose(session, claim, failure)
+        log.warning("attempt lost", job_id=job.id, kind=job.kind, attempt=job.attempt)
 
 
 def _ready(session: Session) -> dict[str, int]:
@@ -94,4 +92,4 @@ def _ready(session: Session) -> dict[str, int]:
         .where(Job.state == "queued", Job.needs_left == 0, Job.queue != "", Job.queue.not_in(paused))
         .group_by(Job.queue)
     )
-    return dict(session.execute(ready).tuples().all())
+    return dict(session.execute(ready).all())
