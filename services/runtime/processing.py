@@ -1,0 +1,169 @@
+"""What an owner may have done to a sequence: its recordings read, the whole processed, all of it deleted.
+
+**Conventions.** Each function is part of the caller's transaction and locks the sequence's row first, then the rows of
+runs; a stage that ends locks its run first and never the sequence. The work itself is done by the services' stages,
+which are named here by kind only.
+"""
+
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any
+
+from sqlalchemy import delete, select
+from sqlalchemy.orm import Session
+
+from services.runtime.jobs.errors import JobStateError
+from services.runtime.jobs.queueing import enqueue, enqueue_run
+from services.runtime.jobs.specs import TERMINAL, Context, JobSpec
+from services.runtime.jobs.steering import cancel
+from services.runtime.label_choices import check_choices
+from services.runtime.orm import Calibration, Job, LabelSet, Recording, Sequence
+from services.runtime.orm.base import now_ns
+from services.runtime.processing_errors import (
+    AlreadyProcessingError,
+    NoCalibrationError,
+    NoRecordingError,
+    RecordingPendingError,
+    SequenceDeletedError,
+    SeveralRecordingsError,
+    UnknownStagesError,
+)
+from services.runtime.recipes import CODE_VERSION, recipe_of
+
+PROCESS = "sequence.process"
+REGISTER = "ingest.register"
+SYNCHRONISE = "ingest.synchronise"
+STAGES = ("synchronise", "label")
+
+
+@dataclass(frozen=True)
+class ProcessRequest:
+    """How a sequence is to be processed; `parameters` by dotted name (`services/runtime/label_choices.py`)."""
+
+    profile: str = "paper"
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    odometry_topic: str | None = None
+    lidar_topic: str | None = None
+    stages: tuple[str, ...] = STAGES
+
+
+def register(session: Session, recording: Recording) -> Job:
+    """Have a received recording read and kept. Raises `SequenceDeletedError`, `QueueDrainingError`."""
+    sequence = lock_sequence(session, recording.sequence_id)
+    return enqueue(session, JobSpec(REGISTER, {"recording_id": recording.id}), _context(sequence))
+
+
+def start_processing(session: Session, sequence: Sequence, request: ProcessRequest) -> Job:
+    """The run that makes what is asked for: a new one, the one that is at it, or the one that has made it already.
+
+    Raises `ChoiceError`, `UnknownStagesError`, `SequenceDeletedError`, `NoCalibrationError`, `NoRecordingError`,
+    `RecordingPendingError`, `SeveralRecordingsError`, `AlreadyProcessingError`, `QueueDrainingError`.
+    """
+    check_choices(request.profile, request.parameters)
+    if not request.stages or request.stages != STAGES[: len(request.stages)]:
+        raise UnknownStagesError(request.stages, STAGES)
+    sequence = lock_sequence(session, sequence.id)
+    calibration, recording = _inputs(session, sequence)
+    arguments = _arguments(request, calibration, recording)
+    recipe = _recipe(sequence, request, calibration, recording)
+    standing = _standing(session, sequence, recipe)
+    if standing is not None:
+        return standing
+    specs = [JobSpec(SYNCHRONISE, {**arguments, "recipe": recipe})]
+    run = enqueue_run(session, PROCESS, specs, _context(sequence))
+    run.arguments = {**arguments, "recipe": recipe}
+    return run
+
+
+def delete_sequence(session: Session, sequence: Sequence) -> None:
+    """Bury the sequence: its jobs are told to stop, its recordings and label sets are gone with this transaction.
+
+    The row stays for the jobs that name it. Blobs that nothing names any more are collected later.
+    """
+    sequence = lock_sequence(session, sequence.id)
+    alive = select(Job.id).where(Job.sequence_id == sequence.id, Job.id == Job.root_id, Job.state.not_in(TERMINAL))
+    for root_id in session.scalars(alive).all():
+        with suppress(JobStateError):  # it ended while we waited for its row
+            cancel(session, root_id, "its sequence was deleted")
+    session.execute(delete(LabelSet).where(LabelSet.sequence_id == sequence.id))
+    session.execute(delete(Recording).where(Recording.sequence_id == sequence.id))
+    sequence.deleted_ns = now_ns()
+    sequence.revision += 1
+
+
+def lock_sequence(session: Session, sequence_id: str) -> Sequence:
+    """The sequence's row, locked until the end of the transaction. Raises `SequenceDeletedError`.
+
+    The weaker lock lets rows that refer to it be inserted meanwhile, so that no two transactions wait for each other.
+    """
+    locked = select(Sequence).where(Sequence.id == sequence_id).with_for_update(key_share=True)
+    sequence = session.scalars(locked.execution_options(populate_existing=True)).one()
+    if sequence.deleted_ns is not None:
+        raise SequenceDeletedError(sequence_id)
+    return sequence
+
+
+def _context(sequence: Sequence) -> Context:
+    return Context(sequence.owner_id, sequence.id)
+
+
+def _inputs(session: Session, sequence: Sequence) -> tuple[Calibration, Recording]:
+    """The calibration it pins, and its one registered recording."""
+    if sequence.calibration_id is None:
+        raise NoCalibrationError(sequence.id)
+    of_sequence = select(Recording).where(Recording.sequence_id == sequence.id).order_by(Recording.id)
+    recordings = session.scalars(of_sequence.execution_options(populate_existing=True)).all()
+    by_state: dict[str, list[Recording]] = {"received": [], "registered": [], "refused": []}
+    for recording in recordings:
+        by_state[recording.state].append(recording)
+    if by_state["received"]:
+        raise RecordingPendingError(sequence.id, len(by_state["received"]))
+    if not by_state["registered"]:
+        raise NoRecordingError(sequence.id, len(by_state["refused"]))
+    if len(by_state["registered"]) > 1:
+        raise SeveralRecordingsError(sequence.id, len(by_state["registered"]))
+    return session.get_one(Calibration, sequence.calibration_id), by_state["registered"][0]
+
+
+def _arguments(request: ProcessRequest, calibration: Calibration, recording: Recording) -> dict[str, Any]:
+    return {
+        "recording_id": recording.id,
+        "calibration_id": calibration.id,
+        "odometry_topic": request.odometry_topic,
+        "lidar_topic": request.lidar_topic,
+        "profile": request.profile,
+        "parameters": dict(request.parameters),
+        "stages": list(request.stages),
+        "code_version": CODE_VERSION,
+    }
+
+
+def _recipe(sequence: Sequence, request: ProcessRequest, calibration: Calibration, recording: Recording) -> str:
+    """By content, not by id: the same bag uploaded again is the same ingredient. Names are in tokens and report."""
+    return recipe_of(
+        {
+            "sequence": sequence.name,
+            "recordings": [[recording.filename, recording.sha256]],
+            "calibration": [calibration.filename, calibration.sha256],
+            "odometry_topic": request.odometry_topic,
+            "lidar_topic": request.lidar_topic,
+            "profile": request.profile,
+            "parameters": {name: float(value) for name, value in request.parameters.items()},
+            "stages": request.stages,
+        }
+    )
+
+
+def _standing(session: Session, sequence: Sequence, recipe: str) -> Job | None:
+    """The run that has made this already, or is at it. Raises `AlreadyProcessingError` for one that makes another."""
+    made = select(LabelSet.job_id).where(LabelSet.sequence_id == sequence.id, LabelSet.recipe == recipe)
+    job_id = session.scalar(made)
+    if job_id is not None:
+        return session.get_one(Job, job_id)
+    runs = select(Job).where(Job.sequence_id == sequence.id, Job.kind == PROCESS, Job.state.not_in(TERMINAL))
+    for run in session.scalars(runs.execution_options(populate_existing=True)):
+        if run.arguments["recipe"] != recipe or run.cancel_reason:
+            raise AlreadyProcessingError(sequence.id, run.id)
+        return run
+    return None
