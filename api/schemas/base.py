@@ -1,0 +1,47 @@
+"""What bodies are made of: ids, instants, plain text, and the two kinds of model."""
+
+from datetime import UTC, datetime, timedelta
+from typing import Annotated, Any
+
+from fastapi import Path, Query
+from pydantic import BaseModel, ConfigDict, StringConstraints
+
+ID_EXAMPLE = "019aa5b0c1d24f6e8a7b3c5d9e0f1a2b"
+SHA256_EXAMPLE = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
+ID_PATTERN = "^[0-9a-f]{32}$"
+PLAIN = r"^[^\x00-\x1f\x7f]*$"
+
+IdText = Annotated[str, StringConstraints(pattern=ID_PATTERN)]
+Line = Annotated[str, StringConstraints(pattern=PLAIN, max_length=64, strip_whitespace=True)]
+Reason = Annotated[str, StringConstraints(pattern=PLAIN, min_length=1, max_length=500, strip_whitespace=True)]
+IdPath = Annotated[str, Path(pattern=ID_PATTERN, examples=[ID_EXAMPLE])]
+LineQuery = Annotated[str | None, Query(pattern=PLAIN, max_length=64)]
+IdQuery = Annotated[str | None, Query(pattern=ID_PATTERN)]
+
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+def instant(moment_ns: int) -> datetime:
+    """The instant, to the microsecond, of nanoseconds since 1970."""
+    return EPOCH + timedelta(microseconds=moment_ns // 1000)
+
+
+def instant_or_none(moment_ns: int | None) -> datetime | None:
+    return None if moment_ns is None else instant(moment_ns)
+
+
+class Body(BaseModel):
+    """What a request says; a key nobody knows is a mistake and is refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Answer(BaseModel):
+    """What a response says."""
+
+    model_config = ConfigDict(frozen=True)
+
+
+def example(**values: Any) -> ConfigDict:
+    """The model's example, shown in the OpenAPI document."""
+    return ConfigDict(json_schema_extra={"examples": [values]})

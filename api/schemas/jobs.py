@@ -1,0 +1,151 @@
+"""Jobs over the wire: how far they are, why they failed, what they said."""
+
+from datetime import datetime
+from typing import Any
+
+from api.schemas.base import ID_EXAMPLE, Answer, example
+
+STAGES_EXAMPLE = [
+    {"kind": "labeler.fuse", "total": 12, "done": 12, "running": 0, "failed": 0},
+    {"kind": "labeler.surface", "total": 40, "done": 11, "running": 2, "failed": 0},
+]
+PROGRESS_EXAMPLE = {"stage": "labeler.surface", "done": 23, "total": 52, "rate_per_s": 0.8, "eta_s": 36.3}
+JOB_EXAMPLE: dict[str, Any] = {
+    "id": ID_EXAMPLE,
+    "root_id": ID_EXAMPLE,
+    "owner_id": ID_EXAMPLE,
+    "sequence_id": ID_EXAMPLE,
+    "kind": "sequence.process",
+    "queue": "",
+    "state": "running",
+    "priority": 0,
+    "attempt": 0,
+    "progress": PROGRESS_EXAMPLE,
+    "failure": None,
+    "cancel_reason": "",
+    "revision": 31,
+    "created_at": "2026-05-03T09:12:44.120000Z",
+    "started_at": "2026-05-03T09:12:44.310000Z",
+    "finished_at": None,
+}
+ATTEMPT_EXAMPLE = {
+    "number": 1,
+    "worker": "worker-3:4711",
+    "outcome": "lost",
+    "failure": {"code": "worker_lost", "sentence": "attempt 1 gave no sign of life for 20 s"},
+    "peak_bytes": 412000000,
+    "started_at": "2026-05-03T09:12:44.310000Z",
+    "finished_at": "2026-05-03T09:13:11.000000Z",
+}
+
+
+class FailureItem(Answer):
+    """Why something ended badly: `code` for programs, `sentence` for people."""
+
+    model_config = example(code="no_poses", sentence="the bag has no odometry")
+
+    code: str
+    sentence: str
+
+
+class ProgressItem(Answer):
+    """`done` of `total` in units of the job (of a run: its jobs), per second, and seconds left (null: unknown)."""
+
+    model_config = example(**PROGRESS_EXAMPLE)
+
+    stage: str
+    done: int
+    total: int
+    rate_per_s: float | None
+    eta_s: float | None
+
+
+class StageItem(Answer):
+    """Jobs of one kind within a run."""
+
+    model_config = example(**STAGES_EXAMPLE[1])
+
+    kind: str
+    total: int
+    done: int
+    running: int
+    failed: int
+
+
+class JobItem(Answer):
+    """A job or a run. `queue` is empty for a run, which holds its children together."""
+
+    model_config = example(**JOB_EXAMPLE)
+
+    id: str
+    root_id: str
+    owner_id: str
+    sequence_id: str | None
+    kind: str
+    queue: str
+    state: str
+    priority: int
+    attempt: int
+    progress: ProgressItem
+    failure: FailureItem | None
+    cancel_reason: str
+    revision: int
+    created_at: datetime
+    started_at: datetime | None
+    finished_at: datetime | None
+
+
+class AttemptItem(Answer):
+    """One try at a job by one process; `outcome` is empty while it runs."""
+
+    model_config = example(**ATTEMPT_EXAMPLE)
+
+    number: int
+    worker: str
+    outcome: str
+    failure: FailureItem | None
+    peak_bytes: int | None
+    started_at: datetime
+    finished_at: datetime | None
+
+
+class JobDetail(JobItem):
+    """A job with its attempts and what it answered; a run with its stages."""
+
+    model_config = example(**JOB_EXAMPLE, stages=STAGES_EXAMPLE, attempts=[], attempts_left=0, result=None)
+
+    stages: list[StageItem]
+    attempts: list[AttemptItem]
+    attempts_left: int
+    result: dict[str, Any] | None
+
+
+class LogLine(Answer):
+    """A line that an attempt said."""
+
+    model_config = example(
+        job_id=ID_EXAMPLE,
+        attempt=1,
+        number=17,
+        logged_at="2026-05-03T09:12:50.000000Z",
+        level="info",
+        event="tile meshed",
+        facts={"triangles": 48210},
+    )
+
+    job_id: str
+    attempt: int
+    number: int
+    logged_at: datetime
+    level: str
+    event: str
+    facts: dict[str, Any]
+
+
+class LogPage(Answer):
+    """Lines in order; `next` is given as `after` to read on, also when there is nothing more to read yet."""
+
+    model_config = example(items=[], next="1.17")
+
+    items: list[LogLine]
+    next: str | None

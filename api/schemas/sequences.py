@@ -1,0 +1,122 @@
+"""Sequences over the wire."""
+
+from datetime import datetime
+from typing import Annotated
+
+from pydantic import AfterValidator, Field
+
+from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Body, IdText, Line, example
+from stone.sequence import NAME, SequenceNameError
+
+
+def _plain_name(name: str) -> str:
+    if not NAME.fullmatch(name):
+        raise ValueError(str(SequenceNameError(name)))
+    return name
+
+
+SequenceName = Annotated[
+    str, Field(min_length=1, max_length=100, pattern=f"^{NAME.pattern}$"), AfterValidator(_plain_name)
+]
+
+
+class NewSequenceBody(Body):
+    """A sequence to be; its name is unique among its owner's."""
+
+    model_config = example(
+        name="forest-2026-05-03", environment="forest", illumination="day", region="Gyeonggi", platform="warthog-1"
+    )
+
+    name: SequenceName
+    environment: Line = ""
+    illumination: Line = ""
+    region: Line = ""
+    platform: Line = ""
+
+
+class SequenceChangesBody(Body):
+    """What is to change; what is left out stays. With labels the name stays too: frame tokens are made of it."""
+
+    model_config = example(illumination="dusk")
+
+    name: SequenceName | None = None
+    environment: Line | None = None
+    illumination: Line | None = None
+    region: Line | None = None
+    platform: Line | None = None
+
+
+class PinCalibrationBody(Body):
+    """Which calibration the sequence is to be processed with."""
+
+    model_config = example(calibration_id=ID_EXAMPLE)
+
+    calibration_id: IdText
+
+
+class JobGlance(Answer):
+    """The newest run of a sequence, in two words."""
+
+    id: str
+    kind: str
+    state: str
+
+
+class LabelGlance(Answer):
+    """The newest label set of a sequence."""
+
+    id: str
+    job_id: str
+    frames: int
+    created_at: datetime
+
+
+class SequenceItem(Answer):
+    """A sequence as a list shows it."""
+
+    model_config = example(
+        id=ID_EXAMPLE,
+        owner_id=ID_EXAMPLE,
+        name="forest-2026-05-03",
+        environment="forest",
+        illumination="day",
+        region="Gyeonggi",
+        platform="warthog-1",
+        calibration_id=ID_EXAMPLE,
+        recordings=1,
+        job={"id": ID_EXAMPLE, "kind": "sequence.process", "state": "succeeded"},
+        labels={"id": ID_EXAMPLE, "job_id": ID_EXAMPLE, "frames": 1200, "created_at": "2026-05-03T10:20:00Z"},
+        revision=3,
+        created_at="2026-05-03T09:12:44.120000Z",
+    )
+
+    id: str
+    owner_id: str
+    name: str
+    environment: str
+    illumination: str
+    region: str
+    platform: str
+    calibration_id: str | None
+    recordings: int
+    job: JobGlance | None
+    labels: LabelGlance | None
+    revision: int
+    created_at: datetime
+
+
+class ArtefactItem(Answer):
+    """One file of a label set."""
+
+    model_config = example(name="mesh.ply", media_type="application/ply", size_bytes=48210333, sha256=SHA256_EXAMPLE)
+
+    name: str
+    media_type: str
+    size_bytes: int
+    sha256: str
+
+
+class SequenceDetail(SequenceItem):
+    """A sequence with the files of its newest label set; the packs of labels are reached through its frames."""
+
+    artefacts: list[ArtefactItem]
