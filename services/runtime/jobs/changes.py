@@ -16,5 +16,7 @@ def rows_changed(session: Session, statement: Update) -> int:
 
 def lock_run(session: Session, root_id: str) -> Job:
     """The run's row, locked until the end of the transaction: endings within one run come one after another."""
-    locked = select(Job).where(Job.id == root_id).with_for_update().execution_options(populate_existing=True)
+    locked = (
+        select(Job).where(Job.id == root_id).with_for_update(key_share=True).execution_options(populate_existing=True)
+    )
     return session.scalars(locked).one()

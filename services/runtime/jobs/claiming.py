@@ -12,7 +12,7 @@ from services.runtime.jobs.changes import rows_changed
 from services.runtime.orm import Job, JobAttempt, Queue
 from services.runtime.orm.base import now_ns
 
-CANDIDATES = 8
+CANDIDATES = 16
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,6 @@ def claim(session: Session, queue: str) -> Claim | None:
         clean = {"started_ns": now, "stage": "", "done": 0, "total": 0, "heartbeats": 0, "revision": Job.revision + 1}
         if rows_changed(session, taken.values(**values, **clean)):
             session.add(JobAttempt(job_id=job.id, number=job.attempt + 1, worker=worker_name(), started_ns=now))
-            _start_run(session, job, now)
             return Claim(job.id, job.root_id, job.sequence_id, job.kind, job.attempt + 1, dict(job.arguments))
     return None
 
@@ -62,7 +61,10 @@ def _ready(queue: str) -> Select[Job]:
     )
 
 
-def _start_run(session: Session, job: Job, now: int) -> None:
-    if job.root_id != job.id:
-        waiting = update(Job).where(Job.id == job.root_id, Job.state == "queued")
-        session.execute(waiting.values(state="running", started_ns=now, revision=Job.revision + 1))
+def start_run(session: Session, taken: Claim) -> None:
+    """Note that the run of this job has begun.
+
+    A transaction of its own: with the job's row still locked, it would wait crosswise for somebody who cancels the run.
+    """
+    waiting = update(Job).where(Job.id == taken.root_id, Job.queue == "", Job.state == "queued")
+    rows_changed(session, waiting.values(state="running", started_ns=now_ns(), revision=Job.revision + 1))

@@ -35,7 +35,7 @@ class Failure:
 def succeed(session: Session, claim: Claim, outcome: Outcome, max_attempts: int) -> bool:
     """Record the success, the rows it brings and the jobs that follow; ready dependents are rung for."""
     run = lock_run(session, claim.root_id)
-    if not _leave(session, claim, "succeeded", result=dict(outcome.result)):
+    if not _leave(session, claim, "succeeded", result=dict(outcome.result), done=Job.total):
         return False
     _note(session, claim, "succeeded", None)
     outcome.commit(session)
@@ -43,7 +43,7 @@ def succeed(session: Session, claim: Claim, outcome: Outcome, max_attempts: int)
         if outcome.then:
             raise ValueError(f"{claim.kind} is a run of its own and cannot be followed by other jobs")
         return True
-    if run.state == "running" and not run.cancel_reason:
+    if run.state not in TERMINAL and not run.cancel_reason:
         add_jobs(session, run, outcome.then, max_attempts)
         _release(session, claim.job_id)
     _finish_run(session, run)

@@ -117,8 +117,8 @@ class Reporter:
             progress, self._progress = self._progress, None
         try:
             with self._platform.database.transaction() as session:
-                self._write_lines(session, lines)
                 is_ours = is_last or self._beat(session, progress)
+                self._write_lines(session, lines)
         except SQLAlchemyError as error:
             log.warning("progress not written; the job goes on", job_id=self.job_id, reason=str(error))
             with self._lock:

@@ -9,7 +9,7 @@ import traceback
 
 import structlog
 
-from services.runtime.jobs.claiming import Claim, claim
+from services.runtime.jobs.claiming import Claim, claim, start_run
 from services.runtime.jobs.errors import JobCancelledError, LostAttemptError, UnknownKindError
 from services.runtime.jobs.finishing import Failure, cancelled, fail, lose, succeed
 from services.runtime.jobs.reporter import Reporter
@@ -26,6 +26,8 @@ def run_next(platform: Platform, queue: str, handlers: Handlers) -> bool:
         taken = claim(session, queue)
     if taken is None:
         return False
+    with platform.database.transaction() as session:
+        start_run(session, taken)
     with Reporter(platform, taken) as reporter:
         _attempt(platform, taken, handlers, reporter)
     return True

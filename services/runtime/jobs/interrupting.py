@@ -1,0 +1,44 @@
+"""What a stopped platform left running is queued again at once, without waiting for a lease to run out.
+
+**Conventions.** Only for whoever knows that no worker is alive: the embedded supervisor, which holds the data folder
+and has seen its worker end. An attempt cut off by an orderly stop is given back to the job; one cut off by a crash
+counts.
+"""
+
+from sqlalchemy import select, update
+
+from services.runtime.jobs.changes import rows_changed
+from services.runtime.jobs.claiming import Claim
+from services.runtime.jobs.finishing import Failure, cancelled, fail, give_back
+from services.runtime.orm import Job
+from services.runtime.platform import Platform
+
+STOPPED = Failure("platform_stopped", "the platform was stopped while this attempt ran")
+CRASHED = Failure("worker_lost", "the platform ended while this attempt ran")
+
+
+def give_back_running(platform: Platform, failure: Failure, *, is_counted: bool) -> int:
+    """Queue every running job again; `is_counted`: against its attempts. How many there were.
+
+    A job without attempts left fails with `failure`; one that was asked to stop is cancelled.
+    """
+    with platform.database.reading() as session:
+        running = session.scalars(select(Job).where(Job.state == "running", Job.queue != "")).all()
+    for job in running:
+        claim = Claim(job.id, job.root_id, job.sequence_id, job.kind, job.attempt, {})
+        _interrupt(platform, claim, failure, is_counted=is_counted)
+    return len(running)
+
+
+def _interrupt(platform: Platform, claim: Claim, failure: Failure, *, is_counted: bool) -> None:
+    with platform.database.transaction() as session:
+        if not is_counted:
+            held = update(Job).where(Job.id == claim.job_id, Job.state == "running", Job.attempt == claim.attempt)
+            rows_changed(session, held.values(attempts_left=Job.attempts_left + 1))
+        if give_back(session, claim, failure):
+            return
+        run = session.get_one(Job, claim.root_id)
+        if run.cancel_reason:
+            cancelled(session, claim)
+        else:
+            fail(session, claim, failure)

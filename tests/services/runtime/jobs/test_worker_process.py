@@ -1,0 +1,188 @@
+"""Real workers on a real Redis, killed and frozen: the database knows better than the queue."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+from threading import Event, Thread
+
+import pytest
+from redis import Redis
+
+from services.runtime.bell import ring, waiting
+from services.runtime.database import Database
+from services.runtime.jobs.steering import cancel, terminate
+from services.runtime.jobs.sweeping import Sweeper
+from services.runtime.platform import Platform
+from services.runtime.settings import BrokerSettings, Settings
+from tests.services.runtime.jobs.steps import a_job, an_owner, job
+
+PATIENCE_S = 60.0
+Start = Callable[[], "subprocess.Popen[bytes]"]
+
+
+def until(claim: Callable[[], bool], what: str) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not claim():
+        assert time.monotonic() < deadline, f"never came: {what}"
+        time.sleep(0.02)
+
+
+def environment(settings: Settings) -> dict[str, str]:
+    jobs = {f"STONE_JOBS__{name.upper()}": str(value) for name, value in vars(settings.jobs).items()}
+    places = {
+        "STONE_DATA_FOLDER": str(settings.data_folder),
+        "STONE_DATABASE__URL": settings.database_url,
+        "STONE_BROKER__URL": settings.broker.url,
+    }
+    return {**os.environ, **jobs, **places}
+
+
+@pytest.fixture
+def loud(platform: Platform, redis_url: str) -> Iterator[Platform]:
+    """The platform with a real bell, and a sweeper that sweeps."""
+    Redis.from_url(redis_url).flushdb()
+    jobs = replace(platform.settings.jobs, lease_s=1.0, heartbeat_s=0.2, progress_s=0.1)
+    settings = platform.settings.model_copy(update={"broker": BrokerSettings(redis_url), "jobs": jobs})
+    ringing = Platform(settings, Database(settings, ring(settings)), platform.store)
+    with swept(ringing):
+        yield ringing
+    ringing.database.close()
+
+
+@contextmanager
+def swept(platform: Platform) -> Iterator[None]:
+    sweeper, leaving = Sweeper(platform, waiting(platform.settings), ring(platform.settings)), Event()
+
+    def sweep() -> None:
+        while not leaving.wait(0.2):
+            sweeper.sweep()
+
+    thread = Thread(target=sweep)
+    thread.start()
+    yield
+    leaving.set()
+    thread.join()
+
+
+@pytest.fixture
+def start(loud: Platform, tmp_path: Path) -> Iterator[Start]:
+    """Starts workers of two processes each, every one in a process group of its own."""
+    started: list[subprocess.Popen[bytes]] = []
+
+    def start_one() -> "subprocess.Popen[bytes]":
+        name = f"w{len(started)}-{tmp_path.name}"
+        options = ["-A", "tests.services.runtime.jobs.worker_app", "worker", "-Q", "ingest", "-c", "2", "-n", name]
+        quiet = ["--without-gossip", "--without-mingle", "-l", "WARNING"]
+        with (tmp_path / "worker.log").open("ab") as log:
+            worker = subprocess.Popen(
+                [sys.executable, "-m", "celery", *options, *quiet],
+                env=environment(loud.settings), stdout=log, stderr=log, start_new_session=True,
+            )  # fmt: skip
+        started.append(worker)
+        return worker
+
+    yield start_one
+    for worker in started:
+        kill(worker)
+
+
+def kill(worker: "subprocess.Popen[bytes]") -> None:
+    """kill −9 the worker and its children."""
+    with suppress(ProcessLookupError):
+        os.killpg(worker.pid, signal.SIGKILL)
+    worker.wait()
+
+
+def test_a_worker_killed_in_the_middle_loses_nothing_and_doubles_nothing(
+    loud: Platform, start: Start, tmp_path: Path
+) -> None:
+    jobs = [a_job(loud, loud_owner(loud), "ingest.note", file=str(tmp_path / str(n)), steps=10) for n in range(6)]
+    first = start()
+    until(lambda: any(tmp_path.glob("[0-9]")), "a job starts")
+    kill(first)
+    start()
+    until(lambda: all(job(loud, one).state == "succeeded" for one in jobs), "all jobs succeed")
+    starts = sum(len((tmp_path / str(n)).read_text().splitlines()) for n in range(6))
+    assert starts == sum(job(loud, one).attempt for one in jobs) <= 8, "two were under way and ran again"
+
+
+def test_a_pool_process_that_dies_takes_no_job_with_it(loud: Platform, start: Start, tmp_path: Path) -> None:
+    start()
+    job_id = a_job(loud, loud_owner(loud), "ingest.note", file=str(tmp_path / "a"), steps=40)
+    until((tmp_path / "a").exists, "it starts")
+    os.kill(worker_pid(loud, job_id), signal.SIGKILL)
+    until(lambda: job(loud, job_id).state == "succeeded", "it is taken up again")
+    assert job(loud, job_id).attempt == 2
+
+
+def test_bells_lost_with_the_broker_are_rung_again(loud: Platform, start: Start, tmp_path: Path) -> None:
+    jobs = [a_job(loud, loud_owner(loud), "ingest.note", file=str(tmp_path / str(n))) for n in range(20)]
+    broker = Redis.from_url(loud.settings.broker.url)
+    assert broker.llen("ingest") == 20
+    broker.flushdb()
+    start()
+    until(lambda: all(job(loud, one).state == "succeeded" for one in jobs), "all jobs succeed")
+    assert [job(loud, one).attempt for one in jobs] == [1] * 20
+
+
+def test_a_busy_worker_is_told_to_stop_and_takes_the_next_job(loud: Platform, start: Start, tmp_path: Path) -> None:
+    start()
+    owner = loud_owner(loud)
+    job_id = a_job(loud, owner, "ingest.note", file=str(tmp_path / "a"), steps=2000)
+    until((tmp_path / "a").exists, "it starts")
+    with loud.database.transaction() as session:
+        cancel(session, job_id, "wrong bag")
+    until(lambda: job(loud, job_id).state == "cancelled", "it stops")
+    after = a_job(loud, owner, "ingest.note", file=str(tmp_path / "b"))
+    until(lambda: job(loud, after).state == "succeeded", "the worker works on")
+
+
+def test_a_frozen_worker_is_ended_by_terminate_and_replaced(loud: Platform, start: Start, tmp_path: Path) -> None:
+    start()
+    owner = loud_owner(loud)
+    job_id = a_job(loud, owner, "ingest.freeze", file=str(tmp_path / "a"))
+    until((tmp_path / "a").exists, "it starts")
+    pid = worker_pid(loud, job_id)
+    with loud.database.transaction() as session:
+        terminate(session, job_id, "it hears nothing")
+    assert job(loud, job_id).state == "cancelled"
+    until(lambda: not is_alive(pid), "its process ends")
+    after = a_job(loud, owner, "ingest.note", file=str(tmp_path / "b"))
+    until(lambda: job(loud, after).state == "succeeded", "the pool has a new process")
+    assert job(loud, job_id).attempt == 1
+
+
+def test_a_job_beyond_its_time_limit_fails_and_says_so(loud: Platform, start: Start, tmp_path: Path) -> None:
+    loud.settings.__dict__["jobs"] = replace(loud.settings.jobs, time_limit_s=1.0)
+    start()
+    job_id = a_job(loud, loud_owner(loud), "ingest.freeze", file=str(tmp_path / "a"))
+    until(lambda: job(loud, job_id).state == "failed", "it is stopped")
+    assert (job(loud, job_id).failure_code, job(loud, job_id).attempt) == ("time_limit", 1)
+    assert "longer than 1 s" in job(loud, job_id).failure
+
+
+def loud_owner(platform: Platform) -> str:
+    """An owner, a new one each time."""
+    return an_owner(platform, os.urandom(4).hex())
+
+
+def worker_pid(platform: Platform, job_id: str) -> int:
+    """The process at work on the job."""
+    from services.runtime.orm import JobAttempt
+
+    with platform.database.reading() as session:
+        return int(session.get_one(JobAttempt, (job_id, job(platform, job_id).attempt)).worker.rpartition(":")[2])
+
+
+def is_alive(pid: int) -> bool:
+    """Whether the process runs; one that ended and waits for its parent does not."""
+    try:
+        return "\nState:\tZ" not in Path(f"/proc/{pid}/status").read_text()
+    except FileNotFoundError:
+        return False
