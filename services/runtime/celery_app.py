@@ -11,8 +11,12 @@ the kernels (children start in milliseconds) and never calls them. Each child ha
 parallelism is over jobs. `worker_cancel_long_running_tasks_on_connection_loss` stays off: it loses jobs.
 """
 
-from celery import Celery
+import os
 
+from celery import Celery
+from celery.signals import worker_process_init
+
+from services.runtime.parent_death import die_with
 from services.runtime.settings import Settings
 
 QUEUES = ("ingest", "labeler", "eval")
@@ -48,3 +52,9 @@ def make_app(settings: Settings) -> Celery:
 
 
 app = make_app(Settings())
+
+
+@worker_process_init.connect
+def _end_with_the_worker(**_: object) -> None:
+    """A pool process whose worker was killed would work on, and hold its job by its heartbeats, until the job ends."""
+    die_with(os.getppid())

