@@ -29,7 +29,10 @@ class Store(Protocol):
         ...
 
     def adopt(self, key: str, source: Path) -> None:
-        """Store `source` and remove it; on the same filesystem this is a rename."""
+        """Store `source`, which nobody will change any more, without a copy where possible (a hard link).
+
+        `source` stays, so that nothing is lost before the caller's commit; it may be removed after that.
+        """
         ...
 
     def read(self, key: str, start: int = 0, stop: int | None = None) -> Iterator[bytes]:
@@ -50,10 +53,17 @@ class Store(Protocol):
         """All objects whose key begins with `prefix`, in the order of their keys."""
         ...
 
+    def tidy(self, grace_s: float) -> int:
+        """Remove what writers that died left half-way, once older than the grace; how many there were."""
+        ...
+
 
 def open_store(settings: Settings) -> Store:
     """The store these settings name."""
-    from services.runtime.store_folder import FolderStore
-    from services.runtime.store_s3 import S3Store
+    if settings.store.s3_bucket:
+        from services.runtime.store_s3 import S3Store  # boto3 takes most of a second to import
 
-    return S3Store(settings) if settings.store.s3_bucket else FolderStore(settings.root / "store")
+        return S3Store(settings)
+    from services.runtime.store_folder import FolderStore
+
+    return FolderStore(settings.root / "store")

