@@ -1,0 +1,162 @@
+"""The file of an upload: its size is the offset, and its lock says who may write.
+
+**Conventions.** `<uploads folder>/<upload id>` holds the bytes; `<upload id>.unverified`, where there is one, holds the
+offset at which a request with a checksum began: bytes beyond it do not count until the checksum was right, even when
+the process is killed in between. The lock is a `flock` on the file itself, so it is held between threads, processes
+and (on NFS with Linux ≥ 2.6.12) machines, and goes with whoever dies. Whoever holds it reads the upload's row again.
+"""
+
+import errno
+import fcntl
+import os
+import threading
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from services.runtime.settings import Settings
+from services.runtime.uploads.errors import DiskFullError, UploadLockedError
+
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
+MOST_PIECES = 512  # a vectored write takes 1024 (IOV_MAX)
+
+
+def upload_file(settings: Settings, upload_id: str) -> Path:
+    """Where the bytes of an upload lie."""
+    return settings.uploads_folder / upload_id
+
+
+def make_file(path: Path) -> None:
+    """An empty file that survives a power cut. Raises `DiskFullError`."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o640))
+        sync_folder(path.parent)
+    except OSError as error:
+        if error.errno in NO_ROOM:
+            raise DiskFullError(0) from error
+        raise
+
+
+def remove_file(path: Path) -> None:
+    """The file and its mark go; nothing happens where there is none."""
+    path.unlink(missing_ok=True)
+    _mark_of(path).unlink(missing_ok=True)
+
+
+def sync_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def offset_of(path: Path) -> int:
+    """How many bytes count. Raises `FileNotFoundError`."""
+    size_bytes = path.stat().st_size
+    marked = _marked_offset(path)
+    return size_bytes if marked is None else min(size_bytes, marked)
+
+
+class HeldFile:
+    """An upload's file, open and locked by this request alone. Its methods may be called from any thread.
+
+    Raises `UploadLockedError` when another request holds it, `FileNotFoundError` when there is no file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._guard = threading.Lock()  # nothing writes to a descriptor that a cancelled request has closed
+        self._descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+        try:
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            self._discard_unverified()
+        except BlockingIOError:
+            self.close()
+            raise UploadLockedError(path.name) from None
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def descriptor(self) -> int:
+        return self._descriptor
+
+    @property
+    def size_bytes(self) -> int:
+        return os.fstat(self._descriptor).st_size
+
+    def append(self, pieces: Sequence[bytes], offset_bytes: int) -> None:
+        """Write `pieces` at `offset_bytes`, the end of the file. Raises `DiskFullError`; what fitted stays."""
+        views = [memoryview(piece) for piece in pieces]
+        with self._guard:
+            try:
+                while views:
+                    written = os.pwritev(self._descriptor, views[:MOST_PIECES], offset_bytes)
+                    offset_bytes += written
+                    views = _after(views, written)
+            except OSError as error:
+                if error.errno in NO_ROOM:
+                    raise DiskFullError(self.size_bytes) from error
+                raise
+
+    def cut(self, offset_bytes: int) -> None:
+        """Nothing lies beyond `offset_bytes` any more."""
+        with self._guard:
+            os.ftruncate(self._descriptor, offset_bytes)
+
+    def sync(self) -> None:
+        """What was written survives a power cut. Raises `DiskFullError` where the disk learns of it only now."""
+        with self._guard:
+            try:
+                os.fdatasync(self._descriptor)
+            except OSError as error:
+                if error.errno in NO_ROOM:
+                    raise DiskFullError(self.size_bytes) from error
+                raise
+
+    def mark_unverified(self) -> None:
+        """What is written from now on does not count until `mark_verified`. Raises `DiskFullError`."""
+        try:
+            _mark_of(self.path).write_text(str(self.size_bytes), "ascii")
+        except OSError as error:
+            if error.errno in NO_ROOM:
+                raise DiskFullError(self.size_bytes) from error
+            raise
+
+    def mark_verified(self) -> None:
+        _mark_of(self.path).unlink(missing_ok=True)
+
+    def close(self) -> None:
+        """Give the lock back, once a write under way has ended. May be called twice."""
+        with self._guard:
+            descriptor, self._descriptor = self._descriptor, -1
+            if descriptor >= 0:
+                os.close(descriptor)
+
+    def _discard_unverified(self) -> None:
+        """A request with a checksum was killed here: what it had written does not count."""
+        marked = _marked_offset(self.path)
+        if marked is not None and marked < self.size_bytes:
+            os.ftruncate(self._descriptor, marked)
+        self.mark_verified()
+
+
+def _after(views: list[memoryview], written: int) -> list[memoryview]:
+    """What is left of the pieces when the first `written` bytes are gone."""
+    for index, view in enumerate(views):
+        if written < len(view):
+            return [view[written:], *views[index + 1 :]]
+        written -= len(view)
+    return []
+
+
+def _mark_of(path: Path) -> Path:
+    return path.with_name(f"{path.name}.unverified")
+
+
+def _marked_offset(path: Path) -> int | None:
+    with suppress(FileNotFoundError, ValueError):  # an empty mark: killed before a byte was written
+        return int(_mark_of(path).read_text("ascii"))
+    return None

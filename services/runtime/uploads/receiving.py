@@ -1,0 +1,178 @@
+"""The bytes of one request on their way into an upload.
+
+**Conventions.** `receive` opens, `write` is called piece by piece, then `end` (all came) or `break_off` (the client is
+gone), and always `close`. None of them waits for the network, all of them for the disk or the database: async callers
+use threads, one call at a time. The offset is the size of the file: written at the end, never beyond the declared
+length, so a process killed anywhere leaves a prefix of what was sent. Every acknowledged offset survives a power cut:
+`end` flushes before it returns.
+"""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from services.runtime.orm import Upload
+from services.runtime.orm.base import now_ns
+from services.runtime.platform import Platform
+from services.runtime.uploads.creating import expiry_ns
+from services.runtime.uploads.errors import (
+    ChecksumMismatchError,
+    DiskFullError,
+    OffsetMismatchError,
+    OverLengthError,
+    UploadGoneError,
+)
+from services.runtime.uploads.files import HeldFile, upload_file
+from services.runtime.uploads.finishing import settle
+from services.runtime.uploads.hashing import ROLLING
+from services.runtime.uploads.rows import WHOLE, find_alive, move, refuse_gone
+
+ALGORITHMS = ("sha1", "sha256")
+
+
+@dataclass(frozen=True)
+class Checksum:
+    """What the bytes of one request should hash to; `algorithm` is one of `ALGORITHMS`."""
+
+    algorithm: str
+    digest: bytes
+
+
+@dataclass(frozen=True)
+class Piece:
+    """What a request says of the bytes it brings; `length_bytes` is None where only their end will tell."""
+
+    offset_bytes: int
+    length_bytes: int | None = None
+    checksum: Checksum | None = None
+
+
+class Reception:
+    """One request's hold on an upload, whose row was read under the lock."""
+
+    def __init__(self, platform: Platform, upload: Upload, file: HeldFile, piece: Piece) -> None:
+        self.offset_bytes = self._first_byte = piece.offset_bytes
+        self._platform, self._upload, self._file = platform, upload, file
+        self._rolling = ROLLING.take(upload.id, piece.offset_bytes)
+        self._before = self._rolling.copy() if self._rolling and piece.checksum else None
+        self._checksum = piece.checksum
+        self._checking = hashlib.new(piece.checksum.algorithm) if piece.checksum else None
+        if piece.checksum:
+            file.mark_unverified()
+
+    def write(self, pieces: Sequence[bytes]) -> None:
+        """Append bytes. Raises `OverLengthError` (this request's bytes are cut off again), `DiskFullError`."""
+        reached = self.offset_bytes + sum(map(len, pieces))
+        if reached > self._upload.length_bytes:
+            self._cut()
+            raise OverLengthError(reached, self._upload.length_bytes)
+        try:
+            self._file.append(pieces, self.offset_bytes)
+        except OSError:
+            self._rolling = None
+            raise
+        except DiskFullError:
+            self._rolling = None
+            self._give_up_unverified()
+            raise DiskFullError(self._file.size_bytes) from None
+        for piece in pieces:
+            for state in (self._rolling, self._checking):
+                if state is not None:
+                    state.update(piece)
+        self.offset_bytes = reached
+
+    def end(self) -> Upload:
+        """All bytes of the request came: check them, flush them, and complete the upload when they were its last.
+
+        Raises `ChecksumMismatchError` (they are cut off again), `DiskFullError`, `FileMismatchError`.
+        """
+        self._verify()
+        self._file.sync()
+        if self._checksum is not None:
+            self._file.mark_verified()
+        if self.offset_bytes == self._upload.length_bytes:
+            return settle(self._platform, self._upload, self._file, self._rolling.hexdigest() if self._rolling else "")
+        self._remember()
+        return self._extended()
+
+    def break_off(self) -> None:
+        """The client is gone: what came counts, unless a checksum was to cover it."""
+        if self._checksum is not None:
+            self._give_up_unverified()
+        else:
+            self._remember()
+
+    def close(self) -> None:
+        self._file.close()
+
+    def _verify(self) -> None:
+        if self._checksum is None or self._checking is None or self._checking.digest() == self._checksum.digest:
+            return
+        end = self.offset_bytes
+        self._cut()
+        raise ChecksumMismatchError(self._first_byte, end, self._checksum.algorithm)
+
+    def _give_up_unverified(self) -> None:
+        if self._checksum is not None:
+            self._cut()
+
+    def _cut(self) -> None:
+        """As if this request had never been."""
+        self._file.cut(self._first_byte)
+        self._file.mark_verified()
+        self.offset_bytes = self._first_byte
+        if self._before is not None:
+            ROLLING.keep(self._upload.id, self._first_byte, self._before)
+
+    def _remember(self) -> None:
+        if self._rolling is not None:
+            ROLLING.keep(self._upload.id, self.offset_bytes, self._rolling)
+
+    def _extended(self) -> Upload:
+        """An upload that goes on does not expire: once half its time is over it is given all of it again."""
+        half_ns = int(self._platform.settings.uploads.expires_s * 5e8)
+        if self._upload.expires_ns - now_ns() < half_ns:
+            self._upload.expires_ns = expiry_ns(self._platform)
+            with self._platform.database.transaction() as session:
+                move(session, self._upload, "open", expires_ns=self._upload.expires_ns)
+        return self._upload
+
+
+def receive(platform: Platform, upload_id: str, owner_id: str, piece: Piece) -> Reception | None:
+    """Make ready to take the bytes of a request; None when the upload is whole already and they are none.
+
+    Raises `UploadMissingError`, `UploadGoneError`, `UploadLockedError`, `OffsetMismatchError`, `OverLengthError`,
+    `DiskFullError`.
+    """
+    upload = find_alive(platform.database, upload_id, owner_id)
+    if upload.state in WHOLE:
+        _refuse_misplaced(upload, upload.length_bytes, piece)
+        return None
+    file = _held(platform, upload)
+    try:
+        upload = find_alive(platform.database, upload_id, owner_id)
+        refuse_gone(upload)
+        _refuse_misplaced(upload, file.size_bytes, piece)
+        if upload.state == "open":
+            return Reception(platform, upload, file, piece)
+    except BaseException:
+        file.close()
+        raise
+    file.close()
+    return None
+
+
+def _held(platform: Platform, upload: Upload) -> HeldFile:
+    try:
+        return HeldFile(upload_file(platform.settings, upload.id))
+    except FileNotFoundError:  # it ended between our look at the row and now, or a person removed the file
+        refuse_gone(find_alive(platform.database, upload.id, upload.owner_id))
+        raise UploadGoneError(upload.id, "lost", "its file is not in the uploads folder") from None
+
+
+def _refuse_misplaced(upload: Upload, offset_bytes: int, piece: Piece) -> None:
+    if piece.offset_bytes != offset_bytes:
+        raise OffsetMismatchError(piece.offset_bytes, offset_bytes)
+    reached = piece.offset_bytes + (piece.length_bytes or 0)
+    if reached > upload.length_bytes:
+        raise OverLengthError(reached, upload.length_bytes)

@@ -1,0 +1,90 @@
+"""The row of an upload: found by its owner, moved from state to state by compare-and-set.
+
+**Conventions.** States: open, then complete (all bytes there, sha256 known), then consumed; or failed, expired,
+terminated, which have no file and hold no quota. Whoever changes `open` holds the file's lock; complete → consumed and
+complete → expired are decided by the compare-and-set alone.
+"""
+
+from dataclasses import dataclass
+from typing import Any, cast
+
+from sqlalchemy import CursorResult, select, update
+from sqlalchemy.orm import Session
+
+from services.runtime.database import Database
+from services.runtime.orm import Upload
+from services.runtime.orm.base import now_ns
+from services.runtime.quota import release
+from services.runtime.uploads.errors import (
+    UploadGoneError,
+    UploadMissingError,
+    UploadPurposeError,
+    UploadStateError,
+)
+
+WHOLE = ("complete", "consumed")
+GONE = ("failed", "expired", "terminated")
+
+
+@dataclass(frozen=True)
+class Owner:
+    """For whom; administrators may also name targets of others."""
+
+    user_id: str
+    is_administrator: bool = False
+
+
+def find(database: Database, upload_id: str, owner_id: str) -> Upload:
+    """The owner's upload. Raises `UploadMissingError`, also for one that is somebody else's."""
+    with database.reading() as session:
+        upload = session.get(Upload, upload_id)
+    if upload is None or upload.owner_id != owner_id:
+        raise UploadMissingError(upload_id)
+    return upload
+
+
+def find_alive(database: Database, upload_id: str, owner_id: str) -> Upload:
+    """The owner's upload, which has or awaits its bytes. Raises `UploadMissingError`, `UploadGoneError`."""
+    upload = find(database, upload_id, owner_id)
+    refuse_gone(upload)
+    return upload
+
+
+def refuse_gone(upload: Upload) -> None:
+    """Raises `UploadGoneError`, also for one whose time is over but that was not swept yet."""
+    if upload.state in GONE:
+        raise UploadGoneError(upload.id, upload.state, upload.detail)
+    if upload.state == "open" and upload.expires_ns <= now_ns():
+        raise UploadGoneError(upload.id, "expired", "its time was over")
+
+
+def move(session: Session, upload: Upload, state: str, **columns: Any) -> bool:
+    """Compare-and-set from the state `upload` shows; false when somebody else was first."""
+    held = update(Upload).where(Upload.id == upload.id, Upload.state == upload.state)
+    result = session.execute(held.values(state=state, **columns), execution_options={"synchronize_session": False})
+    return cast("CursorResult[None]", result).rowcount == 1
+
+
+def leave(session: Session, upload: Upload, state: str, detail: str = "") -> bool:
+    """Move to a state without a file and give the quota back; false when somebody else was first."""
+    moved = move(session, upload, state, detail=detail[:512])
+    if moved:
+        release(session, upload.id, state)
+    return moved
+
+
+def consume(session: Session, upload_id: str, owner_id: str, purpose: str) -> Upload:
+    """Take a complete upload for its purpose, once; its bytes stay where they are and its quota stays taken.
+
+    Raises `UploadMissingError`, `UploadPurposeError`, `UploadStateError`.
+    """
+    upload = session.scalar(select(Upload).where(Upload.id == upload_id, Upload.owner_id == owner_id).with_for_update())
+    if upload is None:
+        raise UploadMissingError(upload_id)
+    if upload.purpose != purpose:
+        raise UploadPurposeError(upload_id, upload.purpose, purpose)
+    session.refresh(upload)
+    if upload.state != "complete" or not move(session, upload, "consumed"):
+        raise UploadStateError(upload_id, upload.state, "used", "complete")
+    session.refresh(upload)
+    return upload
