@@ -1,6 +1,6 @@
 """The rows: names, states and keys of things, never arrays. One module per noun; `Base.metadata` knows them all."""
 
-from services.runtime.orm.artefacts import Artefact, Blob, LabelledFrame, LabelSet
+from services.runtime.orm.artefacts import Artefact, Blob, LabelledFrame, LabelSet, LooseObject
 from services.runtime.orm.base import Base, new_id
 from services.runtime.orm.books import AuditEntry, IdempotentReply, QuotaEntry
 from services.runtime.orm.jobs import Job, JobAttempt, JobLine, JobNeed, Queue
@@ -20,6 +20,7 @@ __all__ = [
     "JobNeed",
     "LabelSet",
     "LabelledFrame",
+    "LooseObject",
     "Queue",
     "QuotaEntry",
     "Recording",

@@ -18,6 +18,18 @@ class Blob(Base):
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
 
 
+class LooseObject(Base):
+    """An object of the store that no blob names: being written, or to be deleted (`is_condemned`).
+
+    Whoever takes the row out has the object: `services/runtime/blobs.py` to make it a blob, or the collection.
+    """
+
+    __tablename__ = "loose_objects"
+    object_key: Mapped[str] = mapped_column(String(160), primary_key=True)
+    is_condemned: Mapped[bool] = mapped_column(default=False, index=True)
+    created_ns: Mapped[Ns] = mapped_column(default=now_ns)
+
+
 class LabelSet(Base):
     """The labels of a sequence under one recipe (sha256 of inputs, parameters and code version); made once."""
 

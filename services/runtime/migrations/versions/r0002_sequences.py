@@ -11,6 +11,7 @@ depends_on = None
 
 def upgrade() -> None:
     _blobs()
+    _loose_objects()
     _calibrations()
     _uploads()
     _sequences()
@@ -22,6 +23,7 @@ def downgrade() -> None:
     op.drop_table("sequences")
     op.drop_table("uploads")
     op.drop_table("calibrations")
+    op.drop_table("loose_objects")
     op.drop_table("blobs")
 
 
@@ -35,6 +37,17 @@ def _blobs() -> None:
         sa.PrimaryKeyConstraint("sha256", name=op.f("pk_blobs")),
         sa.UniqueConstraint("object_key", name=op.f("uq_blobs_object_key")),
     )
+
+
+def _loose_objects() -> None:
+    op.create_table(
+        "loose_objects",
+        sa.Column("object_key", sa.String(length=160), nullable=False),
+        sa.Column("is_condemned", sa.Boolean(), nullable=False),
+        sa.Column("created_ns", sa.BigInteger(), nullable=False),
+        sa.PrimaryKeyConstraint("object_key", name=op.f("pk_loose_objects")),
+    )
+    op.create_index(op.f("ix_loose_objects_is_condemned"), "loose_objects", ["is_condemned"], unique=False)
 
 
 def _calibrations() -> None:
