@@ -61,12 +61,14 @@ class JobSettings:
 
 @dataclass(frozen=True)
 class UploadSettings:
-    """Bounds on what comes in. `owner_bytes` is what one owner may have stored or under way."""
+    """Bounds on what comes in. `owner_bytes` is what one owner may have stored or under way; a client that sends
+    nothing for `idle_s` is taken for gone."""
 
     max_bytes: int = 512 * GIB
     owner_bytes: int = 1024 * GIB
     expires_s: float = 7 * 86400.0
     form_bytes: int = 64 * 2**20
+    idle_s: float = 60.0
 
 
 @dataclass(frozen=True)
