@@ -1,6 +1,7 @@
 """Stage 3, per part: cut the label grid of every frame out of the labelled map and write `labels.npz`."""
 
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,6 @@ from numpy.typing import NDArray
 from services.labeler.run import Part, Run, Tile, core_cells
 from services.labeler.scratch import Arrays, load, save, sight_path, surface_path
 from services.runtime.npz import npz_bytes
-from stone.calibration import Mount
 from stone.grid import GRID_SHAPE, Grid, Window, crop, frame_bounds, reconcile, window_of
 from stone.observed import Observed, union
 from stone.traversability import Reference, classify
@@ -27,31 +27,56 @@ class FrameCounts:
     observed: NDArray[np.int64]
 
 
-def lay_sight_lines(run: Run, mount: Mount) -> None:
-    """Lay out once per run what this camera can see; nothing without its intrinsics."""
+@dataclass(frozen=True, eq=False)
+class LabelledFrame:
+    """One frame done: its token, the bytes of its `labels.npz`, and its counts (4,) and (2,) as in `FrameCounts`."""
+
+    token: str
+    payload: bytes
+    classes: NDArray[np.int64]
+    observed: NDArray[np.int64]
+
+
+def lay_sight_lines(run: Run, camera: int) -> None:
+    """Lay out once per run what the calibration's camera of this number can see; nothing without its intrinsics."""
+    mount = run.sequence.calibration.of_kind("camera")[camera]
     if mount.intrinsics is not None:
         lines = sight_lines(mount.intrinsics, run.sequence.calibration.ego_from_lidar @ mount.lidar_from_sensor)
-        save(sight_path(run, mount.name), vars(lines))
+        save(sight_path(run, camera), vars(lines))
 
 
 def frames(run: Run, part: Part, reference: Reference, labels_root: Path) -> FrameCounts:
     """Write the labels of the frames of `part` under `labels_root`/<frame_token>/."""
+    done = []
+    for frame in labelled_frames(run, part, reference):
+        _write(labels_root / frame.token / "labels.npz", frame.payload)
+        done.append(replace(frame, payload=b""))
+    return counts_of(done)
+
+
+def labelled_frames(run: Run, part: Part, reference: Reference) -> Iterator[LabelledFrame]:
+    """The frames of `part` in order, one at a time."""
     cameras = [
         SightLines(**load(path))  # type: ignore[arg-type]
-        for path in sorted((run.scratch / "sight").glob("*.npz"))
+        for path in sorted((run.scratch / "sight").glob("[0-9]*.npz"))
     ]
-    classes, observed = [], []
     for begin, end in _near_together(run, part):
         window = _window(run, frame_bounds(run.sequence.frames.map_from_ego[slice(begin, end)]), reference)
         for index in range(begin, end):
-            semantics, mask_lidar = crop(window, run.sequence.frames.map_from_ego[index])
-            mask_camera = _seen(semantics, cameras)
-            by_class, by_mask = reconcile(semantics, mask_lidar, mask_camera)
-            grids = {"semantics": semantics, "mask_lidar": mask_lidar, "mask_camera": mask_camera}
-            _write(labels_root / run.sequence.frames.tokens[index] / "labels.npz", npz_bytes(grids))
-            classes.append(by_class)
-            observed.append(by_mask)
-    return FrameCounts(np.array(classes, np.int64), np.array(observed, np.int64))
+            yield _labelled(run, index, window, cameras)
+
+
+def counts_of(frames: Sequence[LabelledFrame]) -> FrameCounts:
+    """The counts of these frames; there is at least one."""
+    return FrameCounts(np.array([f.classes for f in frames]), np.array([f.observed for f in frames]))
+
+
+def _labelled(run: Run, index: int, window: Window, cameras: list[SightLines]) -> LabelledFrame:
+    semantics, mask_lidar = crop(window, run.sequence.frames.map_from_ego[index])
+    mask_camera = _seen(semantics, cameras)
+    by_class, by_mask = reconcile(semantics, mask_lidar, mask_camera)
+    grids = {"semantics": semantics, "mask_lidar": mask_lidar, "mask_camera": mask_camera}
+    return LabelledFrame(run.sequence.frames.tokens[index], npz_bytes(grids), by_class, by_mask)
 
 
 def _near_together(run: Run, part: Part) -> list[Part]:

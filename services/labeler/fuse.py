@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from services.labeler.run import Part, Run, core_cells, tiles_of
+from services.labeler.run import Part, Run, Step, core_cells, silent, tiles_of
 from services.labeler.scratch import Arrays, fused_path, images_path, save
 from stone.calibration import Box
 from stone.dynamic import range_image
@@ -25,8 +25,8 @@ class _Images:
     ranges_m: list[NDArray[np.float32]] = field(default_factory=list)
 
 
-def fuse(run: Run, part: Part) -> int:
-    """Fuse the frames of `part`; returns how many points went into the map."""
+def fuse(run: Run, part: Part, step: Step = silent) -> int:
+    """Fuse the frames of `part`, a step each; returns how many points went into the map."""
     parameters, frames = run.parameters, run.sequence.frames
     calibration = run.sequence.calibration
     builder = PointMapBuilder(parameters.surface.point_voxel_m)
@@ -46,6 +46,7 @@ def fuse(run: Run, part: Part) -> int:
             image = range_image(points_ego, pose, run.sensor_ego, parameters.dynamic)
             images.poses.append(image.map_from_view.wxyz_xyz)
             images.ranges_m.append(image.ranges_m)
+        step(index + 1 - part[0], part[1] - part[0])
     _leave(run, part, builder.finish(), carver.finish())
     if images.poses:
         save(images_path(run, part), {"poses": np.stack(images.poses), "ranges_m": np.stack(images.ranges_m)})

@@ -1,6 +1,13 @@
-"""`report.json`: from what, how and how well a label set was made."""
+"""`report.json`: from what, how and how well a label set was made.
 
+**Conventions.** What was measured while it was made (seconds, memory) is apart, in `costs`: without them equal inputs
+give equal bytes.
+"""
+
+import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -8,10 +15,11 @@ import numpy as np
 from services.labeler.frames import FrameCounts
 from services.labeler.parameters import LabelParameters
 from services.labeler.surface import TileSummary
+from services.labeler.tables import concatenated
 from services.labeler.workers import Done
 from stone.findings import Finding
 from stone.sequence import Sequence
-from stone.traversability import FEW_VOXELS, Reference
+from stone.traversability import FEW_VOXELS, Reference, reference_of, total_of
 
 CLASS_NAMES = ("free", "traversable", "potentially_traversable", "non_traversable")
 # Outside this many standard deviations of the driven elevation, profile `paper` calls any ground N (√χ²(3, 0.95)).
@@ -31,6 +39,16 @@ class Meter:
         self.cpu_s[done.pid] = max(done.cpu_s, self.cpu_s.get(done.pid, 0.0))
         self.peak_bytes[done.pid] = max(done.peak_bytes, self.peak_bytes.get(done.pid, 0))
 
+    def as_record(self) -> dict[str, Any]:
+        return {
+            "stages_wall_s": {stage: round(wall, 3) for stage, wall in self.wall_s.items()},
+            "cpu_s": round(sum(self.cpu_s.values()), 3),
+            "peak_bytes": {
+                "largest_process": max(self.peak_bytes.values()),
+                "all_processes": sum(self.peak_bytes.values()),
+            },
+        }
+
 
 @dataclass(frozen=True, eq=False)
 class LabelReport:
@@ -42,8 +60,8 @@ class LabelReport:
     reference: Reference
     tiles: tuple[TileSummary, ...]
     counts: FrameCounts
-    meter: Meter
     findings: tuple[Finding, ...]
+    costs: Mapping[str, Any] = field(default_factory=dict)
 
     def as_record(self) -> dict[str, Any]:
         sequence, reference = self.sequence, self.reference
@@ -70,14 +88,13 @@ class LabelReport:
                 for name in ("points", "moving", "vertices", "triangles", "voxels")
             }
             | {"tiles": len(self.tiles)},
-            "stages_wall_s": {stage: round(wall, 3) for stage, wall in self.meter.wall_s.items()},
-            "cpu_s": round(sum(self.meter.cpu_s.values()), 3),
-            "peak_bytes": {
-                "largest_process": max(self.meter.peak_bytes.values()),
-                "all_processes": sum(self.meter.peak_bytes.values()),
-            },
+            **self.costs,
             "findings": [finding.as_record() for finding in self.findings],
         }
+
+    def text(self) -> str:
+        """The file."""
+        return json.dumps(self.as_record(), indent=1) + "\n"
 
     def class_shares(self) -> dict[str, float]:
         """The share of each class among all occupied voxels of all frames."""
@@ -89,6 +106,20 @@ class LabelReport:
         voxels = int(self.counts.classes.sum())
         lidar, camera = self.counts.observed.sum(axis=0) / voxels
         return {"lidar": round(float(lidar), 6), "camera": round(float(camera), 6)}
+
+
+def report_of(
+    sequence: Sequence, parameters: LabelParameters, tiles: list[TileSummary], parts: list[FrameCounts]
+) -> LabelReport:
+    """The report of a run whose tiles and parts, in their order, were summed up so."""
+    reference, counts = reference_from(tiles, parameters), concatenated(parts)
+    findings = (*sequence.findings, *label_findings(sequence, parameters, reference, counts))
+    return LabelReport(sequence, parameters, version("stone-platform"), reference, tuple(tiles), counts, findings)
+
+
+def reference_from(tiles: list[TileSummary], parameters: LabelParameters) -> Reference:
+    """The reference of all tiles, in their order. Raises `NoReferenceError`."""
+    return reference_of(total_of([tile.sums for tile in tiles]), parameters.reference)
 
 
 def label_findings(

@@ -5,6 +5,7 @@ Cores tile the plane; the cube a tile is reconstructed in reaches `halo_m` beyon
 frames. The division depends on the parameters alone, never on the number of workers.
 """
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +18,11 @@ from stone.sequence import Sequence, SweepSource
 
 Tile = tuple[int, int]
 Part = tuple[int, int]
+Step = Callable[[int, int], None]
+
+
+def silent(_done: int, _total: int) -> None:
+    """Nobody asks how far the stage is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +44,11 @@ def parts_of(run: Run) -> list[Part]:
     """The frame ranges that are fused, and later cropped, as one task each."""
     size, total = run.parameters.tiling.frames_per_part, len(run.sequence.frames)
     return [(begin, min(begin + size, total)) for begin in range(0, total, size)]
+
+
+def largest_first(weights: Mapping[Tile, int]) -> list[Tile]:
+    """All tiles, the heaviest first, so that no worker is left alone with a big one at the end."""
+    return sorted(weights, key=lambda tile: (-weights[tile], tile))
 
 
 def core_cells(parameters: LabelParameters, voxel_m: float) -> int:

@@ -4,9 +4,10 @@
 a stage that runs twice writes the same bytes. All of it is deleted when the run ends.
 """
 
-import os
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from secrets import token_hex
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +23,20 @@ Arrays = dict[str, NDArray[np.generic]]
 
 def save(path: Path, arrays: Arrays) -> None:
     """Write arrays to `path` (.npz, stored), atomically."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    staging = path.with_name(f".{path.name}.{os.getpid()}")
-    with staging.open("wb") as file:
+    with whole(path) as staging, staging.open("wb") as file:
         np.savez(file, **arrays)  # type: ignore[arg-type]
-    staging.replace(path)
+
+
+@contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """A file to write beside `path`, which it becomes at the end; two writers at once do not meet."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    staging = path.with_name(f".{path.name}.{token_hex(8)}")
+    try:
+        yield staging
+        staging.replace(path)
+    finally:
+        staging.unlink(missing_ok=True)
 
 
 def load(path: Path) -> Arrays:
@@ -36,7 +46,7 @@ def load(path: Path) -> Arrays:
 
 
 def fused_path(run: Run, tile: Tile, part: Part) -> Path:
-    return run.scratch / "fused" / f"{tile[0]}_{tile[1]}" / f"{part[0]:06d}.npz"
+    return run.scratch / "fused" / tile_name(tile) / f"{part[0]:06d}.npz"
 
 
 def images_path(run: Run, part: Part) -> Path:
@@ -44,17 +54,22 @@ def images_path(run: Run, part: Part) -> Path:
 
 
 def surface_path(run: Run, tile: Tile) -> Path:
-    return run.scratch / "surface" / f"{tile[0]}_{tile[1]}.npz"
+    return run.scratch / "surface" / f"{tile_name(tile)}.npz"
 
 
-def sight_path(run: Run, channel: str) -> Path:
-    return run.scratch / "sight" / f"{channel}.npz"
+def sight_path(run: Run, camera: int) -> Path:
+    """What the camera at this place among the calibration's cameras can see."""
+    return run.scratch / "sight" / f"{camera:02d}.npz"
 
 
-def fused_tiles(run: Run) -> list[Tile]:
-    """The tiles into which any point fell, in order."""
-    names = (folder.name.split("_") for folder in (run.scratch / "fused").glob("*_*"))
-    return sorted((int(i), int(j)) for i, j in names)
+def tile_name(tile: Tile) -> str:
+    return f"{tile[0]}_{tile[1]}"
+
+
+def tile_named(name: str) -> Tile:
+    """The tile whose folder or file (without its suffix) has this name."""
+    i, j = name.split("_")
+    return int(i), int(j)
 
 
 def load_points(run: Run, tile: Tile, low: NDArray[np.float64], high: NDArray[np.float64]) -> list[PointMap]:
@@ -92,4 +107,4 @@ def images_near(run: Run, low: NDArray[np.float64], high: NDArray[np.float64]) -
 
 
 def _fused_parts(run: Run, tile: Tile) -> list[Path]:
-    return sorted((run.scratch / "fused" / f"{tile[0]}_{tile[1]}").glob("[0-9]*.npz"))
+    return sorted((run.scratch / "fused" / tile_name(tile)).glob("[0-9]*.npz"))

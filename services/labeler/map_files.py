@@ -1,0 +1,35 @@
+"""`bev.png` and `mesh.ply`: the whole labelled map, tile by tile, so that memory holds one tile at a time."""
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.labeler.frames import labelled_tile
+from services.labeler.picture import TopView, write_top_view
+from services.labeler.ply import Piece, class_at, write_mesh
+from services.labeler.run import Run, Step, Tile, silent
+from services.labeler.surface import TileSummary
+from stone.traversability import Reference
+
+TOP_VIEW, MESH = "bev.png", "mesh.ply"
+
+
+def write_map(run: Run, tiles: list[TileSummary], reference: Reference, out: Path, step: Step = silent) -> None:
+    """Write both into the folder `out`, in the order of the tiles."""
+    view = TopView({})
+    for number, summary in enumerate(tiles):
+        step(number, len(tiles) + 1)
+        arrays, classes = labelled_tile(run, summary.tile, reference)
+        view.add(summary.tile, arrays["keys"], classes)  # type: ignore[arg-type]
+    write_top_view(out / TOP_VIEW, view, run.sequence.frames.map_from_ego)
+    step(len(tiles), len(tiles) + 1)
+    totals = (sum(tile.vertices for tile in tiles), sum(tile.triangles for tile in tiles))
+    write_mesh(out / MESH, totals, [partial(_piece, run, tile.tile, reference) for tile in tiles])
+
+
+def _piece(run: Run, tile: Tile, reference: Reference) -> Piece:
+    arrays, classes = labelled_tile(run, tile, reference)
+    vertices: NDArray[np.float32] = arrays["vertices"]  # type: ignore[assignment]
+    return vertices, arrays["triangles"], class_at(vertices, arrays["keys"], classes)  # type: ignore[return-value,arg-type]
