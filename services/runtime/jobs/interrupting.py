@@ -9,7 +9,7 @@ from sqlalchemy import select, update
 
 from services.runtime.jobs.changes import rows_changed
 from services.runtime.jobs.claiming import Claim
-from services.runtime.jobs.finishing import Failure, cancelled, fail, give_back
+from services.runtime.jobs.finishing import Failure, lose
 from services.runtime.orm import Job
 from services.runtime.platform import Platform
 
@@ -35,10 +35,4 @@ def _interrupt(platform: Platform, claim: Claim, failure: Failure, *, is_counted
         if not is_counted:
             held = update(Job).where(Job.id == claim.job_id, Job.state == "running", Job.attempt == claim.attempt)
             rows_changed(session, held.values(attempts_left=Job.attempts_left + 1))
-        if give_back(session, claim, failure):
-            return
-        run = session.get_one(Job, claim.root_id)
-        if run.cancel_reason:
-            cancelled(session, claim)
-        else:
-            fail(session, claim, failure)
+        lose(session, claim, failure)
