@@ -73,7 +73,10 @@ class UploadSettings:
 
 @dataclass(frozen=True)
 class ApiSettings:
-    """`url` is where browsers and commands reach the API; it also decides whether cookies are `Secure`."""
+    """`url` is where browsers and commands reach the API; it also decides whether cookies are `Secure`.
+
+    Whoever shows `metrics_token` may read `/metrics`; empty: administrators only.
+    """
 
     host: str = "127.0.0.1"
     port: int = 8080
@@ -83,6 +86,7 @@ class ApiSettings:
     sign_ins_per_minute: int = 10
     session_s: float = 12 * 3600.0
     token_s: float = 365 * 86400.0
+    metrics_token: SecretStr = field(default=SecretStr(""))
 
 
 class Settings(BaseSettings):

@@ -1,0 +1,25 @@
+"""What a route's documentation says of its refusals: every status it may answer with, in the one shape.
+
+**Conventions.** `responses=refusals(409, 412)` names what is particular to a route. What follows from its form (401
+where it asks for a caller, 422 where it reads anything, 429 and 503 always) is added to the whole document by
+`api/openapi.py`.
+"""
+
+from http import HTTPStatus
+from typing import Any
+
+from api.problems import MEDIA_TYPE
+
+Responses = dict[int | str, dict[str, Any]]
+SCHEMA = {"$ref": "#/components/schemas/Problem"}
+
+
+def refusal(status: int) -> dict[str, Any]:
+    """How the document describes an answer of this status."""
+    phrase = HTTPStatus(status).phrase
+    return {"description": phrase, "content": {MEDIA_TYPE: {"schema": SCHEMA}}}
+
+
+def refusals(*statuses: int) -> Responses:
+    """The statuses a route may refuse with."""
+    return {status: refusal(status) for status in statuses}

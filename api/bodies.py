@@ -1,0 +1,75 @@
+"""A bound on the bytes of a body, counted as they come: a header that lies, or none, changes nothing.
+
+**Conventions.** The bytes of tus uploads are bounded by the upload's own length and pass; forms with files may have
+`uploads.form_bytes`; everything else `api.body_bytes`.
+"""
+
+from starlette.datastructures import Headers
+from starlette.exceptions import HTTPException
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from api.errors import BodyTooLargeError
+from api.problems import answer_to
+from services.runtime.settings import Settings
+
+UPLOADS = "/api/v1/uploads"
+PIECES = "application/offset+octet-stream"
+FORM = "multipart/form-data"
+FORM_OVERHEAD_BYTES = 64 * 1024
+
+
+class _TooLargeError(HTTPException):
+    """An `HTTPException`, since FastAPI passes on no other kind from within the reading of a body."""
+
+    def __init__(self) -> None:
+        super().__init__(413)
+
+
+class BodyLimit:
+    """An ASGI application that bounds what another may read."""
+
+    def __init__(self, app: ASGIApp, settings: Settings) -> None:
+        self._app, self._settings = app, settings
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        limit_bytes = self.limit_of(scope) if scope["type"] == "http" else None
+        if limit_bytes is None:
+            await self._app(scope, receive, send)
+            return
+        if _declared_bytes(scope) > limit_bytes:
+            await answer_to(BodyTooLargeError(limit_bytes))(scope, receive, send)
+            return
+        counted = _Counted(receive, limit_bytes)
+        try:
+            await self._app(scope, counted, send)
+        except _TooLargeError:
+            raise BodyTooLargeError(limit_bytes) from None
+
+    def limit_of(self, scope: Scope) -> int | None:
+        """How many bytes this request's body may have; None where the route bounds it."""
+        kind = Headers(scope=scope).get("content-type", "").partition(";")[0].strip().lower()
+        if kind == PIECES and scope["path"].startswith(UPLOADS):
+            return None
+        if kind == FORM:
+            return self._settings.uploads.form_bytes + FORM_OVERHEAD_BYTES
+        return self._settings.api.body_bytes
+
+
+class _Counted:
+    """What comes in, until it is too much."""
+
+    def __init__(self, receive: Receive, limit_bytes: int) -> None:
+        self._receive, self._left_bytes = receive, limit_bytes
+
+    async def __call__(self) -> Message:
+        message = await self._receive()
+        self._left_bytes -= len(message.get("body", b""))
+        if self._left_bytes < 0:
+            raise _TooLargeError()
+        return message
+
+
+def _declared_bytes(scope: Scope) -> int:
+    """What the head promises; 0 where it promises nothing that is a number."""
+    declared = Headers(scope=scope).get("content-length", "0")
+    return int(declared[:18]) if declared.isascii() and declared.isdigit() else 0

@@ -1,0 +1,123 @@
+"""What routes are given: the platform, and who is calling.
+
+**Conventions.** `Depends(require(scope, *roles))` answers 401 to nobody and 403 to somebody whose scopes or role do not
+reach; a higher role always may what a lower one may. A browser's session holds the scopes of its user's role, and an
+unsafe method by session must repeat the session's CSRF token. Who is calling is found out once per request.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from hmac import compare_digest
+from typing import Annotated
+
+from fastapi import Depends, Request, Security
+from fastapi.security import APIKeyCookie, HTTPAuthorizationCredentials, HTTPBearer
+
+from api.context import COOKIE
+from api.errors import CsrfError, ForbiddenError, UnauthenticatedError
+from services.runtime.access import roles, sessions, tokens
+from services.runtime.platform import Platform
+
+SAFE = ("GET", "HEAD", "OPTIONS")
+
+bearer = HTTPBearer(auto_error=False, scheme_name="token", description="A token: `stone_…`, from `POST /tokens`.")
+cookie = APIKeyCookie(
+    name=COOKIE, auto_error=False, scheme_name="session", description="A browser's session, from `POST /sessions`."
+)
+
+
+@dataclass(frozen=True)
+class Caller:
+    """Who is calling, and what they may now. `expires_ns` is when the token or session ends."""
+
+    user_id: str
+    name: str
+    role: str
+    scopes: frozenset[str]
+    is_session: bool
+    expires_ns: int = 0
+    credential_id: str = ""
+    csrf_token: str = ""
+
+    @property
+    def is_administrator(self) -> bool:
+        return self.role == "administrator" and "admin" in self.scopes
+
+
+def platform_of(request: Request) -> Platform:
+    """The platform this application was made for."""
+    platform: Platform = request.app.state.platform
+    return platform
+
+
+PlatformDep = Annotated[Platform, Depends(platform_of)]
+
+
+def identify(request: Request) -> Caller | None:
+    """Who calls: by token, else by session; None without either. Raises `UnauthenticatedError` for a false one."""
+    if not hasattr(request.state, "caller"):
+        platform = platform_of(request)
+        header = request.headers.get("authorization")
+        secret = request.cookies.get(COOKIE)
+        request.state.caller = None
+        if header is not None:
+            request.state.caller = _by_token(platform, header)
+        elif secret is not None:
+            request.state.caller = _by_session(platform, secret)
+        if request.state.caller is not None:
+            request.app.state.limits.know(request, request.state.caller.user_id)
+    caller: Caller | None = request.state.caller
+    return caller
+
+
+def require(scope: str, *accepted: str) -> Callable[..., Caller]:
+    """A dependency that gives the caller, if they hold `scope` and at least one of the `accepted` roles."""
+
+    def caller_who_may(
+        request: Request,
+        _bearer: Annotated[HTTPAuthorizationCredentials | None, Security(bearer)],
+        _cookie: Annotated[str | None, Security(cookie)],
+    ) -> Caller:
+        caller = identify(request)
+        if caller is None:
+            raise UnauthenticatedError()
+        if caller.is_session and request.method not in SAFE:
+            _check_csrf(request, caller)
+        if scope not in caller.scopes:
+            raise ForbiddenError(f"this needs the scope {scope!r}; yours are {sorted(caller.scopes)}")
+        if not roles.allows(caller.role, accepted):
+            raise ForbiddenError(f"this needs the role {' or '.join(accepted)}; yours is {caller.role}")
+        return caller
+
+    return caller_who_may
+
+
+def _by_token(platform: Platform, header: str) -> Caller:
+    scheme, _, secret = header.partition(" ")
+    if scheme.lower() != "bearer":
+        raise UnauthenticatedError("only the scheme Bearer is understood")
+    with platform.database.reading() as session:
+        token = tokens.find(session, secret.strip())
+    if token is None:
+        raise UnauthenticatedError("the token is unknown, has expired or was revoked")
+    if tokens.is_use_due(token):
+        with platform.database.transaction() as session:
+            tokens.note_use(session, token.id)
+    user, held = token.user, roles.scopes_in_force(token.user.role, token.scopes)
+    return Caller(user.id, user.name, user.role, held, False, token.expires_ns, token.id)
+
+
+def _by_session(platform: Platform, secret: str) -> Caller:
+    with platform.database.reading() as session:
+        row = sessions.find_session(session, secret)
+    if row is None:
+        raise UnauthenticatedError("the session is unknown or has ended")
+    user = row.user
+    held = roles.SCOPES_OF[user.role]
+    return Caller(user.id, user.name, user.role, held, True, row.expires_ns, row.id, row.csrf_token)
+
+
+def _check_csrf(request: Request, caller: Caller) -> None:
+    offered = request.headers.get("x-csrf-token", "")
+    if not compare_digest(offered.encode(), caller.csrf_token.encode()):
+        raise CsrfError()

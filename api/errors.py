@@ -1,0 +1,240 @@
+"""Why a request is refused, and the one table that says with which status.
+
+**Conventions.** A route raises a leaf of `StoneError`, its own or one of a service; `STATUS_OF` maps the class, or the
+nearest of its bases, to a status. `api/problems.py` writes the answer. A leaf's first docstring line is the problem's
+title, its `code` the problem's type, its sentence the detail. What is not in the table is a fault of ours: 500.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+from services.runtime.access.errors import (
+    BadNameError,
+    LastAdministratorError,
+    NameTakenError,
+    UnknownRoleError,
+    WeakPasswordError,
+)
+from services.runtime.jobs.errors import JobStateError, QueueDrainingError
+from stone.errors import StoneError
+
+
+class ApiError(StoneError):
+    """The request is refused."""
+
+    code = "refused"
+
+    @property
+    def headers(self) -> dict[str, str]:
+        """What the answer's head says beside the problem."""
+        return {}
+
+    @property
+    def findings(self) -> tuple[Mapping[str, Any], ...]:
+        """What is wrong, one by one, where there is more than one thing: `{code, where, expected}`."""
+        return ()
+
+
+class UnauthenticatedError(ApiError):
+    """Nobody is signed in, or the token or session is not valid any more."""
+
+    code = "unauthenticated"
+
+    def __init__(self, reason: str = "this needs a token or a session") -> None:
+        super().__init__(f"{reason}; send 'Authorization: Bearer stone_…' or sign in")
+
+    @property
+    def headers(self) -> dict[str, str]:
+        return {"WWW-Authenticate": 'Bearer realm="stone"'}
+
+
+class WrongPasswordError(UnauthenticatedError):
+    """The name or the password is wrong."""
+
+    code = "wrong_password"
+
+    def __init__(self) -> None:
+        StoneError.__init__(self, "there is no active user with this name and this password")
+
+
+class ForbiddenError(ApiError):
+    """The caller is known, but their role or token does not allow this."""
+
+    code = "forbidden"
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason)
+
+
+class CsrfError(ForbiddenError):
+    """A browser's session changes something without the token that only our own pages know."""
+
+    code = "csrf"
+
+    def __init__(self) -> None:
+        super().__init__("X-CSRF-Token is missing or is not this session's; read it from GET /api/v1/me")
+
+
+class NotFoundError(ApiError):
+    """There is no such thing, or it is not yours to know."""
+
+    code = "not_found"
+
+    def __init__(self, kind: str, subject_id: str) -> None:
+        super().__init__(f"there is no {kind} {subject_id[:80]!r} that you may see")
+
+
+class ConflictError(ApiError):
+    """The state of the thing does not allow this now."""
+
+    code = "conflict"
+
+    def __init__(self, sentence: str) -> None:
+        super().__init__(sentence)
+
+
+class PreconditionFailedError(ApiError):
+    """The thing has changed since it was read."""
+
+    code = "precondition_failed"
+
+    def __init__(self, given: str, current: str) -> None:
+        super().__init__(f"If-Match is {given[:80]} but the thing is at {current}; read it again and decide anew")
+
+
+class PreconditionRequiredError(ApiError):
+    """A change must say which state of the thing it means."""
+
+    code = "precondition_required"
+
+    def __init__(self) -> None:
+        super().__init__("If-Match is missing; send the ETag of the thing as you last read it")
+
+
+class InvalidRequestError(ApiError):
+    """The request does not have the form the route asks for."""
+
+    code = "invalid_request"
+
+    def __init__(self, findings: tuple[Mapping[str, Any], ...], total: int) -> None:
+        super().__init__(f"{total} thing(s) in the request are not as asked; see errors")
+        self._findings, self.total = findings, total
+
+    @property
+    def findings(self) -> tuple[Mapping[str, Any], ...]:
+        return self._findings
+
+
+class BadCursorError(ApiError):
+    """The cursor is not one that this list gave."""
+
+    code = "bad_cursor"
+
+    def __init__(self) -> None:
+        super().__init__("the cursor is not one of this list; take 'next' from its last page, or begin without one")
+
+
+class ReasonMissingError(ApiError):
+    """An administrator's act must say why."""
+
+    code = "reason_missing"
+
+    def __init__(self, act: str) -> None:
+        super().__init__(f"{act} needs a reason that is not empty; it is kept in the audit log")
+
+
+class BodyTooLargeError(ApiError):
+    """The body is larger than the route reads."""
+
+    code = "body_too_large"
+
+    def __init__(self, limit_bytes: int) -> None:
+        super().__init__(f"the body is larger than {limit_bytes} bytes; send files through /api/v1/uploads")
+
+
+class RateLimitedError(ApiError):
+    """Too many requests in too short a time."""
+
+    code = "rate_limited"
+
+    def __init__(self, per_minute: float, retry_after_s: int) -> None:
+        super().__init__(f"more than {per_minute:g} a minute; try again in {retry_after_s} s")
+        self.retry_after_s = retry_after_s
+
+    @property
+    def headers(self) -> dict[str, str]:
+        return {"Retry-After": str(self.retry_after_s)}
+
+
+class BadIdempotencyKeyError(ApiError):
+    """The Idempotency-Key cannot be one."""
+
+    code = "bad_idempotency_key"
+
+    def __init__(self, length: int) -> None:
+        super().__init__(f"an Idempotency-Key is 1 to 128 visible ASCII characters; this one has {length}")
+
+
+class KeyReusedError(ApiError):
+    """The same Idempotency-Key was sent with another request."""
+
+    code = "idempotency_key_reused"
+
+    def __init__(self) -> None:
+        super().__init__(
+            "this Idempotency-Key stood with another body or query before; use a fresh key for a new request"
+        )
+
+
+class RequestInFlightError(ApiError):
+    """The first request with this Idempotency-Key is still being worked on."""
+
+    code = "request_in_flight"
+
+    def __init__(self) -> None:
+        super().__init__("the first request with this Idempotency-Key is still being worked on; ask again in a second")
+
+    @property
+    def headers(self) -> dict[str, str]:
+        return {"Retry-After": "1"}
+
+
+class ReplyNotKeptError(ApiError):
+    """The first request with this Idempotency-Key took effect, but its answer was not kept."""
+
+    code = "reply_not_kept"
+
+    def __init__(self) -> None:
+        sentence = "the first request with this Idempotency-Key took effect, but its answer held a secret or was lost"
+        super().__init__(f"{sentence}; look for what it made in the list")
+
+
+STATUS_OF: dict[type[StoneError], int] = {
+    UnauthenticatedError: 401,
+    ForbiddenError: 403,
+    NotFoundError: 404,
+    ConflictError: 409,
+    JobStateError: 409,
+    LastAdministratorError: 409,
+    NameTakenError: 409,
+    QueueDrainingError: 409,
+    ReplyNotKeptError: 409,
+    RequestInFlightError: 409,
+    PreconditionFailedError: 412,
+    BodyTooLargeError: 413,
+    BadCursorError: 422,
+    BadIdempotencyKeyError: 422,
+    BadNameError: 422,
+    InvalidRequestError: 422,
+    KeyReusedError: 422,
+    ReasonMissingError: 422,
+    UnknownRoleError: 422,
+    WeakPasswordError: 422,
+    PreconditionRequiredError: 428,
+    RateLimitedError: 429,
+}
+
+
+def status_of(error: type[StoneError]) -> int:
+    """The status of the nearest class in the table; 500 where there is none."""
+    return next((STATUS_OF[base] for base in error.__mro__ if base in STATUS_OF), 500)

@@ -1,0 +1,33 @@
+"""Which state of a thing a request means: ETag, If-Match, If-None-Match (RFC 9110 §13).
+
+**Conventions.** A tag is the thing's revision, or the sha256 of its bytes, in quotes; strong. A change without If-Match
+is 428, with another tag 412, so nobody overwrites what they have not read.
+"""
+
+import re
+
+from fastapi import Request
+
+from api.errors import PreconditionFailedError, PreconditionRequiredError
+
+TAG = re.compile(r'(W/)?"([^"]*)"')
+
+
+def etag(revision: int | str) -> str:
+    """The tag of this state."""
+    return f'"{revision}"'
+
+
+def require_match(request: Request, revision: int | str) -> None:
+    """Refuse a change that means another state. Raises `PreconditionRequiredError`, `PreconditionFailedError`."""
+    given = request.headers.get("if-match")
+    if given is None:
+        raise PreconditionRequiredError()
+    if given.strip() != "*" and ("", str(revision)) not in TAG.findall(given):
+        raise PreconditionFailedError(given, etag(revision))
+
+
+def is_unchanged(request: Request, revision: int | str) -> bool:
+    """Whether the reader has this state already: answer 304 with the ETag and no body."""
+    given = request.headers.get("if-none-match", "")
+    return given.strip() == "*" or str(revision) in (tag for _, tag in TAG.findall(given))

@@ -1,0 +1,105 @@
+"""How often and how much: a bucket of tokens per caller or address, and a bound on the bytes of a body.
+
+**Conventions.** A bucket holds a minute's requests and fills evenly. Whoever has shown a valid credential has a bucket
+of their own, everybody else shares that of their address (IPv6: of their /64), so inventing tokens buys nothing.
+Buckets are kept in memory, per process, the `MOST_BUCKETS` used last. Probes at the root are not counted.
+"""
+
+import ipaddress
+import math
+import time
+from collections import OrderedDict
+from collections.abc import Callable
+from hashlib import sha256
+from threading import Lock
+
+from starlette.requests import Request
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from api.context import COOKIE
+from api.errors import RateLimitedError
+from services.runtime.settings import Settings
+
+MOST_BUCKETS = 10_000
+NAME_SHARE = 3  # sign-ins a minute with one name, from everywhere, against those from one address
+
+
+class Buckets:
+    """`take(key, per_minute)` takes one token, or says how many seconds it will be until there is one."""
+
+    def __init__(self, monotonic_s: Callable[[], float] = time.monotonic) -> None:
+        self._now_s, self._lock = monotonic_s, Lock()
+        self._held: OrderedDict[str, tuple[float, float]] = OrderedDict()
+
+    def take(self, key: str, per_minute: float) -> float:
+        """0.0 when the token was there."""
+        with self._lock:
+            now_s = self._now_s()
+            tokens, since_s = self._held.pop(key, (per_minute, now_s))
+            tokens = min(per_minute, tokens + (now_s - since_s) * per_minute / 60.0)
+            self._held[key] = (tokens - 1.0 if tokens >= 1.0 else tokens, now_s)
+            if len(self._held) > MOST_BUCKETS:
+                self._held.popitem(last=False)
+        return 0.0 if tokens >= 1.0 else (1.0 - tokens) * 60.0 / per_minute
+
+
+class Limits:
+    """The rates of one application."""
+
+    def __init__(self, settings: Settings, monotonic_s: Callable[[], float] = time.monotonic) -> None:
+        self._api = settings.api
+        self._buckets = Buckets(monotonic_s)
+        self._known: OrderedDict[str, str] = OrderedDict()
+        self._lock = Lock()
+
+    def admit(self, request: Request) -> None:
+        """Count a request. Raises `RateLimitedError`."""
+        who = self._known.get(credential_of(request)) or address_of(request)
+        self._take(who, self._api.requests_per_minute)
+
+    def admit_sign_in(self, request: Request, name: str) -> None:
+        """Count an attempt at a password, by address and by name. Raises `RateLimitedError`."""
+        self._take(f"sign-in {address_of(request)}", self._api.sign_ins_per_minute)
+        self._take(f"sign-in as {name}", self._api.sign_ins_per_minute * NAME_SHARE)
+
+    def know(self, request: Request, user_id: str) -> None:
+        """From now on, what comes with this credential is counted as this user's."""
+        with self._lock:
+            self._known[credential_of(request)] = f"user {user_id}"
+            if len(self._known) > MOST_BUCKETS:
+                self._known.popitem(last=False)
+
+    def _take(self, key: str, per_minute: float) -> None:
+        wait_s = self._buckets.take(key, per_minute)
+        if wait_s:
+            raise RateLimitedError(per_minute, math.ceil(wait_s))
+
+
+class RateLimit:
+    """An ASGI application that counts requests before another."""
+
+    def __init__(self, app: ASGIApp, limits: Limits) -> None:
+        self._app, self._limits = app, limits
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "http" and scope["path"].startswith("/api/"):
+            self._limits.admit(Request(scope))
+        await self._app(scope, receive, send)
+
+
+def credential_of(request: Request) -> str:
+    """A hash of what the request shows of itself; the secret itself is not kept in memory."""
+    shown = request.headers.get("authorization") or request.cookies.get(COOKIE, "")
+    return sha256(shown.encode()).hexdigest()
+
+
+def address_of(request: Request) -> str:
+    """The address, or the /64 of an IPv6 one, which is what one house has."""
+    host = request.client.host if request.client else ""
+    try:
+        address = ipaddress.ip_address(host)
+    except ValueError:
+        return f"address {host}"
+    if address.version == 4:
+        return f"address {address}"
+    return f"address {ipaddress.ip_network((address, 64), strict=False)}"

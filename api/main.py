@@ -1,0 +1,67 @@
+"""The application: one page that says what a request passes and which routes there are.
+
+**Conventions.** A request passes, from outside in: `entry` (id, log, metrics, security headers, faults), `limits`
+(rate), `bodies` (size), `idempotency`, then the router. Routes live under `/api/v1`, a module per noun; probes at the
+root.
+"""
+
+from fastapi import APIRouter, FastAPI
+
+from api import problems
+from api.bodies import BodyLimit
+from api.entry import Entry
+from api.idempotency import Idempotency
+from api.limits import Limits, RateLimit
+from api.metrics import Meters
+from api.probes import Probes
+from api.routes import audit, health, sessions, teams, tokens, users
+from api.routes import problems as problem_routes
+from services.runtime.platform import Platform, open_platform
+from services.runtime.settings import Settings
+
+PREFIX = "/api/v1"
+
+ROUTERS: tuple[APIRouter, ...] = (
+    problem_routes.router,
+    sessions.router,
+    tokens.router,
+    users.router,
+    teams.router,
+    audit.router,
+)
+
+
+def make_api(platform: Platform) -> FastAPI:
+    """The application on this platform."""
+    api = FastAPI(
+        title="STONE",
+        version="1",
+        description=DESCRIPTION,
+        openapi_url=f"{PREFIX}/openapi.json",
+        docs_url=None,
+        redoc_url=None,
+    )
+    api.state.platform, api.state.limits = platform, Limits(platform.settings)
+    api.state.meters, api.state.probes = Meters(platform), Probes(platform)
+    problems.install(api)
+    # What is added last is met first.
+    api.add_middleware(Idempotency)
+    api.add_middleware(BodyLimit, settings=platform.settings)
+    api.add_middleware(RateLimit, limits=api.state.limits)
+    api.add_middleware(Entry, meters=api.state.meters)
+    api.include_router(health.router)
+    for router in ROUTERS:
+        api.include_router(router, prefix=PREFIX)
+    return api
+
+
+def from_environment() -> FastAPI:
+    """The application of this process: `uvicorn --factory api.main:from_environment`."""
+    return make_api(open_platform(Settings()))
+
+
+DESCRIPTION = """Recordings of field robots in, 3D traversability labels out.
+
+Refusals are `application/problem+json`. Lists are paged by `cursor`. Creating POSTs take an `Idempotency-Key`. Things
+that change carry an `ETag`, and changing them asks for `If-Match`.
+"""

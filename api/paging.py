@@ -1,0 +1,106 @@
+"""Lists by pages: a cursor says after which row to go on, so that rows that come and go meanwhile shift nothing.
+
+**Conventions.** The order column is unique and not null (an id). A cursor is opaque: base64url of the JSON of the last
+row's value in that column. It grants nothing, since every page is the list's own query again; whatever else is sent as
+a cursor is refused with 422.
+"""
+
+import json
+from base64 import urlsafe_b64decode, urlsafe_b64encode
+from binascii import Error as Base64Error
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Generic, TypeVar
+
+from fastapi import Depends, Query
+from pydantic import BaseModel, Field
+from sqlalchemy import Select, UnaryExpression
+from sqlalchemy.orm import InstrumentedAttribute, Session
+from sqlalchemy.sql.operators import desc_op
+
+from api.errors import BadCursorError
+
+T = TypeVar("T")
+Row = TypeVar("Row")
+
+MOST = 200
+LONGEST_CURSOR = 512
+LARGEST = 2**63 - 1
+
+
+@dataclass(frozen=True)
+class PageQuery:
+    """Which page is asked for."""
+
+    cursor: str | None
+    limit: int
+
+
+def page_query(
+    cursor: Annotated[str | None, Query(max_length=LONGEST_CURSOR, description="`next` of the page before")] = None,
+    limit: Annotated[int, Query(ge=1, le=MOST, description="how many at most")] = 50,
+) -> PageQuery:
+    return PageQuery(cursor, limit)
+
+
+PageDep = Annotated[PageQuery, Depends(page_query)]
+
+
+class Page(BaseModel, Generic[T]):
+    """Some of a list; `next` is the cursor of the page after, null at the end."""
+
+    items: list[T]
+    next: str | None = Field(default=None, examples=["IjAxOTNhZjAwIg"])
+
+
+@dataclass(frozen=True)
+class Rows(Generic[Row]):
+    """The rows of a page and the cursor of the next."""
+
+    rows: Sequence[Row]
+    next: str | None
+
+    def shown(self, as_body: Callable[[Row], T]) -> Page[T]:
+        """The page with every row in the shape that leaves the house."""
+        return Page[Any](items=[as_body(row) for row in self.rows], next=self.next)
+
+
+def page(
+    session: Session,
+    statement: Select[Row],
+    order: InstrumentedAttribute[Any] | UnaryExpression[Any],
+    query: PageQuery,
+) -> Rows[Row]:
+    """One page of `statement`, ordered by the unique column `order` (`Sequence.id`, or `Sequence.id.desc()`).
+
+    Raises `BadCursorError`.
+    """
+    is_falling = isinstance(order, UnaryExpression) and order.modifier is desc_op
+    column: Any = order.element if isinstance(order, UnaryExpression) else order
+    if query.cursor is not None:
+        last = _decode(query.cursor, column.type.python_type)
+        statement = statement.where(column < last if is_falling else column > last)
+    found = session.scalars(statement.order_by(None).order_by(order).limit(query.limit + 1)).all()
+    rows = found[: query.limit]
+    is_last = len(found) <= query.limit
+    return Rows(rows, None if is_last else _encode(getattr(rows[-1], column.key)))
+
+
+def _encode(value: object) -> str:
+    return urlsafe_b64encode(json.dumps(value).encode()).decode().rstrip("=")
+
+
+def _decode(cursor: str, kind: type) -> object:
+    try:
+        padded = cursor.encode("ascii") + b"=" * (-len(cursor) % 4)
+        value = json.loads(urlsafe_b64decode(padded))
+    except (Base64Error, ValueError, RecursionError) as error:
+        raise BadCursorError() from error
+    if type(value) is not kind or not _is_storable(value):
+        raise BadCursorError()
+    return value
+
+
+def _is_storable(value: object) -> bool:
+    """Whether both databases take it: no NUL, no lone surrogate, no integer beyond 64 bits."""
+    return abs(value) <= LARGEST if isinstance(value, int) else str(value).isprintable()

@@ -1,0 +1,75 @@
+"""Whether what the API stands on answers: database, broker, store, each with the milliseconds it took.
+
+**Conventions.** Each is asked in a thread of its own, and by one question at a time: a part that hangs is away for
+everybody who asks meanwhile, and costs one thread, not one per question.
+"""
+
+import time
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import TimeoutError as TooSlowError
+from typing import Literal
+
+import structlog
+from redis import Redis
+from sqlalchemy import text
+
+from api.schemas.people import PartState
+from services.runtime.platform import Platform
+
+PATIENCE_S = 3.0
+PART_NAMES = ("database", "broker", "store")
+
+log = structlog.get_logger(__name__)
+
+
+class Probes:
+    """`ask()` all three."""
+
+    def __init__(self, platform: Platform) -> None:
+        self._platform = platform
+        self._broker = Redis.from_url(platform.settings.broker.url, socket_connect_timeout=2, socket_timeout=2)
+        self._asked: dict[str, Future[float]] = {}
+        self._threads = ThreadPoolExecutor(len(PART_NAMES), thread_name_prefix="probe")
+
+    def ask(self) -> dict[str, PartState]:
+        """How each part is; takes `PATIENCE_S` at most."""
+        questions = zip(PART_NAMES, (self._database, self._ping, self._store), strict=True)
+        asked = {name: self._ask(name, question) for name, question in questions}
+        deadline_s = time.monotonic() + PATIENCE_S
+        return {name: _state(name, future, deadline_s) for name, future in asked.items()}
+
+    def _ask(self, name: str, question: Callable[[], object]) -> Future[float]:
+        known = self._asked.get(name)
+        if known is None or known.done():
+            self._asked[name] = self._threads.submit(_timed, question)
+        return self._asked[name]
+
+    def _database(self) -> None:
+        with self._platform.database.reading() as session:
+            session.execute(text("SELECT 1"))
+
+    def _ping(self) -> None:
+        self._broker.ping()
+
+    def _store(self) -> None:
+        next(iter(self._platform.store.listed("blobs/")), None)
+
+
+def _timed(question: Callable[[], object]) -> float:
+    begun = time.perf_counter()
+    question()
+    return (time.perf_counter() - begun) * 1e3
+
+
+def _state(name: str, asked: Future[float], deadline_s: float) -> PartState:
+    state: Literal["up", "away"] = "up"
+    took_ms = PATIENCE_S * 1e3
+    try:
+        took_ms = asked.result(max(deadline_s - time.monotonic(), 0.0))
+    except TooSlowError:
+        state = "away"
+    except Exception as error:  # whatever a driver raises, the part is away; the reason is for the log only
+        log.warning("part away", part=name, reason=str(error)[:300])
+        state, took_ms = "away", 0.0
+    return PartState(state=state, took_ms=round(took_ms, 2))

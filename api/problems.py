@@ -1,0 +1,177 @@
+"""Refusals as `application/problem+json` (RFC 9457): one shape for every answer that is not the one asked for.
+
+**Conventions.** `type` is `/api/v1/problems/<code>`, which describes it; `detail` is one sentence; `errors` are the
+first hundred findings of `errors_total`. Nothing of what was sent is repeated but names and lengths, and nothing of our
+insides.
+"""
+
+import errno
+from collections.abc import Callable, Mapping, Sequence
+from http import HTTPStatus
+from typing import Any
+
+import structlog
+from fastapi import FastAPI
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from pydantic import BaseModel, Field
+from sqlalchemy.exc import DataError, IntegrityError, InterfaceError, OperationalError
+from sqlalchemy.exc import TimeoutError as PoolTimeoutError
+from starlette.exceptions import HTTPException
+
+from api.context import request_id
+from api.errors import ApiError, InvalidRequestError, status_of
+from stone.errors import StoneError
+
+MEDIA_TYPE = "application/problem+json"
+MOST_FINDINGS = 100
+MOST_WORDS = 200
+PROBLEMS_PATH = "/api/v1/problems"
+BUSY_S = "2"
+
+log = structlog.get_logger(__name__)
+
+
+class Finding(BaseModel):
+    """One thing that is wrong."""
+
+    code: str
+    where: str = ""
+    file: str | None = None
+    frame: str | None = None
+    expected: str | None = None
+    actual: str | None = None
+
+
+class Problem(BaseModel):
+    """Why the answer is not the one asked for."""
+
+    type: str = Field(examples=["/api/v1/problems/not_found"])
+    title: str
+    status: int = Field(examples=[404])
+    detail: str
+    code: str = Field(examples=["not_found"])
+    request_id: str
+    errors: list[Finding] = []
+    errors_total: int = 0
+
+
+def problem(status: int, code: str, detail: str, title: str = "") -> Problem:
+    """A problem of this request; its title is the status's own phrase where none is given."""
+    phrase = title or HTTPStatus(status).phrase
+    where = f"{PROBLEMS_PATH}/{code}"
+    return Problem(type=where, title=phrase, status=status, detail=detail, code=code, request_id=request_id())
+
+
+def answer(body: Problem, headers: Mapping[str, str] | None = None) -> JSONResponse:
+    """The problem as an answer, never kept by anybody on the way."""
+    content = body.model_dump(exclude_none=True)
+    kept = {"Cache-Control": "no-store", **(headers or {})}
+    return JSONResponse(content, body.status, headers=kept, media_type=MEDIA_TYPE)
+
+
+def answer_to(error: StoneError) -> JSONResponse:
+    """The answer to a refusal, by the table."""
+    status = status_of(type(error))
+    if status == 500:
+        log.error("refusal without a status", code=error.code, sentence=str(error))
+        return internal_error()
+    body = problem(status, error.code, str(error), title_of(type(error)))
+    if not isinstance(error, ApiError):
+        return answer(body)
+    body.errors = [Finding.model_validate(finding) for finding in error.findings[:MOST_FINDINGS]]
+    body.errors_total = getattr(error, "total", len(error.findings))
+    return answer(body, error.headers)
+
+
+def internal_error() -> JSONResponse:
+    """A fault of ours: the request's id is all that leaves the house."""
+    return answer(problem(500, "internal_error", "a fault of ours; quote request_id when you report it"))
+
+
+def title_of(leaf: type[StoneError]) -> str:
+    """The first line of the leaf's docstring, without the full stop."""
+    return (leaf.__doc__ or "").strip().partition("\n")[0].rstrip(".")
+
+
+def install(app: FastAPI) -> None:
+    """Answer what routes raise with problems; what is raised outside of routes, `api/entry.py` hands to `respond`."""
+    for kind, _ in ANSWERS:
+        app.add_exception_handler(kind, lambda _request, error: respond(error))
+
+
+def respond(error: Exception) -> JSONResponse:
+    """The answer to anything that was raised; what is not foreseen is logged with its traceback and is a 500."""
+    for kind, shape in ANSWERS:
+        if isinstance(error, kind):
+            return shape(error)
+    log.error("unforeseen", exc_info=error)
+    return internal_error()
+
+
+def _invalid(error: Any) -> JSONResponse:
+    raw: Sequence[Any] = error.errors()
+    findings = tuple(_finding(one) for one in raw[:MOST_FINDINGS])
+    return answer_to(InvalidRequestError(findings, len(raw)))
+
+
+def _finding(raw: Mapping[str, Any]) -> dict[str, str]:
+    """Where and what was expected; never the input, which may be a secret or a megabyte."""
+    where = ".".join(str(part)[:64] for part in raw["loc"][:8])
+    return {"code": str(raw["type"])[:64], "where": where, "expected": str(raw["msg"])[:MOST_WORDS]}
+
+
+def _http(error: Any) -> JSONResponse:
+    phrase = HTTPStatus(error.status_code).phrase
+    code = phrase.lower().replace(" ", "_").replace("-", "_")
+    detail = SENTENCE_OF.get(error.status_code, str(error.detail)[:MOST_WORDS])
+    return answer(problem(error.status_code, code, detail), error.headers)
+
+
+SENTENCE_OF = {
+    404: "there is no such route; see /api/v1/openapi.json",
+    405: "this route has no such method; see the Allow header",
+}
+
+
+def _system(error: Any) -> JSONResponse:
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return _disk_full()
+    log.error("system fault", exc_info=error)
+    return internal_error()
+
+
+def _disk_full() -> JSONResponse:
+    sentence = "the platform's disk is full; nothing was lost, try again later"
+    return answer(problem(507, "insufficient_storage", sentence))
+
+
+def _unstorable(error: Any) -> JSONResponse:
+    log.warning("a value the database does not take", exc_info=error)
+    return answer(problem(422, "unstorable_value", "a value holds a character or a size that cannot be kept"))
+
+
+def _raced(error: Any) -> JSONResponse:
+    log.warning("a constraint held", exc_info=error)
+    return answer(problem(409, "conflict", "another request changed the same thing at the same moment; read it again"))
+
+
+def _database_away(error: Any) -> JSONResponse:
+    log.error("database away", reason=str(error)[:300])
+    if "disk is full" in str(error):
+        return _disk_full()
+    sentence = "the database cannot be reached or is too busy; nothing was changed, try again"
+    return answer(problem(503, "database_away", sentence), {"Retry-After": BUSY_S})
+
+
+ANSWERS: tuple[tuple[type[Exception], Callable[[Any], JSONResponse]], ...] = (
+    (StoneError, answer_to),
+    (RequestValidationError, _invalid),
+    (HTTPException, _http),
+    (OSError, _system),
+    (DataError, _unstorable),
+    (IntegrityError, _raced),
+    (OperationalError, _database_away),
+    (InterfaceError, _database_away),
+    (PoolTimeoutError, _database_away),
+)

@@ -1,0 +1,64 @@
+"""Probes: does the process live, may it be sent requests, what does it count.
+
+**Conventions.** `/healthz` asks nobody, so that a database that is away does not restart the API. `/readyz` asks all
+three at once, each for at most `PATIENCE_S`. `/metrics` is for the monitoring token of the settings or for an
+administrator.
+"""
+
+from hmac import compare_digest
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Request, Response
+
+from api.answers import refusal, refusals
+from api.deps import identify, platform_of
+from api.errors import ForbiddenError, UnauthenticatedError
+from api.probes import Probes
+from api.schemas.people import Liveness, Readiness
+
+router = APIRouter(tags=["probes"])
+
+EXPOSITION = "text/plain; version=0.0.4; charset=utf-8"
+
+
+@router.get("/healthz", summary="Whether the process lives")
+def liveness() -> Liveness:
+    return Liveness(status="ok")
+
+
+@router.get(
+    "/readyz",
+    summary="Whether database, broker and store answer",
+    response_model=Readiness,
+    responses={503: {"model": Readiness, "description": "At least one is away"}},
+)
+def readiness(request: Request, response: Response) -> Readiness:
+    probes: Probes = request.app.state.probes
+    found = probes.ask()
+    is_ready = all(one.state == "up" for one in found.values())
+    response.status_code = 200 if is_ready else 503
+    return Readiness(status="ready" if is_ready else "not_ready", parts=found)
+
+
+def may_read_metrics(request: Request) -> None:
+    """Raises `UnauthenticatedError` or `ForbiddenError` for all but the monitoring token and administrators."""
+    expected = platform_of(request).settings.api.metrics_token.get_secret_value()
+    offered = request.headers.get("authorization", "").partition(" ")[2]
+    if expected and compare_digest(offered.encode(), expected.encode()):
+        return
+    caller = identify(request)
+    if caller is None:
+        raise UnauthenticatedError()
+    if not caller.is_administrator:
+        raise ForbiddenError("metrics are for administrators and for the monitoring token")
+
+
+@router.get(
+    "/metrics",
+    summary="Counts for Prometheus",
+    response_class=Response,
+    responses={200: {"content": {EXPOSITION: {"schema": {"type": "string"}}}}, 401: refusal(401), **refusals(403)},
+)
+def metrics(request: Request, _allowed: Annotated[None, Depends(may_read_metrics)]) -> Response:
+    meters: Any = request.app.state.meters
+    return Response(meters.exposition(), media_type=EXPOSITION)

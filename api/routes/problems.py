@@ -1,0 +1,37 @@
+"""What kinds of refusal there are: where the `type` of a problem leads."""
+
+from collections.abc import Iterator
+
+from fastapi import APIRouter
+
+from api.answers import refusals
+from api.errors import STATUS_OF, NotFoundError, status_of
+from api.problems import title_of
+from api.schemas.audit import ProblemItem
+from stone.errors import StoneError
+
+router = APIRouter(tags=["problems"])
+
+
+@router.get("/problems", summary="All kinds of refusal")
+def kinds() -> list[ProblemItem]:
+    leaves = {leaf for base in STATUS_OF for leaf in _leaves(base)}
+    return [_kind(leaf) for leaf in sorted(leaves, key=lambda leaf: (status_of(leaf), leaf.code))]
+
+
+@router.get("/problems/{code}", summary="One kind of refusal", responses=refusals(404))
+def kind(code: str) -> ProblemItem:
+    for item in kinds():
+        if item.code == code:
+            return item
+    raise NotFoundError("problem", code)
+
+
+def _leaves(base: type[StoneError]) -> Iterator[type[StoneError]]:
+    yield base
+    for leaf in base.__subclasses__():
+        yield from _leaves(leaf)
+
+
+def _kind(leaf: type[StoneError]) -> ProblemItem:
+    return ProblemItem(code=leaf.code, status=status_of(leaf), title=title_of(leaf))

@@ -1,0 +1,97 @@
+"""Browsers sign in with a password; everybody may ask who they are.
+
+**Conventions.** The cookie is HttpOnly and SameSite=Strict, and Secure where the platform is reached by https. Signing
+in changes nothing that a stranger's page could want changed, so it needs no CSRF token. An unknown name costs the same
+time as a wrong password.
+"""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Request, Response
+
+from api import audit
+from api.answers import refusals
+from api.context import COOKIE
+from api.deps import Caller, PlatformDep, require
+from api.errors import ConflictError, WrongPasswordError
+from api.schemas.base import instant
+from api.schemas.people import MeItem, PasswordBody, SessionItem, SignInBody
+from services.runtime.access import passwords, sessions, users
+from services.runtime.access.sessions import SignedIn
+from services.runtime.orm import User
+from services.runtime.settings import Settings
+
+router = APIRouter(tags=["people"])
+
+Anybody = Annotated[Caller, Depends(require("read"))]
+
+
+@router.post("/sessions", status_code=201, summary="Sign a browser in", responses=refusals(401))
+def sign_in(body: SignInBody, request: Request, response: Response, platform: PlatformDep) -> SessionItem:
+    request.app.state.limits.admit_sign_in(request, body.name)
+    with platform.database.reading() as session:
+        user = users.find_user(session, body.name)
+    is_right = sessions.is_password_of(user, body.password.get_secret_value())
+    if user is None or not is_right:
+        raise WrongPasswordError()
+    with platform.database.transaction() as session:
+        opened = sessions.open_session(session, user, platform.settings.api.session_s)
+        audit.record(session, _as_caller(user), "session.opened", user.id)
+    _give_cookie(response, opened, platform.settings)
+    return SessionItem(
+        user_id=user.id,
+        name=user.name,
+        role=user.role,
+        csrf_token=opened.csrf_token,
+        expires_at=instant(opened.expires_ns),
+    )
+
+
+@router.delete("/sessions/current", status_code=204, summary="Sign this browser out", responses=refusals(409))
+def sign_out(caller: Anybody, response: Response, platform: PlatformDep) -> None:
+    if not caller.is_session:
+        raise ConflictError("a token is no session; revoke it by DELETE /tokens/{id}")
+    with platform.database.transaction() as session:
+        sessions.close_session(session, caller.credential_id)
+    response.delete_cookie(COOKIE, path="/", httponly=True, samesite="strict", secure=_is_https(platform.settings))
+
+
+@router.get("/me", summary="Who is calling and what they may")
+def me(caller: Anybody) -> MeItem:
+    return MeItem(
+        user_id=caller.user_id,
+        name=caller.name,
+        role=caller.role,
+        scopes=sorted(caller.scopes),
+        is_session=caller.is_session,
+        csrf_token=caller.csrf_token or None,
+        expires_at=instant(caller.expires_ns),
+    )
+
+
+@router.put("/me/password", status_code=204, summary="Change one's own password", responses=refusals(401))
+def change_own_password(body: PasswordBody, caller: Anybody, request: Request, platform: PlatformDep) -> None:
+    request.app.state.limits.admit_sign_in(request, caller.name)
+    with platform.database.reading() as session:
+        user = session.get_one(User, caller.user_id)
+    if not sessions.is_password_of(user, body.current.get_secret_value()):
+        raise WrongPasswordError()
+    password_hash = passwords.hash_password(body.new.get_secret_value())
+    with platform.database.transaction() as session:
+        users.change_password(session, session.get_one(User, caller.user_id), password_hash)
+        audit.record(session, caller, "user.password_changed", caller.user_id)
+
+
+def _give_cookie(response: Response, opened: SignedIn, settings: Settings) -> None:
+    lasts_s = int(settings.api.session_s)
+    secure = _is_https(settings)
+    response.set_cookie(COOKIE, opened.secret, lasts_s, path="/", secure=secure, httponly=True, samesite="strict")
+    response.headers["Cache-Control"] = "no-store"
+
+
+def _is_https(settings: Settings) -> bool:
+    return settings.api.url.startswith("https://")
+
+
+def _as_caller(user: User) -> Caller:
+    return Caller(user.id, user.name, user.role, frozenset(), is_session=True)

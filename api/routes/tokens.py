@@ -1,0 +1,89 @@
+"""Tokens for programs: issued, listed, revoked by their owner.
+
+**Conventions.** A token cannot grant what its maker does not hold: neither a scope, nor, when a token makes it, a
+longer life. The secret is in the answer to its making and nowhere else.
+"""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Response
+from sqlalchemy import delete, select
+from sqlalchemy.orm import Session
+
+from api import audit
+from api.answers import refusals
+from api.deps import Caller, PlatformDep, require
+from api.errors import ConflictError, ForbiddenError, NotFoundError
+from api.paging import Page, PageDep, page
+from api.schemas.base import IdPath, instant, instant_or_none
+from api.schemas.people import IssuedToken, TokenBody, TokenItem
+from services.runtime.access import tokens, users
+from services.runtime.orm import Token, User
+from services.runtime.orm.base import now_ns
+
+router = APIRouter(prefix="/tokens", tags=["people"])
+
+MOST_TOKENS = 200
+
+Anybody = Annotated[Caller, Depends(require("read"))]
+
+
+@router.post("", status_code=201, summary="Issue a token of one's own", responses=refusals(409))
+def issue(body: TokenBody, caller: Anybody, response: Response, platform: PlatformDep) -> IssuedToken:
+    """The answer holds the secret and is kept nowhere: repeated under the same Idempotency-Key, it is a 409."""
+    scopes = caller.scopes if body.scopes is None else frozenset[str](body.scopes)
+    _refuse_more(scopes, caller)
+    expires_s = _lifetime_s(body, caller, platform.settings.api.token_s)
+    with platform.database.transaction() as session:
+        _refuse_too_many(session, caller)
+        owner = session.get_one(User, caller.user_id)
+        row, secret = tokens.issue_row(session, owner, body.name, scopes, expires_s)
+        audit.record(session, caller, "token.issued", row.id, facts={"scopes": row.scopes, "name": row.name})
+    response.headers["Cache-Control"] = "no-store"
+    return IssuedToken(**_shown(row).model_dump(), secret=secret)
+
+
+@router.get("", summary="One's own tokens, newest first")
+def listed(caller: Anybody, query: PageDep, platform: PlatformDep) -> Page[TokenItem]:
+    with platform.database.reading() as session:
+        own = select(Token).where(Token.user_id == caller.user_id)
+        return page(session, own, Token.id.desc(), query).shown(_shown)
+
+
+@router.delete("/{token_id}", status_code=204, summary="Revoke a token of one's own", responses=refusals(404))
+def revoke(token_id: IdPath, caller: Anybody, platform: PlatformDep) -> None:
+    with platform.database.transaction() as session:
+        own = delete(Token).where(Token.id == token_id, Token.user_id == caller.user_id).returning(Token.id)
+        if session.execute(own).first() is None:
+            raise NotFoundError("token", token_id)
+        audit.record(session, caller, "token.revoked", token_id)
+
+
+def _refuse_more(scopes: frozenset[str], caller: Caller) -> None:
+    if not scopes <= caller.scopes:
+        beyond = sorted(scopes - caller.scopes)
+        raise ForbiddenError(f"you cannot grant {beyond}; yours are {sorted(caller.scopes)}")
+
+
+def _lifetime_s(body: TokenBody, caller: Caller, longest_s: float) -> float:
+    """As long as asked, else as long as allowed. Raises `ForbiddenError` beyond that."""
+    left_s = longest_s if caller.is_session else min(longest_s, (caller.expires_ns - now_ns()) / 1e9)
+    if body.expires_s is not None and body.expires_s > left_s:
+        raise ForbiddenError(f"this token may last {left_s:.0f} s at most, not {body.expires_s:.0f} s")
+    return left_s if body.expires_s is None else body.expires_s
+
+
+def _refuse_too_many(session: Session, caller: Caller) -> None:
+    if users.token_count(session, caller.user_id) >= MOST_TOKENS:
+        raise ConflictError(f"you have {MOST_TOKENS} tokens already; revoke those that are not used")
+
+
+def _shown(row: Token) -> TokenItem:
+    return TokenItem(
+        id=row.id,
+        name=row.name,
+        scopes=row.scopes,
+        created_at=instant(row.created_ns),
+        expires_at=instant(row.expires_ns),
+        used_at=instant_or_none(row.used_ns),
+    )

@@ -1,0 +1,55 @@
+"""The audit log over the wire."""
+
+from datetime import datetime
+from typing import Any
+
+from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, example
+
+
+class AuditLine(Answer):
+    """Who did what to what, and why; `hash` links it to the line before."""
+
+    model_config = example(
+        number=17,
+        actor_id=ID_EXAMPLE,
+        actor="ada",
+        act="user.changed",
+        subject_id=ID_EXAMPLE,
+        reason="leads the next campaign",
+        facts={"role": "curator"},
+        request_id="4d1f0a9b",
+        logged_at="2026-05-03T09:12:44.120000Z",
+        hash=SHA256_EXAMPLE,
+    )
+
+    number: int
+    actor_id: str
+    actor: str
+    act: str
+    subject_id: str
+    reason: str
+    facts: dict[str, Any]
+    request_id: str
+    logged_at: datetime
+    hash: str
+
+
+class AuditVerification(Answer):
+    """Whether every line follows from the one before; `head_hash` is worth noting elsewhere."""
+
+    model_config = example(is_whole=True, first_broken=None, lines=17, head_hash=SHA256_EXAMPLE)
+
+    is_whole: bool
+    first_broken: int | None
+    lines: int
+    head_hash: str
+
+
+class ProblemItem(Answer):
+    """A kind of refusal."""
+
+    model_config = example(code="not_found", status=404, title="There is no such thing, or it is not yours to know")
+
+    code: str
+    status: int
+    title: str

@@ -1,0 +1,198 @@
+"""People over the wire: who is calling, sessions, tokens, users, teams; and how the platform is."""
+
+from datetime import datetime
+from typing import Annotated, Literal
+
+from pydantic import Field, SecretStr, StringConstraints
+
+from api.schemas.base import ID_EXAMPLE, PLAIN, Answer, Body, Reason, example
+from services.runtime.access.roles import Role, Scope
+
+PASSWORD = "correct horse battery staple"
+SECRET_EXAMPLE = "stone_" + "x" * 43
+MADE = "2026-05-03T09:12:44.120000Z"
+ENDS = "2027-05-03T09:12:44.120000Z"
+
+UserName = Annotated[str, StringConstraints(pattern=r"^[a-z0-9._@+-]{1,64}$")]
+Title = Annotated[str, StringConstraints(pattern=PLAIN, min_length=1, max_length=64, strip_whitespace=True)]
+Password = Annotated[SecretStr, Field(min_length=1, max_length=1024)]
+
+
+class Liveness(Answer):
+    """The process lives."""
+
+    model_config = example(status="ok")
+
+    status: Literal["ok"]
+
+
+class PartState(Answer):
+    """Whether a part answered, and in how many milliseconds."""
+
+    model_config = example(state="up", took_ms=0.8)
+
+    state: Literal["up", "away"]
+    took_ms: float
+
+
+class Readiness(Answer):
+    """Whether the platform can answer requests now."""
+
+    model_config = example(
+        status="ready",
+        parts={name: {"state": "up", "took_ms": 0.8} for name in ("database", "broker", "store")},
+    )
+
+    status: Literal["ready", "not_ready"]
+    parts: dict[str, PartState]
+
+
+class SignInBody(Body):
+    """A name and its password."""
+
+    model_config = Body.model_config | example(name="ada", password=PASSWORD)
+
+    name: Annotated[str, StringConstraints(max_length=64)]
+    password: Password
+
+
+class SessionItem(Answer):
+    """A browser is signed in; its cookie is in the answer's head, and unsafe requests repeat `csrf_token`."""
+
+    model_config = example(user_id=ID_EXAMPLE, name="ada", role="curator", csrf_token="x" * 43, expires_at=MADE)
+
+    user_id: str
+    name: str
+    role: str
+    csrf_token: str
+    expires_at: datetime
+
+
+class MeItem(Answer):
+    """Who is calling and what they may; `csrf_token` for browsers only."""
+
+    model_config = example(
+        user_id=ID_EXAMPLE,
+        name="ada",
+        role="curator",
+        scopes=["read", "submit", "upload"],
+        is_session=False,
+        csrf_token=None,
+        expires_at=ENDS,
+    )
+
+    user_id: str
+    name: str
+    role: str
+    scopes: list[str]
+    is_session: bool
+    csrf_token: str | None
+    expires_at: datetime
+
+
+class PasswordBody(Body):
+    """One's own password, old and new."""
+
+    model_config = Body.model_config | example(current=PASSWORD, new="another horse, another battery")
+
+    current: Password
+    new: Password
+
+
+class TokenBody(Body):
+    """A token to be; without `scopes` it has all that the caller holds, without `expires_s` it lasts a year."""
+
+    model_config = Body.model_config | example(name="field laptop", scopes=["read", "upload"], expires_s=2592000)
+
+    name: Title
+    scopes: Annotated[list[Scope], Field(min_length=1, max_length=4)] | None = None
+    expires_s: Annotated[float, Field(ge=1, le=10 * 365 * 86400, allow_inf_nan=False)] | None = None
+
+
+TOKEN_EXAMPLE = {
+    "id": ID_EXAMPLE,
+    "name": "field laptop",
+    "scopes": ["read", "upload"],
+    "created_at": MADE,
+    "expires_at": ENDS,
+    "used_at": None,
+}
+
+
+class TokenItem(Answer):
+    """A token without its secret."""
+
+    model_config = example(**TOKEN_EXAMPLE)
+
+    id: str
+    name: str
+    scopes: list[str]
+    created_at: datetime
+    expires_at: datetime
+    used_at: datetime | None
+
+
+class IssuedToken(TokenItem):
+    """A token with its secret, shown this once."""
+
+    model_config = example(**TOKEN_EXAMPLE, secret=SECRET_EXAMPLE)
+
+    secret: str
+
+
+class UserBody(Body):
+    """A user to be; without a password an administrator sets one later."""
+
+    model_config = Body.model_config | example(
+        name="ada", role="curator", password=PASSWORD, reason="joins the field team"
+    )
+
+    name: UserName
+    role: Role
+    password: Password | None = None
+    reason: Reason
+
+
+class UserChange(Body):
+    """What is to change; the rest stays."""
+
+    model_config = Body.model_config | example(role="curator", reason="leads the next campaign")
+
+    role: Role | None = None
+    is_active: bool | None = None
+    password: Password | None = None
+    reason: Reason
+
+
+class UserItem(Answer):
+    """A user."""
+
+    model_config = example(
+        id=ID_EXAMPLE, name="ada", role="curator", is_active=True, has_password=True, created_at=MADE
+    )
+
+    id: str
+    name: str
+    role: str
+    is_active: bool
+    has_password: bool
+    created_at: datetime
+
+
+class TeamBody(Body):
+    """A team to be; its maker owns it."""
+
+    model_config = Body.model_config | example(name="Terrain Gang")
+
+    name: Title
+
+
+class TeamItem(Answer):
+    """A team of which the caller is a member."""
+
+    model_config = example(id=ID_EXAMPLE, name="Terrain Gang", members=["ada"], created_at=MADE)
+
+    id: str
+    name: str
+    members: list[str]
+    created_at: datetime

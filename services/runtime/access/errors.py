@@ -1,0 +1,50 @@
+"""Why somebody is not let in, or cannot become what they ask to be."""
+
+from collections.abc import Iterable
+
+from stone.errors import StoneError
+
+
+class WeakPasswordError(StoneError):
+    """A password is too short to resist guessing, or too long to be one."""
+
+    code = "weak_password"
+
+    def __init__(self, length: int, shortest: int, longest: int) -> None:
+        super().__init__(f"the password has {length} characters; it must have {shortest} to {longest}")
+
+
+class BadNameError(StoneError):
+    """A name for a user has characters that would be mistaken for something else."""
+
+    code = "bad_name"
+
+    def __init__(self, name: str) -> None:
+        super().__init__(f"{name[:80]!r} cannot be a name; use 1 to 64 of a-z, 0-9, '.', '_', '-', '@', '+'")
+
+
+class NameTakenError(StoneError):
+    """Somebody or something else has this name already."""
+
+    code = "name_taken"
+
+    def __init__(self, kind: str, name: str) -> None:
+        super().__init__(f"there is a {kind} named {name[:80]!r} already; choose another name")
+
+
+class UnknownRoleError(StoneError):
+    """There is no such role."""
+
+    code = "unknown_role"
+
+    def __init__(self, role: str, known: Iterable[str]) -> None:
+        super().__init__(f"{role[:80]!r} is no role; roles are {', '.join(known)}")
+
+
+class LastAdministratorError(StoneError):
+    """Without this administrator there would be none left to steer the platform."""
+
+    code = "last_administrator"
+
+    def __init__(self, name: str) -> None:
+        super().__init__(f"{name!r} is the last active administrator; make another one first")

@@ -1,0 +1,53 @@
+"""Browsers that signed in with a password: a cookie's secret kept as a hash, and the CSRF token beside it."""
+
+from dataclasses import dataclass
+from secrets import token_urlsafe
+
+from sqlalchemy import delete, select
+from sqlalchemy.orm import Session
+
+from services.runtime.access.passwords import verify_password
+from services.runtime.access.tokens import hash_of
+from services.runtime.orm import User, WebSession
+from services.runtime.orm.base import now_ns
+
+LONGEST_SECRET = 64
+
+
+@dataclass(frozen=True)
+class SignedIn:
+    """What a browser is given: the cookie's secret, and the token its scripts repeat in `X-CSRF-Token`."""
+
+    secret: str
+    csrf_token: str
+    expires_ns: int
+
+
+def is_password_of(user: User | None, password: str) -> bool:
+    """Whether this active user has that password; nobody costs the same time. Slow: hold no transaction meanwhile."""
+    is_known = user is not None and user.is_active
+    return verify_password(user.password_hash if user and is_known else "", password)
+
+
+def open_session(session: Session, user: User, lasts_s: float) -> SignedIn:
+    """Sign a browser in; sessions of this user that have expired are forgotten."""
+    now = now_ns()
+    session.execute(delete(WebSession).where(WebSession.user_id == user.id, WebSession.expires_ns <= now))
+    opened = SignedIn(token_urlsafe(32), token_urlsafe(32), now + int(lasts_s * 1e9))
+    row = WebSession(user_id=user.id, csrf_token=opened.csrf_token, expires_ns=opened.expires_ns)
+    row.secret_hash = hash_of(opened.secret)
+    session.add(row)
+    session.flush()
+    return opened
+
+
+def find_session(session: Session, secret: str) -> WebSession | None:
+    """The session of this cookie, if it has not expired and its user is active."""
+    if not 0 < len(secret) <= LONGEST_SECRET:
+        return None
+    row = session.scalars(select(WebSession).where(WebSession.secret_hash == hash_of(secret))).one_or_none()
+    return row if row and row.user.is_active and row.expires_ns > now_ns() else None
+
+
+def close_session(session: Session, session_id: str) -> None:
+    session.execute(delete(WebSession).where(WebSession.id == session_id))

@@ -1,0 +1,58 @@
+"""Tokens for programs: issued once, kept as a hash, found by it.
+
+**Conventions.** A secret is `stone_` and 32 random bytes in base64url. Its sha256 is enough as a hash: 256 random bits
+cannot be guessed, so no slow hash is needed and a lookup is one indexed read.
+"""
+
+import re
+from collections.abc import Iterable
+from hashlib import sha256
+from secrets import token_urlsafe
+
+from sqlalchemy import select, update
+from sqlalchemy.orm import Session
+
+from services.runtime.orm import Token, User
+from services.runtime.orm.base import now_ns
+
+PREFIX = "stone_"
+SECRET = re.compile(r"stone_[A-Za-z0-9_-]{43}")
+USED_EVERY_NS = 60 * 10**9
+
+
+def issue(session: Session, user: User, name: str, scopes: Iterable[str], expires_s: float) -> str:
+    """Add a token for `user` and return its secret, which cannot be shown again."""
+    return issue_row(session, user, name, scopes, expires_s)[1]
+
+
+def issue_row(session: Session, user: User, name: str, scopes: Iterable[str], expires_s: float) -> tuple[Token, str]:
+    """The token's row beside its secret."""
+    secret = PREFIX + token_urlsafe(32)
+    expires_ns = now_ns() + int(expires_s * 1e9)
+    row = Token(user_id=user.id, name=name, scopes=sorted(set(scopes)), expires_ns=expires_ns)
+    row.secret_hash = hash_of(secret)
+    session.add(row)
+    session.flush()
+    return row, secret
+
+
+def find(session: Session, secret: str) -> Token | None:
+    """The token of this secret, if it has not expired and its user is active."""
+    if not SECRET.fullmatch(secret):
+        return None
+    row = session.scalars(select(Token).where(Token.secret_hash == hash_of(secret))).one_or_none()
+    return row if row and row.user.is_active and row.expires_ns > now_ns() else None
+
+
+def is_use_due(token: Token) -> bool:
+    """Whether its last use is worth writing: at most once a minute."""
+    return token.used_ns is None or abs(now_ns() - token.used_ns) >= USED_EVERY_NS
+
+
+def note_use(session: Session, token_id: str) -> None:
+    session.execute(update(Token).where(Token.id == token_id).values(used_ns=now_ns()))
+
+
+def hash_of(secret: str) -> str:
+    """What is kept of a secret."""
+    return sha256(secret.encode()).hexdigest()

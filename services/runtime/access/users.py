@@ -1,0 +1,83 @@
+"""Users: created, found, changed; the first administrator of a new platform.
+
+**Conventions.** A name is [a-z0-9._@+-]{1,64}: it appears in logs and on pages and must not be mistaken for markup, for
+a path or for another name in capitals. A user is never deleted, only made inactive: books refer to them.
+"""
+
+import re
+
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+from services.runtime.access.errors import BadNameError, LastAdministratorError, NameTakenError, UnknownRoleError
+from services.runtime.access.passwords import hash_password
+from services.runtime.access.roles import ROLES
+from services.runtime.orm import Token, User, WebSession
+
+NAME = re.compile(r"[a-z0-9._@+-]{1,64}")
+
+
+def create_user(session: Session, name: str, role: str, password: str | None = None) -> User:
+    """Add an active user; without a password they have tokens only.
+
+    Raises `BadNameError`, `UnknownRoleError`, `WeakPasswordError`, `NameTakenError`.
+    """
+    if not NAME.fullmatch(name):
+        raise BadNameError(name)
+    _refuse_unknown(role)
+    password_hash = hash_password(password) if password is not None else ""
+    if find_user(session, name) is not None:
+        raise NameTakenError("user", name)
+    user = User(name=name, role=role, password_hash=password_hash, is_active=True)
+    session.add(user)
+    session.flush()
+    return user
+
+
+def find_user(session: Session, name: str) -> User | None:
+    """The user of that name, active or not."""
+    return session.scalars(select(User).where(User.name == name)).one_or_none()
+
+
+def change_user(session: Session, user: User, role: str | None, is_active: bool | None) -> None:
+    """Give another role, let in or shut out. Raises `UnknownRoleError`, `LastAdministratorError`."""
+    if role is not None:
+        _refuse_unknown(role)
+    loses = (role is not None and role != "administrator") or is_active is False
+    if loses and user.role == "administrator" and user.is_active and not _others(session, user):
+        raise LastAdministratorError(user.name)
+    user.role = user.role if role is None else role
+    user.is_active = user.is_active if is_active is None else is_active
+    session.flush()
+
+
+def change_password(session: Session, user: User, password_hash: str) -> None:
+    """Set the hash of a new password; every browser that was signed in with the old one is signed out."""
+    user.password_hash = password_hash
+    for row in session.scalars(select(WebSession).where(WebSession.user_id == user.id)).all():
+        session.delete(row)
+    session.flush()
+
+
+def local_administrator(session: Session, name: str = "administrator") -> User:
+    """The administrator whom the embedded platform acts for; created without a password when there is none."""
+    return find_user(session, name) or create_user(session, name, "administrator")
+
+
+def has_users(session: Session) -> bool:
+    return bool(session.scalar(select(func.count()).select_from(User)))
+
+
+def token_count(session: Session, user_id: str) -> int:
+    return session.scalar(select(func.count()).select_from(Token).where(Token.user_id == user_id)) or 0
+
+
+def _others(session: Session, user: User) -> list[User]:
+    """Other active administrators, locked, so that two cannot dismiss each other at once."""
+    active = select(User).where(User.role == "administrator", User.is_active).order_by(User.id).with_for_update()
+    return [other for other in session.scalars(active).all() if other.id != user.id]
+
+
+def _refuse_unknown(role: str) -> None:
+    if role not in ROLES:
+        raise UnknownRoleError(role, ROLES)
