@@ -11,6 +11,7 @@ from client.commands.demo import demo
 from client.commands.inspect import inspect
 from client.commands.label import label
 from client.commands.score import score
+from client.commands.serve import serve
 from client.commands.simulate import simulate
 from client.commands.validate import validate
 from client.refusals import RefusingGroup
@@ -23,7 +24,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for command in (simulate, inspect, label, validate, score, demo):
+for command in (simulate, inspect, label, validate, score, demo, serve):
     app.command()(command)
 
 

@@ -35,6 +35,11 @@ def echo_json(record: Mapping[str, Any]) -> None:
     typer.echo(json.dumps(record, allow_nan=False))
 
 
+def echo_notice(line: str) -> None:
+    """One line on stderr about what happens meanwhile."""
+    typer.echo(one_line(line), err=True)
+
+
 def echo_findings(findings: Iterable[Finding]) -> None:
     """One line each on stderr; what is not an error says so first."""
     for finding in findings:

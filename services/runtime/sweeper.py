@@ -8,7 +8,6 @@ import signal
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from threading import Event
 from types import FrameType
 
 import structlog
@@ -16,12 +15,13 @@ from redis import RedisError
 from sqlalchemy.exc import SQLAlchemyError
 
 from services.runtime.bell import ring, waiting
-from services.runtime.blobs import collect
+from services.runtime.collection import collect
 from services.runtime.jobs.sweeping import Sweeper
 from services.runtime.platform import Platform, platform
 from services.runtime.uploads import expire
 
 MINUTE_S = 60.0
+LONGEST_PAUSE_S = 0.5
 
 log = structlog.get_logger(__name__)
 
@@ -59,23 +59,32 @@ def chores_of(platform: Platform) -> tuple[Chore, ...]:
     )
 
 
-def sweep_until(stopped: Event, chores: tuple[Chore, ...]) -> None:
-    """Do each chore whenever it is due, until `stopped`."""
-    pause_s = min(chore.every_s for chore in chores) / 2
-    while not stopped.wait(pause_s):
+def sweep(chores: tuple[Chore, ...], is_stopped: Callable[[], bool]) -> None:
+    """Do each chore whenever it is due, until told to stop."""
+    pause_s = min(min(chore.every_s for chore in chores) / 2, LONGEST_PAUSE_S)
+    while not is_stopped():
         for chore in chores:
             chore.run_if_due(time.monotonic())
+        time.sleep(pause_s)
+
+
+class Wish:
+    """Whether SIGTERM or SIGINT came. No `Event`: one set by a signal while it is waited for may deadlock."""
+
+    def __init__(self) -> None:
+        self._came = False
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, self._hear)
+
+    def __call__(self) -> bool:
+        return self._came
+
+    def _hear(self, number: int, frame: FrameType | None) -> None:
+        self._came = True
 
 
 def main() -> None:
-    stopped = Event()
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        stopped.set()
-
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, stop)
-    sweep_until(stopped, chores_of(platform()))
+    sweep(chores_of(platform()), Wish())
 
 
 if __name__ == "__main__":

@@ -1,0 +1,78 @@
+"""The embedded platform from the command line: up, said so, remembered for the other commands, drained at the end.
+
+**Conventions.** The first Ctrl-C or SIGTERM drains, the second ends at once. The token of this machine is kept with
+this user's credentials; it becomes the default only where no server elsewhere is.
+"""
+
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import FrameType
+from typing import NoReturn
+
+from client.credentials import is_local, read_credentials, remember
+from client.streams import echo_notice
+from services.runtime.embedded.supervisor import Running, running_platform
+from services.runtime.settings import Settings
+
+
+@dataclass(frozen=True)
+class Address:
+    """Where the API listens; None: as the environment says."""
+
+    host: str | None = None
+    port: int | None = None
+
+
+@contextmanager
+def served(data: Path | None, address: Address, workers: int | None) -> Iterator[Running]:
+    """Yield the running platform. Raises what `running_platform` raises."""
+    with _hangups_interrupt(), running_platform(settings_for(data, address, workers), echo_notice) as running:
+        _remember(running)
+        yield running
+
+
+def settings_for(data: Path | None, address: Address, workers: int | None) -> Settings:
+    """The environment's settings with what the command line says in their place."""
+    settings = Settings()
+    host = settings.api.host if address.host is None else address.host
+    port = settings.api.port if address.port is None else address.port
+    return settings.model_copy(
+        update={
+            "data_folder": data or settings.data_folder,
+            "workers": workers or settings.workers,
+            "api": replace(settings.api, host=host, port=port),
+        }
+    )
+
+
+def wait_for_ctrl_c() -> None:
+    """Until Ctrl-C or SIGTERM."""
+    try:
+        while True:
+            time.sleep(3600.0)
+    except KeyboardInterrupt:
+        return
+
+
+def _remember(running: Running) -> None:
+    default = read_credentials().default
+    remember(running.url, running.keys.token, as_default=not default or is_local(default))
+
+
+@contextmanager
+def _hangups_interrupt() -> Iterator[None]:
+    """SIGTERM, and the end of the terminal, are Ctrl-C while the platform is up."""
+    before = {number: signal.signal(number, _interrupt) for number in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
+    raise KeyboardInterrupt
