@@ -50,12 +50,16 @@ def worker_name() -> str:
 def _ready(queue: str) -> Select[Job]:
     busy = aliased(Job)
     running = (
-        select(func.count()).where(busy.owner_id == Job.owner_id, busy.state == "running", busy.queue == queue)
-    ).scalar_subquery()
+        select(busy.owner_id, func.count().label("jobs"))
+        .where(busy.queue == queue, busy.state == "running")
+        .group_by(busy.owner_id)
+        .subquery()
+    )
     return (
         select(Job)
+        .outerjoin(running, running.c.owner_id == Job.owner_id)
         .where(Job.queue == queue, Job.state == "queued", Job.needs_left == 0)
-        .order_by(Job.priority.desc(), running, Job.id)
+        .order_by(Job.priority.desc(), func.coalesce(running.c.jobs, 0), Job.id)
         .limit(CANDIDATES)
         .execution_options(populate_existing=True)
     )
