@@ -1,0 +1,37 @@
+"""The application as its callers meet it: `api` on the embedded platform, `api_on` on SQLite and PostgreSQL."""
+
+from collections.abc import Iterator
+
+import httpx
+import pytest
+
+from services.runtime.platform import Platform
+from tests.api.serving import Person, client_of, person
+
+
+@pytest.fixture
+def api(platform: Platform) -> Iterator[httpx.Client]:
+    """A client without credentials; say who calls by `headers=somebody.headers`."""
+    with client_of(platform) as client:
+        yield client
+
+
+@pytest.fixture
+def api_on(platform_on: Platform) -> Iterator[httpx.Client]:
+    with client_of(platform_on) as client:
+        yield client
+
+
+@pytest.fixture
+def administrator(platform: Platform) -> Person:
+    return person(platform, "administrator")
+
+
+@pytest.fixture
+def curator(platform: Platform) -> Person:
+    return person(platform, "curator")
+
+
+@pytest.fixture
+def participant(platform: Platform) -> Person:
+    return person(platform, "participant")
