@@ -7,6 +7,7 @@ others have is never looked at, so nothing can be learnt about it.
 
 import os
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 from sqlalchemy import select
@@ -16,6 +17,7 @@ from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from services.runtime.quota import reserve
 from services.runtime.store_folder import FolderStore
+from services.runtime.store_keys import ObjectMissingError
 from services.runtime.uploads.declared import Declared
 from services.runtime.uploads.errors import UploadTargetMissingError, UploadTooLargeError
 from services.runtime.uploads.files import make_file, remove_file, sync_folder, upload_file
@@ -117,4 +119,5 @@ def _twins(platform: Platform, upload: Upload) -> Iterator[Path]:
         object_key = session.scalar(recorded.limit(1))
     yield from (upload_file(platform.settings, twin_id) for twin_id in ids)
     if object_key is not None and isinstance(platform.store, FolderStore):
-        yield platform.store.local(object_key)
+        with suppress(ObjectMissingError):
+            yield platform.store.local(object_key)

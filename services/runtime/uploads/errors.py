@@ -127,12 +127,3 @@ class DiskFullError(StoneError):
 
     def __init__(self, offset_bytes: int) -> None:
         super().__init__(f"the disk is full; {offset_bytes} bytes of this upload are kept, resume once space is freed")
-
-
-class ReceiveTimeoutError(StoneError):
-    """The client sent nothing for too long; what was written before counts."""
-
-    code = "receive_timeout"
-
-    def __init__(self, idle_s: float, offset_bytes: int) -> None:
-        super().__init__(f"nothing came for {idle_s:g} s; {offset_bytes} bytes are here, resume from there")

@@ -9,9 +9,8 @@ and (on NFS with Linux ≥ 2.6.12) machines, and goes with whoever dies. Whoever
 import errno
 import fcntl
 import os
-import threading
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from services.runtime.settings import Settings
@@ -28,14 +27,10 @@ def upload_file(settings: Settings, upload_id: str) -> Path:
 
 def make_file(path: Path) -> None:
     """An empty file that survives a power cut. Raises `DiskFullError`."""
-    try:
+    with _refusing_full(lambda: 0):
         path.parent.mkdir(parents=True, exist_ok=True)
         os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o640))
         sync_folder(path.parent)
-    except OSError as error:
-        if error.errno in NO_ROOM:
-            raise DiskFullError(0) from error
-        raise
 
 
 def remove_file(path: Path) -> None:
@@ -60,14 +55,13 @@ def offset_of(path: Path) -> int:
 
 
 class HeldFile:
-    """An upload's file, open and locked by this request alone. Its methods may be called from any thread.
+    """An upload's file, open and locked by this request alone.
 
     Raises `UploadLockedError` when another request holds it, `FileNotFoundError` when there is no file.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._guard = threading.Lock()  # nothing writes to a descriptor that a cancelled request has closed
         self._descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC)
         try:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -90,50 +84,38 @@ class HeldFile:
     def append(self, pieces: Sequence[bytes], offset_bytes: int) -> None:
         """Write `pieces` at `offset_bytes`, the end of the file. Raises `DiskFullError`; what fitted stays."""
         views = [memoryview(piece) for piece in pieces]
-        with self._guard:
-            try:
-                while views:
-                    written = os.pwritev(self._descriptor, views[:MOST_PIECES], offset_bytes)
-                    offset_bytes += written
-                    views = _after(views, written)
-            except OSError as error:
-                if error.errno in NO_ROOM:
-                    raise DiskFullError(self.size_bytes) from error
-                raise
+        with _refusing_full(lambda: self.size_bytes):
+            while views:
+                written = os.pwritev(self._descriptor, views[:MOST_PIECES], offset_bytes)
+                offset_bytes += written
+                views = _after(views, written)
 
     def cut(self, offset_bytes: int) -> None:
         """Nothing lies beyond `offset_bytes` any more."""
-        with self._guard:
-            os.ftruncate(self._descriptor, offset_bytes)
+        os.ftruncate(self._descriptor, offset_bytes)
 
     def sync(self) -> None:
         """What was written survives a power cut. Raises `DiskFullError` where the disk learns of it only now."""
-        with self._guard:
-            try:
-                os.fdatasync(self._descriptor)
-            except OSError as error:
-                if error.errno in NO_ROOM:
-                    raise DiskFullError(self.size_bytes) from error
-                raise
+        with _refusing_full(lambda: self.size_bytes):
+            os.fdatasync(self._descriptor)
 
     def mark_unverified(self) -> None:
         """What is written from now on does not count until `mark_verified`. Raises `DiskFullError`."""
-        try:
+        with _refusing_full(lambda: self.size_bytes):
             _mark_of(self.path).write_text(str(self.size_bytes), "ascii")
-        except OSError as error:
-            if error.errno in NO_ROOM:
-                raise DiskFullError(self.size_bytes) from error
-            raise
 
     def mark_verified(self) -> None:
-        _mark_of(self.path).unlink(missing_ok=True)
+        """What was written counts, also after a power cut."""
+        mark = _mark_of(self.path)
+        if mark.exists():
+            mark.unlink()
+            sync_folder(mark.parent)
 
     def close(self) -> None:
-        """Give the lock back, once a write under way has ended. May be called twice."""
-        with self._guard:
-            descriptor, self._descriptor = self._descriptor, -1
-            if descriptor >= 0:
-                os.close(descriptor)
+        """Give the lock back. May be called twice."""
+        descriptor, self._descriptor = self._descriptor, -1
+        if descriptor >= 0:
+            os.close(descriptor)
 
     def _discard_unverified(self) -> None:
         """A request with a checksum was killed here: what it had written does not count."""
@@ -141,6 +123,16 @@ class HeldFile:
         if marked is not None and marked < self.size_bytes:
             os.ftruncate(self._descriptor, marked)
         self.mark_verified()
+
+
+@contextmanager
+def _refusing_full(kept_bytes: Callable[[], int]) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        if error.errno in NO_ROOM:
+            raise DiskFullError(kept_bytes()) from error
+        raise
 
 
 def _after(views: list[memoryview], written: int) -> list[memoryview]:

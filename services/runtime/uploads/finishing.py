@@ -10,7 +10,7 @@ from services.runtime.uploads.creating import expiry_ns
 from services.runtime.uploads.errors import FileMismatchError, UploadLockedError, UploadStateError
 from services.runtime.uploads.files import HeldFile, offset_of, remove_file, upload_file
 from services.runtime.uploads.hashing import sha256_of
-from services.runtime.uploads.rows import find, leave, move
+from services.runtime.uploads.rows import WHOLE, find, leave, move
 
 
 def settle(platform: Platform, upload: Upload, file: HeldFile, sha256: str = "") -> Upload:
@@ -68,3 +68,13 @@ def settle_if_whole(platform: Platform, upload: Upload) -> Upload:
         return settle(platform, current, held) if is_whole else current
     finally:
         held.close()
+
+
+def bytes_here(platform: Platform, upload: Upload) -> int:
+    """The offset to show: bytes on disk while it is open, all of them once it is whole, 0 when it is gone."""
+    if upload.state != "open":
+        return upload.length_bytes if upload.state in WHOLE else 0
+    try:
+        return offset_of(upload_file(platform.settings, upload.id))
+    except FileNotFoundError:
+        return 0

@@ -8,6 +8,7 @@ length, so a process killed anywhere leaves a prefix of what was sent. Every ack
 """
 
 import hashlib
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -48,11 +49,16 @@ class Piece:
 
 
 class Reception:
-    """One request's hold on an upload, whose row was read under the lock."""
+    """One request's hold on an upload, whose row was read under the lock.
+
+    A thread that still works for a request that was cancelled is waited for by `close`: no descriptor is closed, and
+    perhaps given to another file, while it is used.
+    """
 
     def __init__(self, platform: Platform, upload: Upload, file: HeldFile, piece: Piece) -> None:
         self.offset_bytes = self._first_byte = piece.offset_bytes
         self._platform, self._upload, self._file = platform, upload, file
+        self._guard = threading.Lock()
         self._rolling = ROLLING.take(upload.id, piece.offset_bytes)
         self._before = self._rolling.copy() if self._rolling and piece.checksum else None
         self._checksum = piece.checksum
@@ -62,6 +68,29 @@ class Reception:
 
     def write(self, pieces: Sequence[bytes]) -> None:
         """Append bytes. Raises `OverLengthError` (this request's bytes are cut off again), `DiskFullError`."""
+        with self._guard:
+            self._write(pieces)
+
+    def end(self) -> Upload:
+        """All bytes of the request came: check them, flush them, and complete the upload when they were its last.
+
+        Raises `ChecksumMismatchError` (they are cut off again), `DiskFullError`, `FileMismatchError`.
+        """
+        with self._guard:
+            return self._end()
+
+    def break_off(self) -> None:
+        """The client is gone: what came counts, unless a checksum was to cover it."""
+        with self._guard:
+            self._give_up_unverified()
+            if self._checksum is None:
+                self._remember()
+
+    def close(self) -> None:
+        with self._guard:
+            self._file.close()
+
+    def _write(self, pieces: Sequence[bytes]) -> None:
         reached = self.offset_bytes + sum(map(len, pieces))
         if reached > self._upload.length_bytes:
             self._cut()
@@ -81,29 +110,15 @@ class Reception:
                     state.update(piece)
         self.offset_bytes = reached
 
-    def end(self) -> Upload:
-        """All bytes of the request came: check them, flush them, and complete the upload when they were its last.
-
-        Raises `ChecksumMismatchError` (they are cut off again), `DiskFullError`, `FileMismatchError`.
-        """
+    def _end(self) -> Upload:
         self._verify()
-        self._file.sync()
         if self._checksum is not None:
             self._file.mark_verified()
+        self._file.sync()
         if self.offset_bytes == self._upload.length_bytes:
             return settle(self._platform, self._upload, self._file, self._rolling.hexdigest() if self._rolling else "")
         self._remember()
         return self._extended()
-
-    def break_off(self) -> None:
-        """The client is gone: what came counts, unless a checksum was to cover it."""
-        if self._checksum is not None:
-            self._give_up_unverified()
-        else:
-            self._remember()
-
-    def close(self) -> None:
-        self._file.close()
 
     def _verify(self) -> None:
         if self._checksum is None or self._checking is None or self._checking.digest() == self._checksum.digest:
@@ -119,6 +134,7 @@ class Reception:
     def _cut(self) -> None:
         """As if this request had never been."""
         self._file.cut(self._first_byte)
+        self._file.sync()  # or a power cut brings back bytes that nothing marks any more
         self._file.mark_verified()
         self.offset_bytes = self._first_byte
         if self._before is not None:

@@ -1,0 +1,138 @@
+"""Uploads by tus 1.0: create, ask, send, give up; and their state as JSON.
+
+**Conventions.** tus answers carry no body, refusals are problems. Other people's uploads do not exist (404). A route
+that takes bytes is asynchronous and leaves disk and database to threads (`api/uploading.py`).
+"""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Header, Request, Response
+from sqlalchemy import select
+
+from api.deps import Caller, PlatformDep, require
+from api.form_reading import accept_form
+from api.paging import Page, PageDep, page
+from api.schemas.base import IdPath, LineQuery
+from api.schemas.uploads import UploadItem, upload_item
+from api.tus_creation import accept_creation
+from api.tus_documents import CREATED, FORM, FORMED, GOT, HEAD_SAYS, OPTIONS_SAY, PATCHED, STREAM, TERMINATED
+from api.tus_errors import VERSION, TusHeaderError
+from api.tus_headers import EXTENSIONS, count_of, piece_of, speak_tus, upload_headers
+from api.tus_route import TusRoute
+from api.uploading import in_thread, receive_body
+from services.runtime.orm import Upload
+from services.runtime.uploads.finishing import bytes_here, settle_if_whole, terminate
+from services.runtime.uploads.receiving import ALGORITHMS
+from services.runtime.uploads.rows import find, find_alive
+
+router = APIRouter(prefix="/uploads", tags=["uploads"], route_class=TusRoute)
+
+Uploader = Annotated[Caller, Depends(require("upload"))]
+Reader = Annotated[Caller, Depends(require("read"))]
+SpeakTus = Depends(speak_tus)
+
+
+@router.options("", status_code=204, responses=OPTIONS_SAY)
+def say_what_is_spoken(platform: PlatformDep) -> Response:
+    """What of tus this server speaks; needs no token."""
+    return Response(
+        status_code=204,
+        headers={
+            "Tus-Version": VERSION,
+            "Tus-Extension": EXTENSIONS,
+            "Tus-Max-Size": str(platform.settings.uploads.max_bytes),
+            "Tus-Checksum-Algorithm": ",".join(ALGORITHMS),
+        },
+    )
+
+
+@router.post("", status_code=201, dependencies=[SpeakTus], responses=CREATED, openapi_extra=STREAM)
+async def create_upload(
+    request: Request,
+    platform: PlatformDep,
+    caller: Uploader,
+    _upload_length: Annotated[str, Header(alias="Upload-Length", description="bytes")] = "",
+    _upload_metadata: Annotated[str, Header(alias="Upload-Metadata", description="key base64, …")] = "",
+) -> Response:
+    """Create an upload; bytes in the body are taken at once (creation-with-upload).
+
+    Metadata: `filename`, `purpose` (recording, calibration, submission, ground_truth), `target_id`, `sha256`. Where you
+    have the declared bytes here already, the answer's `Upload-Offset` is the length and nothing is to be sent.
+    """
+    upload = await accept_creation(request, platform, caller)
+    offset_bytes = await in_thread(bytes_here, platform, upload)
+    location = f"{request.url.path.rstrip('/')}/{upload.id}"
+    return Response(status_code=201, headers={"Location": location, **upload_headers(upload, offset_bytes)})
+
+
+@router.post("/form", status_code=201, responses=FORMED, openapi_extra=FORM)
+async def create_by_form(request: Request, platform: PlatformDep, caller: Uploader, response: Response) -> UploadItem:
+    """A small file whole at once: `curl -F file=@run.mcap -F purpose=recording -F target_id=…`."""
+    upload = await accept_form(request, platform, caller)
+    response.headers["Location"] = f"{request.url.path.removesuffix('/form')}/{upload.id}"
+    return upload_item(upload, upload.length_bytes)
+
+
+@router.head("/{upload_id}", dependencies=[SpeakTus], responses=HEAD_SAYS)
+def ask_offset(upload_id: IdPath, platform: PlatformDep, caller: Uploader) -> Response:
+    """Where to resume. An upload that lacked only its last step is completed by this."""
+    upload = find_alive(platform.database, upload_id, caller.user_id)
+    upload = settle_if_whole(platform, upload)
+    return Response(status_code=200, headers=upload_headers(upload, bytes_here(platform, upload)))
+
+
+@router.patch("/{upload_id}", status_code=204, dependencies=[SpeakTus], responses=PATCHED, openapi_extra=STREAM)
+async def send_bytes(
+    upload_id: IdPath,
+    request: Request,
+    platform: PlatformDep,
+    caller: Uploader,
+    _upload_offset: Annotated[str, Header(alias="Upload-Offset", description="bytes")] = "",
+    _upload_checksum: Annotated[str | None, Header(alias="Upload-Checksum", description="sha1 base64")] = None,
+) -> Response:
+    """Append the body at the offset; the acknowledged offset survives a power cut."""
+    piece = piece_of(request, count_of(request, "Upload-Offset"))
+    upload = await receive_body(request, platform, (upload_id, caller.user_id), piece)
+    offset_bytes = await in_thread(bytes_here, platform, upload)
+    return Response(status_code=204, headers=upload_headers(upload, offset_bytes))
+
+
+@router.delete("/{upload_id}", status_code=204, dependencies=[SpeakTus], responses=TERMINATED)
+def give_up(upload_id: IdPath, platform: PlatformDep, caller: Uploader) -> Response:
+    """Terminate an upload that no recording uses; its bytes and its quota are free again."""
+    terminate(platform, find_alive(platform.database, upload_id, caller.user_id))
+    return Response(status_code=204)
+
+
+@router.post("/{upload_id}", status_code=204, dependencies=[SpeakTus], responses=PATCHED, openapi_extra=STREAM)
+async def override_method(
+    upload_id: IdPath,
+    request: Request,
+    platform: PlatformDep,
+    caller: Uploader,
+    x_http_method_override: Annotated[str, Header(description="PATCH or DELETE")] = "",
+) -> Response:
+    """PATCH or DELETE for clients whose network lets neither through (tus 1.0, X-HTTP-Method-Override)."""
+    if x_http_method_override == "PATCH":
+        return await send_bytes(upload_id, request, platform, caller)
+    if x_http_method_override == "DELETE":
+        return await in_thread(give_up, upload_id, platform, caller)
+    raise TusHeaderError("X-HTTP-Method-Override", x_http_method_override, "PATCH or DELETE")
+
+
+@router.get("", responses=GOT)
+def list_uploads(platform: PlatformDep, caller: Reader, query: PageDep, state: LineQuery = None) -> Page[UploadItem]:
+    """Your uploads, the newest first."""
+    mine = select(Upload).where(Upload.owner_id == caller.user_id)
+    if state is not None:
+        mine = mine.where(Upload.state == state)
+    with platform.database.reading() as session:
+        rows = page(session, mine, Upload.id.desc(), query)
+    return rows.shown(lambda upload: upload_item(upload, bytes_here(platform, upload)))
+
+
+@router.get("/{upload_id}", responses=GOT)
+def show_upload(upload_id: IdPath, platform: PlatformDep, caller: Reader) -> UploadItem:
+    """One upload in any state, ended ones too."""
+    upload = find(platform.database, upload_id, caller.user_id)
+    return upload_item(upload, bytes_here(platform, upload))

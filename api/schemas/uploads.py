@@ -1,0 +1,58 @@
+"""Uploads over the wire."""
+
+from datetime import datetime
+
+from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, example, instant
+from services.runtime.orm import Upload
+
+
+class UploadItem(Answer):
+    """A file under way. `state`: open, complete, consumed, failed, expired, terminated; `detail` says why it failed.
+
+    `offset_bytes` is how much of it is here, `sha256` what it was found to be once it is complete.
+    """
+
+    model_config = example(
+        id=ID_EXAMPLE,
+        purpose="recording",
+        target_id=ID_EXAMPLE,
+        filename="run.mcap",
+        length_bytes=8123456789,
+        offset_bytes=123456789,
+        sha256=None,
+        declared_sha256=SHA256_EXAMPLE,
+        state="open",
+        detail="",
+        created_at="2026-05-03T09:12:44.120000Z",
+        expires_at="2026-05-10T09:12:44.120000Z",
+    )
+
+    id: str
+    purpose: str
+    target_id: str | None
+    filename: str
+    length_bytes: int
+    offset_bytes: int
+    sha256: str | None
+    declared_sha256: str | None
+    state: str
+    detail: str
+    created_at: datetime
+    expires_at: datetime
+
+
+def upload_item(upload: Upload, offset_bytes: int) -> UploadItem:
+    return UploadItem(
+        id=upload.id,
+        purpose=upload.purpose,
+        target_id=upload.target_id or None,
+        filename=upload.filename,
+        length_bytes=upload.length_bytes,
+        offset_bytes=offset_bytes,
+        sha256=upload.sha256 or None,
+        declared_sha256=upload.declared_sha256 or None,
+        state=upload.state,
+        detail=upload.detail,
+        created_at=instant(upload.created_ns),
+        expires_at=instant(upload.expires_ns),
+    )

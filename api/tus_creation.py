@@ -1,0 +1,53 @@
+"""An upload is created: by tus, perhaps with its first bytes, or whole by a form.
+
+**Conventions.** A creation whose bytes are refused leaves nothing behind, for its client was never told the upload's
+name; only a full disk leaves it open, for what fitted counts.
+"""
+
+from fastapi import Request
+
+from api.deps import Caller
+from api.tus_errors import ExtensionError, LengthDeferredError
+from api.tus_headers import count_of, declared_by, piece_of
+from api.uploading import in_thread, receive_body
+from services.runtime.orm import Upload
+from services.runtime.platform import Platform
+from services.runtime.uploads.creating import create
+from services.runtime.uploads.errors import DiskFullError
+from services.runtime.uploads.finishing import end, settle_if_whole
+from services.runtime.uploads.receiving import Piece
+from services.runtime.uploads.rows import Owner, find
+from stone.errors import StoneError
+
+
+async def accept_creation(request: Request, platform: Platform, caller: Caller) -> Upload:
+    """The upload that the request's headers declare, with what its body holds."""
+    if "upload-defer-length" in request.headers:
+        raise LengthDeferredError()
+    if "upload-concat" in request.headers:
+        raise ExtensionError("Upload-Concat")
+    declared = declared_by(request, count_of(request, "Upload-Length"))
+    first = piece_of(request, 0) if _brings_bytes(request) else None
+    owner = Owner(caller.user_id, caller.is_administrator)
+    upload = await in_thread(create, platform, owner, declared)
+    if upload.state == "complete":
+        return upload
+    if first is None:
+        return await in_thread(settle_if_whole, platform, upload)  # a file of no bytes
+    return await _receive_first(request, platform, upload, first)
+
+
+async def _receive_first(request: Request, platform: Platform, upload: Upload, first: Piece) -> Upload:
+    key = (upload.id, upload.owner_id)
+    try:
+        return await receive_body(request, platform, key, first)
+    except DiskFullError:
+        return await in_thread(find, platform.database, *key)
+    except StoneError:
+        await in_thread(end, platform, upload, "terminated", "its creation was refused")
+        raise
+
+
+def _brings_bytes(request: Request) -> bool:
+    has_body = request.headers.get("content-length", "0") != "0" or "transfer-encoding" in request.headers
+    return has_body or "content-type" in request.headers
