@@ -5,10 +5,10 @@ where it asks for a caller, 422 where it reads anything, 429 and 503 always) is 
 `api/openapi.py`.
 """
 
-from http import HTTPStatus
 from typing import Any
 
 from api.problems import MEDIA_TYPE
+from api.statuses import phrase_of
 
 Responses = dict[int | str, dict[str, Any]]
 SCHEMA = {"$ref": "#/components/schemas/Problem"}
@@ -16,8 +16,7 @@ SCHEMA = {"$ref": "#/components/schemas/Problem"}
 
 def refusal(status: int) -> dict[str, Any]:
     """How the document describes an answer of this status."""
-    phrase = HTTPStatus(status).phrase
-    return {"description": phrase, "content": {MEDIA_TYPE: {"schema": SCHEMA}}}
+    return {"description": phrase_of(status), "content": {MEDIA_TYPE: {"schema": SCHEMA}}}
 
 
 def refusals(*statuses: int) -> Responses:

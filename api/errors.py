@@ -1,21 +1,13 @@
-"""Why a request is refused, and the one table that says with which status.
+"""Why a request is refused.
 
-**Conventions.** A route raises a leaf of `StoneError`, its own or one of a service; `STATUS_OF` maps the class, or the
-nearest of its bases, to a status. `api/problems.py` writes the answer. A leaf's first docstring line is the problem's
-title, its `code` the problem's type, its sentence the detail. What is not in the table is a fault of ours: 500.
+**Conventions.** A route raises a leaf of `StoneError`, its own or one of a service; `api/statuses.py` is the one table
+that says with which status, `api/problems.py` writes the answer. A leaf's first docstring line is the problem's title,
+its `code` the problem's type, its sentence the detail.
 """
 
 from collections.abc import Mapping
 from typing import Any
 
-from services.runtime.access.errors import (
-    BadNameError,
-    LastAdministratorError,
-    NameTakenError,
-    UnknownRoleError,
-    WeakPasswordError,
-)
-from services.runtime.jobs.errors import JobStateError, QueueDrainingError
 from stone.errors import StoneError
 
 
@@ -207,34 +199,3 @@ class ReplyNotKeptError(ApiError):
     def __init__(self) -> None:
         sentence = "the first request with this Idempotency-Key took effect, but its answer held a secret or was lost"
         super().__init__(f"{sentence}; look for what it made in the list")
-
-
-STATUS_OF: dict[type[StoneError], int] = {
-    UnauthenticatedError: 401,
-    ForbiddenError: 403,
-    NotFoundError: 404,
-    ConflictError: 409,
-    JobStateError: 409,
-    LastAdministratorError: 409,
-    NameTakenError: 409,
-    QueueDrainingError: 409,
-    ReplyNotKeptError: 409,
-    RequestInFlightError: 409,
-    PreconditionFailedError: 412,
-    BodyTooLargeError: 413,
-    BadCursorError: 422,
-    BadIdempotencyKeyError: 422,
-    BadNameError: 422,
-    InvalidRequestError: 422,
-    KeyReusedError: 422,
-    ReasonMissingError: 422,
-    UnknownRoleError: 422,
-    WeakPasswordError: 422,
-    PreconditionRequiredError: 428,
-    RateLimitedError: 429,
-}
-
-
-def status_of(error: type[StoneError]) -> int:
-    """The status of the nearest class in the table; 500 where there is none."""
-    return next((STATUS_OF[base] for base in error.__mro__ if base in STATUS_OF), 500)

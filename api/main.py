@@ -14,7 +14,7 @@ from api.idempotency import Idempotency
 from api.limits import Limits, RateLimit
 from api.metrics import Meters
 from api.probes import Probes
-from api.routes import audit, health, sessions, teams, tokens, users
+from api.routes import audit, health, sessions, teams, tokens, uploads, users
 from api.routes import problems as problem_routes
 from services.runtime.platform import Platform, open_platform
 from services.runtime.settings import Settings
@@ -28,6 +28,7 @@ ROUTERS: tuple[APIRouter, ...] = (
     users.router,
     teams.router,
     audit.router,
+    uploads.router,
 )
 
 

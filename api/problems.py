@@ -7,7 +7,6 @@ insides.
 
 import errno
 from collections.abc import Callable, Mapping, Sequence
-from http import HTTPStatus
 from typing import Any
 
 import structlog
@@ -20,7 +19,8 @@ from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from starlette.exceptions import HTTPException
 
 from api.context import request_id
-from api.errors import ApiError, InvalidRequestError, status_of
+from api.errors import ApiError, InvalidRequestError
+from api.statuses import phrase_of, status_of
 from stone.errors import StoneError
 
 MEDIA_TYPE = "application/problem+json"
@@ -58,9 +58,8 @@ class Problem(BaseModel):
 
 def problem(status: int, code: str, detail: str, title: str = "") -> Problem:
     """A problem of this request; its title is the status's own phrase where none is given."""
-    phrase = title or HTTPStatus(status).phrase
-    where = f"{PROBLEMS_PATH}/{code}"
-    return Problem(type=where, title=phrase, status=status, detail=detail, code=code, request_id=request_id())
+    what = {"type": f"{PROBLEMS_PATH}/{code}", "title": title or phrase_of(status), "status": status}
+    return Problem(**what, detail=detail, code=code, request_id=request_id())
 
 
 def answer(body: Problem, headers: Mapping[str, str] | None = None) -> JSONResponse:
@@ -122,8 +121,7 @@ def _finding(raw: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _http(error: Any) -> JSONResponse:
-    phrase = HTTPStatus(error.status_code).phrase
-    code = phrase.lower().replace(" ", "_").replace("-", "_")
+    code = phrase_of(error.status_code).lower().replace(" ", "_").replace("-", "_")
     detail = SENTENCE_OF.get(error.status_code, str(error.detail)[:MOST_WORDS])
     return answer(problem(error.status_code, code, detail), error.headers)
 

@@ -5,9 +5,10 @@ from collections.abc import Iterator
 from fastapi import APIRouter
 
 from api.answers import refusals
-from api.errors import STATUS_OF, NotFoundError, status_of
+from api.errors import NotFoundError
 from api.problems import title_of
 from api.schemas.audit import ProblemItem
+from api.statuses import STATUS_OF, status_of
 from stone.errors import StoneError
 
 router = APIRouter(tags=["problems"])

@@ -1,4 +1,4 @@
-"""Users: created, found, changed; the first administrator of a new platform.
+"""Users: created, found, changed.
 
 **Conventions.** A name is [a-z0-9._@+-]{1,64}: it appears in logs and on pages and must not be mistaken for markup, for
 a path or for another name in capitals. A user is never deleted, only made inactive: books refer to them.
@@ -57,15 +57,6 @@ def change_password(session: Session, user: User, password_hash: str) -> None:
     for row in session.scalars(select(WebSession).where(WebSession.user_id == user.id)).all():
         session.delete(row)
     session.flush()
-
-
-def local_administrator(session: Session, name: str = "administrator") -> User:
-    """The administrator whom the embedded platform acts for; created without a password when there is none."""
-    return find_user(session, name) or create_user(session, name, "administrator")
-
-
-def has_users(session: Session) -> bool:
-    return bool(session.scalar(select(func.count()).select_from(User)))
 
 
 def token_count(session: Session, user_id: str) -> int:

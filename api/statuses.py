@@ -1,0 +1,82 @@
+"""The one table: with which status each refusal is answered (RFC 9110, RFC 6585; 423 RFC 4918; 460 tus 1.0).
+
+**Conventions.** The nearest class of a refusal's bases counts. What is not in the table is no refusal but a fault of
+ours: 500, with the sentence in the log only. A module that brings refusals brings their lines here.
+"""
+
+from http import HTTPStatus
+
+from api import errors as api
+from api import tus_errors as tus
+from services.runtime import processing_errors as processing
+from services.runtime import quota, store_keys
+from services.runtime.access import errors as access
+from services.runtime.jobs import errors as jobs
+from services.runtime.uploads import errors as uploads
+from stone.errors import StoneError
+
+STATUS_OF: dict[type[StoneError], int] = {
+    api.InvalidRequestError: 422,
+    api.BadCursorError: 422,
+    api.BadIdempotencyKeyError: 422,
+    api.BodyTooLargeError: 413,
+    api.ConflictError: 409,
+    api.ForbiddenError: 403,
+    api.KeyReusedError: 422,
+    api.NotFoundError: 404,
+    api.PreconditionFailedError: 412,
+    api.PreconditionRequiredError: 428,
+    api.RateLimitedError: 429,
+    api.ReasonMissingError: 422,
+    api.ReplyNotKeptError: 409,
+    api.RequestInFlightError: 409,
+    api.UnauthenticatedError: 401,
+    access.BadNameError: 422,
+    access.LastAdministratorError: 409,
+    access.NameTakenError: 409,
+    access.UnknownRoleError: 422,
+    access.WeakPasswordError: 422,
+    jobs.JobStateError: 409,
+    jobs.QueueDrainingError: 409,
+    processing.AlreadyProcessingError: 409,
+    processing.NoCalibrationError: 409,
+    processing.NoRecordingError: 409,
+    processing.RecordingPendingError: 409,
+    processing.SequenceDeletedError: 404,
+    processing.SeveralRecordingsError: 409,
+    processing.UnknownStagesError: 422,
+    quota.QuotaExceededError: 413,
+    store_keys.StoreAwayError: 503,
+    store_keys.StoreFullError: 507,
+    tus.ExtensionError: 400,
+    tus.FormError: 422,
+    tus.LengthDeferredError: 400,
+    tus.ReceiveTimeoutError: 408,
+    tus.TusHeaderError: 400,
+    tus.TusVersionError: 412,
+    tus.UnsupportedMediaTypeError: 415,
+    uploads.BadMetadataError: 422,
+    uploads.ChecksumMismatchError: 460,
+    uploads.DiskFullError: 507,
+    uploads.FileMismatchError: 460,
+    uploads.OffsetMismatchError: 409,
+    uploads.OverLengthError: 413,
+    uploads.UploadGoneError: 410,
+    uploads.UploadLockedError: 423,
+    uploads.UploadMissingError: 404,
+    uploads.UploadPurposeError: 409,
+    uploads.UploadStateError: 409,
+    uploads.UploadTargetMissingError: 404,
+    uploads.UploadTooLargeError: 413,
+}
+OF_OTHERS = {460: "Checksum Mismatch"}  # statuses that HTTP itself does not know
+
+
+def status_of(refusal: type[StoneError]) -> int:
+    """The status of the nearest class in the table; 500 where there is none."""
+    return next((STATUS_OF[base] for base in refusal.__mro__ if base in STATUS_OF), 500)
+
+
+def phrase_of(status: int) -> str:
+    """The status's name."""
+    return OF_OTHERS.get(status) or HTTPStatus(status).phrase
