@@ -1,22 +1,5 @@
-"""From the two files a field engineer has, a recording and a calibration, to the sequence that is labelled."""
+"""What the commands need to open a sequence, imported late because it loads the readers."""
 
-from dataclasses import replace
-from hashlib import sha256
-from pathlib import Path
+from services.ingest.opening import open_sequence
 
-from services.ingest.calibration_file import read_calibration
-from services.ingest.pipeline import SynchroniseOptions, synchronise
-from stone.sequence import Sequence, SweepSource
-
-
-def open_sequence(
-    bag: Path, calibration: Path, name: str, options: SynchroniseOptions | None = None
-) -> tuple[Sequence, SweepSource]:
-    """The sequence `name`; it carries what was noticed about the calibration, and the hashes of both files.
-
-    Raises what `read_calibration` and `synchronise` raise.
-    """
-    rig, noticed = read_calibration(calibration)
-    sequence, sweeps = synchronise(bag, rig, options or SynchroniseOptions(), name)
-    inputs = {**sequence.inputs, calibration.name: sha256(calibration.read_bytes()).hexdigest()}
-    return replace(sequence, inputs=inputs, findings=(*noticed, *sequence.findings)), sweeps
+__all__ = ["open_sequence"]

@@ -20,22 +20,26 @@ from services.ingest.sweeps import BagSweeps
 from services.ingest.synchronisation import associate, frames_with_pose, usable_finding
 from stone.calibration import Calibration
 from stone.deskew import SweepMount
-from stone.sequence import Sequence, SweepSource
+from stone.sequence import Sequence
 from stone.trajectory import DEFAULT_MAX_GAP_NS
 
 
 @dataclass(frozen=True)
 class SynchroniseOptions:
-    """Topics by name where the recording's roles are not meant; poses more than `max_pose_gap_ns` apart are a gap."""
+    """Topics by name where the recording's roles are not meant; poses more than `max_pose_gap_ns` apart are a gap.
+
+    `recording_sha256` spares reading the whole recording again where it is known.
+    """
 
     odometry_topic: str | None = None
     lidar_topic: str | None = None
     max_pose_gap_ns: int = DEFAULT_MAX_GAP_NS
+    recording_sha256: str | None = None
 
 
 def synchronise(
     bag_path: Path, calibration: Calibration, options: SynchroniseOptions, name: str
-) -> tuple[Sequence, SweepSource]:
+) -> tuple[Sequence, BagSweeps]:
     """The sequence called `name`, and where its deskewed sweeps come from.
 
     Raises what opening and decoding raise (BAG-*, MSG-*), the leaves of `services.ingest.synchronisation_errors`
@@ -57,7 +61,7 @@ def synchronise(
         calibration=calibration,
         pose_source=track.source,
         map_origin_deg_m=track.map_origin_deg_m,
-        inputs={bag_path.name: recording_sha256(bag_path)},
+        inputs={bag_path.name: options.recording_sha256 or recording_sha256(bag_path)},
         findings=mounts + clock.findings + track.findings + unmatched + usable_finding(posed),
     )
     motion = SweepMount(track.trajectory, calibration.ego_from_lidar, options.max_pose_gap_ns)

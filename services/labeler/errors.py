@@ -13,3 +13,21 @@ class NoFramesError(StoneError):
         codes = sorted({frame.code for frame in sequence.excluded})
         why = f"all {len(sequence.excluded)} were excluded ({', '.join(codes)})" if codes else "it has no LiDAR sweep"
         super().__init__(f"sequence {sequence.name} has no usable frame: {why}; do the poses cover the LiDAR's time?")
+
+
+class WorkGoneError(StoneError):
+    """What earlier stages left was removed; a run is kept for a week after it ended."""
+
+    code = "work_gone"
+
+    def __init__(self, name: str) -> None:
+        super().__init__(f"{name} of this run is gone, so it cannot be continued; process the sequence again")
+
+
+class CodeChangedError(StoneError):
+    """One label set is made by one version of the code."""
+
+    code = "code_changed"
+
+    def __init__(self, begun: str, now: str) -> None:
+        super().__init__(f"this run was begun by version {begun} and this worker is {now}; process the sequence again")

@@ -10,6 +10,7 @@ from services.labeler.frames import labelled_tile
 from services.labeler.picture import TopView, write_top_view
 from services.labeler.ply import Piece, class_at, write_mesh
 from services.labeler.run import Run, Step, Tile, silent
+from services.labeler.scratch import whole
 from services.labeler.surface import TileSummary
 from stone.traversability import Reference
 
@@ -23,10 +24,13 @@ def write_map(run: Run, tiles: list[TileSummary], reference: Reference, out: Pat
         step(number, len(tiles) + 1)
         arrays, classes = labelled_tile(run, summary.tile, reference)
         view.add(summary.tile, arrays["keys"], classes)  # type: ignore[arg-type]
-    write_top_view(out / TOP_VIEW, view, run.sequence.frames.map_from_ego)
+    with whole(out / TOP_VIEW) as staging:
+        write_top_view(staging, view, run.sequence.frames.map_from_ego)
     step(len(tiles), len(tiles) + 1)
     totals = (sum(tile.vertices for tile in tiles), sum(tile.triangles for tile in tiles))
-    write_mesh(out / MESH, totals, [partial(_piece, run, tile.tile, reference) for tile in tiles])
+    with whole(out / MESH) as staging:
+        write_mesh(staging, totals, [partial(_piece, run, tile.tile, reference) for tile in tiles])
+    step(len(tiles) + 1, len(tiles) + 1)
 
 
 def _piece(run: Run, tile: Tile, reference: Reference) -> Piece:

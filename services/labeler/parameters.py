@@ -1,8 +1,10 @@
 """Every parameter of the labels in one frozen value, and the two profiles the design names."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal, cast
 
+from services.runtime.label_choices import check_choices
 from stone.dynamic import DynamicParameters
 from stone.footprint import BAND_M
 from stone.observed import CarveParameters
@@ -69,3 +71,18 @@ def parameters_for(profile: Profile) -> LabelParameters:
         return LabelParameters()
     paper = LabelParameters(profile="local")
     return replace(paper, reference=replace(paper.reference, floor_voxels=200))
+
+
+def chosen_parameters(profile: str, choices: Mapping[str, float]) -> LabelParameters:
+    """The parameters of a profile with some chosen by dotted name. Raises `ChoiceError`."""
+    check_choices(profile, choices)
+    parameters = parameters_for(cast("Profile", profile))
+    for name, value in choices.items():
+        parameters = _replaced(parameters, name.split("."), value)
+    return parameters
+
+
+def _replaced(value: Any, path: list[str], leaf: float) -> Any:
+    """The frozen value with the leaf at this path replaced."""
+    name, *rest = path
+    return replace(value, **{name: _replaced(getattr(value, name), rest, leaf) if rest else leaf})

@@ -50,7 +50,7 @@ class TopView:
 
 def write_top_view(path: Path, view: TopView, map_from_ego: SE3) -> None:
     """Draw and save; the folder exists."""
-    view.draw(map_from_ego).save(path, optimize=True)
+    view.draw(map_from_ego).save(path, "png", optimize=True)
 
 
 def _scale(side: int) -> float:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from services.labeler.parameters import LabelParameters
 from services.labeler.poisson import reconstruct
-from services.labeler.run import Run, Tile, in_core, neighbourhood
+from services.labeler.run import Run, Step, Tile, in_core, neighbourhood, silent
 from services.labeler.scratch import Arrays, images_near, load_observed, load_points, save, surface_path
 from stone.dynamic import is_moving, vote
 from stone.footprint import swept
@@ -24,6 +24,7 @@ from stone.traversability import FeatureSums, sums_of
 from stone.voxels import VOXEL_M, VoxelFeatures, height_above_local_ground, voxel_features
 
 FEWEST_POINTS = 100
+STEPS = 4  # merged, voted, reconstructed, described
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,19 +40,24 @@ class TileSummary:
     triangles: int
 
 
-def surface(run: Run, tile: Tile) -> TileSummary:
+def surface(run: Run, tile: Tile, step: Step = silent) -> TileSummary:
     """Reconstruct one tile, leave its voxels, mesh and observed bricks in scratch, return its sums."""
+    step(0, STEPS)
     low, high = _cube(run.parameters, tile)
     points = merge([part for near in neighbourhood(tile) for part in load_points(run, near, low, high)])
+    step(1, STEPS)
     moving = _moving(run, points)
     points = points.where(~moving).where_seen(run.parameters.surface.min_frames)
+    step(2, STEPS)
     mesh, normals = _mesh(run.parameters, points, low)
+    step(3, STEPS)
     voxels = _features(run.parameters, mesh, normals)
     voxels = voxels.where(in_core(centres_of(voxels.keys, VOXEL_M), tile, run.parameters.core_m))
     is_driven = _driven(run, voxels)
     kept = _core_mesh(mesh, tile, run.parameters.core_m)
     observed = load_observed(run, tile)
     _leave(run, tile, (voxels, is_driven), (kept, observed))
+    step(STEPS, STEPS)
     sums = sums_of(voxels.features[is_driven], reference_origin(run))
     inside = int(in_core(points.centroids_map(), tile, run.parameters.core_m).sum())
     counts = (len(voxels), inside, int(moving.sum()), len(kept.vertices_map), len(kept.triangles))

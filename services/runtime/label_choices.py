@@ -6,7 +6,6 @@ whole number's bounds are integers. The labeler applies the choices; that names 
 """
 
 from collections.abc import Mapping
-from numbers import Real
 
 from stone.errors import StoneError
 
@@ -48,8 +47,8 @@ def check_choices(profile: str, parameters: Mapping[str, object]) -> None:
 
 def _check_value(name: str, value: object) -> None:
     low, high = BOUNDS[name]
-    kind = int if isinstance(low, int) else Real
-    if isinstance(value, bool) or not isinstance(value, kind):
-        raise ChoiceError(name, value, f"it takes a {'whole ' if kind is int else ''}number from {low:g} to {high:g}")
+    is_whole = isinstance(low, int)
+    if isinstance(value, bool) or not isinstance(value, int if is_whole else (int, float)):
+        raise ChoiceError(name, value, f"it takes a {'whole ' if is_whole else ''}number from {low:g} to {high:g}")
     if not low <= value <= high:  # false for NaN too
         raise ChoiceError(name, value, f"it lies between {low:g} and {high:g}")

@@ -10,9 +10,10 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
-from sqlalchemy import delete, select
+from sqlalchemy import delete, func, select
 from sqlalchemy.orm import Session
 
+from services.runtime import quota
 from services.runtime.jobs.errors import JobStateError
 from services.runtime.jobs.queueing import enqueue, enqueue_run
 from services.runtime.jobs.specs import TERMINAL, Context, JobSpec
@@ -34,7 +35,9 @@ from services.runtime.recipes import CODE_VERSION, recipe_of
 PROCESS = "sequence.process"
 REGISTER = "ingest.register"
 SYNCHRONISE = "ingest.synchronise"
+LABEL = "labeler.parts"
 STAGES = ("synchronise", "label")
+ALIVE = Job.state.not_in(TERMINAL)
 
 
 @dataclass(frozen=True)
@@ -79,13 +82,17 @@ def start_processing(session: Session, sequence: Sequence, request: ProcessReque
 def delete_sequence(session: Session, sequence: Sequence) -> None:
     """Bury the sequence: its jobs are told to stop, its recordings and label sets are gone with this transaction.
 
-    The row stays for the jobs that name it. Blobs that nothing names any more are collected later.
+    The row stays for the jobs that name it. Blobs that nothing names any more are collected later. Raises
+    `SequenceDeletedError`.
     """
     sequence = lock_sequence(session, sequence.id)
-    alive = select(Job.id).where(Job.sequence_id == sequence.id, Job.id == Job.root_id, Job.state.not_in(TERMINAL))
+    alive = select(Job.id).where(Job.sequence_id == sequence.id, Job.id == Job.root_id, ALIVE)
     for root_id in session.scalars(alive).all():
         with suppress(JobStateError):  # it ended while we waited for its row
             cancel(session, root_id, "its sequence was deleted")
+    uploads = select(Recording.upload_id).where(Recording.sequence_id == sequence.id, Recording.upload_id.is_not(None))
+    for upload_id in session.scalars(uploads).all():
+        quota.release(session, upload_id or "", "sequence deleted")
     session.execute(delete(LabelSet).where(LabelSet.sequence_id == sequence.id))
     session.execute(delete(Recording).where(Recording.sequence_id == sequence.id))
     sequence.deleted_ns = now_ns()
@@ -114,16 +121,15 @@ def _inputs(session: Session, sequence: Sequence) -> tuple[Calibration, Recordin
         raise NoCalibrationError(sequence.id)
     of_sequence = select(Recording).where(Recording.sequence_id == sequence.id).order_by(Recording.id)
     recordings = session.scalars(of_sequence.execution_options(populate_existing=True)).all()
-    by_state: dict[str, list[Recording]] = {"received": [], "registered": [], "refused": []}
-    for recording in recordings:
-        by_state[recording.state].append(recording)
-    if by_state["received"]:
-        raise RecordingPendingError(sequence.id, len(by_state["received"]))
-    if not by_state["registered"]:
-        raise NoRecordingError(sequence.id, len(by_state["refused"]))
-    if len(by_state["registered"]) > 1:
-        raise SeveralRecordingsError(sequence.id, len(by_state["registered"]))
-    return session.get_one(Calibration, sequence.calibration_id), by_state["registered"][0]
+    registered = [recording for recording in recordings if recording.state == "registered"]
+    pending = select(func.count()).where(Job.sequence_id == sequence.id, Job.kind == REGISTER, ALIVE)
+    if count := session.scalar(pending):
+        raise RecordingPendingError(sequence.id, count)
+    if not registered:
+        raise NoRecordingError(sequence.id, len(recordings))
+    if len(registered) > 1:
+        raise SeveralRecordingsError(sequence.id, len(registered))
+    return session.get_one(Calibration, sequence.calibration_id), registered[0]
 
 
 def _arguments(request: ProcessRequest, calibration: Calibration, recording: Recording) -> dict[str, Any]:
@@ -161,7 +167,7 @@ def _standing(session: Session, sequence: Sequence, recipe: str) -> Job | None:
     job_id = session.scalar(made)
     if job_id is not None:
         return session.get_one(Job, job_id)
-    runs = select(Job).where(Job.sequence_id == sequence.id, Job.kind == PROCESS, Job.state.not_in(TERMINAL))
+    runs = select(Job).where(Job.sequence_id == sequence.id, Job.kind == PROCESS, ALIVE)
     for run in session.scalars(runs.execution_options(populate_existing=True)):
         if run.arguments["recipe"] != recipe or run.cancel_reason:
             raise AlreadyProcessingError(sequence.id, run.id)

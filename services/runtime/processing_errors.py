@@ -26,8 +26,8 @@ class NoRecordingError(StoneError):
 
     code = "no_recording"
 
-    def __init__(self, sequence_id: str, refused: int) -> None:
-        why = f"{refused} were refused, see their findings" if refused else "none was added"
+    def __init__(self, sequence_id: str, unusable: int) -> None:
+        why = f"{unusable} could not be registered, see their findings" if unusable else "none was added"
         super().__init__(f"sequence {sequence_id} has no registered recording ({why}); add one first")
 
 

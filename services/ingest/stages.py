@@ -1,0 +1,107 @@
+"""What ingest does in the queue: `register` reads a recording, `synchronise` makes a sequence of it.
+
+**Conventions.** A stage is a function of the platform and an attempt; it may run twice, at once or after being killed
+anywhere, and leaves the same bytes. Files for the labeler lie in the workspace of the run.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from services.ingest.named import named
+from services.ingest.opening import open_sequence
+from services.ingest.pipeline import SynchroniseOptions
+from services.ingest.registering import NAMES_FOLDER, register
+from services.ingest.sweep_file import Kept, read_sweeps, sweeps_bytes
+from services.ingest.sweeps import BagSweeps
+from services.runtime.atomic import atomic_file
+from services.runtime.jobs.errors import JobCancelledError
+from services.runtime.jobs.specs import Attempt, Handlers, JobSpec, Outcome
+from services.runtime.orm import Blob, Calibration, Recording
+from services.runtime.platform import Platform
+from services.runtime.processing import LABEL, REGISTER, SYNCHRONISE
+from services.runtime.run_files import SEQUENCE_FILE, SWEEPS_FILE
+from services.runtime.sequence_file import sequence_bytes
+from services.runtime.stages import standing_sequence
+from services.runtime.workspace import Workspace
+from stone.findings import Finding
+
+MOST_FINDINGS = 100
+
+
+@dataclass(frozen=True)
+class _Inputs:
+    """What rows say of the inputs of a sequence."""
+
+    name: str
+    recording: Kept
+    recording_sha256: str
+    calibration: Kept
+
+
+def handlers(platform: Platform) -> Handlers:
+    """The stages by kind."""
+    return {REGISTER: partial(register, platform), SYNCHRONISE: partial(synchronise_recording, platform)}
+
+
+def synchronise_recording(platform: Platform, attempt: Attempt) -> Outcome:
+    """Leave the sequence and the description of its sweeps in the workspace. Raises what `open_sequence` raises."""
+    inputs = _inputs(platform, attempt)
+    attempt.progress("synchronise", 0, 2)
+    options = SynchroniseOptions(
+        odometry_topic=attempt.arguments["odometry_topic"] or None,
+        lidar_topic=attempt.arguments["lidar_topic"] or None,
+        recording_sha256=inputs.recording_sha256,
+    )
+    bag, calibration = locate(platform, inputs.recording), locate(platform, inputs.calibration)
+    sequence, sweeps = open_sequence(bag, calibration, inputs.name, options)
+    attempt.progress("synchronise", 1, 2)
+    workspace = Workspace(platform.store, platform.settings, attempt.root_id)
+    _write(workspace.folder / SEQUENCE_FILE, sequence_bytes(sequence))
+    _write(workspace.folder / SWEEPS_FILE, sweeps_bytes(sweeps, inputs.recording))
+    workspace.push(SEQUENCE_FILE, SWEEPS_FILE)
+    attempt.progress("synchronise", 2, 2)
+    result = {
+        "frames": len(sequence.frames),
+        "excluded": len(sequence.excluded),
+        "pose_source": sequence.pose_source,
+        "findings": _findings(sequence.findings),
+    }
+    attempt.log("synchronised", frames=len(sequence.frames), excluded=len(sequence.excluded))
+    return Outcome(result, then=(JobSpec(LABEL),) if "label" in attempt.arguments["stages"] else ())
+
+
+def open_described(platform: Platform, description: bytes) -> BagSweeps:
+    """The sweeps that `synchronise_recording` described, wherever this worker finds the recording."""
+    return read_sweeps(description, partial(locate, platform))
+
+
+def locate(platform: Platform, kept: Kept) -> Path:
+    """A file on this machine with the object's bytes, called as its owner called it."""
+    return named(platform.settings.root / NAMES_FOLDER, platform.store.local(kept.object_key), kept.filename)
+
+
+def _inputs(platform: Platform, attempt: Attempt) -> _Inputs:
+    with platform.database.reading() as session:
+        sequence = standing_sequence(session, attempt)
+        recording = session.get(Recording, attempt.arguments["recording_id"])
+        if recording is None:
+            raise JobCancelledError("its recording was deleted")
+        bag = session.get_one(Blob, recording.blob_sha256)
+        calibration = session.get_one(Calibration, attempt.arguments["calibration_id"])
+        rig = session.get_one(Blob, calibration.blob_sha256)
+    kept_bag, kept_rig = Kept(bag.object_key, recording.filename), Kept(rig.object_key, calibration.filename)
+    return _Inputs(sequence.name, kept_bag, recording.sha256, kept_rig)
+
+
+def _findings(findings: Iterable[Finding]) -> list[dict[str, Any]]:
+    """The first of them, each short enough for a row."""
+    short = (replace(finding, message=finding.message[:300], topic=finding.topic[:300]) for finding in findings)
+    return [finding.as_record() for finding, _ in zip(short, range(MOST_FINDINGS), strict=False)]
+
+
+def _write(path: Path, payload: bytes) -> None:
+    with atomic_file(path) as staging:
+        staging.write_bytes(payload)

@@ -1,0 +1,12 @@
+"""Importing this gives every numerical library of the process one thread; the parallelism is over jobs.
+
+**Conventions.** Imported before numpy, Open3D and numba, which read these variables when they are loaded. What the
+environment says already holds.
+"""
+
+import os
+
+VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "MKL_NUM_THREADS")
+
+for name in VARIABLES:
+    os.environ.setdefault(name, "1")

@@ -1,0 +1,114 @@
+"""A synchronised sequence as one file, which ingest writes and the labeler reads.
+
+**Conventions.** An npz of plain arrays: stamps, poses, per channel the message index and dt; everything else is JSON in
+the bytes of `record`. Floats survive exactly (JSON writes the shortest digits that read back the same). Tokens are not
+stored: they follow from name and stamps. Written and read by workers of one version, never taken from outside.
+"""
+
+import io
+import json
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.runtime.npz import npz_bytes
+from stone.calibration import Box, Calibration, CameraIntrinsics, Footprint, Mount
+from stone.findings import Finding
+from stone.se3 import SE3
+from stone.sequence import Association, ExcludedFrame, Frames, Sequence, frame_token
+
+Arrays = dict[str, NDArray[Any]]
+
+
+def sequence_bytes(sequence: Sequence) -> bytes:
+    """The file; the same bytes for equal sequences."""
+    frames = sequence.frames
+    arrays: Arrays = {
+        "record": np.frombuffer(json.dumps(_record(sequence)).encode(), np.uint8),
+        "stamps_ns": frames.stamps_ns,
+        "map_from_ego": frames.map_from_ego.wxyz_xyz,
+    }
+    for number, taken in enumerate(frames.associations.values()):
+        arrays |= {f"index_{number}": taken.message_index, f"dt_ns_{number}": taken.dt_ns}
+    return npz_bytes(arrays)
+
+
+def read_sequence(payload: bytes) -> Sequence:
+    """The sequence that `sequence_bytes` wrote."""
+    with np.load(io.BytesIO(payload), allow_pickle=False) as arrays:
+        record = json.loads(arrays["record"].tobytes())
+        stamps_ns: NDArray[np.int64] = arrays["stamps_ns"]
+        associations = {
+            channel: Association(topic, arrays[f"index_{number}"], arrays[f"dt_ns_{number}"])
+            for number, (channel, topic) in enumerate(record["associations"])
+        }
+        poses = SE3(arrays["map_from_ego"])
+    tokens = tuple(frame_token(record["name"], stamp) for stamp in stamps_ns.tolist())
+    return Sequence(
+        name=record["name"],
+        frames=Frames(stamps_ns, tokens, poses, associations),
+        excluded=tuple(ExcludedFrame(**frame) for frame in record["excluded"]),
+        calibration=_calibration(record["calibration"]),
+        pose_source=record["pose_source"],
+        map_origin_deg_m=_floats(record["map_origin_deg_m"]),
+        inputs=record["inputs"],
+        findings=tuple(Finding(**finding) for finding in record["findings"]),
+    )
+
+
+def _record(sequence: Sequence) -> dict[str, Any]:
+    return {
+        "name": sequence.name,
+        "associations": [[channel, taken.topic] for channel, taken in sequence.frames.associations.items()],
+        "excluded": [asdict(frame) for frame in sequence.excluded],
+        "calibration": _calibration_record(sequence.calibration),
+        "pose_source": sequence.pose_source,
+        "map_origin_deg_m": sequence.map_origin_deg_m,
+        "inputs": dict(sequence.inputs),
+        "findings": [finding.as_record() for finding in sequence.findings],
+    }
+
+
+def _calibration_record(calibration: Calibration) -> dict[str, Any]:
+    return {
+        "name": calibration.name,
+        "ego_from_lidar": calibration.ego_from_lidar.wxyz_xyz.tolist(),
+        "mounts": [_mount_record(mount) for mount in calibration.mounts],
+        "footprint": asdict(calibration.footprint),
+        "self_boxes_ego": [asdict(box) for box in calibration.self_boxes_ego],
+    }
+
+
+def _mount_record(mount: Mount) -> dict[str, Any]:
+    return {
+        "name": mount.name,
+        "kind": mount.kind,
+        "lidar_from_sensor": mount.lidar_from_sensor.wxyz_xyz.tolist(),
+        "frame_id": mount.frame_id,
+        "time_offset_ns": mount.time_offset_ns,
+        "intrinsics": asdict(mount.intrinsics) if mount.intrinsics else None,
+    }
+
+
+def _calibration(record: dict[str, Any]) -> Calibration:
+    return Calibration(
+        name=record["name"],
+        ego_from_lidar=SE3(np.array(record["ego_from_lidar"])),
+        mounts=tuple(_mount(mount) for mount in record["mounts"]),
+        footprint=Footprint(**record["footprint"]),
+        self_boxes_ego=tuple(Box(tuple(box["min_m"]), tuple(box["max_m"])) for box in record["self_boxes_ego"]),
+    )
+
+
+def _mount(record: dict[str, Any]) -> Mount:
+    intrinsics = record["intrinsics"]
+    if intrinsics is not None:
+        intrinsics = CameraIntrinsics(**{**intrinsics, "distortion": tuple(intrinsics["distortion"])})
+    pose = SE3(np.array(record["lidar_from_sensor"]))
+    return Mount(**{**record, "lidar_from_sensor": pose, "intrinsics": intrinsics})
+
+
+def _floats(values: list[float] | None) -> tuple[float, float, float] | None:
+    return None if values is None else (values[0], values[1], values[2])
