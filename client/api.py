@@ -135,7 +135,7 @@ def refusal(answer: httpx.Response) -> ServerRefusedError | ServerFaultError:
     except ValueError:
         problem = None
     if isinstance(problem, dict) and "code" in problem:
-        return ServerRefusedError(answer.status_code, problem)
+        return ServerRefusedError(answer.status_code, problem, _retry_after_s(answer))
     return ServerFaultError(answer.status_code, str(answer.request.url), answer.text)
 
 

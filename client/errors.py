@@ -18,8 +18,8 @@ class ServerRefusedError(StoneError):
 
     code: ClassVar[str] = "server_refused"
 
-    def __init__(self, status: int, problem: Mapping[str, Any]) -> None:
-        self.status, self.problem = status, dict(problem)
+    def __init__(self, status: int, problem: Mapping[str, Any], retry_after_s: float | None = None) -> None:
+        self.status, self.problem, self.retry_after_s = status, dict(problem), retry_after_s
         self.code = str(problem.get("code") or type(self).code)  # type: ignore[misc] # the server names the reason
         sentence = str(problem.get("detail") or problem.get("title") or f"the server answered {status}")
         request_id = problem.get("request_id")
@@ -132,6 +132,15 @@ class NoLabelsError(StoneError):
 
     def __init__(self, name: str) -> None:
         super().__init__(f"sequence {name!r} has no labels yet; run `stone process {name} --watch`")
+
+
+class DamagedDownloadError(StoneError):
+    """What arrived is not what the server said it would send."""
+
+    code: ClassVar[str] = "damaged_download"
+
+    def __init__(self, path: str, found: str, promised: str) -> None:
+        super().__init__(f"{path} arrived with sha256 {found}, promised was {promised or 'none'}; download it again")
 
 
 def _findings(problem: Mapping[str, Any]) -> str:

@@ -1,6 +1,7 @@
 """The options that several commands share, so that they read and behave the same."""
 
 import os
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -18,6 +19,36 @@ SubmissionArgument = Annotated[
 WorkersOption = Annotated[
     int | None, typer.Option(min=1, max=256, help="Processes; as many as cores unless said.", show_default="cores")
 ]
+ServerOption = Annotated[
+    str | None, typer.Option("--server", metavar="URL", help="The server; else STONE_URL, else the last login.")
+]
+SequenceArgument = Annotated[str, typer.Argument(metavar="SEQUENCE", help="A sequence's name or id.")]
+CalibrationOption = Annotated[
+    Path,
+    typer.Option("--calibration", metavar="CAL.yaml", exists=True, dir_okay=False, help="Where the sensors sit."),
+]
+
+
+class Profile(StrEnum):
+    """How height enters the labels: `paper` takes it to the letter, `local` above the ground nearby."""
+
+    PAPER = "paper"
+    LOCAL = "local"
+
+
+ProfileOption = Annotated[Profile, typer.Option(help="Height as in the paper, or above the ground nearby.")]
+OdometryOption = Annotated[
+    str | None, typer.Option(metavar="TOPIC", help="The topic that gives the poses; else the best the bag has.")
+]
+LidarOption = Annotated[
+    str | None, typer.Option(metavar="TOPIC", help="The topic of the LiDAR's clouds, where the bag has several.")
+]
+
+
+def refuse_kiss_icp(odometry: str | None) -> None:
+    """Raises `typer.BadParameter` for what is promised but not there yet."""
+    if odometry == "kiss-icp":
+        raise typer.BadParameter("kiss-icp is not built in yet; the bag must hold poses", param_hint="--odometry")
 
 
 def cores() -> int:

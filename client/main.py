@@ -5,15 +5,23 @@
 else to stderr. Exit codes (design §7): 0 done, 1 the input is refused, 2 usage; 130 and 143 interrupted.
 """
 
+from collections.abc import Callable
+
 import typer
 
 from client.commands.demo import demo
+from client.commands.download import download
 from client.commands.inspect import inspect
 from client.commands.label import label
+from client.commands.login import login
+from client.commands.process import process
 from client.commands.score import score
 from client.commands.serve import serve
 from client.commands.simulate import simulate
+from client.commands.status import status
+from client.commands.upload import upload
 from client.commands.validate import validate
+from client.commands.watch import watch
 from client.refusals import RefusingGroup
 
 app = typer.Typer(
@@ -24,8 +32,13 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for command in (simulate, inspect, label, validate, score, demo, serve):
-    app.command()(command)
+COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
+    "On this machine": (simulate, inspect, label, validate, score, demo),
+    "With a server": (serve, login, upload, process, watch, status, download),
+}
+for panel, commands in COMMANDS.items():
+    for command in commands:
+        app.command(rich_help_panel=panel)(command)
 
 
 def main() -> None:

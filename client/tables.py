@@ -45,7 +45,7 @@ def inspection_table(record: Mapping[str, Any]) -> Table:
     for topic in record["topics"]:
         rate = DASH if topic["rate_hz"] is None else f"{topic['rate_hz']:.1f}"
         names = (topic["name"], topic["type"].rpartition("/")[2], topic["role"] or DASH)
-        table.add_row(*map(_safe, names), str(topic["count"]), rate, str(len(topic["gaps"])))
+        table.add_row(*map(safe_text, names), str(topic["count"]), rate, str(len(topic["gaps"])))
     return table
 
 
@@ -78,5 +78,6 @@ def _percent(ratio: float | None) -> str:
     return DASH if ratio is None else f"{100 * ratio:.1f} %"
 
 
-def _safe(text: str) -> str:
+def safe_text(text: str) -> str:
+    """Somebody else's text as plain text: no markup, no control characters."""
     return escape(one_line(text))

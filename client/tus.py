@@ -1,29 +1,23 @@
 """Sends a file so that it arrives whole: tus 1.0, with a checksum for every piece and the sha256 of the whole.
 
-**Conventions.** An upload is known by (server, target, sha256); its address is kept in a small file until it is
-complete, so a client that was killed goes on where the bytes on the server's disk end. Nothing is trusted but that
-offset.
+**Conventions.** Nothing is kept on this side: the server is asked for an upload of the same bytes to the same target,
+so a client that was killed, or another one, goes on where the bytes on the server's disk end.
 """
 
 import base64
-import json
 import os
-from collections.abc import Iterator
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 from typing import BinaryIO
 
-from client.api import PREFIX, Api, Patience
-from client.credentials import configuration_folder
+from client.api import Api, Patience
 from client.errors import FileChangedError, ServerRefusedError, ServerUnreachableError
 from client.progress import Report
-from services.runtime.atomic import atomic_file
 
 TUS = {"Tus-Resumable": "1.0.0"}
 PIECE_BYTES = 16 * 2**20
 PATIENCE_S = 120.0
-GONE = frozenset({404, 410})
 TRY_AGAIN = frozenset({408, 409, 423, 429, 460, 502, 503, 504})
 
 
@@ -51,23 +45,30 @@ class LocalFile:
             raise FileChangedError(self.path)
 
 
-def upload_file(api: Api, path: Path, purpose: Purpose, progress: Report) -> str:
-    """Send `path`, or what of it the server does not have yet; the id of the complete upload.
+def upload_file(api: Api, local: LocalFile, purpose: Purpose, progress: Report) -> str:
+    """Send the file, or what of it the server does not have yet; the id of the complete upload.
 
     Raises what `Api.send` raises, and `FileChangedError`.
     """
+    upload_id, offset = _begun(api, local, purpose) or _create(api, local, purpose)
+    with local.path.open("rb") as file:
+        _send_rest(api, f"/uploads/{upload_id}", _Rest(file, local, offset), progress)
+    return upload_id
+
+
+def hashed(path: Path, progress: Report) -> LocalFile:
+    """The file with its sha256. Raises `FileChangedError`."""
     with path.open("rb") as file:
-        local = _hashed(path, file, progress)
-        note = _Note(api.url, purpose, local)
-        address = note.read()
-        offset = _offset(api, address) if address else None
-        if offset is None:
-            address = _create(api, local, purpose)
-            note.write(address)
-            offset = _offset(api, address) or 0
-        _send_rest(api, address, _Rest(file, local, offset), progress)
-    note.forget()
-    return address.rpartition("/")[2]
+        now = os.fstat(file.fileno())
+        whole, done = sha256(), 0
+        progress("hash", done, now.st_size)
+        while piece := file.read(PIECE_BYTES):
+            whole.update(piece)
+            done += len(piece)
+            progress("hash", done, now.st_size)
+        local = LocalFile(path, now.st_size, now.st_mtime_ns, whole.hexdigest())
+        local.refuse_change(file)
+    return local
 
 
 @dataclass
@@ -93,7 +94,7 @@ def _send_rest(api: Api, address: str, rest: _Rest, progress: Report) -> None:
         except (ServerRefusedError, ServerUnreachableError) as error:
             if not _may_pass(error) or not patience.wait(None):
                 raise
-            rest.offset = _offset(api, address) or 0
+            rest.offset = _offset(api, address)
         if rest.offset > before:
             patience = Patience(PATIENCE_S)
         progress("upload", rest.offset, size_bytes)
@@ -116,62 +117,28 @@ def _may_pass(error: ServerRefusedError | ServerUnreachableError) -> bool:
     return isinstance(error, ServerUnreachableError) or error.status in TRY_AGAIN
 
 
-def _create(api: Api, local: LocalFile, purpose: Purpose) -> str:
-    """Announce the file; the path of its upload."""
+def _begun(api: Api, local: LocalFile, purpose: Purpose) -> tuple[str, int] | None:
+    """The upload of these bytes to this target that is under way or complete, with its offset."""
+    asked = (purpose.name, purpose.target_id or None, local.path.name, local.size_bytes, local.sha256)
+    for state in ("open", "complete"):
+        for item in api.pages("/uploads", state=state):
+            keys = ("purpose", "target_id", "filename", "length_bytes", "declared_sha256")
+            if tuple(item[key] for key in keys) == asked:
+                return str(item["id"]), int(item["offset_bytes"])
+    return None
+
+
+def _create(api: Api, local: LocalFile, purpose: Purpose) -> tuple[str, int]:
+    """Announce the file; its id, and how much of it the server has already."""
     said = {"filename": local.path.name, "purpose": purpose.name, "sha256": local.sha256}
     if purpose.target_id:
         said["target_id"] = purpose.target_id
     metadata = ",".join(f"{key} {base64.b64encode(value.encode()).decode('ascii')}" for key, value in said.items())
     headers = {**TUS, "Upload-Length": str(local.size_bytes), "Upload-Metadata": metadata}
-    created = api.send("POST", "/uploads", headers=headers)
-    return f"{PREFIX}/uploads/{created.headers['Location'].rpartition('/')[2]}"
+    created = api.send("POST", "/uploads", headers=headers).headers
+    return created["Location"].rpartition("/")[2], int(created["Upload-Offset"])
 
 
-def _offset(api: Api, address: str) -> int | None:
-    """Where the server's bytes end; None where there is no such upload any more."""
-    try:
-        return int(api.send("HEAD", address, headers=TUS).headers["Upload-Offset"])
-    except ServerRefusedError as error:
-        if error.status not in GONE:
-            raise
-        return None
-
-
-class _Note:
-    """Where the upload of this file to this target is, kept until it is complete."""
-
-    def __init__(self, url: str, purpose: Purpose, local: LocalFile) -> None:
-        named = sha256(f"{url} {purpose.name} {purpose.target_id} {local.sha256}".encode()).hexdigest()
-        self._path = configuration_folder() / "uploads" / f"{named}.json"
-
-    def read(self) -> str:
-        """The path of the upload on the server; empty where none was begun."""
-        try:
-            return str(json.loads(self._path.read_text("utf-8"))["address"])
-        except (FileNotFoundError, ValueError, KeyError, TypeError):  # a damaged note costs sending again, no more
-            return ""
-
-    def write(self, address: str) -> None:
-        self._path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        with atomic_file(self._path) as staging:
-            staging.write_text(json.dumps({"address": address}), "utf-8")
-
-    def forget(self) -> None:
-        self._path.unlink(missing_ok=True)
-
-
-def _hashed(path: Path, file: BinaryIO, progress: Report) -> LocalFile:
-    now = os.fstat(file.fileno())
-    whole, done = sha256(), 0
-    for piece in _pieces(file):
-        whole.update(piece)
-        done += len(piece)
-        progress("hash", done, now.st_size)
-    local = LocalFile(path, now.st_size, now.st_mtime_ns, whole.hexdigest())
-    local.refuse_change(file)
-    return local
-
-
-def _pieces(file: BinaryIO) -> Iterator[bytes]:
-    while piece := file.read(PIECE_BYTES):
-        yield piece
+def _offset(api: Api, address: str) -> int:
+    """Where the server's bytes end."""
+    return int(api.send("HEAD", address, headers=TUS).headers["Upload-Offset"])

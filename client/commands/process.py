@@ -1,0 +1,48 @@
+"""`stone process`: have a sequence labelled on the server."""
+
+from typing import Annotated, Any
+
+import typer
+
+from client.inputs import (
+    LidarOption,
+    OdometryOption,
+    Profile,
+    ProfileOption,
+    SequenceArgument,
+    ServerOption,
+    refuse_kiss_icp,
+)
+from client.streams import JsonOption, echo_json
+
+WatchOption = Annotated[bool, typer.Option("--watch", help="Stay until it has ended.")]
+
+
+def process(
+    sequence: SequenceArgument,
+    profile: ProfileOption = Profile.PAPER,
+    odometry: OdometryOption = None,
+    lidar: LidarOption = None,
+    watch: WatchOption = False,
+    server: ServerOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Have every frame of a sequence labelled; asked twice, it is done once."""
+    refuse_kiss_icp(odometry)
+    from client.connecting import connected
+    from client.remote import find_sequence, start_run
+    from client.watching import watch_run
+
+    body: dict[str, Any] = {"profile": profile.value}
+    body |= {"odometry_topic": odometry} if odometry else {}
+    body |= {"lidar_topic": lidar} if lidar else {}
+    with connected(server) as api:
+        found = find_sequence(api, sequence)
+        run = start_run(api, found, body)
+        run = watch_run(api, run) if watch else run
+    if as_json:
+        echo_json(run)
+    else:
+        typer.echo(f"{run['kind']} {run['id']} {run['state']}")
+        following = f"download {found['name']} -o DIR" if run["state"] == "succeeded" else f"watch {run['id']}"
+        typer.echo(f"Next: stone {following}")

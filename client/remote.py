@@ -1,0 +1,135 @@
+"""What the commands ask of a platform: sequences by name, their calibration, their recording, a run.
+
+**Conventions.** Answers are the API's own JSON objects (`/api/v1/openapi.json`). Everything may be asked again: what is
+there already is used, not made twice.
+"""
+
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from client.api import Api, Patience
+from client.errors import RecordingRefusedError, ServerRefusedError, UnknownSubjectError
+from client.following import AWAY_S, POLL_S, follow
+from client.progress import Report
+from client.tus import LocalFile, Purpose, hashed, upload_file
+
+Item = Mapping[str, Any]
+ID = re.compile(r"[0-9a-f]{32}")
+
+
+def sequence_named(api: Api, name: str) -> Item | None:
+    """The sequence of that name, rather one's own; None where there is none that the caller may see."""
+    named = [item for item in api.pages("/sequences", name=name) if item["name"] == name]
+    if len(named) > 1:
+        own = str(api.read("/me")["user_id"])
+        named.sort(key=lambda item: item["owner_id"] != own)
+    return named[0] if named else None
+
+
+def ensure_sequence(api: Api, name: str) -> Item:
+    """One's own sequence of that name, made where there is none."""
+    try:
+        made: Item = api.create("/sequences", {"name": name})
+        return made
+    except ServerRefusedError as error:
+        known = sequence_named(api, name) if error.status == 409 else None
+        if known is None:
+            raise
+        return known
+
+
+def find_sequence(api: Api, subject: str) -> Item:
+    """The sequence with that name or id, in full. Raises `UnknownSubjectError`."""
+    found = _by_id(api, "/sequences", subject)
+    if found is None:
+        named = sequence_named(api, subject)
+        if named is None:
+            raise UnknownSubjectError(subject)
+        found = api.read(f"/sequences/{named['id']}")
+    return found
+
+
+def find_job(api: Api, subject: str) -> Item:
+    """The job with that id, or the newest run of the sequence so called. Raises `UnknownSubjectError`."""
+    job = job_by_id(api, subject)
+    if job is None:
+        newest = find_sequence(api, subject)["job"]
+        if newest is None:
+            raise UnknownSubjectError(subject)
+        job = api.read(f"/jobs/{newest['id']}")
+    return job
+
+
+def job_by_id(api: Api, subject: str) -> Item | None:
+    """The job with that id; None where that is no job of the caller's."""
+    return _by_id(api, "/jobs", subject)
+
+
+def pin_calibration(api: Api, sequence: Item, calibration: Path) -> Item:
+    """Have the sequence use this calibration file; the calibration with its findings."""
+    content = calibration.read_bytes()
+    kept: Item = api.send("POST", "/calibrations", files={"file": (calibration.name, content)}).json()
+    api.send("PUT", f"/sequences/{sequence['id']}/calibration", json={"calibration_id": kept["id"]})
+    return kept
+
+
+def add_recording(api: Api, sequence: Item, bag: Path, progress: Report) -> Item:
+    """Send the bag and have it read; a bag that the sequence has already is not sent again.
+
+    Raises `RecordingRefusedError`, `JobFailedError`, and what `upload_file` raises.
+    """
+    local = hashed(bag, progress)
+    recording = _recorded(api, sequence, local)
+    if recording is None:
+        upload_id = upload_file(api, local, Purpose("recording", sequence["id"]), progress)
+        accepted = api.create(f"/sequences/{sequence['id']}/recordings", {"upload_id": upload_id})
+        follow(api, accepted["job"]["id"], progress)
+        recording = accepted["recording"]
+    return _registered(api, sequence, recording)
+
+
+def start_run(api: Api, sequence: Item, body: Mapping[str, Any]) -> Item:
+    """Have the sequence processed; the run that does it, or has done it."""
+    run: Item = api.create(f"/sequences/{sequence['id']}/process", body)
+    return run
+
+
+def _recorded(api: Api, sequence: Item, local: LocalFile) -> Item | None:
+    for recording in api.pages(f"/sequences/{sequence['id']}/recordings"):
+        if (recording["sha256"], recording["filename"]) == (local.sha256, local.path.name):
+            found: Item = recording
+            return found
+    return None
+
+
+def _registered(api: Api, sequence: Item, recording: Item) -> Item:
+    """The recording once it has been read. Raises `RecordingRefusedError`."""
+    path = f"/sequences/{sequence['id']}/recordings/{recording['id']}"
+    read = _until(lambda: api.read(path), lambda item: item["state"] != "received")
+    if read["state"] == "refused":
+        reason = next(iter(read["findings"]), {"code": "", "message": "it cannot be read"})
+        raise RecordingRefusedError(read["filename"], reason["code"], reason["message"])
+    return read
+
+
+def _until(read: Callable[[], Item], is_enough: Callable[[Item], bool]) -> Item:
+    """Read until it is as wished, or until waiting makes no sense any more: then what was read last."""
+    patience = Patience(AWAY_S)
+    while True:
+        item = read()
+        if is_enough(item) or not patience.wait(POLL_S):
+            return item
+
+
+def _by_id(api: Api, path: str, subject: str) -> Item | None:
+    if not ID.fullmatch(subject):
+        return None
+    try:
+        found: Item = api.read(f"{path}/{subject}")
+        return found
+    except ServerRefusedError as error:
+        if error.status != 404:
+            raise
+        return None
