@@ -1,6 +1,6 @@
 """The administrator's view over the wire: jobs with their children, queues, workers."""
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field
 
@@ -42,12 +42,15 @@ class AdminJobDetail(JobDetail):
 
 
 class QueueItem(Answer):
-    """A queue: jobs ready, waiting for others and running, bells not yet heard (null: the broker does not answer)."""
+    """A queue: `mode` is open, paused or draining; jobs ready, waiting for others, and running.
+
+    `bells` are messages that no worker has heard yet; null where the broker does not answer.
+    """
 
     model_config = example(name="labeler", mode="open", ready=3, waiting=28, running=2, bells=3)
 
     name: str
-    mode: Literal["open", "paused", "draining"]
+    mode: str
     ready: int
     waiting: int
     running: int

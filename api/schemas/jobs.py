@@ -127,6 +127,7 @@ class LogLine(Answer):
         job_id=ID_EXAMPLE,
         attempt=1,
         number=17,
+        logged_ns=1777799570000000000,
         logged_at="2026-05-03T09:12:50.000000Z",
         level="info",
         event="tile meshed",
@@ -136,6 +137,7 @@ class LogLine(Answer):
     job_id: str
     attempt: int
     number: int
+    logged_ns: int
     logged_at: datetime
     level: str
     event: str
@@ -145,7 +147,7 @@ class LogLine(Answer):
 class LogPage(Answer):
     """Lines in order; `next` is given as `after` to read on, also when there is nothing more to read yet."""
 
-    model_config = example(items=[], next="1.17")
+    model_config = example(items=[], next=f"1777799570000000000.{ID_EXAMPLE}.1.17")
 
     items: list[LogLine]
     next: str | None

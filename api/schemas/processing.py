@@ -2,25 +2,31 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, JsonValue
+from pydantic import Field, StrictFloat, StrictInt
 
 from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Body, example
+from services.runtime.processing import ProcessRequest
 
-Topic = Annotated[str, Field(max_length=256, pattern=r"^(/?[A-Za-z0-9_][A-Za-z0-9_/]*)?$")]
+Topic = Annotated[str, Field(max_length=256, pattern=r"^/?[A-Za-z0-9_][A-Za-z0-9_/]*$")]
 ParameterName = Annotated[str, Field(max_length=64, pattern=r"^[a-z][a-z0-9_.]*$")]
-StageName = Annotated[str, Field(max_length=64, pattern=r"^[a-z][a-z_.]*$")]
 
 
 class ProcessBody(Body):
     """How a sequence is to be labelled; what is left out is as the paper has it."""
 
-    model_config = example(profile="paper", parameters={"voxel_m": 0.1}, odometry_topic="", lidar_topic="")
+    model_config = example(profile="local", parameters={"reference.alpha": 0.05}, odometry_topic="/novatel/oem7/odom")
 
     profile: Literal["paper", "local"] = "paper"
-    parameters: dict[ParameterName, JsonValue] = Field(default={}, max_length=64)
-    odometry_topic: Topic = ""
-    lidar_topic: Topic = ""
-    stages: list[StageName] = Field(default=[], max_length=16)
+    parameters: dict[ParameterName, StrictInt | StrictFloat] = Field(default={}, max_length=64)
+    odometry_topic: Topic | None = None
+    lidar_topic: Topic | None = None
+    stages: list[Literal["synchronise", "label"]] = Field(default=["synchronise", "label"], min_length=1, max_length=2)
+
+    def chosen(self) -> ProcessRequest:
+        """The request as the runtime understands it."""
+        return ProcessRequest(
+            self.profile, self.parameters, self.odometry_topic, self.lidar_topic, tuple[str, ...](self.stages)
+        )
 
 
 class FrameItem(Answer):

@@ -5,6 +5,19 @@ from typing import Any
 
 from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Body, IdText, example
 from api.schemas.calibrations import FindingItem
+from api.schemas.jobs import JOB_EXAMPLE, JobItem
+
+RECORDING_EXAMPLE: dict[str, Any] = {
+    "id": ID_EXAMPLE,
+    "sequence_id": ID_EXAMPLE,
+    "upload_id": ID_EXAMPLE,
+    "filename": "run.mcap",
+    "size_bytes": 8123456789,
+    "sha256": SHA256_EXAMPLE,
+    "state": "registered",
+    "findings": [],
+    "created_at": "2026-05-03T09:12:44.120000Z",
+}
 
 
 class NewRecordingBody(Body):
@@ -18,17 +31,7 @@ class NewRecordingBody(Body):
 class RecordingItem(Answer):
     """One bag of a sequence. `state`: received, registered (read and kept), refused (see `findings`)."""
 
-    model_config = example(
-        id=ID_EXAMPLE,
-        sequence_id=ID_EXAMPLE,
-        upload_id=ID_EXAMPLE,
-        filename="run.mcap",
-        size_bytes=8123456789,
-        sha256=SHA256_EXAMPLE,
-        state="registered",
-        findings=[],
-        created_at="2026-05-03T09:12:44.120000Z",
-    )
+    model_config = example(**RECORDING_EXAMPLE)
 
     id: str
     sequence_id: str
@@ -44,4 +47,15 @@ class RecordingItem(Answer):
 class RecordingDetail(RecordingItem):
     """A recording with what its inspection said: topics, roles, clocks (null until it is registered)."""
 
+    model_config = example(**RECORDING_EXAMPLE, inspection={"topics": []})
+
     inspection: dict[str, Any] | None
+
+
+class RecordingAccepted(Answer):
+    """The recording as it stands, and the job that reads it."""
+
+    model_config = example(recording=RECORDING_EXAMPLE, job={**JOB_EXAMPLE, "kind": "ingest.register"})
+
+    recording: RecordingItem
+    job: JobItem

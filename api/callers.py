@@ -1,0 +1,11 @@
+"""Who may call what, by the names routes use."""
+
+from typing import Annotated
+
+from fastapi import Depends
+
+from api.deps import Caller, require
+
+Reader = Annotated[Caller, Depends(require("read"))]
+Curator = Annotated[Caller, Depends(require("upload", "curator"))]
+Administrator = Annotated[Caller, Depends(require("admin", "administrator"))]

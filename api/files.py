@@ -1,0 +1,107 @@
+"""Answering with a file of the store: whole, one range of it, or nothing when the caller has it already.
+
+**Conventions.** The ETag is the sha256 of the whole representation, so it never lies. One range is served (206), one
+beyond the end is refused (416), several or malformed ones are answered with the whole, as RFC 9110 §14.2 allows. Bytes
+go from the store to the socket in pieces; the first is read before the status is sent, so a missing object is an error
+and not half an answer. What a user uploaded is never rendered by a browser: `attachment`, `nosniff`, `sandbox`.
+"""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import chain
+from urllib.parse import quote
+
+from fastapi import Request, Response
+from fastapi.responses import StreamingResponse
+
+from api.answers import Responses, refusals
+from api.etags import etag, is_unchanged
+from api.file_errors import RangeError
+from services.runtime.store import Store
+
+ONE_RANGE = re.compile(r"bytes=(\d{0,18})-(\d{0,18})")
+UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
+INLINE = ("image/png", "image/jpeg", "application/json")
+
+
+@dataclass(frozen=True)
+class StoredFile:
+    """The bytes [offset, offset + size) of an object, and how they are called outside."""
+
+    object_key: str
+    size_bytes: int
+    sha256: str
+    media_type: str
+    filename: str
+    offset_bytes: int = 0
+
+
+def file_responses(*media_types: str) -> Responses:
+    """What the document says of a route that answers with a file."""
+    binary = {"schema": {"type": "string", "format": "binary"}}
+    content = {media_type: binary for media_type in media_types}
+    whole = {"description": "The whole file", "content": content}
+    part = {"description": "The range asked for", "content": content}
+    return {200: whole, 206: part, 304: {"description": "The caller has it already"}, **refusals(404, 416)}
+
+
+def answer_file(request: Request, store: Store, file: StoredFile) -> Response:
+    """The file as 200, 206 or 304. Raises `RangeError` (416), `ObjectMissingError`."""
+    headers = _headers(file)
+    if is_unchanged(request, file.sha256):
+        return Response(status_code=304, headers={key: headers[key] for key in ("ETag", "Cache-Control")})
+    start, stop = 0, file.size_bytes
+    asked = _range(request, file)
+    if asked is not None:
+        start, stop = asked
+        headers["Content-Range"] = f"bytes {start}-{stop - 1}/{file.size_bytes}"
+    headers["Content-Length"] = str(stop - start)
+    pieces = _opened(store.read(file.object_key, file.offset_bytes + start, file.offset_bytes + stop))
+    status = 200 if asked is None else 206
+    return StreamingResponse(pieces, status_code=status, headers=headers, media_type=file.media_type)
+
+
+def safe_name(name: str) -> str:
+    """The name without anything that a header or a file system could take for more than a name."""
+    return UNSAFE.sub("_", name).strip("._")[:150] or "file"
+
+
+def _headers(file: StoredFile) -> dict[str, str]:
+    shown = "inline" if file.media_type in INLINE else "attachment"
+    spelled = quote(file.filename[:150], safe="")
+    return {
+        "ETag": etag(file.sha256),
+        "Accept-Ranges": "bytes",
+        "Cache-Control": "private, no-cache",
+        "Content-Disposition": f"{shown}; filename=\"{safe_name(file.filename)}\"; filename*=UTF-8''{spelled}",
+        "X-Content-Type-Options": "nosniff",
+        "Content-Security-Policy": "default-src 'none'; sandbox",
+    }
+
+
+def _range(request: Request, file: StoredFile) -> tuple[int, int] | None:
+    """The half-open range asked for; None: the whole. Raises `RangeError`."""
+    found = ONE_RANGE.fullmatch(request.headers.get("range", "").strip())
+    if found is None or found.group() == "bytes=-" or not _is_same(request, file):
+        return None
+    first, last = found.groups()
+    if not first:
+        start, stop = max(file.size_bytes - int(last), 0), file.size_bytes
+    else:
+        start, stop = int(first), min(int(last) + 1, file.size_bytes) if last else file.size_bytes
+        if last and int(last) < start:
+            return None
+    if start >= file.size_bytes:
+        raise RangeError(file.size_bytes)
+    return start, stop
+
+
+def _is_same(request: Request, file: StoredFile) -> bool:
+    """Whether the range is of the file the caller has in mind, if it says which (RFC 9110 §13.1.5: strongly)."""
+    return request.headers.get("if-range", etag(file.sha256)) == etag(file.sha256)
+
+
+def _opened(pieces: Iterator[bytes]) -> Iterator[bytes]:
+    first = next(pieces, b"")
+    return chain((first,), pieces)

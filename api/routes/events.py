@@ -1,0 +1,144 @@
+"""Events as they happen (server-sent): a job's, or those of all jobs of a sequence.
+
+**Conventions.** `id` is the version of what is followed; who comes back with it as Last-Event-ID is told what is new
+since, if anything. An event's data is the job (or the sequence) as its GET route shows it; `event` is `progress`, or
+`ended` for the last one. Who asks again for what has ended and was seen is answered 204, which ends a browser's
+reconnecting. A stream lasts `LONGEST_S` at most, and no longer than the token that opened it.
+"""
+
+import time
+from collections.abc import AsyncGenerator, Callable
+from contextlib import aclosing
+from typing import Annotated
+
+from anyio import CancelScope
+from fastapi import APIRouter, Header, Request, Response
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import StreamingResponse
+from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
+from sqlalchemy.orm import Session
+from starlette.types import Receive, Scope, Send
+
+from api.answers import Responses, refusals
+from api.callers import Reader
+from api.deps import Caller, PlatformDep
+from api.following import Follower, Snapshot, Subject
+from api.job_views import job_detail
+from api.schemas.base import IdPath
+from api.sequence_views import sequence_detail
+from api.visible import job_of, sequence_of
+from services.runtime.jobs.specs import TERMINAL
+from services.runtime.orm import Job, Sequence
+from services.runtime.orm.base import now_ns
+from services.runtime.platform import Platform
+
+router = APIRouter(tags=["events"])
+EVENT_STREAM = "text/event-stream"
+KEEPALIVE_S = 15.0
+LONGEST_S = 900.0
+RETRY_MS = 1000
+LastEventId = Annotated[str | None, Header(pattern=r"^\d{1,18}$", description="`id` of the last event seen")]
+STREAM: Responses = {
+    200: {"description": "Events, until it has ended", "content": {EVENT_STREAM: {"schema": {"type": "string"}}}},
+    204: {"description": "It has ended, and the caller has seen it end"},
+    **refusals(403, 404, 429),
+}
+
+
+@router.get("/jobs/{job_id}/events", response_class=Response, responses=STREAM)
+async def follow_job(
+    job_id: IdPath, caller: Reader, platform: PlatformDep, request: Request, last_event_id: LastEventId = None
+) -> Response:
+    """The progress of a job or run, at most twice a second, until it has ended."""
+
+    def subject(session: Session) -> Subject:
+        job = job_of(session, caller, job_id)
+        return Subject("run" if job.id == job.root_id else "job", job.id)
+
+    return await _streamed(request, platform, caller, subject, last_event_id)
+
+
+@router.get("/sequences/{sequence_id}/events", response_class=Response, responses=STREAM)
+async def follow_sequence(
+    sequence_id: IdPath, caller: Reader, platform: PlatformDep, request: Request, last_event_id: LastEventId = None
+) -> Response:
+    """What happens to a sequence: its runs move on, it changes, it is deleted (then the stream ends)."""
+
+    def subject(session: Session) -> Subject:
+        return Subject("sequence", sequence_of(session, caller, sequence_id).id)
+
+    return await _streamed(request, platform, caller, subject, last_event_id)
+
+
+class EventStream(StreamingResponse):
+    """Events while the caller listens; the seat is free again however the stream ends."""
+
+    def __init__(self, events: AsyncGenerator[bytes], leave: Callable[[], None]) -> None:
+        headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
+        super().__init__(events, media_type=EVENT_STREAM, headers=headers)
+        self._events, self._leave = events, leave
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        try:
+            await super().__call__(scope, receive, send)
+        finally:
+            self._leave()
+            with CancelScope(shield=True):
+                await self._events.aclose()
+
+
+async def _streamed(
+    request: Request,
+    platform: Platform,
+    caller: Caller,
+    find: Callable[[Session], Subject],
+    last_event_id: str | None,
+) -> Response:
+    follower, seen = _follower(request, platform), None if last_event_id is None else int(last_event_id)
+
+    def look() -> tuple[Subject, Snapshot]:
+        with platform.database.reading() as session:
+            subject = find(session)
+        return subject, follower.look(subject)
+
+    subject, now = await run_in_threadpool(look)
+    if now.is_over and now.version == seen:
+        return Response(status_code=204)
+    follower.sit(caller.user_id)
+    lasting_s = min(LONGEST_S, (caller.expires_ns - now_ns()) / 1e9)
+    return EventStream(_events(follower, subject, seen, lasting_s), lambda: follower.leave(caller.user_id))
+
+
+async def _events(follower: Follower, subject: Subject, seen: int | None, lasting_s: float) -> AsyncGenerator[bytes]:
+    until_s = time.monotonic() + lasting_s
+    yield format_sse_event(retry=RETRY_MS)
+    async with aclosing(follower.snapshots(subject, seen, min(KEEPALIVE_S, lasting_s))) as snapshots:
+        async for snapshot in snapshots:
+            yield KEEPALIVE_COMMENT if snapshot is None else _event(snapshot)
+            if time.monotonic() >= until_s:
+                return
+
+
+def _event(snapshot: Snapshot) -> bytes:
+    name = "ended" if snapshot.is_over else "progress"
+    return format_sse_event(data_str=snapshot.json, event=name, id=str(snapshot.version))
+
+
+def _follower(request: Request, platform: Platform) -> Follower:
+    """The one of this application; made on the event loop, so there are never two."""
+    state = request.app.state
+    if not hasattr(state, "follower"):
+        state.follower = Follower(platform.database, load)
+    follower: Follower = state.follower
+    return follower
+
+
+def load(session: Session, subject: Subject) -> tuple[str, bool]:
+    """What is followed as its GET route shows it, and whether it is over; what is gone is over."""
+    if subject.kind == "sequence":
+        sequence = session.get(Sequence, subject.id)
+        if sequence is None:
+            return "{}", True
+        return sequence_detail(session, sequence).model_dump_json(), sequence.deleted_ns is not None
+    job = session.get(Job, subject.id)
+    return (job_detail(session, job).model_dump_json(), job.state in TERMINAL) if job else ("{}", True)

@@ -1,0 +1,51 @@
+"""A frame by its token: where it stands, and its labels.
+
+**Conventions.** A token is known to whoever knows the bag, so it opens nothing: frames of others are 404. The labels of
+a frame are a range of a pack, served as a file of its own with its own sha256.
+"""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Request, Response
+
+from api.answers import refusals
+from api.callers import Reader
+from api.deps import PlatformDep
+from api.files import StoredFile, answer_file, file_responses
+from api.schemas.base import ID_EXAMPLE, ID_PATTERN
+from api.schemas.processing import FrameDetail
+from api.visible import frame_of
+from services.runtime.orm import Artefact, Blob
+
+router = APIRouter(prefix="/frames/{token}", tags=["frames"])
+TokenPath = Annotated[str, Path(pattern=ID_PATTERN, examples=[ID_EXAMPLE])]
+NPZ = "application/octet-stream"
+
+
+@router.get("", responses=refusals(404))
+def show_frame(token: TokenPath, caller: Reader, platform: PlatformDep) -> FrameDetail:
+    """A labelled frame, with where it comes from."""
+    with platform.database.reading() as session:
+        frame, labels = frame_of(session, caller, token)
+    return FrameDetail(
+        token=frame.token,
+        ordinal=frame.ordinal,
+        stamp_ns=frame.stamp_ns,
+        sequence_id=labels.sequence_id,
+        label_set_id=labels.id,
+        labels_bytes=frame.length_bytes,
+        labels_sha256=frame.sha256,
+        parameters=labels.parameters,
+    )
+
+
+@router.get("/labels.npz", response_class=Response, responses=file_responses(NPZ))
+def download_labels(token: TokenPath, caller: Reader, platform: PlatformDep, request: Request) -> Response:
+    """`semantics`, `mask_lidar` and `mask_camera` of a frame, (256, 256, 32) uint8 each, as a NumPy npz."""
+    with platform.database.reading() as session:
+        frame, _labels = frame_of(session, caller, token)
+        pack = session.get_one(Artefact, frame.pack_id)
+        object_key = session.get_one(Blob, pack.blob_sha256).object_key
+    name = f"{token}-labels.npz"
+    file = StoredFile(object_key, frame.length_bytes, frame.sha256, NPZ, name, frame.offset_bytes)
+    return answer_file(request, platform.store, file)

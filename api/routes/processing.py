@@ -1,0 +1,96 @@
+"""Processing a sequence, and what comes of it: report, frames, mesh, previews.
+
+**Conventions.** What is shown belongs to the newest labels of the sequence. Equal requests are one run: asking again
+answers with the run that is at it, or that has made it already.
+"""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Request, Response
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from api import audit
+from api.answers import refusals
+from api.callers import Curator, Reader
+from api.deps import Caller, PlatformDep
+from api.errors import NotFoundError
+from api.files import StoredFile, answer_file, file_responses
+from api.job_views import job_detail
+from api.paging import Page, PageDep, page
+from api.schemas.base import IdPath
+from api.schemas.jobs import JobDetail
+from api.schemas.processing import FrameItem, ProcessBody
+from api.visible import newest_label_set, sequence_of
+from services.runtime.orm import Artefact, Blob, LabelledFrame
+from services.runtime.processing import start_processing
+
+router = APIRouter(prefix="/sequences/{sequence_id}", tags=["processing"])
+PreviewName = Annotated[str, Path(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}\.(png|jpg)$", examples=["bev.png"])]
+
+
+@router.post("/process", status_code=202, responses=refusals(403, 404, 409))
+def process_sequence(
+    sequence_id: IdPath, body: ProcessBody, caller: Curator, platform: PlatformDep, response: Response
+) -> JobDetail:
+    """Have the sequence labelled; the job at `Location` says how far it is."""
+    with platform.database.transaction() as session:
+        sequence = sequence_of(session, caller, sequence_id)
+        job = start_processing(session, sequence, body.chosen())
+        audit.record(session, caller, "sequence.process", sequence.id, facts={"job_id": job.id})
+        shown = job_detail(session, job)
+    response.headers["Location"] = f"/api/v1/jobs/{shown.id}"
+    return shown
+
+
+@router.get("/frames", responses=refusals(404))
+def list_frames(sequence_id: IdPath, caller: Reader, platform: PlatformDep, query: PageDep) -> Page[FrameItem]:
+    """The labelled frames in the order of time."""
+    with platform.database.reading() as session:
+        labels = newest_label_set(session, sequence_of(session, caller, sequence_id).id)
+        statement = select(LabelledFrame).where(LabelledFrame.label_set_id == labels.id)
+        return page(session, statement, LabelledFrame.ordinal, query).shown(_frame)
+
+
+@router.get("/report", response_class=Response, responses=file_responses("application/json"))
+def download_report(sequence_id: IdPath, caller: Reader, platform: PlatformDep, request: Request) -> Response:
+    """What the labels were made of, with which parameters, how good the poses were and what was noticed."""
+    with platform.database.reading() as session:
+        file = _artefact(session, caller, sequence_id, "report.json")
+    return answer_file(request, platform.store, file)
+
+
+@router.get("/mesh", response_class=Response, responses=file_responses("application/ply"))
+def download_mesh(sequence_id: IdPath, caller: Reader, platform: PlatformDep, request: Request) -> Response:
+    """The mesh of the whole sequence as binary PLY; ranges are served."""
+    with platform.database.reading() as session:
+        file = _artefact(session, caller, sequence_id, "mesh.ply")
+    return answer_file(request, platform.store, file)
+
+
+@router.get("/previews/{name}", response_class=Response, responses=file_responses("image/png", "image/jpeg"))
+def download_preview(
+    sequence_id: IdPath, name: PreviewName, caller: Reader, platform: PlatformDep, request: Request
+) -> Response:
+    """A picture of the labels: `bev.png` shows them from above."""
+    with platform.database.reading() as session:
+        file = _artefact(session, caller, sequence_id, name)
+    return answer_file(request, platform.store, file)
+
+
+def _artefact(session: Session, caller: Caller, sequence_id: str, name: str) -> StoredFile:
+    """A file of the newest labels, called after the sequence. Raises `NotFoundError`."""
+    sequence = sequence_of(session, caller, sequence_id)
+    labels = newest_label_set(session, sequence.id)
+    named = select(Artefact, Blob).join(Blob, Blob.sha256 == Artefact.blob_sha256)
+    mine = named.where(Artefact.label_set_id == labels.id, Artefact.name == name)
+    row = session.execute(mine).tuples().one_or_none()
+    if row is None:
+        raise NotFoundError("file of this sequence", name)
+    artefact, blob = row
+    filename = f"{sequence.name}-{name}"
+    return StoredFile(blob.object_key, blob.size_bytes, blob.sha256, artefact.media_type, filename)
+
+
+def _frame(row: LabelledFrame) -> FrameItem:
+    return FrameItem(token=row.token, ordinal=row.ordinal, stamp_ns=row.stamp_ns)

@@ -1,0 +1,73 @@
+"""Recordings of a sequence: a complete upload becomes one, is read by a job, and can be taken away again."""
+
+from fastapi import APIRouter, Response
+from sqlalchemy import select
+
+from api import audit
+from api.answers import refusals
+from api.callers import Curator, Reader
+from api.deps import PlatformDep
+from api.job_views import job_items
+from api.paging import Page, PageDep, page
+from api.schemas.base import IdPath, instant
+from api.schemas.calibrations import FindingItem
+from api.schemas.recordings import NewRecordingBody, RecordingAccepted, RecordingDetail, RecordingItem
+from api.visible import recording_of, sequence_of
+from services.runtime.orm import Recording
+from services.runtime.recordings import add_recording, remove_recording
+
+router = APIRouter(prefix="/sequences/{sequence_id}/recordings", tags=["recordings"])
+
+
+@router.post("", status_code=202, responses=refusals(403, 404, 409))
+def create_recording(
+    sequence_id: IdPath, body: NewRecordingBody, caller: Curator, platform: PlatformDep, response: Response
+) -> RecordingAccepted:
+    """Make a recording of a complete upload of the caller's; the job reads and keeps it. An upload serves once."""
+    with platform.database.transaction() as session:
+        sequence = sequence_of(session, caller, sequence_id)
+        recording, job = add_recording(session, sequence, body.upload_id, caller.user_id)
+        audit.record(session, caller, "recording.add", recording.id, facts={"sequence_id": sequence_id})
+        shown = RecordingAccepted(recording=recording_item(recording), job=job_items(session, [job])[0])
+    response.headers["Location"] = f"/api/v1/sequences/{sequence_id}/recordings/{recording.id}"
+    return shown
+
+
+@router.get("", responses=refusals(404))
+def list_recordings(sequence_id: IdPath, caller: Reader, platform: PlatformDep, query: PageDep) -> Page[RecordingItem]:
+    """The recordings of a sequence, oldest first."""
+    with platform.database.reading() as session:
+        sequence = sequence_of(session, caller, sequence_id)
+        statement = select(Recording).where(Recording.sequence_id == sequence.id)
+        return page(session, statement, Recording.id, query).shown(recording_item)
+
+
+@router.get("/{recording_id}", responses=refusals(404))
+def show_recording(sequence_id: IdPath, recording_id: IdPath, caller: Reader, platform: PlatformDep) -> RecordingDetail:
+    """A recording with what its inspection said."""
+    with platform.database.reading() as session:
+        recording = recording_of(session, caller, sequence_id, recording_id)
+        return RecordingDetail(**dict(recording_item(recording)), inspection=recording.inspection)
+
+
+@router.delete("/{recording_id}", status_code=204, responses=refusals(403, 404, 409))
+def delete_recording(sequence_id: IdPath, recording_id: IdPath, caller: Curator, platform: PlatformDep) -> None:
+    """Take a recording away and give its bytes back; labels that were made of it stay. Not while a run reads it."""
+    with platform.database.transaction() as session:
+        recording = recording_of(session, caller, sequence_id, recording_id)
+        remove_recording(session, recording)
+        audit.record(session, caller, "recording.delete", recording_id, facts={"sequence_id": sequence_id})
+
+
+def recording_item(row: Recording) -> RecordingItem:
+    return RecordingItem(
+        id=row.id,
+        sequence_id=row.sequence_id,
+        upload_id=row.upload_id,
+        filename=row.filename,
+        size_bytes=row.size_bytes,
+        sha256=row.sha256,
+        state=row.state,
+        findings=[FindingItem(**finding) for finding in row.findings],
+        created_at=instant(row.created_ns),
+    )

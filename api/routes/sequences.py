@@ -1,0 +1,177 @@
+"""Sequences: made, listed, changed, given a calibration, deleted.
+
+**Conventions.** The ETag is the sequence's revision: it moves when what can be changed has changed, not when a job of
+it moves on. PATCH and DELETE ask for it; PUT of the calibration honours it.
+"""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Query, Request, Response
+from sqlalchemy import Select, func, select
+from sqlalchemy.orm import Session
+
+from api import audit
+from api.answers import refusals
+from api.callers import Curator, Reader
+from api.deps import PlatformDep
+from api.errors import ConflictError
+from api.etags import etag, require_match
+from api.paging import Page, PageDep, page
+from api.schemas.base import PLAIN, IdPath, IdQuery, LineQuery
+from api.schemas.sequences import (
+    NewSequenceBody,
+    PinCalibrationBody,
+    SequenceChangesBody,
+    SequenceDetail,
+    SequenceItem,
+)
+from api.sequence_views import sequence_detail, sequence_items
+from api.visible import calibration_of, sequence_of, sequences_of
+from services.runtime.access.errors import NameTakenError
+from services.runtime.jobs.specs import TERMINAL
+from services.runtime.orm import Job, LabelSet, Sequence
+from services.runtime.processing import PROCESS, delete_sequence, lock_sequence
+
+router = APIRouter(prefix="/sequences", tags=["sequences"])
+Prefix = Annotated[str | None, Query(pattern=PLAIN, max_length=100)]
+
+
+@dataclass(frozen=True)
+class Filters:
+    """Which sequences a list shows: equal values, and names that begin with `name`."""
+
+    environment: LineQuery = None
+    illumination: LineQuery = None
+    region: LineQuery = None
+    platform: LineQuery = None
+    name: Prefix = None
+    owner_id: IdQuery = None
+
+    def narrowed(self, statement: Select[Sequence]) -> Select[Sequence]:
+        for key in ("environment", "illumination", "region", "platform", "owner_id"):
+            value = getattr(self, key)
+            if value is not None:
+                statement = statement.where(getattr(Sequence, key) == value)
+        if self.name is None:
+            return statement
+        return statement.where(func.substr(Sequence.name, 1, len(self.name)) == self.name)
+
+
+@router.post("", status_code=201, responses=refusals(409))
+def create_sequence(
+    body: NewSequenceBody, caller: Curator, platform: PlatformDep, response: Response
+) -> SequenceDetail:
+    """Make a sequence; its name is free among the caller's own."""
+    with platform.database.transaction() as session:
+        _refuse_taken(session, caller.user_id, body.name)
+        sequence = Sequence(owner_id=caller.user_id, **body.model_dump())
+        session.add(sequence)
+        session.flush()
+        audit.record(session, caller, "sequence.create", sequence.id, facts={"name": sequence.name})
+        shown = sequence_detail(session, sequence)
+    response.headers["Location"] = f"/api/v1/sequences/{shown.id}"
+    response.headers["ETag"] = etag(shown.revision)
+    return shown
+
+
+@router.get("", responses=refusals())
+def list_sequences(
+    caller: Reader,
+    platform: PlatformDep,
+    query: PageDep,
+    filters: Annotated[Filters, Depends()],
+) -> Page[SequenceItem]:
+    """The caller's sequences, newest first; an administrator sees everybody's."""
+    with platform.database.reading() as session:
+        found = page(session, filters.narrowed(sequences_of(caller)), Sequence.id.desc(), query)
+        return Page[SequenceItem](items=sequence_items(session, found.rows), next=found.next)
+
+
+@router.get("/{sequence_id}", responses=refusals(404))
+def show_sequence(sequence_id: IdPath, caller: Reader, platform: PlatformDep, response: Response) -> SequenceDetail:
+    """A sequence with its newest run, its newest labels and their files."""
+    with platform.database.reading() as session:
+        shown = sequence_detail(session, sequence_of(session, caller, sequence_id))
+    response.headers["ETag"] = etag(shown.revision)
+    return shown
+
+
+@router.patch("/{sequence_id}", responses=refusals(404, 409, 412, 428))
+def change_sequence(
+    sequence_id: IdPath,
+    body: SequenceChangesBody,
+    caller: Curator,
+    platform: PlatformDep,
+    request: Request,
+    response: Response,
+) -> SequenceDetail:
+    """Change what is said of a sequence; what is left out or null stays."""
+    with platform.database.transaction() as session:
+        sequence = lock_sequence(session, sequence_of(session, caller, sequence_id).id)
+        require_match(request, sequence.revision)
+        changes = {key: value for key, value in body if value is not None and value != getattr(sequence, key)}
+        if "name" in changes:
+            _refuse_renaming(session, sequence, changes["name"])
+        _change(sequence, changes)
+        audit.record(session, caller, "sequence.change", sequence.id, facts=changes)
+        session.flush()
+        shown = sequence_detail(session, sequence)
+    response.headers["ETag"] = etag(shown.revision)
+    return shown
+
+
+@router.put("/{sequence_id}/calibration", responses=refusals(404, 412))
+def pin_calibration(
+    sequence_id: IdPath,
+    body: PinCalibrationBody,
+    caller: Curator,
+    platform: PlatformDep,
+    request: Request,
+    response: Response,
+) -> SequenceDetail:
+    """Say which calibration the sequence is processed with from now on; labels that exist keep theirs."""
+    with platform.database.transaction() as session:
+        sequence = lock_sequence(session, sequence_of(session, caller, sequence_id).id)
+        if "if-match" in request.headers:
+            require_match(request, sequence.revision)
+        calibration = calibration_of(session, caller, body.calibration_id)
+        if sequence.calibration_id != calibration.id:
+            _change(sequence, {"calibration_id": calibration.id})
+            audit.record(session, caller, "sequence.calibrate", sequence.id, facts={"calibration_id": calibration.id})
+        session.flush()
+        shown = sequence_detail(session, sequence)
+    response.headers["ETag"] = etag(shown.revision)
+    return shown
+
+
+@router.delete("/{sequence_id}", status_code=204, responses=refusals(404, 412, 428))
+def remove_sequence(sequence_id: IdPath, caller: Curator, platform: PlatformDep, request: Request) -> None:
+    """Delete a sequence with its recordings and labels; its jobs are told to stop. It cannot be brought back."""
+    with platform.database.transaction() as session:
+        sequence = lock_sequence(session, sequence_of(session, caller, sequence_id).id)
+        require_match(request, sequence.revision)
+        audit.record(session, caller, "sequence.delete", sequence.id, facts={"name": sequence.name})
+        delete_sequence(session, sequence)
+
+
+def _change(sequence: Sequence, changes: dict[str, str]) -> None:
+    for key, value in changes.items():
+        setattr(sequence, key, value)
+    sequence.revision += 1 if changes else 0
+
+
+def _refuse_renaming(session: Session, sequence: Sequence, name: str) -> None:
+    """Raises `ConflictError` where frame tokens carry the old name already, `NameTakenError`."""
+    labels = select(LabelSet.id).where(LabelSet.sequence_id == sequence.id)
+    runs = select(Job.id).where(Job.sequence_id == sequence.id, Job.kind == PROCESS, Job.state.not_in(TERMINAL))
+    if session.scalar(labels.limit(1)) or session.scalar(runs.limit(1)):
+        raise ConflictError("the sequence has labels, or is getting them, and its frame tokens are made of its name")
+    _refuse_taken(session, sequence.owner_id, name)
+
+
+def _refuse_taken(session: Session, owner_id: str, name: str) -> None:
+    """Two at once are told apart by the unique index, with a less friendly sentence. Raises `NameTakenError`."""
+    alive = select(Sequence.id).where(Sequence.owner_id == owner_id, Sequence.deleted_ns.is_(None))
+    if session.scalar(alive.where(Sequence.name == name)):
+        raise NameTakenError("sequence", name)

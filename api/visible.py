@@ -1,0 +1,83 @@
+"""What a caller may know of: what is theirs, and for an administrator everything.
+
+**Conventions.** What is somebody else's is looked up in the same way as what does not exist, and answered in the same
+way: 404. A deleted sequence exists for nobody.
+"""
+
+from typing import TypeVar
+
+from sqlalchemy import Select, func, select
+from sqlalchemy.orm import InstrumentedAttribute, Session, aliased
+
+from api.deps import Caller
+from api.errors import NotFoundError
+from services.runtime.orm import Calibration, Job, LabelledFrame, LabelSet, Recording, Sequence
+
+Row = TypeVar("Row")
+
+
+def theirs(statement: Select[Row], caller: Caller, owner: InstrumentedAttribute[str]) -> Select[Row]:
+    """The statement, of the caller's own things only unless they administrate."""
+    return statement if caller.is_administrator else statement.where(owner == caller.user_id)
+
+
+def sequences_of(caller: Caller) -> Select[Sequence]:
+    return theirs(select(Sequence).where(Sequence.deleted_ns.is_(None)), caller, Sequence.owner_id)
+
+
+def sequence_of(session: Session, caller: Caller, sequence_id: str) -> Sequence:
+    """Raises `NotFoundError`."""
+    found = session.scalars(sequences_of(caller).where(Sequence.id == sequence_id)).one_or_none()
+    return _known(found, "sequence", sequence_id)
+
+
+def calibration_of(session: Session, caller: Caller, calibration_id: str) -> Calibration:
+    """Raises `NotFoundError`."""
+    mine = theirs(select(Calibration), caller, Calibration.owner_id)
+    found = session.scalars(mine.where(Calibration.id == calibration_id)).one_or_none()
+    return _known(found, "calibration", calibration_id)
+
+
+def recording_of(session: Session, caller: Caller, sequence_id: str, recording_id: str) -> Recording:
+    """Raises `NotFoundError`."""
+    sequence = sequence_of(session, caller, sequence_id)
+    of_sequence = select(Recording).where(Recording.sequence_id == sequence.id, Recording.id == recording_id)
+    return _known(session.scalars(of_sequence).one_or_none(), "recording", recording_id)
+
+
+def job_of(session: Session, caller: Caller, job_id: str) -> Job:
+    """Raises `NotFoundError`."""
+    found = session.scalars(theirs(select(Job), caller, Job.owner_id).where(Job.id == job_id)).one_or_none()
+    return _known(found, "job", job_id)
+
+
+def newest_label_set(session: Session, sequence_id: str) -> LabelSet:
+    """The labels that count. Raises `NotFoundError` while there are none."""
+    newest = select(LabelSet).where(LabelSet.sequence_id == sequence_id).order_by(LabelSet.id.desc()).limit(1)
+    return _known(session.scalars(newest).one_or_none(), "label set of sequence", sequence_id)
+
+
+def frame_of(session: Session, caller: Caller, token: str) -> tuple[LabelledFrame, LabelSet]:
+    """The frame in the newest label set of its sequence; of several sequences that share it, the newest labels.
+
+    Tokens are made of the sequence's name and the stamp, so two owners may have the same one. Raises `NotFoundError`.
+    """
+    other = aliased(LabelSet)
+    newest = select(func.max(other.id)).where(other.sequence_id == LabelSet.sequence_id).scalar_subquery()
+    found = (
+        select(LabelledFrame, LabelSet)
+        .join(LabelSet, LabelSet.id == LabelledFrame.label_set_id)
+        .join(Sequence, Sequence.id == LabelSet.sequence_id)
+        .where(LabelledFrame.token == token, LabelSet.id == newest, Sequence.deleted_ns.is_(None))
+        .order_by(LabelSet.id.desc(), LabelledFrame.ordinal)
+        .limit(1)
+    )
+    mine = found if caller.is_administrator else found.where(Sequence.owner_id == caller.user_id)
+    row = session.execute(mine).tuples().one_or_none()
+    return _known(row, "frame", token)
+
+
+def _known(found: Row | None, kind: str, subject_id: str) -> Row:
+    if found is None:
+        raise NotFoundError(kind, subject_id)
+    return found

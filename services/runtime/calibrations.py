@@ -1,0 +1,54 @@
+"""Calibrations as rows: immutable, versioned by owner and name, the same bytes only once.
+
+**Conventions.** Part of the caller's transaction; the owner's row is locked first, so that two files at once become
+versions one after another. The bytes lie in the store before (`blobs.prepare`).
+"""
+
+from dataclasses import dataclass
+
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+from services.runtime.blobs import PreparedBlob, link
+from services.runtime.orm import Calibration, User
+
+
+@dataclass(frozen=True)
+class ReadCalibration:
+    """A calibration file that was read and accepted: what its list entry shows."""
+
+    name: str
+    filename: str
+    sensors: tuple[dict[str, str], ...]
+    findings: tuple[dict[str, str], ...]
+
+
+def find_calibration(session: Session, owner_id: str, sha256: str) -> Calibration | None:
+    """The owner's calibration of exactly these bytes."""
+    same = select(Calibration).where(Calibration.owner_id == owner_id, Calibration.sha256 == sha256)
+    return session.scalars(same).first()
+
+
+def add_calibration(session: Session, owner_id: str, read: ReadCalibration, blob: PreparedBlob) -> Calibration:
+    """The next version of the owner's calibrations of this name, or the one that has these bytes already."""
+    session.execute(select(User.id).where(User.id == owner_id).with_for_update(key_share=True))
+    standing = find_calibration(session, owner_id, blob.sha256)
+    if standing is not None:
+        return standing
+    row = link(session, blob)
+    of_name = select(func.max(Calibration.version)).where(
+        Calibration.owner_id == owner_id, Calibration.name == read.name
+    )
+    calibration = Calibration(
+        owner_id=owner_id,
+        name=read.name,
+        version=(session.scalar(of_name) or 0) + 1,
+        filename=read.filename,
+        sha256=row.sha256,
+        blob_sha256=row.sha256,
+        sensors=list(read.sensors),
+        findings=list(read.findings),
+    )
+    session.add(calibration)
+    session.flush()
+    return calibration
