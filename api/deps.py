@@ -72,11 +72,12 @@ def identify(request: Request) -> Caller | None:
 
 def require(scope: str, *accepted: str) -> Callable[..., Caller]:
     """A dependency that gives the caller, if they hold `scope` and at least one of the `accepted` roles."""
+    asked = [scope, *accepted]  # for the document only
 
     def caller_who_may(
         request: Request,
-        _bearer: Annotated[HTTPAuthorizationCredentials | None, Security(bearer)],
-        _cookie: Annotated[str | None, Security(cookie)],
+        _bearer: Annotated[HTTPAuthorizationCredentials | None, Security(bearer, scopes=asked)],
+        _cookie: Annotated[str | None, Security(cookie, scopes=asked)],
     ) -> Caller:
         caller = identify(request)
         if caller is None:

@@ -100,6 +100,7 @@ def address_of(request: Request) -> str:
         address = ipaddress.ip_address(host)
     except ValueError:
         return f"address {host}"
-    if address.version == 4:
-        return f"address {address}"
+    mapped = getattr(address, "ipv4_mapped", None)
+    if address.version == 4 or mapped is not None:
+        return f"address {mapped or address}"
     return f"address {ipaddress.ip_network((address, 64), strict=False)}"

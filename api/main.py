@@ -13,13 +13,29 @@ from api.entry import Entry
 from api.idempotency import Idempotency
 from api.limits import Limits, RateLimit
 from api.metrics import Meters
+from api.openapi import PREFIX, documented, operation_id
 from api.probes import Probes
-from api.routes import audit, health, sessions, teams, tokens, uploads, users
+from api.routes import (
+    admin_jobs,
+    audit,
+    calibrations,
+    events,
+    frames,
+    health,
+    jobs,
+    processing,
+    recordings,
+    sequences,
+    sessions,
+    teams,
+    tokens,
+    uploads,
+    users,
+)
 from api.routes import problems as problem_routes
+from services.runtime.log_lines import speak_json
 from services.runtime.platform import Platform, open_platform
 from services.runtime.settings import Settings
-
-PREFIX = "/api/v1"
 
 ROUTERS: tuple[APIRouter, ...] = (
     problem_routes.router,
@@ -29,6 +45,14 @@ ROUTERS: tuple[APIRouter, ...] = (
     teams.router,
     audit.router,
     uploads.router,
+    sequences.router,
+    calibrations.router,
+    recordings.router,
+    processing.router,
+    frames.router,
+    jobs.router,
+    admin_jobs.router,
+    events.router,
 )
 
 
@@ -41,7 +65,9 @@ def make_api(platform: Platform) -> FastAPI:
         openapi_url=f"{PREFIX}/openapi.json",
         docs_url=None,
         redoc_url=None,
+        generate_unique_id_function=operation_id,
     )
+    api.openapi = documented(api)  # type: ignore[method-assign]  # as FastAPI's own pages say to
     api.state.platform, api.state.limits = platform, Limits(platform.settings)
     api.state.meters, api.state.probes = Meters(platform), Probes(platform)
     problems.install(api)
@@ -57,7 +83,8 @@ def make_api(platform: Platform) -> FastAPI:
 
 
 def from_environment() -> FastAPI:
-    """The application of this process: `uvicorn --factory api.main:from_environment`."""
+    """The application of this process: `uvicorn --factory api.main:from_environment --no-server-header`."""
+    speak_json()
     return make_api(open_platform(Settings()))
 
 

@@ -21,6 +21,7 @@ from starlette.exceptions import HTTPException
 from api.context import request_id
 from api.errors import ApiError, InvalidRequestError
 from api.statuses import phrase_of, status_of
+from api.tus_errors import UnsupportedMediaTypeError
 from stone.errors import StoneError
 
 MEDIA_TYPE = "application/problem+json"
@@ -58,14 +59,14 @@ class Problem(BaseModel):
 
 def problem(status: int, code: str, detail: str, title: str = "") -> Problem:
     """A problem of this request; its title is the status's own phrase where none is given."""
-    what = {"type": f"{PROBLEMS_PATH}/{code}", "title": title or phrase_of(status), "status": status}
-    return Problem(**what, detail=detail, code=code, request_id=request_id())
+    where, named = f"{PROBLEMS_PATH}/{code}", title or phrase_of(status)
+    return Problem(type=where, title=named, status=status, detail=detail, code=code, request_id=request_id())
 
 
 def answer(body: Problem, headers: Mapping[str, str] | None = None) -> JSONResponse:
     """The problem as an answer, never kept by anybody on the way."""
     content = body.model_dump(exclude_none=True)
-    kept = {"Cache-Control": "no-store", **(headers or {})}
+    kept = {"Cache-Control": "no-store", **({"Retry-After": BUSY_S} if body.status == 503 else {}), **(headers or {})}
     return JSONResponse(content, body.status, headers=kept, media_type=MEDIA_TYPE)
 
 
@@ -109,6 +110,8 @@ def respond(error: Exception) -> JSONResponse:
 
 
 def _invalid(error: Any) -> JSONResponse:
+    if isinstance(error.body, bytes) and error.body:  # FastAPI leaves a body alone that does not say it is JSON
+        return answer_to(UnsupportedMediaTypeError("not JSON", "application/json"))
     raw: Sequence[Any] = error.errors()
     findings = tuple(_finding(one) for one in raw[:MOST_FINDINGS])
     return answer_to(InvalidRequestError(findings, len(raw)))
@@ -159,7 +162,7 @@ def _database_away(error: Any) -> JSONResponse:
     if "disk is full" in str(error):
         return _disk_full()
     sentence = "the database cannot be reached or is too busy; nothing was changed, try again"
-    return answer(problem(503, "database_away", sentence), {"Retry-After": BUSY_S})
+    return answer(problem(503, "database_away", sentence))
 
 
 ANSWERS: tuple[tuple[type[Exception], Callable[[Any], JSONResponse]], ...] = (

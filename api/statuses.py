@@ -7,9 +7,11 @@ ours: 500, with the sentence in the log only. A module that brings refusals brin
 from http import HTTPStatus
 
 from api import errors as api
+from api import file_errors as files
 from api import tus_errors as tus
+from services.runtime import label_choices as choices
 from services.runtime import processing_errors as processing
-from services.runtime import quota, store_keys
+from services.runtime import quota, recordings, store_keys
 from services.runtime.access import errors as access
 from services.runtime.jobs import errors as jobs
 from services.runtime.uploads import errors as uploads
@@ -32,10 +34,14 @@ STATUS_OF: dict[type[StoneError], int] = {
     api.RequestInFlightError: 409,
     api.UnauthenticatedError: 401,
     access.BadNameError: 422,
+    access.BusyError: 503,
     access.LastAdministratorError: 409,
     access.NameTakenError: 409,
     access.UnknownRoleError: 422,
     access.WeakPasswordError: 422,
+    choices.ChoiceError: 422,
+    files.CalibrationRefusedError: 422,
+    files.RangeError: 416,
     jobs.JobStateError: 409,
     jobs.QueueDrainingError: 409,
     processing.AlreadyProcessingError: 409,
@@ -45,6 +51,8 @@ STATUS_OF: dict[type[StoneError], int] = {
     processing.SequenceDeletedError: 404,
     processing.SeveralRecordingsError: 409,
     processing.UnknownStagesError: 422,
+    recordings.ForeignTargetError: 409,
+    recordings.RecordingInUseError: 409,
     quota.QuotaExceededError: 413,
     store_keys.StoreAwayError: 503,
     store_keys.StoreFullError: 507,

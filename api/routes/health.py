@@ -8,10 +8,11 @@ administrator.
 from hmac import compare_digest
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import APIRouter, Depends, Request, Response, Security
+from fastapi.security import HTTPAuthorizationCredentials
 
 from api.answers import refusal, refusals
-from api.deps import identify, platform_of
+from api.deps import bearer, identify, platform_of
 from api.errors import ForbiddenError, UnauthenticatedError
 from api.probes import Probes
 from api.schemas.people import Liveness, Readiness
@@ -19,6 +20,8 @@ from api.schemas.people import Liveness, Readiness
 router = APIRouter(tags=["probes"])
 
 EXPOSITION = "text/plain; version=0.0.4; charset=utf-8"
+
+WATCHERS = ["admin", "administrator"]
 
 
 @router.get("/healthz", summary="Whether the process lives")
@@ -40,7 +43,9 @@ def readiness(request: Request, response: Response) -> Readiness:
     return Readiness(status="ready" if is_ready else "not_ready", parts=found)
 
 
-def may_read_metrics(request: Request) -> None:
+def may_read_metrics(
+    request: Request, _bearer: Annotated[HTTPAuthorizationCredentials | None, Security(bearer, scopes=WATCHERS)]
+) -> None:
     """Raises `UnauthenticatedError` or `ForbiddenError` for all but the monitoring token and administrators."""
     expected = platform_of(request).settings.api.metrics_token.get_secret_value()
     offered = request.headers.get("authorization", "").partition(" ")[2]

@@ -48,3 +48,12 @@ class LastAdministratorError(StoneError):
 
     def __init__(self, name: str) -> None:
         super().__init__(f"{name!r} is the last active administrator; make another one first")
+
+
+class BusyError(StoneError):
+    """Too many passwords are being checked at this moment."""
+
+    code = "busy"
+
+    def __init__(self, most: int) -> None:
+        super().__init__(f"{most} passwords are being checked at this moment; try again in a second")

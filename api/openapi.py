@@ -1,0 +1,99 @@
+"""The OpenAPI document: what FastAPI reads off the routes, and what every route has in common.
+
+**Conventions.** Each operation names every status it can be answered with: what is particular to it stands at the route
+(`refusals(…)`), the rest follows from its form and is added here. `security` names, beside the scheme, the scope and
+the roles that are asked for.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from fastapi import FastAPI
+from fastapi.openapi.utils import get_openapi
+from fastapi.routing import APIRoute
+from pydantic.json_schema import models_json_schema
+
+from api.answers import refusal
+from api.problems import Finding, Problem
+
+PREFIX = "/api/v1"
+METHODS = ("get", "put", "post", "delete", "patch", "options", "head")
+ALWAYS = (429, 500, 503)
+TO_CALLERS = (401, 403)
+OF_PARAMETERS = (422,)
+OF_BODIES = (400, 413, 415, 422)
+OF_KEYS = (409, 422)
+OF_WRITING = (507,)
+KEY = {
+    "name": "Idempotency-Key",
+    "in": "header",
+    "required": False,
+    "description": "Sent again within a day, the request is not worked on twice but answered the same.",
+    "schema": {"type": "string", "pattern": "^[!-~]{1,128}$"},
+    "example": "5f3a9c1e-first-try",
+}
+
+Operation = dict[str, Any]
+
+
+def documented(api: FastAPI) -> Callable[[], dict[str, Any]]:
+    """The function that makes the document of `api`, once."""
+
+    def document() -> dict[str, Any]:
+        if api.openapi_schema is None:
+            api.openapi_schema = _document(api)
+        return api.openapi_schema
+
+    return document
+
+
+def operation_id(route: APIRoute) -> str:
+    """`<noun>_<what the route is called>`: short, and one of a kind since a module is a noun."""
+    return f"{route.endpoint.__module__.rpartition('.')[2]}_{route.name}"
+
+
+def operations(document: dict[str, Any]) -> Iterator[tuple[str, str, Operation]]:
+    """(path, method, operation) of everything in the document."""
+    for path, methods in document["paths"].items():
+        yield from ((path, method, methods[method]) for method in METHODS if method in methods)
+
+
+def _document(api: FastAPI) -> dict[str, Any]:
+    document = get_openapi(title=api.title, version=api.version, description=api.description, routes=api.routes)
+    schemas = document.setdefault("components", {}).setdefault("schemas", {})
+    _, ours = models_json_schema(
+        [(model, "serialization") for model in (Problem, Finding)], ref_template="#/components/schemas/{model}"
+    )
+    schemas |= ours["$defs"]
+    for name in ("HTTPValidationError", "ValidationError"):  # FastAPI's own shape of a 422, which is not ours
+        schemas.pop(name, None)
+    for path, method, operation in operations(document):
+        _complete(path, method, operation)
+    return document
+
+
+def _complete(path: str, method: str, operation: Operation) -> None:
+    """Add what follows from the operation's form."""
+    answers = operation["responses"]
+    if "HTTPValidationError" in str(answers.get("422", "")):
+        del answers["422"]
+    for status in sorted(_implied(path, method, operation)):
+        answers.setdefault(str(status), refusal(status))
+    operation["responses"] = {status: answers[status] for status in sorted(answers)}
+    if _takes_key(path, method, operation):
+        operation.setdefault("parameters", []).append(KEY)
+
+
+def _implied(path: str, method: str, operation: Operation) -> set[int]:
+    if not path.startswith(PREFIX):
+        return {500}
+    implied = {*ALWAYS}
+    implied |= {*TO_CALLERS} if "security" in operation else set()
+    implied |= {*OF_PARAMETERS} if "parameters" in operation else set()
+    implied |= {*OF_BODIES} if "requestBody" in operation else set()
+    implied |= {*OF_KEYS} if _takes_key(path, method, operation) else set()
+    return implied | ({*OF_WRITING} if method in ("post", "put", "patch") else set())
+
+
+def _takes_key(path: str, method: str, operation: Operation) -> bool:
+    return method == "post" and path.startswith(PREFIX) and "security" in operation

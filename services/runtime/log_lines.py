@@ -1,0 +1,43 @@
+"""What processes say, one JSON object a line: time, level, logger, event, and the facts beside it.
+
+**Conventions.** Everything goes to stderr, ours (structlog) and what libraries say (logging) in the same shape. What is
+bound to the context (`request_id`) is in every line. `speak_json()` is for entry points; tests and tools are left alone.
+"""
+
+import logging
+import sys
+
+import structlog
+from structlog.types import Processor
+
+LIBRARIES = ("uvicorn", "uvicorn.error", "uvicorn.access")
+
+_SHARED: tuple[Processor, ...] = (
+    structlog.contextvars.merge_contextvars,
+    structlog.stdlib.add_logger_name,
+    structlog.stdlib.add_log_level,
+    structlog.processors.TimeStamper(fmt="iso", utc=True),
+    structlog.processors.dict_tracebacks,
+)
+
+
+def speak_json(level: int = logging.INFO) -> None:
+    """Let this process say what it says as JSON lines, from `level` upwards. A second call changes nothing more."""
+    structlog.configure(
+        processors=[structlog.stdlib.filter_by_level, *_SHARED, structlog.stdlib.ProcessorFormatter.wrap_for_formatter],
+        logger_factory=structlog.stdlib.LoggerFactory(),
+        wrapper_class=structlog.stdlib.BoundLogger,
+        cache_logger_on_first_use=False,
+    )
+    finish: list[Processor] = [
+        structlog.stdlib.ProcessorFormatter.remove_processors_meta,
+        structlog.processors.JSONRenderer(default=repr),
+    ]
+    lines = logging.StreamHandler(sys.stderr)
+    lines.setFormatter(structlog.stdlib.ProcessorFormatter(foreign_pre_chain=list(_SHARED), processors=finish))
+    logging.root.handlers[:] = [lines]
+    logging.root.setLevel(level)
+    for name in LIBRARIES:  # these bring handlers of their own
+        logger = logging.getLogger(name)
+        logger.handlers.clear()
+        logger.propagate = True
