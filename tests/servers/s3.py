@@ -42,7 +42,15 @@ def running_s3() -> Iterator[S3Server]:
     (folder / "buckets").mkdir()
     port, key_id, secret = free_port(), token_hex(8), token_hex(16)
     command: list[str | Path] = [_binary(), "serve", "s3", "--addr", f"127.0.0.1:{port}"]
-    command += ["--auth-key", f"{key_id},{secret}", "--config", folder / "rclone.conf", folder / "buckets"]
+    command += [
+        "--auth-key",
+        f"{key_id},{secret}",
+        "--dir-cache-time",
+        "0s",
+        "--config",
+        folder / "rclone.conf",
+        folder / "buckets",
+    ]
     server = S3Server(command, folder, lambda: answers(port), port=port, key_id=key_id, secret=secret)
     try:
         server.start()

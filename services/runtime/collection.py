@@ -1,0 +1,135 @@
+"""The collection of what nobody needs: blobs without a reference, objects without a blob, the work of runs that ended.
+
+**Conventions.** A blob's row goes before its object, in one transaction with the object's condemnation, so a crash at
+any point leaves something that the next collection ends. The grace only spares work; what may be deleted is decided by
+who takes out the row of `loose_objects` (`services/runtime/blobs.py`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import groupby, islice
+
+from sqlalchemy import ColumnElement, delete, exists, or_, select, union_all, update
+from sqlalchemy.orm import Session
+
+from services.runtime.inserting import insert_new
+from services.runtime.jobs.specs import TERMINAL
+from services.runtime.orm import Base, Blob, Job, LooseObject
+from services.runtime.orm.base import now_ns
+from services.runtime.platform import Platform
+from services.runtime.workspace import Workspace
+
+BLOBS = "blobs/"
+WORK = "work/"
+BATCH = 500
+UNSYNCHRONISED = {"synchronize_session": False}
+KEPT_FAILED_NS = 7 * 86_400 * 10**9
+
+
+@dataclass(frozen=True)
+class Collected:
+    """How many blob rows and objects (blobs, work files, halves of dead writers) went."""
+
+    rows: int
+    objects: int
+
+
+def collect(platform: Platform) -> Collected:
+    """Remove what is older than the grace and needed by nobody. Any number may run at once."""
+    before_ns = now_ns() - int(platform.settings.store.grace_s * 1e9)
+    rows = _release_blobs(platform, before_ns)
+    _condemn_loose(platform, before_ns)
+    _condemn_unknown(platform, before_ns)
+    objects = _delete_condemned(platform) + _delete_work(platform, before_ns)
+    return Collected(rows, objects + platform.store.tidy(platform.settings.store.grace_s))
+
+
+def _release_blobs(platform: Platform, before_ns: int) -> int:
+    """Delete rows without a reference, condemning their objects.
+
+    On PostgreSQL two statements are needed: rows are locked first, against new references; then those are looked for.
+    """
+    released = 0
+    old = select(Blob.sha256).where(Blob.created_ns <= before_ns, ~_is_referenced())
+    while True:
+        with platform.database.transaction() as session:
+            shas = session.scalars(old.limit(BATCH).with_for_update(skip_locked=True)).all()
+            unneeded = delete(Blob).where(Blob.sha256.in_(shas), ~_is_referenced()).returning(Blob.object_key)
+            keys = session.scalars(unneeded.execution_options(**UNSYNCHRONISED)).all()
+            insert_new(session, LooseObject, [{"object_key": key, "is_condemned": True} for key in keys])
+        released += len(keys)
+        if len(shas) < BATCH:
+            return released
+
+
+def _is_referenced() -> ColumnElement[bool]:
+    """Whether a foreign key of any table refers to the blob."""
+    columns = [column for table in Base.metadata.sorted_tables for column in table.columns]
+    referring = [column for column in columns if any(key.column.table is Blob.__table__ for key in column.foreign_keys)]
+    return or_(*(exists().where(column == Blob.sha256) for column in referring))
+
+
+def _condemn_loose(platform: Platform, before_ns: int) -> None:
+    """Objects written and never linked."""
+    forgotten = update(LooseObject).where(LooseObject.is_condemned.is_(False), LooseObject.created_ns <= before_ns)
+    with platform.database.transaction() as session:
+        session.execute(forgotten.values(is_condemned=True))
+
+
+def _condemn_unknown(platform: Platform, before_ns: int) -> None:
+    """Objects no row speaks of: of transactions rolled back, of a database restored to an earlier day."""
+    found = (stored for stored in platform.store.listed(BLOBS) if stored.modified_ns <= before_ns)
+    while batch := [stored.key for stored in islice(found, BATCH)]:
+        with platform.database.reading() as session:
+            unknown = sorted(set(batch) - _known(session, batch))
+        with platform.database.transaction() as session:
+            condemned = insert_new(session, LooseObject, [{"object_key": key, "is_condemned": True} for key in unknown])
+            _spare(session, condemned)
+
+
+def _known(session: Session, keys: Sequence[str]) -> set[str]:
+    """Keys that a row speaks of; one statement, since a key may go from one table to the other between two."""
+    loose = select(LooseObject.object_key).where(LooseObject.object_key.in_(keys))
+    return set(session.scalars(union_all(loose, select(Blob.object_key).where(Blob.object_key.in_(keys)))))
+
+
+def _spare(session: Session, condemned: Sequence[str]) -> None:
+    """Take back the condemnation of what was named by a transaction that ours had to wait for."""
+    named = select(Blob.object_key).where(Blob.object_key.in_(condemned))
+    session.execute(delete(LooseObject).where(LooseObject.object_key.in_(named)).execution_options(**UNSYNCHRONISED))
+
+
+def _delete_condemned(platform: Platform) -> int:
+    deleted = 0
+    while True:
+        with platform.database.reading() as session:
+            keys = session.scalars(select(LooseObject.object_key).where(LooseObject.is_condemned).limit(BATCH)).all()
+        for key in keys:
+            platform.store.delete(key)
+        with platform.database.transaction() as session:
+            gone = delete(LooseObject).where(LooseObject.object_key.in_(keys)).returning(LooseObject.object_key)
+            deleted += len(session.scalars(gone.execution_options(**UNSYNCHRONISED)).all())
+        if len(keys) < BATCH:
+            return deleted
+
+
+def _delete_work(platform: Platform, before_ns: int) -> int:
+    """Remove the workspaces of runs that are over; how many objects they had."""
+    deleted = 0
+    for root_id, objects in groupby(platform.store.listed(WORK), key=lambda stored: stored.key.split("/")[1]):
+        modified_ns = [stored.modified_ns for stored in objects]
+        if _is_over(platform, root_id, max(modified_ns) <= before_ns):
+            Workspace(platform.store, platform.settings, root_id).remove()
+            deleted += len(modified_ns)
+    return deleted
+
+
+def _is_over(platform: Platform, root_id: str, is_old: bool) -> bool:
+    """Whether no job of the run will ask for its work again; of a run nobody knows, whether it is old."""
+    with platform.database.reading() as session:
+        run = session.get(Job, root_id)
+    if run is None:
+        return is_old
+    return run.state == "succeeded" or (
+        run.finished_ns is not None and run.state in TERMINAL and run.finished_ns <= now_ns() - KEPT_FAILED_NS
+    )

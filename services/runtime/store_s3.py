@@ -1,0 +1,167 @@
+"""A store in an S3 bucket, with a cache of whole objects on this machine.
+
+**Conventions.** Nothing rests on what S3-compatible servers differ in: If-None-Match, ETags as MD5, refusal of a wrong
+checksum (our own sha256 is in the database). Checksums are sent and asked for only where the protocol requires them:
+some servers answer a ranged read with the checksum of the whole. A file reaches the cache whole or not at all.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import boto3
+from boto3.exceptions import Boto3Error
+from boto3.s3.transfer import TransferConfig
+from botocore.config import Config
+from botocore.exceptions import BotoCoreError, ClientError
+
+from services.runtime.settings import Settings, StoreSettings
+from services.runtime.store import Stored
+from services.runtime.store_cache import Cache
+from services.runtime.store_folder import flush, refusing_full
+from services.runtime.store_keys import (
+    ObjectMissingError,
+    StoreAwayError,
+    StoreFullError,
+    checked,
+    checked_prefix,
+    checked_range,
+)
+
+if TYPE_CHECKING:
+    from types_boto3_s3 import S3Client
+    from types_boto3_s3.type_defs import GetObjectOutputTypeDef
+
+MIB = 2**20
+PIECE_BYTES = MIB
+RESUMES = 4
+MISSING = {"404", "NoSuchKey", "NotFound"}
+NO_SPACE = {"QuotaExceeded", "InsufficientStorage", "XMinioStorageFull", "507"}
+TRANSFER = TransferConfig(multipart_threshold=16 * MIB, multipart_chunksize=16 * MIB, max_concurrency=4)
+CLIENT = Config(
+    connect_timeout=5,
+    read_timeout=60,
+    retries={"mode": "standard", "total_max_attempts": 5},
+    max_pool_connections=32,
+    request_checksum_calculation="when_required",
+    response_checksum_validation="when_required",
+)
+
+
+class S3Store:
+    """Objects of the bucket that `settings` name; raises `StoreAwayError` when it does not answer."""
+
+    def __init__(self, settings: Settings) -> None:
+        self.bucket = settings.store.s3_bucket
+        self._client = _client(settings.store)
+        self.cache = Cache(settings.root / "cache", settings.store.cache_bytes)
+
+    def write(self, key: str, source: Path) -> None:
+        """Upload `source`, in parts when it is large. Raises `StoreFullError`."""
+        with self._translated(checked(key)):
+            self._client.upload_file(str(source), self.bucket, key, Config=TRANSFER)
+
+    def adopt(self, key: str, source: Path) -> None:
+        """Upload `source`; it stays."""
+        self.write(key, source)
+
+    def read(self, key: str, start: int = 0, stop: int | None = None) -> Iterator[bytes]:
+        """The bytes [start, stop), clipped to the object, in pieces; a missing object is refused at the call."""
+        checked_range(start, stop)
+        end = self.size_bytes(key)
+        return self._pieces(key, start, end if stop is None else min(stop, end))
+
+    def size_bytes(self, key: str) -> int:
+        with self._translated(checked(key)):
+            return int(self._client.head_object(Bucket=self.bucket, Key=key)["ContentLength"])
+
+    def local(self, key: str) -> Path:
+        """The cached copy, downloaded when there is none; not evicted within an hour of the last call."""
+        return self.cache.file(checked(key), self.download)
+
+    def download(self, key: str, target: Path) -> None:
+        """Write the object into the file `target` and flush it. Raises `StoreFullError` when the disk is full."""
+        with self._translated(checked(key)), refusing_full(target.parent):
+            with target.open("wb") as file:
+                self._client.download_fileobj(self.bucket, key, file, Config=TRANSFER)
+            flush(target)
+
+    def delete(self, key: str) -> None:
+        with self._translated(checked(key)):
+            self._client.delete_object(Bucket=self.bucket, Key=key)
+
+    def listed(self, prefix: str) -> Iterator[Stored]:
+        pages = self._client.get_paginator("list_objects_v2").paginate(
+            Bucket=self.bucket, Prefix=checked_prefix(prefix)
+        )
+        with self._translated(prefix):
+            for page in pages:
+                for found in page.get("Contents", []):
+                    modified_ns = int(found["LastModified"].timestamp() * 1e9)
+                    yield Stored(found["Key"], found["Size"], modified_ns)
+
+    def tidy(self, grace_s: float) -> int:
+        """Abort multipart uploads begun before the grace, and remove what dead downloads left in the cache."""
+        aborted = 0
+        before = datetime.now(UTC) - timedelta(seconds=grace_s)
+        with self._translated(""):
+            for page in self._client.get_paginator("list_multipart_uploads").paginate(Bucket=self.bucket):
+                stale = [upload for upload in page.get("Uploads", []) if upload["Initiated"] <= before]
+                for upload in stale:
+                    self._client.abort_multipart_upload(
+                        Bucket=self.bucket, Key=upload["Key"], UploadId=upload["UploadId"]
+                    )
+                aborted += len(stale)
+        return aborted + self.cache.tidy()
+
+    def _pieces(self, key: str, start: int, stop: int) -> Iterator[bytes]:
+        """Resumed where it broke off, at most `RESUMES` times without progress."""
+        failures, reason = 0, "it ended early"
+        while start < stop:
+            before = start
+            try:
+                for piece in self._opened(key, start, stop)["Body"].iter_chunks(PIECE_BYTES):
+                    start += len(piece)
+                    yield piece
+            except BotoCoreError as error:
+                reason = str(error)
+            failures = 0 if start > before else failures + 1
+            if failures > RESUMES:
+                raise StoreAwayError(self._place, reason)
+
+    def _opened(self, key: str, start: int, stop: int) -> "GetObjectOutputTypeDef":
+        with self._translated(key):
+            return self._client.get_object(Bucket=self.bucket, Key=key, Range=f"bytes={start}-{stop - 1}")
+
+    @property
+    def _place(self) -> str:
+        return f"{self._client.meta.endpoint_url}/{self.bucket}"
+
+    @contextmanager
+    def _translated(self, key: str) -> Iterator[None]:
+        """Say in our words what the client raises."""
+        try:
+            yield
+        except ClientError as error:
+            code = error.response.get("Error", {}).get("Code", "")
+            if code in MISSING:
+                raise ObjectMissingError(key) from error
+            if code in NO_SPACE:
+                raise StoreFullError(self._place) from error
+            raise StoreAwayError(self._place, str(error)) from error
+        except (BotoCoreError, Boto3Error) as error:
+            raise StoreAwayError(self._place, str(error)) from error
+
+
+def _client(store: StoreSettings) -> "S3Client":
+    """Keys that are empty are looked for where AWS's own tools look."""
+    return boto3.client(
+        "s3",
+        endpoint_url=store.s3_endpoint or None,
+        region_name=store.s3_region,
+        aws_access_key_id=store.s3_key_id or None,
+        aws_secret_access_key=store.s3_secret.get_secret_value() or None,
+        config=CLIENT,
+    )
