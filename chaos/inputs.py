@@ -1,0 +1,38 @@
+"""What is brought to the platform in every round: one simulated recording, the same for all kinds and rounds.
+
+**Conventions.** The drive is just longer than a part of frames, its world wide enough for several tiles: a run then has
+every stage of a long one, some of them side by side, in a few seconds. Few rays: what costs is their number.
+"""
+
+from dataclasses import dataclass
+from hashlib import file_digest
+from pathlib import Path
+
+from simulator.options import SimulateOptions
+from simulator.pipeline import calibration_path, simulate
+
+SEQUENCE = "chaos"
+OPTIONS = SimulateOptions(seconds=6.4, seed=1, channels=16, columns=180, camera_width_px=400)
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """A recording and its calibration as files; `sha256` is the recording's."""
+
+    bag: Path
+    calibration: Path
+    sha256: str
+
+    @property
+    def size_bytes(self) -> int:
+        return self.bag.stat().st_size
+
+
+def simulated(folder: Path) -> Inputs:
+    """The recording, from an earlier run in this folder where there is one."""
+    folder.mkdir(parents=True, exist_ok=True)
+    bag = folder / f"{SEQUENCE}.mcap"
+    if not bag.exists():
+        simulate(bag, OPTIONS)
+    with bag.open("rb") as file:
+        return Inputs(bag, calibration_path(bag), file_digest(file, "sha256").hexdigest())

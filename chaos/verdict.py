@@ -1,0 +1,163 @@
+"""What must be true after a round; each way in which it is not is a violation with its reason.
+
+**Conventions.** Everything is read from the database and the store behind the API's back, once the round has ended. A
+check that finds nothing to look at is a violation too: silence proves nothing.
+"""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+from typing import Literal, TypeVar
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from chaos.made import Brought, Made, made_by, object_bytes
+from services.runtime import quota
+from services.runtime.orm import Blob, Job, JobAttempt, LabelSet, Recording, Upload
+from services.runtime.platform import Platform
+from services.runtime.uploads.files import upload_file
+
+Sort = Literal["lost", "doubled", "differing"]
+Name = TypeVar("Name", str, tuple[int, str])
+
+
+@dataclass(frozen=True)
+class Violation:
+    """Something that must not be."""
+
+    sort: Sort
+    sentence: str
+
+
+def judge(platform: Platform, brought: Brought, undisturbed: Made) -> list[Violation]:
+    """Every violation of a round that has ended; none is what is hoped for."""
+    with platform.database.reading() as session:
+        found = [
+            *_judge_jobs(session, brought, platform.settings.jobs.max_attempts),
+            *_judge_label_sets(session, brought),
+            *_judge_recordings(session, brought),
+            *_judge_quota(session, brought),
+        ]
+    found += _judge_uploads(platform, brought)
+    found += _judge_made(made_by(platform, brought), undisturbed)
+    return found + list(judge_blobs(platform))
+
+
+def judge_blobs(platform: Platform) -> Iterator[Violation]:
+    """No blob row without its object, and each object is what its row says."""
+    with platform.database.reading() as session:
+        blobs = session.scalars(select(Blob)).all()
+    for blob in blobs:
+        content = object_bytes(platform.store, blob.object_key)
+        if content is None:
+            yield Violation("lost", f"blob {blob.sha256} has no object {blob.object_key}")
+        elif sha256(content).hexdigest() != blob.sha256:
+            yield Violation("differing", f"object {blob.object_key} is not what its row says")
+
+
+def _judge_jobs(session: Session, brought: Brought, max_attempts: int) -> Iterator[Violation]:
+    """Every job succeeded, by one attempt, within the attempts it has; the others were lost to kills, nothing else."""
+    jobs = session.scalars(select(Job).where(Job.owner_id == brought.owner_id)).all()
+    if not any(job.id == brought.run_id for job in jobs):
+        yield Violation("lost", f"there is no run {brought.run_id}")
+    for job in jobs:
+        if job.state != "succeeded":
+            yield Violation("lost", f"{job.kind} {job.id} is {job.state}: {job.failure or 'no reason given'}")
+        if job.queue:
+            attempts = select(JobAttempt).where(JobAttempt.job_id == job.id).order_by(JobAttempt.number)
+            yield from _judge_attempts(job, session.scalars(attempts).all(), max_attempts)
+
+
+def _judge_attempts(job: Job, attempts: Sequence[JobAttempt], max_attempts: int) -> Iterator[Violation]:
+    name = f"{job.kind} {job.id}"
+    outcomes = Counter(attempt.outcome for attempt in attempts)
+    succeeded, others = outcomes.pop("succeeded", 0), sorted(outcomes)
+    if succeeded > 1:
+        yield Violation("doubled", f"{name} was done {succeeded} times")
+    if succeeded == 0:
+        yield Violation("lost", f"{name} was never done: {len(attempts)} attempts")
+    if len(attempts) > max_attempts:
+        yield Violation("doubled", f"{name} was tried {len(attempts)} times, {max_attempts} are allowed")
+    if [attempt.number for attempt in attempts] != list(range(1, job.attempt + 1)):
+        yield Violation("lost", f"{name} has had {job.attempt} attempts and keeps {len(attempts)}")
+    if others not in ([], ["lost"]):
+        yield Violation("lost", f"{name} has attempts that ended {others}; a kill makes them lost, nothing else")
+
+
+def _judge_label_sets(session: Session, brought: Brought) -> Iterator[Violation]:
+    """One label set, made by the run."""
+    made_by_run = session.scalars(select(LabelSet.job_id).where(LabelSet.sequence_id == brought.sequence_id)).all()
+    if not made_by_run:
+        yield Violation("lost", f"sequence {brought.sequence_id} has no label set")
+    if len(made_by_run) > 1 or any(job_id != brought.run_id for job_id in made_by_run):
+        yield Violation("doubled", f"sequence {brought.sequence_id} has label sets of the runs {sorted(made_by_run)}")
+
+
+def _judge_recordings(session: Session, brought: Brought) -> Iterator[Violation]:
+    """One recording, registered, of the bytes that were brought."""
+    recordings = session.scalars(select(Recording).where(Recording.sequence_id == brought.sequence_id)).all()
+    if not recordings:
+        yield Violation("lost", f"sequence {brought.sequence_id} has no recording")
+    if len(recordings) > 1:
+        yield Violation("doubled", f"sequence {brought.sequence_id} has {len(recordings)} recordings")
+    for recording in recordings:
+        if recording.state != "registered":
+            yield Violation("lost", f"recording {recording.id} is {recording.state}")
+        if not recording.sha256 == recording.blob_sha256 == brought.sha256:
+            yield Violation("differing", f"recording {recording.id} is {recording.blob_sha256}, not {brought.sha256}")
+
+
+def _judge_quota(session: Session, brought: Brought) -> Iterator[Violation]:
+    """What is under way or kept is counted, once."""
+    holding = select(Upload.length_bytes).where(
+        Upload.owner_id == brought.owner_id, Upload.state.in_(("open", "complete", "consumed"))
+    )
+    taken_bytes, held_bytes = quota.balance(session, brought.owner_id), sum(session.scalars(holding))
+    if taken_bytes != held_bytes:
+        sort: Sort = "doubled" if taken_bytes > held_bytes else "lost"
+        yield Violation(sort, f"{taken_bytes} bytes are counted for uploads of {held_bytes} bytes")
+
+
+def _judge_uploads(platform: Platform, brought: Brought) -> Iterator[Violation]:
+    """One upload is whole and used; of an upload that a killed client forgot nothing has come."""
+    with platform.database.reading() as session:
+        uploads = session.scalars(select(Upload).where(Upload.owner_id == brought.owner_id)).all()
+    states = [upload.state for upload in uploads]
+    if "consumed" not in states:
+        yield Violation("lost", f"no upload arrived: {states}")
+    for upload in uploads:
+        path = upload_file(platform.settings, upload.id)
+        content = path.read_bytes() if path.exists() else None
+        if upload.state == "open" and not content:
+            continue
+        if upload.state != "consumed":
+            yield Violation("doubled", f"upload {upload.id} is {upload.state} beside the one that was used: {states}")
+        elif upload.sha256 != brought.sha256:
+            yield Violation("differing", f"upload {upload.id} says {upload.sha256}, sent was {brought.sha256}")
+        elif content is not None and sha256(content).hexdigest() != brought.sha256:
+            yield Violation("differing", f"upload {upload.id} is something else on disk than what was sent")
+
+
+def _judge_made(made: Made, undisturbed: Made) -> Iterator[Violation]:
+    """The same artefacts, the same frames, by as many jobs."""
+    if not undisturbed.artefacts or not undisturbed.frames:
+        yield Violation("lost", "the undisturbed run made nothing to compare with")
+    yield from (Violation("differing", flaw) for flaw in made.flaws)
+    yield from _judge_same("artefact", made.artefacts, undisturbed.artefacts)
+    yield from _judge_same("frame", made.frames, undisturbed.frames)
+    for kind in sorted({*made.jobs, *undisturbed.jobs}):
+        count, expected = made.jobs.get(kind, 0), undisturbed.jobs.get(kind, 0)
+        if count != expected:
+            yield Violation("doubled" if count > expected else "lost", f"{count} jobs {kind}, undisturbed {expected}")
+
+
+def _judge_same(noun: str, made: Mapping[Name, str], expected: Mapping[Name, str]) -> Iterator[Violation]:
+    for name in sorted(expected.keys() - made.keys(), key=str):
+        yield Violation("lost", f"{noun} {name} is not there")
+    for name in sorted(made.keys() - expected.keys(), key=str):
+        yield Violation("differing", f"{noun} {name} is not of the undisturbed run")
+    for name in sorted(made.keys() & expected.keys(), key=str):
+        if made[name] != expected[name]:
+            yield Violation("differing", f"{noun} {name} is {made[name]}, undisturbed {expected[name]}")
