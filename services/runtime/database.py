@@ -18,6 +18,7 @@ from services.runtime.settings import Settings
 
 Ring = Callable[[str, int], None]
 BELLS = "bells"
+CONNECT_S = 5
 
 
 class Database:
@@ -61,12 +62,14 @@ def _engine(settings: Settings) -> Engine:
     url = make_url(settings.database_url)
     if url.get_backend_name() == "sqlite":
         Path(url.database or "").parent.mkdir(parents=True, exist_ok=True)
-        engine = create_engine(url, connect_args={"timeout": settings.database.busy_timeout_s})
+        engine = create_engine(url, connect_args={"timeout": settings.database.busy_timeout_s}, hide_parameters=True)
         event.listen(engine, "connect", _prepare_sqlite)
         event.listen(engine, "begin", _begin_sqlite)
         return engine
     url = url.set(drivername="postgresql+psycopg")
-    return create_engine(url, pool_size=settings.database.pool_size, max_overflow=20, pool_pre_ping=True)
+    pool = {"pool_size": settings.database.pool_size, "max_overflow": 20, "pool_pre_ping": True}
+    # What is written may be a secret, so errors and logs show statements without it.
+    return create_engine(url, connect_args={"connect_timeout": CONNECT_S}, hide_parameters=True, **pool)
 
 
 def _prepare_sqlite(connection: Any, _record: object) -> None:
