@@ -1,7 +1,8 @@
 """What processes say, one JSON object a line: time, level, logger, event, and the facts beside it.
 
 **Conventions.** Everything goes to stderr, ours (structlog) and what libraries say (logging) in the same shape. What is
-bound to the context (`request_id`) is in every line. `speak_json()` is for entry points; tests and tools are left alone.
+bound to the context (`request_id`) is in every line. `speak_json()` is for entry points; tests and tools are left
+alone.
 """
 
 import logging
@@ -17,7 +18,8 @@ _SHARED: tuple[Processor, ...] = (
     structlog.stdlib.add_logger_name,
     structlog.stdlib.add_log_level,
     structlog.processors.TimeStamper(fmt="iso", utc=True),
-    structlog.processors.dict_tracebacks,
+    # Without local variables, which may be secrets.
+    structlog.processors.ExceptionRenderer(structlog.tracebacks.ExceptionDictTransformer(show_locals=False)),
 )
 
 
