@@ -6,7 +6,7 @@ import shutil
 import signal
 import subprocess
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -55,15 +55,15 @@ class PostgresServer(Server):
 
 
 @contextmanager
-def running_postgres() -> Iterator[PostgresServer]:
-    """A started server; ended, and its folder removed, on the way out."""
+def running_postgres(**options: str) -> Iterator[PostgresServer]:
+    """A started server, with `options` beside or instead of ours; ended, and its folder removed, on the way out."""
     folder = Path(tempfile.mkdtemp(prefix="stone-postgres-"))
     try:
         if NOBODY:
             shutil.chown(folder, NOBODY)
         binaries = _binaries(folder)
         _initialise(binaries, folder)
-        server = _server(binaries, folder)
+        server = _server(binaries, folder, {**OPTIONS, **options})
         server.start()
         try:
             yield server
@@ -73,9 +73,9 @@ def running_postgres() -> Iterator[PostgresServer]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _server(binaries: Path, folder: Path) -> PostgresServer:
+def _server(binaries: Path, folder: Path, options: Mapping[str, str]) -> PostgresServer:
     port = free_port()
-    settings = [word for name, value in OPTIONS.items() for word in ("-c", f"{name}={value}")]
+    settings = [word for name, value in options.items() for word in ("-c", f"{name}={value}")]
     server = PostgresServer(
         command=[binaries / "postgres", "-D", folder / "cluster", "-p", str(port), *settings],
         folder=folder,

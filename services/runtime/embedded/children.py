@@ -92,6 +92,10 @@ class Child:
             self.start()
             self._told(f"{self.program.name} started again, process {self.pid}")
 
+    def forgive(self) -> None:
+        """Its next death is not its own fault, say a test's: the pause after it is the first again."""
+        self._pause_s = FIRST_PAUSE_S
+
     def ask_to_stop(self) -> None:
         """Send SIGTERM to the child itself; its own children are its own business."""
         if self._process and self.exit_code is None:
