@@ -18,7 +18,8 @@ from client.credentials import Server, is_local
 from client.errors import ServerFaultError, ServerRefusedError, ServerUnreachableError
 
 PREFIX = "/api/v1"
-TIMEOUT_S = httpx.Timeout(60.0, connect=10.0)
+REPLY_S = 60.0
+CONNECT_S = 10.0
 SAFE = frozenset({"GET", "HEAD", "PUT", "DELETE", "OPTIONS"})
 BUSY = frozenset({429, 502, 503, 504})
 FIRST_PAUSE_S = 0.25
@@ -38,7 +39,7 @@ class Api:
         self._http = httpx.Client(
             base_url=server.url,
             headers=headers,
-            timeout=TIMEOUT_S,
+            timeout=httpx.Timeout(REPLY_S, connect=CONNECT_S),
             trust_env=not is_local(server.url),
             transport=transport,
         )
@@ -89,10 +90,10 @@ class Api:
 
     @contextmanager
     def stream(
-        self, path: str, headers: Mapping[str, str] | None = None, read_s: float = 60.0
+        self, path: str, headers: Mapping[str, str] | None = None, read_s: float = REPLY_S
     ) -> Iterator[httpx.Response]:
         """A GET whose body is read as it comes; not sent again. Raises as `send` does, and httpx's own errors."""
-        timeout = httpx.Timeout(TIMEOUT_S, read=read_s)
+        timeout = httpx.Timeout(read_s, connect=CONNECT_S)
         with self._http.stream("GET", self._path(path), headers=dict(headers or {}), timeout=timeout) as answer:
             if not answer.is_success:
                 answer.read()

@@ -60,6 +60,14 @@ def download_report(sequence_id: IdPath, caller: Reader, platform: PlatformDep, 
     return answer_file(request, platform.store, file)
 
 
+@router.get("/frames.parquet", response_class=Response, responses=file_responses("application/vnd.apache.parquet"))
+def download_frame_table(sequence_id: IdPath, caller: Reader, platform: PlatformDep, request: Request) -> Response:
+    """One row for each LiDAR stamp, usable or not: token, pose, what was associated, why it is excluded."""
+    with platform.database.reading() as session:
+        file = _artefact(session, caller, sequence_id, "frames.parquet")
+    return answer_file(request, platform.store, file)
+
+
 @router.get("/mesh", response_class=Response, responses=file_responses("application/ply"))
 def download_mesh(sequence_id: IdPath, caller: Reader, platform: PlatformDep, request: Request) -> Response:
     """The mesh of the whole sequence as binary PLY; ranges are served."""
@@ -84,7 +92,7 @@ def _artefact(session: Session, caller: Caller, sequence_id: str, name: str) -> 
     labels = newest_label_set(session, sequence.id)
     named = select(Artefact, Blob).join(Blob, Blob.sha256 == Artefact.blob_sha256)
     mine = named.where(Artefact.label_set_id == labels.id, Artefact.name == name)
-    row = session.execute(mine).tuples().one_or_none()
+    row = session.execute(mine).one_or_none()
     if row is None:
         raise NotFoundError("file of this sequence", name)
     artefact, blob = row
