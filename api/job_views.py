@@ -17,7 +17,7 @@ def job_items(session: Session, jobs: Sequence[Job]) -> list[JobItem]:
     runs = [job.id for job in jobs if not job.queue]
     succeeded = func.sum(case((Job.state == "succeeded", 1), else_=0))
     counted = select(Job.root_id, succeeded, func.count()).where(Job.root_id.in_(runs), Job.queue != "")
-    counts = {root: (done, total) for root, done, total in session.execute(counted.group_by(Job.root_id)).tuples()}
+    counts = {root: (done, total) for root, done, total in session.execute(counted.group_by(Job.root_id))}
     return [_item(job, _glance(session, job, counts.get(job.id, (0, 0)))) for job in jobs]
 
 

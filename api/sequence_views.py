@@ -52,7 +52,7 @@ def _labels(row: LabelSet) -> LabelGlance:
 
 def _recordings(session: Session, ids: list[str]) -> dict[str, int]:
     counted = select(Recording.sequence_id, func.count()).where(Recording.sequence_id.in_(ids))
-    return dict(session.execute(counted.group_by(Recording.sequence_id)).tuples().all())
+    return dict(session.execute(counted.group_by(Recording.sequence_id)).all())
 
 
 def _newest_runs(session: Session, ids: list[str]) -> dict[str, Job]:

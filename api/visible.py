@@ -73,7 +73,7 @@ def frame_of(session: Session, caller: Caller, token: str) -> tuple[LabelledFram
         .limit(1)
     )
     mine = found if caller.is_administrator else found.where(Sequence.owner_id == caller.user_id)
-    row = session.execute(mine).tuples().one_or_none()
+    row = session.execute(mine).one_or_none()
     return _known(row, "frame", token)
 
 

@@ -160,6 +160,6 @@ def _queue(session: Session, name: str, bells: int | None) -> QueueItem:
     counts = select(
         counted(queued, Job.needs_left == 0), counted(queued, Job.needs_left > 0), counted(Job.state == "running")
     ).where(Job.queue == name, Job.state.in_(("queued", "running")))
-    ready, blocked, running = session.execute(counts).tuples().one()
+    ready, blocked, running = session.execute(counts).one()
     mode = session.scalar(select(Queue.mode).where(Queue.name == name)) or "open"
     return QueueItem(name=name, mode=mode, ready=ready, waiting=blocked, running=running, bells=bells)

@@ -9,6 +9,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 from sqlalchemy import Select, func, select
+from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from api import audit
@@ -64,10 +65,9 @@ def create_sequence(
 ) -> SequenceDetail:
     """Make a sequence; its name is free among the caller's own."""
     with platform.database.transaction() as session:
-        _refuse_taken(session, caller.user_id, body.name)
         sequence = Sequence(owner_id=caller.user_id, **body.model_dump())
         session.add(sequence)
-        session.flush()
+        _flush_named(session, body.name)
         audit.record(session, caller, "sequence.create", sequence.id, facts={"name": sequence.name})
         shown = sequence_detail(session, sequence)
     response.headers["Location"] = f"/api/v1/sequences/{shown.id}"
@@ -112,10 +112,10 @@ def change_sequence(
         require_match(request, sequence.revision)
         changes = {key: value for key, value in body if value is not None and value != getattr(sequence, key)}
         if "name" in changes:
-            _refuse_renaming(session, sequence, changes["name"])
+            _refuse_renaming(session, sequence)
         _change(sequence, changes)
+        _flush_named(session, sequence.name)
         audit.record(session, caller, "sequence.change", sequence.id, facts=changes)
-        session.flush()
         shown = sequence_detail(session, sequence)
     response.headers["ETag"] = etag(shown.revision)
     return shown
@@ -161,17 +161,17 @@ def _change(sequence: Sequence, changes: dict[str, str]) -> None:
     sequence.revision += 1 if changes else 0
 
 
-def _refuse_renaming(session: Session, sequence: Sequence, name: str) -> None:
-    """Raises `ConflictError` where frame tokens carry the old name already, `NameTakenError`."""
+def _refuse_renaming(session: Session, sequence: Sequence) -> None:
+    """Raises `ConflictError` where frame tokens carry the old name already."""
     labels = select(LabelSet.id).where(LabelSet.sequence_id == sequence.id)
     runs = select(Job.id).where(Job.sequence_id == sequence.id, Job.kind == PROCESS, Job.state.not_in(TERMINAL))
     if session.scalar(labels.limit(1)) or session.scalar(runs.limit(1)):
         raise ConflictError("the sequence has labels, or is getting them, and its frame tokens are made of its name")
-    _refuse_taken(session, sequence.owner_id, name)
 
 
-def _refuse_taken(session: Session, owner_id: str, name: str) -> None:
-    """Two at once are told apart by the unique index, with a less friendly sentence. Raises `NameTakenError`."""
-    alive = select(Sequence.id).where(Sequence.owner_id == owner_id, Sequence.deleted_ns.is_(None))
-    if session.scalar(alive.where(Sequence.name == name)):
-        raise NameTakenError("sequence", name)
+def _flush_named(session: Session, name: str) -> None:
+    """The unique index decides, so that of two at once one gets the name. Raises `NameTakenError`."""
+    try:
+        session.flush()
+    except IntegrityError:
+        raise NameTakenError("sequence", name) from None

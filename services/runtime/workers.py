@@ -52,4 +52,4 @@ def running_attempts(session: Session, limit: int) -> list[tuple[Job, JobAttempt
         .order_by(JobAttempt.started_ns, Job.id)
         .limit(limit)
     )
-    return [(job, attempt) for job, attempt in session.execute(running).tuples()]
+    return [(job, attempt) for job, attempt in session.execute(running)]

@@ -1,0 +1,126 @@
+"""Things that stand in the database before a route is called: uploads, labels, runs.
+
+**Conventions.** Whatever can be made through the API is made through it by the test itself; here is only what workers
+make, as rows and blobs of the real store.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import httpx
+
+from services.runtime import blobs
+from services.runtime.jobs.queueing import enqueue, enqueue_run
+from services.runtime.jobs.specs import Context, JobSpec
+from services.runtime.orm import Artefact, Job, LabelledFrame, LabelSet, Upload, new_id
+from services.runtime.orm.base import now_ns
+from services.runtime.platform import Platform
+from services.runtime.uploads import upload_file
+from stone.sequence import frame_token
+from tests.api.serving import Person
+
+NOBODY = "0" * 32
+START_NS = 1_777_800_000_000_000_000
+
+
+@dataclass(frozen=True)
+class Labels:
+    """A label set in the store: the bytes of each artefact and of each frame's labels, by name and by token."""
+
+    id: str
+    files: Mapping[str, bytes]
+    frames: Mapping[str, bytes]
+
+
+def sequence(api: httpx.Client, owner: Person, name: str = "forest", **said: str) -> dict[str, Any]:
+    """A sequence made through the API."""
+    answer = api.post("/api/v1/sequences", json={"name": name, **said}, headers=owner.headers)
+    assert answer.status_code == 201, answer.text
+    made: dict[str, Any] = answer.json()
+    return made
+
+
+def upload(platform: Platform, owner: Person, content: bytes = b"bag", **columns: Any) -> str:
+    """The id of an upload with all its bytes on disk."""
+    row = Upload(id=new_id(), owner_id=owner.user_id, purpose="recording", filename="run.mcap", state="complete")
+    row.length_bytes, row.sha256, row.expires_ns = len(content), sha256(content).hexdigest(), now_ns() + 10**12
+    for key, value in columns.items():
+        setattr(row, key, value)
+    path = upload_file(platform.settings, row.id)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(content)
+    with platform.database.transaction() as session:
+        session.add(row)
+    return row.id
+
+
+def labels(platform: Platform, made: Mapping[str, Any], frames: int = 3, seed: bytes = b"") -> Labels:
+    """A label set of the sequence, as the labeler publishes it; the contents are told apart by `seed`."""
+    of_frames = {frame_token(made["name"], START_NS + i): seed + b"labels of %d " % i * (i + 1) for i in range(frames)}
+    files = {
+        "report.json": b'{"frames": %d, "seed": "%s"}' % (frames, seed),
+        "mesh.ply": b"ply\n" + seed + bytes(range(256)) * 40,
+        "bev.png": b"\x89PNG\r\n" + seed,
+        "labels/000000.pack": b"".join(of_frames.values()),
+    }
+    with platform.database.transaction() as session:
+        run = enqueue_run(session, "sequence.process", [JobSpec("ingest.synchronise")], _context(made))
+        run.state, run.arguments = "succeeded", {"recipe": seed.hex()}
+        row = LabelSet(sequence_id=made["id"], job_id=run.id, recipe=new_id() * 2, parameters={"profile": "paper"})
+        row.code_version, row.frames = "1", frames
+        session.add(row)
+        session.flush()
+        artefacts = {name: _artefact(session, platform, row.id, name, content) for name, content in files.items()}
+        offset = 0
+        for ordinal, (token, content) in enumerate(of_frames.items()):
+            frame = LabelledFrame(label_set_id=row.id, ordinal=ordinal, token=token, stamp_ns=START_NS + ordinal)
+            frame.pack_id, frame.offset_bytes, frame.length_bytes = (
+                artefacts["labels/000000.pack"],
+                offset,
+                len(content),
+            )
+            frame.sha256 = sha256(content).hexdigest()
+            session.add(frame)
+            offset += len(content)
+    return Labels(row.id, files, of_frames)
+
+
+def run(platform: Platform, owner: Person, *kinds: str, sequence_id: str | None = None) -> str:
+    """The id of a queued run of jobs of these kinds, each after the one before."""
+    keys = [str(number) for number in range(len(kinds))]
+    specs = [
+        JobSpec(kind, {}, key, tuple(keys[:i][-1:])) for i, (kind, key) in enumerate(zip(kinds, keys, strict=True))
+    ]
+    with platform.database.transaction() as session:
+        return enqueue_run(session, "sequence.process", specs, Context(owner.user_id, sequence_id)).id
+
+
+def job(platform: Platform, owner: Person, kind: str, **arguments: Any) -> str:
+    """The id of a queued job that is its own run."""
+    with platform.database.transaction() as session:
+        return enqueue(session, JobSpec(kind, arguments), Context(owner.user_id)).id
+
+
+def row_of(platform: Platform, job_id: str) -> Job:
+    with platform.database.reading() as session:
+        return session.get_one(Job, job_id)
+
+
+def _context(made: Mapping[str, Any]) -> Context:
+    return Context(made["owner_id"], made["id"])
+
+
+def _artefact(session: Any, platform: Platform, label_set_id: str, name: str, content: bytes) -> str:
+    path = Path(platform.settings.root) / f"made-{new_id()}"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(content)
+    blob = blobs.keep(session, platform.store, path)
+    media = {"json": "application/json", "ply": "application/ply", "png": "image/png"}
+    row = Artefact(label_set_id=label_set_id, name=name, blob_sha256=blob.sha256, size_bytes=len(content))
+    row.media_type = media.get(name.rpartition(".")[2], "application/octet-stream")
+    session.add(row)
+    session.flush()
+    return row.id
