@@ -21,8 +21,9 @@ FORM_OVERHEAD_BYTES = 64 * 1024
 class _TooLargeError(HTTPException):
     """An `HTTPException`, since FastAPI passes on no other kind from within the reading of a body."""
 
-    def __init__(self) -> None:
+    def __init__(self, limit_bytes: int) -> None:
         super().__init__(413)
+        self.limit_bytes = limit_bytes
 
 
 class BodyLimit:
@@ -39,11 +40,7 @@ class BodyLimit:
         if _declared_bytes(scope) > limit_bytes:
             await answer_to(BodyTooLargeError(limit_bytes))(scope, receive, send)
             return
-        counted = _Counted(receive, limit_bytes)
-        try:
-            await self._app(scope, counted, send)
-        except _TooLargeError:
-            raise BodyTooLargeError(limit_bytes) from None
+        await self._app(scope, _Counted(receive, limit_bytes), send)
 
     def limit_of(self, scope: Scope) -> int | None:
         """How many bytes this request's body may have; None where the route bounds it."""
@@ -59,13 +56,13 @@ class _Counted:
     """What comes in, until it is too much."""
 
     def __init__(self, receive: Receive, limit_bytes: int) -> None:
-        self._receive, self._left_bytes = receive, limit_bytes
+        self._receive, self._limit_bytes, self._left_bytes = receive, limit_bytes, limit_bytes
 
     async def __call__(self) -> Message:
         message = await self._receive()
         self._left_bytes -= len(message.get("body", b""))
         if self._left_bytes < 0:
-            raise _TooLargeError()
+            raise _TooLargeError(self._limit_bytes)
         return message
 
 

@@ -19,7 +19,7 @@ from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from starlette.exceptions import HTTPException
 
 from api.context import request_id
-from api.errors import ApiError, InvalidRequestError
+from api.errors import ApiError, BodyTooLargeError, InvalidRequestError
 from api.statuses import phrase_of, status_of
 from api.tus_errors import UnsupportedMediaTypeError
 from stone.errors import StoneError
@@ -124,6 +124,8 @@ def _finding(raw: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _http(error: Any) -> JSONResponse:
+    if hasattr(error, "limit_bytes"):  # raised while a body was read, where FastAPI lets no other kind of error pass
+        return answer_to(BodyTooLargeError(error.limit_bytes))
     code = phrase_of(error.status_code).lower().replace(" ", "_").replace("-", "_")
     detail = SENTENCE_OF.get(error.status_code, str(error.detail)[:MOST_WORDS])
     return answer(problem(error.status_code, code, detail), error.headers)

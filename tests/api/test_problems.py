@@ -1,0 +1,263 @@
+"""Whatever is not answered as asked is answered by a problem, which says why and nothing of our insides."""
+
+import errno
+import re
+import sqlite3
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from fastapi import APIRouter
+from sqlalchemy import event
+
+from api import statuses
+from api.errors import ForbiddenError
+from api.main import make_api
+from api.problems import MEDIA_TYPE, Problem, answer_to, title_of
+from services.runtime.platform import Platform
+from services.runtime.settings import DatabaseSettings
+from stone.errors import StoneError
+from tests.api.serving import Person, client_of, serving
+from tests.servers.fixtures import make_settings, opened
+
+SECRET = "hunter2-hunter2-hunter2"
+
+
+class UnlistedError(StoneError):
+    """Nobody gave this a status."""
+
+    code = "unlisted"
+
+    def __init__(self) -> None:
+        super().__init__(f"the password is {SECRET}")
+
+
+faulty = APIRouter()
+
+
+@faulty.get("/fault/{kind}")
+def fail(kind: str) -> None:
+    faults: dict[str, Exception] = {
+        "bug": RuntimeError(SECRET),
+        "unlisted": UnlistedError(),
+        "full": OSError(errno.ENOSPC, SECRET),
+        "disk": OSError(errno.EIO, SECRET),
+    }
+    raise faults[kind]
+
+
+@pytest.fixture
+def broken(platform: Platform) -> Iterator[httpx.Client]:
+    app = make_api(platform)
+    app.include_router(faulty)
+    with serving(platform, app) as url, httpx.Client(base_url=url) as client:
+        yield client
+
+
+def problem_of(answer: httpx.Response, status: int, code: str) -> Problem:
+    assert answer.status_code == status, answer.text
+    assert answer.headers["content-type"] == MEDIA_TYPE
+    assert answer.headers["cache-control"] == "no-store"
+    problem = Problem.model_validate(answer.json())
+    assert (problem.status, problem.code) == (status, code)
+    assert problem.request_id == answer.headers["x-request-id"]
+    return problem
+
+
+def test_an_unknown_route_is_404_as_a_problem(api: httpx.Client) -> None:
+    problem_of(api.get("/api/v1/nothing"), 404, "not_found")
+    problem_of(api.get("/"), 404, "not_found")
+
+
+def test_an_unknown_method_is_405_and_names_the_known_ones(api: httpx.Client) -> None:
+    answer = api.put("/api/v1/me")
+    problem_of(answer, 405, "method_not_allowed")
+    assert answer.headers["allow"] == "GET"
+
+
+def test_a_body_that_is_no_json_is_415(api: httpx.Client) -> None:
+    answer = api.post("/api/v1/sessions", content=b"name=ada", headers={"Content-Type": "text/plain"})
+    problem_of(answer, 415, "unsupported_media_type")
+
+
+@pytest.mark.parametrize(
+    ("content", "status"),
+    [
+        (b"{", 422),
+        (b"\xff\xff", 400),
+        (b"[" * 100_000, 400),
+        (b'{"name": ' + b"9" * 5000 + b"}", 400),
+        (b"", 422),
+        (b"null", 422),
+        (b"[]", 422),
+        (b'{"name": "\\ud800", "password": "x"}', 422),
+        (b'{"name": NaN, "password": "x"}', 422),
+    ],
+)
+def test_a_body_that_cannot_be_read_is_refused(api: httpx.Client, content: bytes, status: int) -> None:
+    answer = api.post("/api/v1/sessions", content=content, headers={"Content-Type": "application/json"})
+    assert answer.status_code == status, answer.text
+    assert answer.headers["content-type"] == MEDIA_TYPE
+
+
+def test_what_is_wrong_in_a_body_is_said_without_repeating_it(api: httpx.Client) -> None:
+    answer = api.post("/api/v1/sessions", json={"name": 7, "password": {"deep": SECRET}, "extra": SECRET})
+    problem = problem_of(answer, 422, "invalid_request")
+    assert {finding.where for finding in problem.errors} == {"body.name", "body.password", "body.extra"}
+    assert problem.errors_total == 3
+    assert SECRET not in answer.text
+
+
+def test_a_body_with_a_thousand_mistakes_is_answered_in_bounded_length(api: httpx.Client) -> None:
+    answer = api.post("/api/v1/sessions", json={f"{'key' * 50}{n}": n for n in range(1000)})
+    problem = problem_of(answer, 422, "invalid_request")
+    assert (len(problem.errors), problem.errors_total) == (100, 1002)
+    assert len(answer.content) < 40_000
+
+
+def test_a_body_is_bounded_by_what_its_head_says(platform: Platform) -> None:
+    limit = platform.settings.api.body_bytes
+    with client_of(platform) as api:
+        answer = api.post("/api/v1/sessions", content=b" " * (limit + 1), headers={"Content-Type": "application/json"})
+        problem_of(answer, 413, "body_too_large")
+
+
+def test_a_body_is_bounded_by_what_comes_when_its_head_says_nothing(platform: Platform) -> None:
+    pieces = (b" " * 65536 for _ in range(64))
+    with client_of(platform) as api:
+        answer = api.post("/api/v1/sessions", content=pieces, headers={"Content-Type": "application/json"})
+        problem_of(answer, 413, "body_too_large")
+
+
+def test_a_repeated_request_is_bounded_too(platform: Platform, curator: Person) -> None:
+    with client_of(platform, curator) as api:
+        headers = {"Content-Type": "application/json", "Idempotency-Key": "k"}
+        answer = api.post("/api/v1/teams", content=(b" " * 65536 for _ in range(64)), headers=headers)
+        problem_of(answer, 413, "body_too_large")
+
+
+@pytest.mark.parametrize(("kind", "status", "code"), [
+    ("bug", 500, "internal_error"),
+    ("unlisted", 500, "internal_error"),
+    ("disk", 500, "internal_error"),
+    ("full", 507, "insufficient_storage"),
+])  # fmt: skip
+def test_a_fault_shows_its_request_and_nothing_of_our_insides(
+    broken: httpx.Client, kind: str, status: int, code: str
+) -> None:
+    answer = broken.get(f"/fault/{kind}", headers={"X-Request-ID": "mine-7"})
+    assert problem_of(answer, status, code).request_id == "mine-7"
+    assert SECRET not in answer.text
+    assert "OSError" not in answer.text
+    assert "Traceback" not in answer.text
+
+
+def test_a_fault_is_logged_with_its_request(broken: httpx.Client, capsys: pytest.CaptureFixture[str]) -> None:
+    broken.get("/fault/bug", headers={"X-Request-ID": "look-for-me"})
+    said = capsys.readouterr().out
+    assert re.search(r"unforeseen.*look-for-me", said)
+    assert "RuntimeError" in said
+
+
+def test_without_its_database_the_api_lives_and_answers_503(tmp_path: Path) -> None:
+    away = make_settings(tmp_path, database=DatabaseSettings("postgresql://nobody@127.0.0.1:1/nothing"))
+    with client_of(opened(away, [])) as api:
+        assert api.get("/healthz").status_code == 200
+        answer = api.get("/api/v1/me", headers={"Authorization": "Bearer stone_" + "x" * 43})
+        problem_of(answer, 503, "database_away")
+        assert answer.headers["retry-after"] == "2"
+
+
+def test_a_database_whose_disk_is_full_is_507_and_writes_nothing(platform: Platform, curator: Person) -> None:
+    def fill(connection: Any, _record: object) -> None:
+        connection.execute("PRAGMA max_page_count=1")
+
+    with client_of(platform, curator) as api:
+        assert api.get("/api/v1/me").status_code == 200
+        platform.database.engine.dispose()
+        event.listen(platform.database.engine, "connect", fill)
+        refused = [api.post("/api/v1/teams", json={"name": f"{n} {'x' * 50}"}) for n in range(60)]
+        full = [answer for answer in refused if answer.status_code != 201]
+        assert full, "the pages that were there took everything"
+        problem_of(full[0], 507, "insufficient_storage")
+        event.remove(platform.database.engine, "connect", fill)
+        platform.database.engine.dispose()
+        assert api.post("/api/v1/teams", json={"name": "after"}).status_code == 201
+
+
+def test_a_locked_database_is_503(platform: Platform, curator: Person, tmp_path: Path) -> None:
+    hurried = opened(make_settings(tmp_path, database=DatabaseSettings(busy_timeout_s=0.05)), [])
+    with client_of(hurried, curator) as api:
+        assert api.get("/api/v1/me").status_code == 200
+        with sqlite3.connect(platform.settings.root / "stone.sqlite3", isolation_level=None) as other:
+            other.execute("BEGIN IMMEDIATE")
+            problem_of(api.post("/api/v1/teams", json={"name": "late"}), 503, "database_away")
+            other.execute("ROLLBACK")
+        other.close()
+        assert api.post("/api/v1/teams", json={"name": "late"}).status_code == 201
+
+
+def test_every_answer_has_the_security_headers_and_none_names_the_server(api: httpx.Client) -> None:
+    for path in ("/healthz", "/api/v1/me", "/nothing", "/api/v1/openapi.json"):
+        headers = api.get(path).headers
+        assert headers["x-content-type-options"] == "nosniff"
+        assert headers["referrer-policy"] == "no-referrer"
+        assert "frame-ancestors 'none'" in headers["content-security-policy"]
+        assert "version" not in str(headers).lower()
+
+
+@pytest.mark.parametrize("offered", ["abc-123", "x" * 64])
+def test_a_request_keeps_the_id_it_brings(api: httpx.Client, offered: str) -> None:
+    assert api.get("/healthz", headers={"X-Request-ID": offered}).headers["x-request-id"] == offered
+
+
+@pytest.mark.parametrize("offered", ["", "x" * 65, "a b", "a;b", "<script>", "a\tb"])
+def test_a_request_whose_id_is_none_is_given_one(api: httpx.Client, offered: str) -> None:
+    assert re.fullmatch("[0-9a-f]{32}", api.get("/healthz", headers={"X-Request-ID": offered}).headers["x-request-id"])
+
+
+def test_the_access_log_names_route_and_caller_and_no_secret(
+    platform: Platform, curator: Person, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with client_of(platform, curator) as api:
+        api.get("/api/v1/problems/not_found?token=" + SECRET)
+        api.get("/api/v1/me?token=" + SECRET)
+    said = capsys.readouterr().out
+    assert re.search(r"route=/api/v1/problems/\{code\} status=200", said)
+    assert f"caller={curator.name}" in said
+    assert SECRET not in said
+    assert curator.secret not in said
+
+
+def test_every_refusal_of_ours_has_a_status_and_a_title() -> None:
+    for leaf, status in statuses.STATUS_OF.items():
+        assert 400 <= status < 600
+        assert statuses.phrase_of(status)
+        assert title_of(leaf), leaf
+        assert leaf.code, leaf
+
+
+def test_no_code_has_two_statuses() -> None:
+    by_code: dict[str, set[int]] = {}
+    for leaf, status in statuses.STATUS_OF.items():
+        by_code.setdefault(leaf.code, set()).add(status)
+    assert {code: found for code, found in by_code.items() if len(found) > 1} == {}
+
+
+def test_a_problem_says_where_its_kind_is_described(api: httpx.Client) -> None:
+    kind = api.get("/api/v1/me").json()["type"]
+    described = api.get(kind).json()
+    assert (described["code"], described["status"]) == ("unauthenticated", 401)
+    problem_of(api.get("/api/v1/problems/none-such"), 404, "not_found")
+    assert len(api.get("/api/v1/problems").json()) >= len({leaf.code for leaf in statuses.STATUS_OF})
+
+
+def test_the_nearest_class_in_the_table_counts() -> None:
+    class NarrowError(ForbiddenError):
+        """Narrower."""
+
+        code = "narrow"
+
+    assert answer_to(NarrowError("no")).status_code == 403
