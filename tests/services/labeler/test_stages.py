@@ -1,0 +1,258 @@
+"""A sequence goes through the queues; what comes out is what the local command makes, byte for byte."""
+
+import hashlib
+import shutil
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from sqlalchemy import delete, select, update
+
+from services.ingest.opening import open_sequence
+from services.labeler import stages
+from services.labeler.pipeline import LabelOptions, label
+from services.runtime.jobs.specs import Attempt, Handler, Outcome
+from services.runtime.jobs.steering import cancel
+from services.runtime.migrate import upgrade
+from services.runtime.orm import Artefact, Job, JobAttempt, JobLine, LabelledFrame, LabelSet
+from services.runtime.processing import delete_sequence
+from services.runtime.settings import DatabaseSettings, StoreSettings
+from simulator.pipeline import calibration_path
+from stone.errors import StoneError
+from tests.servers.fixtures import make_settings, opened
+from tests.services.runs import (
+    NAME,
+    Brought,
+    Interrupted,
+    Said,
+    bring_ready,
+    differing,
+    files_of_label,
+    run_all,
+    simulated,
+)
+
+STAGES = {"ingest.synchronise"} | {
+    f"labeler.{stage}"
+    for stage in ("parts", "fuse", "tiles", "surface", "sight", "reference", "frames", "map", "publish")
+}
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return simulated(tmp_path_factory.mktemp("field"))
+
+
+@pytest.fixture(scope="module")
+def expected(bag: Path) -> dict[str, bytes]:
+    """What `stone label` makes of the same recording."""
+    folder = bag.parent / "labels"
+    label(*open_sequence(bag, calibration_path(bag), NAME), folder, LabelOptions(workers=2))
+    return files_of_label(folder)
+
+
+class Interruptions:
+    """Every kind of job is interrupted once: at its second word, else when it is done, publishing while it commits."""
+
+    def __init__(self) -> None:
+        self.kinds: set[str] = set()
+
+    def wrap(self, kind: str, handler: Handler) -> Handler:
+        def run(attempt: Attempt) -> Outcome:
+            if kind in self.kinds:
+                return handler(attempt)
+            self.kinds.add(kind)
+            if kind == "labeler.publish":
+                return replace(handler(attempt), commit=self._break)
+            handler(Interrupted(attempt))
+            raise RuntimeError("interrupted at the end")
+
+        return run
+
+    def _break(self, _session: object) -> None:
+        raise RuntimeError("interrupted in the commit")
+
+
+@pytest.fixture(scope="module")
+def made(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Brought, str]]:
+    """A run of which every stage was interrupted once, and its id; to be looked at only."""
+    settings = make_settings(tmp_path_factory.mktemp("platform"))
+    upgrade(settings)
+    platform = opened(settings, [])
+    brought = bring_ready(platform, bag)
+    root_id = brought.process()
+    interruptions = Interruptions()
+    run_all(platform, wrap=interruptions.wrap)
+    assert interruptions.kinds == STAGES
+    yield brought, root_id
+    platform.database.close()
+
+
+@pytest.fixture
+def finished(made: tuple[Brought, str], tmp_path: Path) -> Iterator[tuple[Brought, str]]:
+    """A copy of that platform, to be changed."""
+    brought, root_id = made
+    settings = make_settings(tmp_path)
+    shutil.copytree(brought.platform.settings.root, settings.root, symlinks=True)
+    platform = opened(settings, [])
+    yield replace(brought, platform=platform), root_id
+    platform.database.close()
+
+
+def test_the_queue_makes_what_the_command_makes_though_every_stage_was_interrupted(
+    made: tuple[Brought, str], expected: dict[str, bytes]
+) -> None:
+    brought, root_id = made
+    run = brought.job(root_id)
+    assert (run.state, run.failure) == ("succeeded", "")
+    assert len(expected) > 60
+    assert differing(brought.files(), expected) == []
+    with brought.platform.database.reading() as session:
+        lost = select(Job.kind).join(JobAttempt, Job.id == JobAttempt.job_id).where(JobAttempt.outcome == "lost")
+        assert set(session.scalars(lost.where(Job.root_id == root_id))) == STAGES
+
+
+def test_two_machines_with_s3_and_postgres_make_the_same(
+    bag: Path, expected: dict[str, bytes], s3_settings: StoreSettings, fresh_postgres_url: str, tmp_path: Path
+) -> None:
+    groups = {"store": s3_settings, "database": DatabaseSettings(fresh_postgres_url)}
+    here, there = (opened(make_settings(tmp_path / name, **groups), []) for name in ("here", "there"))
+    brought = bring_ready(here, bag)
+    root_id = brought.process()
+    run_all(there, here)
+    run = brought.job(root_id)
+    assert (run.state, run.failure) == ("succeeded", "")
+    assert differing(brought.files(), expected) == []
+    workers = [len(list((p.settings.root / "cache" / "work" / root_id).rglob("*.npz"))) for p in (here, there)]
+    assert min(workers) > 2, "both machines had a part in it"
+    for platform in (here, there):
+        platform.database.close()
+
+
+def test_rows_say_what_was_made_and_where_it_lies(made: tuple[Brought, str]) -> None:
+    brought, root_id = made
+    (label_set,) = brought.label_sets()
+    run = brought.job(root_id)
+    assert run.result == {"label_set_id": label_set.id, "frames": label_set.frames, "recipe": label_set.recipe}
+    assert (label_set.job_id, label_set.recipe) == (root_id, run.arguments["recipe"])
+    assert label_set.parameters["profile"] == "paper"
+    with brought.platform.database.reading() as session:
+        frames = session.scalars(select(LabelledFrame).order_by(LabelledFrame.ordinal)).all()
+        packs = session.scalars(select(Artefact.name).where(Artefact.name.startswith("labels/"))).all()
+        lines = session.scalars(select(JobLine.event)).all()
+    assert [frame.ordinal for frame in frames] == list(range(label_set.frames))
+    assert [frame.stamp_ns for frame in frames] == sorted(frame.stamp_ns for frame in frames)
+    assert sorted(packs) == ["labels/000000.pack", "labels/000060.pack"]
+    assert {"synchronised", "fused", "reconstructed", "reference", "labelled", "stored"} <= set(lines)
+
+
+def test_asking_for_the_same_again_costs_nothing(finished: tuple[Brought, str]) -> None:
+    brought, root_id = finished
+    assert brought.process() == root_id
+    assert run_all(brought.platform) == 0
+    assert brought.process(profile="local") != root_id
+
+
+def test_zombies_beside_a_finished_run_change_no_byte(finished: tuple[Brought, str]) -> None:
+    brought, root_id = finished
+    store = brought.platform.settings.root / "store"
+    before = hashes(store)
+    table = stages.handlers(brought.platform)
+    chosen = ("labeler.sight", "labeler.reference", "labeler.map", "labeler.publish")
+    jobs = {job.kind: job for job in brought.jobs(root_id) if job.kind in chosen}
+    parts = [job for job in brought.jobs(root_id) if job.arguments.get("part", [0])[0] == 60]
+    again = [*jobs.values(), *parts]
+    assert len(again) == 6
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(lambda job: table[job.kind](Said(job)), again * 2))
+    after = hashes(store)
+    assert {name: after[name] for name in before} == before
+    assert {name.split("/")[0] for name in after.keys() - before.keys()} <= {"blobs"}
+
+
+def hashes(folder: Path) -> dict[str, str]:
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    return {p.relative_to(folder).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
+
+
+def publish_again(brought: Brought, root_id: str) -> None:
+    """As if the run had not been published yet."""
+    with brought.platform.database.transaction() as session:
+        session.execute(delete(LabelSet))
+        session.execute(update(Job).where(Job.id == root_id).values(state="running", result=None))
+        session.execute(update(Job).where(Job.kind == "labeler.publish").values(state="queued", attempts_left=3))
+
+
+def test_a_sequence_deleted_while_its_labels_are_published_gets_none(finished: tuple[Brought, str]) -> None:
+    brought, root_id = finished
+    publish_again(brought, root_id)
+
+    def deleted_meanwhile(_kind: str, handler: Handler) -> Handler:
+        def run(attempt: Attempt) -> Outcome:
+            outcome = handler(attempt)
+            with brought.platform.database.transaction() as session:
+                delete_sequence(session, brought.sequence())
+            return outcome
+
+        return run
+
+    assert run_all(brought.platform, wrap=deleted_meanwhile) == 1
+    assert brought.label_sets() == []
+    run = brought.job(root_id)
+    assert (run.state, run.cancel_reason) == ("cancelled", "its sequence was deleted")
+    with brought.platform.database.reading() as session:
+        assert session.scalars(select(Artefact)).all() == []
+
+
+def test_a_run_that_is_published_twice_has_one_label_set(finished: tuple[Brought, str]) -> None:
+    brought, root_id = finished
+    publish_again(brought, root_id)
+    assert run_all(brought.platform) == 1
+    (label_set,) = brought.label_sets()
+    assert brought.job(root_id).result["label_set_id"] == label_set.id  # type: ignore[index]
+    with brought.platform.database.transaction() as session:
+        session.execute(update(Job).where(Job.id == root_id).values(state="running"))
+        session.execute(update(Job).where(Job.kind == "labeler.publish").values(state="queued"))
+    assert run_all(brought.platform) == 1
+    assert [row.id for row in brought.label_sets()] == [label_set.id]
+
+
+def test_a_stage_of_a_cancelled_run_stops_at_its_next_word(finished: tuple[Brought, str]) -> None:
+    brought, root_id = finished
+    with brought.platform.database.transaction() as session:
+        session.execute(update(Job).where(Job.id == root_id).values(state="running"))
+        session.execute(update(Job).where(Job.kind == "labeler.frames").values(state="queued"))
+    words = list[int]()
+
+    def cancelled_meanwhile(_kind: str, handler: Handler) -> Handler:
+        def run(attempt: Attempt) -> Outcome:
+            with brought.platform.database.transaction() as session:
+                cancel(session, root_id, "the field engineer changed her mind")
+            attempt.log("cancelled from outside")
+            return handler(Said(brought.job(attempt.job_id), words, attempt))
+
+        return run
+
+    run_all(brought.platform, wrap=cancelled_meanwhile)
+    assert brought.job(root_id).state == "cancelled"
+    assert len(words) < 60
+
+
+def test_work_that_was_removed_and_code_that_changed_are_named(finished: tuple[Brought, str]) -> None:
+    brought, root_id = finished
+    table = stages.handlers(brought.platform)
+    frames = next(job for job in brought.jobs(root_id) if job.kind == "labeler.frames")
+    work = brought.platform.settings.root / "store" / "work" / root_id
+    shutil.rmtree(work / "surface")
+    with pytest.raises(StoneError, match="surface of this run is gone"):
+        table[frames.kind](Said(frames))
+    shutil.rmtree(work)
+    with pytest.raises(StoneError, match=r"sweeps\.npz of this run is gone"):
+        table[frames.kind](Said(frames))
+    with brought.platform.database.transaction() as session:
+        run = session.get_one(Job, root_id)
+        run.arguments = {**run.arguments, "code_version": "0.0.1"}
+    with pytest.raises(StoneError, match=r"begun by version 0\.0\.1"):
+        table[frames.kind](Said(frames))
