@@ -1,27 +1,40 @@
-"""The whole way once: simulate → label → predict from single sweeps → validate → score. Read this to see the seams.
+"""The whole way once, as a user goes it: simulate → upload → process → download → predict → validate → score.
 
-**Conventions.** Everything lands in one folder, which appears whole or not at all; `demo.json` marks it as ours, so
-that the next demo may replace it.
+**Conventions.** The way to the labels is through a server's API, as in the field. Everything lands in one folder, which
+appears whole or not at all; `demo.json` marks it as ours, so that the next demo may replace it.
 """
 
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from client.api import Api
+from client.credentials import Server
+from client.downloading import download_labels
+from client.following import follow
 from client.progress import Report
+from client.remote import (
+    Item,
+    add_recording,
+    ensure_sequence,
+    find_sequence,
+    has_other_recording,
+    pin_calibration,
+    start_run,
+)
 from client.sequences import open_sequence
+from client.tus import LocalFile, hashed
 from services.eval.manifest import Manifest, write_manifest
 from services.eval.pipeline import score, validate
 from services.eval.submission import write_submission
 from services.eval.validation import SubmissionRefusedError
-from services.labeler.parameters import parameters_for
-from services.labeler.pipeline import LabelOptions, label
-from services.runtime.atomic import atomic_directory
+from services.runtime.embedded.supervisor import Running
 from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate
 from stone.baseline import predict_from_sweep
@@ -33,33 +46,72 @@ SEQUENCE = "demo"
 
 @dataclass(frozen=True)
 class DemoPlan:
-    """What to simulate, and on how many processes to label it."""
+    """What to simulate, and the platform to label it, which may still be starting."""
 
     simulation: SimulateOptions
-    workers: int
+    running: Running
 
 
-def run_demo(directory: Path, plan: DemoPlan, progress: Report) -> dict[str, Any]:
-    """Fill `directory` and return the record that `demo.json` keeps.
+@dataclass(frozen=True)
+class Recorded:
+    """A run and the folder that everything about it goes to."""
 
-    Raises `OutputExistsError` where the folder holds something else than an earlier demo.
-    """
-    with atomic_directory(directory, replaces=MARK) as folder:
-        bag = folder / "run.mcap"
-        simulate(bag, plan.simulation, folder / "truth", progress)
-        sequence, sweeps = open_sequence(bag, calibration_path(bag), SEQUENCE)
-        labels = label(
-            sequence, sweeps, folder / "labels", LabelOptions(parameters_for("paper"), plan.workers), progress
-        )
-        write_manifest(folder / "manifest.json", Manifest({SEQUENCE: sequence.frames.tokens}))
-        write_submission(folder / "baseline.zip", _predictions(sequence, sweeps, progress))
-        validation = validate(folder / "baseline.zip", folder / "manifest.json", progress=progress)
-        if not validation.ok:
-            raise SubmissionRefusedError(validation)
-        scores = score(folder / "baseline.zip", folder / "labels", progress=progress)
-        record = {"labels": labels.as_record(), "baseline": scores.as_record()}
-        (folder / MARK).write_text(json.dumps(record, indent=1, allow_nan=False) + "\n")
+    folder: Path
+
+    @property
+    def bag(self) -> Path:
+        return self.folder / "run.mcap"
+
+    @property
+    def calibration(self) -> Path:
+        return calibration_path(self.bag)
+
+
+def run_demo(folder: Path, plan: DemoPlan, progress: Report) -> dict[str, Any]:
+    """Fill `folder` and return the record that `demo.json` keeps."""
+    recorded, running = Recorded(folder), plan.running
+    simulate(recorded.bag, plan.simulation, folder / "truth", progress)
+    running.wait_until_ready()
+    with Api(Server(running.url, running.keys.token)) as api:
+        sequence = label_on_server(api, recorded, progress)
+    scores = score_baseline(recorded, sequence["name"], progress)
+    labels = json.loads((folder / "labels" / "report.json").read_text("utf-8"))
+    record = {"url": running.url, "sequence": sequence["name"], "labels": labels, "baseline": scores}
+    (folder / MARK).write_text(json.dumps(record, indent=1, allow_nan=False) + "\n")
     return record
+
+
+def label_on_server(api: Api, recorded: Recorded, progress: Report) -> Item:
+    """The sequence, once its labels are in `labels/`: uploaded, processed, downloaded."""
+    local = hashed(recorded.bag, progress)
+    sequence = _free_sequence(api, local)
+    pin_calibration(api, sequence, recorded.calibration)
+    add_recording(api, sequence, local, progress)
+    follow(api, start_run(api, sequence, {})["id"], progress)
+    labelled = find_sequence(api, sequence["id"])
+    download_labels(api, labelled, recorded.folder / "labels", progress)
+    return labelled
+
+
+def score_baseline(recorded: Recorded, name: str, progress: Report) -> dict[str, Any]:
+    """Predict every frame from its own sweep, validate and score that. Raises `SubmissionRefusedError`."""
+    folder = recorded.folder
+    sequence, sweeps = open_sequence(recorded.bag, recorded.calibration, name)
+    write_manifest(folder / "manifest.json", Manifest({name: sequence.frames.tokens}))
+    write_submission(folder / "baseline.zip", _predictions(sequence, sweeps, progress))
+    validation = validate(folder / "baseline.zip", folder / "manifest.json", progress=progress)
+    if not validation.ok:
+        raise SubmissionRefusedError(validation)
+    return score(folder / "baseline.zip", folder / "labels", progress=progress).as_record()
+
+
+def _free_sequence(api: Api, local: LocalFile) -> Item:
+    """`demo`, or `demo-2`, … where that name is taken by another recording: nothing of the user's is replaced."""
+    for number in count(1):
+        sequence = ensure_sequence(api, SEQUENCE if number == 1 else f"{SEQUENCE}-{number}")
+        if not has_other_recording(api, sequence, local):
+            return sequence
+    raise AssertionError
 
 
 def _predictions(sequence: Sequence, sweeps: SweepSource, progress: Report) -> Iterator[tuple[str, NDArray[np.uint8]]]:

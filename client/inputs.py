@@ -29,6 +29,12 @@ CalibrationOption = Annotated[
 ]
 
 
+DataOption = Annotated[
+    Path | None,
+    typer.Option(metavar="DIR", file_okay=False, help="Everything the platform keeps.", show_default="stone-data"),
+]
+
+
 class Profile(StrEnum):
     """How height enters the labels: `paper` takes it to the letter, `local` above the ground nearby."""
 

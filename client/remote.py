@@ -13,7 +13,7 @@ from client.api import Api, Patience
 from client.errors import RecordingRefusedError, ServerRefusedError, UnknownSubjectError
 from client.following import AWAY_S, POLL_S, follow
 from client.progress import Report
-from client.tus import LocalFile, Purpose, hashed, upload_file
+from client.tus import LocalFile, Purpose, upload_file
 
 Item = Mapping[str, Any]
 ID = re.compile(r"[0-9a-f]{32}")
@@ -75,12 +75,11 @@ def pin_calibration(api: Api, sequence: Item, calibration: Path) -> Item:
     return kept
 
 
-def add_recording(api: Api, sequence: Item, bag: Path, progress: Report) -> Item:
+def add_recording(api: Api, sequence: Item, local: LocalFile, progress: Report) -> Item:
     """Send the bag and have it read; a bag that the sequence has already is not sent again.
 
     Raises `RecordingRefusedError`, `JobFailedError`, and what `upload_file` raises.
     """
-    local = hashed(bag, progress)
     recording = _recorded(api, sequence, local)
     if recording is None:
         upload_id = upload_file(api, local, Purpose("recording", sequence["id"]), progress)
@@ -88,6 +87,12 @@ def add_recording(api: Api, sequence: Item, bag: Path, progress: Report) -> Item
         follow(api, accepted["job"]["id"], progress)
         recording = accepted["recording"]
     return _registered(api, sequence, recording)
+
+
+def has_other_recording(api: Api, sequence: Item, local: LocalFile) -> bool:
+    """Whether the sequence has a recording that is not this file."""
+    recordings = api.pages(f"/sequences/{sequence['id']}/recordings")
+    return any(recording["sha256"] != local.sha256 for recording in recordings)
 
 
 def start_run(api: Api, sequence: Item, body: Mapping[str, Any]) -> Item:

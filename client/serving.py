@@ -15,6 +15,8 @@ from typing import NoReturn
 
 from client.credentials import is_local, read_credentials, remember
 from client.streams import echo_notice
+from services.runtime.embedded.errors import PortTakenError
+from services.runtime.embedded.listening import listen
 from services.runtime.embedded.supervisor import Running, running_platform
 from services.runtime.settings import Settings
 
@@ -28,9 +30,9 @@ class Address:
 
 
 @contextmanager
-def served(data: Path | None, address: Address, workers: int | None) -> Iterator[Running]:
+def served(settings: Settings, *, is_awaited: bool = True) -> Iterator[Running]:
     """Yield the running platform. Raises what `running_platform` raises."""
-    with _hangups_interrupt(), running_platform(settings_for(data, address, workers), echo_notice) as running:
+    with _hangups_interrupt(), running_platform(settings, echo_notice, is_awaited=is_awaited) as running:
         _remember(running)
         yield running
 
@@ -47,6 +49,16 @@ def settings_for(data: Path | None, address: Address, workers: int | None) -> Se
             "api": replace(settings.api, host=host, port=port),
         }
     )
+
+
+def demo_settings(data: Path | None, workers: int | None) -> Settings:
+    """The settings of a platform whose port matters little: any where the usual one is taken."""
+    settings = settings_for(data, Address(), workers)
+    try:
+        listen(settings.api).close()
+    except PortTakenError:
+        return settings_for(data, Address(port=0), workers)
+    return settings
 
 
 def wait_for_ctrl_c() -> None:

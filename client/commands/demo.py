@@ -1,13 +1,15 @@
-"""`stone demo`: the whole way once, on a simulated robot."""
+"""`stone demo`: the whole way once, on a simulated robot and a platform on this machine."""
 
+from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from client.inputs import WorkersOption, cores
+from client.inputs import DataOption, WorkersOption
 from client.progress import reported
-from client.streams import JsonOption, echo_findings, echo_json
+from client.streams import JsonOption, echo_findings, echo_json, echo_notice
 from client.tables import class_table, score_table, show
 from simulator.options import SimulateOptions
 from stone.findings import Finding
@@ -16,24 +18,40 @@ OutputOption = Annotated[
     Path, typer.Option("-o", "--output", metavar="DIR", help="New or empty, or an earlier demo to replace.")
 ]
 SecondsOption = Annotated[float, typer.Option(min=2.0, max=600.0, help="How long the simulated robot drives.")]
+KeepOption = Annotated[bool, typer.Option("--keep-serving", help="Leave the platform up until Ctrl-C.")]
 
 
 def demo(
     output: OutputOption = Path("demo"),
     seconds: SecondsOption = 20.0,
     workers: WorkersOption = None,
+    data: DataOption = None,
+    keep_serving: KeepOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Simulate a robot, label its recording, predict from single sweeps, score the prediction."""
-    from client.demo import DemoPlan, run_demo
+    """Simulate a robot, have a platform on this machine label its run, predict from single sweeps, score that."""
+    from client.demo import MARK, DemoPlan, run_demo
+    from client.serving import demo_settings, served, wait_for_ctrl_c
+    from services.runtime.atomic import atomic_directory
 
-    with reported() as progress:
-        record = run_demo(output, DemoPlan(SimulateOptions(seconds=seconds), workers or cores()), progress)
-    if as_json:
-        echo_json(record)
-    else:
-        labels = record["labels"]
-        show(class_table(f"{labels['frames']} frames labelled: occupied voxels", labels["class_share_of_occupied"]))
-        show(score_table(record["baseline"], "Prediction from single sweeps against these labels"))
-        typer.echo(f"Everything: {output}\nPicture: {output / 'labels' / 'bev.png'}")
-    echo_findings(Finding(**finding) for finding in record["labels"]["findings"])
+    with ExitStack() as platform:
+        with atomic_directory(output, replaces=MARK) as folder:
+            running = platform.enter_context(served(demo_settings(data, workers), is_awaited=False))
+            with reported() as progress:
+                record = run_demo(folder, DemoPlan(SimulateOptions(seconds=seconds), running), progress)
+        if as_json:
+            echo_json(record)
+        else:
+            _show(record, output, running.platform.settings.root)
+        echo_findings(Finding(**finding) for finding in record["labels"]["findings"])
+        if keep_serving:
+            echo_notice("serving until Ctrl-C")
+            wait_for_ctrl_c()
+
+
+def _show(record: Mapping[str, Any], output: Path, data: Path) -> None:
+    labels = record["labels"]
+    show(class_table(f"{labels['frames']} frames labelled: occupied voxels", labels["class_share_of_occupied"]))
+    show(score_table(record["baseline"], "Prediction from single sweeps against these labels"))
+    typer.echo(f"Everything: {output}\nPicture: {output / 'labels' / 'bev.png'}")
+    typer.echo(f"Platform: {record['url']} (its data: {data}; `stone serve` brings it up)")

@@ -1,18 +1,13 @@
 """`stone serve`: the whole platform on this machine."""
 
 import os
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from client.inputs import WorkersOption
+from client.inputs import DataOption, WorkersOption
 from client.streams import JsonOption, echo_json, echo_notice
 
-DataOption = Annotated[
-    Path | None,
-    typer.Option(metavar="DIR", file_okay=False, help="Everything the platform keeps.", show_default="stone-data"),
-]
 HostOption = Annotated[str | None, typer.Option(help="The address to listen on.", show_default="127.0.0.1")]
 PortOption = Annotated[int | None, typer.Option(min=0, max=65535, help="0: any that is free.", show_default="8080")]
 
@@ -25,9 +20,9 @@ def serve(
     as_json: JsonOption = False,
 ) -> None:
     """Run API, workers and sweeper with a database and a store of their own, until Ctrl-C; a second start resumes."""
-    from client.serving import Address, served, wait_for_ctrl_c
+    from client.serving import Address, served, settings_for, wait_for_ctrl_c
 
-    with served(data, Address(host, port), workers) as running:
+    with served(settings_for(data, Address(host, port), workers)) as running:
         folder = running.platform.settings.root
         if running.keys.password:
             echo_notice(f"administrator: {running.keys.name}, password: {running.keys.password}")

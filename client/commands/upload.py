@@ -24,6 +24,7 @@ def upload(
     """Send a recording and its calibration; begun again after anything, it goes on where it was."""
     from client.connecting import connected
     from client.remote import add_recording, ensure_sequence, pin_calibration, start_run
+    from client.tus import hashed
     from client.watching import watch_run
 
     if bag.is_dir():
@@ -32,7 +33,7 @@ def upload(
         sequence = ensure_sequence(api, name or bag.stem)
         kept = pin_calibration(api, sequence, calibration)
         with transferred() as progress:
-            recording = add_recording(api, sequence, bag, progress)
+            recording = add_recording(api, sequence, hashed(bag, progress), progress)
         record: dict[str, Any] = {"sequence": sequence["id"], "name": sequence["name"], "recording": recording["id"]}
         record |= {"calibration": kept["id"], "sha256": recording["sha256"]}
         if process:

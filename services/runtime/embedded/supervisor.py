@@ -34,11 +34,16 @@ LOOK_S = 0.2
 
 @dataclass(frozen=True)
 class Running:
-    """A platform that answers: where, and with which keys."""
+    """A platform that was started: where it answers, and with which keys."""
 
     platform: Platform
     keys: Keys
-    children: tuple[Child, ...]
+    _watched: "_Watched"
+
+    @property
+    def children(self) -> tuple[Child, ...]:
+        """Redis, worker, API, sweeper."""
+        return self._watched.children
 
     @property
     def url(self) -> str:
@@ -48,6 +53,12 @@ class Running:
     def logs(self) -> Path:
         return logs_of(self.platform.settings)
 
+    def wait_until_ready(self) -> None:
+        """Until it answers; from then on children that die are started again. Raises `StartFailedError`."""
+        _, _, api, sweeper = self.children
+        _wait_until_ready(self.platform.settings.api, (api, sweeper))
+        self._watched.start()
+
 
 def logs_of(settings: Settings) -> Path:
     """The folder of the children's log files."""
@@ -55,8 +66,12 @@ def logs_of(settings: Settings) -> Path:
 
 
 @contextmanager
-def running_platform(settings: Settings, told: Told = lambda line: None) -> Iterator[Running]:
+def running_platform(
+    settings: Settings, told: Told = lambda line: None, *, is_awaited: bool = True
+) -> Iterator[Running]:
     """Yield the platform when it is ready; drain and end it afterwards. `told` hears what happens to the children.
+
+    Who has something else to do meanwhile says `is_awaited=False` and calls `wait_until_ready` later.
 
     Raises `AlreadyServingError`, `PortTakenError`, `RedisMissingError`, `StartFailedError`.
     """
@@ -81,11 +96,12 @@ def running_platform(settings: Settings, told: Told = lambda line: None) -> Iter
         stack.callback(watched.kill)
         for child in (worker, api, sweeper):
             child.start()
-        _wait_until_ready(settings.api, (api, sweeper))
+        running = Running(platform, keys, watched)
+        if is_awaited:
+            running.wait_until_ready()
         lock.say(settings.api.url)
-        watched.start()
         try:
-            yield Running(platform, keys, watched.children)
+            yield running
         finally:
             watched.stop()
             close(listener)
