@@ -14,8 +14,10 @@ from typing import IO
 from api.errors import BodyTooLargeError, RateLimitedError
 from api.file_errors import CalibrationRefusedError
 from api.files import safe_name
+from services.ingest.calibration_errors import CalibrationKeyError
 from services.ingest.calibration_file import read_calibration
 from services.runtime.calibrations import ReadCalibration
+from stone.calibration import Calibration
 from stone.errors import StoneError
 
 LARGEST_BYTES = 2**20
@@ -47,9 +49,17 @@ def read(path: Path) -> ReadCalibration:
         raise RateLimitedError(PER_MINUTE, int(PATIENCE_S))
     try:
         calibration, findings = read_calibration(path)
+        _check_names(path.name, calibration)
     except StoneError as reason:
         raise CalibrationRefusedError(path.name, reason) from reason
     finally:
         _turns.release()
     sensors = tuple({"name": mount.name, "kind": mount.kind} for mount in calibration.mounts)
     return ReadCalibration(calibration.name, path.name, sensors, tuple(finding.as_record() for finding in findings))
+
+
+def _check_names(filename: str, calibration: Calibration) -> None:
+    """Names are shown and looked for. Raises `CalibrationKeyError` for one with characters nobody can see."""
+    for name in (calibration.name, *(mount.name for mount in calibration.mounts)):
+        if not name.isprintable():
+            raise CalibrationKeyError(filename, repr(name)[:80], "a name has printable characters only", 0)

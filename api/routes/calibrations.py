@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, File, Query, Request, Response, UploadFile
+from fastapi import APIRouter, Depends, File, Query, Request, Response, UploadFile
 from sqlalchemy import select
 
 from api import audit, calibration_reading
@@ -14,6 +14,7 @@ from api.files import StoredFile, answer_file, file_responses
 from api.paging import Page, PageDep, page
 from api.schemas.base import PLAIN, IdPath, instant
 from api.schemas.calibrations import CalibrationItem, FindingItem, SensorItem
+from api.tus_errors import UnsupportedMediaTypeError
 from api.visible import calibration_of, theirs
 from services.runtime import blobs
 from services.runtime.calibrations import add_calibration, find_calibration
@@ -22,12 +23,23 @@ from services.runtime.orm import Blob, Calibration
 router = APIRouter(prefix="/calibrations", tags=["calibrations"])
 YAML = "application/yaml"
 CalibrationUpload = Annotated[UploadFile, File(description="a native calibration file (YAML), at most 1 MiB")]
+FORM = "multipart/form-data"
 NameQuery = Annotated[str | None, Query(pattern=PLAIN, max_length=100)]
+
+
+def refuse_other_types(request: Request) -> None:
+    """Raises `UnsupportedMediaTypeError` for a body that is no form."""
+    given = request.headers.get("content-type", "")
+    if given.partition(";")[0].strip().lower() != FORM:
+        raise UnsupportedMediaTypeError(given, FORM)
+
+
+FormOnly = Annotated[None, Depends(refuse_other_types)]
 
 
 @router.post("", status_code=201, responses={200: {"model": CalibrationItem}, **refusals(413, 415)})
 def add_calibration_file(
-    file: CalibrationUpload, caller: Curator, platform: PlatformDep, response: Response
+    caller: Curator, _form: FormOnly, file: CalibrationUpload, platform: PlatformDep, response: Response
 ) -> CalibrationItem:
     """Keep a calibration: 201 for a new version of its name, 200 for bytes that are known already."""
     with calibration_reading.received(file.file, file.filename or "") as path:
