@@ -2,16 +2,8 @@
 
 from typing import Any
 
-from api.answers import SCHEMA, Responses
-from api.answers import refusals as named
-from api.problems import MEDIA_TYPE
+from api.answers import Responses, refusals
 from services.runtime.uploads.declared import PURPOSES
-
-
-def refusals(*statuses: int) -> Responses:
-    """As of any route; 460 is tus's own and has no phrase."""
-    ours = {460: {"description": "a checksum differs", "content": {MEDIA_TYPE: {"schema": SCHEMA}}}}
-    return {**named(*(status for status in statuses if status not in ours)), **(ours if 460 in statuses else {})}
 
 
 def _headers(**described: str) -> dict[str, Any]:

@@ -1,10 +1,8 @@
 """A route whose every answer, refusals too, says that the server speaks tus."""
 
-from typing import Any
-
 from fastapi.routing import APIRoute
 from starlette.datastructures import MutableHeaders
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.types import Message, Receive, Scope, Send
 
 from api.tus_errors import VERSION
 
@@ -12,13 +10,7 @@ from api.tus_errors import VERSION
 class TusRoute(APIRoute):
     """`APIRouter(route_class=TusRoute)`."""
 
-    def __init__(self, *arguments: Any, **options: Any) -> None:
-        super().__init__(*arguments, **options)
-        self.app = _saying_tus(self.app)
-
-
-def _saying_tus(app: ASGIApp) -> ASGIApp:
-    async def answer(scope: Scope, receive: Receive, send: Send) -> None:
+    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
         async def say(message: Message) -> None:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
@@ -27,6 +19,4 @@ def _saying_tus(app: ASGIApp) -> ASGIApp:
                     headers["Cache-Control"] = "no-store"
             await send(message)
 
-        await app(scope, receive, say)
-
-    return answer
+        await super().handle(scope, receive, say)

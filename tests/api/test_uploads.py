@@ -1,0 +1,399 @@
+"""Uploads over HTTP: refusals first, then what tus 1.0 promises."""
+
+import base64
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from email.utils import parsedate_to_datetime
+
+import httpx
+import pytest
+from sqlalchemy import update
+
+from services.runtime.orm import Upload, new_id
+from services.runtime.platform import Platform
+from services.runtime.settings import UploadSettings
+from services.runtime.uploads import expire
+from tests.api.serving import Person, client_of, person
+from tests.api.tus import (
+    PIECE,
+    TUS,
+    UPLOADS,
+    ask,
+    checksum,
+    create,
+    created,
+    metadata,
+    offset_of,
+    patch,
+    sha256_of,
+    shown,
+)
+
+CONTENT = bytes(range(256)) * 40
+
+
+def code_of(reply: httpx.Response) -> tuple[int, str]:
+    assert reply.headers["content-type"] == "application/problem+json"
+    assert reply.headers["Tus-Resumable"] == "1.0.0"
+    return reply.status_code, reply.json()["code"]
+
+
+@pytest.mark.parametrize("method", ["POST", "GET"])
+def test_nobody_may_neither_create_nor_list(api: httpx.Client, method: str) -> None:
+    assert code_of(api.request(method, UPLOADS, headers=TUS)) == (401, "unauthenticated")
+
+
+@pytest.mark.parametrize("method", ["PATCH", "DELETE", "GET", "POST"])
+def test_nobody_may_touch_an_upload(api: httpx.Client, curator: Person, method: str) -> None:
+    where = created(api, curator, 10)
+    assert code_of(api.request(method, where, headers=PIECE)) == (401, "unauthenticated")
+
+
+def test_a_participant_and_a_token_that_only_reads_may_not_upload(
+    api: httpx.Client, platform: Platform, participant: Person
+) -> None:
+    reader = person(platform, "curator", scopes=["read"])
+    for caller in (participant, reader):
+        assert code_of(create(api, caller, 10)) == (403, "forbidden")
+        reply = api.post(f"{UPLOADS}/form", files={"file": b"x"}, headers=caller.headers)
+        assert code_of(reply) == (403, "forbidden")
+
+
+@pytest.mark.parametrize("role", ["curator", "administrator"])
+def test_somebody_elses_upload_does_not_exist(
+    api: httpx.Client, platform: Platform, curator: Person, role: str
+) -> None:
+    where, other = created(api, curator, len(CONTENT)), person(platform, role)
+    for path in (where, f"{UPLOADS}/{new_id()}"):
+        assert ask(api, other, path).status_code == 404
+        assert code_of(patch(api, other, path, 0, CONTENT)) == (404, "upload_missing")
+        assert code_of(api.delete(path, headers={**TUS, **other.headers})) == (404, "upload_missing")
+        assert code_of(api.get(path, headers=other.headers)) == (404, "upload_missing")
+    assert api.get(UPLOADS, headers=other.headers).json()["items"] == []
+    assert offset_of(api, curator, where) == 0
+
+
+@pytest.mark.parametrize("version", ["", "0.2.2", "1.0.1"])
+def test_another_version_of_tus_is_refused_with_ours(api: httpx.Client, curator: Person, version: str) -> None:
+    where = created(api, curator, 10)
+    headers = {**curator.headers, "Upload-Length": "1", **({"Tus-Resumable": version} if version else {})}
+    for method, path in (("POST", UPLOADS), ("PATCH", where), ("DELETE", where)):
+        reply = api.request(method, path, headers=headers)
+        assert code_of(reply) == (412, "tus_version")
+        assert reply.headers["Tus-Version"] == "1.0.0"
+    assert api.head(where, headers=headers).status_code == 412
+
+
+@pytest.mark.parametrize("length", ["", "-1", "+5", "5.0", "1_0", "0x10", "1e3", "9" * 19])
+def test_what_is_no_count_is_refused_as_a_length(api: httpx.Client, curator: Person, length: str) -> None:
+    said = metadata(filename="a", purpose="recording")
+    headers = {**TUS, **curator.headers, "Upload-Length": length, "Upload-Metadata": said}
+    assert code_of(api.post(UPLOADS, headers=headers)) == (400, "bad_tus_header")
+
+
+def test_a_deferred_length_and_a_concatenation_are_refused_by_name(api: httpx.Client, curator: Person) -> None:
+    headers = {**TUS, **curator.headers}
+    assert code_of(api.post(UPLOADS, headers={**headers, "Upload-Defer-Length": "1"})) == (400, "length_deferred")
+    assert code_of(api.post(UPLOADS, headers={**headers, "Upload-Concat": "partial"})) == (400, "tus_extension")
+
+
+@pytest.mark.parametrize(
+    ("header", "expected"),
+    [
+        ("", (422, "bad_upload_metadata")),
+        (metadata(filename="a"), (422, "bad_upload_metadata")),
+        (metadata(purpose="recording"), (422, "bad_upload_metadata")),
+        (metadata(filename="a", purpose="avatar"), (422, "bad_upload_metadata")),
+        (metadata(filename="../a", purpose="recording"), (422, "bad_upload_metadata")),
+        (metadata(filename="a\x00b", purpose="recording"), (422, "bad_upload_metadata")),
+        (metadata(filename="a", purpose="recording", sha256="12"), (422, "bad_upload_metadata")),
+        (metadata(filename="a", purpose="recording", target_id="../x"), (422, "bad_upload_metadata")),
+        ("filename " + base64.b64encode(b"\xff").decode() + ",purpose cmVjb3JkaW5n", (422, "bad_upload_metadata")),
+        ("filename not-base64!", (400, "bad_tus_header")),
+        ("filename YQ==,filename Yg==", (400, "bad_tus_header")),
+        ("file name YQ==", (400, "bad_tus_header")),
+        (",", (400, "bad_tus_header")),
+        ("a " + "QUFB" * 3000, (400, "bad_tus_header")),
+        (",".join(f"k{number}" for number in range(33)), (400, "bad_tus_header")),
+    ],
+)
+def test_metadata_is_read_strictly(api: httpx.Client, curator: Person, header: str, expected: tuple[int, str]) -> None:
+    headers = {**TUS, **curator.headers, "Upload-Length": "1", "Upload-Metadata": header}
+    assert code_of(api.post(UPLOADS, headers=headers)) == expected
+
+
+def test_metadata_that_clients_add_of_their_own_is_let_pass(api: httpx.Client, curator: Person) -> None:
+    reply = create(api, curator, 1, filetype="application/octet-stream", relativePath="a/b")
+    assert reply.status_code == 201
+
+
+def test_a_target_that_is_not_yours_is_refused(api: httpx.Client, curator: Person) -> None:
+    assert code_of(create(api, curator, 1, target_id=new_id())) == (404, "upload_target_missing")
+
+
+@pytest.fixture
+def small(platform: Platform) -> Iterator[httpx.Client]:
+    """The application with narrow bounds."""
+    bounds = UploadSettings(max_bytes=100_000, owner_bytes=50_000, form_bytes=20_000, idle_s=0.5)
+    narrow = platform.settings.model_copy(update={"uploads": bounds})
+    with client_of(replace(platform, settings=narrow)) as client:
+        yield client
+
+
+def test_what_is_too_large_or_over_the_quota_is_refused_with_the_figures(small: httpx.Client, curator: Person) -> None:
+    assert code_of(create(small, curator, 100_001)) == (413, "upload_too_large")
+    created(small, curator, 30_000)
+    reply = create(small, curator, 20_001)
+    assert code_of(reply) == (413, "quota_exceeded")
+    assert "30000 of 50000 bytes are used and 20001 more" in reply.json()["detail"]
+
+
+@pytest.mark.parametrize("offset", ["", "-1", "x", "1.0"])
+def test_what_is_no_count_is_refused_as_an_offset(api: httpx.Client, curator: Person, offset: str) -> None:
+    where = created(api, curator, 10)
+    assert code_of(patch(api, curator, where, 0, b"a", Upload_Offset=offset)) == (400, "bad_tus_header")
+
+
+def test_another_content_type_is_refused(api: httpx.Client, curator: Person) -> None:
+    where = created(api, curator, 10)
+    reply = patch(api, curator, where, 0, b"a", Content_Type="application/octet-stream")
+    assert code_of(reply) == (415, "unsupported_media_type")
+
+
+@pytest.mark.parametrize(
+    "given", ["md5 CY9rzUYh03PK3k6DJie09g==", "sha1", "sha1 x", "sha1 AAAA", "sha256 " + checksum(b"a")[5:]]
+)
+def test_a_checksum_that_is_none_is_refused(api: httpx.Client, curator: Person, given: str) -> None:
+    where = created(api, curator, 10)
+    assert code_of(patch(api, curator, where, 0, b"a", Upload_Checksum=given)) == (400, "bad_tus_header")
+    assert offset_of(api, curator, where) == 0
+
+
+def test_a_wrong_offset_is_a_conflict(api: httpx.Client, curator: Person) -> None:
+    where = created(api, curator, len(CONTENT))
+    patch(api, curator, where, 0, CONTENT[:100])
+    for offset in (0, 99, 101):
+        assert code_of(patch(api, curator, where, offset, CONTENT[100:])) == (409, "offset_mismatch")
+    assert offset_of(api, curator, where) == 100
+
+
+def test_more_than_was_declared_is_refused_announced_or_not(api: httpx.Client, curator: Person) -> None:
+    where = created(api, curator, 100)
+    assert code_of(patch(api, curator, where, 0, CONTENT)) == (413, "over_length")
+    assert code_of(patch(api, curator, where, 0, iter([CONTENT[:90], CONTENT]))) == (413, "over_length")
+    assert offset_of(api, curator, where) == 0
+
+
+@pytest.mark.parametrize("algorithm", ["sha1", "sha256"])
+def test_bytes_that_were_damaged_on_the_way_are_cut_off_again(
+    api: httpx.Client, curator: Person, algorithm: str
+) -> None:
+    where = created(api, curator, len(CONTENT), sha256=sha256_of(CONTENT))
+    patch(api, curator, where, 0, CONTENT[:100])
+    right = checksum(CONTENT[100:], algorithm)
+    damaged = CONTENT[100:-1] + b"?"
+    assert code_of(patch(api, curator, where, 100, damaged, Upload_Checksum=right)) == (460, "checksum_mismatch")
+    assert offset_of(api, curator, where) == 100
+    assert patch(api, curator, where, 100, CONTENT[100:], Upload_Checksum=right).status_code == 204
+    assert shown(api, curator, where)["sha256"] == sha256_of(CONTENT)
+
+
+def test_a_whole_that_is_not_the_declared_file_fails(api: httpx.Client, curator: Person) -> None:
+    where = created(api, curator, 100, sha256=sha256_of(b"another"))
+    assert code_of(patch(api, curator, where, 0, CONTENT[:100])) == (460, "sha256_mismatch")
+    assert ask(api, curator, where).status_code == 410
+    assert code_of(patch(api, curator, where, 0, CONTENT[:100])) == (410, "upload_gone")
+    assert shown(api, curator, where)["state"] == "failed"
+
+
+def test_a_second_writer_is_told_that_it_is_locked_while_everybody_else_is_answered(
+    api: httpx.Client, curator: Person
+) -> None:
+    large = CONTENT * 200  # more than what is held in memory before it is written
+    where = created(api, curator, len(large))
+    go_on = threading.Event()
+
+    def slowly() -> Iterator[bytes]:
+        yield large[:-10]
+        go_on.wait(20)
+        yield large[-10:]
+
+    replies: list[httpx.Response] = []
+    first = threading.Thread(target=lambda: replies.append(patch(api, curator, where, 0, slowly())))
+    first.start()
+    try:
+        deadline = time.monotonic() + 20
+        while offset_of(api, curator, where) == 0:
+            assert time.monotonic() < deadline, "the first writer does not write"
+            time.sleep(0.01)
+        assert code_of(patch(api, curator, where, 0, b"")) == (423, "upload_locked")
+        assert code_of(api.delete(where, headers={**TUS, **curator.headers})) == (423, "upload_locked")
+        assert api.get(UPLOADS, headers=curator.headers).status_code == 200
+    finally:
+        go_on.set()
+        first.join(20)
+    assert replies[0].status_code == 204
+    assert shown(api, curator, where)["state"] == "complete"
+
+
+def test_a_client_that_falls_silent_loses_its_lock_and_keeps_its_bytes(small: httpx.Client, curator: Person) -> None:
+    where = created(small, curator, len(CONTENT))
+    silent = threading.Event()
+
+    def then_nothing() -> Iterator[bytes]:
+        yield CONTENT[:1000]
+        silent.wait(3)
+        yield b""
+
+    reply = patch(small, curator, where, 0, then_nothing())
+    silent.set()
+    assert code_of(reply) == (408, "receive_timeout")
+    assert offset_of(small, curator, where) == 1000
+    assert patch(small, curator, where, 1000, CONTENT[1000:]).status_code == 204
+
+
+def test_what_is_spoken_is_said_to_anybody(api: httpx.Client, platform: Platform) -> None:
+    reply = api.options(UPLOADS)
+    assert reply.status_code == 204
+    assert reply.headers["Tus-Version"] == "1.0.0"
+    assert reply.headers["Tus-Max-Size"] == str(platform.settings.uploads.max_bytes)
+    assert reply.headers["Tus-Checksum-Algorithm"] == "sha1,sha256"
+    spoken = {"creation", "creation-with-upload", "checksum", "expiration", "termination"}
+    assert set(reply.headers["Tus-Extension"].split(",")) == spoken
+
+
+def test_a_file_arrives_in_pieces(api_on: httpx.Client, platform_on: Platform) -> None:
+    owner = person(platform_on, "curator")
+    reply = create(api_on, owner, len(CONTENT), sha256=sha256_of(CONTENT), filename="Süd.mcap")
+    where = reply.headers["Location"]
+    assert reply.headers["Tus-Resumable"] == "1.0.0"
+    assert reply.headers["Upload-Offset"] == "0"
+    assert parsedate_to_datetime(reply.headers["Upload-Expires"]).timestamp() > 0
+    for offset in range(0, len(CONTENT), 3000):
+        reply = patch(api_on, owner, where, offset, CONTENT[offset : offset + 3000])
+        assert reply.status_code == 204, reply.text
+        assert int(reply.headers["Upload-Offset"]) == min(offset + 3000, len(CONTENT))
+        asked = ask(api_on, owner, where)
+        assert asked.headers["Upload-Offset"] == reply.headers["Upload-Offset"]
+        assert asked.headers["Cache-Control"] == "no-store"
+    state = shown(api_on, owner, where)
+    assert (state["state"], state["sha256"], state["filename"]) == ("complete", sha256_of(CONTENT), "Süd.mcap")
+    assert (platform_on.settings.uploads_folder / state["id"]).read_bytes() == CONTENT
+
+
+def test_a_file_arrives_with_its_creation(api: httpx.Client, curator: Person) -> None:
+    said = {**PIECE, **curator.headers, "Upload-Metadata": metadata(filename="a", purpose="recording")}
+    whole = api.post(UPLOADS, content=CONTENT, headers={**said, "Upload-Length": str(len(CONTENT))})
+    assert (whole.status_code, whole.headers["Upload-Offset"]) == (201, str(len(CONTENT)))
+    part = api.post(UPLOADS, content=CONTENT[:99], headers={**said, "Upload-Length": str(len(CONTENT))})
+    assert (part.status_code, part.headers["Upload-Offset"]) == (201, "99")
+    assert patch(api, curator, part.headers["Location"], 99, CONTENT[99:]).status_code == 204
+
+
+def test_a_creation_whose_bytes_are_refused_leaves_nothing_behind(api: httpx.Client, curator: Person) -> None:
+    said = {**PIECE, **curator.headers, "Upload-Metadata": metadata(filename="a", purpose="recording")}
+    headers = {**said, "Upload-Length": "100", "Upload-Checksum": checksum(b"other")}
+    assert code_of(api.post(UPLOADS, content=CONTENT[:100], headers=headers)) == (460, "checksum_mismatch")
+    assert code_of(api.post(UPLOADS, content=CONTENT, headers={**said, "Upload-Length": "9"})) == (413, "over_length")
+    assert {item["state"] for item in api.get(UPLOADS, headers=curator.headers).json()["items"]} == {"terminated"}
+
+
+def test_a_file_that_is_here_already_is_not_asked_for_again(
+    api: httpx.Client, platform: Platform, curator: Person
+) -> None:
+    where = created(api, curator, len(CONTENT))
+    patch(api, curator, where, 0, CONTENT)
+    again = create(api, curator, len(CONTENT), sha256=sha256_of(CONTENT))
+    assert again.headers["Upload-Offset"] == str(len(CONTENT))
+    assert again.headers["Location"] != where
+    assert shown(api, curator, again.headers["Location"])["state"] == "complete"
+    theirs = create(api, person(platform, "curator"), len(CONTENT), sha256=sha256_of(CONTENT))
+    assert theirs.headers["Upload-Offset"] == "0"
+
+
+def test_an_expired_upload_is_gone(api: httpx.Client, platform: Platform, curator: Person) -> None:
+    where = created(api, curator, 10)
+    with platform.database.transaction() as session:
+        session.execute(update(Upload).values(expires_ns=1))
+    assert ask(api, curator, where).status_code == 410
+    assert expire(platform) == 1
+    assert code_of(patch(api, curator, where, 0, b"a")) == (410, "upload_gone")
+    assert shown(api, curator, where)["state"] == "expired"
+
+
+def test_a_terminated_upload_is_gone_and_gives_its_bytes_back(small: httpx.Client, curator: Person) -> None:
+    where = created(small, curator, 50_000)
+    assert create(small, curator, 1).status_code == 413
+    assert small.delete(where, headers={**TUS, **curator.headers}).status_code == 204
+    assert ask(small, curator, where).status_code == 410
+    assert code_of(small.delete(where, headers={**TUS, **curator.headers})) == (410, "upload_gone")
+    assert create(small, curator, 50_000).status_code == 201
+
+
+def test_methods_may_be_overridden_where_a_network_lets_none_through(api: httpx.Client, curator: Person) -> None:
+    where = created(api, curator, len(CONTENT))
+    headers = {**PIECE, **curator.headers, "Upload-Offset": "0", "X-HTTP-Method-Override": "PATCH"}
+    assert api.post(where, content=CONTENT, headers=headers).status_code == 204
+    assert code_of(api.post(where, headers={**headers, "X-HTTP-Method-Override": "GET"})) == (400, "bad_tus_header")
+    assert api.post(where, headers={**headers, "X-HTTP-Method-Override": "DELETE"}).status_code == 204
+    assert shown(api, curator, where)["state"] == "terminated"
+
+
+def test_uploads_are_listed_by_pages_the_newest_first(api: httpx.Client, curator: Person) -> None:
+    made = [created(api, curator, length).rpartition("/")[2] for length in (1, 2, 3)]
+    first = api.get(UPLOADS, params={"limit": 2}, headers=curator.headers).json()
+    rest = api.get(UPLOADS, params={"cursor": first["next"]}, headers=curator.headers).json()
+    assert [item["id"] for item in first["items"] + rest["items"]] == made[::-1]
+    assert rest["next"] is None
+    assert api.get(UPLOADS, params={"state": "complete"}, headers=curator.headers).json()["items"] == []
+
+
+def test_a_creation_repeated_under_its_key_creates_once(api: httpx.Client, curator: Person) -> None:
+    said = {"Upload-Length": "5", "Upload-Metadata": metadata(filename="a", purpose="recording")}
+    headers = {**TUS, **curator.headers, **said, "Idempotency-Key": "once"}
+    first, second = (api.post(UPLOADS, headers=headers) for _ in range(2))
+    assert first.status_code == second.status_code == 201
+    assert first.headers["Location"] == second.headers["Location"]
+    assert second.headers["Idempotency-Replayed"] == "true"
+
+
+FORM = {"purpose": "recording"}
+
+
+def send_form(api: httpx.Client, owner: Person, content: bytes, **fields: str) -> httpx.Response:
+    return api.post(
+        f"{UPLOADS}/form", data={**FORM, **fields}, files={"file": ("a.mcap", content)}, headers=owner.headers
+    )
+
+
+def test_a_form_that_is_none_is_refused(api: httpx.Client, curator: Person) -> None:
+    where = f"{UPLOADS}/form"
+    plain = api.post(where, content=b"x", headers={**curator.headers, "Content-Type": "text/plain"})
+    assert code_of(plain) == (415, "unsupported_media_type")
+    broken = {**curator.headers, "Content-Type": "multipart/form-data"}
+    assert code_of(api.post(where, content=b"x", headers=broken)) == (422, "bad_form")
+    no_file = api.post(where, data=FORM, files={"other": b"x"}, headers=curator.headers)
+    assert code_of(no_file) == (422, "bad_form")
+    two = [("file", b"x"), ("file", b"y")]
+    assert code_of(api.post(where, data=FORM, files=two, headers=curator.headers)) == (422, "bad_form")
+    assert code_of(send_form(api, curator, b"x", admin="1")) == (422, "bad_form")
+    assert code_of(send_form(api, curator, b"x", target_id="y" * 2000)) == (422, "bad_form")
+    assert code_of(send_form(api, curator, b"x", purpose="avatar")) == (422, "bad_upload_metadata")
+
+
+def test_a_form_that_is_too_large_or_not_the_declared_file_is_refused(small: httpx.Client, curator: Person) -> None:
+    assert send_form(small, curator, b"x" * 200_000).status_code == 413
+    assert code_of(send_form(small, curator, b"x" * 20_001)) == (413, "upload_too_large")
+    assert code_of(send_form(small, curator, b"x", sha256=sha256_of(b"y"))) == (460, "sha256_mismatch")
+    assert create(small, curator, 50_000).status_code == 201  # nothing of it was charged
+
+
+def test_a_small_file_arrives_by_a_form(api: httpx.Client, platform: Platform, curator: Person) -> None:
+    reply = send_form(api, curator, CONTENT, sha256=sha256_of(CONTENT).upper())
+    assert reply.status_code == 201
+    body = reply.json()
+    assert (body["state"], body["sha256"], body["filename"]) == ("complete", sha256_of(CONTENT), "a.mcap")
+    assert reply.headers["Location"] == f"{UPLOADS}/{body['id']}"
+    assert (platform.settings.uploads_folder / body["id"]).read_bytes() == CONTENT
