@@ -16,6 +16,7 @@ from threading import Lock
 from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from api.bodies import UPLOADS
 from api.context import COOKIE
 from api.errors import RateLimitedError
 from services.runtime.settings import Settings
@@ -53,9 +54,10 @@ class Limits:
         self._lock = Lock()
 
     def admit(self, request: Request) -> None:
-        """Count a request. Raises `RateLimitedError`."""
-        who = self._known.get(credential_of(request)) or address_of(request)
-        self._take(who, self._api.requests_per_minute)
+        """Count a request, but no piece of a known caller's upload. Raises `RateLimitedError`."""
+        known = self._known.get(credential_of(request))
+        if not (known and is_piece(request)):
+            self._take(known or address_of(request), self._api.requests_per_minute)
 
     def admit_sign_in(self, request: Request, name: str) -> None:
         """Count an attempt at a password, by address and by name. Raises `RateLimitedError`."""
@@ -85,6 +87,11 @@ class RateLimit:
         if scope["type"] == "http" and scope["path"].startswith("/api/"):
             self._limits.admit(Request(scope))
         await self._app(scope, receive, send)
+
+
+def is_piece(request: Request) -> bool:
+    """Whether it brings bytes of an upload, which quota and length bound: counted, small pieces could not be sent."""
+    return request.method == "PATCH" and request.url.path.startswith(UPLOADS)
 
 
 def credential_of(request: Request) -> str:

@@ -13,7 +13,7 @@ from sqlalchemy import update
 
 from services.runtime.orm import Upload, new_id
 from services.runtime.platform import Platform
-from services.runtime.settings import UploadSettings
+from services.runtime.settings import ApiSettings, UploadSettings
 from services.runtime.uploads import expire
 from tests.api.serving import Person, client_of, person
 from tests.api.tus import (
@@ -148,6 +148,17 @@ def test_what_is_too_large_or_over_the_quota_is_refused_with_the_figures(small: 
     reply = create(small, curator, 20_001)
     assert code_of(reply) == (413, "quota_exceeded")
     assert "30000 of 50000 bytes are used and 20001 more" in reply.json()["detail"]
+
+
+def test_pieces_are_not_counted_as_requests_of_a_known_caller_but_all_else_is(
+    platform: Platform, curator: Person
+) -> None:
+    settings = platform.settings.model_copy(update={"api": ApiSettings(requests_per_minute=10)})
+    with client_of(replace(platform, settings=settings)) as api:
+        where = created(api, curator, 40)
+        assert [patch(api, curator, where, offset, b"x").status_code for offset in range(40)] == [204] * 40
+        assert 429 in [ask(api, curator, where).status_code for _ in range(12)]
+        assert 429 in [api.patch(where, headers=PIECE).status_code for _ in range(12)]
 
 
 @pytest.mark.parametrize("offset", ["", "-1", "x", "1.0"])
