@@ -21,9 +21,12 @@ from services.runtime.collection import BLOBS, Collected, collect
 from services.runtime.database import Database
 from services.runtime.inserting import insert_new
 from services.runtime.orm import Blob, LooseObject
+from services.runtime.orm.base import now_ns
 from services.runtime.store import Store
 
 __all__ = ["Collected", "PreparedBlob", "collect", "keep", "link", "prepare"]
+
+SLOW_BYTES_PER_S = 2**20
 
 
 @dataclass(frozen=True)
@@ -57,7 +60,8 @@ def prepare(store: Store, database: Database, path: Path, *, adopt: bool = False
             return prepared
     key = _fresh_key(prepared.sha256)
     with database.transaction() as session:
-        session.add(LooseObject(object_key=key))
+        expected_ns = now_ns() + prepared.size_bytes * 10**9 // SLOW_BYTES_PER_S
+        session.add(LooseObject(object_key=key, expected_ns=expected_ns))
     _store(prepared, key)
     return PreparedBlob(store, path, adopt, prepared.sha256, prepared.size_bytes, key)
 

@@ -22,6 +22,7 @@ from services.runtime.workspace import Workspace
 BLOBS = "blobs/"
 WORK = "work/"
 BATCH = 500
+SLOWEST_WRITE_S = 86_400.0
 UNSYNCHRONISED = {"synchronize_session": False}
 KEPT_FAILED_NS = 7 * 86_400 * 10**9
 
@@ -41,7 +42,7 @@ def collect(platform: Platform) -> Collected:
     _condemn_loose(platform, before_ns)
     _condemn_unknown(platform, before_ns)
     objects = _delete_condemned(platform) + _delete_work(platform, before_ns)
-    return Collected(rows, objects + platform.store.tidy(platform.settings.store.grace_s))
+    return Collected(rows, objects + platform.store.tidy(max(platform.settings.store.grace_s, SLOWEST_WRITE_S)))
 
 
 def _release_blobs(platform: Platform, before_ns: int) -> int:
@@ -71,7 +72,7 @@ def _is_referenced() -> ColumnElement[bool]:
 
 def _condemn_loose(platform: Platform, before_ns: int) -> None:
     """Objects written and never linked."""
-    forgotten = update(LooseObject).where(LooseObject.is_condemned.is_(False), LooseObject.created_ns <= before_ns)
+    forgotten = update(LooseObject).where(LooseObject.is_condemned.is_(False), LooseObject.expected_ns <= before_ns)
     with platform.database.transaction() as session:
         session.execute(forgotten.values(is_condemned=True))
 

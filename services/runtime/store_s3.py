@@ -6,7 +6,7 @@ some servers answer a ranged read with the checksum of the whole. A file reaches
 """
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -104,17 +104,17 @@ class S3Store:
 
     def tidy(self, grace_s: float) -> int:
         """Abort multipart uploads begun before the grace, and remove what dead downloads left in the cache."""
-        aborted = 0
         before = datetime.now(UTC) - timedelta(seconds=grace_s)
-        with self._translated(""):
+        aborted = 0
+        with self._translated(""), suppress(self._client.exceptions.NoSuchUpload):  # somebody else was quicker
             for page in self._client.get_paginator("list_multipart_uploads").paginate(Bucket=self.bucket):
-                stale = [upload for upload in page.get("Uploads", []) if upload["Initiated"] <= before]
-                for upload in stale:
-                    self._client.abort_multipart_upload(
-                        Bucket=self.bucket, Key=upload["Key"], UploadId=upload["UploadId"]
-                    )
-                aborted += len(stale)
+                for upload in page.get("Uploads", []):
+                    aborted += upload["Initiated"] <= before and self._aborted(upload["Key"], upload["UploadId"])
         return aborted + self.cache.tidy()
+
+    def _aborted(self, key: str, upload_id: str) -> bool:
+        self._client.abort_multipart_upload(Bucket=self.bucket, Key=key, UploadId=upload_id)
+        return True
 
     def _pieces(self, key: str, start: int, stop: int) -> Iterator[bytes]:
         """Resumed where it broke off, at most `RESUMES` times without progress."""

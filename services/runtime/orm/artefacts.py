@@ -21,13 +21,14 @@ class Blob(Base):
 class LooseObject(Base):
     """An object of the store that no blob names: being written, or to be deleted (`is_condemned`).
 
-    Whoever takes the row out has the object: `services/runtime/blobs.py` to make it a blob, or the collection.
+    Whoever takes the row out has the object: `services/runtime/blobs.py` to make it a blob, or the collection, from
+    which it is safe until `expected_ns` (when even a slow writer should be done) and the grace.
     """
 
     __tablename__ = "loose_objects"
     object_key: Mapped[str] = mapped_column(String(160), primary_key=True)
     is_condemned: Mapped[bool] = mapped_column(default=False, index=True)
-    created_ns: Mapped[Ns] = mapped_column(default=now_ns)
+    expected_ns: Mapped[Ns] = mapped_column(default=now_ns)
 
 
 class LabelSet(Base):

@@ -44,7 +44,7 @@ def _loose_objects() -> None:
         "loose_objects",
         sa.Column("object_key", sa.String(length=160), nullable=False),
         sa.Column("is_condemned", sa.Boolean(), nullable=False),
-        sa.Column("created_ns", sa.BigInteger(), nullable=False),
+        sa.Column("expected_ns", sa.BigInteger(), nullable=False),
         sa.PrimaryKeyConstraint("object_key", name=op.f("pk_loose_objects")),
     )
     op.create_index(op.f("ix_loose_objects_is_condemned"), "loose_objects", ["is_condemned"], unique=False)
