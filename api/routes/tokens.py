@@ -33,11 +33,11 @@ def issue(body: TokenBody, caller: Anybody, response: Response, platform: Platfo
     """The answer holds the secret and is kept nowhere: repeated under the same Idempotency-Key, it is a 409."""
     scopes = caller.scopes if body.scopes is None else frozenset[str](body.scopes)
     _refuse_more(scopes, caller)
-    expires_s = _lifetime_s(body, caller, platform.settings.api.token_s)
+    expires_ns = _end_ns(body, caller, platform.settings.api.token_s)
     with platform.database.transaction() as session:
         _refuse_too_many(session, caller)
         owner = session.get_one(User, caller.user_id)
-        row, secret = tokens.issue_row(session, owner, body.name, scopes, expires_s)
+        row, secret = tokens.issue_until(session, owner, body.name, scopes, expires_ns)
         audit.record(session, caller, "token.issued", row.id, facts={"scopes": row.scopes, "name": row.name})
     response.headers["Cache-Control"] = "no-store"
     return IssuedToken(**_shown(row).model_dump(), secret=secret)
@@ -65,12 +65,18 @@ def _refuse_more(scopes: frozenset[str], caller: Caller) -> None:
         raise ForbiddenError(f"you cannot grant {beyond}; yours are {sorted(caller.scopes)}")
 
 
-def _lifetime_s(body: TokenBody, caller: Caller, longest_s: float) -> float:
-    """As long as asked, else as long as allowed. Raises `ForbiddenError` beyond that."""
-    left_s = longest_s if caller.is_session else min(longest_s, (caller.expires_ns - now_ns()) / 1e9)
-    if body.expires_s is not None and body.expires_s > left_s:
+def _end_ns(body: TokenBody, caller: Caller, longest_s: float) -> int:
+    """As late as asked, else as late as allowed. Raises `ForbiddenError` beyond that."""
+    now = now_ns()
+    latest_ns = now + int(longest_s * 1e9)
+    if not caller.is_session:
+        latest_ns = min(latest_ns, caller.expires_ns)
+    if body.expires_s is None:
+        return latest_ns
+    if now + int(body.expires_s * 1e9) > latest_ns:
+        left_s = (latest_ns - now) / 1e9
         raise ForbiddenError(f"this token may last {left_s:.0f} s at most, not {body.expires_s:.0f} s")
-    return left_s if body.expires_s is None else body.expires_s
+    return now + int(body.expires_s * 1e9)
 
 
 def _refuse_too_many(session: Session, caller: Caller) -> None:

@@ -22,13 +22,12 @@ USED_EVERY_NS = 60 * 10**9
 
 def issue(session: Session, user: User, name: str, scopes: Iterable[str], expires_s: float) -> str:
     """Add a token for `user` and return its secret, which cannot be shown again."""
-    return issue_row(session, user, name, scopes, expires_s)[1]
+    return issue_until(session, user, name, scopes, now_ns() + int(expires_s * 1e9))[1]
 
 
-def issue_row(session: Session, user: User, name: str, scopes: Iterable[str], expires_s: float) -> tuple[Token, str]:
+def issue_until(session: Session, user: User, name: str, scopes: Iterable[str], expires_ns: int) -> tuple[Token, str]:
     """The token's row beside its secret."""
     secret = PREFIX + token_urlsafe(32)
-    expires_ns = now_ns() + int(expires_s * 1e9)
     row = Token(user_id=user.id, name=name, scopes=sorted(set(scopes)), expires_ns=expires_ns)
     row.secret_hash = hash_of(secret)
     session.add(row)

@@ -151,7 +151,7 @@ def test_a_token_ends_with_its_time_and_with_its_user(platform_on: Platform, ada
 def test_the_last_use_is_worth_writing_once_a_minute(platform: Platform) -> None:
     with platform.database.transaction() as session:
         user = users.create_user(session, "ada", "curator")
-        row, _ = tokens.issue_row(session, user, "laptop", ["read"], 60)
+        row, _ = tokens.issue_until(session, user, "laptop", ["read"], 2**62)
     assert tokens.is_use_due(row)
     with platform.database.transaction() as session:
         tokens.note_use(session, row.id)

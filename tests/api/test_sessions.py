@@ -1,0 +1,131 @@
+"""Browsers: a cookie that scripts cannot read, and no change without the token only our pages know."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import httpx
+import pytest
+
+from services.runtime.access.users import create_user
+from services.runtime.platform import Platform
+from services.runtime.settings import ApiSettings
+from tests.api.serving import Person, client_of
+
+SESSIONS, ME = "/api/v1/sessions", "/api/v1/me"
+PASSWORD = "correct horse battery staple"
+
+
+@pytest.fixture
+def ada(platform: Platform) -> dict[str, str]:
+    with platform.database.transaction() as session:
+        create_user(session, "ada", "curator", PASSWORD)
+    return {"name": "ada", "password": PASSWORD}
+
+
+@pytest.fixture
+def browser(api: httpx.Client, ada: dict[str, str]) -> Iterator[httpx.Client]:
+    """A client that has signed in and holds the cookie."""
+    answer = api.post(SESSIONS, json=ada)
+    assert answer.status_code == 201, answer.text
+    return api
+
+
+def csrf_of(browser: httpx.Client) -> dict[str, str]:
+    return {"X-CSRF-Token": browser.get(ME).json()["csrf_token"]}
+
+
+@pytest.mark.parametrize("wrong", [{"password": "wrong password"}, {"name": "eve"}, {"password": ""}, {"name": ""}])
+def test_a_wrong_name_or_password_is_refused_alike(api: httpx.Client, ada: dict[str, str], wrong: Any) -> None:
+    answer = api.post(SESSIONS, json={**ada, **wrong})
+    assert answer.status_code == (422 if wrong.get("password") == "" else 401)
+    if answer.status_code == 401:
+        assert answer.json()["code"] == "wrong_password"
+        assert "set-cookie" not in answer.headers
+
+
+def test_who_has_no_password_cannot_sign_in(api: httpx.Client, curator: Person) -> None:
+    for password in ("x", "stone_", curator.secret):
+        assert api.post(SESSIONS, json={"name": curator.name, "password": password}).status_code == 401
+
+
+def test_sign_ins_are_counted_by_address_and_refused_beyond(platform: Platform, ada: dict[str, str]) -> None:
+    with client_of(platform) as api:
+        wrong = {**ada, "password": "wrong"}
+        answers = [api.post(SESSIONS, json=wrong).status_code for _ in range(platform.settings.api.sign_ins_per_minute)]
+        assert set(answers) == {401}
+        refused = api.post(SESSIONS, json=ada)
+        assert (refused.status_code, refused.json()["code"]) == (429, "rate_limited")
+        assert 1 <= int(refused.headers["retry-after"]) <= 60
+        assert api.get("/api/v1/problems").status_code == 200
+
+
+@pytest.mark.parametrize("offered", [None, "", "wrong", "é"])
+def test_a_change_by_cookie_without_the_csrf_token_is_403(browser: httpx.Client, offered: str | None) -> None:
+    headers = {} if offered is None else {"X-CSRF-Token": offered.encode().decode("latin-1")}
+    encoded = {name: value.encode("latin-1") for name, value in headers.items()}
+    for answer in (
+        browser.post("/api/v1/teams", json={"name": "us"}, headers=encoded),
+        browser.delete(f"{SESSIONS}/current", headers=encoded),
+        browser.put(f"{ME}/password", json={"current": PASSWORD, "new": PASSWORD + "!"}, headers=encoded),
+    ):
+        assert (answer.status_code, answer.json()["code"]) == (403, "csrf")
+
+
+def test_another_sessions_csrf_token_does_not_do(browser: httpx.Client, ada: dict[str, str]) -> None:
+    first = csrf_of(browser)
+    browser.post(SESSIONS, json=ada)
+    assert browser.post("/api/v1/teams", json={"name": "us"}, headers=first).status_code == 403
+    assert browser.post("/api/v1/teams", json={"name": "us"}, headers=csrf_of(browser)).status_code == 201
+
+
+def test_a_signed_in_browser_has_its_users_role_and_a_cookie_scripts_cannot_read(
+    api: httpx.Client, ada: dict[str, str]
+) -> None:
+    answer = api.post(SESSIONS, json=ada)
+    cookie = answer.headers["set-cookie"].lower()
+    assert "httponly" in cookie
+    assert "samesite=strict" in cookie
+    assert "path=/" in cookie
+    assert "secure" not in cookie, "this platform is reached by http"
+    assert answer.headers["cache-control"] == "no-store"
+    me = api.get(ME).json()
+    assert (me["name"], me["role"], me["is_session"]) == ("ada", "curator", True)
+    assert me["scopes"] == ["read", "submit", "upload"]
+    assert me["csrf_token"] == answer.json()["csrf_token"]
+
+
+def test_behind_https_the_cookie_is_secure(platform: Platform, ada: dict[str, str]) -> None:
+    secure = platform.settings.model_copy(update={"api": ApiSettings(url="https://stone.example")})
+    with client_of(replace(platform, settings=secure)) as api:
+        assert "secure" in api.post(SESSIONS, json=ada).headers["set-cookie"].lower()
+
+
+def test_a_session_signed_out_is_worth_nothing(browser: httpx.Client) -> None:
+    kept = browser.cookies["stone_session"]
+    answer = browser.delete(f"{SESSIONS}/current", headers=csrf_of(browser))
+    assert answer.status_code == 204
+    assert 'stone_session=""' in answer.headers["set-cookie"]
+    browser.cookies.clear()
+    assert browser.get(ME, headers={"Cookie": f"stone_session={kept}"}).status_code == 401
+
+
+def test_a_token_is_no_session_to_sign_out(api: httpx.Client, curator: Person) -> None:
+    answer = api.delete(f"{SESSIONS}/current", headers=curator.headers)
+    assert (answer.status_code, answer.json()["code"]) == (409, "conflict")
+
+
+def test_a_password_changes_for_who_knows_it_and_signs_browsers_out(browser: httpx.Client) -> None:
+    new = "another horse, another battery"
+    csrf = csrf_of(browser)
+    wrong = {"current": "wrong password", "new": new}
+    assert browser.put(f"{ME}/password", json=wrong, headers=csrf).status_code == 401
+    weak = {"current": PASSWORD, "new": "short"}
+    refused = browser.put(f"{ME}/password", json=weak, headers=csrf)
+    assert (refused.status_code, refused.json()["code"]) == (422, "weak_password")
+    right = {"current": PASSWORD, "new": new}
+    assert browser.put(f"{ME}/password", json=right, headers=csrf).status_code == 204
+    assert browser.get(ME).status_code == 401
+    browser.cookies.clear()
+    assert browser.post(SESSIONS, json={"name": "ada", "password": PASSWORD}).status_code == 401
+    assert browser.post(SESSIONS, json={"name": "ada", "password": new}).status_code == 201
