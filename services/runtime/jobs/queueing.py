@@ -36,9 +36,11 @@ def enqueue_run(session: Session, kind: str, specs: Sequence[JobSpec], context: 
 
 
 def add_jobs(session: Session, run: Job, specs: Sequence[JobSpec], max_attempts: int) -> list[Job]:
-    """More jobs for a run; `needs` refer to keys within `specs`."""
+    """More jobs for a run, in the order in which they are to be taken; `needs` refer to keys within `specs`."""
     context = Context(run.owner_id, run.sequence_id, run.priority)
     jobs = [_job(spec, context, max_attempts, run.id) for spec in specs]
+    for job, job_id in zip(jobs, sorted(job.id for job in jobs), strict=True):
+        job.id = job_id  # made in one millisecond they would sort by chance
     id_of = {spec.key: job.id for spec, job in zip(specs, jobs, strict=True) if spec.key}
     session.add_all(jobs)
     session.flush()
