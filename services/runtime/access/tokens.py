@@ -22,11 +22,16 @@ USED_EVERY_NS = 60 * 10**9
 
 def issue(session: Session, user: User, name: str, scopes: Iterable[str], expires_s: float) -> str:
     """Add a token for `user` and return its secret, which cannot be shown again."""
-    return issue_until(session, user, name, scopes, now_ns() + int(expires_s * 1e9))[1]
+    return issue_row(session, user, name, scopes, expires_s)[1]
+
+
+def issue_row(session: Session, user: User, name: str, scopes: Iterable[str], expires_s: float) -> tuple[Token, str]:
+    """The token's row beside its secret."""
+    return issue_until(session, user, name, scopes, now_ns() + int(expires_s * 1e9))
 
 
 def issue_until(session: Session, user: User, name: str, scopes: Iterable[str], expires_ns: int) -> tuple[Token, str]:
-    """The token's row beside its secret."""
+    """A token that ends at an instant: its row and its secret."""
     secret = PREFIX + token_urlsafe(32)
     row = Token(user_id=user.id, name=name, scopes=sorted(set(scopes)), expires_ns=expires_ns)
     row.secret_hash = hash_of(secret)
