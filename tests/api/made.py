@@ -63,6 +63,7 @@ def labels(platform: Platform, made: Mapping[str, Any], frames: int = 3, seed: b
     files = {
         "report.json": b'{"frames": %d, "seed": "%s"}' % (frames, seed),
         "mesh.ply": b"ply\n" + seed + bytes(range(256)) * 40,
+        "frames.parquet": b"PAR1" + seed + b"PAR1",
         "bev.png": b"\x89PNG\r\n" + seed,
         "labels/000000.pack": b"".join(of_frames.values()),
     }

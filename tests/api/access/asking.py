@@ -1,0 +1,96 @@
+"""A request for every operation of the document: path, headers and body made of the document's own examples.
+
+**Conventions.** Ids come from a world; what must be one of a kind (names) gets a number. A body that the document
+describes without an example (forms, pieces of a file) is made here.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from itertools import count
+from typing import Any
+
+from tests.api.access.cast import PASSWORD
+from tests.api.access.table import Operation
+from tests.api.access.world import CALIBRATION_FILE
+from tests.api.tus import metadata
+
+NUMBERS = count(1)
+ACT_OF = {"queues": "resume", "jobs": "cancel"}
+PIECES = "application/offset+octet-stream"
+FORM = "multipart/form-data"
+HEADERS = {
+    "tus-resumable": "1.0.0",
+    "upload-length": "6",
+    "upload-offset": "0",
+    "upload-metadata": metadata(filename="rig.yaml", purpose="calibration"),
+    "x-http-method-override": "DELETE",
+    "if-match": "*",
+}
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A request without its credential; `ids` are those it names in its path."""
+
+    operation: Operation
+    path: str
+    headers: Mapping[str, str] = field(default_factory=dict)
+    content: Mapping[str, Any] = field(default_factory=dict)
+    ids: frozenset[str] = frozenset()
+    scope: str = ""
+
+    @property
+    def is_safe(self) -> bool:
+        return self.operation[0] in ("GET", "HEAD", "OPTIONS")
+
+
+def asked(document: Mapping[str, Any], operation: Operation, named: Mapping[str, str], user_name: str) -> Asked:
+    """The request of this operation for the things that are `named`, by the user of that name."""
+    method, template = operation
+    described = document["paths"][template][method.lower()]
+    values = {**named, "act": ACT_OF["queues" if "queues" in template else "jobs"]}
+    ids = {values[name] for name in values if f"{{{name}}}" in template}
+    security = described.get("security") or [{"": [""]}]
+    scope = next(iter(security[0].values()))[0]
+    headers = {"if-match": "*", **_headers(described)}
+    content = _content(document, described, values, user_name)
+    return Asked(operation, template.format_map(values), headers, content, frozenset(ids), scope)
+
+
+def _headers(described: Mapping[str, Any]) -> dict[str, str]:
+    names = [parameter["name"] for parameter in described.get("parameters", ()) if parameter["in"] == "header"]
+    return {name: HEADERS[name.lower()] for name in names if name.lower() in HEADERS}
+
+
+def _content(
+    document: Mapping[str, Any], described: Mapping[str, Any], named: Mapping[str, str], user_name: str
+) -> dict[str, Any]:
+    kinds = described.get("requestBody", {}).get("content", {})
+    if "application/json" in kinds:
+        schema = kinds["application/json"]["schema"]
+        return {"json": _filled(_example(document, schema), named, user_name)}
+    if FORM in kinds:
+        number = next(NUMBERS)
+        file = CALIBRATION_FILE.read_bytes() + f"# {number}\n".encode()
+        is_upload = "purpose" in str(kinds[FORM])
+        return {"files": {"file": ("rig.yaml", file)}, "data": {"purpose": "calibration"} if is_upload else {}}
+    return {"content": b"pieces", "headers": {"Content-Type": PIECES}} if PIECES in kinds else {}
+
+
+def _example(document: Mapping[str, Any], schema: Mapping[str, Any]) -> dict[str, Any]:
+    """The first example of the schema that this one refers to."""
+    chosen = next(iter(schema.get("anyOf", [schema])))
+    named = document["components"]["schemas"][chosen["$ref"].rpartition("/")[2]]
+    found: dict[str, Any] = named["examples"][0]
+    return found
+
+
+def _filled(example: Mapping[str, Any], named: Mapping[str, str], user_name: str) -> dict[str, Any]:
+    """The example with ids that exist, names that are free, and the caller's own name and password."""
+    if set(example) == {"name", "password"}:
+        return {"name": user_name, "password": PASSWORD}
+    if set(example) == {"current", "new"}:
+        return dict.fromkeys(example, PASSWORD)
+    real = {"upload_id": named["complete_upload"], "calibration_id": named["calibration_id"]}
+    filled = {key: real.get(key, value) for key, value in example.items()}
+    return filled | ({"name": f"{example['name']}-{next(NUMBERS)}"} if "name" in example else {})

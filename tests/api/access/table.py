@@ -1,0 +1,92 @@
+"""What every caller is answered on every route: the one table of expectations.
+
+**Conventions.** A row is an operation of the document and a status for each of `CALLERS`, in their order; each caller
+asks for the owner's things, with a body that is valid. A route without a row, and a row without a route, fail.
+
+    anon   nobody                       part    a participant          owner   a curator, whose everything is
+    other  another curator              admin   an administrator       mod     the administrator's token without `admin`
+    narr   the owner's token without the scope that is asked for       exp     the owner's token, expired
+    inact  a curator who was shut out   web     the owner's browser    forg    the owner's browser without X-CSRF-Token
+"""
+
+from collections.abc import Mapping
+
+from tests.api.access.cast import CALLERS
+
+Operation = tuple[str, str]
+"""Method and path template."""
+
+TABLE = """
+                                                             anon part owner other admin mod narr exp inact web forg
+GET    /healthz                                               200  200  200   200   200  200 200  200  200  200 200
+GET    /readyz                                                503  503  503   503   503  503 503  503  503  503 503
+GET    /metrics                                               401  403  403   403   200  403 403  401  401  403 403
+GET    /api/v1/problems                                       200  200  200   200   200  200 200  200  200  200 200
+GET    /api/v1/problems/{code}                                200  200  200   200   200  200 200  200  200  200 200
+POST   /api/v1/sessions                                       401  201  201   201   201  201 201  201  401  201 201
+DELETE /api/v1/sessions/current                               401  409  409   409   409  409 403  401  401  204 403
+GET    /api/v1/me                                             401  200  200   200   200  200 403  401  401  200 200
+PUT    /api/v1/me/password                                    401  204  204   204   204  204 403  401  401  204 403
+POST   /api/v1/tokens                                         401  403  201   201   201  201 403  401  401  201 403
+GET    /api/v1/tokens                                         401  200  200   200   200  200 403  401  401  200 200
+DELETE /api/v1/tokens/{token_id}                              401  404  204   404   404  404 403  401  401  204 403
+POST   /api/v1/users                                          401  403  403   403   201  403 403  401  401  403 403
+GET    /api/v1/users                                          401  403  403   403   200  403 403  401  401  403 403
+PATCH  /api/v1/users/{user_id}                                401  403  403   403   200  403 403  401  401  403 403
+POST   /api/v1/teams                                          401  201  201   201   201  201 403  401  401  201 403
+GET    /api/v1/teams                                          401  200  200   200   200  200 403  401  401  200 200
+GET    /api/v1/admin/audit-log                                401  403  403   403   200  403 403  401  401  403 403
+GET    /api/v1/admin/audit-log/verification                   401  403  403   403   200  403 403  401  401  403 403
+OPTIONS /api/v1/uploads                                       204  204  204   204   204  204 204  204  204  204 204
+POST   /api/v1/uploads                                        401  403  201   201   201  201 403  401  401  201 403
+GET    /api/v1/uploads                                        401  200  200   200   200  200 403  401  401  200 200
+POST   /api/v1/uploads/form                                   401  403  201   201   201  201 403  401  401  201 403
+HEAD   /api/v1/uploads/{upload_id}                            401  403  200   404   404  404 403  401  401  200 200
+PATCH  /api/v1/uploads/{upload_id}                            401  403  204   404   404  404 403  401  401  204 403
+DELETE /api/v1/uploads/{upload_id}                            401  403  204   404   404  404 403  401  401  204 403
+POST   /api/v1/uploads/{upload_id}                            401  403  204   404   404  404 403  401  401  204 403
+GET    /api/v1/uploads/{upload_id}                            401  404  200   404   404  404 403  401  401  200 200
+POST   /api/v1/sequences                                      401  403  201   201   201  201 403  401  401  201 403
+GET    /api/v1/sequences                                      401  200  200   200   200  200 403  401  401  200 200
+GET    /api/v1/sequences/{sequence_id}                        401  404  200   404   200  404 403  401  401  200 200
+PATCH  /api/v1/sequences/{sequence_id}                        401  403  200   404   200  404 403  401  401  200 403
+DELETE /api/v1/sequences/{sequence_id}                        401  403  204   404   204  404 403  401  401  204 403
+PUT    /api/v1/sequences/{sequence_id}/calibration            401  403  200   404   200  404 403  401  401  200 403
+POST   /api/v1/calibrations                                   401  403  201   201   201  201 403  401  401  201 403
+GET    /api/v1/calibrations                                   401  200  200   200   200  200 403  401  401  200 200
+GET    /api/v1/calibrations/{calibration_id}                  401  404  200   404   200  404 403  401  401  200 200
+GET    /api/v1/calibrations/{calibration_id}/file             401  404  200   404   200  404 403  401  401  200 200
+POST   /api/v1/sequences/{sequence_id}/recordings             401  403  202   404   404  404 403  401  401  202 403
+GET    /api/v1/sequences/{sequence_id}/recordings             401  404  200   404   200  404 403  401  401  200 200
+GET    /api/v1/sequences/{sequence_id}/recordings/{recording_id}     401 404 200 404 200 404 403 401 401 200 200
+DELETE /api/v1/sequences/{sequence_id}/recordings/{recording_id}     401 403 204 404 204 404 403 401 401 204 403
+POST   /api/v1/sequences/{sequence_id}/process                401  403  202   404   202  404 403  401  401  202 403
+GET    /api/v1/sequences/{sequence_id}/frames                 401  404  200   404   200  404 403  401  401  200 200
+GET    /api/v1/sequences/{sequence_id}/report                 401  404  200   404   200  404 403  401  401  200 200
+GET    /api/v1/sequences/{sequence_id}/frames.parquet         401  404  200   404   200  404 403  401  401  200 200
+GET    /api/v1/sequences/{sequence_id}/mesh                   401  404  200   404   200  404 403  401  401  200 200
+GET    /api/v1/sequences/{sequence_id}/previews/{name}        401  404  200   404   200  404 403  401  401  200 200
+GET    /api/v1/sequences/{sequence_id}/events                 401  404  200   404   200  404 403  401  401  200 200
+GET    /api/v1/frames/{token}                                 401  404  200   404   200  404 403  401  401  200 200
+GET    /api/v1/frames/{token}/labels.npz                      401  404  200   404   200  404 403  401  401  200 200
+GET    /api/v1/jobs                                           401  200  200   200   200  200 403  401  401  200 200
+GET    /api/v1/jobs/{job_id}                                  401  404  200   404   200  404 403  401  401  200 200
+GET    /api/v1/jobs/{job_id}/logs                             401  404  200   404   200  404 403  401  401  200 200
+GET    /api/v1/jobs/{job_id}/events                           401  404  200   404   200  404 403  401  401  200 200
+POST   /api/v1/jobs/{job_id}/cancel                           401  403  202   404   202  404 403  401  401  202 403
+GET    /api/v1/admin/jobs                                     401  403  403   403   200  403 403  401  401  403 403
+GET    /api/v1/admin/jobs/{job_id}                            401  403  403   403   200  403 403  401  401  403 403
+GET    /api/v1/admin/jobs/{job_id}/logs                       401  403  403   403   200  403 403  401  401  403 403
+POST   /api/v1/admin/jobs/{job_id}/{act}                      401  403  403   403   202  403 403  401  401  403 403
+GET    /api/v1/admin/queues                                   401  403  403   403   200  403 403  401  401  403 403
+POST   /api/v1/admin/queues/{queue}/{act}                     401  403  403   403   200  403 403  401  401  403 403
+GET    /api/v1/admin/workers                                  401  403  403   403   200  403 403  401  401  403 403
+"""
+
+
+def expectations(table: str = TABLE) -> dict[Operation, Mapping[str, int]]:
+    """The table by operation and caller."""
+    rows = [line.split() for line in table.splitlines() if "/" in line]
+    parsed = {(method, path): dict(zip(CALLERS, map(int, statuses), strict=True)) for method, path, *statuses in rows}
+    assert len(parsed) == len(rows), "a route stands twice in the table"
+    return dict(parsed)

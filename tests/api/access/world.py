@@ -1,0 +1,105 @@
+"""One of everything that somebody can own, as it stands in the database, the store and the uploads folder.
+
+**Conventions.** `World.named` holds a value for every parameter of a path and every id of a body; `UNKNOWN` holds
+values of the same form that name nothing.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from services.runtime import blobs
+from services.runtime.access import tokens
+from services.runtime.orm import Calibration, JobLine, Recording, Sequence, User, new_id
+from services.runtime.platform import Platform
+from tests.api import made
+from tests.api.serving import Person
+
+CALIBRATION_FILE = Path(__file__).resolve().parents[3] / "examples" / "kitti0005.calibration.yaml"
+IDS = ("sequence_id", "calibration_id", "recording_id", "job_id", "upload_id", "token_id", "user_id", "token")
+UNKNOWN = {name: f"{number:032x}" for number, name in enumerate(IDS, 1)} | {"complete_upload": f"{99:032x}"}
+WORDS = {"name": "bev.png", "code": "not_found", "act": "cancel", "queue": "labeler"}
+
+
+@dataclass(frozen=True)
+class World:
+    """What somebody owns: `named` by the names of parameters, `ids` all that may be seen by nobody else."""
+
+    named: Mapping[str, str]
+    ids: frozenset[str]
+
+
+def make_world(platform: Platform, user: User) -> World:
+    """A sequence that is ready to be processed again and has labels, and whatever else there is, of this user."""
+    owner = Person(user.id, user.name, "")
+    calibration_id = _calibration(platform, user.id)
+    sequence_id = _sequence(platform, user.id, calibration_id)
+    labels = made.labels(platform, {"id": sequence_id, "name": _name(platform, sequence_id), "owner_id": user.id})
+    named = {
+        "sequence_id": sequence_id,
+        "calibration_id": calibration_id,
+        "recording_id": _recording(platform, owner, sequence_id),
+        "job_id": _run_that_speaks(platform, owner),
+        "upload_id": made.upload(platform, owner, b"", state="open", length_bytes=6, purpose="calibration", sha256=""),
+        "complete_upload": made.upload(platform, owner, new_id().encode()),
+        "token_id": _token(platform, user),
+        "user_id": user.id,
+        "token": next(iter(labels.frames)),
+        **WORDS,
+    }
+    known = {value for key, value in named.items() if key not in WORDS}
+    return World(named, frozenset(known | {labels.id, _name(platform, sequence_id), *labels.frames}))
+
+
+def _calibration(platform: Platform, owner_id: str) -> str:
+    path = _written(platform, CALIBRATION_FILE.read_bytes() + f"# {new_id()}\n".encode())
+    with platform.database.transaction() as session:
+        blob = blobs.keep(session, platform.store, path)
+        row = Calibration(owner_id=owner_id, name=f"rig-{new_id()[-8:]}", version=1, filename="rig.yaml")
+        row.sha256, row.blob_sha256, row.sensors, row.findings = blob.sha256, blob.sha256, [], []
+        session.add(row)
+        session.flush()
+        return row.id
+
+
+def _sequence(platform: Platform, owner_id: str, calibration_id: str) -> str:
+    with platform.database.transaction() as session:
+        row = Sequence(owner_id=owner_id, name=f"forest-{new_id()[-8:]}", calibration_id=calibration_id)
+        session.add(row)
+        session.flush()
+        return row.id
+
+
+def _name(platform: Platform, sequence_id: str) -> str:
+    with platform.database.reading() as session:
+        return session.get_one(Sequence, sequence_id).name
+
+
+def _recording(platform: Platform, owner: Person, sequence_id: str) -> str:
+    path = _written(platform, new_id().encode())
+    upload_id = made.upload(platform, owner, path.read_bytes(), state="consumed")
+    with platform.database.transaction() as session:
+        blob = blobs.keep(session, platform.store, path)
+        row = Recording(sequence_id=sequence_id, upload_id=upload_id, filename="run.mcap", state="registered")
+        row.size_bytes, row.sha256, row.blob_sha256 = blob.size_bytes, blob.sha256, blob.sha256
+        session.add(row)
+        session.flush()
+        return row.id
+
+
+def _run_that_speaks(platform: Platform, owner: Person) -> str:
+    job_id = made.run(platform, owner, "ingest.register")
+    with platform.database.transaction() as session:
+        session.add(JobLine(job_id=job_id, attempt=1, number=0, level="info", event="said", facts={}))
+    return job_id
+
+
+def _token(platform: Platform, user: User) -> str:
+    with platform.database.transaction() as session:
+        return tokens.issue_row(session, user, "laptop", ["read"], 1000.0)[0].id
+
+
+def _written(platform: Platform, content: bytes) -> Path:
+    path = platform.settings.root / f"made-{new_id()}"
+    path.write_bytes(content)
+    return path

@@ -1,0 +1,159 @@
+"""Every route, as every caller, with the things of a curator: what may be done is done, nothing else is, or is told."""
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import httpx
+import pytest
+from fastapi import FastAPI
+
+from api.main import make_api
+from services.runtime.migrate import upgrade
+from services.runtime.platform import Platform
+from services.runtime.settings import ApiSettings, BrokerSettings, DatabaseSettings
+from tests.api.access.cast import CALLERS, OF_OWNER, Cast, make_cast
+from tests.api.access.holes import HOLES, with_holes
+from tests.api.access.ledger import ledger_of
+from tests.api.access.matrix import Answer, Matrix, make_matrix, neutral, operations_in, unlisted
+from tests.api.access.table import TABLE, Operation, expectations
+from tests.api.access.world import UNKNOWN, World, make_world
+from tests.api.serving import serving
+from tests.servers.fixtures import make_settings, opened
+
+NO_BROKER = BrokerSettings("redis://127.0.0.1:1/0")
+UNBOUND = ApiSettings(requests_per_minute=10**7, sign_ins_per_minute=10**7)
+SUCCEEDING = ("owner", "administrator", "browser")
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A served application, with a cast and a world that only refused callers and readers meet."""
+
+    platform: Platform
+    application: FastAPI
+    matrix: Matrix
+    cast: Cast
+    world: World
+
+    def fresh(self) -> tuple[Cast, World]:
+        """People and things that may be changed."""
+        cast = make_cast(self.platform)
+        return cast, make_world(self.platform, cast.users["owner"])
+
+
+@contextmanager
+def staged(platform: Platform, table: str, is_holed: bool = False) -> Iterator[Scene]:
+    application = with_holes(make_api(platform)) if is_holed else make_api(platform)
+    cast = make_cast(platform)
+    world = make_world(platform, cast.users["owner"])
+    with serving(platform, application) as url, httpx.Client(base_url=url, timeout=30.0) as client:
+        yield Scene(platform, application, make_matrix(client, application, expectations(table)), cast, world)
+
+
+@pytest.fixture(scope="module", params=["sqlite", "postgres"])
+def scene(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Scene]:
+    groups: dict[str, Any] = {"api": UNBOUND, "broker": NO_BROKER}
+    with ExitStack() as stack:
+        if request.param == "postgres":
+            server, template = request.getfixturevalue("postgres_server"), request.getfixturevalue("_postgres_template")
+            groups["database"] = DatabaseSettings(stack.enter_context(server.fresh_database(template)))
+        settings = make_settings(tmp_path_factory.mktemp("scene"), **groups)
+        upgrade(settings)
+        platform = opened(settings, [])
+        stack.callback(platform.database.close)
+        yield stack.enter_context(staged(platform, TABLE))
+
+
+@pytest.fixture
+def holed(platform: Platform) -> Iterator[Scene]:
+    with staged(platform, HOLES, is_holed=True) as made:
+        yield made
+
+
+def test_no_route_is_forgotten(platform: Platform) -> None:
+    assert unlisted(make_api(platform), expectations(TABLE)) == set()
+
+
+def test_a_route_that_is_forgotten_is_found(platform: Platform) -> None:
+    forgotten = unlisted(with_holes(make_api(platform)), expectations(TABLE))
+    assert forgotten == set(expectations(HOLES))
+
+
+@pytest.mark.parametrize("caller", CALLERS)
+def test_every_cell_is_as_the_table_says(
+    scene: Scene, caller: str, record_property: Callable[[str, object], None]
+) -> None:
+    """Who may change the owner's things does so in a world of their own."""
+    found, cells = [], 0
+    before = ledger_of(scene.platform)
+    for operation in operations_in(scene.matrix.document):
+        is_changing = caller in SUCCEEDING and operation[0] not in ("GET", "HEAD", "OPTIONS")
+        cast, world = scene.fresh() if is_changing else (scene.cast, scene.world)
+        found += scene.matrix.findings(caller, cast, world, operation)
+        cells += 1
+    assert found == []
+    assert cells == len(expectations(TABLE))
+    record_property("cells", cells)
+    after = ledger_of(scene.platform)
+    assert before.lost_or_changed(after) == []
+    if caller not in (*OF_OWNER, "administrator"):
+        assert before.added_about(after, scene.world.ids) == []
+
+
+def test_what_is_ones_own_is_in_ones_lists(scene: Scene) -> None:
+    """Without this, an empty list would pass for one that hides what it should."""
+    for path in ("sequences", "calibrations", "uploads", "jobs", "tokens", "admin/jobs", "users"):
+        caller = "administrator" if path in ("admin/jobs", "users") else "owner"
+        answer = scene.matrix.client.get(f"/api/v1/{path}?limit=200", headers=scene.cast.headers[caller])
+        assert any(one in answer.text for one in scene.world.ids), path
+
+
+@pytest.mark.parametrize(
+    ("operation", "caller", "finding"),
+    [
+        (("GET", "/api/v1/holes/open/{sequence_id}"), "anonymous", "200, not 401"),
+        (("GET", "/api/v1/holes/open/{sequence_id}"), "expired", "200, not 401"),
+        (("GET", "/api/v1/holes/unowned/{sequence_id}"), "other", "200, not 404"),
+        (("GET", "/api/v1/holes/list"), "other", "tells"),
+        (("GET", "/api/v1/holes/telling/{sequence_id}"), "other", "what is not theirs is"),
+    ],
+)
+def test_a_planted_hole_is_found(holed: Scene, operation: Operation, caller: str, finding: str) -> None:
+    found = list(holed.matrix.findings(caller, holed.cast, holed.world, operation))
+    assert len(found) == 1
+    assert finding in found[0]
+
+
+def test_a_refusal_that_writes_is_found(holed: Scene) -> None:
+    before = ledger_of(holed.platform)
+    operation = ("DELETE", "/api/v1/holes/writing/{sequence_id}")
+    assert list(holed.matrix.findings("other", holed.cast, holed.world, operation)) == []
+    assert before.lost_or_changed(ledger_of(holed.platform)) == [("sequences", holed.world.named["sequence_id"])]
+
+
+BODIES = {
+    "a calibration": ("PUT", "/api/v1/sequences/{sequence_id}/calibration", "calibration_id"),
+    "an upload": ("POST", "/api/v1/sequences/{sequence_id}/recordings", "complete_upload"),
+}
+
+
+@pytest.mark.parametrize(("method", "path", "named"), BODIES.values(), ids=BODIES)
+@pytest.mark.parametrize("caller", ["other", "modest"])
+def test_an_id_of_somebody_else_in_a_body_opens_nothing(
+    scene: Scene, method: str, path: str, named: str, caller: str
+) -> None:
+    """One's own sequence, and the calibration or upload of somebody else: as if there were none."""
+    mine = make_world(scene.platform, scene.cast.users[caller]).named
+    before = ledger_of(scene.platform)
+    answers = []
+    for foreign in (scene.world.named[named], UNKNOWN[named]):
+        key = named.replace("complete_upload", "upload_id")
+        response = scene.matrix.client.request(
+            method, path.format_map(mine), json={key: foreign}, headers=scene.cast.headers[caller]
+        )
+        answers.append(neutral(Answer(response.status_code, response.text, dict(response.headers)), {foreign}))
+    assert answers[0] == answers[1]
+    assert answers[0][0] == 404
+    assert before == ledger_of(scene.platform)
