@@ -8,7 +8,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -66,8 +65,11 @@ def file_of(folder: Path, content: bytes, name: str = "source") -> Path:
 
 @pytest.mark.parametrize(
     "key",
-    ["", "blobs", "blobs/", "/blobs/a", "blobs//a", "../a/b", "blobs/../../a", "blobs/./a", "blobs/.hidden", "Blobs/a"]
-    + ["blobs/a b", "blobs/a\n", "blobs/a\0", "blobs/é", "blobs\\a/b", "a/" + "b" * 511, "~/a", "blobs/%2e%2e/a"],
+    [
+        *("", "blobs", "blobs/", "/blobs/a", "blobs//a", "../a/b", "blobs/../../a", "blobs/./a", "blobs/.hidden"),
+        *("Blobs/a", "blobs/a b", "blobs/a\n", "blobs/a\0", "blobs/é", "blobs\\a/b", "a/" + "b" * 511, "~/a"),
+        *("blobs/%2e%2e/a", "blobs/a/", "blobs/-/..", " blobs/a"),
+    ],
 )
 def test_a_key_that_could_leave_the_store_is_refused(store: Store, tmp_path: Path, key: str) -> None:
     source = file_of(tmp_path, b"x")
@@ -121,8 +123,10 @@ def test_what_was_written_is_read_back(store: Store, tmp_path: Path, size_bytes:
 
 @pytest.mark.parametrize(
     ("start", "stop"),
-    [(0, None), (0, 0), (7, 7), (1, 2), (MIB - 1, 2 * MIB + 1), (LARGE_BYTES - 1, None), (LARGE_BYTES, None)]
-    + [(LARGE_BYTES + 9, None), (LARGE_BYTES - 5, LARGE_BYTES + 5), (17 * MIB, 33 * MIB)],
+    [
+        *((0, None), (0, 0), (7, 7), (1, 2), (MIB - 1, 2 * MIB + 1), (17 * MIB, 33 * MIB), (LARGE_BYTES - 1, None)),
+        *((LARGE_BYTES, None), (LARGE_BYTES + 9, None), (LARGE_BYTES - 5, LARGE_BYTES + 5)),
+    ],
 )
 def test_a_range_is_that_slice_of_the_bytes(large: tuple[Store, bytes], start: int, stop: int | None) -> None:
     store, content = large
@@ -262,10 +266,6 @@ def wait_until_quiet(folder: Path) -> None:
         assert time.monotonic() < deadline_s
         before = now
         time.sleep(0.3)
-
-
-def files_of(store: Store) -> Iterator[Path]:
-    return (path for path in folder_of(store).rglob("*") if path.is_file())
 
 
 def files_in(folder: Path) -> list[Path]:
