@@ -1,9 +1,9 @@
 """Requests with an Idempotency-Key as rows: reserved, marked when they took effect, answered, forgotten after a day.
 
-**Conventions.** `status` of a row: 0, being worked on; 1, took effect but its answer is not there (it held a secret, or
-the process died between commit and answer); else the answer's own. The step from 0 to 1 is part of the very transaction
-that takes effect, so what a crash leaves behind is known: after 0 nothing happened and the request may be worked on
-again.
+**Conventions.** `status` of a row: 0, being worked on; 1, took effect and is being answered; 2, took effect and its
+answer is not kept (it holds a secret, or is too large); else the answer's own. The step from 0 to 1 is part of the very
+transaction that takes effect, so what a crash leaves behind is known once the lease has run out: after 0 nothing
+happened and the request may be worked on again; after 1 it must not be.
 """
 
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ from services.runtime.database import Database
 from services.runtime.orm import IdempotentReply
 from services.runtime.orm.base import now_ns
 
-IN_WORK, TOOK_EFFECT = 0, 1
+IN_WORK, TOOK_EFFECT, NOT_KEPT = 0, 1, 2
 KEPT_NS = 24 * 3600 * 10**9
 
 working_for: ContextVar[str] = ContextVar("idempotent_reply", default="")
@@ -64,7 +64,7 @@ def reserve(database: Database, asked: Asked) -> Reply | str:
 
 def keep(database: Database, row_id: str, reply: Reply | None) -> None:
     """Keep the answer; without one, note that there was an effect."""
-    values: dict[str, object] = {"status": TOOK_EFFECT}
+    values: dict[str, object] = {"status": NOT_KEPT}
     if reply is not None:
         values = {"status": reply.status, "headers": dict(reply.headers), "body": reply.body}
     with database.transaction() as session:
@@ -87,12 +87,14 @@ def _resume(database: Database, asked: Asked) -> Reply | str:
             raise RequestInFlightError()
         if row.request_sha256 != asked.sha256:
             raise KeyReusedError()
-        if row.status == TOOK_EFFECT:
+        if row.status == NOT_KEPT:
             raise ReplyNotKeptError()
-        if row.status != IN_WORK:
+        if row.status not in (IN_WORK, TOOK_EFFECT):
             return Reply(row.status, row.headers, row.body)
         if abs(now_ns() - row.created_ns) < asked.lease_ns:
             raise RequestInFlightError()
+        if row.status == TOOK_EFFECT:
+            raise ReplyNotKeptError()
         row.created_ns = now_ns()  # its process died before anything happened
         return row.id
 

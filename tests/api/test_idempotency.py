@@ -1,0 +1,226 @@
+"""A creating request sent twice creates once, whatever happens between the two."""
+
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import httpx
+import pytest
+from fastapi import APIRouter, Response
+from sqlalchemy import func, select, update
+
+from api import kept_replies
+from api.kept_replies import KEPT_NS, Asked
+from api.main import make_api
+from services.runtime.orm import IdempotentReply, Team
+from services.runtime.platform import Platform
+from tests.api.serving import Person, person, serving
+
+TEAMS = "/api/v1/teams"
+
+
+@pytest.fixture
+def ada(platform_on: Platform) -> Person:
+    return person(platform_on, "administrator")
+
+
+@pytest.fixture
+def lone(platform: Platform) -> Person:
+    return person(platform, "administrator")
+
+
+def teams_in(platform: Platform) -> int:
+    with platform.database.reading() as session:
+        return session.scalar(select(func.count()).select_from(Team)) or 0
+
+
+def rows_in(platform: Platform) -> list[IdempotentReply]:
+    with platform.database.reading() as session:
+        return list(session.scalars(select(IdempotentReply)))
+
+
+def found(api: httpx.Client, caller: Person, key: str, name: str = "us", **more: Any) -> httpx.Response:
+    return api.post(TEAMS, json={"name": name}, headers={**caller.headers, "Idempotency-Key": key}, **more)
+
+
+@pytest.mark.parametrize("key", ["", "x" * 129, "a\tb", "é"])
+def test_what_is_no_key_is_422(api: httpx.Client, participant: Person, key: str) -> None:
+    headers = [(b"Authorization", participant.headers["Authorization"].encode()), (b"Idempotency-Key", key.encode())]
+    answer = api.post(TEAMS, json={"name": "us"}, headers=headers)
+    assert (answer.status_code, answer.json()["code"]) == (422, "bad_idempotency_key")
+
+
+def test_a_key_of_nobody_is_still_401(api: httpx.Client) -> None:
+    assert api.post(TEAMS, json={"name": "us"}, headers={"Idempotency-Key": "k"}).status_code == 401
+
+
+def test_the_same_key_with_another_request_is_422_and_changes_nothing(
+    api: httpx.Client, platform: Platform, lone: Person
+) -> None:
+    assert found(api, lone, "k").status_code == 201
+    for answer in (found(api, lone, "k", name="them"), found(api, lone, "k", params={"x": "1"})):
+        assert (answer.status_code, answer.json()["code"]) == (422, "idempotency_key_reused")
+    assert teams_in(platform) == 1
+
+
+def test_a_repeated_request_creates_once_and_is_answered_the_same(
+    api_on: httpx.Client, platform_on: Platform, ada: Person
+) -> None:
+    first, second = (found(api_on, ada, "k") for _ in range(2))
+    assert (first.status_code, second.status_code) == (201, 201)
+    assert first.content == second.content
+    assert "idempotency-replayed" not in first.headers
+    assert second.headers["idempotency-replayed"] == "true"
+    assert second.headers["content-type"] == "application/json"
+    assert second.headers["x-request-id"] != first.headers["x-request-id"]
+    assert teams_in(platform_on) == 1
+
+
+def test_keys_are_their_callers_own_and_their_routes_own(api: httpx.Client, platform: Platform, lone: Person) -> None:
+    eve = person(platform, "participant")
+    assert found(api, lone, "k").status_code == 201
+    assert found(api, eve, "k", name="them").status_code == 201
+    headers = {**lone.headers, "Idempotency-Key": "k"}
+    user = {"name": "bob", "role": "curator", "reason": "joins"}
+    assert api.post("/api/v1/users", json=user, headers=headers).status_code == 201
+
+
+def test_a_refused_request_is_worked_on_again(api: httpx.Client, platform: Platform, lone: Person) -> None:
+    assert found(api, lone, "k", name="").status_code == 422
+    assert found(api, lone, "k").status_code == 201
+    assert found(api, lone, "other").status_code == 409
+    assert [row.status for row in rows_in(platform)] == [201]
+
+
+def test_a_secret_is_not_kept_and_its_repetition_says_so(api: httpx.Client, platform: Platform, lone: Person) -> None:
+    headers = {**lone.headers, "Idempotency-Key": "k"}
+    first, second = (api.post("/api/v1/tokens", json={"name": "x"}, headers=headers) for _ in range(2))
+    assert first.status_code == 201
+    assert (second.status_code, second.json()["code"]) == (409, "reply_not_kept")
+    assert len(api.get("/api/v1/tokens", headers=lone.headers).json()["items"]) == 2
+    assert first.json()["secret"].encode() not in b"".join(row.body for row in rows_in(platform))
+
+
+def test_of_twenty_equal_requests_at_once_one_creates(api_on: httpx.Client, platform_on: Platform, ada: Person) -> None:
+    answers: list[httpx.Response] = []
+    together = threading.Barrier(20)
+
+    def ask() -> None:
+        with httpx.Client(base_url=api_on.base_url, timeout=60) as client:
+            together.wait(30)
+            answers.append(found(client, ada, "k"))
+
+    threads = [threading.Thread(target=ask) for _ in range(20)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert teams_in(platform_on) == 1
+    fresh = [answer for answer in answers if answer.status_code == 201 and "idempotency-replayed" not in answer.headers]
+    assert len(fresh) == 1
+    for answer in answers:
+        is_replayed = answer.status_code == 201 and answer.content == fresh[0].content
+        is_in_flight = answer.status_code == 409 and answer.json()["code"] == "request_in_flight"
+        assert is_replayed or is_in_flight, answer.text
+    assert found(api_on, ada, "k").content == fresh[0].content
+
+
+@pytest.fixture
+def faulty(platform: Platform) -> Iterator[Callable[[], tuple[httpx.Client, list[str]]]]:
+    """A served application with a route that founds a team and then does what the test asks."""
+    plan: list[str] = []
+    router = APIRouter()
+
+    @router.post("/api/v1/faulty")
+    def work() -> Response:
+        with platform.database.transaction() as session:
+            session.add(Team(name="made"))
+        if plan.pop(0) == "bug":
+            raise RuntimeError("a fault of ours")
+        return Response(b"x" * 70_000, 201)
+
+    app = make_api(platform)
+    app.include_router(router)
+    with serving(platform, app) as url, httpx.Client(base_url=url, timeout=30) as client:
+        yield lambda: (client, plan)
+
+
+def test_a_fault_is_not_kept(
+    faulty: Callable[[], tuple[httpx.Client, list[str]]], platform: Platform, lone: Person
+) -> None:
+    client, plan = faulty()
+    plan.append("bug")
+    headers = {**lone.headers, "Idempotency-Key": "k"}
+    assert client.post("/api/v1/faulty", headers=headers).status_code == 500
+    assert rows_in(platform) == []
+
+
+def test_an_answer_too_large_to_keep_goes_out_whole_and_is_not_repeated(
+    faulty: Callable[[], tuple[httpx.Client, list[str]]], platform: Platform, lone: Person
+) -> None:
+    client, plan = faulty()
+    plan.append("answer")
+    headers = {**lone.headers, "Idempotency-Key": "k"}
+    assert len(client.post("/api/v1/faulty", headers=headers).content) == 70_000
+    again = client.post("/api/v1/faulty", headers=headers)
+    assert (again.status_code, again.json()["code"]) == (409, "reply_not_kept")
+    assert teams_in(platform) == 1
+
+
+def asked_by(caller: Person, sha256: str = "a" * 64, lease_ns: int = 10**12) -> Asked:
+    return Asked(caller.user_id, TEAMS, "k", sha256, lease_ns)
+
+
+def test_a_request_whose_process_died_before_its_commit_is_worked_on_again_after_the_lease(
+    platform_on: Platform, ada: Person
+) -> None:
+    database = platform_on.database
+    row_id = kept_replies.reserve(database, asked_by(ada))
+    with pytest.raises(kept_replies.RequestInFlightError):
+        kept_replies.reserve(database, asked_by(ada))
+    assert kept_replies.reserve(database, asked_by(ada, lease_ns=0)) == row_id
+
+
+def test_a_request_whose_process_died_after_its_commit_is_never_worked_on_again(
+    platform_on: Platform, ada: Person
+) -> None:
+    database = platform_on.database
+    row_id = kept_replies.reserve(database, asked_by(ada))
+    assert isinstance(row_id, str)
+    mark = kept_replies.working_for.set(row_id)
+    with database.transaction() as session:
+        session.add(Team(name="made"))
+    kept_replies.working_for.reset(mark)
+    with pytest.raises(kept_replies.RequestInFlightError):
+        kept_replies.reserve(database, asked_by(ada))
+    with pytest.raises(kept_replies.ReplyNotKeptError):
+        kept_replies.reserve(database, asked_by(ada, lease_ns=0))
+
+
+def test_what_was_rolled_back_is_not_marked_as_done(platform_on: Platform, ada: Person) -> None:
+    database = platform_on.database
+    row_id = kept_replies.reserve(database, asked_by(ada))
+    assert isinstance(row_id, str)
+    mark = kept_replies.working_for.set(row_id)
+    with database.transaction() as session:
+        session.add(Team(name="made"))
+        session.flush()
+        session.rollback()
+    kept_replies.working_for.reset(mark)
+    assert [row.status for row in rows_in(platform_on)] == [kept_replies.IN_WORK]
+
+
+def test_a_day_later_the_key_is_free(api: httpx.Client, platform: Platform, lone: Person) -> None:
+    assert found(api, lone, "k").status_code == 201
+    with platform.database.transaction() as session:
+        session.execute(update(IdempotentReply).values(created_ns=IdempotentReply.created_ns - KEPT_NS - 10**9))
+    assert found(api, lone, "k", name="them").status_code == 201
+    assert len(rows_in(platform)) == 1
+
+
+def test_a_form_is_known_by_its_head(api: httpx.Client, platform: Platform, lone: Person) -> None:
+    headers = {**lone.headers, "Idempotency-Key": "k"}
+    file = {"file": ("unit.yaml", b"not a calibration", "application/yaml")}
+    first = api.post("/api/v1/calibrations", files=file, headers=headers)
+    assert first.status_code == 422
+    assert rows_in(platform) == []
