@@ -65,7 +65,7 @@ class _Work(Collector):
     def collect(self) -> Iterator[GaugeMetricFamily]:
         with self._platform.database.reading() as session:
             counted = select(Job.queue, Job.state, func.count()).where(Job.queue != "").group_by(Job.queue, Job.state)
-            jobs = session.execute(counted).tuples().all()
+            jobs = session.execute(counted).all()
             under_way = session.scalar(select(func.count()).select_from(Upload).where(Upload.state == "open")) or 0
         family = GaugeMetricFamily("stone_jobs", "Jobs by queue and state", labels=("queue", "state"))
         for queue, state, count in jobs:
