@@ -52,6 +52,7 @@ class Reporter:
         self._progress: tuple[str, int, int] | None = None
         self._cancel_reason = ""
         self._begin = time.monotonic()
+        self._is_ending = False
         self._leaving = Event()
         self._thread = Thread(target=self._speak, name=f"reporter-{claim.job_id[:8]}", daemon=True)
 
@@ -91,6 +92,10 @@ class Reporter:
         if self._cancel_reason:
             raise JobCancelledError(self._cancel_reason)
 
+    def end(self) -> None:
+        """The handler is through: that the job is no longer held is from now on the attempt's own doing."""
+        self._is_ending = True
+
     def log(self, event: str, level: str = "info", **facts: Any) -> None:
         """Keep a line; beyond the limit of lines per attempt the last one says that there were more."""
         with self._lock:
@@ -121,12 +126,15 @@ class Reporter:
                 self._write_lines(session, lines)
         except SQLAlchemyError as error:
             log.warning("progress not written; the job goes on", job_id=self.job_id, reason=str(error))
-            with self._lock:
-                self._lines, self._progress = lines + self._lines, self._progress or progress
+            self._put_back(lines, progress)
             return
         self._written += len(lines)
         if not is_ours:
             self._end_process("attempt lost")
+
+    def _put_back(self, lines: list[_Line], progress: tuple[str, int, int] | None) -> None:
+        with self._lock:
+            self._lines, self._progress = lines + self._lines, self._progress or progress
 
     def _beat(self, session: Session, progress: tuple[str, int, int] | None) -> bool:
         held = update(Job).where(Job.id == self.job_id, Job.attempt == self._claim.attempt, Job.state == "running")
@@ -136,7 +144,7 @@ class Reporter:
             values |= {"stage": stage, "done": done, "total": total, "progress_ns": now_ns()}
             values["revision"] = Job.revision + 1
         if not rows_changed(session, held.values(**values)):
-            return self._leaving.is_set()  # it ended while we were about to speak: its own doing
+            return self._is_ending
         own_or_run = select(Job.cancel_reason).where(Job.id.in_((self.job_id, self.root_id)), Job.cancel_reason != "")
         self._cancel_reason = session.scalar(own_or_run) or ""
         return True

@@ -35,11 +35,7 @@ def run_next(platform: Platform, queue: str, handlers: Handlers) -> bool:
 
 def _attempt(platform: Platform, taken: Claim, handlers: Handlers, reporter: Reporter) -> None:
     try:
-        if taken.kind not in handlers:
-            raise UnknownKindError(taken.kind, sorted(handlers))
-        outcome = handlers[taken.kind](reporter)
-        reporter.stop_if_asked()
-        _succeed(platform, taken, outcome)
+        _succeed(platform, taken, _answer(taken, handlers, reporter))
     except LostAttemptError as error:
         log.warning("attempt lost", job_id=taken.job_id, attempt=taken.attempt, reason=str(error))
     except JobCancelledError as error:
@@ -52,6 +48,18 @@ def _attempt(platform: Platform, taken: Claim, handlers: Handlers, reporter: Rep
         reporter.log("the stage raised", "error", traceback=traceback.format_exc()[-8000:])
         with platform.database.transaction() as session:
             lose(session, taken, Failure("internal_error", f"{type(error).__name__}: {error}"))
+
+
+def _answer(taken: Claim, handlers: Handlers, reporter: Reporter) -> Outcome:
+    """What the handler answers. Raises what it raises, `UnknownKindError`, `JobCancelledError`."""
+    try:
+        if taken.kind not in handlers:
+            raise UnknownKindError(taken.kind, sorted(handlers))
+        outcome = handlers[taken.kind](reporter)
+        reporter.stop_if_asked()
+        return outcome
+    finally:
+        reporter.end()
 
 
 def _succeed(platform: Platform, taken: Claim, outcome: Outcome) -> None:

@@ -1,20 +1,25 @@
 """One attempt: how it ends, what it says while it works, what stops it."""
 
+from dataclasses import replace
 from time import sleep as wait
 
 import pytest
 from sqlalchemy import select
 
+from services.runtime.database import Database
 from services.runtime.jobs import finishing
 from services.runtime.jobs.claiming import claim
 from services.runtime.jobs.errors import JobStateError
 from services.runtime.jobs.finishing import Failure
+from services.runtime.jobs.reporter import Reporter
 from services.runtime.jobs.running import run_next
-from services.runtime.jobs.specs import Attempt, Outcome
+from services.runtime.jobs.specs import Attempt, JobSpec, Outcome
 from services.runtime.jobs.steering import cancel, retry, terminate
 from services.runtime.orm import JobAttempt, JobLine, User
 from services.runtime.platform import Platform
-from tests.services.runtime.jobs.steps import HANDLERS, a_job, an_owner, job, run_all
+from services.runtime.settings import Settings
+from services.runtime.store import open_store
+from tests.services.runtime.jobs.steps import HANDLERS, a_job, a_run, an_owner, job, run_all, states
 
 
 def attempts_of(platform: Platform, job_id: str) -> list[JobAttempt]:
@@ -35,6 +40,23 @@ def test_a_job_that_returns_has_succeeded_and_keeps_its_result(platform_on: Plat
     assert (done.state, done.result, done.attempt) == ("succeeded", {"said": "hello"}, 1)
     assert done.finished_ns is not None
     assert [attempt.outcome for attempt in attempts_of(platform_on, job_id)] == ["succeeded"]
+
+
+def test_an_attempt_that_has_succeeded_is_not_taken_for_lost_by_its_own_heart(
+    settings: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The bell is rung after the commit: until it has been, the job is no longer held and the heart still beats."""
+    ended: list[str] = []
+    monkeypatch.setattr(Reporter, "_end_process", lambda reporter, reason: ended.append(reason))
+    limits = replace(settings.jobs, progress_s=0.01, heartbeat_s=0.01)
+    slow_bell = Database(settings, lambda queue, times: wait(0.3))
+    platform = Platform(settings.model_copy(update={"jobs": limits}), slow_bell, open_store(settings))
+    run_id = a_run(
+        platform, an_owner(platform), JobSpec("ingest.ok", key="first"), JobSpec("labeler.ok", needs=("first",))
+    )
+    assert run_all(platform) == 2
+    platform.database.close()
+    assert (states(platform, run_id), ended) == ({"succeeded": 2}, [])
 
 
 def test_a_refused_input_fails_at_once_with_its_code_and_sentence(platform_on: Platform) -> None:
