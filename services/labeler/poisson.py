@@ -5,17 +5,16 @@ solver's bounding box and are then dropped by it, so cells lie on one lattice wh
 the centres of label voxels, hence a vertex lies on a line between voxel centres, never on a voxel border.
 
 One thread: the same bits on every run; more threads differ between runs and crash upstream (Open3D #6828).
-Open3D is imported inside the function: a parent that has used it before forking leaves its children one core.
+Open3D is used in a child only: a parent that has used it before forking leaves its children one core, and the solver
+keeps the interpreter's lock (`services/labeler/apart.py`).
 """
 
 import os
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 import numpy as np
 from numpy.typing import NDArray
 
+from services.labeler.apart import apart
 from stone.mesh import Mesh
 
 # The solver rounds the extent up to a power of two of cells; this much less keeps an exact power from doubling.
@@ -26,33 +25,29 @@ def reconstruct(
     points_map: NDArray[np.float64], normals: NDArray[np.float64], low: NDArray[np.float64], extent: tuple[int, float]
 ) -> Mesh:
     """The surface through points (N, 3) with unit normals in the cube at `low`; `extent` = (cells, width m)."""
-    import open3d
+    import open3d  # noqa: F401  before the fork, once, and not in every child
 
     cells, width_m = extent
     corners = np.stack([low, low + cells * width_m - SLACK_M])
-    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(np.concatenate([points_map, corners])))
-    cloud.normals = open3d.utility.Vector3dVector(np.concatenate([normals, np.zeros((2, 3))]))
-    with _unheard():
-        surface, _ = open3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
-            cloud, width=width_m, scale=1.0, linear_fit=False, n_threads=1
-        )
+    points_map = np.concatenate([points_map, corners])
+    return apart(_solved, points_map, np.concatenate([normals, np.zeros((2, 3))]), width_m)
+
+
+def _solved(points_map: NDArray[np.float64], normals: NDArray[np.float64], width_m: float) -> Mesh:
+    import open3d
+
+    _be_unheard()
+    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points_map))
+    cloud.normals = open3d.utility.Vector3dVector(normals)
+    surface, _ = open3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
+        cloud, width=width_m, scale=1.0, linear_fit=False, n_threads=1
+    )
     return Mesh(np.array(surface.vertices), np.array(surface.triangles, dtype=np.int32))
 
 
-@contextmanager
-def _unheard() -> Iterator[None]:
+def _be_unheard() -> None:
     """The solver writes warnings of its own past every log level (the two corner points are "bad data" to it, which
     is their purpose) straight to the process's streams, where they would spoil progress bars and JSON."""
-    sys.stdout.flush()
-    sys.stderr.flush()
-    kept = [(stream, os.dup(stream)) for stream in (1, 2)]
     nowhere = os.open(os.devnull, os.O_WRONLY)
-    try:
-        for stream, _ in kept:
-            os.dup2(nowhere, stream)
-        yield
-    finally:
-        for stream, copy in kept:
-            os.dup2(copy, stream)
-            os.close(copy)
-        os.close(nowhere)
+    for stream in (1, 2):
+        os.dup2(nowhere, stream)

@@ -54,8 +54,9 @@ class Workers:
 
 def _measured(task: Callable[..., T], arguments: tuple[object, ...]) -> Done[T]:
     value = task(*arguments)
-    used = resource.getrusage(resource.RUSAGE_SELF)
-    return Done(value, used.ru_maxrss * 1024, used.ru_utime + used.ru_stime, os.getpid())
+    own, apart = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    cpu_s = own.ru_utime + own.ru_stime + apart.ru_utime + apart.ru_stime
+    return Done(value, max(own.ru_maxrss, apart.ru_maxrss) * 1024, cpu_s, os.getpid())
 
 
 def _prepare() -> None:

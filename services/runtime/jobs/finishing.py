@@ -149,9 +149,9 @@ def _leave(session: Session, claim: Claim, state: str, **columns: object) -> boo
 
 
 def _note(session: Session, claim: Claim, outcome: str, failure: Failure | None) -> None:
-    """Close the attempt's own row; the process's cost is kept when it is the process itself that speaks."""
-    used = resource.getrusage(resource.RUSAGE_SELF)
+    """Close the attempt's own row; the process's cost, children's too, is kept when it is the process that speaks."""
+    peaks = [resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     attempt = update(JobAttempt).where(JobAttempt.job_id == claim.job_id, JobAttempt.number == claim.attempt)
-    cost = {} if outcome == "lost" else {"peak_bytes": used.ru_maxrss * 1024}
+    cost = {} if outcome == "lost" else {"peak_bytes": max(peaks) * 1024}
     columns = failure.columns() if failure else {}
     session.execute(attempt.values(outcome=outcome, finished_ns=now_ns(), **cost, **columns))
