@@ -12,7 +12,7 @@ from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate
 
 SEQUENCE = "chaos"
-OPTIONS = SimulateOptions(seconds=6.4, seed=1, channels=16, columns=180, camera_width_px=400)
+OPTIONS = SimulateOptions(seconds=6.4, seed=1, channels=16, columns=180, compression="none")
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,57 @@
+"""The kill suite: `python -m chaos [--rounds 50] [--only worker …] [--seed N] [--minutes M] [--folder DIR]`.
+
+Ends with 1 when anything was lost, doubled or different, or when a kind never hit work under way: then nothing is
+proven. What was violated stays in the folder, with the command that plays the round again.
+"""
+
+import argparse
+import os
+import random
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from rich.console import Console
+
+from chaos.inputs import simulated
+from chaos.kinds import KINDS
+from chaos.made import Made
+from chaos.rounds import Series, Suite, play
+from chaos.table import table_of
+
+CONSOLE = Console(highlight=False, markup=False, soft_wrap=True)
+
+
+def main() -> int:
+    options = _options()
+    os.environ["STONE_CONFIG_HOME"] = str(options.folder / "home")
+    CONSOLE.print(f"seed {options.seed}, folder {options.folder}")
+    begun_s = time.monotonic()
+    inputs = simulated(options.folder / "inputs")
+    until_s = begun_s + options.minutes * 60.0
+    suite = Suite(options.seed, options.rounds, options.folder, inputs, until_s, CONSOLE.print)
+    played: list[Series] = []
+    made: Made | None = None
+    for kind in KINDS:
+        if not options.only or kind.name in options.only:
+            played.append(play(suite, kind, made))
+            made = played[-1].made
+    Console(width=max(Console().width, 130)).print(table_of(played, options.seed, time.monotonic() - begun_s))
+    return 0 if all(series.is_proven for series in played) else 1
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m chaos", description=__doc__)
+    parser.add_argument("--rounds", type=int, default=50, help="of each kind")
+    parser.add_argument("--only", nargs="+", choices=[kind.name for kind in KINDS], default=[])
+    parser.add_argument("--seed", type=int, default=random.SystemRandom().randrange(2**31))
+    parser.add_argument("--minutes", type=float, default=60.0, help="no round begins later than this")
+    parser.add_argument("--folder", type=Path, help="a temporary one unless named")
+    options = parser.parse_args()
+    options.folder = (options.folder or Path(tempfile.mkdtemp(prefix="stone-chaos-"))).absolute()
+    return options
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,80 @@
+"""Others who use the platform meanwhile: readers of lists, and a writer whose every acknowledged write must last.
+
+**Conventions.** They use the client, which asks again where that is safe; an answer that an outage does not excuse (a
+fault of the server's, a refusal) is a violation. A write is acknowledged once its answer has arrived.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from threading import Event, Thread
+
+from sqlalchemy import select
+
+from chaos.places import Owner
+from chaos.turns import PATIENCE_S, Turn
+from chaos.verdict import Sort, Violation
+from client.api import Api
+from services.runtime.orm import Sequence
+from stone.errors import StoneError
+
+READERS = 2
+PAUSE_S = 0.05
+
+
+@dataclass
+class _Load:
+    """What the others have been told."""
+
+    owner: Owner
+    over: Event = field(default_factory=Event)
+    acknowledged: list[str] = field(default_factory=list)
+    violations: list[Violation] = field(default_factory=list)
+
+    def read(self, api: Api) -> None:
+        api.read("/sequences")
+        api.read("/jobs")
+
+    def write(self, api: Api) -> None:
+        name = f"load-{len(self.acknowledged)}"
+        api.create("/sequences", {"name": name})
+        self.acknowledged.append(name)
+
+    def repeat(self, act: Callable[[Api], None]) -> None:
+        """Again and again until it is over, or has gone wrong."""
+        with Api(self.owner.server, patience_s=PATIENCE_S) as api:
+            try:
+                while not self.over.wait(PAUSE_S):
+                    act(api)
+            except StoneError as error:
+                self.violations.append(Violation("lost", f"{act.__name__} under load: {type(error).__name__}: {error}"))
+
+
+@contextmanager
+def under_load(turn: Turn) -> Iterator[None]:
+    """Others are busy inside; afterwards each of their acknowledged writes is looked for."""
+    load = _Load(turn.place.welcome(f"load-{turn.owner.user_id}"))
+    acts = [load.read] * READERS + [load.write]
+    threads = [Thread(target=load.repeat, args=(act,), name=f"load {act.__name__}") for act in acts]
+    for thread in threads:
+        thread.start()
+    try:
+        yield
+    finally:
+        load.over.set()
+        for thread in threads:
+            thread.join()
+    turn.violations.extend([*load.violations, *_judge(turn, load)])
+
+
+def _judge(turn: Turn, load: _Load) -> Iterator[Violation]:
+    """Each acknowledged sequence is there, once."""
+    with turn.place.platform.database.reading() as session:
+        names = Counter(session.scalars(select(Sequence.name).where(Sequence.owner_id == load.owner.user_id)))
+    for name in load.acknowledged:
+        if names[name] != 1:
+            sort: Sort = "doubled" if names[name] else "lost"
+            yield Violation(sort, f"sequence {name} was acknowledged and is there {names[name]} times")
+    if not load.acknowledged:
+        yield Violation("lost", "nobody wrote anything, so there was no load")

@@ -1,0 +1,106 @@
+"""Where rounds take place: a platform of real processes that stays up, and the hands that reach its processes.
+
+**Conventions.** Leases are short, so that recovery is seen in seconds; the grace of the collection is too, so that it
+runs among the rounds. A child that was killed on purpose is not punished with a longer pause each time. PostgreSQL
+tells every commit to the operating system before it answers: it may be killed, the machine may not.
+"""
+
+import os
+import shutil
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from chaos.inputs import Inputs
+from client.credentials import Server
+from services.runtime.access.tokens import issue
+from services.runtime.access.users import create_user
+from services.runtime.embedded.children import Child
+from services.runtime.embedded.supervisor import Running, running_platform
+from services.runtime.platform import Platform
+from services.runtime.settings import ApiSettings, DatabaseSettings, JobSettings, Settings, StoreSettings
+from tests.servers.postgres import PostgresServer, running_postgres
+
+WORKERS = 2
+JOBS = JobSettings(lease_s=2.0, heartbeat_s=0.4, progress_s=0.2, sweep_s=0.25)
+STORE = StoreSettings(grace_s=5.0)
+API = ApiSettings(port=0, requests_per_minute=10**6)
+SCOPES = ("read", "upload", "submit")
+DAY_S = 86_400.0
+
+
+@dataclass(frozen=True)
+class Owner:
+    """A user of one round, and how the platform is reached as them."""
+
+    user_id: str
+    server: Server
+
+
+@dataclass(frozen=True)
+class Place:
+    """A platform that is up; `postgres` where that is its database."""
+
+    running: Running
+    inputs: Inputs
+    postgres: PostgresServer | None = None
+
+    @property
+    def platform(self) -> Platform:
+        return self.running.platform
+
+    @property
+    def evidence(self) -> Path:
+        """The file that says why the folder stays."""
+        return self.platform.settings.root / "violations.txt"
+
+    @property
+    def is_kept(self) -> bool:
+        return self.evidence.exists()
+
+    def keep(self, why: str) -> None:
+        """Have the folder stay when the platform is closed."""
+        self.evidence.write_text(why, "utf-8")
+
+    def child(self, name: str) -> Child:
+        """redis, worker, api or sweeper."""
+        return next(child for child in self.running.children if child.program.name == name)
+
+    def kill(self, name: str) -> None:
+        """kill −9 the child with all processes of its group; the supervisor starts it again."""
+        child = self.child(name)
+        child.forgive()
+        os.killpg(child.pid, signal.SIGKILL)
+
+    def welcome(self, name: str) -> Owner:
+        """A new curator with a token of their own."""
+        with self.platform.database.transaction() as session:
+            user = create_user(session, name, "curator")
+            return Owner(user.id, Server(self.running.url, issue(session, user, "chaos", SCOPES, DAY_S)))
+
+
+@contextmanager
+def opened_place(folder: Path, inputs: Inputs, told: Callable[[str], None], *, on_postgres: bool) -> Iterator[Place]:
+    """A platform in `folder`, drained at the end; the folder goes unless it is to be kept, or something was raised."""
+    with ExitStack() as stack:
+        postgres = stack.enter_context(_postgres(folder)) if on_postgres else None
+        url = postgres.url() if postgres else ""
+        settings = Settings(
+            data_folder=folder, workers=WORKERS, database=DatabaseSettings(url), jobs=JOBS, store=STORE, api=API
+        )
+        place = Place(stack.enter_context(running_platform(settings, told)), inputs, postgres)
+        yield place
+    if not place.is_kept:
+        shutil.rmtree(folder)
+
+
+@contextmanager
+def _postgres(folder: Path) -> Iterator[PostgresServer]:
+    """A server that stops as if it had crashed (an immediate shutdown); its cluster is kept where the folder is."""
+    with running_postgres(synchronous_commit="on") as server:
+        server.stop_signal = signal.SIGQUIT
+        yield server
+        server.stop()
+        shutil.copytree(server.folder / "cluster", folder / "postgres")

@@ -1,0 +1,84 @@
+"""Who is killed while a run is on, and when exactly."""
+
+import os
+import shutil
+import signal
+import time
+from pathlib import Path
+
+from redis import RedisError
+
+from chaos.turns import LOOK_S, Turn
+from services.runtime.bell import waiting
+from services.runtime.celery_app import QUEUES
+from services.runtime.orm import Job
+
+APPEND_ONLY = ("appendonlydir", "appendonly.aof")  # since Redis 7, and before
+
+
+def kill_worker(turn: Turn, run_id: str) -> None:
+    """One process of the pool, one that works if any does, or the worker with its whole pool."""
+    is_whole = turn.chance.random() < 0.5
+    turn.wait_for_moment()
+    parent = turn.place.child("worker").pid
+    pool = _children_of(parent)
+    busy = [pid for pid in turn.busy_processes() if pid in pool]
+    if is_whole or not pool:
+        turn.note("worker and pool", is_hit=bool(busy))
+        turn.place.kill("worker")
+    else:
+        victim = turn.chance.choice(busy or pool)
+        turn.note("pool process", is_hit=victim in busy)
+        os.kill(victim, signal.SIGKILL)
+
+
+def kill_redis(turn: Turn, run_id: str) -> None:
+    """As soon as a bell lies unheard, from some moment on; in every second round it forgets all of them."""
+    is_wiped = turn.chance.random() < 0.5
+    turn.wait_for_moment()
+    bells = _unheard(turn)
+    while not bells and _is_running(turn, run_id):
+        time.sleep(LOOK_S / 4)
+        bells = _unheard(turn)
+    turn.note(f"{'wiped' if is_wiped else 'kept'}, {bells} bells", is_hit=bells > 0)
+    turn.place.kill("redis")
+    if is_wiped:
+        _wipe(turn.place.platform.settings.root / "redis")
+
+
+def restart_postgres(turn: Turn, run_id: str) -> None:
+    """Stop it at once, as a crash would, and start it again after a while."""
+    if (server := turn.place.postgres) is None:
+        raise ValueError("this place has no PostgreSQL")
+    away_s = turn.chance.uniform(0.0, 2.0)
+    turn.wait_for_moment()
+    turn.note(f"away for {away_s:.1f} s", is_hit=bool(turn.busy_processes()))
+    server.stop()
+    time.sleep(away_s)
+    server.start()
+
+
+def _children_of(pid: int) -> list[int]:
+    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def _unheard(turn: Turn) -> int:
+    count = waiting(turn.place.platform.settings)
+    try:
+        return sum(count(queue) for queue in QUEUES)
+    except (RedisError, OSError):
+        return 0
+
+
+def _is_running(turn: Turn, run_id: str) -> bool:
+    with turn.place.platform.database.reading() as session:
+        return session.get_one(Job, run_id).state in ("queued", "running")
+
+
+def _wipe(folder: Path) -> None:
+    for name in APPEND_ONLY:
+        path = folder / name
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)

@@ -1,0 +1,116 @@
+"""One round as seen by its owner: bring the recording, have it processed, wait for the end; and be struck meanwhile.
+
+**Conventions.** The owner uses what users have, the client's own functions over HTTP. Moments are drawn by `chance`,
+which knows the seed, the kind and the round.
+"""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from random import Random
+from typing import Any
+
+from sqlalchemy import select
+
+from chaos.inputs import SEQUENCE
+from chaos.made import Brought
+from chaos.places import Owner, Place
+from chaos.verdict import Violation
+from client.api import Api
+from client.remote import add_recording, ensure_sequence, pin_calibration, start_run
+from client.tus import hashed
+from services.runtime.orm import Job, JobAttempt
+
+PATIENCE_S = 90.0
+LOOK_S = 0.02
+TERMINAL = ("succeeded", "failed", "cancelled")
+Item = Mapping[str, Any]
+
+
+class StuckError(Exception):
+    """What was waited for did not come to be."""
+
+    def __init__(self, what: str, within_s: float) -> None:
+        super().__init__(f"{what} did not happen within {within_s:g} s")
+
+
+@dataclass(frozen=True)
+class Struck:
+    """A kill: when (monotonic), whether it hit work that was under way, and what was hit."""
+
+    at_s: float
+    is_hit: bool
+    what: str
+
+
+@dataclass(frozen=True)
+class Turn:
+    """An owner's round in a place. `undisturbed_s`: how long the run takes that nobody disturbs."""
+
+    place: Place
+    owner: Owner
+    chance: Random
+    undisturbed_s: float
+    struck: list[Struck] = field(default_factory=list)
+    violations: list[Violation] = field(default_factory=list)
+
+    def connected(self, url: str = "") -> Api:
+        """The owner's connection, directly or by a detour."""
+        server = self.owner.server
+        return Api(replace(server, url=url or server.url), patience_s=PATIENCE_S)
+
+    def announce(self, api: Api) -> Item:
+        """A sequence with its calibration."""
+        sequence = ensure_sequence(api, SEQUENCE)
+        pin_calibration(api, sequence, self.place.inputs.calibration)
+        return sequence
+
+    def send(self, api: Api, sequence: Item) -> None:
+        """The recording, read and kept when this returns."""
+        add_recording(api, sequence, hashed(self.place.inputs.bag, _silent), _silent)
+
+    def process(self, api: Api, sequence: Item) -> Brought:
+        """Start the run; what was brought is complete with it."""
+        run = start_run(api, sequence, {})
+        inputs = self.place.inputs
+        return Brought(self.owner.user_id, sequence["id"], run["id"], inputs.sha256, inputs.size_bytes)
+
+    def wait_for_moment(self) -> None:
+        """Some time within a run that has just been started."""
+        time.sleep(self.chance.uniform(0.02, 0.95) * self.undisturbed_s)
+
+    def note(self, what: str, *, is_hit: bool) -> None:
+        """Right before the kill."""
+        self.struck.append(Struck(time.monotonic(), is_hit, what))
+
+    def busy_processes(self) -> list[int]:
+        """The pids that have a job of this owner's in hand."""
+        mine = (Job.owner_id == self.owner.user_id, Job.state == "running", JobAttempt.number == Job.attempt)
+        statement = select(JobAttempt.worker).join(Job, Job.id == JobAttempt.job_id).where(*mine)
+        with self.place.platform.database.reading() as session:
+            return [int(worker.rpartition(":")[2]) for worker in session.scalars(statement)]
+
+
+def await_end(api: Api, run_id: str) -> Item:
+    """The run once it has ended, however. Raises `StuckError`."""
+    found: list[Item] = []
+
+    def has_ended() -> bool:
+        found[:] = [api.read(f"/jobs/{run_id}")]
+        return found[0]["state"] in TERMINAL
+
+    await_true(f"the end of run {run_id}", has_ended, every_s=0.1)
+    return found[0]
+
+
+def await_true(what: str, is_true: Callable[[], bool], every_s: float = LOOK_S, within_s: float = PATIENCE_S) -> None:
+    """Look until it is so. Raises `StuckError`."""
+    until_s = time.monotonic() + within_s
+    while not is_true():
+        if time.monotonic() > until_s:
+            raise StuckError(what, within_s)
+        time.sleep(every_s)
+
+
+def _silent(stage: str, done: int, total: int) -> None:
+    """Nobody watches."""
