@@ -23,7 +23,7 @@ from api.errors import ReasonMissingError
 from services.runtime.orm import AuditEntry
 from services.runtime.orm.base import now_ns
 
-LOCK = 0x53544F4E45  # "STONE": the advisory lock's number, shared by every process of the platform
+LOCK = 0x4155444954  # "AUDIT": the advisory lock's number, shared by every process of the platform
 AT_A_TIME = 500
 PENDING = "audit_entries"
 

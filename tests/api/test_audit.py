@@ -1,0 +1,196 @@
+"""The audit log grows by whole links, whoever writes at once, and shows what was changed."""
+
+import threading
+
+import httpx
+import pytest
+from sqlalchemy import delete, select, text, update
+from sqlalchemy.orm import Session
+
+from api import audit
+from api.deps import Caller
+from api.errors import ReasonMissingError
+from services.runtime.orm import AuditEntry, Team
+from services.runtime.platform import Platform
+from tests.api.serving import Person, person
+
+LOG = "/api/v1/admin/audit-log"
+ADA = Caller("a" * 32, "ada", "administrator", frozenset({"read", "admin"}), is_session=False)
+
+
+def write(platform: Platform, *acts: str) -> None:
+    for act in acts:
+        with platform.database.transaction() as session:
+            audit.record(session, ADA, act, "subject", facts={"ratio": 0.1, "ä": ["é", None, 2**53]})
+
+
+def first_broken(platform: Platform) -> int | None:
+    with platform.database.reading() as session:
+        return audit.verify(session)
+
+
+def lines(platform: Platform) -> list[AuditEntry]:
+    with platform.database.reading() as session:
+        return list(session.scalars(select(AuditEntry).order_by(AuditEntry.number)))
+
+
+def unguarded(session: Session) -> None:
+    """Take away what keeps the table append-only, as somebody with the database's password could."""
+    if session.get_bind().dialect.name == "postgresql":
+        session.execute(text("ALTER TABLE audit_log DISABLE TRIGGER USER"))
+        return
+    for name in session.scalars(
+        text("SELECT name FROM sqlite_master WHERE type = 'trigger' AND tbl_name = 'audit_log'")
+    ).all():
+        session.execute(text(f"DROP TRIGGER {name}"))
+
+
+@pytest.mark.parametrize("reason", ["", "   ", "\n"])
+def test_an_administrators_act_without_a_reason_is_refused(platform: Platform, reason: str) -> None:
+    with platform.database.transaction() as session, pytest.raises(ReasonMissingError, match=r"user\.changed"):
+        audit.record_admin_act(session, ADA, "user.changed", "x", reason)
+    assert lines(platform) == []
+
+
+def test_an_act_that_is_rolled_back_leaves_no_line(platform_on: Platform) -> None:
+    with platform_on.database.transaction() as session:
+        audit.record(session, ADA, "never", "subject")
+        session.rollback()
+    write(platform_on, "after")
+    assert [(line.number, line.act) for line in lines(platform_on)] == [(1, "after")]
+
+
+def test_an_empty_log_is_whole(platform: Platform) -> None:
+    assert first_broken(platform) is None
+
+
+def test_lines_are_numbered_and_linked(platform_on: Platform) -> None:
+    write(platform_on, "one", "two")
+    with platform_on.database.transaction() as session:
+        audit.record(session, ADA, "three", "subject")
+        audit.record(session, None, "four", "subject")
+    written = lines(platform_on)
+    assert [(line.number, line.act) for line in written] == [(1, "one"), (2, "two"), (3, "three"), (4, "four")]
+    assert written[0].hash == audit.hash_of(written[0], "")
+    assert written[3].hash == audit.hash_of(written[3], written[2].hash)
+    assert written[3].actor == "anonymous"
+    assert first_broken(platform_on) is None
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"reason": "another"},
+        {"actor": "eve"},
+        {"act": "other"},
+        {"facts": {}},
+        {"logged_ns": 1},
+        {"subject_id": ""},
+        {"request_id": "x"},
+        {"hash": "0" * 64},
+    ],
+)
+def test_a_changed_line_is_found(platform: Platform, change: dict[str, object]) -> None:
+    write(platform, "one", "two", "three")
+    with platform.database.transaction() as session:
+        unguarded(session)
+        session.execute(update(AuditEntry).where(AuditEntry.number == 2).values(**change))
+    assert first_broken(platform) == 2
+
+
+def test_a_line_taken_out_is_found_and_so_is_a_new_order(platform_on: Platform) -> None:
+    write(platform_on, "one", "two", "three")
+    with platform_on.database.transaction() as session:
+        unguarded(session)
+        session.execute(delete(AuditEntry).where(AuditEntry.number == 2))
+    assert first_broken(platform_on) == 2
+    with platform_on.database.transaction() as session:
+        session.execute(update(AuditEntry).where(AuditEntry.number == 3).values(number=2))
+    assert first_broken(platform_on) == 2
+
+
+@pytest.mark.parametrize("statement", ["UPDATE audit_log SET act = 'x'", "DELETE FROM audit_log"])
+def test_the_database_itself_refuses_to_change_a_line(platform_on: Platform, statement: str) -> None:
+    write(platform_on, "one")
+    with pytest.raises(Exception, match="audit_log is append-only"), platform_on.database.transaction() as session:
+        session.execute(text(statement))
+    assert [line.act for line in lines(platform_on)] == ["one"]
+
+
+def test_eight_writers_at_once_make_one_chain(platform_on: Platform) -> None:
+    faults: list[BaseException] = []
+    together = threading.Barrier(8)
+
+    def work(number: int) -> None:
+        try:
+            together.wait(30)
+            for turn in range(6):
+                with platform_on.database.transaction() as session:
+                    audit.record(session, ADA, f"act.{number}.{turn}", "subject")
+                    session.add(Team(name=f"{number} {turn}"))
+        except BaseException as error:
+            faults.append(error)
+
+    threads = [threading.Thread(target=work, args=(number,)) for number in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert faults == []
+    written = lines(platform_on)
+    assert [line.number for line in written] == list(range(1, 49))
+    assert len({line.act for line in written}) == 48
+    assert first_broken(platform_on) is None
+
+
+def test_a_long_log_is_verified_in_pieces(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(audit, "AT_A_TIME", 3)
+    write(platform, *(f"act.{number}" for number in range(10)))
+    assert first_broken(platform) is None
+    with platform.database.transaction() as session:
+        unguarded(session)
+        session.execute(update(AuditEntry).where(AuditEntry.number == 7).values(reason="x"))
+    assert first_broken(platform) == 7
+
+
+def test_only_administrators_read_the_log(api: httpx.Client, curator: Person, participant: Person) -> None:
+    for path in (LOG, f"{LOG}/verification"):
+        assert api.get(path).status_code == 401
+        for caller in (curator, participant):
+            assert api.get(path, headers=caller.headers).status_code == 403
+
+
+@pytest.mark.parametrize("query", [{"actor_id": "x"}, {"act": "a\x00"}, {"subject_id": "x" * 65}, {"limit": 0}])
+def test_a_filter_that_cannot_match_is_422(api: httpx.Client, administrator: Person, query: dict[str, str]) -> None:
+    assert api.get(LOG, params=query, headers=administrator.headers).status_code == 422
+
+
+def test_the_log_is_read_by_pages_and_filters_and_proven(api_on: httpx.Client, platform_on: Platform) -> None:
+    root = person(platform_on, "administrator")
+    write(platform_on, "one", "two", "one")
+    first = api_on.get(LOG, params={"limit": 2}, headers=root.headers).json()
+    rest = api_on.get(LOG, params={"limit": 2, "cursor": first["next"]}, headers=root.headers).json()
+    assert [line["number"] for line in first["items"] + rest["items"]] == [3, 2, 1]
+    assert rest["next"] is None
+    for query, numbers in (
+        ({"act": "one"}, [3, 1]),
+        ({"actor_id": "a" * 32}, [3, 2, 1]),
+        ({"actor_id": "b" * 32}, []),
+        ({"subject_id": "subject", "act": "two"}, [2]),
+    ):
+        found = api_on.get(LOG, params=query, headers=root.headers).json()["items"]
+        assert [line["number"] for line in found] == numbers
+    proof = api_on.get(f"{LOG}/verification", headers=root.headers).json()
+    assert proof == {
+        "is_whole": True,
+        "first_broken": None,
+        "lines": 3,
+        "head_hash": first["items"][0]["hash"],
+    }
+
+
+def test_a_line_carries_the_request_that_wrote_it(api: httpx.Client, administrator: Person) -> None:
+    headers = {**administrator.headers, "X-Request-ID": "look-for-me"}
+    api.post("/api/v1/teams", json={"name": "us"}, headers=headers)
+    line = api.get(LOG, headers=administrator.headers).json()["items"][0]
+    assert (line["act"], line["actor"], line["request_id"]) == ("team.founded", administrator.name, "look-for-me")
