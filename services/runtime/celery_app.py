@@ -27,7 +27,7 @@ def make_app(settings: Settings) -> Celery:
     app = Celery("stone", broker=settings.broker.url, include=[f"services.{name}.tasks" for name in QUEUES])
     app.conf.update(
         task_ignore_result=True,
-        task_acks_late=True,
+        task_acks_late=False,  # a bell not yet acked when Redis ends makes kombu 5.7 end the worker, and its jobs
         task_reject_on_worker_lost=False,  # attempts are counted in the database; a poisoned job must not loop here
         worker_prefetch_multiplier=1,
         worker_disable_prefetch=True,  # a bell held by a busy worker is not heard by an idle one
