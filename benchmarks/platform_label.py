@@ -1,0 +1,164 @@
+"""One sequence through the real platform with 1 and with 2 workers: `python -m benchmarks.platform_label`.
+
+The embedded platform (Redis, API, Celery, sweeper) is started anew for every number of workers; a simulated bag is
+uploaded through the API, registered, and processed. Timed is the run alone, by its own rows: from its first job's start
+to its end. Beside the wall clock stands what no other load disturbs: the processor time of every job, and the shortest
+time in which so many workers could have done jobs of just this cost, each waiting for what it needs.
+"""
+
+import argparse
+import tempfile
+from collections import defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+from sqlalchemy import select
+
+from client.api import Api
+from client.credentials import Server
+from client.following import follow
+from client.remote import add_recording, ensure_sequence, pin_calibration, start_run
+from client.tus import hashed
+from services.runtime.embedded.supervisor import running_platform
+from services.runtime.orm import Job, JobNeed
+from services.runtime.platform import Platform
+from services.runtime.settings import ApiSettings, Settings
+from simulator.options import SimulateOptions
+from simulator.pipeline import calibration_path, simulate
+
+LISTERS = ("ingest.synchronise", "labeler.parts", "labeler.tiles")
+
+
+@dataclass(frozen=True)
+class Done:
+    """One job of a run; `needs` are indices of jobs before it."""
+
+    kind: str
+    cpu_s: float
+    wall_s: float
+    needs: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One run with so many workers."""
+
+    workers: int
+    wall_s: float
+    jobs: tuple[Done, ...]
+
+    @property
+    def cpu_s(self) -> float:
+        return sum(job.cpu_s for job in self.jobs)
+
+    def idle_s(self) -> float:
+        """Worker-seconds in which no job ran."""
+        return self.workers * self.wall_s - sum(job.wall_s for job in self.jobs)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--workers", type=int, nargs="+", default=[1, 2])
+    parser.add_argument("--channels", type=int, default=64)
+    parser.add_argument("--columns", type=int, default=900)
+    parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()) / "stone-bench")
+    options = parser.parse_args()
+    bag = options.folder / f"platform-{options.channels}x{options.columns}-{options.seconds:g}.mcap"
+    if not bag.exists():
+        simulate(bag, SimulateOptions(options.seconds, channels=options.channels, columns=options.columns))
+    runs = [measured(bag, workers) for workers in options.workers]
+    _show(runs, options.seconds)
+
+
+def measured(bag: Path, workers: int) -> Measured:
+    """Bring the bag to a fresh platform and have it labelled."""
+    with tempfile.TemporaryDirectory(dir=bag.parent) as folder:
+        settings = Settings(data_folder=Path(folder), workers=workers, api=ApiSettings(port=0))
+        with running_platform(settings) as running, Api(Server(running.url, running.keys.token)) as api:
+            sequence = ensure_sequence(api, "benchmark")
+            pin_calibration(api, sequence, calibration_path(bag))
+            add_recording(api, sequence, hashed(bag, _silent), _silent)
+            job_id = start_run(api, sequence, {})["id"]
+            follow(api, job_id, _silent)
+            return _read(running.platform, job_id, workers)
+
+
+def shortest_s(jobs: tuple[Done, ...], workers: int) -> float:
+    """When the last job ends if every free worker takes the first job that is ready, each for its processor time."""
+    ends: dict[int, float] = {}
+    free = [0.0] * workers
+    left = list(range(len(jobs)))
+    while left:
+        known = [index for index in left if all(need in ends for need in jobs[index].needs)]
+        ready_s = {index: max((ends[need] for need in jobs[index].needs), default=0.0) for index in known}
+        worker = min(range(workers), key=free.__getitem__)
+        at_s = max(free[worker], min(ready_s.values()))
+        index = next(index for index in known if ready_s[index] <= at_s)
+        ends[index] = free[worker] = at_s + jobs[index].cpu_s
+        left.remove(index)
+    return max(ends.values())
+
+
+def _read(platform: Platform, root_id: str, workers: int) -> Measured:
+    with platform.database.reading() as session:
+        rows = session.scalars(select(Job).where(Job.root_id == root_id, Job.queue != "").order_by(Job.id)).all()
+        needs = session.execute(select(JobNeed.job_id, JobNeed.needed_id)).all()
+    place = {row.id: number for number, row in enumerate(rows)}
+    needed = defaultdict(list)
+    for job_id, needed_id in needs:
+        needed[job_id].append(place[needed_id])
+    jobs, lister = [], -1
+    for number, row in enumerate(rows):
+        follows = tuple(needed[row.id]) or ((lister,) if lister >= 0 else ())
+        jobs.append(Done(row.kind, float((row.result or {})["cpu_s"]), _wall_s(row), follows))
+        if row.kind in LISTERS:
+            lister = number  # what comes after was named by this one
+    begin, end = min(row.started_ns or 0 for row in rows), max(row.finished_ns or 0 for row in rows)
+    return Measured(workers, (end - begin) / 1e9, tuple(jobs))
+
+
+def _wall_s(row: Job) -> float:
+    return ((row.finished_ns or 0) - (row.started_ns or 0)) / 1e9
+
+
+def _show(runs: list[Measured], recorded_s: float) -> None:
+    console = Console()
+    table = Table(title=f"{recorded_s:g} s recorded, through the platform")
+    for column in ("workers", "wall s", "× real time", "CPU s", "idle worker-s", "shortest s", "jobs"):
+        table.add_column(column, justify="right")
+    for run in runs:
+        shortest = shortest_s(run.jobs, run.workers)
+        figures = (run.wall_s, recorded_s / run.wall_s, run.cpu_s, run.idle_s(), shortest)
+        table.add_row(str(run.workers), *(f"{figure:.2f}" for figure in figures), str(len(run.jobs)))
+    console.print(table)
+    _show_stages(console, runs)
+    first, last = runs[0], runs[-1]
+    if last.workers > first.workers:
+        ideal = shortest_s(first.jobs, first.workers) / shortest_s(first.jobs, last.workers)
+        console.print(f"{first.workers} → {last.workers} workers: {first.wall_s / last.wall_s:.2f}× by the clock")
+        console.print(f"{ideal:.2f}× by the processor times of the run with {first.workers}: what the division allows")
+
+
+def _show_stages(console: Console, runs: list[Measured]) -> None:
+    table = Table(title="per stage: jobs, CPU s, longest job's CPU s")
+    table.add_column("stage")
+    for run in runs:
+        table.add_column(f"{run.workers} workers", justify="right")
+    for kind in dict.fromkeys(job.kind for job in runs[0].jobs):
+        cells = []
+        for run in runs:
+            costs = [job.cpu_s for job in run.jobs if job.kind == kind]
+            cells.append(f"{len(costs)}  {sum(costs):.2f}  {max(costs):.2f}")
+        table.add_row(kind, *cells)
+    console.print(table)
+
+
+def _silent(_stage: str, _done: int, _total: int) -> None:
+    return
+
+
+if __name__ == "__main__":
+    main()
