@@ -101,5 +101,6 @@ def _token(platform: Platform, user: User) -> str:
 
 def _written(platform: Platform, content: bytes) -> Path:
     path = platform.settings.root / f"made-{new_id()}"
+    path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(content)
     return path
