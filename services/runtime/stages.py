@@ -1,6 +1,6 @@
 """What every stage does: find out whether its sequence still stands, and say what it cost."""
 
-import time
+import resource
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -23,11 +23,17 @@ def standing_sequence(session: Session, attempt: Attempt) -> Sequence:
 
 
 def measured(stage: Stage) -> Stage:
-    """The stage, whose job's result also says how much processor time it took: `cpu_s`, of this process."""
+    """The stage, whose job's result also says how much processor time it took: `cpu_s`, of this process
+    and the children it has waited for."""
 
     def run(platform: Platform, attempt: Attempt) -> Outcome:
-        begin_s = time.process_time()
+        begin_s = _cpu_s()
         outcome = stage(platform, attempt)
-        return replace(outcome, result={**outcome.result, "cpu_s": round(time.process_time() - begin_s, 3)})
+        return replace(outcome, result={**outcome.result, "cpu_s": round(_cpu_s() - begin_s, 3)})
 
     return run
+
+
+def _cpu_s() -> float:
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(one.ru_utime + one.ru_stime for one in used)
