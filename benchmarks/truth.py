@@ -24,7 +24,7 @@ from benchmarks.truth_checks import (
     seam_counts,
     slope_errors_deg,
 )
-from client.sequences import open_sequence
+from services.ingest.opening import open_sequence
 from services.labeler.parameters import TilingParameters, parameters_for
 from services.labeler.pipeline import LabelOptions, label
 from simulator.options import SimulateOptions

@@ -28,12 +28,12 @@ from client.remote import (
     pin_calibration,
     start_run,
 )
-from client.sequences import open_sequence
 from client.tus import LocalFile, hashed
 from services.eval.manifest import Manifest, write_manifest
 from services.eval.pipeline import score, validate
 from services.eval.submission import write_submission
 from services.eval.validation import SubmissionRefusedError
+from services.ingest.opening import open_sequence
 from services.runtime.embedded.supervisor import Running
 from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate

@@ -38,7 +38,7 @@ def label(
 ) -> None:
     """Label every frame of a recording: free, traversable, potentially traversable or not, in 0.2 m voxels."""
     refuse_kiss_icp(odometry)
-    from client.sequences import open_sequence
+    from services.ingest.opening import open_sequence
     from services.ingest.pipeline import SynchroniseOptions
     from services.labeler.parameters import parameters_for
     from services.labeler.pipeline import LabelOptions
