@@ -1,0 +1,118 @@
+"""A disk that is really full: a small tmpfs in the place of the uploads folder, where this user may mount one."""
+
+import os
+import subprocess
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import httpx
+import pytest
+
+from services.runtime.platform import Platform
+from services.runtime.quota import balance
+from tests.api.serving import Person, client_of
+from tests.api.tus import (
+    PIECE,
+    TUS,
+    UPLOADS,
+    checksum,
+    create,
+    created,
+    metadata,
+    offset_of,
+    patch,
+    sha256_of,
+    shown,
+)
+
+DISK_BYTES = 8 << 20
+CONTENT = os.urandom(6 << 20)
+
+
+@pytest.fixture
+def disk(platform: Platform) -> Iterator[Path]:
+    """The uploads folder, on a disk of 8 MiB of its own, with 4 MiB of somebody else's in it."""
+    folder = platform.settings.uploads_folder
+    folder.mkdir(parents=True)
+    command = ["mount", "-t", "tmpfs", "-o", f"size={DISK_BYTES}", "stone-test", str(folder)]
+    try:
+        mounted = subprocess.run(command, capture_output=True, text=True)
+    except FileNotFoundError:
+        pytest.skip("there is no mount command")
+    if mounted.returncode:
+        pytest.skip(f"a tmpfs cannot be mounted by this user: {mounted.stderr.strip()}")
+    with ExitStack() as stack:
+        stack.callback(subprocess.run, ["umount", "--lazy", str(folder)], check=True)
+        (folder / "of-somebody-else").write_bytes(b"\1" * (4 << 20))
+        yield folder
+
+
+def free_space(disk: Path) -> None:
+    (disk / "of-somebody-else").unlink()
+
+
+def refuses_for_want_of_room(reply: httpx.Response) -> bool:
+    return (reply.status_code, reply.json()["code"]) == (507, "disk_full")
+
+
+def test_a_full_disk_is_said_and_what_fitted_counts_once_space_is_freed(
+    disk: Path, platform: Platform, curator: Person
+) -> None:
+    with client_of(platform) as api:
+        where = created(api, curator, len(CONTENT), sha256=sha256_of(CONTENT))
+        assert refuses_for_want_of_room(patch(api, curator, where, 0, CONTENT))
+        offset = offset_of(api, curator, where)
+        assert 3 << 20 <= offset < len(CONTENT)
+        assert (disk / where.rpartition("/")[2]).read_bytes() == CONTENT[:offset]
+        assert refuses_for_want_of_room(patch(api, curator, where, offset, CONTENT[offset:]))
+        free_space(disk)
+        assert patch(api, curator, where, offset_of(api, curator, where), CONTENT[offset:]).status_code == 204
+        assert shown(api, curator, where)["sha256"] == sha256_of(CONTENT)
+    assert (disk / where.rpartition("/")[2]).read_bytes() == CONTENT
+
+
+def test_bytes_under_a_checksum_that_did_not_all_fit_do_not_count(
+    disk: Path, platform: Platform, curator: Person
+) -> None:
+    with client_of(platform) as api:
+        where = created(api, curator, len(CONTENT), sha256=sha256_of(CONTENT))
+        right = checksum(CONTENT, "sha256")
+        assert refuses_for_want_of_room(patch(api, curator, where, 0, CONTENT, Upload_Checksum=right))
+        assert offset_of(api, curator, where) == 0
+        free_space(disk)
+        assert patch(api, curator, where, 0, CONTENT, Upload_Checksum=right).status_code == 204
+        assert shown(api, curator, where)["state"] == "complete"
+
+
+def test_a_creation_with_more_than_fits_is_told_how_much_did(disk: Path, platform: Platform, curator: Person) -> None:
+    said = metadata(filename="a", purpose="recording")
+    headers = {**PIECE, **curator.headers, "Upload-Length": str(len(CONTENT)), "Upload-Metadata": said}
+    with client_of(platform) as api:
+        reply = api.post(UPLOADS, content=CONTENT, headers=headers)
+        assert reply.status_code == 201
+        offset, where = int(reply.headers["Upload-Offset"]), reply.headers["Location"]
+        assert 3 << 20 <= offset < len(CONTENT)
+        free_space(disk)
+        assert patch(api, curator, where, offset, CONTENT[offset:]).status_code == 204
+        assert shown(api, curator, where)["sha256"] == sha256_of(CONTENT)
+
+
+def test_a_form_that_does_not_fit_leaves_nothing_behind(disk: Path, platform: Platform, curator: Person) -> None:
+    with client_of(platform) as api:
+        reply = api.post(
+            f"{UPLOADS}/form", data={"purpose": "recording"}, files={"file": CONTENT}, headers=curator.headers
+        )
+        assert refuses_for_want_of_room(reply)
+    assert [path.name for path in disk.iterdir()] == ["of-somebody-else"]
+    with platform.database.reading() as session:
+        assert balance(session, curator.user_id) == 0
+
+
+def test_an_upload_can_be_given_up_on_a_full_disk(disk: Path, platform: Platform, curator: Person) -> None:
+    with client_of(platform) as api:
+        where = created(api, curator, len(CONTENT))
+        patch(api, curator, where, 0, CONTENT)
+        assert create(api, curator, 1).status_code in (201, 507)
+        assert api.delete(where, headers={**TUS, **curator.headers}).status_code == 204
+        assert create(api, curator, 1).status_code == 201

@@ -1,0 +1,81 @@
+"""Two processes on one uploads folder and one database, and clients that leave: nothing is written twice or lost."""
+
+import os
+import random
+import socket
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import httpx
+import pytest
+
+from services.runtime.platform import Platform
+from services.runtime.uploads import upload_file
+from tests.api.process import running_api
+from tests.api.serving import Person, client_of
+from tests.api.tus import created, offset_of, patch, sha256_of, shown
+
+
+@pytest.fixture
+def two(platform: Platform, tmp_path: Path) -> Iterator[tuple[httpx.Client, httpx.Client]]:
+    """One client of a server in this process, one of another process."""
+    with (
+        client_of(platform) as here,
+        running_api(platform.settings, tmp_path / "api.log") as process,
+        httpx.Client(base_url=process.url, timeout=30) as there,
+    ):
+        yield here, there
+
+
+def test_pieces_may_go_to_either(two: tuple[httpx.Client, httpx.Client], curator: Person) -> None:
+    content = os.urandom(500_000)
+    where = created(two[0], curator, len(content), sha256=sha256_of(content))
+    for number, offset in enumerate(range(0, len(content), 100_000)):
+        reply = patch(two[number % 2], curator, where, offset, content[offset : offset + 100_000])
+        assert reply.status_code == 204, reply.text
+    assert shown(two[0], curator, where)["state"] == "complete"
+
+
+def test_clients_that_fight_over_an_upload_leave_it_right(
+    two: tuple[httpx.Client, httpx.Client], platform: Platform, curator: Person
+) -> None:
+    for seed in range(3):
+        let_fight(two, platform, curator, seed)
+
+
+def let_fight(two: tuple[httpx.Client, httpx.Client], platform: Platform, curator: Person, seed: int) -> None:
+    content = random.Random(seed).randbytes(300_000)
+    where = created(two[0], curator, len(content), sha256=sha256_of(content))
+
+    def fight(number: int) -> None:
+        chance = random.Random(seed * 100 + number)
+        with httpx.Client(base_url=two[number % 2].base_url, timeout=30) as api:
+            deadline = time.monotonic() + 40
+            while (offset := offset_of(api, curator, where)) < len(content):
+                assert time.monotonic() < deadline, "nobody gets on"
+                piece = content[offset : offset + chance.randrange(1, 80_000)]
+                reply = patch(api, curator, where, offset, piece)
+                assert reply.status_code in (204, 409, 423), reply.text
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(fight, range(4)))
+    assert shown(two[0], curator, where)["sha256"] == sha256_of(content)
+    assert upload_file(platform.settings, where.rpartition("/")[2]).read_bytes() == content
+
+
+def test_a_client_that_leaves_keeps_what_arrived(api: httpx.Client, curator: Person) -> None:
+    content = os.urandom(3 << 20)
+    where = created(api, curator, len(content), sha256=sha256_of(content))
+    head = f"PATCH {where} HTTP/1.1\r\nHost: localhost\r\nTus-Resumable: 1.0.0\r\nUpload-Offset: 0\r\n"
+    head += f"Content-Type: application/offset+octet-stream\r\nAuthorization: Bearer {curator.secret}\r\n"
+    with socket.create_connection((api.base_url.host, api.base_url.port or 80), timeout=30) as connection:
+        connection.sendall(f"{head}Content-Length: {len(content)}\r\n\r\n".encode() + content[: 2 << 20])
+    deadline = time.monotonic() + 30
+    while (reply := patch(api, curator, where, offset := offset_of(api, curator, where), content[offset:])).is_error:
+        assert reply.status_code in (409, 423), reply.text
+        assert time.monotonic() < deadline, "the lock of a client that left is never given back"
+        time.sleep(0.01)
+    assert offset >= 1 << 20
+    assert shown(api, curator, where)["sha256"] == sha256_of(content)
