@@ -22,6 +22,9 @@ from services.runtime.store import Store
 
 ONE_RANGE = re.compile(r"bytes=(\d{0,18})-(\d{0,18})")
 UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
+STRUCTURED = ("application/json", "application/yaml")
+OBJECT = {"type": "object"}
+BINARY = {"type": "string", "format": "binary"}
 INLINE = ("image/png", "image/jpeg", "application/json")
 
 
@@ -39,8 +42,7 @@ class StoredFile:
 
 def file_responses(*media_types: str) -> Responses:
     """What the document says of a route that answers with a file."""
-    binary = {"schema": {"type": "string", "format": "binary"}}
-    content = {media_type: binary for media_type in media_types}
+    content = {media_type: {"schema": OBJECT if media_type in STRUCTURED else BINARY} for media_type in media_types}
     whole = {"description": "The whole file", "content": content}
     part = {"description": "The range asked for", "content": content}
     return {200: whole, 206: part, 304: {"description": "The caller has it already"}, **refusals(404, 416)}

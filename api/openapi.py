@@ -32,6 +32,14 @@ KEY = {
     "schema": {"type": "string", "pattern": "^[!-~]{1,128}$"},
     "example": "5f3a9c1e-first-try",
 }
+MATCH = {
+    "name": "If-Match",
+    "in": "header",
+    "required": False,
+    "description": "The ETag of the thing as it was last read.",
+    "schema": {"type": "string"},
+    "example": '"3"',
+}
 
 Operation = dict[str, Any]
 
@@ -82,6 +90,8 @@ def _complete(path: str, method: str, operation: Operation) -> None:
     operation["responses"] = {status: answers[status] for status in sorted(answers)}
     if _takes_key(path, method, operation):
         operation.setdefault("parameters", []).append(KEY)
+    if "428" in answers or (method == "put" and "412" in answers):
+        operation.setdefault("parameters", []).append(MATCH)
 
 
 def _implied(path: str, method: str, operation: Operation) -> set[int]:

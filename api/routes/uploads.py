@@ -32,7 +32,7 @@ Reader = Annotated[Caller, Depends(require("read"))]
 SpeakTus = Depends(speak_tus)
 
 
-@router.options("", status_code=204, responses=OPTIONS_SAY)
+@router.options("", status_code=204, response_class=Response, responses=OPTIONS_SAY)
 def say_what_is_spoken(platform: PlatformDep) -> Response:
     """What of tus this server speaks; needs no token."""
     return Response(
@@ -46,7 +46,9 @@ def say_what_is_spoken(platform: PlatformDep) -> Response:
     )
 
 
-@router.post("", status_code=201, dependencies=[SpeakTus], responses=CREATED, openapi_extra=STREAM)
+@router.post(
+    "", status_code=201, response_class=Response, dependencies=[SpeakTus], responses=CREATED, openapi_extra=STREAM
+)
 async def create_upload(
     request: Request,
     platform: PlatformDep,
@@ -73,7 +75,7 @@ async def create_by_form(request: Request, platform: PlatformDep, caller: Upload
     return upload_item(upload, upload.length_bytes)
 
 
-@router.head("/{upload_id}", dependencies=[SpeakTus], responses=HEAD_SAYS)
+@router.head("/{upload_id}", response_class=Response, dependencies=[SpeakTus], responses=HEAD_SAYS)
 def ask_offset(upload_id: IdPath, platform: PlatformDep, caller: Uploader) -> Response:
     """Where to resume. An upload that lacked only its last step is completed by this."""
     upload = find_alive(platform.database, upload_id, caller.user_id)
@@ -81,7 +83,14 @@ def ask_offset(upload_id: IdPath, platform: PlatformDep, caller: Uploader) -> Re
     return Response(status_code=200, headers=upload_headers(upload, bytes_here(platform, upload)))
 
 
-@router.patch("/{upload_id}", status_code=204, dependencies=[SpeakTus], responses=PATCHED, openapi_extra=STREAM)
+@router.patch(
+    "/{upload_id}",
+    status_code=204,
+    response_class=Response,
+    dependencies=[SpeakTus],
+    responses=PATCHED,
+    openapi_extra=STREAM,
+)
 async def send_bytes(
     upload_id: IdPath,
     request: Request,
@@ -97,14 +106,21 @@ async def send_bytes(
     return Response(status_code=204, headers=upload_headers(upload, offset_bytes))
 
 
-@router.delete("/{upload_id}", status_code=204, dependencies=[SpeakTus], responses=TERMINATED)
+@router.delete("/{upload_id}", status_code=204, response_class=Response, dependencies=[SpeakTus], responses=TERMINATED)
 def give_up(upload_id: IdPath, platform: PlatformDep, caller: Uploader) -> Response:
     """Terminate an upload that no recording uses; its bytes and its quota are free again."""
     terminate(platform, find_alive(platform.database, upload_id, caller.user_id))
     return Response(status_code=204)
 
 
-@router.post("/{upload_id}", status_code=204, dependencies=[SpeakTus], responses=PATCHED, openapi_extra=STREAM)
+@router.post(
+    "/{upload_id}",
+    status_code=204,
+    response_class=Response,
+    dependencies=[SpeakTus],
+    responses=PATCHED,
+    openapi_extra=STREAM,
+)
 async def override_method(
     upload_id: IdPath,
     request: Request,

@@ -119,7 +119,12 @@ def _artefact(session: Any, platform: Platform, label_set_id: str, name: str, co
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(content)
     blob = blobs.keep(session, platform.store, path)
-    media = {"json": "application/json", "ply": "application/ply", "png": "image/png"}
+    media = {
+        "parquet": "application/vnd.apache.parquet",
+        "json": "application/json",
+        "ply": "application/ply",
+        "png": "image/png",
+    }
     row = Artefact(label_set_id=label_set_id, name=name, blob_sha256=blob.sha256, size_bytes=len(content))
     row.media_type = media.get(name.rpartition(".")[2], "application/octet-stream")
     session.add(row)
