@@ -1,13 +1,18 @@
 """Whether what the API stands on answers: database, broker, store, each with the milliseconds it took.
 
 **Conventions.** Each is asked in a thread of its own, and by one question at a time: a part that hangs is away for
-everybody who asks meanwhile, and costs one thread, not one per question.
+everybody who asks meanwhile, and costs one thread, not one per question. An answer holds for `FRESH_S`, so whoever asks
+often costs no more. The store is asked by a small object, written, read and removed: a disk that is full, read-only or
+unmounted still lists.
 """
 
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as TooSlowError
+from pathlib import Path
+from secrets import token_bytes, token_hex
+from tempfile import NamedTemporaryFile
 from typing import Literal
 
 import structlog
@@ -18,6 +23,7 @@ from api.schemas.people import PartState
 from services.runtime.platform import Platform
 
 PATIENCE_S = 3.0
+FRESH_S = 1.0
 PART_NAMES = ("database", "broker", "store")
 
 log = structlog.get_logger(__name__)
@@ -29,7 +35,8 @@ class Probes:
     def __init__(self, platform: Platform) -> None:
         self._platform = platform
         self._broker = Redis.from_url(platform.settings.broker.url, socket_connect_timeout=2, socket_timeout=2)
-        self._asked: dict[str, Future[float]] = {}
+        self._asked: dict[str, tuple[Future[float], float]] = {}
+        self._key = f"probes/{token_hex(8)}"
         self._threads = ThreadPoolExecutor(len(PART_NAMES), thread_name_prefix="probe")
 
     def ask(self) -> dict[str, PartState]:
@@ -40,10 +47,11 @@ class Probes:
         return {name: _state(name, future, deadline_s) for name, future in asked.items()}
 
     def _ask(self, name: str, question: Callable[[], object]) -> Future[float]:
-        known = self._asked.get(name)
-        if known is None or known.done():
-            self._asked[name] = self._threads.submit(_timed, question)
-        return self._asked[name]
+        known, since_s = self._asked.get(name, (None, 0.0))
+        if known is None or (known.done() and time.monotonic() - since_s >= FRESH_S):
+            known = self._threads.submit(_timed, question)
+            self._asked[name] = known, time.monotonic()
+        return known
 
     def _database(self) -> None:
         with self._platform.database.reading() as session:
@@ -53,7 +61,15 @@ class Probes:
         self._broker.ping()
 
     def _store(self) -> None:
-        next(iter(self._platform.store.listed("blobs/")), None)
+        store, sent = self._platform.store, token_bytes(16)
+        with NamedTemporaryFile(prefix="stone-probe-") as file:
+            file.write(sent)
+            file.flush()
+            store.write(self._key, Path(file.name))
+        kept = b"".join(store.read(self._key))
+        store.delete(self._key)
+        if kept != sent:
+            raise OSError("the store gave back other bytes than were written")
 
 
 def _timed(question: Callable[[], object]) -> float:

@@ -1,0 +1,162 @@
+"""Probes tell the truth about what is away, quickly; counts are for those who watch."""
+
+import re
+import shutil
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import httpx
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+from pydantic import SecretStr
+
+from api import probes
+from api.probes import Probes
+from services.runtime.jobs.queueing import enqueue
+from services.runtime.jobs.specs import Context, JobSpec
+from services.runtime.platform import Platform
+from services.runtime.settings import ApiSettings, BrokerSettings, DatabaseSettings
+from services.runtime.store import Store
+from tests.api.serving import Person, client_of, person
+from tests.servers.fixtures import make_settings, opened
+
+WATCHING = "watching-watching-watching"
+
+
+def with_broker(platform: Platform, redis_url: str) -> Platform:
+    settings = platform.settings.model_copy(
+        update={
+            "broker": BrokerSettings(url=redis_url),
+            "api": ApiSettings(metrics_token=SecretStr(WATCHING)),
+        }
+    )
+    return replace(platform, settings=settings)
+
+
+def states(answer: httpx.Response) -> dict[str, str]:
+    return {name: part["state"] for name, part in answer.json()["parts"].items()}
+
+
+def test_with_everything_there_the_platform_is_ready(platform_on: Platform, redis_url: str) -> None:
+    with client_of(with_broker(platform_on, redis_url)) as api:
+        answer = api.get("/readyz")
+        assert answer.status_code == 200, answer.text
+        assert states(answer) == {"database": "up", "broker": "up", "store": "up"}
+        assert all(part["took_ms"] > 0 for part in answer.json()["parts"].values())
+        assert api.get("/healthz").json() == {"status": "ok"}
+
+
+def test_without_its_broker_the_platform_is_not_ready_and_says_no_more(platform: Platform) -> None:
+    away = with_broker(platform, "redis://:hunter2@127.0.0.1:1/0")
+    with client_of(away) as api:
+        answer = api.get("/readyz")
+        assert (answer.status_code, states(answer)["broker"], states(answer)["database"]) == (503, "away", "up")
+        assert "hunter2" not in answer.text
+        assert api.get("/healthz").status_code == 200
+
+
+def test_without_its_database_the_platform_is_not_ready(tmp_path: Path, redis_url: str) -> None:
+    settings = make_settings(tmp_path, database=DatabaseSettings("postgresql://nobody@127.0.0.1:1/nothing"))
+    with client_of(with_broker(opened(settings, []), redis_url)) as api:
+        answer = api.get("/readyz")
+        assert (answer.status_code, states(answer)["database"]) == (503, "away")
+
+
+def test_without_its_data_folder_the_platform_is_not_ready(
+    platform: Platform, redis_url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(probes, "FRESH_S", 0.0)
+    with client_of(with_broker(platform, redis_url)) as api:
+        assert states(api.get("/readyz"))["store"] == "up"
+        assert list(platform.store.listed("probes/")) == []
+        shutil.rmtree(platform.settings.root / "store", ignore_errors=True)
+        (platform.settings.root / "store").write_text("a file in the place of the folder")
+        assert states(api.get("/readyz"))["store"] == "away"
+
+
+def test_a_part_that_hangs_is_away_and_costs_one_thread(
+    platform: Platform, redis_url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(probes, "PATIENCE_S", 0.2)
+    freed = threading.Event()
+
+    class Hanging:
+        def write(self, key: str, source: Path) -> None:
+            freed.wait(30)
+            self.kept = source.read_bytes()
+
+        def read(self, key: str) -> list[bytes]:
+            return [self.kept]
+
+        def delete(self, key: str) -> None:
+            self.kept = b""
+
+    hanging: Store = Hanging()  # type: ignore[assignment]
+    asking = Probes(replace(with_broker(platform, redis_url), store=hanging))
+    before = threading.active_count()
+    for _ in range(5):
+        begun = time.monotonic()
+        assert asking.ask()["store"].state == "away"
+        assert time.monotonic() - begun < 5
+    assert threading.active_count() - before <= 3
+    freed.set()
+    monkeypatch.setattr(probes, "PATIENCE_S", 5.0)
+    deadline = time.monotonic() + 20
+    while asking.ask()["store"].state != "up":
+        assert time.monotonic() < deadline
+
+
+def test_counts_are_not_public(platform: Platform, redis_url: str, curator: Person, administrator: Person) -> None:
+    with client_of(with_broker(platform, redis_url)) as api:
+        for header in (None, "Bearer ", "Bearer wrong", f"Bearer {WATCHING}x", "Bearer é"):
+            headers = {} if header is None else {"Authorization": header.rstrip().encode("utf-8")}
+            assert api.get("/metrics", headers=headers).status_code == 401, header
+        assert api.get("/metrics", headers=curator.headers).status_code == 403
+        for allowed in (administrator.headers, {"Authorization": f"Bearer {WATCHING}"}):
+            assert api.get("/metrics", headers=allowed).status_code == 200
+
+
+def test_without_a_monitoring_token_an_empty_one_opens_nothing(api: httpx.Client) -> None:
+    for header in ("Bearer", "Bearer  ", "Basic Og=="):
+        assert api.get("/metrics", headers={"Authorization": header.strip()}).status_code == 401
+
+
+def test_counts_name_routes_not_ids_and_what_the_queues_hold(platform_on: Platform, redis_url: str) -> None:
+    caller = person(platform_on, "curator")
+    with platform_on.database.transaction() as session:
+        for _ in range(3):
+            enqueue(session, JobSpec("ingest.register"), Context(caller.user_id))
+    with client_of(with_broker(platform_on, redis_url)) as api:
+        for token_id in ("0" * 32, "1" * 32):
+            api.delete(f"/api/v1/tokens/{token_id}", headers=caller.headers)
+        api.get("/api/v1/nothing/" + "2" * 32)
+        api.request("PROPFIND", "/api/v1/coffee")
+        exposed = api.get("/metrics", headers={"Authorization": f"Bearer {WATCHING}"}).text
+    samples = {
+        (sample.name, *sorted(sample.labels.values())): sample.value
+        for family in text_string_to_metric_families(exposed)
+        for sample in family.samples
+    }
+    assert samples["stone_requests_total", "/api/v1/tokens/{token_id}", "404", "DELETE"] == 2
+    assert samples["stone_requests_total", "404", "GET", "unmatched"] == 1
+    assert samples["stone_requests_total", "404", "other", "unmatched"] == 1
+    assert samples["stone_jobs", "ingest", "queued"] == 3
+    assert samples["stone_uploads_open",] == 0
+    assert samples["stone_broker_up",] == 1
+    assert samples["stone_queue_bells", "ingest"] == 0
+    assert not re.search("[0-9a-f]{32}", exposed)
+
+
+def test_without_a_broker_the_other_counts_are_there(platform: Platform, administrator: Person) -> None:
+    with client_of(with_broker(platform, "redis://127.0.0.1:1/0"), administrator) as api:
+        exposed = api.get("/metrics").text
+    assert "stone_broker_up 0.0" in exposed
+    assert "stone_uploads_open 0.0" in exposed
+
+
+def test_asking_often_costs_no_more(platform: Platform, redis_url: str) -> None:
+    asking = Probes(with_broker(platform, redis_url))
+    first = asking.ask()
+    assert [asking.ask() for _ in range(20)].count(first) >= 10, "answers hold for a second"
