@@ -19,6 +19,7 @@ from api.routes import (
     admin_jobs,
     audit,
     calibrations,
+    docs,
     events,
     frames,
     health,
@@ -38,6 +39,7 @@ from services.runtime.platform import Platform, open_platform
 from services.runtime.settings import Settings
 
 ROUTERS: tuple[APIRouter, ...] = (
+    docs.router,
     problem_routes.router,
     sessions.router,
     tokens.router,

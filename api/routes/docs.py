@@ -1,0 +1,70 @@
+"""The OpenAPI document as one page for people: no script, nothing from another host.
+
+**Conventions.** Everything shown comes from the document and is escaped; the page's one style is allowed by its hash.
+"""
+
+import json
+from base64 import b64encode
+from hashlib import sha256
+from html import escape
+from typing import Any
+
+from fastapi import APIRouter, Request
+from fastapi.responses import HTMLResponse
+
+from api.openapi import Operation, operations
+
+router = APIRouter(tags=["probes"])
+
+STYLE = """body{font:16px/1.5 sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem}code,pre{font-family:monospace}
+summary{cursor:pointer;padding:.2rem 0}b{display:inline-block;width:5rem;text-transform:uppercase}
+pre{background:#8882;padding:.6rem;overflow:auto}"""
+STYLE_HASH = b64encode(sha256(STYLE.encode()).digest()).decode()
+POLICY = f"default-src 'none'; style-src 'sha256-{STYLE_HASH}'; frame-ancestors 'none'; base-uri 'none'"
+
+ANYBODY = ({"": ["anybody"]},)
+
+
+@router.get("/docs", summary="These pages", response_class=HTMLResponse)
+def pages(request: Request) -> HTMLResponse:
+    document: dict[str, Any] = request.app.openapi()
+    by_tag: dict[str, list[str]] = {}
+    for path, method, operation in operations(document):
+        shown = _operation(document, path, method, operation)
+        by_tag.setdefault(operation["tags"][0], []).append(shown)
+    body = "".join(f"<h2>{escape(tag)}</h2>{''.join(shown)}" for tag, shown in sorted(by_tag.items()))
+    title, description = escape(document["info"]["title"]), escape(document["info"]["description"])
+    head = f'<meta charset="utf-8"><title>{title}</title><style>{STYLE}</style>'
+    page = f"<head>{head}</head><body><h1>{title}</h1><p>{description}</p>{body}</body>"
+    return HTMLResponse(f'<!doctype html><html lang="en">{page}</html>', headers={"Content-Security-Policy": POLICY})
+
+
+def _operation(document: dict[str, Any], path: str, method: str, operation: Operation) -> str:
+    """One operation, folded: who may, what it takes, how it answers."""
+    asked = " ".join(next(iter(operation.get("security", ANYBODY)[0].values())))
+    parameters = "".join(_parameter(each) for each in operation.get("parameters", ()))
+    answers = "".join(
+        f"<li><code>{status}</code> {escape(answer.get('description', ''))}{_example(document, answer)}</li>"
+        for status, answer in operation["responses"].items()
+    )
+    body = _example(document, operation.get("requestBody", {}))
+    inside = f"<p>{escape(operation.get('description', ''))}</p><p>For: <code>{escape(asked)}</code></p>"
+    inside += f"<ul>{parameters}</ul>{body}<ul>{answers}</ul>"
+    head = f"<b>{method}</b> <code>{escape(path)}</code> {escape(operation['summary'])}"
+    return f"<details><summary>{head}</summary>{inside}</details>"
+
+
+def _parameter(parameter: dict[str, Any]) -> str:
+    need = "" if parameter.get("required") else " (optional)"
+    said = escape(parameter.get("description", ""))
+    return f"<li><code>{escape(parameter['name'])}</code> in {escape(parameter['in'])}{need} {said}</li>"
+
+
+def _example(document: dict[str, Any], holder: dict[str, Any]) -> str:
+    """The first example of what `holder` holds, where its schema has one."""
+    for content in holder.get("content", {}).values():
+        name = content.get("schema", {}).get("$ref", "").rpartition("/")[2]
+        examples = document["components"]["schemas"].get(name, {}).get("examples")
+        if examples:
+            return f"<pre>{escape(json.dumps(examples[0], indent=1))}</pre>"
+    return ""

@@ -1,0 +1,141 @@
+"""The document says of every route what it takes and every way it can answer."""
+
+import json
+import re
+from typing import Any
+
+import httpx
+import pytest
+
+from api.openapi import METHODS, operations
+from api.problems import MEDIA_TYPE
+from services.runtime.access.roles import ROLES, SCOPES
+from services.runtime.platform import Platform
+from tests.api.serving import client_of
+
+PUBLIC = {
+    ("/healthz", "get"),
+    ("/readyz", "get"),
+    ("/api/v1/problems", "get"),
+    ("/api/v1/problems/{code}", "get"),
+    ("/api/v1/docs", "get"),
+    ("/api/v1/sessions", "post"),
+    ("/api/v1/uploads", "options"),
+}
+
+
+@pytest.fixture(scope="module")
+def document(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    from api.main import make_api
+    from tests.servers.fixtures import make_settings, opened
+
+    made: dict[str, Any] = make_api(opened(make_settings(tmp_path_factory.mktemp("api")), [])).openapi()
+    return made
+
+
+def test_the_document_is_served_to_everybody_and_is_json(platform: Platform, document: dict[str, Any]) -> None:
+    with client_of(platform) as api:
+        answer = api.get("/api/v1/openapi.json")
+    assert answer.status_code == 200
+    assert answer.json() == json.loads(json.dumps(document))
+    assert answer.json()["openapi"].startswith("3.1")
+
+
+def test_only_what_is_meant_to_be_public_asks_for_no_caller(document: dict[str, Any]) -> None:
+    public = {(path, method) for path, method, operation in operations(document) if "security" not in operation}
+    assert public == PUBLIC
+
+
+def test_security_names_scopes_and_roles_that_exist(document: dict[str, Any]) -> None:
+    for path, method, operation in operations(document):
+        for requirement in operation.get("security", []):
+            for asked in requirement.values():
+                assert asked, (path, method)
+                assert asked[0] in SCOPES, (path, method)
+                assert set(asked[1:]) <= set(ROLES), (path, method)
+
+
+def test_every_operation_has_a_summary_a_tag_and_a_name_of_its_own(document: dict[str, Any]) -> None:
+    names = []
+    for path, method, operation in operations(document):
+        assert operation["summary"], (path, method)
+        assert operation["tags"], (path, method)
+        names.append(operation["operationId"])
+    assert len(names) == len(set(names))
+
+
+def test_every_refusal_is_a_problem(document: dict[str, Any]) -> None:
+    for path, method, operation in operations(document):
+        for status, answer in operation["responses"].items():
+            if int(status) >= 400 and (path, status) != ("/readyz", "503"):
+                schema = answer["content"][MEDIA_TYPE]["schema"]
+                assert schema == {"$ref": "#/components/schemas/Problem"}, (path, method, status)
+
+
+def test_every_operation_names_the_answers_that_follow_from_its_form(document: dict[str, Any]) -> None:
+    for path, method, operation in operations(document):
+        named = {int(status) for status in operation["responses"]}
+        assert any(200 <= status < 400 for status in named), (path, method)
+        if path.startswith("/api/"):
+            assert named >= {429, 500, 503}, (path, method)
+        if "security" in operation:
+            assert named >= {401, 403}, (path, method)
+        if "requestBody" in operation:
+            assert named >= {413, 415, 422}, (path, method)
+
+
+def test_every_thing_that_is_named_by_id_may_be_missing(document: dict[str, Any]) -> None:
+    for path, method, operation in operations(document):
+        if re.search(r"\{\w+(_id|token)\}", path):
+            assert "404" in operation["responses"], (path, method)
+
+
+def test_every_creating_operation_takes_an_idempotency_key(document: dict[str, Any]) -> None:
+    for path, method, operation in operations(document):
+        names = {parameter["name"] for parameter in operation.get("parameters", ())}
+        is_creating = method == "post" and "security" in operation
+        assert ("Idempotency-Key" in names) == is_creating, (path, method)
+
+
+def test_every_reference_leads_somewhere_and_nothing_of_the_frameworks_own_is_left(document: dict[str, Any]) -> None:
+    text = json.dumps(document)
+    schemas = document["components"]["schemas"]
+    assert set(re.findall(r'"#/components/schemas/([^"]+)"', text)) <= set(schemas)
+    assert "HTTPValidationError" not in text
+
+
+def test_every_body_has_an_example(document: dict[str, Any]) -> None:
+    schemas = document["components"]["schemas"]
+    bare = []
+    for path, method, operation in operations(document):
+        for content in (operation.get("requestBody") or {}).get("content", {}).values():
+            name = content["schema"].get("$ref", "").rpartition("/")[2]
+            if name and "multipart" not in str(operation["requestBody"]) and "examples" not in schemas[name]:
+                bare.append((path, method, name))
+    assert bare == []
+
+
+def test_every_example_is_one(document: dict[str, Any]) -> None:
+    """The examples of request bodies are accepted by the very models that read them."""
+    from api.schemas import people
+
+    for name in ("SignInBody", "PasswordBody", "TokenBody", "UserBody", "UserChange", "TeamBody"):
+        model = getattr(people, name)
+        for example in model.model_json_schema()["examples"]:
+            model.model_validate(example)
+
+
+def test_no_method_is_left_out_of_what_is_checked(document: dict[str, Any]) -> None:
+    found = {method for methods in document["paths"].values() for method in methods if method != "parameters"}
+    assert found <= set(METHODS)
+
+
+def test_the_pages_for_people_need_no_other_host(api: httpx.Client) -> None:
+    answer = api.get("/api/v1/docs")
+    assert answer.status_code == 200
+    assert answer.headers["content-type"].startswith("text/html")
+    assert "://" not in re.sub(r"http://127\.0\.0\.1:\d+", "", answer.text)
+    assert "<script" not in answer.text
+    assert "default-src 'none'" in answer.headers["content-security-policy"]
+    for path in ("/api/v1/tokens", "/api/v1/sequences/{sequence_id}/process", "/readyz"):
+        assert path in answer.text
