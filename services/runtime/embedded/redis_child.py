@@ -11,10 +11,11 @@ import os
 import shutil
 import socket
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from secrets import token_urlsafe
+from secrets import randbelow, token_urlsafe
 
 from redis import Redis, RedisError
 
@@ -23,6 +24,7 @@ from services.runtime.embedded.errors import RedisMissingError, StartFailedError
 from services.runtime.embedded.logs import last_words
 
 READY_S = 20.0
+PORTS = range(15_000, 32_000)
 CONFIGURATION = """\
 bind 127.0.0.1
 port {port}
@@ -118,6 +120,9 @@ def _set_aside(folder: Path) -> bool:
 
 
 def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    """A port that nobody listens on, below those that the kernel gives to clients: none takes it during a restart."""
+    while True:
+        port = PORTS.start + randbelow(len(PORTS))
+        with socket.socket() as probe, suppress(OSError):
+            probe.bind(("127.0.0.1", port))
+            return port
