@@ -11,7 +11,9 @@ from secrets import token_hex
 
 
 def named(folder: Path, path: Path, filename: str) -> Path:
-    """A path that ends in `filename` (a plain name) and leads to `path`."""
+    """A path that ends in `filename` and leads to `path`. Raises `ValueError` where the name is more than a name."""
+    if filename in ("", ".", "..") or "/" in filename:
+        raise ValueError(f"{filename!r} is no name of a file; whoever let it in should have refused it")
     link = folder / path.name / filename
     if not (link.is_symlink() and link.readlink() == path):
         _forget_gone(folder)

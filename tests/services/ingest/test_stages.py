@@ -253,3 +253,25 @@ def test_names_of_objects_that_are_gone_are_forgotten(tmp_path: Path) -> None:
     first.unlink()
     assert named(folder, second, "b.mcap").read_text() == "2"
     assert [path.name for path in folder.iterdir()] == ["second"]
+
+
+@pytest.mark.parametrize("name", ["", ".", "..", "../b.mcap", "/etc/passwd"])
+def test_a_name_never_leads_out_of_its_folder(tmp_path: Path, name: str) -> None:
+    (tmp_path / "object").write_text("1")
+    with pytest.raises(ValueError, match="is no name of a file"):
+        named(tmp_path / "names", tmp_path / "object", name)
+    assert [path.name for path in tmp_path.iterdir()] == ["object"]
+
+
+def test_a_run_fails_by_the_refusal_of_its_stage(platform_on: Platform, bag: Path) -> None:
+    brought = bring(platform_on)
+    brought.calibrate(calibration_path(bag))
+    brought.add(bag)
+    run_all(platform_on)
+    root_id = brought.process(odometry_topic="/no/such/topic")
+    run_all(platform_on)
+    run = brought.job(root_id)
+    (job,) = (job for job in brought.jobs(root_id) if job.queue)
+    assert (run.state, run.failure_code) == ("failed", job.failure_code)
+    assert "/no/such/topic" in run.failure
+    assert brought.process() != root_id
