@@ -8,6 +8,7 @@ kept, and its repetition is a 409 that says so. A JSON body is part of what iden
 of a file only the head is.
 """
 
+import re
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
 from hashlib import sha256
@@ -24,7 +25,7 @@ from api.deps import identify, platform_of
 from api.errors import BadIdempotencyKeyError, UnauthenticatedError
 from api.kept_replies import Asked, Reply
 
-LONGEST_KEY = 128
+KEY = re.compile("[!-~]{1,128}")
 LONGEST_ROUTE = 128
 MOST_KEPT_BYTES = 64 * 1024
 LEASE_NS = 60 * 10**9
@@ -44,7 +45,7 @@ class Idempotency:
         if key is None or not caller_id:
             await self._app(scope, receive, send)
             return
-        if not (0 < len(key) <= LONGEST_KEY and key.isascii() and key.isprintable()):
+        if not KEY.fullmatch(key):
             raise BadIdempotencyKeyError(len(key))
         body = None if _is_streamed(scope) else await _read(receive)
         lease_ns = STREAM_LEASE_NS if body is None else LEASE_NS

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import structlog
-from fastapi import FastAPI
+from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel, Field
@@ -20,6 +20,7 @@ from starlette.exceptions import HTTPException
 
 from api.context import request_id
 from api.errors import ApiError, BodyTooLargeError, InvalidRequestError
+from api.methods import allowed
 from api.statuses import phrase_of, status_of
 from api.tus_errors import UnsupportedMediaTypeError
 from stone.errors import StoneError
@@ -97,7 +98,14 @@ def title_of(leaf: type[StoneError]) -> str:
 def install(app: FastAPI) -> None:
     """Answer what routes raise with problems; what is raised outside of routes, `api/entry.py` hands to `respond`."""
     for kind, _ in ANSWERS:
-        app.add_exception_handler(kind, lambda _request, error: respond(error))
+        app.add_exception_handler(kind, _answered)
+
+
+def _answered(request: Request, error: Exception) -> JSONResponse:
+    response = respond(error)
+    if response.status_code == 405:
+        response.headers["Allow"] = allowed(request) or response.headers.get("Allow", "")
+    return response
 
 
 def respond(error: Exception) -> JSONResponse:

@@ -43,7 +43,7 @@ def found(api: httpx.Client, caller: Person, key: str, name: str = "us", **more:
     return api.post(TEAMS, json={"name": name}, headers={**caller.headers, "Idempotency-Key": key}, **more)
 
 
-@pytest.mark.parametrize("key", ["", "x" * 129, "a\tb", "é"])
+@pytest.mark.parametrize("key", ["", "x" * 129, "a\tb", "é", "a b"])
 def test_what_is_no_key_is_422(api: httpx.Client, participant: Person, key: str) -> None:
     headers = [(b"Authorization", participant.headers["Authorization"].encode()), (b"Idempotency-Key", key.encode())]
     answer = api.post(TEAMS, json={"name": "us"}, headers=headers)

@@ -72,9 +72,15 @@ def test_an_unknown_route_is_404_as_a_problem(api: httpx.Client) -> None:
 
 
 def test_an_unknown_method_is_405_and_names_the_known_ones(api: httpx.Client) -> None:
-    answer = api.put("/api/v1/me")
-    problem_of(answer, 405, "method_not_allowed")
-    assert answer.headers["allow"] == "GET"
+    for path, methods in (
+        ("/api/v1/me", "GET"),
+        ("/api/v1/tokens", "GET, POST"),
+        (f"/api/v1/sequences/{'0' * 32}", "DELETE, GET, PATCH"),
+        ("/healthz", "GET"),
+    ):
+        answer = api.put(path)
+        problem_of(answer, 405, "method_not_allowed")
+        assert answer.headers["allow"] == methods
 
 
 def test_a_body_that_is_no_json_is_415(api: httpx.Client) -> None:
