@@ -68,7 +68,7 @@ def download_frame_table(sequence_id: IdPath, caller: Reader, platform: Platform
     return answer_file(request, platform.store, file)
 
 
-@router.get("/mesh", response_class=Response, responses=file_responses("application/ply"))
+@router.get("/mesh", response_class=Response, responses=file_responses("model/ply"))
 def download_mesh(sequence_id: IdPath, caller: Reader, platform: PlatformDep, request: Request) -> Response:
     """The mesh of the whole sequence as binary PLY; ranges are served."""
     with platform.database.reading() as session:

@@ -108,7 +108,7 @@ class SequenceItem(Answer):
 class ArtefactItem(Answer):
     """One file of a label set."""
 
-    model_config = example(name="mesh.ply", media_type="application/ply", size_bytes=48210333, sha256=SHA256_EXAMPLE)
+    model_config = example(name="mesh.ply", media_type="model/ply", size_bytes=48210333, sha256=SHA256_EXAMPLE)
 
     name: str
     media_type: str

@@ -122,7 +122,7 @@ def _artefact(session: Any, platform: Platform, label_set_id: str, name: str, co
     media = {
         "parquet": "application/vnd.apache.parquet",
         "json": "application/json",
-        "ply": "application/ply",
+        "ply": "model/ply",
         "png": "image/png",
     }
     row = Artefact(label_set_id=label_set_id, name=name, blob_sha256=blob.sha256, size_bytes=len(content))

@@ -128,7 +128,7 @@ def test_each_file_says_what_it_is_and_is_not_run_by_a_browser(
 ) -> None:
     kinds = {
         "report": ("application/json", "inline", "report.json"),
-        "mesh": ("application/ply", "attachment", "mesh.ply"),
+        "mesh": ("model/ply", "attachment", "mesh.ply"),
         "previews/bev.png": ("image/png", "inline", "bev.png"),
     }
     for path, (media_type, shown, name) in kinds.items():

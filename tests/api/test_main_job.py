@@ -1,0 +1,166 @@
+"""The main job by REST alone: bag and calibration in, labels out, all of it gone again."""
+
+import io
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+
+from services.runtime import quota
+from services.runtime.orm import LabelSet
+from services.runtime.platform import Platform
+from services.runtime.settings import Settings
+from simulator.pipeline import calibration_path
+from tests.api.serving import Person, client_of, person
+from tests.servers.fixtures import opened
+from tests.services.runs import run_all, simulated
+
+pytestmark = pytest.mark.slow
+API = "/api/v1"
+
+
+@dataclass(frozen=True)
+class Done:
+    """A sequence that went the whole way, and what was answered on it."""
+
+    api: httpx.Client
+    platform: Platform
+    owner: Person
+    sequence: dict[str, Any]
+    run: dict[str, Any]
+    bag: Path
+
+    def path(self, below: str = "") -> str:
+        return f"{API}/sequences/{self.sequence['id']}{below}"
+
+    def read(self, path: str, **headers: str) -> httpx.Response:
+        return self.api.get(path, headers={key.replace("_", "-"): value for key, value in headers.items()})
+
+
+def accepted(answer: httpx.Response, *statuses: int) -> Any:
+    assert answer.status_code in statuses, answer.text
+    return answer.json()
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory, _sqlite_template: Path) -> Iterator[Done]:
+    folder = tmp_path_factory.mktemp("main-job")
+    settings = Settings(data_folder=folder / "data")
+    settings.root.mkdir()
+    (settings.root / "stone.sqlite3").write_bytes(_sqlite_template.read_bytes())
+    platform, bag = opened(settings, []), simulated(folder)
+    owner = person(platform, "curator")
+    with client_of(platform, owner) as api:
+        made = accepted(api.post(f"{API}/sequences", json={"name": "field"}), 201)
+        path = f"{API}/sequences/{made['id']}"
+        refused = api.post(f"{path}/process", json={})
+        assert (refused.status_code, refused.json()["code"]) == (409, "no_calibration")
+        file = {"file": (calibration_path(bag).name, calibration_path(bag).read_bytes())}
+        rig = accepted(api.post(f"{API}/calibrations", files=file), 201)
+        accepted(api.put(f"{path}/calibration", json={"calibration_id": rig["id"]}), 200)
+        refused = api.post(f"{path}/process", json={})
+        assert (refused.status_code, refused.json()["code"]) == (409, "no_recording")
+        form = {"purpose": "recording", "target_id": made["id"]}
+        with bag.open("rb") as content:
+            sent = api.post(f"{API}/uploads/form", data=form, files={"file": (bag.name, content)})
+        assert sent.status_code == 201, sent.text
+        upload_id = sent.headers["location"].rpartition("/")[2]
+        accepted(api.post(f"{path}/recordings", json={"upload_id": upload_id}), 202)
+        refused = api.post(f"{path}/process", json={})
+        assert (refused.status_code, refused.json()["code"]) == (409, "recording_pending")
+        run_all(platform)
+        run = accepted(api.post(f"{path}/process", json={"profile": "local"}), 202)
+        again = accepted(api.post(f"{path}/process", json={"profile": "local"}), 202)
+        assert again["id"] == run["id"], "equal requests are one run"
+        other = api.post(f"{path}/process", json={"profile": "paper"})
+        assert (other.status_code, other.json()["code"]) == (409, "already_processing")
+        assert run["id"] in other.json()["detail"]
+        run_all(platform)
+        yield Done(api, platform, owner, made, run, bag)
+    platform.database.close()
+
+
+def test_the_recording_was_read_and_says_what_is_in_it(done: Done) -> None:
+    (item,) = accepted(done.read(done.path("/recordings")), 200)["items"]
+    assert (item["state"], item["sha256"]) == ("registered", sha256(done.bag.read_bytes()).hexdigest())
+    shown = accepted(done.read(done.path(f"/recordings/{item['id']}")), 200)
+    assert shown["inspection"]["topics"]
+
+
+def test_the_run_succeeded_stage_by_stage(done: Done) -> None:
+    run = accepted(done.read(f"{API}/jobs/{done.run['id']}"), 200)
+    assert (run["state"], run["failure"]) == ("succeeded", None)
+    assert all(stage["done"] == stage["total"] for stage in run["stages"])
+    kinds = [stage["kind"] for stage in run["stages"]]
+    assert (kinds[0], kinds[-1]) == ("ingest.synchronise", "labeler.publish")
+    assert accepted(done.read(f"{API}/jobs/{run['id']}/logs"), 200)["items"]
+
+
+def test_every_frame_has_its_labels(done: Done) -> None:
+    frames = accepted(done.read(done.path("/frames"), **{}), 200)["items"]
+    report = accepted(done.read(done.path("/report")), 200)
+    assert len(frames) == min(report["frames"], 50) > 30
+    for frame in (frames[0], frames[-1]):
+        answer = done.read(f"{API}/frames/{frame['token']}/labels.npz")
+        assert answer.headers["etag"] == f'"{sha256(answer.content).hexdigest()}"'
+        labels = np.load(io.BytesIO(answer.content))
+        assert set(labels) == {"semantics", "mask_lidar", "mask_camera"}
+        assert labels["semantics"].shape == (256, 256, 32)
+        assert (labels["semantics"] == 1).any(), "the robot stands on what it drove over"
+
+
+def test_files_are_those_the_sequence_names(done: Done) -> None:
+    shown = accepted(done.read(done.path()), 200)
+    paths = {"report.json": "/report", "mesh.ply": "/mesh", "bev.png": "/previews/bev.png",
+             "frames.parquet": "/frames.parquet"}  # fmt: skip
+    assert {file["name"] for file in shown["artefacts"]} == set(paths)
+    for file in shown["artefacts"]:
+        answer = done.read(done.path(paths[file["name"]]))
+        assert (len(answer.content), answer.headers["content-type"]) == (file["size_bytes"], file["media_type"])
+        assert sha256(answer.content).hexdigest() == file["sha256"]
+    part = done.read(done.path("/mesh"), Range="bytes=0-3")
+    assert (part.status_code, part.content) == (206, b"ply\n")
+    assert json.loads(done.read(done.path("/report")).content)["parameters"]
+
+
+def test_what_has_been_made_is_not_made_again(done: Done) -> None:
+    again = accepted(done.api.post(done.path("/process"), json={"profile": "local"}), 202)
+    assert (again["id"], again["state"]) == (done.run["id"], "succeeded")
+
+
+@pytest.mark.parametrize(
+    ("body", "code"),
+    [
+        ({"profile": "own"}, "invalid_request"),
+        ({"parameters": {"nothing": 1}}, "bad_parameter"),
+        ({"parameters": {"reference.alpha": 2.0}}, "bad_parameter"),
+        ({"parameters": {"reference.alpha": True}}, "invalid_request"),
+        ({"parameters": {"surface.min_frames": 2.5}}, "bad_parameter"),
+        ({"stages": ["label"]}, "bad_stages"),
+        ({"stages": []}, "invalid_request"),
+        ({"lidar_topic": "/a b"}, "invalid_request"),
+        ({"odometry_topic": "/a\n"}, "invalid_request"),
+        ({"speed": "fast"}, "invalid_request"),
+    ],
+)
+def test_what_cannot_be_asked_for_is_refused(done: Done, body: dict[str, Any], code: str) -> None:
+    answer = done.api.post(done.path("/process"), json=body)
+    assert (answer.status_code, answer.json()["code"]) == (422, code)
+
+
+def test_a_deleted_sequence_leaves_nothing_that_is_counted(done: Done) -> None:
+    """The last of the module."""
+    with done.platform.database.reading() as session:
+        assert quota.balance(session, done.owner.user_id) == done.bag.stat().st_size
+    assert done.api.delete(done.path(), headers={"If-Match": "*"}).status_code == 204
+    with done.platform.database.reading() as session:
+        assert session.query(LabelSet).count() == 0
+        assert quota.balance(session, done.owner.user_id) == 0
+    run = accepted(done.read(f"{API}/jobs/{done.run['id']}"), 200)
+    assert run["state"] == "succeeded", "what was done stays told"
