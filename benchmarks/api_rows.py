@@ -1,0 +1,53 @@
+"""The rows that `benchmarks.api` reads: sequences with their runs, of several owners, and the owners' tokens."""
+
+from dataclasses import dataclass
+
+from sqlalchemy.orm import Session
+
+from services.runtime.access import roles, tokens, users
+from services.runtime.database import Database
+from services.runtime.orm import Job, Sequence, User, new_id
+
+OWNERS = 8
+SEQUENCES = 2000
+JOBS_OF_A_SEQUENCE = 5
+STATES = ("succeeded", "failed", "running", "queued")
+
+
+@dataclass(frozen=True)
+class Reader:
+    """Somebody who asks, by their token."""
+
+    secret: str
+
+
+def fill(database: Database, readers: int) -> list[Reader]:
+    """2,000 sequences, each with a run of four jobs; `readers` tokens, dealt out among the owners."""
+    with database.transaction() as session:
+        owners = [users.create_user(session, f"owner-{number}", "curator") for number in range(OWNERS)]
+        sequences = [_sequence(number, owners[number % OWNERS]) for number in range(SEQUENCES)]
+        runs = [_run(number, sequence) for number, sequence in enumerate(sequences)]
+        for rows in (sequences, runs, [job for run in runs for job in _jobs(run)]):
+            session.add_all(rows)
+            session.flush()
+        return [_reader(session, owners[number % OWNERS], number) for number in range(readers)]
+
+
+def _sequence(number: int, owner: User) -> Sequence:
+    name = f"forest-{number}"
+    return Sequence(id=new_id(), owner_id=owner.id, name=name, environment="forest", region="Gyeonggi")
+
+
+def _run(number: int, sequence: Sequence) -> Job:
+    run = Job(id=new_id(), owner_id=sequence.owner_id, sequence_id=sequence.id, kind="sequence.process")
+    run.root_id, run.state = run.id, STATES[number % len(STATES)]
+    return run
+
+
+def _jobs(run: Job) -> list[Job]:
+    shared = {"root_id": run.id, "owner_id": run.owner_id, "sequence_id": run.sequence_id, "state": run.state}
+    return [Job(kind="labeler.surface", queue="labeler", **shared) for _ in range(JOBS_OF_A_SEQUENCE - 1)]
+
+
+def _reader(session: Session, owner: User, number: int) -> Reader:
+    return Reader(tokens.issue(session, owner, f"reader {number}", roles.SCOPES_OF["curator"], 86400.0))
