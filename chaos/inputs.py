@@ -12,7 +12,7 @@ from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate
 
 SEQUENCE = "chaos"
-OPTIONS = SimulateOptions(seconds=6.4, seed=1, channels=16, columns=180, compression="none")
+OPTIONS = SimulateOptions(seconds=6.1, seed=1, channels=4, columns=90, compression="none", world_width_m=30.0)
 
 
 @dataclass(frozen=True)

@@ -48,9 +48,9 @@ def _under_load(turn: Turn) -> Brought:
 
 
 KINDS = (
-    Kind("worker", "kill −9 a worker (a pool process, or all of it)", lambda turn: _during_run(turn, kill_worker)),
-    Kind("api", "kill −9 the API mid-PATCH of an upload", kill_api),
-    Kind("client", "kill −9 the client mid-upload, run it again", kill_client),
-    Kind("redis", "kill −9 Redis with bells queued (half: wiped)", lambda turn: _during_run(turn, kill_redis)),
-    Kind("postgres", "stop PostgreSQL at once, under load", _under_load, on_postgres=True),
+    Kind("worker", "kill −9 a worker", lambda turn: _during_run(turn, kill_worker)),
+    Kind("api", "kill −9 the API mid-PATCH", kill_api),
+    Kind("client", "kill −9 the client mid-upload", kill_client),
+    Kind("redis", "kill −9 Redis with bells queued", lambda turn: _during_run(turn, kill_redis)),
+    Kind("postgres", "restart PostgreSQL under load", _under_load, on_postgres=True),
 )

@@ -16,11 +16,10 @@ from chaos.inputs import Inputs
 from chaos.kinds import Kind, undisturbed
 from chaos.made import Made, made_by
 from chaos.places import Place, opened_place
-from chaos.turns import Struck, Turn
+from chaos.turns import Struck, Turn, Undisturbed
 from chaos.verdict import Violation, judge
 from services.runtime.orm import Job
-
-FIRST_RUN_S = 1.0
+from services.runtime.processing import PROCESS, REGISTER
 
 
 @dataclass(frozen=True)
@@ -52,12 +51,12 @@ class Round:
 
 @dataclass
 class Series:
-    """The rounds of one kind so far, what undisturbed runs make, and how long one of those takes."""
+    """The rounds of one kind so far, what undisturbed runs make, and what they take."""
 
     kind: Kind
     made: Made | None = None
     rounds: list[Round] = field(default_factory=list)
-    run_s: float = FIRST_RUN_S
+    undisturbed: Undisturbed = field(default_factory=Undisturbed)
 
     @property
     def is_proven(self) -> bool:
@@ -100,7 +99,7 @@ def _goes_on(suite: Suite, series: Series) -> bool:
 def _run_undisturbed(series: Series, place: Place) -> None:
     """Twice: the first run of a place warms it up, and both must make the same."""
     for number in (1, 2):
-        turn = Turn(place, place.welcome(f"undisturbed-{number}"), Random(0), FIRST_RUN_S)
+        turn = Turn(place, place.welcome(f"undisturbed-{number}"), Random(0), series.undisturbed)
         brought = undisturbed(turn)
         series.made = series.made or made_by(place.platform, brought)
         violations = judge(place.platform, brought, series.made)
@@ -108,13 +107,19 @@ def _run_undisturbed(series: Series, place: Place) -> None:
             raise UndisturbedError(series.kind.name, violations)
         with place.platform.database.reading() as session:
             run = session.get_one(Job, brought.run_id)
-        series.run_s = ((run.finished_ns or 0) - run.created_ns) / 1e9
+        run_s = ((run.finished_ns or 0) - run.created_ns) / 1e9
+        series.undisturbed = Undisturbed(run_s, _jobs_of(series.made))
+
+
+def _jobs_of(made: Made) -> int:
+    """Of the run itself."""
+    return sum(count for kind, count in made.jobs.items() if kind not in (PROCESS, REGISTER))
 
 
 def _play_round(suite: Suite, series: Series, place: Place) -> Round:
     number = len(series.rounds) + 1
     chance = Random(f"{suite.seed} {series.kind.name} {number}")
-    turn = Turn(place, place.welcome(f"{series.kind.name}-{number}"), chance, series.run_s)
+    turn = Turn(place, place.welcome(f"{series.kind.name}-{number}"), chance, series.undisturbed)
     recovered_s = None
     try:
         brought = series.kind.play(turn)

@@ -13,13 +13,14 @@ from services.runtime.bell import waiting
 from services.runtime.celery_app import QUEUES
 from services.runtime.orm import Job
 
+MOST_BELLS_RATIO = 0.7  # what comes later is one job after the other, and their bells are heard at once
 APPEND_ONLY = ("appendonlydir", "appendonly.aof")  # since Redis 7, and before
 
 
 def kill_worker(turn: Turn, run_id: str) -> None:
     """One process of the pool, one that works if any does, or the worker with its whole pool."""
     is_whole = turn.chance.random() < 0.5
-    turn.wait_for_moment()
+    turn.wait_for_moment(run_id)
     parent = turn.place.child("worker").pid
     pool = _children_of(parent)
     busy = [pid for pid in turn.busy_processes() if pid in pool]
@@ -35,7 +36,7 @@ def kill_worker(turn: Turn, run_id: str) -> None:
 def kill_redis(turn: Turn, run_id: str) -> None:
     """As soon as a bell lies unheard, from some moment on; in every second round it forgets all of them."""
     is_wiped = turn.chance.random() < 0.5
-    turn.wait_for_moment()
+    turn.wait_for_moment(run_id, MOST_BELLS_RATIO)
     bells = _unheard(turn)
     while not bells and _is_running(turn, run_id):
         time.sleep(LOOK_S / 4)
@@ -51,7 +52,7 @@ def restart_postgres(turn: Turn, run_id: str) -> None:
     if (server := turn.place.postgres) is None:
         raise ValueError("this place has no PostgreSQL")
     away_s = turn.chance.uniform(0.0, 2.0)
-    turn.wait_for_moment()
+    turn.wait_for_moment(run_id)
     turn.note(f"away for {away_s:.1f} s", is_hit=bool(turn.busy_processes()))
     server.stop()
     time.sleep(away_s)

@@ -28,4 +28,4 @@ def _figures(series: Series) -> list[str]:
     hits = sum(ended.is_hit for ended in series.rounds)
     recovered = (f"{median(seconds):.1f}", f"{max(seconds):.1f}") if seconds else ("never", "never")
     counts = (len(series.rounds), hits, sorts["lost"], sorts["doubled"], sorts["differing"])
-    return [*map(str, counts), *recovered, f"{series.run_s:.1f}"]
+    return [*map(str, counts), *recovered, f"{series.undisturbed.run_s:.1f}"]

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from random import Random
 from typing import Any
 
-from sqlalchemy import select
+from sqlalchemy import func, select
 
 from chaos.inputs import SEQUENCE
 from chaos.made import Brought
@@ -21,7 +21,7 @@ from client.remote import add_recording, ensure_sequence, pin_calibration, start
 from client.tus import hashed
 from services.runtime.orm import Job, JobAttempt
 
-PATIENCE_S = 90.0
+PATIENCE_S = 120.0
 LOOK_S = 0.02
 TERMINAL = ("succeeded", "failed", "cancelled")
 Item = Mapping[str, Any]
@@ -44,13 +44,21 @@ class Struck:
 
 
 @dataclass(frozen=True)
+class Undisturbed:
+    """A run that nobody disturbs: how long it takes, and of how many jobs."""
+
+    run_s: float = 1.0
+    jobs: int = 1
+
+
+@dataclass(frozen=True)
 class Turn:
-    """An owner's round in a place. `undisturbed_s`: how long the run takes that nobody disturbs."""
+    """An owner's round in a place."""
 
     place: Place
     owner: Owner
     chance: Random
-    undisturbed_s: float
+    undisturbed: Undisturbed
     struck: list[Struck] = field(default_factory=list)
     violations: list[Violation] = field(default_factory=list)
 
@@ -75,13 +83,24 @@ class Turn:
         inputs = self.place.inputs
         return Brought(self.owner.user_id, sequence["id"], run["id"], inputs.sha256, inputs.size_bytes)
 
-    def wait_for_moment(self) -> None:
-        """Some time within a run that has just been started."""
-        time.sleep(self.chance.uniform(0.02, 0.95) * self.undisturbed_s)
+    def wait_for_moment(self, run_id: str, latest_ratio: float = 0.95) -> None:
+        """Some time within a run: when so many of its jobs are done, and then a bit. Counted in jobs, not in seconds,
+        a moment is the same on a slow day."""
+        after_jobs = int(self.chance.uniform(0.0, latest_ratio) * self.undisturbed.jobs)
+        pause_s = self.chance.random() * self.undisturbed.run_s / self.undisturbed.jobs
+        await_true(f"{after_jobs} jobs of run {run_id}", lambda: self._ended_jobs(run_id) >= after_jobs)
+        time.sleep(pause_s)
 
     def note(self, what: str, *, is_hit: bool) -> None:
         """Right before the kill."""
         self.struck.append(Struck(time.monotonic(), is_hit, what))
+
+    def _ended_jobs(self, run_id: str) -> int:
+        """How many jobs of the run have ended; all that there are ever to be, once it has failed."""
+        run_ended = select(Job.id).where(Job.id == run_id, Job.state.in_(TERMINAL))
+        ended = select(func.count()).where(Job.root_id == run_id, Job.id != run_id, Job.state.in_(TERMINAL))
+        with self.place.platform.database.reading() as session:
+            return self.undisturbed.jobs if session.scalar(run_ended) else session.scalar(ended) or 0
 
     def busy_processes(self) -> list[int]:
         """The pids that have a job of this owner's in hand."""
