@@ -35,7 +35,7 @@ ATTEMPT_EXAMPLE = {
     "failure": {"code": "worker_lost", "sentence": "attempt 1 gave no sign of life for 20 s"},
     "peak_bytes": 412000000,
     "started_at": "2026-05-03T09:12:44.310000Z",
-    "finished_at": "2026-05-03T09:13:11.000000Z",
+    "finished_at": "2026-05-03T09:13:11Z",
 }
 
 
@@ -128,7 +128,7 @@ class LogLine(Answer):
         attempt=1,
         number=17,
         logged_ns=1777799570000000000,
-        logged_at="2026-05-03T09:12:50.000000Z",
+        logged_at="2026-05-03T09:12:50Z",
         level="info",
         event="tile meshed",
         facts={"triangles": 48210},

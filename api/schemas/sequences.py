@@ -1,12 +1,34 @@
 """Sequences over the wire."""
 
 from datetime import datetime
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field
 
 from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Body, IdText, Line, example
 from stone.sequence import NAME, SequenceNameError
+
+ARTEFACT_EXAMPLE = {
+    "name": "mesh.ply",
+    "media_type": "model/ply",
+    "size_bytes": 48210333,
+    "sha256": SHA256_EXAMPLE,
+}
+SEQUENCE_EXAMPLE: dict[str, Any] = {
+    "id": ID_EXAMPLE,
+    "owner_id": ID_EXAMPLE,
+    "name": "forest-2026-05-03",
+    "environment": "forest",
+    "illumination": "day",
+    "region": "Gyeonggi",
+    "platform": "warthog-1",
+    "calibration_id": ID_EXAMPLE,
+    "recordings": 1,
+    "job": {"id": ID_EXAMPLE, "kind": "sequence.process", "state": "succeeded"},
+    "labels": {"id": ID_EXAMPLE, "job_id": ID_EXAMPLE, "frames": 1200, "created_at": "2026-05-03T10:20:00Z"},
+    "revision": 3,
+    "created_at": "2026-05-03T09:12:44.120000Z",
+}
 
 
 def _plain_name(name: str) -> str:
@@ -74,21 +96,7 @@ class LabelGlance(Answer):
 class SequenceItem(Answer):
     """A sequence as a list shows it."""
 
-    model_config = example(
-        id=ID_EXAMPLE,
-        owner_id=ID_EXAMPLE,
-        name="forest-2026-05-03",
-        environment="forest",
-        illumination="day",
-        region="Gyeonggi",
-        platform="warthog-1",
-        calibration_id=ID_EXAMPLE,
-        recordings=1,
-        job={"id": ID_EXAMPLE, "kind": "sequence.process", "state": "succeeded"},
-        labels={"id": ID_EXAMPLE, "job_id": ID_EXAMPLE, "frames": 1200, "created_at": "2026-05-03T10:20:00Z"},
-        revision=3,
-        created_at="2026-05-03T09:12:44.120000Z",
-    )
+    model_config = example(**SEQUENCE_EXAMPLE)
 
     id: str
     owner_id: str
@@ -108,7 +116,7 @@ class SequenceItem(Answer):
 class ArtefactItem(Answer):
     """One file of a label set."""
 
-    model_config = example(name="mesh.ply", media_type="model/ply", size_bytes=48210333, sha256=SHA256_EXAMPLE)
+    model_config = example(**ARTEFACT_EXAMPLE)
 
     name: str
     media_type: str
@@ -118,5 +126,7 @@ class ArtefactItem(Answer):
 
 class SequenceDetail(SequenceItem):
     """A sequence with the files of its newest label set; the packs of labels are reached through its frames."""
+
+    model_config = example(**SEQUENCE_EXAMPLE, artefacts=[ARTEFACT_EXAMPLE])
 
     artefacts: list[ArtefactItem]
