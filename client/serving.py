@@ -30,9 +30,20 @@ class Address:
 
 
 @contextmanager
+def hangups_interrupt() -> Iterator[None]:
+    """SIGTERM, and the end of the terminal, are Ctrl-C meanwhile. Entered before whatever else looks at signals."""
+    before = {number: signal.signal(number, _interrupt) for number in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
 def served(settings: Settings, *, is_awaited: bool = True) -> Iterator[Running]:
     """Yield the running platform. Raises what `running_platform` raises."""
-    with _hangups_interrupt(), running_platform(settings, echo_notice, is_awaited=is_awaited) as running:
+    with hangups_interrupt(), running_platform(settings, echo_notice, is_awaited=is_awaited) as running:
         _remember(running)
         yield running
 
@@ -73,17 +84,6 @@ def wait_for_ctrl_c() -> None:
 def _remember(running: Running) -> None:
     default = read_credentials().default
     remember(running.url, running.keys.token, as_default=not default or is_local(default))
-
-
-@contextmanager
-def _hangups_interrupt() -> Iterator[None]:
-    """SIGTERM, and the end of the terminal, are Ctrl-C while the platform is up."""
-    before = {number: signal.signal(number, _interrupt) for number in (signal.SIGTERM, signal.SIGHUP)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> NoReturn:

@@ -31,10 +31,10 @@ def demo(
 ) -> None:
     """Simulate a robot, have a platform on this machine label its run, predict from single sweeps, score that."""
     from client.demo import MARK, DemoPlan, run_demo
-    from client.serving import demo_settings, served, wait_for_ctrl_c
+    from client.serving import demo_settings, hangups_interrupt, served, wait_for_ctrl_c
     from services.runtime.atomic import atomic_directory
 
-    with ExitStack() as platform:
+    with hangups_interrupt(), ExitStack() as platform:
         with atomic_directory(output, replaces=MARK) as folder:
             running = platform.enter_context(served(demo_settings(data, workers), is_awaited=False))
             with reported() as progress:

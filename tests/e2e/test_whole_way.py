@@ -1,4 +1,4 @@
-"""A small simulated world goes the whole way through the real pipelines, by the installed command."""
+"""A small simulated world goes the whole way: through the embedded platform, and by the local commands."""
 
 import json
 import re
@@ -10,10 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from client.api import Api
+from client.credentials import Server
 from client.demo import DemoPlan, run_demo
 from services.eval.submission import write_submission
+from services.runtime.embedded.supervisor import running_platform
+from services.runtime.settings import ApiSettings
 from simulator.options import SimulateOptions
 from simulator.pipeline import simulate
+from tests.servers.fixtures import make_settings
+from tests.signals import hear_signals
+from tests.stone_serve import environment
 
 STONE = Path(sys.executable).parent / "stone"
 Spoil = Callable[[Path, Path], None]
@@ -27,9 +34,13 @@ def stone(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("whole") / "demo"
-    run_demo(folder, DemoPlan(SMALL, workers=1), lambda *_: None)
-    return folder
+    """The demo on a platform of its own, by a smaller robot than the command's."""
+    base = tmp_path_factory.mktemp("whole way")
+    settings = make_settings(base, workers=2, api=ApiSettings(port=0))
+    (base / "demo").mkdir()
+    with running_platform(settings, is_awaited=False) as running:
+        run_demo(base / "demo", DemoPlan(SMALL, running), lambda *_: None)
+    return base / "demo"
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +49,32 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     bag = tmp_path_factory.mktemp("recording") / "run.mcap"
     simulate(bag, SimulateOptions(seconds=1.0, channels=16, columns=180, cameras=False))
     return bag
+
+
+@pytest.mark.slow
+def test_the_command_ends_with_a_url_that_stays_up_when_asked_to(tmp_path: Path) -> None:
+    options = ("--seconds", "2", "-o", tmp_path / "demo", "--data", tmp_path / "data", "--keep-serving", "--json")
+    process = subprocess.Popen(
+        [STONE, "demo", *options],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment(tmp_path / "data"),
+        preexec_fn=hear_signals,
+    )
+    try:
+        assert process.stdout is not None
+        record = json.loads(process.stdout.readline())
+        token = (tmp_path / "data" / "local-token").read_text().strip()
+        with Api(Server(record["url"], token)) as api:
+            (sequence,) = api.pages("/sequences")
+        assert (sequence["name"], sequence["labels"]["frames"]) == ("demo", record["labels"]["frames"])
+        process.terminate()
+        _, said = process.communicate(timeout=120)
+        assert process.returncode == 0, said
+    finally:
+        process.kill()
+        process.communicate()
 
 
 def test_the_demo_leaves_everything_it_promises(demo: Path) -> None:
@@ -82,7 +119,7 @@ def test_the_labels_themselves_score_one(demo: Path, tmp_path: Path) -> None:
 
 def test_a_second_demo_replaces_the_first_but_nothing_else(tmp_path: Path) -> None:
     (tmp_path / "precious").write_text("")
-    refused = stone("demo", "-o", tmp_path)
+    refused = stone("demo", "-o", tmp_path, "--data", tmp_path / "data")
     assert refused.returncode == 1
     assert refused.stderr.startswith("output_exists: ")
     assert [entry.name for entry in tmp_path.iterdir()] == ["precious"]
