@@ -68,7 +68,7 @@ def object_bytes(store: Store, key: str) -> bytes | None:
 def _artefacts(session: Session, run_id: str) -> list[tuple[Artefact, Blob]]:
     statement = select(Artefact, Blob).join(Blob, Blob.sha256 == Artefact.blob_sha256)
     of_run = statement.join(LabelSet, LabelSet.id == Artefact.label_set_id).where(LabelSet.job_id == run_id)
-    return [(artefact, blob) for artefact, blob in session.execute(of_run.order_by(Artefact.name)).tuples()]
+    return [(artefact, blob) for artefact, blob in session.execute(of_run.order_by(Artefact.name))]
 
 
 def _frames(session: Session, run_id: str) -> list[LabelledFrame]:
