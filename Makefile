@@ -1,5 +1,5 @@
-# make install | demo | test | check | bench | bench-truth: each installs first, which costs nothing when nothing changed.
-.PHONY: install demo test check bench bench-truth
+# make install | demo | serve | test | check | bench | bench-truth: each installs first, which costs nothing when nothing changed.
+.PHONY: install demo serve test check bench bench-truth
 .DELETE_ON_ERROR:
 
 BIN := .venv/bin
@@ -13,6 +13,9 @@ $(INSTALLED): requirements.lock pyproject.toml deploy/create-venv.sh deploy/inst
 
 demo: install
 	$(BIN)/stone demo
+
+serve: install
+	$(BIN)/stone serve
 
 test: install
 	$(BIN)/pytest --numprocesses auto --maxprocesses 4 --dist loadscope
