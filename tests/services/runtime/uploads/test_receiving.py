@@ -234,3 +234,42 @@ def test_a_partial_write_is_continued(platform: Platform, monkeypatch: pytest.Mo
     monkeypatch.setattr("os.pwritev", seven_bytes)
     assert send(platform, upload, 0, CONTENT).state == "complete"
     assert path_of(platform, upload).read_bytes() == CONTENT
+
+
+def test_the_whole_is_flushed_before_it_is_acknowledged_and_pieces_every_so_often(
+    platform: Platform, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flushed: list[int] = []
+    flush = os.fdatasync
+
+    def noting(descriptor: int) -> None:
+        flush(descriptor)
+        flushed.append(os.fstat(descriptor).st_size)
+
+    monkeypatch.setattr("os.fdatasync", noting)
+    monkeypatch.setattr("services.runtime.uploads.receiving.FLUSHED_BYTES", 1000)
+    upload = made(platform, make_owner(platform), CONTENT[:2500])
+    for offset in range(0, 2500, 400):
+        before = list(flushed)
+        state = send(platform, upload, offset, CONTENT[offset : min(offset + 400, 2500)]).state
+        assert state == "open" or flushed != before
+    assert flushed == [1200, 2000, 2500]
+
+
+def test_what_is_cut_off_again_is_flushed_before_its_mark_goes(
+    platform: Platform, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    upload = made(platform, make_owner(platform), CONTENT)
+    path = path_of(platform, upload)
+    seen: list[tuple[int, int]] = []
+    flush = os.fdatasync
+
+    def noting(descriptor: int) -> None:
+        flush(descriptor)
+        seen.append((os.fstat(descriptor).st_size, len(list(path.parent.glob("*.unverified")))))
+
+    monkeypatch.setattr("os.fdatasync", noting)
+    with pytest.raises(ChecksumMismatchError):
+        send(platform, upload, 0, CONTENT, WRONG)
+    assert seen == [(0, 1)]
+    assert list(path.parent.glob("*.unverified")) == []
