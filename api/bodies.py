@@ -1,7 +1,8 @@
 """A bound on the bytes of a body, counted as they come: a header that lies, or none, changes nothing.
 
-**Conventions.** The bytes of tus uploads are bounded by the upload's own length and pass; forms with files may have
-`uploads.form_bytes`; everything else `api.body_bytes`.
+**Conventions.** Of uploads, pieces of files are bounded by the upload's own length and pass, and forms may have
+`uploads.form_bytes`; everything else may have `api.body_bytes`, which is read into memory, perhaps before anybody has
+asked who is calling.
 """
 
 from starlette.datastructures import Headers
@@ -45,9 +46,10 @@ class BodyLimit:
     def limit_of(self, scope: Scope) -> int | None:
         """How many bytes this request's body may have; None where the route bounds it."""
         kind = Headers(scope=scope).get("content-type", "").partition(";")[0].strip().lower()
-        if kind == PIECES and scope["path"].startswith(UPLOADS):
+        is_upload = scope["path"] == UPLOADS or scope["path"].startswith(f"{UPLOADS}/")
+        if is_upload and kind == PIECES:
             return None
-        if kind == FORM:
+        if is_upload and kind == FORM:
             return self._settings.uploads.form_bytes + FORM_OVERHEAD_BYTES
         return self._settings.api.body_bytes
 

@@ -7,6 +7,7 @@ time as a wrong password.
 
 from typing import Annotated
 
+import structlog
 from fastapi import APIRouter, Depends, Request, Response
 
 from api import audit
@@ -22,6 +23,7 @@ from services.runtime.orm import User
 from services.runtime.settings import Settings
 
 router = APIRouter(tags=["people"])
+log = structlog.get_logger(__name__)
 
 Anybody = Annotated[Caller, Depends(require("read"))]
 
@@ -33,6 +35,7 @@ def sign_in(body: SignInBody, request: Request, response: Response, platform: Pl
         user = users.find_user(session, body.name)
     is_right = sessions.is_password_of(user, body.password.get_secret_value())
     if user is None or not is_right:
+        log.warning("sign-in refused", name=body.name)
         raise WrongPasswordError()
     with platform.database.transaction() as session:
         opened = sessions.open_session(session, user, platform.settings.api.session_s)

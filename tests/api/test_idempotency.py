@@ -8,6 +8,7 @@ import httpx
 import pytest
 from fastapi import APIRouter, Response
 from sqlalchemy import func, select, update
+from structlog.testing import capture_logs
 
 from api import kept_replies
 from api.kept_replies import KEPT_NS, Asked
@@ -151,7 +152,8 @@ def test_a_fault_is_not_kept(
     client, plan = faulty()
     plan.append("bug")
     headers = {**lone.headers, "Idempotency-Key": "k"}
-    assert client.post("/api/v1/faulty", headers=headers).status_code == 500
+    with capture_logs():
+        assert client.post("/api/v1/faulty", headers=headers).status_code == 500
     assert rows_in(platform) == []
 
 
