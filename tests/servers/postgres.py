@@ -22,7 +22,6 @@ OPTIONS = {
     "unix_socket_directories": "",
     "fsync": "off",
     "full_page_writes": "off",
-    "synchronous_commit": "off",
     "max_connections": "300",
     "shared_buffers": "32MB",
     "autovacuum_naptime": "1h",

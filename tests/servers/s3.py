@@ -13,13 +13,16 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from secrets import token_hex
-from typing import Any
+from typing import TYPE_CHECKING
 
 import boto3
 from pydantic import SecretStr
 
 from services.runtime.settings import StoreSettings
 from tests.servers.process import Server, answers, free_port
+
+if TYPE_CHECKING:
+    from types_boto3_s3 import S3Client
 
 
 @dataclass
@@ -45,9 +48,14 @@ class S3Server(Server):
         """Make it look at the folders anew, after a test wrote into them behind its back."""
         os.kill(self.pid, signal.SIGHUP)
 
-    def _client(self, endpoint: str) -> Any:
-        keys = {"aws_access_key_id": self.key_id, "aws_secret_access_key": self.secret}
-        return boto3.client("s3", endpoint_url=endpoint, region_name="us-east-1", **keys)
+    def _client(self, endpoint: str) -> "S3Client":
+        return boto3.client(
+            "s3",
+            endpoint_url=endpoint,
+            region_name="us-east-1",
+            aws_access_key_id=self.key_id,
+            aws_secret_access_key=self.secret,
+        )
 
 
 @contextmanager
