@@ -12,8 +12,11 @@ import httpx
 import numpy as np
 import pytest
 
+from services.ingest import stages as ingest
+from services.labeler import stages as labeler
 from services.runtime import quota
-from services.runtime.orm import LabelSet
+from services.runtime.jobs.running import run_next
+from services.runtime.orm import LabelSet, Recording
 from services.runtime.platform import Platform
 from services.runtime.settings import Settings
 from simulator.pipeline import calibration_path
@@ -48,33 +51,47 @@ def accepted(answer: httpx.Response, *statuses: int) -> Any:
     return answer.json()
 
 
+def brought(api: httpx.Client, platform: Platform, bag: Path) -> dict[str, Any]:
+    """A sequence with its calibration and its recording, read; what is missing on the way is said."""
+    made: dict[str, Any] = accepted(api.post(f"{API}/sequences", json={"name": "field"}), 201)
+    path = f"{API}/sequences/{made['id']}"
+    assert refused(api, path) == "no_calibration"
+    file = {"file": (calibration_path(bag).name, calibration_path(bag).read_bytes())}
+    rig = accepted(api.post(f"{API}/calibrations", files=file), 201)
+    accepted(api.put(f"{path}/calibration", json={"calibration_id": rig["id"]}), 200)
+    assert refused(api, path) == "no_recording"
+    form = {"purpose": "recording", "target_id": made["id"]}
+    with bag.open("rb") as content:
+        sent = api.post(f"{API}/uploads/form", data=form, files={"file": (bag.name, content)})
+    assert sent.status_code == 201, sent.text
+    upload_id = sent.headers["location"].rpartition("/")[2]
+    accepted(api.post(f"{path}/recordings", json={"upload_id": upload_id}), 202)
+    assert refused(api, path) == "recording_pending"
+    run_all(platform)
+    return made
+
+
+def refused(api: httpx.Client, path: str) -> str:
+    """Why the sequence is not processed now."""
+    answer = api.post(f"{path}/process", json={})
+    assert answer.status_code == 409, answer.text
+    return str(answer.json()["code"])
+
+
 @pytest.fixture(scope="module")
-def done(tmp_path_factory: pytest.TempPathFactory, _sqlite_template: Path) -> Iterator[Done]:
-    folder = tmp_path_factory.mktemp("main-job")
-    settings = Settings(data_folder=folder / "data")
-    settings.root.mkdir()
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return simulated(tmp_path_factory.mktemp("bag"))
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory, _sqlite_template: Path, bag: Path) -> Iterator[Done]:
+    settings = Settings(data_folder=tmp_path_factory.mktemp("main-job"))
     (settings.root / "stone.sqlite3").write_bytes(_sqlite_template.read_bytes())
-    platform, bag = opened(settings, []), simulated(folder)
+    platform = opened(settings, [])
     owner = person(platform, "curator")
     with client_of(platform, owner) as api:
-        made = accepted(api.post(f"{API}/sequences", json={"name": "field"}), 201)
+        made = brought(api, platform, bag)
         path = f"{API}/sequences/{made['id']}"
-        refused = api.post(f"{path}/process", json={})
-        assert (refused.status_code, refused.json()["code"]) == (409, "no_calibration")
-        file = {"file": (calibration_path(bag).name, calibration_path(bag).read_bytes())}
-        rig = accepted(api.post(f"{API}/calibrations", files=file), 201)
-        accepted(api.put(f"{path}/calibration", json={"calibration_id": rig["id"]}), 200)
-        refused = api.post(f"{path}/process", json={})
-        assert (refused.status_code, refused.json()["code"]) == (409, "no_recording")
-        form = {"purpose": "recording", "target_id": made["id"]}
-        with bag.open("rb") as content:
-            sent = api.post(f"{API}/uploads/form", data=form, files={"file": (bag.name, content)})
-        assert sent.status_code == 201, sent.text
-        upload_id = sent.headers["location"].rpartition("/")[2]
-        accepted(api.post(f"{path}/recordings", json={"upload_id": upload_id}), 202)
-        refused = api.post(f"{path}/process", json={})
-        assert (refused.status_code, refused.json()["code"]) == (409, "recording_pending")
-        run_all(platform)
         run = accepted(api.post(f"{path}/process", json={"profile": "local"}), 202)
         again = accepted(api.post(f"{path}/process", json={"profile": "local"}), 202)
         assert again["id"] == run["id"], "equal requests are one run"
@@ -152,6 +169,28 @@ def test_what_has_been_made_is_not_made_again(done: Done) -> None:
 def test_what_cannot_be_asked_for_is_refused(done: Done, body: dict[str, Any], code: str) -> None:
     answer = done.api.post(done.path("/process"), json=body)
     assert (answer.status_code, answer.json()["code"]) == (422, code)
+
+
+@pytest.mark.parametrize("attempts", [0, 1, 2])
+def test_a_sequence_is_deleted_safely_while_its_jobs_run(platform: Platform, bag: Path, attempts: int) -> None:
+    owner = person(platform, "curator")
+    with client_of(platform, owner) as api:
+        made = brought(api, platform, bag)
+        path = f"{API}/sequences/{made['id']}"
+        run = accepted(api.post(f"{path}/process", json={}), 202)
+        for _ in range(attempts):
+            assert run_next(platform, "ingest", ingest.handlers(platform)) or run_next(
+                platform, "labeler", labeler.handlers(platform)
+            )
+        assert api.delete(path, headers={"If-Match": "*"}).status_code == 204
+        run_all(platform)
+        assert accepted(api.get(f"{API}/jobs/{run['id']}"), 200)["state"] == "cancelled"
+        states = {item["state"] for item in api.get(f"{API}/jobs", params={"root_id": run["id"]}).json()["items"]}
+        assert states <= {"succeeded", "cancelled"}
+        assert api.get(path).status_code == 404
+    with platform.database.reading() as session:
+        assert session.query(LabelSet).count() == session.query(Recording).count() == 0
+        assert quota.balance(session, owner.user_id) == 0
 
 
 def test_a_deleted_sequence_leaves_nothing_that_is_counted(done: Done) -> None:
