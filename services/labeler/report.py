@@ -19,7 +19,7 @@ from services.labeler.tables import concatenated
 from services.labeler.workers import Done
 from stone.findings import Finding
 from stone.sequence import Sequence
-from stone.traversability import FEW_VOXELS, Reference, reference_of, total_of
+from stone.traversability import FEW_VOXELS, NoReferenceError, Reference, reference_of, total_of
 
 CLASS_NAMES = ("free", "traversable", "potentially_traversable", "non_traversable")
 # Outside this many standard deviations of the driven elevation, profile `paper` calls any ground N (√χ²(3, 0.95)).
@@ -118,7 +118,9 @@ def report_of(
 
 
 def reference_from(tiles: list[TileSummary], parameters: LabelParameters) -> Reference:
-    """The reference of all tiles, in their order. Raises `NoReferenceError`."""
+    """The reference of all tiles, in their order. Raises `NoReferenceError`, also where there is no tile."""
+    if not tiles:
+        raise NoReferenceError(0)
     return reference_of(total_of([tile.sums for tile in tiles]), parameters.reference)
 
 

@@ -35,6 +35,7 @@ from services.runtime.jobs.specs import Attempt, Handlers, JobSpec, Outcome
 from services.runtime.platform import Platform
 from services.runtime.processing import LABEL
 from services.runtime.stages import measured
+from stone.traversability import NoReferenceError
 
 Stage = Callable[[Desk], Outcome]
 
@@ -76,8 +77,10 @@ def fuse_part(desk: Desk) -> Outcome:
 
 
 def list_tiles(desk: Desk) -> Outcome:
-    """What follows from where the points fell."""
+    """What follows from where the points fell. Raises `NoReferenceError` where none did."""
     tiles = largest_first(_fused_bytes(desk))
+    if not tiles:
+        raise NoReferenceError(0)
     cameras = range(len(desk.run.sequence.calibration.of_kind("camera")))
     surfaces = [JobSpec("labeler.surface", {"tile": tile}, key=f"surface {tile_name(tile)}") for tile in tiles]
     sights = [JobSpec("labeler.sight", {"camera": camera}, key=f"sight {camera}") for camera in cameras]

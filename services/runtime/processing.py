@@ -90,11 +90,10 @@ def delete_sequence(session: Session, sequence: Sequence) -> None:
     for root_id in session.scalars(alive).all():
         with suppress(JobStateError):  # it ended while we waited for its row
             cancel(session, root_id, "its sequence was deleted")
-    uploads = select(Recording.upload_id).where(Recording.sequence_id == sequence.id, Recording.upload_id.is_not(None))
-    for upload_id in session.scalars(uploads).all():
-        quota.release(session, upload_id or "", "sequence deleted")
     session.execute(delete(LabelSet).where(LabelSet.sequence_id == sequence.id))
-    session.execute(delete(Recording).where(Recording.sequence_id == sequence.id))
+    gone = delete(Recording).where(Recording.sequence_id == sequence.id).returning(Recording.upload_id)
+    for upload_id in session.scalars(gone).all():  # recordings before their owner's quota, as everywhere
+        quota.release(session, upload_id or "", "sequence deleted")
     sequence.deleted_ns = now_ns()
     sequence.revision += 1
 

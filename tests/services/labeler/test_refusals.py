@@ -63,6 +63,12 @@ def test_a_track_that_touches_no_surface_leaves_no_folder(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_run_that_saw_nothing_is_refused(tmp_path):
+    with pytest.raises(NoReferenceError, match="the track covers 0 surface voxels"):
+        labelled(replace(WORLD, frames=2, reach_m=0.0), tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_worker_that_fails_leaves_no_folder(tmp_path):
     with pytest.raises(RuntimeError, match="this sweep cannot be read"):
         labelled(replace(WORLD, frames=4, breaks_at=2), tmp_path / "out", workers=2)

@@ -21,6 +21,7 @@ from services.runtime.processing import delete_sequence
 from services.runtime.settings import DatabaseSettings, StoreSettings
 from simulator.pipeline import calibration_path
 from stone.errors import StoneError
+from stone.traversability import NoReferenceError
 from tests.servers.fixtures import make_settings, opened
 from tests.services.runs import (
     NAME,
@@ -238,6 +239,14 @@ def test_a_stage_of_a_cancelled_run_stops_at_its_next_word(finished: tuple[Broug
     run_all(brought.platform, wrap=cancelled_meanwhile)
     assert brought.job(root_id).state == "cancelled"
     assert len(words) < 60
+
+
+def test_a_run_in_which_no_point_fell_anywhere_is_refused(finished: tuple[Brought, str]) -> None:
+    brought, root_id = finished
+    shutil.rmtree(brought.platform.settings.root / "store" / "work" / root_id / "fused")
+    tiles = next(job for job in brought.jobs(root_id) if job.kind == "labeler.tiles")
+    with pytest.raises(NoReferenceError, match="the track covers 0 surface voxels"):
+        stages.handlers(brought.platform)[tiles.kind](Said(tiles))
 
 
 def test_work_that_was_removed_and_code_that_changed_are_named(finished: tuple[Brought, str]) -> None:
