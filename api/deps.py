@@ -5,20 +5,26 @@ reach; a higher role always may what a lower one may. A browser's session holds 
 unsafe method by session must repeat the session's CSRF token. Who is calling is found out once per request.
 """
 
-from collections.abc import Callable
+import inspect
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from hmac import compare_digest
-from typing import Annotated
+from typing import Annotated, Any, TypeVar
 
+import structlog
 from fastapi import Depends, Request, Security
 from fastapi.security import APIKeyCookie, HTTPAuthorizationCredentials, HTTPBearer
+from sqlalchemy.exc import OperationalError
 
 from api.context import COOKIE
 from api.errors import CsrfError, ForbiddenError, UnauthenticatedError
 from services.runtime.access import roles, sessions, tokens
 from services.runtime.platform import Platform
 
+T = TypeVar("T")
 SAFE = ("GET", "HEAD", "OPTIONS")
+
+log = structlog.get_logger(__name__)
 
 bearer = HTTPBearer(auto_error=False, scheme_name="token", description="A token: `stone_…`, from `POST /tokens`.")
 cookie = APIKeyCookie(
@@ -50,7 +56,21 @@ def platform_of(request: Request) -> Platform:
     return platform
 
 
-PlatformDep = Annotated[Platform, Depends(platform_of)]
+async def _platform(request: Request) -> Platform:
+    return platform_of(request)
+
+
+PlatformDep = Annotated[Platform, Depends(_platform)]
+
+
+def at_once(kind: Callable[..., T]) -> Callable[..., Awaitable[T]]:
+    """`kind` as a dependency that is not given a thread: handing it over costs more than what it does."""
+
+    async def made(**given: Any) -> T:
+        return kind(**given)
+
+    made.__signature__ = inspect.signature(kind)  # type: ignore[attr-defined]  # what FastAPI reads the query off
+    return made
 
 
 def identify(request: Request) -> Caller | None:
@@ -102,10 +122,18 @@ def _by_token(platform: Platform, header: str) -> Caller:
     if token is None:
         raise UnauthenticatedError("the token is unknown, has expired or was revoked")
     if tokens.is_use_due(token):
-        with platform.database.transaction() as session:
-            tokens.note_use(session, token.id)
+        _note_use(platform, token.id)
     user, held = token.user, roles.scopes_in_force(token.user.role, token.scopes)
     return Caller(user.id, user.name, user.role, held, False, token.expires_ns, token.id)
+
+
+def _note_use(platform: Platform, token_id: str) -> None:
+    """A database that cannot be written to, its disk being full, may still be read, and what fills it deleted."""
+    try:
+        with platform.database.transaction() as session:
+            tokens.note_use(session, token_id)
+    except OperationalError as error:
+        log.warning("last use of a token not noted", token_id=token_id, reason=str(error.orig))
 
 
 def _by_session(platform: Platform, secret: str) -> Caller:

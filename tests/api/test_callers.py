@@ -1,12 +1,18 @@
 """Who is let in, as whom; refusals first."""
 
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+
 import httpx
 import pytest
 from sqlalchemy import update
 
 from services.runtime.orm import Token, User
 from services.runtime.platform import Platform
-from tests.api.serving import Person, person
+from services.runtime.settings import DatabaseSettings
+from tests.api.serving import Person, client_of, person
+from tests.servers.fixtures import make_settings, opened
 
 ME = "/api/v1/me"
 
@@ -96,3 +102,15 @@ def test_the_last_use_of_a_token_is_noted_once_a_minute(api: httpx.Client, platf
     assert first is not None
     api.get(ME, headers=curator.headers)
     assert used_ns() == first
+
+
+def test_what_cannot_be_written_to_can_still_be_read(platform: Platform, curator: Person, tmp_path: Path) -> None:
+    hurried = opened(make_settings(tmp_path, database=DatabaseSettings(busy_timeout_s=0.05)), [])
+    with (
+        client_of(hurried, curator) as api,
+        closing(sqlite3.connect(platform.settings.root / "stone.sqlite3")) as other,
+    ):
+        other.isolation_level = None
+        other.execute("BEGIN IMMEDIATE")
+        assert api.get(ME).status_code == 200
+        other.execute("ROLLBACK")

@@ -54,6 +54,7 @@ def is_use_due(token: Token) -> bool:
 
 
 def note_use(session: Session, token_id: str) -> None:
+    """Write that the token is used now."""
     session.execute(update(Token).where(Token.id == token_id).values(used_ns=now_ns()))
 
 
