@@ -11,25 +11,36 @@ $(INSTALLED): requirements.lock pyproject.toml deploy/create-venv.sh deploy/inst
 	deploy/create-venv.sh
 	touch $@
 
+test-clients: install
+	deploy/install-test-clients.sh
+
 demo: install
 	$(BIN)/stone demo
 
 serve: install
 	$(BIN)/stone serve
 
-test: install
+test: test-clients
 	$(BIN)/pytest --numprocesses auto --maxprocesses 4 --dist loadscope
 
-check: install
+check: test-clients
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/pytest --numprocesses auto --maxprocesses 4 --dist loadscope
 
+chaos: install
+	$(BIN)/python -m chaos
+
 bench: install
 	$(BIN)/python -m benchmarks.label
 	$(BIN)/python -m benchmarks.score
+
+bench-platform: install
+	$(BIN)/python -m benchmarks.upload
+	$(BIN)/python -m benchmarks.api
+	$(BIN)/python -m benchmarks.platform_label
 
 bench-truth: install
 	$(BIN)/python -m benchmarks.truth
