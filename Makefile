@@ -1,5 +1,6 @@
-# make install | demo | serve | test | check | bench | bench-truth: each installs first, which costs nothing when nothing changed.
-.PHONY: install demo serve test check bench bench-truth
+# make install | demo | serve | test | check | chaos | bench | bench-platform | bench-truth: each installs first, which
+# costs nothing when nothing changed.
+.PHONY: install test-clients demo serve test check chaos bench bench-platform bench-truth
 .DELETE_ON_ERROR:
 
 BIN := .venv/bin
