@@ -56,11 +56,18 @@ def record(
     session.info[PENDING].append(entry)
 
 
-def record_admin_act(session: Session, caller: Caller, act: str, subject_id: str, reason: str) -> None:
+def record_admin_act(
+    session: Session,
+    caller: Caller,
+    act: str,
+    subject_id: str,
+    reason: str,
+    facts: Mapping[str, Any] | None = None,
+) -> None:
     """Add a line for an act that only an administrator may do. Raises `ReasonMissingError` for an empty reason."""
     if not reason.strip():
         raise ReasonMissingError(act)
-    record(session, caller, act, subject_id, reason.strip())
+    record(session, caller, act, subject_id, reason.strip(), facts)
 
 
 def verify(session: Session) -> int | None:

@@ -39,7 +39,7 @@ def sign_in(body: SignInBody, request: Request, response: Response, platform: Pl
         raise WrongPasswordError()
     with platform.database.transaction() as session:
         opened = sessions.open_session(session, user, platform.settings.api.session_s)
-        audit.record(session, _as_caller(user), "session.opened", user.id)
+        audit.record(session, _as_caller(user), "session.open", user.id)
     _give_cookie(response, opened, platform.settings)
     return SessionItem(
         user_id=user.id,
@@ -82,7 +82,7 @@ def change_own_password(body: PasswordBody, caller: Anybody, request: Request, p
     password_hash = passwords.hash_password(body.new.get_secret_value())
     with platform.database.transaction() as session:
         users.change_password(session, session.get_one(User, caller.user_id), password_hash)
-        audit.record(session, caller, "user.password_changed", caller.user_id)
+        audit.record(session, caller, "user.password", caller.user_id)
 
 
 def _give_cookie(response: Response, opened: SignedIn, settings: Settings) -> None:

@@ -27,7 +27,7 @@ def found(body: TeamBody, caller: Annotated[Caller, Depends(require("submit"))],
         session.add(team)
         session.flush()
         session.add(TeamMember(team_id=team.id, user_id=caller.user_id, is_owner=True))
-        audit.record(session, caller, "team.founded", team.id, facts={"name": team.name})
+        audit.record(session, caller, "team.found", team.id, facts={"name": team.name})
     return _shown(team, [caller.name])
 
 

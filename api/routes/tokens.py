@@ -38,7 +38,7 @@ def issue(body: TokenBody, caller: Anybody, response: Response, platform: Platfo
         _refuse_too_many(session, caller)
         owner = session.get_one(User, caller.user_id)
         row, secret = tokens.issue_until(session, owner, body.name, scopes, expires_ns)
-        audit.record(session, caller, "token.issued", row.id, facts={"scopes": row.scopes, "name": row.name})
+        audit.record(session, caller, "token.issue", row.id, facts={"scopes": row.scopes, "name": row.name})
     response.headers["Cache-Control"] = "no-store"
     return IssuedToken(**_shown(row).model_dump(), secret=secret)
 
@@ -56,7 +56,7 @@ def revoke(token_id: IdPath, caller: Anybody, platform: PlatformDep) -> None:
         own = delete(Token).where(Token.id == token_id, Token.user_id == caller.user_id).returning(Token.id)
         if session.execute(own).first() is None:
             raise NotFoundError("token", token_id)
-        audit.record(session, caller, "token.revoked", token_id)
+        audit.record(session, caller, "token.revoke", token_id)
 
 
 def _refuse_more(scopes: frozenset[str], caller: Caller) -> None:

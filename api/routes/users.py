@@ -26,7 +26,8 @@ def add(body: UserBody, caller: Administrator, platform: PlatformDep) -> UserIte
     with platform.database.transaction() as session:
         user = users.create_user(session, body.name, body.role)
         user.password_hash = password_hash or ""
-        audit.record_admin_act(session, caller, "user.added", user.id, body.reason)
+        facts = {"name": user.name, "role": user.role}
+        audit.record_admin_act(session, caller, "user.add", user.id, body.reason, facts)
     return _shown(user)
 
 
@@ -46,13 +47,19 @@ def change(user_id: IdPath, body: UserChange, caller: Administrator, platform: P
         users.change_user(session, user, body.role, body.is_active)
         if password_hash is not None:
             users.change_password(session, user, password_hash)
-        audit.record_admin_act(session, caller, "user.changed", user_id, body.reason)
+        audit.record_admin_act(session, caller, "user.change", user_id, body.reason, _changes(body))
     return _shown(user)
 
 
 def _hashed(password: Password | None) -> str | None:
     """Slow, so before the transaction."""
     return None if password is None else passwords.hash_password(password.get_secret_value())
+
+
+def _changes(body: UserChange) -> dict[str, Any]:
+    """What was asked for; of a password only that there was one."""
+    changes = body.model_dump(include={"role", "is_active"}, exclude_none=True)
+    return changes | ({"password": "changed"} if body.password is not None else {})
 
 
 def _shown(row: User) -> UserItem:

@@ -13,7 +13,7 @@ class AuditLine(Answer):
         number=17,
         actor_id=ID_EXAMPLE,
         actor="ada",
-        act="user.changed",
+        act="user.change",
         subject_id=ID_EXAMPLE,
         reason="leads the next campaign",
         facts={"role": "curator"},

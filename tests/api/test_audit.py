@@ -47,8 +47,8 @@ def unguarded(session: Session) -> None:
 
 @pytest.mark.parametrize("reason", ["", "   ", "\n"])
 def test_an_administrators_act_without_a_reason_is_refused(platform: Platform, reason: str) -> None:
-    with platform.database.transaction() as session, pytest.raises(ReasonMissingError, match=r"user\.changed"):
-        audit.record_admin_act(session, ADA, "user.changed", "x", reason)
+    with platform.database.transaction() as session, pytest.raises(ReasonMissingError, match=r"user\.change"):
+        audit.record_admin_act(session, ADA, "user.change", "x", reason)
     assert lines(platform) == []
 
 
@@ -193,4 +193,4 @@ def test_a_line_carries_the_request_that_wrote_it(api: httpx.Client, administrat
     headers = {**administrator.headers, "X-Request-ID": "look-for-me"}
     api.post("/api/v1/teams", json={"name": "us"}, headers=headers)
     line = api.get(LOG, headers=administrator.headers).json()["items"][0]
-    assert (line["act"], line["actor"], line["request_id"]) == ("team.founded", administrator.name, "look-for-me")
+    assert (line["act"], line["actor"], line["request_id"]) == ("team.found", administrator.name, "look-for-me")

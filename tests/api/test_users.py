@@ -68,8 +68,9 @@ def test_a_user_is_added_changed_and_shut_out_with_reasons_in_the_log(
     assert [item["name"] for item in listed] == ["ada", root.name]
     log = api_on.get("/api/v1/admin/audit-log", params={"subject_id": user["id"]}, headers=root.headers).json()
     assert [(line["act"], line["reason"]) for line in log["items"]] == [
-        ("user.changed", "left the team"),
-        ("session.opened", ""),
-        ("user.added", "joins the field team"),
+        ("user.change", "left the team"),
+        ("session.open", ""),
+        ("user.add", "joins the field team"),
     ]
+    assert log["items"][0]["facts"] == {"role": "participant", "is_active": False}
     assert "correct horse" not in str(log)
