@@ -45,6 +45,7 @@ class Child:
         self._process: subprocess.Popen[bytes] | None = None
         self._pause_s = FIRST_PAUSE_S
         self._started_s = self._due_s = 0.0
+        self._is_asked = False
 
     @property
     def pid(self) -> int:
@@ -72,7 +73,7 @@ class Child:
                 process_group=0,
                 preexec_fn=lambda: die_with(own_pid),
             )
-        self._started_s, self._due_s = time.monotonic(), 0.0
+        self._started_s, self._due_s, self._is_asked = time.monotonic(), 0.0, False
 
     def revive(self) -> None:
         """Start it again if it died, after a pause that doubles while it keeps dying; cut its log if it is large."""
@@ -97,8 +98,9 @@ class Child:
         self._pause_s = FIRST_PAUSE_S
 
     def ask_to_stop(self) -> None:
-        """Send SIGTERM to the child itself; its own children are its own business."""
-        if self._process and self.exit_code is None:
+        """Send SIGTERM, once, to the child itself; its own children are its own business."""
+        if self._process and self.exit_code is None and not self._is_asked:
+            self._is_asked = True
             self._process.terminate()
 
     def stop(self, within_s: float | None = None) -> bool:
