@@ -1,7 +1,7 @@
 """Jobs as the API shows them: rows of `services.runtime.orm.jobs` become bodies of `api.schemas.jobs`."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 
 from sqlalchemy import case, func, select
 from sqlalchemy.orm import Session
@@ -41,8 +41,6 @@ def _glance(session: Session, job: Job, counts: tuple[int, int]) -> Progress:
 
 
 def _item(job: Job, progress: Progress) -> JobItem:
-    shown = asdict(replace(progress, stages=()))
-    del shown["stages"]
     return JobItem(
         id=job.id,
         root_id=job.root_id,
@@ -53,13 +51,23 @@ def _item(job: Job, progress: Progress) -> JobItem:
         state=job.state,
         priority=job.priority,
         attempt=job.attempt,
-        progress=ProgressItem(**shown),
+        progress=_progress(progress),
         failure=_failure(job),
         cancel_reason=job.cancel_reason,
         revision=job.revision,
         created_at=instant(job.created_ns),
         started_at=instant_or_none(job.started_ns),
         finished_at=instant_or_none(job.finished_ns),
+    )
+
+
+def _progress(progress: Progress) -> ProgressItem:
+    return ProgressItem(
+        stage=progress.stage,
+        done=progress.done,
+        total=progress.total,
+        rate_per_s=progress.rate_per_s,
+        eta_s=progress.eta_s,
     )
 
 

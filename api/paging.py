@@ -36,7 +36,7 @@ class PageQuery:
     limit: int
 
 
-def page_query(
+async def page_query(
     cursor: Annotated[str | None, Query(max_length=LONGEST_CURSOR, description="`next` of the page before")] = None,
     limit: Annotated[int, Query(ge=1, le=MOST, description="how many at most")] = 50,
 ) -> PageQuery:

@@ -28,7 +28,7 @@ def sequence_detail(session: Session, sequence: Sequence) -> SequenceDetail:
     return SequenceDetail(**dict(item), artefacts=artefacts)
 
 
-def _item(row: Sequence, recordings: int, job: Job | None, labels: LabelSet | None) -> SequenceItem:
+def _item(row: Sequence, recordings: int, job: JobGlance | None, labels: LabelSet | None) -> SequenceItem:
     return SequenceItem(
         id=row.id,
         owner_id=row.owner_id,
@@ -39,7 +39,7 @@ def _item(row: Sequence, recordings: int, job: Job | None, labels: LabelSet | No
         platform=row.platform,
         calibration_id=row.calibration_id,
         recordings=recordings,
-        job=JobGlance(id=job.id, kind=job.kind, state=job.state) if job else None,
+        job=job,
         labels=_labels(labels) if labels else None,
         revision=row.revision,
         created_at=instant(row.created_ns),
@@ -55,9 +55,10 @@ def _recordings(session: Session, ids: list[str]) -> dict[str, int]:
     return dict(session.execute(counted.group_by(Recording.sequence_id)).all())
 
 
-def _newest_runs(session: Session, ids: list[str]) -> dict[str, Job]:
+def _newest_runs(session: Session, ids: list[str]) -> dict[str, JobGlance]:
     newest = select(func.max(Job.id)).where(Job.sequence_id.in_(ids), Job.id == Job.root_id).group_by(Job.sequence_id)
-    return {job.sequence_id: job for job in session.scalars(select(Job).where(Job.id.in_(newest))) if job.sequence_id}
+    found = select(Job.sequence_id, Job.id, Job.kind, Job.state).where(Job.id.in_(newest))
+    return {of: JobGlance(id=id, kind=kind, state=state) for of, id, kind, state in session.execute(found) if of}
 
 
 def _newest_labels(session: Session, ids: list[str]) -> dict[str, LabelSet]:

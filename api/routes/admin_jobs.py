@@ -11,7 +11,7 @@ from sqlalchemy.orm import Session
 from api import audit
 from api.answers import refusals
 from api.callers import Administrator
-from api.deps import PlatformDep
+from api.deps import PlatformDep, at_once
 from api.errors import NotFoundError
 from api.job_views import job_detail, job_items
 from api.log_pages import LogQuery, log_page
@@ -51,7 +51,10 @@ class AdminFilters(JobFilters):
 
 @router.get("/jobs", responses=refusals(403))
 def list_all_jobs(
-    _caller: Administrator, platform: PlatformDep, query: PageDep, filters: Annotated[AdminFilters, Depends()]
+    _caller: Administrator,
+    platform: PlatformDep,
+    query: PageDep,
+    filters: Annotated[AdminFilters, Depends(at_once(AdminFilters))],
 ) -> Page[JobItem]:
     """Everybody's jobs, newest first."""
     with platform.database.reading() as session:

@@ -9,7 +9,7 @@ from sqlalchemy import Select, select
 from api import audit
 from api.answers import refusals
 from api.callers import Curator, Reader
-from api.deps import PlatformDep
+from api.deps import PlatformDep, at_once
 from api.job_views import job_detail, job_items
 from api.log_pages import LogQuery, log_page
 from api.paging import Page, PageDep, page
@@ -48,13 +48,13 @@ class JobFilters:
         return statement.where((Job.id == Job.root_id) if self.root_id is None else (Job.id != Job.root_id))
 
 
-def log_query(after: After = None, limit: Lines = 200) -> LogQuery:
+async def log_query(after: After = None, limit: Lines = 200) -> LogQuery:
     return LogQuery(after, limit)
 
 
 @router.get("", responses=refusals(403))
 def list_jobs(
-    caller: Reader, platform: PlatformDep, query: PageDep, filters: Annotated[JobFilters, Depends()]
+    caller: Reader, platform: PlatformDep, query: PageDep, filters: Annotated[JobFilters, Depends(at_once(JobFilters))]
 ) -> Page[JobItem]:
     """The caller's own runs, newest first."""
     mine = select(Job).where(Job.owner_id == caller.user_id)

@@ -15,7 +15,7 @@ from sqlalchemy.orm import Session
 from api import audit
 from api.answers import refusals
 from api.callers import Curator, Reader
-from api.deps import PlatformDep
+from api.deps import PlatformDep, at_once
 from api.errors import ConflictError
 from api.etags import etag, require_match
 from api.paging import Page, PageDep, page
@@ -80,7 +80,7 @@ def list_sequences(
     caller: Reader,
     platform: PlatformDep,
     query: PageDep,
-    filters: Annotated[Filters, Depends()],
+    filters: Annotated[Filters, Depends(at_once(Filters))],
 ) -> Page[SequenceItem]:
     """The caller's sequences, newest first; an administrator sees everybody's."""
     with platform.database.reading() as session:
