@@ -63,12 +63,12 @@ def test_an_upgrade_of_an_upgraded_database_changes_nothing(platform_on: Platfor
 
 def test_processes_that_upgrade_at_once_all_succeed(empty: Settings) -> None:
     context = multiprocessing.get_context("spawn")
-    processes = [context.Process(target=upgrade, args=(empty,)) for _ in range(4)]
+    processes = [context.Process(target=upgrade, args=(empty,)) for _ in range(2)]
     for process in processes:
         process.start()
     for process in processes:
         process.join(60)
-    assert [process.exitcode for process in processes] == [0, 0, 0, 0]
+    assert [process.exitcode for process in processes] == [0, 0]
     assert tables_of(empty) == {*Base.metadata.tables, "alembic_version"}
 
 
