@@ -101,9 +101,9 @@ class Follower:
         """Every snapshot newer than version `seen`, None after each `patience_s` without one; ends when it is over."""
         followed = self._followed.setdefault(subject, _Followed())
         followed.waiting += 1
-        self._wake()
         try:
             while True:
+                self._wake()
                 newest = await self._next(followed, seen, patience_s)
                 yield newest
                 seen = newest.version if newest else seen

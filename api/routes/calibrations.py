@@ -17,7 +17,7 @@ from api.schemas.calibrations import CalibrationItem, FindingItem, SensorItem
 from api.tus_errors import UnsupportedMediaTypeError
 from api.visible import calibration_of, theirs
 from services.runtime import blobs
-from services.runtime.calibrations import add_calibration, find_calibration
+from services.runtime.calibrations import add_calibration
 from services.runtime.orm import Blob, Calibration
 
 router = APIRouter(prefix="/calibrations", tags=["calibrations"])
@@ -46,12 +46,11 @@ def add_calibration_file(
         read = calibration_reading.read(path)
         prepared = blobs.prepare(platform.store, platform.database, path)
         with platform.database.transaction() as session:
-            standing = find_calibration(session, caller.user_id, prepared.sha256)
-            row = standing or add_calibration(session, caller.user_id, read, prepared)
-            if standing is None:
+            row, is_new = add_calibration(session, caller.user_id, read, prepared)
+            if is_new:
                 audit.record(session, caller, "calibration.add", row.id, facts={"sha256": row.sha256})
             shown = _item(row)
-    response.status_code = 201 if standing is None else 200
+    response.status_code = 201 if is_new else 200
     response.headers["Location"] = f"/api/v1/calibrations/{shown.id}"
     response.headers["ETag"] = etag(shown.sha256)
     return shown

@@ -23,18 +23,15 @@ class ReadCalibration:
     findings: tuple[dict[str, str], ...]
 
 
-def find_calibration(session: Session, owner_id: str, sha256: str) -> Calibration | None:
-    """The owner's calibration of exactly these bytes."""
-    same = select(Calibration).where(Calibration.owner_id == owner_id, Calibration.sha256 == sha256)
-    return session.scalars(same).first()
-
-
-def add_calibration(session: Session, owner_id: str, read: ReadCalibration, blob: PreparedBlob) -> Calibration:
-    """The next version of the owner's calibrations of this name, or the one that has these bytes already."""
+def add_calibration(
+    session: Session, owner_id: str, read: ReadCalibration, blob: PreparedBlob
+) -> tuple[Calibration, bool]:
+    """The next version of the owner's calibrations of this name, or the one that has these bytes already; is it new."""
     session.execute(select(User.id).where(User.id == owner_id).with_for_update(key_share=True))
-    standing = find_calibration(session, owner_id, blob.sha256)
+    same = select(Calibration).where(Calibration.owner_id == owner_id, Calibration.sha256 == blob.sha256)
+    standing = session.scalars(same).first()
     if standing is not None:
-        return standing
+        return standing, False
     row = link(session, blob)
     of_name = select(func.max(Calibration.version)).where(
         Calibration.owner_id == owner_id, Calibration.name == read.name
@@ -51,4 +48,4 @@ def add_calibration(session: Session, owner_id: str, read: ReadCalibration, blob
     )
     session.add(calibration)
     session.flush()
-    return calibration
+    return calibration, True

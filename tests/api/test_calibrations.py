@@ -170,6 +170,25 @@ def test_versions_that_come_at_once_come_one_after_another(platform_on: Platform
     assert sorted(versions) == [1, 2, 3, 4]
 
 
+def test_the_same_bytes_at_once_are_kept_once(platform_on: Platform) -> None:
+    ada = person(platform_on, "curator")
+    with client_of(platform_on) as api:
+        answers: list[tuple[int, str]] = []
+
+        def add() -> None:
+            with httpx.Client(base_url=api.base_url, timeout=30) as own:
+                answer = posted(own, ada)
+                answers.append((answer.status_code, answer.json()["id"]))
+
+        threads = [threading.Thread(target=add) for _ in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    assert sorted(status for status, _ in answers) == [200, 200, 200, 201]
+    assert len({made for _, made in answers}) == 1
+
+
 def test_what_was_mended_is_said(api: httpx.Client, curator: Person) -> None:
     item = kept(api, curator, slightly_off(PLAIN))
     assert item["findings"]

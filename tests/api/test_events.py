@@ -11,6 +11,7 @@ from typing import Any
 import httpx
 import pytest
 from sqlalchemy import QueuePool, event
+from sqlalchemy.exc import OperationalError
 
 from api import following
 from api.main import make_api
@@ -209,6 +210,24 @@ def test_progress_is_told_at_most_twice_a_second(api: httpx.Client, platform: Pl
             touch(platform, job_id, done)
         assert run_next(platform, "ingest", HANDLERS)
     assert len(events) <= 2 * (time.monotonic() - begin) + 2
+
+
+def test_a_stream_outlives_a_database_that_is_away(
+    api: httpx.Client, platform: Platform, curator: Person, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job_id, asked = job(platform, curator, "ingest.ok"), []
+
+    def away() -> Iterator[None]:
+        asked.append(True)
+        raise OperationalError("SELECT 1", {}, OSError("connection refused"))
+
+    with heard_from(api, f"{JOBS}/{job_id}/events", curator) as events:
+        until(lambda: events, "what stands is told at once")
+        with monkeypatch.context() as patched:
+            patched.setattr(platform.database, "reading", contextmanager(away))
+            until(lambda: len(asked) > 1, "it asks again")
+        assert run_next(platform, "ingest", HANDLERS)
+    assert events[-1][0] == "ended"
 
 
 def test_a_quiet_stream_says_that_it_lives(
