@@ -77,11 +77,12 @@ class Workspace:
         return self._folder / key.removeprefix(self._prefix)
 
     def _names(self, prefix: str) -> Iterator[str]:
-        checked_prefix(prefix)
-        for path in (self.folder / prefix.rpartition("/")[0]).rglob("*"):
-            name = path.relative_to(self._folder).as_posix()
-            if name.startswith(prefix) and path.is_file() and "/." not in f"/{name}":
-                yield name
+        base, _, head = checked_prefix(prefix).rpartition("/")
+        for top in (self.folder / base).glob(f"{head}*"):  # a prefix has no character that glob would read as a sign
+            for path in (top, *top.rglob("*")):
+                name = path.relative_to(self._folder).as_posix()
+                if path.is_file() and "/." not in f"/{name}":
+                    yield name
 
     def _fetch(self, stored: Stored) -> None:
         """Download beside the target, rename into place."""
