@@ -1,4 +1,4 @@
-"""The rounds of a kind: two undisturbed runs to compare with, then a kill each, and the verdict on each.
+"""The rounds of a kind: undisturbed runs to compare with, then a kill each, and the verdict on each.
 
 **Conventions.** Round `n` of a kind under a seed draws the same moments and victims every time. A place in which
 something was violated is closed and its folder stays; the next round opens another. What goes wrong while a round is
@@ -32,6 +32,7 @@ class Suite:
     inputs: Inputs
     until_s: float
     told: Callable[[str], None]
+    undisturbed_runs: int = 2
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ def play(suite: Suite, kind: Kind, made: Made | None = None) -> Series:
         opened += 1
         folder = suite.folder / f"{kind.name}-{opened}"
         with opened_place(folder, suite.inputs, suite.told, on_postgres=kind.on_postgres) as place:
-            _run_undisturbed(series, place)
+            _run_undisturbed(suite, series, place)
             while _goes_on(suite, series) and not place.is_kept:
                 ended = _play_round(suite, series, place)
                 series.rounds.append(ended)
@@ -96,9 +97,9 @@ def _goes_on(suite: Suite, series: Series) -> bool:
     return len(series.rounds) < suite.rounds and time.monotonic() < suite.until_s
 
 
-def _run_undisturbed(series: Series, place: Place) -> None:
-    """Twice: the first run of a place warms it up, and both must make the same."""
-    for number in (1, 2):
+def _run_undisturbed(suite: Suite, series: Series, place: Place) -> None:
+    """The first run of a place warms it up, the last one's time counts, and all must make the same."""
+    for number in range(suite.undisturbed_runs):
         turn = Turn(place, place.welcome(f"undisturbed-{number}"), Random(0), series.undisturbed)
         brought = undisturbed(turn)
         series.made = series.made or made_by(place.platform, brought)
