@@ -19,7 +19,7 @@ from services.runtime.uploads.files import MOST_PIECES
 from services.runtime.uploads.receiving import Piece, Reception, receive
 from services.runtime.uploads.rows import find
 
-BLOCK_BYTES = 1 << 20
+BLOCK_BYTES = 2 << 20
 THREADS = ThreadPoolExecutor(16, thread_name_prefix="upload")
 
 P = ParamSpec("P")
