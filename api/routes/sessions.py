@@ -38,6 +38,8 @@ def sign_in(body: SignInBody, request: Request, response: Response, platform: Pl
         log.warning("sign-in refused", name=body.name)
         raise WrongPasswordError()
     with platform.database.transaction() as session:
+        if session.get_one(User, user.id).password_hash != user.password_hash:  # changed while it was checked
+            raise WrongPasswordError()
         opened = sessions.open_session(session, user, platform.settings.api.session_s)
         audit.record(session, _as_caller(user), "session.open", user.id)
     _give_cookie(response, opened, platform.settings)

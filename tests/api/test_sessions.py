@@ -6,8 +6,12 @@ from typing import Any
 
 import httpx
 import pytest
+from sqlalchemy import update
 
+from api.limits import Limits
+from services.runtime.access import sessions
 from services.runtime.access.users import create_user
+from services.runtime.orm import User
 from services.runtime.platform import Platform
 from services.runtime.settings import ApiSettings
 from tests.api.serving import Person, client_of
@@ -49,7 +53,10 @@ def test_who_has_no_password_cannot_sign_in(api: httpx.Client, curator: Person) 
         assert api.post(SESSIONS, json={"name": curator.name, "password": password}).status_code == 401
 
 
-def test_sign_ins_are_counted_by_address_and_refused_beyond(platform: Platform, ada: dict[str, str]) -> None:
+def test_sign_ins_are_counted_by_address_and_refused_beyond(
+    platform: Platform, ada: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("api.main.Limits", lambda settings: Limits(settings, lambda: 0.0))  # no bucket fills meanwhile
     with client_of(platform) as api:
         wrong = {**ada, "password": "wrong"}
         answers = [api.post(SESSIONS, json=wrong).status_code for _ in range(platform.settings.api.sign_ins_per_minute)]
@@ -129,3 +136,15 @@ def test_a_password_changes_for_who_knows_it_and_signs_browsers_out(browser: htt
     browser.cookies.clear()
     assert browser.post(SESSIONS, json={"name": "ada", "password": PASSWORD}).status_code == 401
     assert browser.post(SESSIONS, json={"name": "ada", "password": new}).status_code == 201
+
+
+def test_a_password_changed_while_it_is_checked_opens_nothing(
+    api: httpx.Client, platform: Platform, ada: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def slow(user: Any, password: str) -> bool:
+        with platform.database.transaction() as session:
+            session.execute(update(User).values(password_hash="another"))
+        return True
+
+    monkeypatch.setattr(sessions, "is_password_of", slow)
+    assert api.post(SESSIONS, json=ada).status_code == 401
