@@ -67,6 +67,7 @@ def make_api(platform: Platform) -> FastAPI:
         openapi_url=f"{PREFIX}/openapi.json",
         docs_url=None,
         redoc_url=None,
+        redirect_slashes=False,  # a redirect would go where the Host header says
         generate_unique_id_function=operation_id,
     )
     api.openapi = documented(api)  # type: ignore[method-assign]  # as FastAPI's own pages say to
