@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
+from subprocess import DEVNULL
 
 from sqlalchemy import select
 
@@ -24,6 +25,13 @@ from services.runtime.orm import Upload
 from services.runtime.uploads.files import upload_file
 
 BYTES_PER_S = 24e6
+
+
+class ClientFailedError(Exception):
+    """The command that was run again did not do it."""
+
+    def __init__(self, exit_code: int, said: bytes) -> None:
+        super().__init__(f"`stone upload`, run again, ended with {exit_code}: {said.decode(errors='replace')[-2000:]}")
 
 
 def kill_api(turn: Turn) -> Brought:
@@ -43,15 +51,15 @@ def kill_api(turn: Turn) -> Brought:
 def kill_client(turn: Turn) -> Brought:
     """kill −9 `stone upload`, then run the same command again."""
     with turn.connected() as api, _detour(turn) as url:
-        first = subprocess.Popen(_command(turn, url), env=_environment(turn), stdout=subprocess.DEVNULL)
+        first = subprocess.Popen(_command(turn, url), env=_environment(turn), stdout=DEVNULL, stderr=DEVNULL)
         try:
             _wait_for_share(turn, lambda: first.poll() is not None)
         finally:
             first.kill()
             first.wait()
-        again = subprocess.run(
-            _command(turn, url), env=_environment(turn), check=True, capture_output=True, timeout=PATIENCE_S
-        )
+        again = subprocess.run(_command(turn, url), env=_environment(turn), capture_output=True, timeout=PATIENCE_S)
+        if again.returncode:
+            raise ClientFailedError(again.returncode, again.stderr)
         sequence = find_sequence(api, str(json.loads(again.stdout)["sequence"]))
         brought = turn.process(api, sequence)
         await_end(api, brought.run_id)
@@ -70,7 +78,7 @@ def _wait_for_share(turn: Turn, is_over: Callable[[], bool]) -> None:
     """Until some share of the file has come, or it is too late; note what is being hit."""
     size_bytes = turn.place.inputs.size_bytes
     wanted_bytes = int(turn.chance.uniform(0.02, 0.98) * size_bytes)
-    await_true(f"{wanted_bytes} bytes on disk", lambda: is_over() or _bytes_here(turn) >= wanted_bytes, every_s=0.005)
+    await_true(f"{wanted_bytes} bytes on disk", lambda: is_over() or _bytes_here(turn) >= wanted_bytes, every_s=0.01)
     here_bytes = _bytes_here(turn)
     turn.note(f"at {here_bytes / size_bytes:.0%}", is_hit=not is_over() and 0 < here_bytes < size_bytes)
 
