@@ -7,7 +7,7 @@ counts.
 
 from sqlalchemy import select, update
 
-from services.runtime.jobs.changes import rows_changed
+from services.runtime.jobs.changes import lock_run, rows_changed
 from services.runtime.jobs.claiming import Claim
 from services.runtime.jobs.finishing import Failure, lose
 from services.runtime.orm import Job
@@ -32,6 +32,7 @@ def give_back_running(platform: Platform, failure: Failure, *, is_counted: bool)
 
 def _interrupt(platform: Platform, claim: Claim, failure: Failure, *, is_counted: bool) -> None:
     with platform.database.transaction() as session:
+        lock_run(session, claim.root_id)
         if not is_counted:
             held = update(Job).where(Job.id == claim.job_id, Job.state == "running", Job.attempt == claim.attempt)
             rows_changed(session, held.values(attempts_left=Job.attempts_left + 1))
