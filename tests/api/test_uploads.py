@@ -222,7 +222,7 @@ def test_a_whole_that_is_not_the_declared_file_fails(api: httpx.Client, curator:
 def test_a_second_writer_is_told_that_it_is_locked_while_everybody_else_is_answered(
     api: httpx.Client, curator: Person
 ) -> None:
-    large = CONTENT * 200  # more than what is held in memory before it is written
+    large = CONTENT * 1000  # more than what is held in memory before it is written
     where = created(api, curator, len(large))
     go_on = threading.Event()
 
