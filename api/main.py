@@ -86,7 +86,10 @@ def make_api(platform: Platform) -> FastAPI:
 
 
 def from_environment() -> FastAPI:
-    """The application of this process: `uvicorn --factory api.main:from_environment --no-server-header`."""
+    """The application of this process.
+
+    `uvicorn --factory api.main:from_environment --http api.heads:BoundedHeads --no-server-header`
+    """
     speak_json()
     return make_api(open_platform(Settings()))
 

@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from api.schemas.base import ID_EXAMPLE, Answer, Body, Reason, example
+from api.schemas.base import ID_EXAMPLE, PLAIN, Answer, Body, Reason, example
 from api.schemas.jobs import ATTEMPT_EXAMPLE, JOB_EXAMPLE, STAGES_EXAMPLE, JobDetail, JobItem
 
 
@@ -21,7 +21,7 @@ class CancelBody(Body):
 
     model_config = example(reason="wrong calibration")
 
-    reason: Annotated[str, Field(pattern=r"^[^\x00-\x1f\x7f]*$", max_length=500)] = ""
+    reason: Annotated[str, Field(pattern=PLAIN, max_length=500)] = ""
 
 
 class AdminJobDetail(JobDetail):

@@ -15,6 +15,7 @@ from typing import Any
 import httpx
 import uvicorn
 
+from api.heads import BoundedHeads
 from api.main import make_api
 from services.runtime.access import roles, tokens, users
 from services.runtime.orm import new_id
@@ -51,7 +52,9 @@ def serving(platform: Platform, application: Any = None) -> Iterator[str]:
     """The base URL of the application of `platform`, served until the end of the block."""
     with socket.create_server(("127.0.0.1", 0)) as listening:
         app = make_api(platform) if application is None else application
-        config = uvicorn.Config(app, log_config=None, ws="none", lifespan="off", timeout_graceful_shutdown=2)
+        config = uvicorn.Config(
+            app, http=BoundedHeads, log_config=None, ws="none", lifespan="off", timeout_graceful_shutdown=2
+        )
         server = uvicorn.Server(config)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]}, daemon=True)
         thread.start()

@@ -9,6 +9,7 @@ import sys
 import uvicorn
 
 API = "api.main:from_environment"
+PROTOCOL = "api.heads:BoundedHeads"
 
 
 def main(descriptor: int, replies_s: int) -> None:
@@ -17,7 +18,7 @@ def main(descriptor: int, replies_s: int) -> None:
         API,
         factory=True,
         loop="uvloop",
-        http="httptools",
+        http=PROTOCOL,
         timeout_graceful_shutdown=replies_s,
         server_header=False,
         access_log=False,
