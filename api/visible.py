@@ -6,7 +6,7 @@ way: 404. A deleted sequence exists for nobody.
 
 from typing import TypeVar
 
-from sqlalchemy import Select, func, select
+from sqlalchemy import Select, select
 from sqlalchemy.orm import InstrumentedAttribute, Session, aliased
 
 from api.deps import Caller
@@ -14,6 +14,8 @@ from api.errors import NotFoundError
 from services.runtime.orm import Calibration, Job, LabelledFrame, LabelSet, Recording, Sequence
 
 Row = TypeVar("Row")
+
+_NEWEST = (LabelSet.chosen_ns.desc(), LabelSet.id.desc())
 
 
 def theirs(statement: Select[Row], caller: Caller, owner: InstrumentedAttribute[str]) -> Select[Row]:
@@ -53,7 +55,7 @@ def job_of(session: Session, caller: Caller, job_id: str) -> Job:
 
 def newest_label_set(session: Session, sequence_id: str) -> LabelSet:
     """The labels that count. Raises `NotFoundError` while there are none."""
-    newest = select(LabelSet).where(LabelSet.sequence_id == sequence_id).order_by(LabelSet.id.desc()).limit(1)
+    newest = select(LabelSet).where(LabelSet.sequence_id == sequence_id).order_by(*_NEWEST).limit(1)
     return _known(session.scalars(newest).one_or_none(), "label set of sequence", sequence_id)
 
 
@@ -63,13 +65,19 @@ def frame_of(session: Session, caller: Caller, token: str) -> tuple[LabelledFram
     Tokens are made of the sequence's name and the stamp, so two owners may have the same one. Raises `NotFoundError`.
     """
     other = aliased(LabelSet)
-    newest = select(func.max(other.id)).where(other.sequence_id == LabelSet.sequence_id).scalar_subquery()
+    newest = (
+        select(other.id)
+        .where(other.sequence_id == LabelSet.sequence_id)
+        .order_by(other.chosen_ns.desc(), other.id.desc())
+        .limit(1)
+        .scalar_subquery()
+    )
     found = (
         select(LabelledFrame, LabelSet)
         .join(LabelSet, LabelSet.id == LabelledFrame.label_set_id)
         .join(Sequence, Sequence.id == LabelSet.sequence_id)
         .where(LabelledFrame.token == token, LabelSet.id == newest, Sequence.deleted_ns.is_(None))
-        .order_by(LabelSet.id.desc(), LabelledFrame.ordinal)
+        .order_by(*_NEWEST, LabelledFrame.ordinal)
         .limit(1)
     )
     mine = found if caller.is_administrator else found.where(Sequence.owner_id == caller.user_id)

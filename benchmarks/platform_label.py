@@ -14,7 +14,7 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
-from sqlalchemy import select
+from sqlalchemy import func, select
 
 from client.api import Api
 from client.credentials import Server
@@ -22,7 +22,7 @@ from client.following import follow
 from client.remote import add_recording, ensure_sequence, pin_calibration, start_run
 from client.tus import hashed
 from services.runtime.embedded.supervisor import running_platform
-from services.runtime.orm import Job, JobNeed
+from services.runtime.orm import Job, JobAttempt, JobNeed
 from services.runtime.platform import Platform
 from services.runtime.settings import ApiSettings, Settings
 from simulator.options import SimulateOptions
@@ -106,6 +106,9 @@ def _read(platform: Platform, root_id: str, workers: int) -> Measured:
     with platform.database.reading() as session:
         rows = session.scalars(select(Job).where(Job.root_id == root_id, Job.queue != "").order_by(Job.id)).all()
         needs = session.execute(select(JobNeed.job_id, JobNeed.needed_id)).all()
+        cpu_s = dict(
+            session.execute(select(JobAttempt.job_id, func.sum(JobAttempt.cpu_s)).group_by(JobAttempt.job_id)).all()
+        )
     place = {row.id: number for number, row in enumerate(rows)}
     needed = defaultdict(list)
     for job_id, needed_id in needs:
@@ -113,7 +116,7 @@ def _read(platform: Platform, root_id: str, workers: int) -> Measured:
     jobs, lister = [], -1
     for number, row in enumerate(rows):
         follows = tuple(needed[row.id]) or ((lister,) if lister >= 0 else ())
-        jobs.append(Done(row.kind, float((row.result or {})["cpu_s"]), _wall_s(row), follows))
+        jobs.append(Done(row.kind, float(cpu_s[row.id] or 0), _wall_s(row), follows))
         if row.kind in LISTERS:
             lister = number  # what comes after was named by this one
     begin, end = min(row.started_ns or 0 for row in rows), max(row.finished_ns or 0 for row in rows)

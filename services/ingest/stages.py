@@ -24,7 +24,7 @@ from services.runtime.platform import Platform
 from services.runtime.processing import LABEL, REGISTER, SYNCHRONISE
 from services.runtime.run_files import SEQUENCE_FILE, SWEEPS_FILE
 from services.runtime.sequence_file import sequence_bytes
-from services.runtime.stages import measured, standing_sequence
+from services.runtime.stages import standing_sequence
 from services.runtime.workspace import Workspace
 from stone.findings import Finding
 
@@ -43,10 +43,7 @@ class _Inputs:
 
 def handlers(platform: Platform) -> Handlers:
     """The stages by kind."""
-    return {
-        REGISTER: partial(measured(register), platform),
-        SYNCHRONISE: partial(measured(synchronise_recording), platform),
-    }
+    return {REGISTER: partial(register, platform), SYNCHRONISE: partial(synchronise_recording, platform)}
 
 
 def synchronise_recording(platform: Platform, attempt: Attempt) -> Outcome:

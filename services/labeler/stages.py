@@ -34,7 +34,6 @@ from services.labeler.surface import surface
 from services.runtime.jobs.specs import Attempt, Handlers, JobSpec, Outcome
 from services.runtime.platform import Platform
 from services.runtime.processing import LABEL
-from services.runtime.stages import measured
 from stone.traversability import NoReferenceError
 
 Stage = Callable[[Desk], Outcome]
@@ -53,7 +52,7 @@ def handlers(platform: Platform) -> Handlers:
         "labeler.map": draw_map,
         "labeler.publish": publish,
     }
-    return {kind: partial(measured(partial(_at_a_desk, stage)), platform) for kind, stage in stages.items()}
+    return {kind: partial(_at_a_desk, platform, stage) for kind, stage in stages.items()}
 
 
 def list_parts(desk: Desk) -> Outcome:
@@ -147,7 +146,7 @@ def draw_map(desk: Desk) -> Outcome:
     return Outcome()
 
 
-def _at_a_desk(stage: Stage, platform: Platform, attempt: Attempt) -> Outcome:
+def _at_a_desk(platform: Platform, stage: Stage, attempt: Attempt) -> Outcome:
     return stage(desk_of(platform, attempt))
 
 

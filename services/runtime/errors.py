@@ -1,9 +1,13 @@
-"""Why an output cannot be placed where it was asked for."""
+"""What any service may run into: outputs in the way, a store that is away or full, a database of another version."""
 
 from pathlib import Path
 from typing import ClassVar
 
 from stone.errors import StoneError
+
+
+class PlatformFaultError(StoneError):
+    """Not the input is at fault but the machine, for now: a job that meets one of these is tried again."""
 
 
 class OutputExistsError(StoneError):

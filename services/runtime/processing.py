@@ -162,10 +162,11 @@ def _recipe(sequence: Sequence, request: ProcessRequest, calibration: Calibratio
 
 def _standing(session: Session, sequence: Sequence, recipe: str) -> Job | None:
     """The run that has made this already, or is at it. Raises `AlreadyProcessingError` for one that makes another."""
-    made = select(LabelSet.job_id).where(LabelSet.sequence_id == sequence.id, LabelSet.recipe == recipe)
-    job_id = session.scalar(made)
-    if job_id is not None:
-        return session.get_one(Job, job_id)
+    made = select(LabelSet).where(LabelSet.sequence_id == sequence.id, LabelSet.recipe == recipe)
+    label_set = session.scalar(made)
+    if label_set is not None:
+        label_set.chosen_ns = now_ns()
+        return session.get_one(Job, label_set.job_id)
     runs = select(Job).where(Job.sequence_id == sequence.id, Job.kind == PROCESS, ALIVE)
     for run in session.scalars(runs.execution_options(populate_existing=True)):
         if run.arguments["recipe"] != recipe or run.cancel_reason:

@@ -55,6 +55,7 @@ class JobSettings:
     progress_s: float = 0.5
     sweep_s: float = 1.0
     max_attempts: int = 3
+    rest_s: float = 2.0
     time_limit_s: float = 1800.0
     log_lines_per_attempt: int = 5000
 

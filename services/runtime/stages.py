@@ -1,17 +1,10 @@
-"""What every stage does: find out whether its sequence still stands, and say what it cost."""
-
-import resource
-from collections.abc import Callable
-from dataclasses import replace
+"""What every stage does first: find out whether its sequence still stands."""
 
 from sqlalchemy.orm import Session
 
 from services.runtime.jobs.errors import JobCancelledError
-from services.runtime.jobs.specs import Attempt, Outcome
+from services.runtime.jobs.specs import Attempt
 from services.runtime.orm import Sequence
-from services.runtime.platform import Platform
-
-Stage = Callable[[Platform, Attempt], Outcome]
 
 
 def standing_sequence(session: Session, attempt: Attempt) -> Sequence:
@@ -20,20 +13,3 @@ def standing_sequence(session: Session, attempt: Attempt) -> Sequence:
     if sequence is None or sequence.deleted_ns is not None:
         raise JobCancelledError("its sequence was deleted")
     return sequence
-
-
-def measured(stage: Stage) -> Stage:
-    """The stage, whose job's result also says how much processor time it took: `cpu_s`, of this process
-    and the children it has waited for."""
-
-    def run(platform: Platform, attempt: Attempt) -> Outcome:
-        begin_s = _cpu_s()
-        outcome = stage(platform, attempt)
-        return replace(outcome, result={**outcome.result, "cpu_s": round(_cpu_s() - begin_s, 3)})
-
-    return run
-
-
-def _cpu_s() -> float:
-    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(one.ru_utime + one.ru_stime for one in used)

@@ -8,6 +8,7 @@ import re
 from pathlib import Path
 from typing import ClassVar
 
+from services.runtime.errors import PlatformFaultError
 from stone.errors import StoneError
 
 MAX_KEY = 512
@@ -37,7 +38,7 @@ class ObjectMissingError(StoneError):
         super().__init__(f"the store holds no object {key!r}; it was deleted, or this is another installation's store")
 
 
-class StoreFullError(StoneError):
+class StoreFullError(PlatformFaultError):
     """The store, or the local cache in front of it, has no room left."""
 
     code: ClassVar[str] = "store_full"
@@ -46,7 +47,7 @@ class StoreFullError(StoneError):
         super().__init__(f"no space left at {place}; free some, or raise the quota, and try again")
 
 
-class StoreAwayError(StoneError):
+class StoreAwayError(PlatformFaultError):
     """The store did not answer, or answered that it cannot work now."""
 
     code: ClassVar[str] = "store_away"

@@ -1,6 +1,7 @@
 """A worker that heard a bell takes the next job: the most urgent, of the owner with least running, the oldest."""
 
 import os
+import resource
 import socket
 from dataclasses import dataclass
 from typing import Any
@@ -17,7 +18,10 @@ CANDIDATES = 16
 
 @dataclass(frozen=True)
 class Claim:
-    """A job that is ours to run: nobody else holds this (job, attempt)."""
+    """A job that is ours to run: nobody else holds this (job, attempt).
+
+    `tries_left` after this one; `begun_cpu_s` is what the process had used when it claimed, None where another speaks.
+    """
 
     job_id: str
     root_id: str
@@ -25,6 +29,8 @@ class Claim:
     kind: str
     attempt: int
     arguments: dict[str, Any]
+    tries_left: int = 0
+    begun_cpu_s: float | None = None
 
 
 def claim(session: Session, queue: str) -> Claim | None:
@@ -38,8 +44,15 @@ def claim(session: Session, queue: str) -> Claim | None:
         clean = {"started_ns": now, "stage": "", "done": 0, "total": 0, "heartbeats": 0, "revision": Job.revision + 1}
         if rows_changed(session, taken.values(**values, **clean)):
             session.add(JobAttempt(job_id=job.id, number=job.attempt + 1, worker=worker_name(), started_ns=now))
-            return Claim(job.id, job.root_id, job.sequence_id, job.kind, job.attempt + 1, dict(job.arguments))
+            at = (job.id, job.root_id, job.sequence_id, job.kind, job.attempt + 1)
+            return Claim(*at, dict(job.arguments), job.attempts_left - 1, used_cpu_s())
     return None
+
+
+def used_cpu_s() -> float:
+    """Processor time of this process and of the children it has waited for."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(one.ru_utime + one.ru_stime for one in used)
 
 
 def worker_name() -> str:

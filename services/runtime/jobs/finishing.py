@@ -6,13 +6,14 @@ did not, nothing was changed. The run's row is locked first, so two last jobs ca
 
 import resource
 from dataclasses import dataclass
+from typing import Any
 
 from sqlalchemy import Update, func, select, update
 from sqlalchemy.orm import Session
 
 from services.runtime.database import ring_after_commit
 from services.runtime.jobs.changes import lock_run, rows_changed
-from services.runtime.jobs.claiming import Claim
+from services.runtime.jobs.claiming import Claim, used_cpu_s
 from services.runtime.jobs.queueing import add_jobs
 from services.runtime.jobs.specs import TERMINAL, Outcome
 from services.runtime.orm import Job, JobAttempt, JobNeed
@@ -149,9 +150,10 @@ def _leave(session: Session, claim: Claim, state: str, **columns: object) -> boo
 
 
 def _note(session: Session, claim: Claim, outcome: str, failure: Failure | None) -> None:
-    """Close the attempt's own row; the process's cost, children's too, is kept when it is the process that speaks."""
-    peaks = [resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    """Close the attempt's own row; what it cost, children included, is kept when its own process speaks."""
     attempt = update(JobAttempt).where(JobAttempt.job_id == claim.job_id, JobAttempt.number == claim.attempt)
-    cost = {} if outcome == "lost" else {"peak_bytes": max(peaks) * 1024}
-    columns = failure.columns() if failure else {}
-    session.execute(attempt.values(outcome=outcome, finished_ns=now_ns(), **cost, **columns))
+    columns: dict[str, Any] = dict(failure.columns()) if failure else {}
+    if claim.begun_cpu_s is not None:
+        peaks = [resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+        columns |= {"cpu_s": used_cpu_s() - claim.begun_cpu_s, "peak_bytes": max(peaks) * 1024}
+    session.execute(attempt.values(outcome=outcome, finished_ns=now_ns(), **columns))

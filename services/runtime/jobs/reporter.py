@@ -77,8 +77,6 @@ class Reporter:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._leaving.set()
-        self._thread.join()
         self._flush(is_last=True)
 
     def progress(self, stage: str, done: int, total: int) -> None:
@@ -93,8 +91,26 @@ class Reporter:
             raise JobCancelledError(self._cancel_reason)
 
     def end(self) -> None:
-        """The handler is through: that the job is no longer held is from now on the attempt's own doing."""
+        """The handler is through: write its last words while the job is still held, then fall silent.
+
+        That the job is held no more is from now on found by whoever records the end.
+        """
         self._is_ending = True
+        self._leaving.set()
+        self._thread.join()
+        self._flush(is_last=False)
+
+    def rest(self) -> None:
+        """Wait before a fault of the machine is met again, twice as long each time; not where no try is left.
+
+        Raises `JobCancelledError` when the job is to stop.
+        """
+        if self._claim.tries_left <= 0:
+            return
+        until_s = time.monotonic() + self._limits.rest_s * 2 ** (self._claim.attempt - 1)
+        while time.monotonic() < until_s:
+            self.stop_if_asked()
+            time.sleep(min(0.1, self._limits.rest_s))
 
     def log(self, event: str, level: str = "info", **facts: Any) -> None:
         """Keep a line; beyond the limit of lines per attempt the last one says that there were more."""

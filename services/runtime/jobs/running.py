@@ -1,14 +1,16 @@
 """One attempt at a job: claim, call its handler, record how it ended. What a Celery task is one line around.
 
-**Conventions.** A `StoneError` is a refusal of the input: the job fails at once, with its code. Anything else is a
-fault of ours or of the machine: the job is queued again until its attempts are used up, then it fails as
-`internal_error` with the exception's own words; the traceback is in the attempt's log.
+**Conventions.** A `StoneError` is a refusal of the input: the job fails at once, with its code. Anything else, and a
+`PlatformFaultError`, is a fault of ours or of the machine: the worker rests a little longer each time, then the job is
+queued again until its attempts are used up; then it fails with that code, or as `internal_error` with the exception's
+own words. The traceback is in the attempt's log.
 """
 
 import traceback
 
 import structlog
 
+from services.runtime.errors import PlatformFaultError
 from services.runtime.jobs.claiming import Claim, claim, start_run
 from services.runtime.jobs.errors import JobCancelledError, LostAttemptError, UnknownKindError
 from services.runtime.jobs.finishing import Failure, cancelled, fail, lose, succeed
@@ -42,12 +44,12 @@ def _attempt(platform: Platform, taken: Claim, handlers: Handlers, reporter: Rep
         reporter.log(str(error), "warning")
         with platform.database.transaction() as session:
             cancelled(session, taken)
-    except StoneError as error:
-        _fail(platform, taken, reporter, Failure(error.code, str(error)))
     except Exception as error:
-        reporter.log("the stage raised", "error", traceback=traceback.format_exc()[-8000:])
+        if is_refusal(error):
+            _fail(platform, taken, reporter, _failure_of(error))
+            return
         with platform.database.transaction() as session:
-            lose(session, taken, Failure("internal_error", f"{type(error).__name__}: {error}"))
+            lose(session, taken, _failure_of(error))
 
 
 def _answer(taken: Claim, handlers: Handlers, reporter: Reporter) -> Outcome:
@@ -58,8 +60,24 @@ def _answer(taken: Claim, handlers: Handlers, reporter: Reporter) -> Outcome:
         outcome = handlers[taken.kind](reporter)
         reporter.stop_if_asked()
         return outcome
+    except Exception as error:
+        if not is_refusal(error):
+            reporter.log("the stage raised", "error", traceback=traceback.format_exc()[-8000:])
+            reporter.rest()
+        raise
     finally:
         reporter.end()
+
+
+def is_refusal(error: Exception) -> bool:
+    """Whether trying again is of no use: the input is refused, or the job is to stop."""
+    return isinstance(error, StoneError) and not isinstance(error, PlatformFaultError)
+
+
+def _failure_of(error: Exception) -> Failure:
+    if isinstance(error, StoneError):
+        return Failure(error.code, str(error))
+    return Failure("internal_error", f"{type(error).__name__}: {error}")
 
 
 def _succeed(platform: Platform, taken: Claim, outcome: Outcome) -> None:

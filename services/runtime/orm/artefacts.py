@@ -32,7 +32,10 @@ class LooseObject(Base):
 
 
 class LabelSet(Base):
-    """The labels of a sequence under one recipe (sha256 of inputs, parameters and code version); made once."""
+    """The labels of a sequence under one recipe (sha256 of inputs, parameters and code version); made once.
+
+    Of several, the one that was asked for last counts: `chosen_ns`.
+    """
 
     __tablename__ = "label_sets"
     id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
@@ -43,6 +46,7 @@ class LabelSet(Base):
     code_version: Mapped[str] = mapped_column(String(64))
     frames: Mapped[int]
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
+    chosen_ns: Mapped[Ns] = mapped_column(default=now_ns)
 
     __table_args__ = (Index("uq_label_sets_sequence_recipe", "sequence_id", "recipe", unique=True),)
 

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from sqlalchemy import func, select
 
+from api.visible import newest_label_set
 from services.runtime import quota
 from services.runtime.jobs.claiming import claim
 from services.runtime.jobs.queueing import enqueue_run
@@ -148,6 +149,21 @@ def test_what_was_made_is_answered_with_the_run_that_made_it(ready: Brought) -> 
         session.add(row)
     assert ready.process() == root_id
     assert ready.process(profile="local") != root_id
+
+
+def test_of_several_label_sets_the_one_asked_for_last_counts(ready: Brought) -> None:
+    for alpha in (0.1, 0.2):
+        root_id = ready.process(parameters={"reference.alpha": alpha})
+        with ready.platform.database.transaction() as session:
+            cancel(session, root_id, "")
+            recipe = session.get_one(Job, root_id).arguments["recipe"]
+            row = LabelSet(sequence_id=ready.sequence_id, job_id=root_id, recipe=recipe, parameters={"alpha": alpha})
+            row.code_version, row.frames = "0", 1
+            session.add(row)
+    ready.process(parameters={"reference.alpha": 0.1})
+    with ready.platform.database.reading() as session:
+        counts = newest_label_set(session, ready.sequence_id)
+    assert counts.parameters == {"alpha": 0.1}
 
 
 def test_a_deleted_sequence_has_nothing_left_and_takes_nothing_new(ready: Brought) -> None:

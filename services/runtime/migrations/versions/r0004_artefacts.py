@@ -97,6 +97,7 @@ def _label_sets() -> None:
         sa.Column("code_version", sa.String(length=64), nullable=False),
         sa.Column("frames", sa.Integer(), nullable=False),
         sa.Column("created_ns", sa.BigInteger(), nullable=False),
+        sa.Column("chosen_ns", sa.BigInteger(), nullable=False),
         sa.ForeignKeyConstraint(["job_id"], ["jobs.id"], name=op.f("fk_label_sets_job_id")),
         sa.ForeignKeyConstraint(
             ["sequence_id"], ["sequences.id"], name=op.f("fk_label_sets_sequence_id"), ondelete="CASCADE"

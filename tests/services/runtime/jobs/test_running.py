@@ -1,6 +1,7 @@
 """One attempt: how it ends, what it says while it works, what stops it."""
 
 from dataclasses import replace
+from time import monotonic, process_time
 from time import sleep as wait
 
 import pytest
@@ -19,6 +20,7 @@ from services.runtime.orm import JobAttempt, JobLine, User
 from services.runtime.platform import Platform
 from services.runtime.settings import Settings
 from services.runtime.store import open_store
+from services.runtime.store_keys import StoreAwayError
 from tests.services.runtime.jobs.steps import HANDLERS, a_job, a_run, an_owner, job, run_all, states
 
 
@@ -153,6 +155,49 @@ def test_progress_is_written_a_few_times_however_often_it_is_said(platform: Plat
     assert (told.stage, told.total) == ("frames", 20_000)
     assert told.done == 20_000
     assert told.revision < 20
+
+
+def test_the_last_word_of_a_quick_job_is_kept(platform_on: Platform) -> None:
+    def count(attempt: Attempt) -> Outcome:
+        attempt.progress("frames", 7, 8)
+        return Outcome()
+
+    job_id = a_job(platform_on, an_owner(platform_on), "ingest.count")
+    run_all(platform_on, {"ingest.count": count})
+    told = job(platform_on, job_id)
+    assert (told.stage, told.done, told.total) == ("frames", 8, 8)
+
+
+def test_what_an_attempt_cost_is_kept_with_it(platform_on: Platform) -> None:
+    def burn(_attempt: Attempt) -> Outcome:
+        begin = process_time()
+        while process_time() - begin < 0.2:
+            pass
+        return Outcome()
+
+    job_id = a_job(platform_on, an_owner(platform_on), "ingest.burn")
+    run_all(platform_on, {"ingest.burn": burn})
+    (attempt,) = attempts_of(platform_on, job_id)
+    assert attempt.cpu_s is not None
+    assert attempt.cpu_s >= 0.2
+    assert attempt.peak_bytes is not None
+
+
+def test_a_store_that_is_away_is_waited_for_and_then_named(platform_on: Platform) -> None:
+    tries: list[float] = []
+
+    def copy(_attempt: Attempt) -> Outcome:
+        tries.append(monotonic())
+        raise StoreAwayError("s3", "connection refused")
+
+    job_id = a_job(platform_on, an_owner(platform_on), "ingest.copy")
+    run_all(platform_on, {"ingest.copy": copy})
+    failed = job(platform_on, job_id)
+    assert (failed.state, failed.failure_code) == ("failed", "store_away")
+    rest_s = platform_on.settings.jobs.rest_s
+    assert [
+        after - before >= rest_s * factor for before, after, factor in zip(tries, tries[1:], (1, 2), strict=False)
+    ] == [True] * 2
 
 
 def test_a_job_asked_to_stop_ends_cancelled_at_its_next_word(platform_on: Platform) -> None:
