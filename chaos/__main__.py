@@ -43,7 +43,7 @@ def main() -> int:
     Console(width=max(Console().width, 130)).print(table_of(played, options.seed, time.monotonic() - begun_s))
     if code != _code():
         CONSOLE.print(
-            "the code was changed meanwhile: processes that were started again ran another, so this proves nothing"
+            "the code was changed meanwhile; processes that were started again ran the new one: this proves nothing"
         )
         return 1
     return 0 if all(series.is_proven for series in played) else 1
