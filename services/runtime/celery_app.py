@@ -14,8 +14,9 @@ parallelism is over jobs. `worker_cancel_long_running_tasks_on_connection_loss` 
 import os
 
 from celery import Celery
-from celery.signals import worker_process_init
+from celery.signals import setup_logging, worker_process_init
 
+from services.runtime.log_lines import speak_json
 from services.runtime.parent_death import die_with
 from services.runtime.settings import Settings
 
@@ -35,8 +36,7 @@ def make_app(settings: Settings) -> Celery:
         worker_max_tasks_per_child=200,
         worker_redirect_stdouts=False,
         worker_hijack_root_logger=False,
-        task_time_limit=settings.jobs.time_limit_s
-        + 60,  # a job's own limit is enforced in the attempt; this is the net
+        task_time_limit=settings.jobs.time_limit_s + 60,  # the net; the attempt itself keeps the limit
         task_default_queue="ingest",
         task_routes={f"{name}.work": {"queue": name} for name in QUEUES},
         broker_connection_retry_on_startup=True,
@@ -58,3 +58,9 @@ app = make_app(Settings())
 def _end_with_the_worker(**_: object) -> None:
     """A pool process whose worker was killed would work on, and hold its job by its heartbeats, until the job ends."""
     die_with(os.getppid())
+
+
+@setup_logging.connect
+def _speak(**_: object) -> None:
+    """Celery's lines and ours in one shape, instead of a format of its own."""
+    speak_json()

@@ -16,7 +16,9 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from services.runtime.bell import ring, waiting
 from services.runtime.collection import collect
+from services.runtime.errors import PlatformFaultError
 from services.runtime.jobs.sweeping import Sweeper
+from services.runtime.log_lines import speak_json
 from services.runtime.platform import Platform, platform
 from services.runtime.uploads import expire
 
@@ -42,7 +44,7 @@ class Chore:
         self.due_s = now_s + self.every_s
         try:
             self.work()
-        except (SQLAlchemyError, RedisError, OSError) as error:
+        except (SQLAlchemyError, RedisError, PlatformFaultError, OSError) as error:
             log.warning("not done this time", chore=self.name, reason=f"{type(error).__name__}: {error}"[:500])
             return False
         return True
@@ -84,6 +86,7 @@ class Wish:
 
 
 def main() -> None:
+    speak_json()
     sweep(chores_of(platform()), Wish())
 
 
