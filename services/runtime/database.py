@@ -60,16 +60,20 @@ def ring_after_commit(session: Session, queue: str, times: int = 1) -> None:
 
 def _engine(settings: Settings) -> Engine:
     url = make_url(settings.database_url)
+    # As many as the API has threads, so that none waits for a connection and few are opened for one request.
+    pool: dict[str, Any] = {"pool_size": settings.database.pool_size, "max_overflow": 20}
     if url.get_backend_name() == "sqlite":
         Path(url.database or "").parent.mkdir(parents=True, exist_ok=True)
-        engine = create_engine(url, connect_args={"timeout": settings.database.busy_timeout_s}, hide_parameters=True)
+        waits = {"timeout": settings.database.busy_timeout_s}
+        engine = create_engine(url, connect_args=waits, hide_parameters=True, **pool)
         event.listen(engine, "connect", _prepare_sqlite)
         event.listen(engine, "begin", _begin_sqlite)
         return engine
     url = url.set(drivername="postgresql+psycopg")
-    pool = {"pool_size": settings.database.pool_size, "max_overflow": 20, "pool_pre_ping": True}
     # What is written may be a secret, so errors and logs show statements without it.
-    return create_engine(url, connect_args={"connect_timeout": CONNECT_S}, hide_parameters=True, **pool)
+    return create_engine(
+        url, connect_args={"connect_timeout": CONNECT_S}, hide_parameters=True, pool_pre_ping=True, **pool
+    )
 
 
 def _prepare_sqlite(connection: Any, _record: object) -> None:
