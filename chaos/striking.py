@@ -21,9 +21,9 @@ def kill_worker(turn: Turn, run_id: str) -> None:
     """One process of the pool, one that works if any does, or the worker with its whole pool."""
     is_whole = turn.chance.random() < 0.5
     turn.wait_for_moment(run_id)
-    parent = turn.place.child("worker").pid
-    pool = _children_of(parent)
-    busy = [pid for pid in turn.busy_processes() if pid in pool]
+    at_work = _await_work(turn, run_id)
+    pool = _children_of(turn.place.child("worker").pid)
+    busy = [pid for pid in at_work if pid in pool]
     if is_whole or not pool:
         turn.note("worker and pool", is_hit=bool(busy))
         turn.place.kill("worker")
@@ -53,10 +53,17 @@ def restart_postgres(turn: Turn, run_id: str) -> None:
         raise ValueError("this place has no PostgreSQL")
     away_s = turn.chance.uniform(0.0, 2.0)
     turn.wait_for_moment(run_id)
-    turn.note(f"away for {away_s:.1f} s", is_hit=bool(turn.busy_processes()))
+    turn.note(f"away for {away_s:.1f} s", is_hit=bool(_await_work(turn, run_id)))
     server.stop()
     time.sleep(away_s)
     server.start()
+
+
+def _await_work(turn: Turn, run_id: str) -> list[int]:
+    """The processes at work as soon as there are any; none when the run was over first."""
+    while not (busy := turn.busy_processes()) and _is_running(turn, run_id):
+        time.sleep(LOOK_S / 4)
+    return busy
 
 
 def _children_of(pid: int) -> list[int]:
