@@ -171,6 +171,8 @@ def _database_away(error: Any) -> JSONResponse:
     log.error("database away", reason=str(error)[:300])
     if "disk is full" in str(error):
         return _disk_full()
+    if "no such column" in str(error) or "no such table" in str(error):  # SQLite's words; PostgreSQL has a class for it
+        return internal_error()
     sentence = "the database cannot be reached or is too busy; nothing was changed, try again"
     return answer(problem(503, "database_away", sentence))
 

@@ -10,7 +10,7 @@ from typing import Any
 import httpx
 import pytest
 from fastapi import APIRouter
-from sqlalchemy import event
+from sqlalchemy import event, text
 from structlog.contextvars import merge_contextvars
 from structlog.testing import capture_logs
 
@@ -221,6 +221,13 @@ def test_a_locked_database_is_503(platform: Platform, curator: Person, tmp_path:
             other.execute("ROLLBACK")
         other.close()
         assert api.post("/api/v1/teams", json={"name": "late"}).status_code == 201
+
+
+def test_a_database_older_than_the_code_is_a_fault_not_an_outage(platform_on: Platform, curator: Person) -> None:
+    with platform_on.database.transaction() as session:
+        session.execute(text("ALTER TABLE users RENAME TO users_of_yesterday"))
+    with client_of(platform_on, curator) as api:
+        problem_of(api.get("/api/v1/me"), 500, "internal_error")
 
 
 def test_every_answer_has_the_security_headers_and_none_names_the_server(api: httpx.Client) -> None:
