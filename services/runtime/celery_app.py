@@ -14,7 +14,8 @@ parallelism is over jobs. `worker_cancel_long_running_tasks_on_connection_loss` 
 import os
 
 from celery import Celery
-from celery.signals import setup_logging, worker_process_init
+from celery.signals import setup_logging, worker_init, worker_process_init
+from sqlalchemy.orm import configure_mappers
 
 from services.runtime.log_lines import speak_json
 from services.runtime.parent_death import die_with
@@ -58,6 +59,12 @@ app = make_app(Settings())
 def _end_with_the_worker(**_: object) -> None:
     """A pool process whose worker was killed would work on, and hold its job by its heartbeats, until the job ends."""
     die_with(os.getppid())
+
+
+@worker_init.connect
+def _know_the_rows(**_: object) -> None:
+    """Once, before the fork: half-way through, a signal for the first job would leave the child without its tables."""
+    configure_mappers()
 
 
 @setup_logging.connect

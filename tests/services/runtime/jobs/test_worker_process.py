@@ -47,7 +47,7 @@ def environment(settings: Settings) -> dict[str, str]:
 def loud(platform: Platform, redis_url: str) -> Iterator[Platform]:
     """The platform with a real bell, and a sweeper that sweeps."""
     Redis.from_url(redis_url).flushdb()
-    jobs = replace(platform.settings.jobs, lease_s=1.0, heartbeat_s=0.2, progress_s=0.1)
+    jobs = replace(platform.settings.jobs, lease_s=3.0, heartbeat_s=0.2, progress_s=0.1)
     settings = platform.settings.model_copy(update={"broker": BrokerSettings(redis_url), "jobs": jobs})
     ringing = Platform(settings, Database(settings, ring(settings)), platform.store)
     with swept(ringing):
