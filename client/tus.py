@@ -118,13 +118,16 @@ def _may_pass(error: ServerRefusedError | ServerUnreachableError) -> bool:
 
 
 def _begun(api: Api, local: LocalFile, purpose: Purpose) -> tuple[str, int] | None:
-    """The upload of these bytes to this target that is under way or complete, with its offset."""
+    """The upload of these bytes to this target that is under way or complete, with its offset.
+
+    Asked of the upload itself: a server killed after the last byte then verifies what it has.
+    """
     asked = (purpose.name, purpose.target_id or None, local.path.name, local.size_bytes, local.sha256)
     for state in ("open", "complete"):
         for item in api.pages("/uploads", state=state):
             keys = ("purpose", "target_id", "filename", "length_bytes", "declared_sha256")
             if tuple(item[key] for key in keys) == asked:
-                return str(item["id"]), int(item["offset_bytes"])
+                return str(item["id"]), _offset(api, f"/uploads/{item['id']}")
     return None
 
 
