@@ -15,6 +15,7 @@ from stone.se3 import SE3
 
 # Drivers write (0, 0, 0, 0) for "unknown"; rounding to float32 or to four decimals stays far above this.
 LEAST_NORM = 1e-3
+MOST_COMPONENT = 1e6
 
 
 class Stamped(Protocol):
@@ -33,6 +34,10 @@ def poses(translation_m: NDArray[np.float64], xyzw: NDArray[np.float64], type_na
     is_finite = np.isfinite(translation_m).all(axis=1) & np.isfinite(xyzw).all(axis=1)
     if not is_finite.all():
         raise PoseValueError(type_name, int(np.argmin(is_finite)), "is not finite")
+    largest = np.abs(xyzw).max(axis=1, initial=0.0)
+    if (largest > MOST_COMPONENT).any():  # its square would overflow
+        row = int(np.argmax(largest > MOST_COMPONENT))
+        raise PoseValueError(type_name, row, f"has a quaternion component of {largest[row]:.3g}")
     norms = np.linalg.norm(xyzw, axis=1)
     if (norms < LEAST_NORM).any():
         row = int(np.argmax(norms < LEAST_NORM))

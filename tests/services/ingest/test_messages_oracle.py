@@ -249,6 +249,8 @@ def test_a_pose_that_is_none_is_refused_with_its_number() -> None:
         decode_odometry([_message(_odometry()), _message(_odometry(norm=0.0))])
     with pytest.raises(PoseValueError, match=r"number 0 is not finite"):
         decode_odometry([_message(_odometry(x=float("nan")))])
+    with pytest.raises(PoseValueError, match=r"number 0 has a quaternion component of 1e\+200"):
+        decode_odometry([_message(_odometry(norm=1e200))])
 
 
 def test_a_big_endian_message_and_one_of_another_encapsulation_are_refused() -> None:
