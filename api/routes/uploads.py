@@ -99,7 +99,7 @@ async def send_bytes(
     _upload_offset: Annotated[str, Header(alias="Upload-Offset", description="bytes")] = "",
     _upload_checksum: Annotated[str | None, Header(alias="Upload-Checksum", description="sha1 base64")] = None,
 ) -> Response:
-    """Append the body at the offset; the acknowledged offset survives a power cut."""
+    """Append the body at the offset. After a power cut ask again where to resume; a complete upload survives it."""
     piece = piece_of(request, count_of(request, "Upload-Offset"))
     upload = await receive_body(request, platform, (upload_id, caller.user_id), piece)
     offset_bytes = await in_thread(bytes_here, platform, upload)

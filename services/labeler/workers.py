@@ -6,13 +6,14 @@ with one thread for every library: the parallelism is over tasks, and the caller
 """
 
 import os
-import resource
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import connection, get_context, parent_process
 from threading import Thread
 from typing import Generic, TypeVar
+
+from services.runtime.usage import peak_bytes, used_cpu_s
 
 T = TypeVar("T")
 PRELOAD = ["open3d", "services.labeler.fuse", "services.labeler.surface", "services.labeler.frames"]
@@ -54,9 +55,7 @@ class Workers:
 
 def _measured(task: Callable[..., T], arguments: tuple[object, ...]) -> Done[T]:
     value = task(*arguments)
-    own, apart = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    cpu_s = own.ru_utime + own.ru_stime + apart.ru_utime + apart.ru_stime
-    return Done(value, max(own.ru_maxrss, apart.ru_maxrss) * 1024, cpu_s, os.getpid())
+    return Done(value, peak_bytes(), used_cpu_s(), os.getpid())
 
 
 def _prepare() -> None:

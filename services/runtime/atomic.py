@@ -36,9 +36,9 @@ def atomic_file(path: Path) -> Iterator[Path]:
     with _staging(target) as staging:
         with _held(staging, os.open(staging, os.O_CREAT | os.O_EXCL | os.O_RDONLY, 0o666)):
             yield staging
-            _flush(staging)
+            flush(staging)
             os.replace(staging, target)
-        _flush(target.parent)
+        flush(target.parent)
 
 
 @contextmanager
@@ -59,7 +59,7 @@ def atomic_directory(path: Path, *, replaces: str | None = None) -> Iterator[Pat
             _flush_tree(staging)
             _refuse_foreign(path, target, replaces)
             _move_in(staging, target)
-        _flush(target.parent)
+        flush(target.parent)
 
 
 def _refuse_foreign(path: Path, target: Path, replaces: str | None) -> None:
@@ -155,11 +155,12 @@ def _remove(path: Path) -> None:
 def _flush_tree(folder: Path) -> None:
     for entry in folder.rglob("*"):
         if not entry.is_symlink():
-            _flush(entry)
-    _flush(folder)
+            flush(entry)
+    flush(folder)
 
 
-def _flush(path: Path) -> None:
+def flush(path: Path) -> None:
+    """Wait until the file or folder is on the disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

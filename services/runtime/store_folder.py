@@ -14,6 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from secrets import token_hex
 
+from services.runtime.atomic import flush
 from services.runtime.store import Stored
 from services.runtime.store_keys import (
     ObjectMissingError,
@@ -156,15 +157,6 @@ def make_folder(folder: Path) -> None:
         with suppress(FileExistsError, FileNotFoundError):
             path.mkdir()
             flush(path.parent)
-
-
-def flush(path: Path) -> None:
-    """Wait until the file or folder is on the disk."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 @contextmanager

@@ -13,9 +13,10 @@ from pathlib import Path
 from secrets import token_hex
 from typing import TypeVar
 
+from services.runtime.atomic import flush
 from services.runtime.settings import Settings
 from services.runtime.store import Store, Stored
-from services.runtime.store_folder import FolderStore, flush, make_folder, refusing_full
+from services.runtime.store_folder import FolderStore, make_folder, refusing_full
 from services.runtime.store_keys import checked, checked_prefix
 
 TRANSFERS = 8

@@ -1,7 +1,6 @@
 """A worker that heard a bell takes the next job: the most urgent, of the owner with least running, the oldest."""
 
 import os
-import resource
 import socket
 from dataclasses import dataclass
 from typing import Any
@@ -12,6 +11,7 @@ from sqlalchemy.orm import Session, aliased
 from services.runtime.jobs.changes import rows_changed
 from services.runtime.orm import Job, JobAttempt, Queue
 from services.runtime.orm.base import now_ns
+from services.runtime.usage import used_cpu_s
 
 CANDIDATES = 16
 
@@ -47,12 +47,6 @@ def claim(session: Session, queue: str) -> Claim | None:
             at = (job.id, job.root_id, job.sequence_id, job.kind, job.attempt + 1)
             return Claim(*at, dict(job.arguments), job.attempts_left - 1, used_cpu_s())
     return None
-
-
-def used_cpu_s() -> float:
-    """Processor time of this process and of the children it has waited for."""
-    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(one.ru_utime + one.ru_stime for one in used)
 
 
 def worker_name() -> str:

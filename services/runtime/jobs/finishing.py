@@ -4,7 +4,6 @@
 did not, nothing was changed. The run's row is locked first, so two last jobs cannot both leave the run open.
 """
 
-import resource
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,11 +12,12 @@ from sqlalchemy.orm import Session
 
 from services.runtime.database import ring_after_commit
 from services.runtime.jobs.changes import lock_run, rows_changed
-from services.runtime.jobs.claiming import Claim, used_cpu_s
+from services.runtime.jobs.claiming import Claim
 from services.runtime.jobs.queueing import add_jobs
 from services.runtime.jobs.specs import TERMINAL, Outcome
 from services.runtime.orm import Job, JobAttempt, JobNeed
 from services.runtime.orm.base import now_ns
+from services.runtime.usage import peak_bytes, used_cpu_s
 
 LONGEST_FAILURE = 2000
 
@@ -154,6 +154,5 @@ def _note(session: Session, claim: Claim, outcome: str, failure: Failure | None)
     attempt = update(JobAttempt).where(JobAttempt.job_id == claim.job_id, JobAttempt.number == claim.attempt)
     columns: dict[str, Any] = dict(failure.columns()) if failure else {}
     if claim.begun_cpu_s is not None:
-        peaks = [resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-        columns |= {"cpu_s": used_cpu_s() - claim.begun_cpu_s, "peak_bytes": max(peaks) * 1024}
+        columns |= {"cpu_s": used_cpu_s() - claim.begun_cpu_s, "peak_bytes": peak_bytes()}
     session.execute(attempt.values(outcome=outcome, finished_ns=now_ns(), **columns))
