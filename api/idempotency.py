@@ -9,11 +9,15 @@ of a file only the head is.
 """
 
 import re
-from collections.abc import AsyncIterator
+from asyncio import sleep
+from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
+from functools import partial
 from hashlib import sha256
+from time import monotonic
 from typing import Any
 
+from sqlalchemy.exc import OperationalError
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers
 from starlette.requests import ClientDisconnect, Request
@@ -24,12 +28,14 @@ from api import kept_replies
 from api.deps import identify, platform_of
 from api.errors import BadIdempotencyKeyError, UnauthenticatedError
 from api.kept_replies import Asked, Reply
+from services.runtime.database import Database
 
 KEY = re.compile("[!-~]{1,128}")
 LONGEST_ROUTE = 128
 MOST_KEPT_BYTES = 64 * 1024
 LEASE_NS = 60 * 10**9
 STREAM_LEASE_NS = 6 * 3600 * 10**9  # a form's body comes while it is worked on
+OUTAGE_S, ASK_AGAIN_S = 20.0, 0.2  # a restart of the database; the client waits longer than that
 DESCRIBING = ("content-type", "content-length", "upload-length", "upload-metadata", "upload-defer-length")
 
 
@@ -65,10 +71,7 @@ class Idempotency:
             await self._app(scope, receive, outcome)
         finally:
             kept_replies.working_for.reset(mark)
-            if outcome.is_success:
-                await run_in_threadpool(kept_replies.keep, database, held, outcome.reply())
-            else:
-                await run_in_threadpool(kept_replies.release, database, held)
+            await _note(partial(_ended, database, held, outcome))
         await outcome.pass_on()
 
 
@@ -121,6 +124,28 @@ class _Again:
             return await self.receive()
         self.is_given = True
         return {"type": "http.request", "body": self.body, "more_body": False}
+
+
+def _ended(database: Database, held: str, outcome: _Outcome) -> None:
+    """Write down how the request ended."""
+    if outcome.is_success:
+        kept_replies.keep(database, held, outcome.reply())
+    elif 400 <= outcome.status < 500:
+        kept_replies.release(database, held)
+    else:
+        kept_replies.give_up(database, held)
+
+
+async def _note(write: Callable[[], None]) -> None:
+    """Once the database is there: a reply that is not written down makes its repetition wait for the lease."""
+    until_s = monotonic() + OUTAGE_S
+    while True:
+        try:
+            return await run_in_threadpool(write)
+        except OperationalError:
+            if monotonic() > until_s:
+                raise
+        await sleep(ASK_AGAIN_S)
 
 
 def _key_of(scope: Scope) -> str | None:

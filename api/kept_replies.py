@@ -72,9 +72,17 @@ def keep(database: Database, row_id: str, reply: Reply | None) -> None:
 
 
 def release(database: Database, row_id: str) -> None:
-    """Forget the request: it failed, and the next one with this key is worked on."""
+    """Forget the request: it was refused, and the next one with this key is worked on."""
     with database.transaction() as session:
         session.execute(delete(IdempotentReply).where(IdempotentReply.id == row_id))
+
+
+def give_up(database: Database, row_id: str) -> None:
+    """Forget a request that ended in a fault, unless it took effect: its commit may only not have been heard of."""
+    mine = IdempotentReply.id == row_id
+    with database.transaction() as session:
+        session.execute(delete(IdempotentReply).where(mine, IdempotentReply.status == IN_WORK))
+        session.execute(update(IdempotentReply).where(mine).values(status=NOT_KEPT))
 
 
 def _resume(database: Database, asked: Asked) -> Reply | str:

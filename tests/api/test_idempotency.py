@@ -8,11 +8,13 @@ import httpx
 import pytest
 from fastapi import APIRouter, Response
 from sqlalchemy import func, select, update
+from sqlalchemy.exc import OperationalError
 from structlog.testing import capture_logs
 
 from api import kept_replies
-from api.kept_replies import KEPT_NS, Asked
+from api.kept_replies import KEPT_NS, Asked, Reply
 from api.main import make_api
+from services.runtime.database import Database
 from services.runtime.orm import IdempotentReply, Team
 from services.runtime.platform import Platform
 from tests.api.serving import Person, person, serving
@@ -134,11 +136,14 @@ def faulty(platform: Platform) -> Iterator[Callable[[], tuple[httpx.Client, list
 
     @router.post("/api/v1/faulty")
     def work() -> Response:
+        asked = plan.pop(0)
+        if asked == "bug before":
+            raise RuntimeError("a fault of ours")
         with platform.database.transaction() as session:
             session.add(Team(name="made"))
-        if plan.pop(0) == "bug":
+        if asked == "bug after":
             raise RuntimeError("a fault of ours")
-        return Response(b"x" * 70_000, 201)
+        return Response(b"x" * (70_000 if asked == "large answer" else 7), 201)
 
     app = make_api(platform)
     app.include_router(router)
@@ -146,22 +151,58 @@ def faulty(platform: Platform) -> Iterator[Callable[[], tuple[httpx.Client, list
         yield lambda: (client, plan)
 
 
-def test_a_fault_is_not_kept(
+def test_a_fault_before_any_effect_is_forgotten(
     faulty: Callable[[], tuple[httpx.Client, list[str]]], platform: Platform, lone: Person
 ) -> None:
     client, plan = faulty()
-    plan.append("bug")
+    plan.append("bug before")
     headers = {**lone.headers, "Idempotency-Key": "k"}
     with capture_logs():
         assert client.post("/api/v1/faulty", headers=headers).status_code == 500
     assert rows_in(platform) == []
 
 
+def test_a_fault_after_the_effect_is_never_worked_on_again(
+    faulty: Callable[[], tuple[httpx.Client, list[str]]], platform: Platform, lone: Person
+) -> None:
+    client, plan = faulty()
+    plan.append("bug after")
+    headers = {**lone.headers, "Idempotency-Key": "k"}
+    with capture_logs():
+        assert client.post("/api/v1/faulty", headers=headers).status_code == 500
+    again = client.post("/api/v1/faulty", headers=headers)
+    assert (again.status_code, again.json()["code"]) == (409, "reply_not_kept")
+    assert teams_in(platform) == 1
+
+
+def test_an_answer_waits_for_a_database_that_is_away_for_a_moment(
+    faulty: Callable[[], tuple[httpx.Client, list[str]]],
+    platform: Platform,
+    lone: Person,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    client, plan = faulty()
+    plan.append("answer")
+    outages, keep = [1, 2, 3], kept_replies.keep
+
+    def keep_after_the_outage(database: Database, row_id: str, reply: Reply | None) -> None:
+        if outages:
+            raise OperationalError("UPDATE", {}, RuntimeError(f"the server is away, {outages.pop()}"))
+        keep(database, row_id, reply)
+
+    monkeypatch.setattr(kept_replies, "keep", keep_after_the_outage)
+    headers = {**lone.headers, "Idempotency-Key": "k"}
+    first, second = (client.post("/api/v1/faulty", headers=headers) for _ in range(2))
+    assert (first.status_code, second.status_code, outages) == (201, 201, [])
+    assert second.headers["idempotency-replayed"] == "true"
+    assert teams_in(platform) == 1
+
+
 def test_an_answer_too_large_to_keep_goes_out_whole_and_is_not_repeated(
     faulty: Callable[[], tuple[httpx.Client, list[str]]], platform: Platform, lone: Person
 ) -> None:
     client, plan = faulty()
-    plan.append("answer")
+    plan.append("large answer")
     headers = {**lone.headers, "Idempotency-Key": "k"}
     assert len(client.post("/api/v1/faulty", headers=headers).content) == 70_000
     again = client.post("/api/v1/faulty", headers=headers)
