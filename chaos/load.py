@@ -1,8 +1,8 @@
 """Others who use the platform meanwhile: readers of lists, and a writer whose every acknowledged write must last.
 
 **Conventions.** They use the client, which asks again where that is safe; an answer that an outage does not excuse (a
-fault of the server's, a refusal) is a violation. A write is acknowledged once its answer has arrived, or the server says
-that it took effect though its answer is lost.
+fault of the server's, a refusal) is a violation. A write is acknowledged once its answer has arrived, or the server
+says that it took effect though its answer is lost.
 """
 
 from collections import Counter
