@@ -1,0 +1,79 @@
+"""Which way a camera looks, and which way its name says it should: what an inverted transform gives away.
+
+**Conventions.** Directions are in the ego frame (x forward, y left, z up). A name says its direction by the words
+FRONT, BACK, REAR, LEFT, RIGHT (CAM_BACK_LEFT); one without any says nothing. The optical axis is +z, the image's up −y.
+"""
+
+import re
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.calibration import CameraIntrinsics, Mount
+from stone.projection import project
+from stone.se3 import SE3
+
+# Half of the points that a lens' share of the horizon holds, but never more than the 5 % of design §2.
+LEAST_RATIO = 0.05
+# FRONT_LEFT may mean 20° or 70°; looking more than 75° past what the name says is another direction.
+OFF_NAME_LIMIT_DEG = 75.0
+UPRIGHT_LEAST, LEVEL_MOST = 0.5, 0.8
+
+WORDS = {"FRONT": (1, 0), "FORWARD": (1, 0), "BACK": (-1, 0), "REAR": (-1, 0), "LEFT": (0, 1), "RIGHT": (0, -1)}
+
+
+@dataclass(frozen=True)
+class View:
+    """How one camera sees: `off_name_deg` is None where its name says no direction; `is_plausible` as mounts are."""
+
+    seen_ratio: float
+    off_name_deg: float | None
+    is_plausible: bool
+
+    def is_wrong(self, least_ratio: float) -> bool:
+        is_elsewhere = self.off_name_deg is not None and self.off_name_deg > OFF_NAME_LIMIT_DEG
+        return self.seen_ratio <= least_ratio or is_elsewhere
+
+
+def named_direction(name: str) -> NDArray[np.float64] | None:
+    """The unit direction (2,) a channel's words add up to; None without any, or where they cancel."""
+    steps = [WORDS[word] for word in re.split(r"[^A-Z]+", name.upper()) if word in WORDS]
+    total = np.sum(steps, axis=0, dtype=np.float64) if steps else np.zeros(2)
+    length = float(np.linalg.norm(total))
+    return np.asarray(total / length) if length else None
+
+
+def off_name_deg(name: str, ego_from_camera: SE3) -> float | None:
+    """Horizontal angle between the optical axis and the name's direction, 0 to 180; None where the name says none.
+
+    An axis that is nearly vertical has no direction and is 180° off any.
+    """
+    wanted = named_direction(name)
+    if wanted is None:
+        return None
+    axis = (ego_from_camera.rotation() @ (0.0, 0.0, 1.0))[:2]
+    length = float(np.linalg.norm(axis))
+    if length < 1e-2:
+        return 180.0
+    return float(np.rad2deg(np.arccos(np.clip(axis @ wanted / length, -1.0, 1.0))))
+
+
+def least_seen_ratio(intrinsics: CameraIntrinsics) -> float:
+    """Below this share of the sweep's points the camera does not look where the LiDAR measures."""
+    half_rad = intrinsics.width_px / 2 / intrinsics.fx_px
+    width_rad = 2 * (half_rad if intrinsics.model == "equidistant" else float(np.arctan(half_rad)))
+    return min(LEAST_RATIO, width_rad / (2 * pi) / 2)
+
+
+def view_of(mount: Mount, ego_from_lidar: SE3, points_camera: NDArray[np.float64]) -> View:
+    """What the camera makes of a sweep (N, 3) in its own frame; one without intrinsics sees nothing."""
+    is_in_image = project(points_camera, mount.intrinsics)[1] if mount.intrinsics else np.zeros(0, np.bool_)
+    ego_from_camera = ego_from_lidar @ mount.lidar_from_sensor
+    axis, up = ego_from_camera.rotation() @ (0.0, 0.0, 1.0), ego_from_camera.rotation() @ (0.0, -1.0, 0.0)
+    return View(
+        float(is_in_image.mean()) if len(is_in_image) else 0.0,
+        off_name_deg(mount.name, ego_from_camera),
+        bool(up[2] > UPRIGHT_LEAST and abs(axis[2]) < LEVEL_MOST),
+    )
