@@ -1,0 +1,108 @@
+"""What every radar message becomes: detections of many scans in one table, cut by offsets.
+
+**Conventions.** The radar's axes are x forward (boresight), y left, z up; azimuth is positive to the left, elevation
+upwards. Range rate is positive when the target moves away. A detection that the sensor itself calls invalid stays in
+the table with `is_valid` False: nothing is dropped. Source: ARS 548 RDI interface, REP 103.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.ingest.cdr import NS_PER_S
+
+# The flag bits of one detection, ARS 548: distance, azimuth, elevation and range rate (the others are deviations).
+INVALID_MASK = 0x01 | 0x04 | 0x10 | 0x40
+
+
+@dataclass(frozen=True, eq=False)
+class RadarDetections:
+    """M detections of N scans; scan i has the rows `offsets[i]:offsets[i + 1]`.
+
+    `stamps_ns` (N,) are header stamps; `sensor_stamps_ns` (N,) the radar's own clock, None where the message has none.
+    All other columns are (M,), or (M, 3) where `given_points` came with the message; NaN where a type does not say.
+    """
+
+    stamps_ns: NDArray[np.int64]
+    offsets: NDArray[np.int64]
+    azimuth_rad: NDArray[np.float32]
+    elevation_rad: NDArray[np.float32]
+    range_m: NDArray[np.float32]
+    range_rate_m_s: NDArray[np.float32]
+    rcs_db: NDArray[np.float32]
+    is_valid: NDArray[np.bool_]
+    sensor_stamps_ns: NDArray[np.int64] | None = None
+    given_points: NDArray[np.float64] | None = None
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+    @property
+    def counts(self) -> NDArray[np.int64]:
+        """Detections of each scan (N,)."""
+        return np.diff(self.offsets)
+
+    @cached_property
+    def points_radar(self) -> NDArray[np.float64]:
+        """(M, 3) metres in the radar's axes, computed when first asked for."""
+        if self.given_points is not None:
+            return self.given_points
+        azimuth, elevation = self.azimuth_rad.astype(np.float64), self.elevation_rad.astype(np.float64)
+        level = np.cos(elevation)
+        directions = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=1)
+        return np.asarray(directions * self.range_m[:, None], np.float64)
+
+    def of(self, scan: int) -> "RadarDetections":
+        """One scan, as a table of N = 1; IndexError beyond the last."""
+        place = range(len(self))[scan]
+        rows = slice(int(self.offsets[place]), int(self.offsets[place + 1]))
+        own = None if self.sensor_stamps_ns is None else self.sensor_stamps_ns[place : place + 1]
+        return RadarDetections(
+            self.stamps_ns[place : place + 1],
+            np.array([0, rows.stop - rows.start], np.int64),
+            self.azimuth_rad[rows],
+            self.elevation_rad[rows],
+            self.range_m[rows],
+            self.range_rate_m_s[rows],
+            self.rcs_db[rows],
+            self.is_valid[rows],
+            own,
+            None if self.given_points is None else self.given_points[rows],
+        )
+
+
+def detections(
+    stamps_ns: NDArray[np.int64],
+    offsets: NDArray[np.int64],
+    columns: Mapping[str, NDArray[Any]],
+    sensor_stamps_ns: NDArray[np.int64] | None = None,
+) -> RadarDetections:
+    """From columns azimuth, elevation, range, range_rate, rcs and invalid (bool); a value that is not finite is
+    invalid whatever the sensor says."""
+    angles = [np.ascontiguousarray(columns[name], np.float32) for name in ("azimuth", "elevation")]
+    distances = [np.ascontiguousarray(columns[name], np.float32) for name in ("range", "range_rate")]
+    is_finite = np.isfinite(angles[0]) & np.isfinite(angles[1]) & np.isfinite(distances[0]) & np.isfinite(distances[1])
+    return RadarDetections(
+        stamps_ns,
+        offsets,
+        angles[0],
+        angles[1],
+        distances[0],
+        distances[1],
+        np.asarray(columns["rcs"], np.float32),
+        is_finite & ~np.asarray(columns["invalid"], np.bool_),
+        sensor_stamps_ns,
+    )
+
+
+def offsets_of(counts: NDArray[np.integer]) -> NDArray[np.int64]:
+    """(N + 1,) from (N,): where each scan begins, and the total."""
+    return np.concatenate([[0], np.cumsum(counts, dtype=np.int64)]).astype(np.int64)
+
+
+def joined_ns(seconds: NDArray[np.integer], nanoseconds: NDArray[np.integer]) -> NDArray[np.int64]:
+    return np.asarray(seconds.astype(np.int64) * NS_PER_S + nanoseconds.astype(np.int64), np.int64)
