@@ -5,13 +5,14 @@ cloud is viewed, of a NovAtel topic all messages are (they are small). A topic t
 not a failure; a container that cannot be read is refused.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from services.ingest import checks
 from services.ingest.bag import Bag, Topic, open_bag
+from services.ingest.clocks.report import ClockReport
 from services.ingest.messages.pointcloud2 import decode_cloud
 from services.ingest.roles import POINT_CLOUD, Role, TopicFacts, role_of
 from services.ingest.scan import Scan, scan_of
@@ -49,12 +50,14 @@ class Inspection:
     duration_ns: int
     topics: tuple[InspectedTopic, ...]
     findings: tuple[Finding, ...]
+    clocks: ClockReport = field(default_factory=ClockReport)
 
     def as_record(self) -> dict[str, object]:
         return {
             "duration_ns": self.duration_ns,
             "topics": [topic.as_record() for topic in self.topics],
             "findings": [finding.as_record() for finding in self.findings],
+            "clocks": self.clocks.as_record(),
         }
 
 

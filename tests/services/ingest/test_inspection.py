@@ -70,8 +70,9 @@ def _codes(inspection: Inspection) -> list[tuple[str, str]]:
 
 def test_a_sound_recording_has_roles_and_rates_and_no_findings(tmp_path: Path) -> None:
     messages = _clouds() + _stamped("/imu", IMU, _every(5 * MS, 180)) + _stamped("/odom", ODOMETRY, _every(50 * MS, 18))
-    inspection = _inspected(tmp_path, messages)
-    assert inspection.as_record() == {
+    record = _inspected(tmp_path, messages).as_record()
+    del record["clocks"]
+    assert record == {
         "duration_ns": 900 * MS,
         "topics": [
             {"name": "/imu", "type": IMU, "count": 180, "role": "imu", "rate_hz": 200.0, "gaps": []},
