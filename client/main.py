@@ -15,6 +15,7 @@ from client.commands.inspect import inspect
 from client.commands.label import label
 from client.commands.login import login
 from client.commands.process import process
+from client.commands.recover import recover
 from client.commands.score import score
 from client.commands.serve import serve
 from client.commands.simulate import simulate
@@ -33,7 +34,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
-    "On this machine": (simulate, inspect, label, validate, score, demo),
+    "On this machine": (simulate, inspect, recover, label, validate, score, demo),
     "With a server": (serve, login, upload, process, watch, status, download),
 }
 for panel, commands in COMMANDS.items():

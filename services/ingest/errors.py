@@ -33,7 +33,8 @@ class CutBagError(IngestError):
     def __init__(self, name: str, size_bytes: int) -> None:
         super().__init__(
             f"{name} was cut off at byte {size_bytes}: the closing MCAP magic is missing; "
-            f"the recorder died or the copy is incomplete, so copy it again"
+            f"the recorder died or the copy is incomplete, so copy it again, "
+            f"or keep what is whole: stone recover {name} -o recovered.mcap"
         )
 
 
@@ -167,3 +168,12 @@ class SlowPathRefusedError(IngestError):
 
     def __init__(self, name: str, reason: str) -> None:
         super().__init__(f"{name} cannot be read by rosbags ({reason}); the database or its metadata.yaml is damaged")
+
+
+class RecoveryTargetError(IngestError):
+    """A recovery was asked to write over what it reads."""
+
+    code = "BAG-026"
+
+    def __init__(self, name: str) -> None:
+        super().__init__(f"{name} is the original; recover into another file, the original is never written")

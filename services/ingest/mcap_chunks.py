@@ -7,6 +7,7 @@ their first message is read, never on a header-only scan (which would turn milli
 """
 
 from collections.abc import Iterator
+from contextlib import suppress
 from io import BytesIO
 
 import cramjam
@@ -28,6 +29,7 @@ CHUNK_LIMIT_BYTES = 512 * 1024 * 1024
 UNDOUBTED_BYTES = 32 * 1024 * 1024
 DOUBTED_RATIO = 20
 PIECE_BYTES = 1024 * 1024
+_DAMAGED = (RuntimeError, zstandard.ZstdError, EOFError)
 
 
 def inflate(view: memoryview, chunk: Chunk) -> memoryview:
@@ -45,6 +47,15 @@ def inflate(view: memoryview, chunk: Chunk) -> memoryview:
     records = _inflated(packed, chunk)
     check_crc32(records, chunk)
     return records
+
+
+def pieces_of(packed: memoryview, compression: str) -> Iterator[bytes | memoryview]:
+    """What inflates, in order and piece by piece, of a stream that was cut off; it ends where nothing more does."""
+    if compression == "":
+        yield from (packed[at : at + PIECE_BYTES] for at in range(0, len(packed), PIECE_BYTES))
+    elif compression in ("lz4", "zstd"):
+        with suppress(*_DAMAGED):
+            yield from _lz4_pieces(packed) if compression == "lz4" else _zstd_pieces(packed)
 
 
 def check_crc32(records: memoryview, chunk: Chunk) -> None:
@@ -83,7 +94,7 @@ def _check_true_size(packed: memoryview, chunk: Chunk) -> None:
             total += len(piece)
             if total > chunk.uncompressed_bytes:
                 break
-    except (RuntimeError, zstandard.ZstdError, EOFError) as error:
+    except _DAMAGED as error:
         raise MalformedBagError(chunk.where, _problem(chunk, str(error))) from None
     if total != chunk.uncompressed_bytes:
         raise MalformedBagError(chunk.where, _problem(chunk, f"{total} or more came out"))
