@@ -5,9 +5,9 @@
 **Conventions.** `offset_ns` is a point's time relative to the sweep's stamp. One transform serves each 100 µs bin,
 centred on whole multiples of 100 µs, so a pose is at most 50 µs off: below 1.3 mm at 40 m, 4.8 m/s and 28 °/s.
 
-A point whose bin has no pose (before the first, after the last, inside a gap) is dropped, not moved by the nearest
-pose: clamping is extrapolation with velocity zero and smears what it keeps. A frame whose whole sweep is not covered
-should be excluded before it comes here (`services.ingest` does so with a reason); the drop is for the stragglers.
+A point whose bin has no pose (before the first, after the last, in a gap, beyond a jump) is dropped, not moved by the
+nearest pose: clamping is extrapolation with velocity zero and smears what it keeps. A frame whose whole sweep is not
+covered should be excluded before it comes here (`services.ingest` does so with a reason); the drop is for stragglers.
 """
 
 from dataclasses import dataclass
@@ -73,7 +73,7 @@ def sweep_motion(mount: SweepMount, stamp_ns: int, span_ns: tuple[int, int]) -> 
         first_bin,
         stamp_from_bin.rotation().astype(np.float32),
         stamp_from_bin.translation_m.astype(np.float32),
-        found.is_ok[1:] & found.is_ok[0],
+        (found.is_ok & (found.segment == found.segment[0]))[1:] & found.is_ok[0],
     )
 
 

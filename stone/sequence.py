@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from stone.calibration import Calibration
 from stone.errors import StoneError
 from stone.findings import Finding
+from stone.pose_quality import PoseQuality
 from stone.se3 import SE3
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
@@ -43,11 +44,27 @@ class Sweep:
 
 @dataclass(frozen=True, eq=False)
 class Association:
-    """Which message of one sensor each frame takes: index −1 and dt 0 where none is near enough; dt is signed."""
+    """Which message of one sensor each frame takes: index −1 and dt 0 where none is near enough; dt is signed.
+
+    `phase_ns` is how long after the frame's stamp a triggered camera fires, learnt from the recording; else None.
+    """
 
     topic: str
     message_index: NDArray[np.int64]
     dt_ns: NDArray[np.int64]
+    phase_ns: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Slices:
+    """The samples of a fast sensor between frames: `start` (N + 1,), those of frame i are start[i] to start[i + 1].
+
+    They are counted in stamp order, repeats left out; from the frame's stamp (included) to the next frame's, those of
+    the last frame for one period of the LiDAR.
+    """
+
+    topic: str
+    start: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -61,12 +78,18 @@ class ExcludedFrame:
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """The frame table: N usable frames in time order."""
+    """The frame table: N usable frames in time order; `sweeps` are the LiDAR's messages, `slices` by channel.
+
+    `quality` and `sweeps` are None where frames were not made from a recording.
+    """
 
     stamps_ns: NDArray[np.int64]
     tokens: tuple[str, ...]
     map_from_ego: SE3
     associations: Mapping[str, Association] = field(default_factory=dict)
+    slices: Mapping[str, Slices] = field(default_factory=dict)
+    quality: PoseQuality | None = None
+    sweeps: Association | None = None
 
     def __len__(self) -> int:
         return len(self.tokens)

@@ -1,8 +1,9 @@
 """A synchronised sequence as one file, which ingest writes and the labeler reads.
 
-**Conventions.** An npz of plain arrays: stamps, poses, per channel the message index and dt; everything else is JSON in
-the bytes of `record`. Floats survive exactly (JSON writes the shortest digits that read back the same). Tokens are not
-stored: they follow from name and stamps. Written and read by workers of one version, never taken from outside.
+**Conventions.** An npz of plain arrays: stamps, poses and their quality, per channel the message index and dt, or where
+its slices begin; everything else is JSON in the bytes of `record`. Floats survive exactly (JSON writes the shortest
+digits that read back the same). Tokens are not stored: they follow from name and stamps. Written and read by workers of
+one version, never taken from outside.
 """
 
 import io
@@ -16,10 +17,12 @@ from numpy.typing import NDArray
 from services.runtime.npz import npz_bytes
 from stone.calibration import Box, Calibration, CameraIntrinsics, Footprint, Mount
 from stone.findings import Finding
+from stone.pose_quality import PoseQuality
 from stone.se3 import SE3
-from stone.sequence import Association, ExcludedFrame, Frames, Sequence, frame_token
+from stone.sequence import Association, ExcludedFrame, Frames, Sequence, Slices, frame_token
 
 Arrays = dict[str, NDArray[Any]]
+QUALITY = ("gap_ns", "rtk", "stdev_m")
 
 
 def sequence_bytes(sequence: Sequence) -> bytes:
@@ -32,6 +35,12 @@ def sequence_bytes(sequence: Sequence) -> bytes:
     }
     for number, taken in enumerate(frames.associations.values()):
         arrays |= {f"index_{number}": taken.message_index, f"dt_ns_{number}": taken.dt_ns}
+    for number, between in enumerate(frames.slices.values()):
+        arrays[f"start_{number}"] = between.start
+    if frames.quality is not None:
+        arrays |= {f"quality_{name}": values for name, values in vars(frames.quality).items()}
+    if frames.sweeps is not None:
+        arrays["sweep_index"] = frames.sweeps.message_index
     return npz_bytes(arrays)
 
 
@@ -39,16 +48,10 @@ def read_sequence(payload: bytes) -> Sequence:
     """The sequence that `sequence_bytes` wrote."""
     with np.load(io.BytesIO(payload), allow_pickle=False) as arrays:
         record = json.loads(arrays["record"].tobytes())
-        stamps_ns: NDArray[np.int64] = arrays["stamps_ns"]
-        associations = {
-            channel: Association(topic, arrays[f"index_{number}"], arrays[f"dt_ns_{number}"])
-            for number, (channel, topic) in enumerate(record["associations"])
-        }
-        poses = SE3(arrays["map_from_ego"])
-    tokens = tuple(frame_token(record["name"], stamp) for stamp in stamps_ns.tolist())
+        frames = _frames(record, dict(arrays))
     return Sequence(
         name=record["name"],
-        frames=Frames(stamps_ns, tokens, poses, associations),
+        frames=frames,
         excluded=tuple(ExcludedFrame(**frame) for frame in record["excluded"]),
         calibration=_calibration(record["calibration"]),
         pose_source=record["pose_source"],
@@ -58,10 +61,30 @@ def read_sequence(payload: bytes) -> Sequence:
     )
 
 
+def _frames(record: dict[str, Any], arrays: Arrays) -> Frames:
+    stamps_ns = arrays["stamps_ns"]
+    sweeps, quality = record["sweeps"], [arrays.get(f"quality_{name}") for name in QUALITY]
+    return Frames(
+        stamps_ns,
+        tuple(frame_token(record["name"], stamp) for stamp in stamps_ns.tolist()),
+        SE3(arrays["map_from_ego"]),
+        {
+            channel: Association(topic, arrays[f"index_{number}"], arrays[f"dt_ns_{number}"], phase_ns)
+            for number, (channel, topic, phase_ns) in enumerate(record["associations"])
+        },
+        {channel: Slices(topic, arrays[f"start_{number}"]) for number, (channel, topic) in enumerate(record["slices"])},
+        None if any(values is None for values in quality) else PoseQuality(*quality),  # type: ignore[arg-type]
+        None if sweeps is None else Association(sweeps, arrays["sweep_index"], np.zeros(len(stamps_ns), np.int64)),
+    )
+
+
 def _record(sequence: Sequence) -> dict[str, Any]:
+    frames = sequence.frames
     return {
         "name": sequence.name,
-        "associations": [[channel, taken.topic] for channel, taken in sequence.frames.associations.items()],
+        "associations": [[key, taken.topic, taken.phase_ns] for key, taken in frames.associations.items()],
+        "slices": [[key, between.topic] for key, between in frames.slices.items()],
+        "sweeps": frames.sweeps.topic if frames.sweeps is not None else None,
         "excluded": [asdict(frame) for frame in sequence.excluded],
         "calibration": _calibration_record(sequence.calibration),
         "pose_source": sequence.pose_source,
