@@ -11,8 +11,8 @@ import numpy as np
 
 from services.ingest.bag import Bag
 from services.ingest.camera_sweeps import Pair, pairs
+from services.ingest.picture_checks import picture_findings
 from services.ingest.sweeps import BagSweeps
-from stone.calibration import Mount
 from stone.camera_views import View, least_seen_ratio, view_of
 from stone.findings import Finding
 from stone.se3 import SE3
@@ -23,32 +23,41 @@ EGO_FROM_LIDAR = "ego_from_lidar"
 
 
 def projection_findings(bag: Bag, sequence: Sequence, sweeps: BagSweeps) -> tuple[Finding, ...]:
-    """CAL-404 for each camera that fails the physical test, or one for `ego_from_lidar` where that explains them all.
+    """What is wrong with the cameras: their pictures (`picture_findings`), then the physical test.
 
-    None without cameras. Raises what `sweeps.sweep` raises.
+    CAL-404 for each camera that fails it, or one for `ego_from_lidar` where that explains them all; () without cameras.
+    Raises what reading the bag raises (BAG-*) and what `sweeps.sweep` raises.
     """
+    return picture_findings(bag, sequence) + view_findings(sequence, sweeps)
+
+
+def view_findings(sequence: Sequence, sweeps: BagSweeps) -> tuple[Finding, ...]:
+    """The physical test alone."""
     sampled: dict[str, list[Pair]] = {}
     for pair in pairs(sequence, sweeps, SAMPLED_FRAMES):
         sampled.setdefault(pair.mount.name, []).append(pair)
     ego_from_lidar = sequence.calibration.ego_from_lidar
-    wrong = {name: found for name, found in sampled.items() if _is_wrong(found, ego_from_lidar)}
-    if len(wrong) > 1 and not any(_is_wrong(found, ego_from_lidar.inverse()) for found in sampled.values()):
+    wrong = [found for found in sampled.values() if _view(found, ego_from_lidar).is_wrong(_least(found))]
+    if len(wrong) > 1 and all(_fits(found, ego_from_lidar.inverse()) for found in sampled.values()):
         return (_ego_finding(len(wrong)),)
-    return tuple(_finding(found, ego_from_lidar) for found in wrong.values())
+    findings = (_finding(found, ego_from_lidar) for found in sampled.values())
+    return tuple(finding for finding in findings if finding is not None)
 
 
-def _is_wrong(found: list[Pair], ego_from_lidar: SE3) -> bool:
-    view = _median_view(found, ego_from_lidar)
-    return view.is_wrong(_least(found[0].mount))
-
-
-def _median_view(found: list[Pair], ego_from_lidar: SE3) -> View:
+def _view(found: list[Pair], ego_from_lidar: SE3) -> View:
+    """The camera's view with the median share of points over the sampled frames."""
     views = [view_of(pair.mount, ego_from_lidar, pair.points_camera) for pair in found]
     return replace(views[0], seen_ratio=float(np.median([view.seen_ratio for view in views])))
 
 
-def _least(mount: Mount) -> float:
-    return least_seen_ratio(mount.intrinsics) if mount.intrinsics is not None else 0.0
+def _fits(found: list[Pair], ego_from_lidar: SE3) -> bool:
+    view = _view(found, ego_from_lidar)
+    return view.is_plausible and not view.is_wrong(_least(found))
+
+
+def _least(found: list[Pair]) -> float:
+    intrinsics = found[0].mount.intrinsics
+    return least_seen_ratio(intrinsics) if intrinsics is not None else 0.0
 
 
 def _turned(pair: Pair) -> Pair:
@@ -57,18 +66,26 @@ def _turned(pair: Pair) -> Pair:
     return replace(pair, mount=mount, camera_from_lidar=pair.mount.lidar_from_sensor)
 
 
-def _finding(found: list[Pair], ego_from_lidar: SE3) -> Finding:
-    mount, view = found[0].mount, _median_view(found, ego_from_lidar)
-    other = _median_view([_turned(pair) for pair in found], ego_from_lidar)
-    sentence = f"{mount.name}: {view.seen_ratio * 100:.1f} % of the LiDAR's points project into it"
-    sentence += f" (more than {_least(mount) * 100:.1f} % expected)"
-    if view.off_name_deg is not None:
-        sentence += f" and it looks {view.off_name_deg:.0f}° from where its name says"
-    is_inverted = other.is_plausible and not other.is_wrong(_least(mount))
-    likely = (
-        "; the transform is inverted: read as camera_from_lidar it fits" if is_inverted else "; is it this camera's?"
+def _finding(found: list[Pair], ego_from_lidar: SE3) -> Finding | None:
+    """Wrong by the test, or so tilted that the inverse is the likelier mount; None for a camera that is neither."""
+    mount, view = found[0].mount, _view(found, ego_from_lidar)
+    is_wrong = view.is_wrong(_least(found))
+    if not is_wrong and view.is_plausible:
+        return None
+    is_inverted = _fits([_turned(pair) for pair in found], ego_from_lidar)
+    if not is_wrong and not is_inverted:
+        return None
+    likely = "the transform is inverted: read as camera_from_lidar it fits" if is_inverted else "is it this camera's?"
+    return Finding("CAL-404", "error", mount.name, f"{mount.name}: {_seen(view, _least(found))}; {likely}")
+
+
+def _seen(view: View, least_ratio: float) -> str:
+    seen = (
+        f"{view.seen_ratio * 100:.1f} % of the LiDAR's points project into it (expected: > {least_ratio * 100:.1f} %)"
     )
-    return Finding("CAL-404", "error", mount.name, sentence + likely)
+    if view.off_name_deg is not None:
+        seen += f", it looks {view.off_name_deg:.0f}° from where its name says"
+    return seen if view.is_plausible else seen + " and its picture is not upright"
 
 
 def _ego_finding(count: int) -> Finding:
