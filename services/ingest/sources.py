@@ -1,6 +1,7 @@
 """Which topic of a recording plays which part in its synchronisation; nothing is guessed between two that fit.
 
-**Conventions.** The pose source is the topic asked for, else NovAtel INSPVA(X), else nav_msgs/Odometry, else /tf.
+**Conventions.** The pose source is the topic asked for, else NovAtel INSPVA(X), else nav_msgs/Odometry, else /tf; asked
+for by the name kiss-icp, it is the LiDAR itself (`services.ingest.kiss_odometry`).
 Topics without messages count as absent.
 """
 
@@ -19,13 +20,18 @@ from services.ingest.synchronisation_errors import (
 
 BESTPOS = "novatel_oem7_msgs/msg/BESTPOS"
 INSPVAX = "novatel_oem7_msgs/msg/INSPVAX"
+KISS_ICP = "kiss-icp"
 POSE_ROLES: tuple[Role, ...] = ("ins", "odometry", "tf")
+ROLE_OF_SWEEPS: Role = "lidar"
 ASSOCIATED_ROLES: tuple[Role, ...] = ("camera", "radar", "imu")
 
 
 @dataclass(frozen=True)
 class Sources:
-    """`pose_role` says how `pose` is read; `associated` are the topics that frames point into, with their role."""
+    """`pose_role` says how `pose` is read ("lidar": by odometry from the sweeps).
+
+    `associated` are the topics that frames point into, with their role.
+    """
 
     lidar: Topic
     pose: Topic
@@ -43,15 +49,17 @@ class Sources:
     def whole(self) -> tuple[str, ...]:
         """Topics of which every message is needed; they are small."""
         fixes = (self.fixes.name,) if self.fixes is not None and self.pose_role == "ins" else ()
-        return (*self.tf_static, *fixes, self.pose.name)
+        poses = (self.pose.name,) if self.pose_role != "lidar" else ()
+        return (*self.tf_static, *fixes, *poses)
 
 
 def choose_sources(bag: Bag, lidar_topic: str | None, odometry_topic: str | None) -> Sources:
     """Raises NoLidarError, NoPoseSourceError, AmbiguousTopicsError, WrongTopicError; what decoding a cloud raises."""
     roles = [(topic, _role(bag, topic)) for topic in bag.topics if topic.count and topic.encoding == "cdr"]
-    pose, pose_role = _pose(roles, odometry_topic)
+    lidar = _lidar(roles, lidar_topic)
+    pose, pose_role = (lidar, ROLE_OF_SWEEPS) if odometry_topic == KISS_ICP else _pose(roles, odometry_topic)
     return Sources(
-        lidar=_lidar(roles, lidar_topic),
+        lidar=lidar,
         pose=pose,
         pose_role=pose_role,
         fixes=next((topic for topic, _ in roles if topic.type == BESTPOS), None),
