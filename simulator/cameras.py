@@ -38,6 +38,7 @@ class CameraRing:
     directions: NDArray[np.float32]
     size_px: tuple[int, int]
     palette: NDArray[np.float32]
+    noise_ratio: float
 
 
 @dataclass(frozen=True)
@@ -58,12 +59,14 @@ def build_ring(options: SimulateOptions) -> CameraRing:
     rays = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     palette = np.array([COLOURS[surface] for surface in Surface], np.float32)
-    return CameraRing(rig.cameras(), rays.astype(np.float32), (lens.width_px, lens.height_px), palette)
+    size_px = (lens.width_px, lens.height_px)
+    return CameraRing(rig.cameras(), rays.astype(np.float32), size_px, palette, options.noise_ratio)
 
 
 def take_pictures(scene: Scene, ring: CameraRing, stamp_ns: int, rng: np.random.Generator) -> list[Picture]:
     """The six exposures of the sweep at `stamp_ns`, in the order of `ring.cameras`."""
     jitter = rng.integers(-TRIGGER_JITTER_NS, TRIGGER_JITTER_NS, len(ring.cameras))
+    jitter = np.rint(jitter * ring.noise_ratio).astype(np.int64)
     stamps = stamp_ns + np.array([camera.phase_ns for camera in ring.cameras]) + jitter
     poses = scene.world.trajectory.at(stamps)
     turns, places = [], []

@@ -32,6 +32,7 @@ class Lidar:
     self_range_m: NDArray[np.float32]  # (rays,), inf where the ray clears the robot
     ring: NDArray[np.uint16]
     intensity: NDArray[np.float32]  # by Surface
+    noise_m: float
 
     @property
     def steps(self) -> int:
@@ -48,7 +49,13 @@ def build_lidar(options: SimulateOptions) -> Lidar:
     ring = np.tile(np.arange(options.channels, dtype=np.uint16), options.columns)
     directions = fan.reshape(rig.sweep_steps(options.columns), -1, 3)
     intensity = np.array([REFLECTIVITY[surface] for surface in Surface], np.float32)
-    return Lidar(directions.astype(np.float32), robot_range(fan.reshape(-1, 3)), ring, intensity)
+    return Lidar(
+        directions.astype(np.float32),
+        robot_range(fan.reshape(-1, 3)),
+        ring,
+        intensity,
+        options.noise_ratio * rig.LIDAR_NOISE_M,
+    )
 
 
 def sweep_points(scene: Scene, lidar: Lidar, stamp_ns: int, rng: np.random.Generator) -> NDArray[np.void]:
@@ -63,7 +70,7 @@ def sweep_points(scene: Scene, lidar: Lidar, stamp_ns: int, rng: np.random.Gener
     put_walker(hits, foot, (origins, directions), _towards(foot, origins, directions))
     surface = np.where(lidar.self_range_m < hits.range_m, np.uint8(Surface.ROBOT), hits.surface)
     range_m = np.minimum(lidar.self_range_m, hits.range_m)
-    range_m += rig.LIDAR_NOISE_M * rng.standard_normal(len(range_m), np.float32)
+    range_m += lidar.noise_m * rng.standard_normal(len(range_m), np.float32)
     return _records(lidar, range_m, surface, packets_ns)
 
 

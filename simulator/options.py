@@ -5,14 +5,30 @@ the clock.
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 from stone.errors import StoneError
 
 Compression = Literal["none", "lz4", "zstd"]
+FaultName = Literal[
+    "gnss_jitter",
+    "clock_18s",
+    "clock_37s",
+    "camera_late_5ms",
+    "camera_dropped",
+    "radar_drift_50ppm",
+    "imu_lag_12ms",
+    "rtk_gap",
+    "position_jump",
+    "stamps_back",
+    "cameras_swapped",
+    "extrinsic_inverted",
+]
+FAULT_NAMES: tuple[FaultName, ...] = get_args(FaultName)
 MAX_CHANNELS = 512
 MAX_COLUMNS = 7200
 MAX_SECONDS = 3600.0
+MAX_TRANSPORT_JITTER_NS = 4_000_000  # less than the IMU's period: no message overtakes another of its topic
 
 
 class SimulationOptionError(StoneError):
@@ -30,6 +46,10 @@ class SimulateOptions:
 
     lz4 by default: packet stamps, rings and missing returns repeat, so it nearly halves the bag at no time that can be
     measured; zstd is smaller still, but costs more to write and twice as much to read.
+
+    `noise_ratio` scales what the sensors add to the truth: 0 measures exactly, 1 is the paper's rig. The receiver's
+    driver stamps up to `host_delay_max_ns` late (0: when the solution was valid, as a disciplined host would);
+    messages reach the recorder up to `transport_jitter_ns` late. `faults` go wrong in the order they are named.
     """
 
     seconds: float = 20.0
@@ -40,6 +60,10 @@ class SimulateOptions:
     camera_width_px: int = 480
     compression: Compression = "lz4"
     world_width_m: float = 110.0
+    noise_ratio: float = 1.0
+    host_delay_max_ns: int = 20_000_000
+    transport_jitter_ns: int = 0
+    faults: tuple[FaultName, ...] = ()
 
     def __post_init__(self) -> None:
         _within("seconds", self.seconds, 0.2, MAX_SECONDS)
@@ -50,6 +74,12 @@ class SimulateOptions:
         _within("world_width_m", self.world_width_m, 30.0, 400.0)
         if self.compression not in ("none", "lz4", "zstd"):
             raise SimulationOptionError("compression", self.compression, "none, lz4 or zstd")
+        _within("noise_ratio", self.noise_ratio, 0.0, 10.0)
+        _within("host_delay_max_ns", self.host_delay_max_ns, 0, 45_000_000)
+        _within("transport_jitter_ns", self.transport_jitter_ns, 0, MAX_TRANSPORT_JITTER_NS)
+        for fault in self.faults:
+            if fault not in FAULT_NAMES:
+                raise SimulationOptionError("faults", fault, f"of {', '.join(FAULT_NAMES)}")
 
 
 def _within(name: str, value: float, low: float, high: float) -> None:

@@ -4,6 +4,7 @@
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +14,11 @@ from simulator import rig
 from simulator.bag_writer import open_bag_writer
 from simulator.calibration_yaml import write_calibration
 from simulator.cameras import build_ring, take_pictures
+from simulator.faults import all_of
 from simulator.lidar import build_lidar, sweep_points
 from simulator.navigation import Fixes, Inertia, take_fixes, take_inertia
 from simulator.options import SimulateOptions
-from simulator.radar import scan, scan_stamps_ns, stale_detections
+from simulator.radar import Radars, scan, scan_stamps_ns, stale_detections
 from simulator.recorder import Recorder
 from simulator.scene import Scene
 from simulator.truth import TRUTH_MARK, truth_of, write_truth
@@ -54,30 +56,32 @@ def simulate(out: Path, options: SimulateOptions, truth_dir: Path | None = None,
         with atomic_directory(truth_dir, replaces=TRUTH_MARK) as staging:
             write_truth(truth_of(world, sweep_stamps_ns(options)), options, staging)
     with atomic_file(calibration_path(out)) as staging:
-        write_calibration(rig.calibration(options.camera_width_px), staging)
+        write_calibration(all_of(options.faults).calibration(rig.calibration(options.camera_width_px)), staging)
     with atomic_file(out) as staging:
         _record(staging, options, world, progress)
 
 
 def _record(path: Path, options: SimulateOptions, world: World, progress: Progress) -> None:
-    scene, lidar, ring = Scene(world), build_lidar(options), build_ring(options)
+    scene, lidar, ring, fault = Scene(world), build_lidar(options), build_ring(options), all_of(options.faults)
+    ring = replace(ring, cameras=tuple(map(fault.triggers, ring.cameras)))
     draws = {part: generator(options.seed, part) for part in ("lidar", "camera", "radar", "fixes", "imu", "stale")}
     stamps = sweep_stamps_ns(options)
     duration_ns = LEAD_NS + len(stamps) * rig.SWEEP_NS + TAIL_NS
-    fixes = take_fixes(world.trajectory, duration_ns, draws["fixes"])
-    inertia = take_inertia(world.trajectory, duration_ns, draws["imu"])
-    stale = stale_detections(draws["stale"])
+    fixes = fault.fixes(take_fixes(world.trajectory, duration_ns, options, draws["fixes"]))
+    inertia = fault.inertia(take_inertia(world.trajectory, duration_ns, draws["imu"], options.noise_ratio))
+    radars = Radars(stale_detections(draws["stale"]), options.noise_ratio)
     with open_bag_writer(path, options.compression) as bag:
-        recorder = Recorder(bag, options)
+        recorder = Recorder(bag, options, fault)
         recorder.static_transforms(START_NS)
         written_until = START_NS
         for index, stamp_ns in enumerate(stamps):
             _navigate(recorder, fixes, inertia, (written_until, stamp_ns))
             bag.flush_before(stamp_ns)
             recorder.sweep(stamp_ns, sweep_points(scene, lidar, stamp_ns, draws["lidar"]))
-            for lists in scan(scene, scan_stamps_ns(stamp_ns), stale, draws["radar"]):
+            for lists in scan(scene, scan_stamps_ns(stamp_ns), radars, draws["radar"]):
                 recorder.radar_lists(lists)
-            for picture in take_pictures(scene, ring, stamp_ns, draws["camera"]) if options.cameras else ():
+            pictures = take_pictures(scene, ring, stamp_ns, draws["camera"]) if options.cameras else []
+            for picture in fault.pictures(pictures, index):
                 recorder.picture(picture)
             written_until = stamp_ns
             progress("record sweeps", index + 1, len(stamps))

@@ -42,6 +42,14 @@ class RadarLists:
     detections: NDArray[np.void]
 
 
+@dataclass(frozen=True, eq=False)
+class Radars:
+    """What does not change from list to list: the unused slots (800,) and how much noise the used ones have."""
+
+    stale: NDArray[np.void]
+    noise_ratio: float
+
+
 def stale_detections(rng: np.random.Generator) -> NDArray[np.void]:
     """What lies in the unused slots (800,): plausible numbers that must not be read."""
     stale = np.zeros(MAX_DETECTIONS, DETECTION)
@@ -53,7 +61,7 @@ def stale_detections(rng: np.random.Generator) -> NDArray[np.void]:
     return stale
 
 
-def scan(scene: Scene, stamps_ns: list[int], stale: NDArray[np.void], rng: np.random.Generator) -> list[RadarLists]:
+def scan(scene: Scene, stamps_ns: list[int], radars: Radars, rng: np.random.Generator) -> list[RadarLists]:
     """All radars at these stamps, in one cast."""
     mounts = [rig.ego_from_radar(channel) for channel in rig.RADARS]
     stamps = np.repeat(np.array(stamps_ns, np.int64), len(mounts))
@@ -73,11 +81,12 @@ def scan(scene: Scene, stamps_ns: list[int], stale: NDArray[np.void], rng: np.ra
     chance = np.array([CHANCE[kind] for kind in Surface])[surface]
     is_seen = (rng.random(chance.shape) < chance) & np.isfinite(range_m)
     approach = np.einsum("sri,si->sr", directions, velocity)
-    slots = tiled(stale.tobytes(), len(stamps), DETECTION).reshape(len(stamps), MAX_DETECTIONS)
+    slots = tiled(radars.stale.tobytes(), len(stamps), DETECTION).reshape(len(stamps), MAX_DETECTIONS)
     for row in range(len(stamps)):
         seen = is_seen[row]
         measured = (azimuth[row, seen], elevation[row, seen], range_m[row, seen], -approach[row, seen])
-        _fill(slots[row], measured, surface[row, seen], rng)
+        noise = radars.noise_ratio * rng.standard_normal((4, len(measured[0])))
+        _fill(slots[row], measured, surface[row, seen], noise)
     counts = is_seen.sum(axis=1).reshape(len(stamps_ns), -1)
     lists = slots.reshape(len(stamps_ns), -1, MAX_DETECTIONS)
     return [RadarLists(stamp, counts[index], lists[index]) for index, stamp in enumerate(stamps_ns)]
@@ -87,13 +96,12 @@ def _fill(
     slots: NDArray[np.void],
     measured: tuple[Array, Array, NDArray[np.float32], Array],
     surface: NDArray[np.uint8],
-    rng: np.random.Generator,
+    noise: Array,
 ) -> None:
     """Write the seen rays into the first slots of one list, with the sensor's noise and its own deviations."""
     azimuth, elevation, range_m, range_rate = measured
     count = len(azimuth)
     valid = slots[:count]
-    noise = rng.standard_normal((4, count))
     for name, value, deviation, row in (
         ("azimuth", azimuth, 0.004, 0),
         ("elevation", elevation, 0.008, 1),

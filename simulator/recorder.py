@@ -13,29 +13,32 @@ from simulator import rig, ros_messages
 from simulator.bag_writer import BagWriter
 from simulator.cameras import Picture
 from simulator.cdr_writer import Layout, stamp_parts
+from simulator.faults import Fault
 from simulator.navigation import ACCELERATION_NOISE_M_S2, GYRO_NOISE_RAD_S, UNDULATION_M, Fixes, Inertia
 from simulator.options import SimulateOptions
 from simulator.radar import RadarLists
 from simulator.ros_messages import POINT_STEP_BYTES
+from simulator.topics import BESTPOS_TOPIC, IMU_TOPIC, INSPVAX_TOPIC, LIDAR_TOPIC, TF_STATIC_TOPIC, topics
+from simulator.world import generator
 from stone.se3 import SE3
 
-LIDAR_TOPIC, LIDAR_FRAME = "/lidar_points", "hesai_lidar"
-INSPVAX_TOPIC, BESTPOS_TOPIC = "/novatel/oem7/inspvax", "/novatel/oem7/bestpos"
-IMU_TOPIC, TF_STATIC_TOPIC = "/imu/data", "/tf_static"
-BASE_FRAME, INS_FRAME, IMU_FRAME = "base_link", "gps", "imu_link"
+BASE_FRAME, LIDAR_FRAME, INS_FRAME, IMU_FRAME = "base_link", "hesai_lidar", "gps", "imu_link"
 LIDAR_DELAY_NS = rig.SWEEP_NS + 8_000_000
 CAMERA_DELAY_NS = 22_000_000
 RADAR_DELAY_NS = 12_000_000
 PUBLISH_DELAY_NS = 200_000
-SOLUTION_GOOD, INS_RTK_FIXED, NARROW_INT, FINE_STEERING = 3, 56, 50, 180
+SOLUTION_GOOD, FINE_STEERING = 3, 180
+INS_RTK_FIXED, INS_RTK_FLOAT, NARROW_INT, NARROW_FLOAT = 56, 55, 50, 34
 
 
 class Recorder:
-    """The topics of the rig on one bag."""
+    """The topics of the rig on one bag; `fault` says what the sensors' clocks show."""
 
-    def __init__(self, bag: BagWriter, options: SimulateOptions) -> None:
+    def __init__(self, bag: BagWriter, options: SimulateOptions, fault: Fault) -> None:
         self._bag = bag
         self._options = options
+        self._fault = fault
+        self._transport = generator(options.seed, "transport")
         self._cloud = ros_messages.cloud_head(LIDAR_FRAME)
         self._inspvax, self._bestpos = ros_messages.inspvax(INS_FRAME), ros_messages.bestpos(INS_FRAME)
         self._imu = ros_messages.imu(IMU_FRAME)
@@ -54,34 +57,38 @@ class Recorder:
         record = layout.records(1)
         for index, base_from_frame in enumerate(frames.values()):
             _put_transform(record, index, base_from_frame, stamp_ns)
-        self._bag.add(TF_STATIC_TOPIC, stamp_ns, record.tobytes())
+        self._add(TF_STATIC_TOPIC, stamp_ns, record.tobytes())
 
     def sweep(self, stamp_ns: int, points: NDArray[np.void]) -> None:
-        record = _stamped(self._cloud, stamp_ns)
+        shown_ns = self._shown_ns(LIDAR_TOPIC, stamp_ns)
+        if shown_ns != stamp_ns:
+            points["timestamp"] += (shown_ns - stamp_ns) / 1e9
+        record = _stamped(self._cloud, shown_ns)
         record["width"] = len(points)
         record["row_step"] = record["data_length"] = len(points) * POINT_STEP_BYTES
-        self._bag.add(LIDAR_TOPIC, stamp_ns + LIDAR_DELAY_NS, record.tobytes() + points.tobytes() + b"\0")
+        self._add(LIDAR_TOPIC, stamp_ns + LIDAR_DELAY_NS, record.tobytes() + points.tobytes() + b"\0")
 
     def picture(self, picture: Picture) -> None:
-        log_time_ns = picture.stamp_ns + CAMERA_DELAY_NS
-        record = _stamped(self._images[picture.camera.topic], picture.stamp_ns)
+        log_time_ns, topic = picture.stamp_ns + CAMERA_DELAY_NS, picture.camera.topic
+        shown_ns = self._shown_ns(topic, picture.stamp_ns)
+        record = _stamped(self._images[topic], shown_ns)
         record["data_length"] = len(picture.jpeg)
-        self._bag.add(picture.camera.topic, log_time_ns, record.tobytes() + picture.jpeg)
-        info = _stamped(self._infos[picture.camera.topic], picture.stamp_ns)
-        self._bag.add(rig.camera_info_topic(picture.camera), log_time_ns, info.tobytes())
+        self._add(topic, log_time_ns, record.tobytes() + picture.jpeg)
+        info = _stamped(self._infos[topic], shown_ns)
+        self._add(rig.camera_info_topic(picture.camera), log_time_ns, info.tobytes())
 
     def radar_lists(self, lists: RadarLists) -> None:
-        sec, nanosec = divmod(lists.stamp_ns, 1_000_000_000)
         for index, channel in enumerate(rig.RADARS):
-            record = _stamped(self._lists[index], lists.stamp_ns)
-            record["timestamp_seconds"], record["timestamp_nanoseconds"] = sec, nanosec
+            shown_ns = self._shown_ns(rig.radar_topic(channel), lists.stamp_ns)
+            record = _stamped(self._lists[index], shown_ns)
+            record["timestamp_seconds"], record["timestamp_nanoseconds"] = divmod(shown_ns, 1_000_000_000)
             record["list_detections"] = lists.detections[index]
             record["list_numofdetections"] = lists.counts[index]
-            self._bag.add(rig.radar_topic(channel), lists.stamp_ns + RADAR_DELAY_NS, record.tobytes())
+            self._add(rig.radar_topic(channel), lists.stamp_ns + RADAR_DELAY_NS, record.tobytes())
 
     def inertia(self, inertia: Inertia, window: slice) -> None:
         stamps = inertia.stamps_ns[window]
-        records = _stamped_all(self._imu, stamps)
+        records = _stamped_all(self._imu, self._fault.clock(IMU_TOPIC, stamps))
         records["angular_velocity"] = inertia.angular_velocity_rad_s[window]
         records["linear_acceleration"] = inertia.linear_acceleration_m_s2[window]
         records["angular_velocity_covariance"] = np.eye(3).ravel() * GYRO_NOISE_RAD_S**2
@@ -94,25 +101,22 @@ class Recorder:
             (INSPVAX_TOPIC, self._inspvax, _fill_inspvax),
             (BESTPOS_TOPIC, self._bestpos, _fill_bestpos),
         ):
-            records = _stamped_all(layout, host)
+            records = _stamped_all(layout, self._fault.clock(topic, host))
             _fill_receiver(records, fixes, window, fill)
             self._add_all(topic, host + PUBLISH_DELAY_NS, records)
 
     def _add_all(self, topic: str, log_times_ns: NDArray[np.int64], records: NDArray[np.void]) -> None:
         for log_time_ns, record in zip(log_times_ns.tolist(), records, strict=True):
-            self._bag.add(topic, log_time_ns, record.tobytes())
+            self._add(topic, log_time_ns, record.tobytes())
 
+    def _add(self, topic: str, log_time_ns: int, payload: bytes) -> None:
+        jitter_ns = self._options.transport_jitter_ns
+        late_ns = int(self._transport.integers(0, jitter_ns)) if jitter_ns else 0
+        self._bag.add(topic, log_time_ns + late_ns, payload)
 
-def topics(options: SimulateOptions) -> dict[str, str]:
-    """Every topic of the bag and its type."""
-    kinds = {LIDAR_TOPIC: "sensor_msgs/msg/PointCloud2", IMU_TOPIC: "sensor_msgs/msg/Imu"}
-    kinds |= {TF_STATIC_TOPIC: "tf2_msgs/msg/TFMessage"}
-    kinds |= {INSPVAX_TOPIC: "novatel_oem7_msgs/msg/INSPVAX", BESTPOS_TOPIC: "novatel_oem7_msgs/msg/BESTPOS"}
-    kinds |= {rig.radar_topic(channel): "ars548_messages/msg/DetectionList" for channel in rig.RADARS}
-    if options.cameras:
-        kinds |= {camera.topic: "sensor_msgs/msg/CompressedImage" for camera in rig.cameras()}
-        kinds |= {rig.camera_info_topic(camera): "sensor_msgs/msg/CameraInfo" for camera in rig.cameras()}
-    return kinds
+    def _shown_ns(self, topic: str, stamp_ns: int) -> int:
+        """What the sensor's clock shows at a true time."""
+        return int(self._fault.clock(topic, np.array([stamp_ns], np.int64))[0])
 
 
 def _stamped(layout: Layout, stamp_ns: int) -> NDArray[np.void]:
@@ -152,10 +156,11 @@ def _fill_receiver(
 
 
 def _fill_inspvax(records: NDArray[np.void], fixes: Fixes, window: slice) -> None:
-    records["ins_status"], records["pos_type"] = SOLUTION_GOOD, INS_RTK_FIXED
+    records["ins_status"] = SOLUTION_GOOD
+    records["pos_type"] = np.where(fixes.is_rtk_fixed[window], INS_RTK_FIXED, INS_RTK_FLOAT)
     for axis, name in enumerate(("latitude", "longitude", "height")):
         records[name] = fixes.geodetic_deg_m[window, axis]
-        records[f"{name}_stdev"] = 0.012
+        records[f"{name}_stdev"] = fixes.position_stdev_m[window]
     for axis, name in enumerate(("east_velocity", "north_velocity", "up_velocity")):
         records[name] = fixes.velocity_enu_m_s[window, axis]
         records[f"{name}_stdev"] = 0.02
@@ -166,10 +171,10 @@ def _fill_inspvax(records: NDArray[np.void], fixes: Fixes, window: slice) -> Non
 
 
 def _fill_bestpos(records: NDArray[np.void], fixes: Fixes, window: slice) -> None:
-    records["pos_type"] = NARROW_INT
+    records["pos_type"] = np.where(fixes.is_rtk_fixed[window], NARROW_INT, NARROW_FLOAT)
     records["lat"], records["lon"] = fixes.geodetic_deg_m[window, 0], fixes.geodetic_deg_m[window, 1]
     records["hgt"] = fixes.geodetic_deg_m[window, 2] - UNDULATION_M
     records["undulation"] = UNDULATION_M
     for name in ("lat_stdev", "lon_stdev", "hgt_stdev"):
-        records[name] = 0.012
+        records[name] = fixes.position_stdev_m[window]
     records["num_svs"] = records["num_sol_svs"] = 24

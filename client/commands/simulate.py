@@ -1,12 +1,12 @@
 """`stone simulate`: a recording of a robot that does not exist, with the truth about its world."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 import typer
 
 from client.progress import reported
-from simulator.options import MAX_CHANNELS, MAX_COLUMNS, MAX_SECONDS, SimulateOptions
+from simulator.options import FAULT_NAMES, MAX_CHANNELS, MAX_COLUMNS, MAX_SECONDS, FaultName, SimulateOptions
 
 DEFAULT = SimulateOptions()
 
@@ -19,6 +19,9 @@ TruthOption = Annotated[
 ChannelsOption = Annotated[int, typer.Option(min=2, max=MAX_CHANNELS, help="Beams of the LiDAR.")]
 ColumnsOption = Annotated[int, typer.Option(min=12, max=MAX_COLUMNS, help="Firings in one LiDAR revolution.")]
 CamerasOption = Annotated[bool, typer.Option(help="Also draw the six cameras; they take most of the bytes.")]
+FaultOption = Annotated[
+    list[str], typer.Option("--fault", metavar="NAME", help=f"What goes wrong; repeatable: {', '.join(FAULT_NAMES)}.")
+]
 
 
 def simulate(
@@ -29,11 +32,15 @@ def simulate(
     channels: ChannelsOption = DEFAULT.channels,
     columns: ColumnsOption = DEFAULT.columns,
     cameras: CamerasOption = DEFAULT.cameras,
+    fault: FaultOption = [],  # noqa: B006
 ) -> None:
     """Write a ROS 2 bag of a full rig on synthetic off-road terrain, and with --truth what only the world knows."""
     from simulator.pipeline import simulate as simulate_recording
 
-    options = SimulateOptions(seconds=seconds, seed=seed, channels=channels, columns=columns, cameras=cameras)
+    faults = cast(tuple[FaultName, ...], tuple(fault))
+    options = SimulateOptions(
+        seconds=seconds, seed=seed, channels=channels, columns=columns, cameras=cameras, faults=faults
+    )
     with reported() as progress:
         simulate_recording(out, options, truth, progress)
     typer.echo(out)

@@ -15,8 +15,9 @@ from simulator import rig
 from simulator.navigation import FIX_NS, UNDULATION_M
 from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate, sweep_stamps_ns
-from simulator.recorder import LIDAR_DELAY_NS, topics
+from simulator.recorder import LIDAR_DELAY_NS
 from simulator.ros_messages import HESAI_POINT, MAX_DETECTIONS
+from simulator.topics import topics
 from simulator.world import ORIGIN_DEG_M
 from stone.se3 import SE3
 from tests.simulator.conftest import TINY, Recording
