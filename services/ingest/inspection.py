@@ -12,6 +12,8 @@ import numpy as np
 
 from services.ingest import checks
 from services.ingest.bag import Bag, Topic, open_bag
+from services.ingest.clocks.findings import clock_findings
+from services.ingest.clocks.measuring import kept_bytes, measured
 from services.ingest.clocks.report import ClockReport
 from services.ingest.messages.pointcloud2 import decode_cloud
 from services.ingest.roles import POINT_CLOUD, Role, TopicFacts, role_of
@@ -64,15 +66,14 @@ class Inspection:
 def inspect(path: Path) -> Inspection:
     """Raises: FileNotFoundError and the `BAG-*` refusals of `open_bag`."""
     with open_bag(path) as bag:
-        scan = scan_of(bag, checks.is_compared_to_gps)
+        scan = scan_of(bag, kept_bytes)
         findings: list[Finding] = list(checks.container_findings(bag))
         topics = tuple(_inspected(bag, topic, scan, findings) for topic in bag.topics)
         by_role = [(topic.topic, topic.role, topic.timing) for topic in topics]
         findings += checks.topic_findings(by_role)
-        findings += checks.clock_findings(by_role)
-        findings += checks.host_stamp_findings(scan, by_role)
-        findings += checks.distance_findings(bag, by_role)
-        return Inspection(bag.end_ns - bag.start_ns, topics, tuple(findings))
+        clocks = measured(bag, scan, by_role)
+        findings += clock_findings(by_role, clocks)
+        return Inspection(bag.end_ns - bag.start_ns, topics, tuple(findings), clocks.report)
 
 
 def _inspected(bag: Bag, topic: Topic, scan: Scan, findings: list[Finding]) -> InspectedTopic:

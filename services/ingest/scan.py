@@ -1,10 +1,11 @@
-"""One pass over the first bytes of all messages: header stamps, and whole copies of the small ones worth looking at.
+"""One pass over the first bytes of all messages: header stamps, and copies of the small ones worth looking at.
 
 **Conventions.** Storage order, so each chunk is inflated once. A topic whose messages lie is remembered with its
-refusal and left out of the rest of the pass; damage of the container itself is raised.
+refusal and left out of the rest of the pass; damage of the container itself is raised. Of a topic that is looked at,
+the `MOST_KEPT` messages in the middle are copied, whatever its length: memory does not grow with the recording.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,8 +15,8 @@ from services.ingest.bag import Bag, Topic
 from services.ingest.errors import ByteOrderError, MessageLayoutError
 from services.ingest.timing import begins_with_header, stamp_of
 
-# A NovAtel solution takes 300 bytes; what is larger is not copied.
-KEPT_BYTES = 4096
+# Three minutes of a 200 Hz IMU, half an hour of a 20 Hz receiver: 11 MB of either.
+MOST_KEPT = 36_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,18 +26,27 @@ class KeptMessage:
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """By topic: header stamps (N,) in log order, kept messages in log order, or why the topic was given up."""
+    """By topic: header stamps (N,) in log order, kept messages in log order, or why the topic was given up.
 
-    stamps_ns: dict[str, NDArray[np.int64]] = field(default_factory=dict)
-    kept: dict[str, list[KeptMessage]] = field(default_factory=dict)
-    refused: dict[str, ByteOrderError | MessageLayoutError] = field(default_factory=dict)
+    `kept_from` is the index in the topic of its first kept message.
+    """
+
+    stamps_ns: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
+    kept: Mapping[str, list[KeptMessage]] = field(default_factory=dict)
+    kept_from: Mapping[str, int] = field(default_factory=dict)
+    refused: Mapping[str, ByteOrderError | MessageLayoutError] = field(default_factory=dict)
 
 
-def scan_of(bag: Bag, is_kept: Callable[[Topic], bool]) -> Scan:
-    """Touches a page per message, never a whole cloud. Raises: the `BAG-*` refusals."""
+def scan_of(bag: Bag, kept_bytes: Callable[[Topic], int]) -> Scan:
+    """`kept_bytes` says how much of a topic's messages to copy, 0 for nothing.
+
+    Touches a page per message, never a whole cloud. Raises: the `BAG-*` refusals.
+    """
     stamped = {topic.name: topic for topic in bag.topics if topic.encoding == "cdr" and begins_with_header(topic)}
     stamps_ns = {name: np.zeros(topic.count, np.int64) for name, topic in stamped.items()}
-    kept: dict[str, dict[int, bytes]] = {name: {} for name, topic in stamped.items() if is_kept(topic)}
+    copied = {name: size for name, topic in stamped.items() if (size := kept_bytes(topic))}
+    windows = {name: _middle(stamped[name].count) for name in copied}
+    kept = {name: [b""] * len(window) for name, window in windows.items()}
     refused: dict[str, ByteOrderError | MessageLayoutError] = {}
     for name, index, payload in bag.heads(tuple(stamped)):
         if name in refused:
@@ -45,7 +55,22 @@ def scan_of(bag: Bag, is_kept: Callable[[Topic], bool]) -> Scan:
             stamps_ns[name][index] = stamp_of(payload, stamped[name].type)
         except (ByteOrderError, MessageLayoutError) as error:
             refused[name] = error
-        if name in kept and len(payload) <= KEPT_BYTES:
-            kept[name][index] = bytes(payload)
-    in_order = {name: [KeptMessage(memoryview(by[index])) for index in sorted(by)] for name, by in kept.items()}
-    return Scan({name: stamps for name, stamps in stamps_ns.items() if name not in refused}, in_order, refused)
+            continue
+        if name in kept and index in windows[name]:
+            kept[name][index - windows[name].start] = bytes(payload[: copied[name]])
+    return Scan(
+        {name: stamps for name, stamps in stamps_ns.items() if name not in refused},
+        {name: _messages(payloads) for name, payloads in kept.items() if name not in refused},
+        {name: window.start for name, window in windows.items()},
+        refused,
+    )
+
+
+def _middle(count: int) -> range:
+    """The indices that are kept."""
+    first = max(0, (count - MOST_KEPT) // 2)
+    return range(first, min(count, first + MOST_KEPT))
+
+
+def _messages(payloads: list[bytes]) -> list[KeptMessage]:
+    return [KeptMessage(memoryview(payload)) for payload in payloads]

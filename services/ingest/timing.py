@@ -20,6 +20,8 @@ GAP_RATIO = 2.5
 # A topic keeps a period when at least half of its intervals are within a half of the median.
 STEADY_SHARE, STEADY_RATIO = 0.5, 0.5
 LEAST_STEADY_COUNT = 4
+# Messages are counted as lost only where the beat is as strict as a trigger's.
+STRICT_RATIO = 0.1
 
 _HEADERS = ("std_msgs/Header ", "std_msgs/msg/Header ", "Header ")
 _STAMP = Struct("<iI")
@@ -39,13 +41,17 @@ class Gap:
 
 @dataclass(frozen=True, eq=False)
 class Timing:
-    """Of one topic: `stamps_ns` (N,) in log order, `has_header` whether they are the sensor's or the recorder's."""
+    """Of one topic: `stamps_ns` (N,) in log order, `has_header` whether they are the sensor's or the recorder's.
+
+    `repeats` counts the messages whose stamp another one has, too.
+    """
 
     stamps_ns: NDArray[np.int64]
     has_header: bool
     rate_hz: float | None
     gaps: tuple[Gap, ...]
     steps_back_ns: NDArray[np.int64]
+    repeats: int = 0
 
 
 def measure(stamps_ns: NDArray[np.int64], has_header: bool) -> Timing:
@@ -55,7 +61,19 @@ def measure(stamps_ns: NDArray[np.int64], has_header: bool) -> Timing:
     periods_ns = np.diff(ordered)
     median_ns = float(np.median(periods_ns)) if len(periods_ns) else 0.0
     rate_hz = NS_PER_S / median_ns if median_ns > 0 else None
-    return Timing(stamps_ns, has_header, rate_hz, _gaps(ordered, periods_ns, median_ns), -steps_ns[steps_ns < 0])
+    gaps = _gaps(ordered, periods_ns, median_ns)
+    return Timing(stamps_ns, has_header, rate_hz, gaps, -steps_ns[steps_ns < 0], int((periods_ns == 0).sum()))
+
+
+def lost_messages(timing: Timing) -> int:
+    """Beats without a message, where nine of ten intervals are whole periods within a tenth of one; else 0."""
+    periods_ns = np.diff(np.sort(timing.stamps_ns)).astype(np.float64)
+    if len(timing.stamps_ns) < LEAST_STEADY_COUNT or timing.rate_hz is None:
+        return 0
+    beats = periods_ns * timing.rate_hz / NS_PER_S
+    whole = np.rint(beats)
+    is_strict = float(np.mean(np.abs(beats - whole) <= STRICT_RATIO)) >= 1 - STRICT_RATIO
+    return int(np.maximum(whole - 1, 0).sum()) if is_strict else 0
 
 
 def begins_with_header(topic: Topic) -> bool:

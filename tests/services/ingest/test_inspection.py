@@ -35,6 +35,8 @@ def _stamped(topic: str, type_name: str, stamps_ns: list[int], **fields: Any) ->
     for row, stamp_ns in enumerate(stamps_ns):
         message = random_message(type_name, np.random.default_rng(row), is_tame=True)
         message.header = header(stamp_ns, "frame")
+        if type_name == ODOMETRY:
+            message.child_frame_id = "base_link"
         for name, value in fields.items():
             setattr(message, name, value)
         recorded.append(Recorded(topic, type_name, START_NS + row * MS + DELAY_NS, serialised(message)))
