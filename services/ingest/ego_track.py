@@ -1,12 +1,18 @@
-"""The ego trajectory by whatever source was chosen; the sources themselves are in `poses` and `ins_poses`."""
+"""The ego trajectory by whatever source was chosen: `ins_poses`, `poses` (odometry, TF) or `kiss_odometry`."""
 
+from dataclasses import dataclass
+
+from services.ingest.bag import Bag
 from services.ingest.extrinsics import plain, static_tree
 from services.ingest.ins_poses import track_from_ins
+from services.ingest.kiss_odometry import Progress, SweepTopic, track_from_sweeps
+from services.ingest.lidar_clock import LidarClock
 from services.ingest.messages.novatel import decode_bestpos
 from services.ingest.messages.tf import decode_transforms
 from services.ingest.poses import PoseTrack, Rig, track_from_odometry, track_from_tf
 from services.ingest.recorded import Recorded
 from services.ingest.sources import Sources
+from services.ingest.track_jumps import split_at_jumps
 from stone.calibration import Calibration
 
 
@@ -16,8 +22,28 @@ def recorded_rig(recorded: Recorded, sources: Sources, calibration: Calibration)
     return Rig(calibration, static_tree(samples), plain(recorded.frame_id(sources.lidar.name)))
 
 
-def ego_track(recorded: Recorded, sources: Sources, rig: Rig) -> PoseTrack:
-    """Raises as `track_from_ins`, `track_from_odometry` and `track_from_tf` do."""
+@dataclass(frozen=True, eq=False)
+class PoseInputs:
+    """What a track is made of; the recording is open."""
+
+    bag: Bag
+    recorded: Recorded
+    sources: Sources
+    clock: LidarClock
+
+
+def ego_track(inputs: PoseInputs, rig: Rig, progress: Progress) -> PoseTrack:
+    """The track, split where it jumps; `progress` is told where finding it takes long.
+
+    Raises as `track_from_ins`, `track_from_odometry`, `track_from_tf` and `track_from_sweeps` do.
+    """
+    if inputs.sources.pose_role == "lidar":
+        track = track_from_sweeps(SweepTopic(inputs.bag, inputs.clock), rig.calibration, progress)
+        return split_at_jumps(track)
+    return split_at_jumps(_recorded_track(inputs.recorded, inputs.sources, rig))
+
+
+def _recorded_track(recorded: Recorded, sources: Sources, rig: Rig) -> PoseTrack:
     topic, messages = sources.pose.name, recorded.messages[sources.pose.name]
     if sources.pose_role == "ins":
         fixes = decode_bestpos(recorded.messages[sources.fixes.name]) if sources.fixes is not None else None

@@ -4,8 +4,8 @@
 
 **Conventions.** `map` is east, north, up around the first usable solution (WGS 84, ellipsoidal height). The INS frame
 of the calibration is x forward, y left, z up: the driver's rule setRPY(roll, −pitch, 90° − azimuth). Stamps are
-rebuilt from GPS week and milliseconds; the driver's header stamps are the host's publish times. North and up are those
-of each point, not of the origin: 0.009° apart a kilometre away.
+rebuilt from GPS week and milliseconds; the driver's header stamps are the host's publish times. The
+receiver's north and up are those of each point; they are turned to those of the origin, 0.009° a kilometre away.
 """
 
 from collections.abc import Iterable
@@ -17,14 +17,13 @@ from numpy.typing import NDArray
 from services.ingest.messages.batch import Stamped
 from services.ingest.messages.novatel import (
     INS_ALIGNMENT_COMPLETE,
-    INS_RTKFIXED,
     INS_SOLUTION_FREE,
     INS_SOLUTION_GOOD,
-    NARROW_INT,
     FixSamples,
     InsSamples,
     decode_inspva,
 )
+from services.ingest.pose_quality import solution_quality
 from services.ingest.poses import PoseTrack
 from services.ingest.recorded import in_order
 from services.ingest.synchronisation_errors import NoUsablePoseError
@@ -35,8 +34,6 @@ from stone.se3 import SE3, multiply
 from stone.trajectory import Trajectory
 
 USABLE_STATUS = (INS_SOLUTION_GOOD, INS_SOLUTION_FREE, INS_ALIGNMENT_COMPLETE)
-RTK_FIXED = (NARROW_INT, INS_RTKFIXED)
-RTK_SHARE_USUAL = 0.95
 HOST_JITTER_NS = 500_000
 
 
@@ -53,8 +50,11 @@ def track_from_ins(
     map_from_ins, origin = enu_poses(samples, rows)
     ins_from_ego = (calibration.ego_from_lidar @ mount.lidar_from_sensor).inverse()
     trajectory = Trajectory(ordered.stamps_ns + mount.time_offset_ns, map_from_ins @ ins_from_ego)
-    findings = ordered.findings + _clock(samples, rows, topic) + _quality(samples, rows, topic, fixes)
-    return PoseTrack(trajectory, source, findings, origin)
+    solution = solution_quality(samples, rows, fixes)
+    findings = ordered.findings + _clock(samples, rows, topic) + _left_out(samples, len(rows), topic)
+    if not solution.rtk.any():
+        findings += (Finding("GNS-301", "warning", topic, "nothing tells whether RTK was fixed (no BESTPOS)"),)
+    return PoseTrack(trajectory, source, topic, findings, origin, solution)
 
 
 def enu_poses(samples: InsSamples, rows: NDArray[np.int64]) -> tuple[SE3, tuple[float, float, float]]:
@@ -64,8 +64,10 @@ def enu_poses(samples: InsSamples, rows: NDArray[np.int64]) -> tuple[SE3, tuple[
     )
     origin = (float(latitude[0]), float(longitude[0]), float(height[0]))
     position_m = np.stack(pymap3d.geodetic2enu(latitude, longitude, height, *origin), axis=-1)
-    wxyz = enu_from_body_wxyz(samples.roll_deg[rows], samples.pitch_deg[rows], samples.azimuth_deg[rows])
-    return SE3.from_parts(wxyz, position_m), origin
+    body = enu_from_body_wxyz(samples.roll_deg[rows], samples.pitch_deg[rows], samples.azimuth_deg[rows])
+    there = _ecef_from_enu_wxyz(latitude, longitude)
+    back = there[:1] * np.array([1.0, -1.0, -1.0, -1.0])
+    return SE3.from_parts(multiply(multiply(back, there), body), position_m), origin
 
 
 def enu_from_body_wxyz(
@@ -74,6 +76,11 @@ def enu_from_body_wxyz(
     """Quaternions (N, 4) of Rz(90° − azimuth) Ry(−pitch) Rx(roll): east, north, up from forward, left, up."""
     yaw = _about(2, np.deg2rad(90.0 - azimuth_deg))
     return multiply(multiply(yaw, _about(1, np.deg2rad(-pitch_deg))), _about(0, np.deg2rad(roll_deg)))
+
+
+def _ecef_from_enu_wxyz(latitude_deg: NDArray[np.float64], longitude_deg: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Quaternions (N, 4) of Rz(90° + longitude) Rx(90° − latitude)."""
+    return multiply(_about(2, np.deg2rad(90.0 + longitude_deg)), _about(0, np.deg2rad(90.0 - latitude_deg)))
 
 
 def _about(axis: int, angle_rad: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -117,16 +124,9 @@ def _clock(samples: InsSamples, rows: NDArray[np.int64], topic: str) -> tuple[Fi
     return (Finding("TIM-201", "warning", topic, sentence),)
 
 
-def _quality(samples: InsSamples, rows: NDArray[np.int64], topic: str, fixes: FixSamples | None) -> tuple[Finding, ...]:
-    """RTK share by INSPVAX itself, else by BESTPOS; and samples that were no solution."""
-    findings: list[Finding] = []
-    if len(rows) < len(samples.ins_status):
-        sentence = f"{len(samples.ins_status) - len(rows)} of {len(samples.ins_status)} samples were no solution"
-        findings.append(Finding("GNS-303", "warning", topic, f"{sentence} and are left out"))
-    types = samples.pos_type[rows] if samples.pos_type is not None else fixes.pos_type if fixes is not None else None
-    if types is None or not len(types):
-        return (*findings, Finding("GNS-301", "warning", topic, "nothing tells whether RTK was fixed (no BESTPOS)"))
-    share = float(np.isin(types, RTK_FIXED).mean())
-    if share < RTK_SHARE_USUAL:
-        findings.append(Finding("GNS-301", "warning", topic, f"RTK was fixed only {share * 100:.1f} % of the time"))
-    return tuple(findings)
+def _left_out(samples: InsSamples, used: int, topic: str) -> tuple[Finding, ...]:
+    total = len(samples.ins_status)
+    if used == total:
+        return ()
+    sentence = f"{total - used} of {total} samples were no solution and are left out"
+    return (Finding("GNS-303", "warning", topic, sentence),)

@@ -20,11 +20,12 @@ SPAN_SAMPLES = 5
 
 @dataclass(frozen=True, eq=False)
 class LidarClock:
-    """The sweeps of one topic in time order: declared `points` (N,), and `span_ns` = (first, last) point time, ns.
+    """The sweeps of a topic in time order: declared `points` (N,), and `span_ns` = (first, last) point time, ns.
 
     Where points have no time, `is_timed` is False and the span is (0, 0).
     """
 
+    topic: str
     ordered: Ordered
     points: NDArray[np.int64]
     span_ns: tuple[int, int]
@@ -38,7 +39,7 @@ def lidar_clock(bag: Bag, recorded: Recorded, topic: str) -> LidarClock:
     points = recorded.cloud_sizes(topic)[ordered.index]
     span_ns = _span_ns(bag, topic, ordered.index[points > 0])
     findings = ordered.findings if span_ns is not None else (*ordered.findings, _no_time(topic))
-    return LidarClock(ordered, points, span_ns or (0, 0), span_ns is not None, findings)
+    return LidarClock(topic, ordered, points, span_ns or (0, 0), span_ns is not None, findings)
 
 
 def _span_ns(bag: Bag, topic: str, rows: NDArray[np.int64]) -> tuple[int, int] | None:

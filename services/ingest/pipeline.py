@@ -6,28 +6,39 @@
 what was noticed is in the sequence's findings, what is unusable in its exclusions, the rest is refused.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from services.ingest.bag import open_bag
-from services.ingest.ego_track import ego_track, recorded_rig
+from services.ingest.associating import SensorTopics, associate
+from services.ingest.bag import Bag, open_bag
+from services.ingest.clocks.triggers import trigger_findings
+from services.ingest.ego_track import PoseInputs, ego_track, recorded_rig
 from services.ingest.extrinsics import cross_check
 from services.ingest.fingerprint import recording_sha256
+from services.ingest.kiss_odometry import Progress
 from services.ingest.lidar_clock import lidar_clock
+from services.ingest.pose_quality import quality_findings
+from services.ingest.projection_checks import projection_findings
 from services.ingest.recorded import read_recorded
 from services.ingest.sources import choose_sources
 from services.ingest.sweeps import BagSweeps
-from services.ingest.synchronisation import associate, frames_with_pose, usable_finding
+from services.ingest.synchronisation import frames_with_pose, usable_finding
 from stone.calibration import Calibration
 from stone.deskew import SweepMount
 from stone.sequence import Sequence
 from stone.trajectory import DEFAULT_MAX_GAP_NS
 
 
+def silent(_stage: str, _done: int, _total: int) -> None:
+    """Nobody asks how far it is."""
+
+
 @dataclass(frozen=True)
 class SynchroniseOptions:
     """Topics by name where the recording's roles are not meant; poses more than `max_pose_gap_ns` apart are a gap.
 
+    `odometry_topic` may be "kiss-icp". `topics` names the topic of a role (lidar, pose) or of a channel (CAM_FRONT).
     `recording_sha256` spares reading the whole recording again where it is known.
     """
 
@@ -35,6 +46,8 @@ class SynchroniseOptions:
     lidar_topic: str | None = None
     max_pose_gap_ns: int = DEFAULT_MAX_GAP_NS
     recording_sha256: str | None = None
+    topics: Mapping[str, str] = field(default_factory=dict)
+    progress: Progress = silent
 
 
 def synchronise(
@@ -46,24 +59,36 @@ def synchronise(
     (no LiDAR, no pose source, no usable pose, no frame), and MissingSensorError when an INS has no mount.
     """
     with open_bag(bag_path) as bag:
-        sources = choose_sources(bag, options.lidar_topic, options.odometry_topic)
-        recorded = read_recorded(bag, sources.scanned, sources.whole)
-        clock = lidar_clock(bag, recorded, sources.lidar.name)
+        sequence, sweeps = _synchronised(bag, calibration, options, name)
+        seen = projection_findings(bag, sequence, sweeps) + trigger_findings(bag, sequence, sweeps)
+    return replace(sequence, findings=(*sequence.findings, *seen)), sweeps
+
+
+def _synchronised(
+    bag: Bag, calibration: Calibration, options: SynchroniseOptions, name: str
+) -> tuple[Sequence, BagSweeps]:
+    """All but the cameras' checks, which look at frames."""
+    lidar_topic = options.lidar_topic or options.topics.get("lidar")
+    sources = choose_sources(bag, lidar_topic, options.odometry_topic or options.topics.get("pose"))
+    recorded = read_recorded(bag, sources.scanned, sources.whole)
+    clock = lidar_clock(bag, recorded, sources.lidar.name)
     rig = recorded_rig(recorded, sources, calibration)
-    track = ego_track(recorded, sources, rig)
-    posed = frames_with_pose(name, clock, track.trajectory, options.max_pose_gap_ns)
-    associations, unmatched = associate(recorded, sources, calibration, posed)
+    track = ego_track(PoseInputs(bag, recorded, sources, clock), rig, options.progress)
+    posed = frames_with_pose(name, clock, track, options.max_pose_gap_ns)
+    channel_of = {topic: channel for channel, topic in options.topics.items()}
+    frames, unmatched = associate(SensorTopics(recorded, sources, calibration, channel_of), posed)
+    doubts = quality_findings(track.topic, frames.quality, track.solution)
     mounts = cross_check(rig.tree, calibration, rig.lidar_frame)
     sequence = Sequence(
         name=name,
-        frames=replace(posed.frames, associations=associations),
+        frames=frames,
         excluded=posed.excluded,
         calibration=calibration,
         pose_source=track.source,
         map_origin_deg_m=track.map_origin_deg_m,
-        inputs={bag_path.name: options.recording_sha256 or recording_sha256(bag_path)},
-        findings=mounts + clock.findings + track.findings + unmatched + usable_finding(posed),
+        inputs={bag.path.name: options.recording_sha256 or recording_sha256(bag.path)},
+        findings=mounts + clock.findings + track.findings + doubts + unmatched + usable_finding(posed),
     )
     motion = SweepMount(track.trajectory, calibration.ego_from_lidar, options.max_pose_gap_ns)
-    sweeps = BagSweeps(bag_path, sources.lidar.name, posed.message_index, posed.frames.stamps_ns, motion)
+    sweeps = BagSweeps(bag.path, clock.topic, posed.message_index, frames.stamps_ns, motion)
     return sequence, sweeps

@@ -19,6 +19,7 @@ from services.ingest.recorded import in_order
 from services.ingest.synchronisation_errors import NoPoseSourceError, NoUsablePoseError
 from stone.calibration import Calibration
 from stone.findings import Finding
+from stone.pose_quality import SolutionQuality
 from stone.se3 import SE3
 from stone.trajectory import Trajectory
 
@@ -27,12 +28,17 @@ FIXED_FRAMES = ("odom", "map", "world")
 
 @dataclass(frozen=True, eq=False)
 class PoseTrack:
-    """Where the robot was, by which `source`; `map_origin_deg_m` is latitude, longitude, height where there is one."""
+    """Where the robot was, by which `source` of which `topic`; `solution` is the quality of each pose where it is told.
+
+    `map_origin_deg_m` is latitude, longitude, height of the map's origin where there is one.
+    """
 
     trajectory: Trajectory
     source: str
+    topic: str
     findings: tuple[Finding, ...] = ()
     map_origin_deg_m: tuple[float, float, float] | None = None
+    solution: SolutionQuality | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +54,7 @@ def track_from_odometry(messages: Iterable[Stamped], topic: str, rig: Rig) -> Po
     """Raises NoUsablePoseError and what `decode_odometry` raises."""
     samples = decode_odometry(messages)
     source = f"{topic} ({samples.frame_id} to {samples.child_frame_id}, nav_msgs/msg/Odometry)"
-    return _track(source, samples.child_frame_id, (samples.stamps_ns, samples.parent_from_child), rig)
+    return _track((source, topic), samples.child_frame_id, (samples.stamps_ns, samples.parent_from_child), rig)
 
 
 def track_from_tf(messages: Iterable[Stamped], topic: str, rig: Rig) -> PoseTrack:
@@ -63,7 +69,7 @@ def track_from_tf(messages: Iterable[Stamped], topic: str, rig: Rig) -> PoseTrac
     if chosen is None:
         raise NoPoseSourceError([f"{topic} {pair.parent} to {pair.child}" for pair in samples])
     source = f"{topic} ({chosen.parent} to {chosen.child}, tf2_msgs/msg/TFMessage)"
-    return _track(source, chosen.child, (chosen.stamps_ns, chosen.parent_from_child), rig)
+    return _track((source, topic), chosen.child, (chosen.stamps_ns, chosen.parent_from_child), rig)
 
 
 def child_from_ego(child: str, rig: Rig) -> tuple[SE3, tuple[Finding, ...]]:
@@ -81,11 +87,12 @@ def child_from_ego(child: str, rig: Rig) -> tuple[SE3, tuple[Finding, ...]]:
     return SE3.identity(), (Finding("CAL-405", "warning", child, sentence),)
 
 
-def _track(source: str, child: str, samples: tuple[NDArray[np.int64], SE3], rig: Rig) -> PoseTrack:
+def _track(named: tuple[str, str], child: str, samples: tuple[NDArray[np.int64], SE3], rig: Rig) -> PoseTrack:
+    source, topic = named
     stamps_ns, fixed_from_child = samples
     if not len(stamps_ns):
         raise NoUsablePoseError(source, 0, "no message")
     ordered = in_order(source, stamps_ns)
     step, findings = child_from_ego(child, rig)
     trajectory = Trajectory(ordered.stamps_ns, fixed_from_child[ordered.index] @ step)
-    return PoseTrack(trajectory, source, ordered.findings + findings)
+    return PoseTrack(trajectory, source, topic, ordered.findings + findings)

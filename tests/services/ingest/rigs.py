@@ -90,6 +90,8 @@ def _ins(stamp_ns: int, host_ns: int, place: NDArray[np.float64], angles: NDArra
     message.pos_type.type = np.uint32(facts.get("pos_type", 56))
     message.latitude, message.longitude, message.height = place
     message.azimuth, message.pitch, message.roll = 90.0 - angles[0], -angles[1], angles[2]
+    stdev_m = facts.get("stdev_m", 0.012)
+    message.latitude_stdev, message.longitude_stdev, message.height_stdev = stdev_m, stdev_m, stdev_m
     return Recorded(INS_TOPIC, "novatel_oem7_msgs/msg/INSPVAX", host_ns, serialised(message))
 
 

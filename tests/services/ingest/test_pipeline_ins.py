@@ -131,7 +131,7 @@ def test_rtk_that_was_not_fixed_is_said(tmp_path):
         tmp_path / "a.mcap", [rigs.wall_sweep(int(s)) for s in SWEEPS_NS], ins_messages(POSES_NS, pos_type=55)
     )
     sequence, _ = synchronised(path)
-    assert "RTK was fixed only 0.0 % of the time" in [f.message for f in sequence.findings]
+    assert "RTK was fixed only 0.0 % of the time (100.0 % float)" in [f.message for f in sequence.findings]
 
 
 def test_an_ins_without_a_mount_is_refused(drive):

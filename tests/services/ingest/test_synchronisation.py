@@ -8,7 +8,7 @@ import pytest
 from services.ingest.extrinsics import StaticTree, turn_deg
 from services.ingest.pipeline import SynchroniseOptions, synchronise
 from services.ingest.recorded import in_order
-from services.ingest.synchronisation import mount_of
+from services.ingest.associating import mount_of
 from stone.se3 import SE3
 from tests.services.ingest import rigs
 from tests.services.ingest.rigs import PERIOD_NS, T0_NS, calibration, plain_sweep, stamped, written

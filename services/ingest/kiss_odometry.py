@@ -1,0 +1,118 @@
+"""Poses from the sweeps alone, by KISS-ICP, where a recording has none or none to trust: `--odometry kiss-icp`.
+
+    map_from_ego(t) = ego_from_lidar @ first_from_lidar(t) @ ego_from_lidar⁻¹
+
+**Conventions.** `map` is the ego frame at the first sweep, so up is where the robot stood, not where gravity says. A
+pose is the LiDAR's at the last point of a sweep, where KISS-ICP deskews to; at the stamp where points carry no time.
+One sweep is held at a time and the local map forgets what is out of range, so memory does not grow with the recording.
+One thread, so that equal recordings give equal poses. Source: Vizzo et al., "KISS-ICP: In Defense of Point-to-Point
+ICP", RA-L 2023; the package `kiss-icp`.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.ingest.bag import Bag
+from services.ingest.lidar_clock import LidarClock
+from services.ingest.messages.lidar import LidarPoints
+from services.ingest.messages.pointcloud2 import decode_cloud, lidar_points
+from services.ingest.poses import PoseTrack
+from services.ingest.synchronisation_errors import NoUsablePoseError
+from stone.association import typical_period_ns
+from stone.calibration import Calibration
+from stone.findings import Finding
+from stone.se3 import SE3
+from stone.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from kiss_icp.kiss_icp import KissICP
+
+Progress = Callable[[str, int, int], None]
+STAGE = "odometry"
+# The paper's parameters for a LiDAR of this range; what is nearer is the robot itself.
+MAX_RANGE_M, MIN_RANGE_M, VOXEL_M = 100.0, 1.0, 1.0
+# Fewer points within range fix no pose.
+LEAST_POINTS = 100
+
+
+@dataclass(frozen=True, eq=False)
+class SweepTopic:
+    """The sweeps of one topic of an open recording."""
+
+    bag: Bag
+    clock: LidarClock
+
+
+def track_from_sweeps(topic: SweepTopic, calibration: Calibration, progress: Progress) -> PoseTrack:
+    """The track of all sweeps in time order. Raises NoUsablePoseError and what decoding a cloud raises."""
+    source = f"kiss-icp {version('kiss-icp')} on {topic.clock.topic} (odometry from the sweeps)"
+    clock, odometry = topic.clock, _kiss_icp()
+    total = len(clock.ordered.index)
+    end_ns = clock.span_ns[1]
+    stamps_ns: list[int] = []
+    first_from_lidar: list[NDArray[np.float64]] = []
+    for done, (stamp_ns, points) in enumerate(_sweeps(topic)):
+        progress(STAGE, done, total)
+        frame, times_s = _timed(points, clock)
+        if len(frame) >= LEAST_POINTS:
+            odometry.register_frame(frame, times_s)
+            stamps_ns.append(stamp_ns + end_ns)
+            first_from_lidar.append(odometry.last_pose)
+    progress(STAGE, total, total)
+    if not stamps_ns:
+        raise NoUsablePoseError(source, total, f"no sweep has {LEAST_POINTS} points within {MAX_RANGE_M:g} m")
+    poses = SE3.from_matrix(np.stack(first_from_lidar))
+    map_from_ego = calibration.ego_from_lidar @ poses @ calibration.ego_from_lidar.inverse()
+    trajectory = Trajectory(np.array(stamps_ns, np.int64), map_from_ego)
+    return PoseTrack(trajectory, source, clock.topic, _passed_over(clock.topic, total - len(stamps_ns), total))
+
+
+def _sweeps(topic: SweepTopic) -> Iterator[tuple[int, LidarPoints]]:
+    ordered = topic.clock.ordered
+    for stamp_ns, row in zip(ordered.stamps_ns.tolist(), ordered.index.tolist(), strict=True):
+        yield stamp_ns, lidar_points(decode_cloud(topic.bag.message(topic.clock.topic, row).payload))
+
+
+def _kiss_icp() -> "KissICP":
+    """Imported here: reading bags must not cost what the package's own imports do."""
+    from kiss_icp.config import KISSConfig
+    from kiss_icp.config.config import DataConfig, MappingConfig, RegistrationConfig
+    from kiss_icp.kiss_icp import KissICP
+
+    return KissICP(
+        KISSConfig(
+            data=DataConfig(max_range=MAX_RANGE_M, min_range=MIN_RANGE_M, deskew=True),
+            mapping=MappingConfig(voxel_size=VOXEL_M),
+            registration=RegistrationConfig(max_num_threads=1),
+        )
+    )
+
+
+def _timed(points: LidarPoints, clock: LidarClock) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The returns within range (N, 3), and when each was taken, s; no times where they would say nothing.
+
+    The package takes the spread of the times for the time between two poses, and ends the process where there is none.
+    So two points in the origin, which it drops, mark a period that ends with the sweep.
+    """
+    distance_m = np.linalg.norm(points.points_lidar.astype(np.float64), axis=1)
+    is_near = (distance_m > MIN_RANGE_M) & (distance_m < MAX_RANGE_M)
+    near = points.points_lidar[is_near].astype(np.float64)
+    period_ns = typical_period_ns(clock.ordered.stamps_ns)
+    if points.offset_ns is None or not clock.is_timed or period_ns <= 0 or not len(near):
+        return near, np.zeros(0)
+    first_ns, last_ns = clock.span_ns[1] - period_ns, clock.span_ns[1]
+    times_ns = np.clip(points.offset_ns[is_near], first_ns, last_ns)
+    marks_ns = np.array([first_ns, last_ns])
+    return np.concatenate([near, np.zeros((2, 3))]), np.concatenate([times_ns, marks_ns]) * 1e-9
+
+
+def _passed_over(topic: str, count: int, total: int) -> tuple[Finding, ...]:
+    if not count:
+        return ()
+    sentence = f"{count} of {total} sweeps have fewer than {LEAST_POINTS} points in range and gave no pose"
+    return (Finding("SYN-505", "warning", topic, sentence),)
