@@ -78,8 +78,8 @@ def gyro_lag(gyro: tuple[Stamps, Array], source: tuple[Stamps, Array]) -> GyroLa
     if len(gyro_ns) < 2 or len(source_ns) < 2:
         return None
     start_ns = int(source_ns[0])
-    time_s = (gyro_ns - start_ns) * 1e-9
-    turns = _inside(turns_of((source_ns - start_ns) * 1e-9, wxyz), time_s)
+    time_s, source_s = _seconds(gyro_ns, start_ns), _seconds(source_ns, start_ns)
+    turns = _inside(turns_of(source_s, wxyz), time_s)
     if len(turns.begin_s) < LEAST_TURNS or not turns.centred().any():
         return None
     integral = _Gyro(time_s, _integrated(time_s, rates))
@@ -99,6 +99,10 @@ def turns_of(time_s: Array, wxyz: Array) -> Turns:
     is_whole = elapsed_s <= GAP_RATIO * np.median(elapsed_s) if len(elapsed_s) else np.zeros(0, np.bool_)
     rates = axis * (angle / elapsed_s)[:, None]
     return Turns(time_s[:-1][is_whole], time_s[1:][is_whole], rates[is_whole])
+
+
+def _seconds(stamps_ns: Stamps, start_ns: int) -> Array:
+    return (stamps_ns - start_ns).astype(np.float64) * 1e-9
 
 
 def _ordered(stamps_ns: Stamps, values: Array) -> tuple[Stamps, Array]:
@@ -150,7 +154,7 @@ def _best(gyro: _Gyro, turns: Turns) -> GyroLag | None:
 def _fit(gyro: _Gyro, turns: Turns, lag_s: float) -> tuple[float, Array]:
     """Squared error of the best mount at this lag, and its weights (4, 3): the gyro's axes and the bias."""
     told = _told(gyro, turns, lag_s)
-    weights = np.linalg.lstsq(told, turns.rates_rad_s, rcond=None)[0]
+    weights: Array = np.linalg.lstsq(told, turns.rates_rad_s, rcond=None)[0].astype(np.float64)
     return float(np.sum((told @ weights - turns.rates_rad_s) ** 2)), weights
 
 
