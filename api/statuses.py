@@ -9,9 +9,9 @@ from http import HTTPStatus
 from api import errors as api
 from api import file_errors as files
 from api import tus_errors as tus
+from services.runtime import bag_files, quota, recordings, store_keys
 from services.runtime import label_choices as choices
 from services.runtime import processing_errors as processing
-from services.runtime import quota, recordings, store_keys
 from services.runtime.access import errors as access
 from services.runtime.jobs import errors as jobs
 from services.runtime.uploads import errors as uploads
@@ -39,6 +39,7 @@ STATUS_OF: dict[type[StoneError], int] = {
     access.NameTakenError: 409,
     access.UnknownRoleError: 422,
     access.WeakPasswordError: 422,
+    bag_files.BadBagFilesError: 422,
     choices.ChoiceError: 422,
     files.CalibrationRefusedError: 422,
     files.RangeError: 416,

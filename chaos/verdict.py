@@ -105,8 +105,9 @@ def _judge_recordings(session: Session, brought: Brought) -> Iterator[Violation]
     for recording in recordings:
         if recording.state != "registered":
             yield Violation("lost", f"recording {recording.id} is {recording.state}")
-        if not recording.sha256 == recording.blob_sha256 == brought.sha256:
-            yield Violation("differing", f"recording {recording.id} is {recording.blob_sha256}, not {brought.sha256}")
+        kept = [file.blob_sha256 for file in recording.files]
+        if recording.sha256 != brought.sha256 or kept != [brought.sha256]:
+            yield Violation("differing", f"recording {recording.id} is kept as {kept}, not as {brought.sha256}")
 
 
 def _judge_quota(session: Session, brought: Brought) -> Iterator[Violation]:

@@ -11,9 +11,15 @@ from api.job_views import job_items
 from api.paging import Page, PageDep, page
 from api.schemas.base import IdPath, instant
 from api.schemas.calibrations import FindingItem
-from api.schemas.recordings import NewRecordingBody, RecordingAccepted, RecordingDetail, RecordingItem
+from api.schemas.recordings import (
+    NewRecordingBody,
+    RecordingAccepted,
+    RecordingDetail,
+    RecordingFileItem,
+    RecordingItem,
+)
 from api.visible import recording_of, sequence_of
-from services.runtime.orm import Recording
+from services.runtime.orm import Recording, RecordingFile
 from services.runtime.recordings import add_recording, remove_recording
 
 router = APIRouter(prefix="/sequences/{sequence_id}/recordings", tags=["recordings"])
@@ -23,10 +29,13 @@ router = APIRouter(prefix="/sequences/{sequence_id}/recordings", tags=["recordin
 def create_recording(
     sequence_id: IdPath, body: NewRecordingBody, caller: Curator, platform: PlatformDep, response: Response
 ) -> RecordingAccepted:
-    """Make a recording of a complete upload of the caller's; the job reads and keeps it. An upload serves once."""
+    """Make a recording of complete uploads of the caller's; the job reads and keeps it. An upload serves once.
+
+    The files of a bag are taken all or none.
+    """
     with platform.database.transaction() as session:
         sequence = sequence_of(session, caller, sequence_id)
-        recording, job = add_recording(session, sequence, body.upload_id, caller.user_id)
+        recording, job = add_recording(session, sequence, body.received(), caller.user_id)
         audit.record(session, caller, "recording.add", recording.id, facts={"sequence_id": sequence_id})
         shown = RecordingAccepted(recording=recording_item(recording), job=job_items(session, [job])[0])
     response.headers["Location"] = f"/api/v1/sequences/{sequence_id}/recordings/{recording.id}"
@@ -47,7 +56,8 @@ def show_recording(sequence_id: IdPath, recording_id: IdPath, caller: Reader, pl
     """A recording with what its inspection said."""
     with platform.database.reading() as session:
         recording = recording_of(session, caller, sequence_id, recording_id)
-        return RecordingDetail(**dict(recording_item(recording)), inspection=recording.inspection)
+        item = dict(recording_item(recording))
+        return RecordingDetail(**item, inspection=recording.inspection, quality=recording.quality)
 
 
 @router.delete("/{recording_id}", status_code=204, responses=refusals(403, 404, 409))
@@ -63,11 +73,21 @@ def recording_item(row: Recording) -> RecordingItem:
     return RecordingItem(
         id=row.id,
         sequence_id=row.sequence_id,
+        filename=row.filename,
+        size_bytes=row.size_bytes,
+        sha256=row.sha256,
+        files=[_file_item(file) for file in row.files],
+        state=row.state,
+        findings=[FindingItem(**finding) for finding in row.findings],
+        created_at=instant(row.created_ns),
+    )
+
+
+def _file_item(row: RecordingFile) -> RecordingFileItem:
+    return RecordingFileItem(
         upload_id=row.upload_id,
         filename=row.filename,
         size_bytes=row.size_bytes,
         sha256=row.sha256,
-        state=row.state,
-        findings=[FindingItem(**finding) for finding in row.findings],
-        created_at=instant(row.created_ns),
+        is_recovered=row.recovered_blob_sha256 is not None,
     )

@@ -1,55 +1,121 @@
 """Recordings over the wire."""
 
 from datetime import datetime
-from typing import Any
+from typing import Annotated, Any, Self
+
+from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Body, IdText, example
 from api.schemas.calibrations import FindingItem
 from api.schemas.jobs import JOB_EXAMPLE, JobItem
+from services.runtime.bag_files import MOST_FILES
+from services.runtime.recordings import Received
+from services.runtime.uploads.declared import LONGEST_NAME_BYTES, check_filename
+from services.runtime.uploads.errors import BadMetadataError
 
-RECORDING_EXAMPLE: dict[str, Any] = {
-    "id": ID_EXAMPLE,
-    "sequence_id": ID_EXAMPLE,
+FILE_EXAMPLE: dict[str, Any] = {
     "upload_id": ID_EXAMPLE,
     "filename": "run.mcap",
     "size_bytes": 8123456789,
     "sha256": SHA256_EXAMPLE,
+    "is_recovered": False,
+}
+RECORDING_EXAMPLE: dict[str, Any] = {
+    "id": ID_EXAMPLE,
+    "sequence_id": ID_EXAMPLE,
+    "filename": "run.mcap",
+    "size_bytes": 8123456789,
+    "sha256": SHA256_EXAMPLE,
+    "files": [FILE_EXAMPLE],
     "state": "registered",
     "findings": [],
     "created_at": "2026-05-03T09:12:44.120000Z",
 }
 
 
+def _plain_name(name: str) -> str:
+    try:
+        check_filename(name)
+    except BadMetadataError as error:
+        raise ValueError(str(error)) from None
+    return name
+
+
+FolderName = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME_BYTES), AfterValidator(_plain_name)]
+
+
 class NewRecordingBody(Body):
-    """A complete upload that is to become a recording; an upload becomes one recording and no more."""
+    """Complete uploads that are to become a recording; an upload becomes one recording and no more.
 
-    model_config = example(upload_id=ID_EXAMPLE)
+    One file by `upload_id`; or the files of one rosbag2 folder by `upload_ids`, and the folder's `name`.
+    """
 
-    upload_id: IdText
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [
+                {"upload_id": ID_EXAMPLE},
+                {"upload_ids": [ID_EXAMPLE, ID_EXAMPLE[::-1]], "name": "run_2026_05_03"},
+            ]
+        }
+    )
+
+    upload_id: IdText | None = None
+    upload_ids: list[IdText] | None = Field(default=None, min_length=2, max_length=MOST_FILES)
+    name: FolderName | None = None
+
+    @model_validator(mode="after")
+    def _one_or_several(self) -> Self:
+        if (self.upload_id is None) == (self.upload_ids is None):
+            raise ValueError("say upload_id for one file, or upload_ids for the files of one bag")
+        if (self.upload_ids is None) != (self.name is None):
+            raise ValueError("a bag of several files has a name, one of one file is called as it was uploaded")
+        return self
+
+    def received(self) -> Received:
+        """The uploads as the runtime understands them."""
+        if self.upload_ids is None:
+            return Received((self.upload_id or "",))
+        return Received(tuple(self.upload_ids), self.name or "")
+
+
+class RecordingFileItem(Answer):
+    """One file of a recording. `is_recovered`: it was cut off; what could be read of it is processed."""
+
+    model_config = example(**FILE_EXAMPLE)
+
+    upload_id: str | None
+    filename: str
+    size_bytes: int
+    sha256: str
+    is_recovered: bool
 
 
 class RecordingItem(Answer):
-    """One bag of a sequence. `state`: received, registered (read and kept), refused (see `findings`)."""
+    """One bag of a sequence. `state`: received, registered (read and kept), refused (see `findings`).
+
+    Of several files, `sha256` is that of the lines `sha256sum` prints for them in order of name.
+    """
 
     model_config = example(**RECORDING_EXAMPLE)
 
     id: str
     sequence_id: str
-    upload_id: str | None
     filename: str
     size_bytes: int
     sha256: str
+    files: list[RecordingFileItem]
     state: str
     findings: list[FindingItem]
     created_at: datetime
 
 
 class RecordingDetail(RecordingItem):
-    """A recording with what its inspection said: topics, roles, clocks (null until it is registered)."""
+    """A recording with what its inspection said: topics, roles, clocks, and how good it is (null until registered)."""
 
-    model_config = example(**RECORDING_EXAMPLE, inspection={"topics": []})
+    model_config = example(**RECORDING_EXAMPLE, inspection={"topics": []}, quality={"score": 87, "deductions": []})
 
     inspection: dict[str, Any] | None
+    quality: dict[str, Any] | None
 
 
 class RecordingAccepted(Answer):

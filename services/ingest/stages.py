@@ -10,16 +10,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from services.ingest.named import named
+from sqlalchemy.orm import Session
+
+from services.ingest.named import named, named_folder
 from services.ingest.opening import open_sequence
 from services.ingest.pipeline import SynchroniseOptions
 from services.ingest.registering import NAMES_FOLDER, register
-from services.ingest.sweep_file import Kept, read_sweeps, sweeps_bytes
+from services.ingest.sweep_file import Kept, KeptFile, read_sweeps, sweeps_bytes
 from services.ingest.sweeps import BagSweeps
 from services.runtime.atomic import atomic_file
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.specs import Attempt, Handlers, JobSpec, Outcome
-from services.runtime.orm import Blob, Calibration, Recording
+from services.runtime.orm import Blob, Calibration, Recording, RecordingFile
 from services.runtime.platform import Platform
 from services.runtime.processing import LABEL, REGISTER, SYNCHRONISE
 from services.runtime.run_files import SEQUENCE_FILE, SWEEPS_FILE
@@ -38,7 +40,7 @@ class _Inputs:
     name: str
     recording: Kept
     recording_sha256: str
-    calibration: Kept
+    calibration: KeptFile
 
 
 def handlers(platform: Platform) -> Handlers:
@@ -55,7 +57,7 @@ def synchronise_recording(platform: Platform, attempt: Attempt) -> Outcome:
         lidar_topic=attempt.arguments["lidar_topic"] or None,
         recording_sha256=inputs.recording_sha256,
     )
-    bag, calibration = locate(platform, inputs.recording), locate(platform, inputs.calibration)
+    bag, calibration = locate(platform, inputs.recording), locate_file(platform, inputs.calibration)
     sequence, sweeps = open_sequence(bag, calibration, inputs.name, options)
     attempt.progress("synchronise", 1, 2)
     workspace = Workspace(platform.store, platform.settings, attempt.root_id)
@@ -79,6 +81,14 @@ def open_described(platform: Platform, description: bytes) -> BagSweeps:
 
 
 def locate(platform: Platform, kept: Kept) -> Path:
+    """The bag on this machine, a file or a folder, called as its owner called it."""
+    if len(kept.files) == 1:
+        return locate_file(platform, kept.files[0])
+    files = [(platform.store.local(file.object_key), file.filename) for file in kept.files]
+    return named_folder(platform.settings.root / NAMES_FOLDER, files, kept.name)
+
+
+def locate_file(platform: Platform, kept: KeptFile) -> Path:
     """A file on this machine with the object's bytes, called as its owner called it."""
     return named(platform.settings.root / NAMES_FOLDER, platform.store.local(kept.object_key), kept.filename)
 
@@ -89,11 +99,16 @@ def _inputs(platform: Platform, attempt: Attempt) -> _Inputs:
         recording = session.get(Recording, attempt.arguments["recording_id"])
         if recording is None:
             raise JobCancelledError("its recording was deleted")
-        bag = session.get_one(Blob, recording.blob_sha256)
+        kept = Kept(recording.filename, tuple(_kept_file(session, file) for file in recording.files))
         calibration = session.get_one(Calibration, attempt.arguments["calibration_id"])
         rig = session.get_one(Blob, calibration.blob_sha256)
-    kept_bag, kept_rig = Kept(bag.object_key, recording.filename), Kept(rig.object_key, calibration.filename)
-    return _Inputs(sequence.name, kept_bag, recording.sha256, kept_rig)
+    return _Inputs(sequence.name, kept, recording.sha256, KeptFile(rig.object_key, calibration.filename))
+
+
+def _kept_file(session: Session, file: RecordingFile) -> KeptFile:
+    """What is read of a file: what was recovered of it, where it was cut off."""
+    blob = session.get_one(Blob, file.recovered_blob_sha256 or file.blob_sha256)
+    return KeptFile(blob.object_key, file.filename)
 
 
 def _findings(findings: Iterable[Finding]) -> list[dict[str, Any]]:

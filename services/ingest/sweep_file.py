@@ -1,7 +1,7 @@
 """Where a sequence's sweeps come from, as a file that a worker on any machine can open.
 
 **Conventions.** What `BagSweeps` knows, in an npz of plain arrays; instead of a path, which is true on one machine
-only, `object_key` names the recording in the store. Written and read by workers of one version.
+only, object keys name the recording in the store. Written and read by workers of one version.
 """
 
 import io
@@ -22,11 +22,19 @@ from stone.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
-class Kept:
-    """A recording in the store, and the name its owner gave it."""
+class KeptFile:
+    """An object of the store, and the name its owner gave it."""
 
     object_key: str
     filename: str
+
+
+@dataclass(frozen=True)
+class Kept:
+    """A recording in the store: one file, or the files of a bag that is called `name`."""
+
+    name: str
+    files: tuple[KeptFile, ...]
 
 
 def sweeps_bytes(sweeps: BagSweeps, kept: Kept) -> bytes:
@@ -49,5 +57,5 @@ def read_sweeps(payload: bytes, locate: Callable[[Kept], Path]) -> BagSweeps:
         if "max_gap_ns" in record:
             trajectory = Trajectory(arrays["pose_stamps_ns"], SE3(arrays["map_from_ego"]))
             mount = SweepMount(trajectory, SE3(arrays["ego_from_lidar"]), record["max_gap_ns"])
-        path = locate(Kept(record["object_key"], record["filename"]))
+        path = locate(Kept(record["name"], tuple(KeptFile(**file) for file in record["files"])))
         return BagSweeps(path, record["topic"], arrays["message_index"], arrays["stamps_ns"], mount)

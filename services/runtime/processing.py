@@ -19,7 +19,7 @@ from services.runtime.jobs.queueing import enqueue, enqueue_run
 from services.runtime.jobs.specs import TERMINAL, Context, JobSpec
 from services.runtime.jobs.steering import cancel
 from services.runtime.label_choices import check_choices
-from services.runtime.orm import Calibration, Job, LabelSet, Recording, Sequence
+from services.runtime.orm import Calibration, Job, LabelSet, Preview, Recording, RecordingFile, Sequence
 from services.runtime.orm.base import now_ns
 from services.runtime.processing_errors import (
     AlreadyProcessingError,
@@ -91,8 +91,11 @@ def delete_sequence(session: Session, sequence: Sequence) -> None:
         with suppress(JobStateError):  # it ended while we waited for its row
             cancel(session, root_id, "its sequence was deleted")
     session.execute(delete(LabelSet).where(LabelSet.sequence_id == sequence.id))
-    gone = delete(Recording).where(Recording.sequence_id == sequence.id).returning(Recording.upload_id)
-    for upload_id in session.scalars(gone).all():  # recordings before their owner's quota, as everywhere
+    session.execute(delete(Preview).where(Preview.sequence_id == sequence.id))
+    held = select(RecordingFile.upload_id).join(Recording).where(Recording.sequence_id == sequence.id)
+    upload_ids = session.scalars(held).all()
+    session.execute(delete(Recording).where(Recording.sequence_id == sequence.id))
+    for upload_id in upload_ids:  # recordings before their owner's quota, as everywhere
         quota.release(session, upload_id or "", "sequence deleted")
     sequence.deleted_ns = now_ns()
     sequence.revision += 1

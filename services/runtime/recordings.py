@@ -1,19 +1,21 @@
-"""A recording comes to be of an upload, once, and goes again with its bytes.
+"""A recording comes to be of an upload, or of several that are one bag, once, and goes again with its bytes.
 
 **Conventions.** Each function is part of the caller's transaction and locks the sequence's row first
-(`services/runtime/processing.py`). The bytes of a recording are counted against its owner under the upload's id.
+(`services/runtime/processing.py`). The bytes of a recording are counted against its owner under its uploads' ids.
 """
 
 from contextlib import suppress
+from dataclasses import dataclass
 
-from sqlalchemy import select
+from sqlalchemy import delete, select
 from sqlalchemy.orm import Session
 
 from services.runtime import quota
+from services.runtime.bag_files import BadBagFilesError, check_bag_files, whole_sha256
 from services.runtime.jobs.errors import JobStateError
 from services.runtime.jobs.specs import TERMINAL
 from services.runtime.jobs.steering import cancel
-from services.runtime.orm import Job, Recording, Sequence
+from services.runtime.orm import Job, Recording, RecordingFile, Sequence, Upload
 from services.runtime.processing import PROCESS, REGISTER, lock_sequence, register
 from services.runtime.uploads import consume
 from stone.errors import StoneError
@@ -39,22 +41,27 @@ class RecordingInUseError(StoneError):
         super().__init__(f"recording {recording_id} is read by job {job_id}; wait for it, or cancel it first")
 
 
-def add_recording(session: Session, sequence: Sequence, upload_id: str, uploader_id: str) -> tuple[Recording, Job]:
-    """Use up a complete upload of the uploader's: its recording, and the job that reads and keeps it.
+@dataclass(frozen=True)
+class Received:
+    """Complete uploads that are to be one recording: one file, or the files of a bag that is called `name`."""
 
-    Raises `SequenceDeletedError`, what `uploads.consume` raises, `ForeignTargetError`, `QueueDrainingError`.
+    upload_ids: tuple[str, ...]
+    name: str = ""
+
+
+def add_recording(session: Session, sequence: Sequence, received: Received, uploader_id: str) -> tuple[Recording, Job]:
+    """Use up complete uploads of the uploader's, all or none: their recording, and the job that reads and keeps it.
+
+    Raises `SequenceDeletedError`, what `uploads.consume` raises, `ForeignTargetError`, `BadBagFilesError`,
+    `QueueDrainingError`.
     """
     sequence = lock_sequence(session, sequence.id)
-    upload = consume(session, upload_id, uploader_id, PURPOSE)
-    if upload.target_id not in ("", sequence.id):
-        raise ForeignTargetError(upload_id, upload.target_id, sequence.id)
-    recording = Recording(
-        sequence_id=sequence.id,
-        upload_id=upload.id,
-        filename=upload.filename,
-        size_bytes=upload.length_bytes,
-        sha256=upload.sha256,
-    )
+    if len(set(received.upload_ids)) < len(received.upload_ids):
+        raise BadBagFilesError("an upload is named twice")
+    ordered = sorted(received.upload_ids)  # of two that want some of the same, one waits for the other
+    uploads = [_consumed(session, upload_id, uploader_id, sequence.id) for upload_id in ordered]
+    uploads.sort(key=lambda upload: upload.filename)
+    recording = _recording_of(sequence, uploads, received.name)
     session.add(recording)
     session.flush()
     return recording, register(session, recording)
@@ -72,10 +79,37 @@ def remove_recording(session: Session, recording: Recording) -> None:
         if run.kind == REGISTER and run.arguments["recording_id"] == recording.id:
             with suppress(JobStateError):  # it ended while we waited for its row
                 cancel(session, run.id, "its recording was deleted")
-    session.delete(recording)
-    session.flush()
-    if recording.upload_id is not None:
-        quota.release(session, recording.upload_id, "recording deleted")
+    upload_ids = [file.upload_id for file in recording.files if file.upload_id is not None]
+    session.execute(delete(Recording).where(Recording.id == recording.id))
+    for upload_id in upload_ids:
+        quota.release(session, upload_id, "recording deleted")
+
+
+def _consumed(session: Session, upload_id: str, uploader_id: str, sequence_id: str) -> Upload:
+    upload = consume(session, upload_id, uploader_id, PURPOSE)
+    if upload.target_id not in ("", sequence_id):
+        raise ForeignTargetError(upload_id, upload.target_id, sequence_id)
+    return upload
+
+
+def _recording_of(sequence: Sequence, uploads: list[Upload], name: str) -> Recording:
+    """The row of a recording that consists of these files, which are in the order of their names."""
+    files = [
+        RecordingFile(
+            ordinal=ordinal,
+            upload_id=upload.id,
+            filename=upload.filename,
+            size_bytes=upload.length_bytes,
+            sha256=upload.sha256,
+        )
+        for ordinal, upload in enumerate(uploads)
+    ]
+    filename, sha256 = uploads[0].filename, uploads[0].sha256
+    if len(uploads) > 1:
+        check_bag_files([file.filename for file in files])
+        filename, sha256 = name, whole_sha256((file.filename, file.sha256) for file in files)
+    size_bytes = sum(file.size_bytes for file in files)
+    return Recording(sequence_id=sequence.id, filename=filename, size_bytes=size_bytes, sha256=sha256, files=files)
 
 
 def _alive(session: Session, sequence_id: str) -> list[Job]:

@@ -16,7 +16,6 @@ from services.runtime.orm import (
     JobAttempt,
     LabelledFrame,
     LabelSet,
-    Recording,
     Sequence,
     Upload,
     User,
@@ -24,6 +23,7 @@ from services.runtime.orm import (
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from services.runtime.uploads.files import upload_file
+from tests.rows import recording_of
 
 Row = TypeVar("Row", bound=Base)
 BAG = b"a recording" * 100
@@ -85,10 +85,7 @@ def _send(session: Session, platform: Platform, sequence: Sequence, folder: Path
     path = upload_file(platform.settings, upload.id)
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(BAG)
-    recording = Recording(sequence_id=sequence.id, upload_id=upload.id, filename="chaos.mcap", size_bytes=len(BAG))
-    recording.sha256, recording.state = digest, "registered"
-    recording.blob_sha256 = _kept(session, platform, folder, BAG)
-    added(session, recording)
+    added(session, recording_of(upload, sequence.id, "registered", _kept(session, platform, folder, BAG)))
 
 
 def _publish(session: Session, platform: Platform, run: Job, folder: Path) -> None:

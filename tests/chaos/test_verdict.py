@@ -19,6 +19,7 @@ from services.runtime.orm import (
     LabelSet,
     QuotaEntry,
     Recording,
+    RecordingFile,
     Sequence,
     Upload,
 )
@@ -173,7 +174,8 @@ def test_two_recordings_are_doubled(played: Played) -> None:
         twin = Recording(
             sequence_id=played.brought.sequence_id, filename="chaos.mcap", size_bytes=1, state="registered"
         )
-        twin.sha256 = twin.blob_sha256 = played.brought.sha256
+        twin.sha256 = sha256 = played.brought.sha256
+        twin.files = [RecordingFile(ordinal=0, filename="chaos.mcap", size_bytes=1, sha256=sha256, blob_sha256=sha256)]
         session.add(twin)
 
     assert sorts_after(played, register_twice) == {"doubled"}

@@ -29,7 +29,8 @@ from services.runtime.orm import (
     User,
 )
 from services.runtime.platform import Platform
-from services.runtime.processing import ProcessRequest, register, start_processing
+from services.runtime.processing import ProcessRequest, start_processing
+from services.runtime.recordings import Received, add_recording
 from services.runtime.sweep_sources import provide_sweeps
 from services.runtime.uploads import upload_file
 from simulator.options import SimulateOptions
@@ -79,22 +80,27 @@ class Brought:
             return list(session.scalars(select(LabelSet).where(LabelSet.sequence_id == self.sequence_id)))
 
     def add(self, path: Path, filename: str = "") -> str:
-        """Upload a file as a recording; the id of the job that reads it."""
+        """Upload a file, or every file of a folder, as a recording; the id of the job that reads it."""
+        files = sorted(path.iterdir()) if path.is_dir() else [path]
+        received = Received(tuple(self._uploaded(file, "" if path.is_dir() else filename) for file in files), path.name)
+        with self.platform.database.transaction() as session:
+            sequence = session.get_one(Sequence, self.sequence_id)
+            recording, job = add_recording(session, sequence, received, self.owner_id)
+            self.recording_ids.append(recording.id)
+            return job.id
+
+    def _uploaded(self, path: Path, filename: str) -> str:
         content = path.read_bytes()
         with self.platform.database.transaction() as session:
             facts = {"purpose": "recording", "filename": filename or path.name, "length_bytes": len(content)}
-            upload = Upload(owner_id=self.owner_id, state="consumed", expires_ns=0, **facts)
+            upload = Upload(owner_id=self.owner_id, state="complete", expires_ns=0, **facts)
+            upload.sha256 = hashlib.sha256(content).hexdigest()
             session.add(upload)
             session.flush()
             file = upload_file(self.platform.settings, upload.id)
             file.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(path, file)
-            recording = Recording(sequence_id=self.sequence_id, upload_id=upload.id, filename=upload.filename)
-            recording.size_bytes, recording.sha256 = len(content), hashlib.sha256(content).hexdigest()
-            session.add(recording)
-            session.flush()
-            self.recording_ids.append(recording.id)
-            return register(session, recording).id
+            return upload.id
 
     def calibrate(self, path: Path) -> None:
         with self.platform.database.transaction() as session:

@@ -5,7 +5,8 @@ from services.runtime.orm.base import Base, new_id
 from services.runtime.orm.books import AuditEntry, IdempotentReply, QuotaEntry
 from services.runtime.orm.jobs import Job, JobAttempt, JobLine, JobNeed, Queue
 from services.runtime.orm.people import Team, TeamMember, Token, User, WebSession
-from services.runtime.orm.sequences import Calibration, Recording, Sequence, Upload
+from services.runtime.orm.recordings import Preview, Recording, RecordingFile
+from services.runtime.orm.sequences import Calibration, Profile, Sequence, Upload
 
 __all__ = [
     "Artefact",
@@ -21,9 +22,12 @@ __all__ = [
     "LabelSet",
     "LabelledFrame",
     "LooseObject",
+    "Preview",
+    "Profile",
     "Queue",
     "QuotaEntry",
     "Recording",
+    "RecordingFile",
     "Sequence",
     "Team",
     "TeamMember",

@@ -1,15 +1,18 @@
-"""What the field engineer brings: sequences with their recordings, calibrations, and uploads under way."""
+"""What the field engineer brings: calibrations, profiles of the robots, sequences, and uploads under way."""
 
 from typing import Any
 
 from sqlalchemy import JSON, ForeignKey, Index, String, text
 from sqlalchemy.orm import Mapped, mapped_column
 
-from services.runtime.orm.base import Base, Bytes, Id, Ns, Record, new_id, now_ns
+from services.runtime.orm.base import Base, Bytes, Id, Ns, new_id, now_ns
 
 
 class Calibration(Base):
-    """A calibration as uploaded; immutable. `sensors` is what a list shows; `findings` are its checks' warnings."""
+    """A calibration as uploaded; immutable. `sensors` is what a list shows; `findings` are its checks' warnings.
+
+    It is true of recordings of [valid_from_ns, valid_to_ns); where one is null it is open on that side.
+    """
 
     __tablename__ = "calibrations"
     id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
@@ -21,9 +24,26 @@ class Calibration(Base):
     blob_sha256: Mapped[str] = mapped_column(ForeignKey("blobs.sha256"), index=True)
     sensors: Mapped[list[Any]] = mapped_column(JSON)
     findings: Mapped[list[Any]] = mapped_column(JSON)
+    format: Mapped[str] = mapped_column(String(32), default="native")
+    valid_from_ns: Mapped[Ns | None]
+    valid_to_ns: Mapped[Ns | None]
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
 
     __table_args__ = (Index("ix_calibrations_owner_name_version", "owner_id", "name", "version", unique=True),)
+
+
+class Profile(Base):
+    """Which topic plays which role on an owner's robot: `topics` maps a role or channel to a topic's name."""
+
+    __tablename__ = "profiles"
+    id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
+    owner_id: Mapped[Id] = mapped_column(ForeignKey("users.id"))
+    platform: Mapped[str] = mapped_column(String(64))
+    topics: Mapped[dict[str, str]] = mapped_column(JSON)
+    revision: Mapped[int] = mapped_column(default=1)
+    created_ns: Mapped[Ns] = mapped_column(default=now_ns)
+
+    __table_args__ = (Index("uq_profiles_owner_platform", "owner_id", "platform", unique=True),)
 
 
 class Sequence(Base):
@@ -73,20 +93,3 @@ class Upload(Base):
     detail: Mapped[str] = mapped_column(String(512), default="")
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
     expires_ns: Mapped[Ns]
-
-
-class Recording(Base):
-    """One bag of a sequence. `state`: received, registered (read and kept as a blob), refused (see `findings`)."""
-
-    __tablename__ = "recordings"
-    id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
-    sequence_id: Mapped[Id] = mapped_column(ForeignKey("sequences.id", ondelete="CASCADE"), index=True)
-    upload_id: Mapped[Id | None] = mapped_column(ForeignKey("uploads.id"), unique=True)
-    filename: Mapped[str] = mapped_column(String(255))
-    size_bytes: Mapped[Bytes]
-    sha256: Mapped[str] = mapped_column(String(64))
-    blob_sha256: Mapped[str | None] = mapped_column(ForeignKey("blobs.sha256"), index=True)
-    state: Mapped[str] = mapped_column(String(16), default="received")
-    inspection: Mapped[Record | None] = mapped_column(JSON)
-    findings: Mapped[list[Any]] = mapped_column(JSON, default=list)
-    created_ns: Mapped[Ns] = mapped_column(default=now_ns)

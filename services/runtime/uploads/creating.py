@@ -12,7 +12,7 @@ from pathlib import Path
 
 from sqlalchemy import select
 
-from services.runtime.orm import Blob, Recording, Sequence, Upload, new_id
+from services.runtime.orm import Blob, Recording, RecordingFile, Sequence, Upload, new_id
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from services.runtime.quota import reserve
@@ -111,7 +111,8 @@ def _twins(platform: Platform, upload: Upload) -> Iterator[Path]:
         ids = session.scalars(uploads.order_by(Upload.id.desc()).limit(8)).all()
         recorded = (
             select(Blob.object_key)
-            .join(Recording, Recording.blob_sha256 == Blob.sha256)
+            .join(RecordingFile, RecordingFile.blob_sha256 == Blob.sha256)
+            .join(Recording, Recording.id == RecordingFile.recording_id)
             .join(Sequence, Sequence.id == Recording.sequence_id)
             .where(Sequence.owner_id == upload.owner_id, Sequence.deleted_ns.is_(None))
             .where(Blob.sha256 == sha256, Blob.size_bytes == length_bytes)

@@ -28,7 +28,7 @@ class Declared:
     sha256: str = ""
 
     def __post_init__(self) -> None:
-        _check_filename(self.filename)
+        check_filename(self.filename)
         if self.purpose not in PURPOSES:
             raise BadMetadataError("purpose", self.purpose, f"one of {', '.join(PURPOSES)}")
         if not TARGET.fullmatch(self.target_id):
@@ -37,8 +37,8 @@ class Declared:
             raise BadMetadataError("sha256", self.sha256, "64 lowercase hex digits")
 
 
-def _check_filename(name: str) -> None:
-    """A plain last component of a path, printable, at most 255 bytes."""
+def check_filename(name: str) -> None:
+    """Raises `BadMetadataError` unless it is a plain last component of a path, printable, at most 255 bytes."""
     if not name.strip() or name in (".", ".."):
         raise BadMetadataError("filename", name, "the name of a file")
     if len(name.encode("utf-8", "surrogatepass")) > LONGEST_NAME_BYTES:

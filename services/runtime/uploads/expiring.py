@@ -13,7 +13,7 @@ from pathlib import Path
 import structlog
 from sqlalchemy import select
 
-from services.runtime.orm import Recording, Upload
+from services.runtime.orm import RecordingFile, Upload
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from services.runtime.uploads.errors import FileMismatchError, UploadLockedError
@@ -77,12 +77,12 @@ def _superfluous(platform: Platform) -> Iterator[Path]:
     for upload_id in sorted(found):
         with platform.database.reading() as session:
             upload = session.get(Upload, upload_id)
-            recording = session.scalar(select(Recording).where(Recording.upload_id == upload_id))
+            file = session.scalar(select(RecordingFile).where(RecordingFile.upload_id == upload_id))
         path = upload_file(platform.settings, upload_id)
         if upload is None:
             is_superfluous = _is_old(path)
         elif upload.state == "consumed" and upload.purpose == "recording":
-            is_superfluous = recording is None or recording.blob_sha256 is not None
+            is_superfluous = file is None or file.blob_sha256 is not None
         else:
             is_superfluous = upload.state in GONE
         if is_superfluous:

@@ -10,10 +10,11 @@ from pathlib import Path
 
 from services.runtime import blobs
 from services.runtime.access import tokens
-from services.runtime.orm import Calibration, JobLine, Recording, Sequence, User, new_id
+from services.runtime.orm import Calibration, JobLine, Sequence, Upload, User, new_id
 from services.runtime.platform import Platform
 from tests.api import made
 from tests.api.serving import Person
+from tests.rows import recording_of
 
 CALIBRATION_FILE = Path(__file__).resolve().parents[3] / "examples" / "kitti0005.calibration.yaml"
 IDS = ("sequence_id", "calibration_id", "recording_id", "job_id", "upload_id", "token_id", "user_id", "token")
@@ -80,8 +81,7 @@ def _recording(platform: Platform, owner: Person, sequence_id: str) -> str:
     upload_id = made.upload(platform, owner, path.read_bytes(), state="consumed")
     with platform.database.transaction() as session:
         blob = blobs.keep(session, platform.store, path)
-        row = Recording(sequence_id=sequence_id, upload_id=upload_id, filename="run.mcap", state="registered")
-        row.size_bytes, row.sha256, row.blob_sha256 = blob.size_bytes, blob.sha256, blob.sha256
+        row = recording_of(session.get_one(Upload, upload_id), sequence_id, "registered", blob.sha256)
         session.add(row)
         session.flush()
         return row.id

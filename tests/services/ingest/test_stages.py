@@ -13,7 +13,7 @@ from services.ingest.inspection_record import LONGEST_TEXT, MOST_GAPS, MOST_TOPI
 from services.ingest.named import named
 from services.ingest.opening import open_sequence
 from services.ingest.stages import open_described
-from services.ingest.sweep_file import Kept, read_sweeps, sweeps_bytes
+from services.ingest.sweep_file import Kept, KeptFile, read_sweeps, sweeps_bytes
 from services.runtime.jobs.specs import Attempt, Handler, Outcome
 from services.runtime.orm import Blob, JobAttempt, QuotaEntry, Recording
 from services.runtime.platform import Platform
@@ -67,7 +67,7 @@ def test_a_good_recording_is_registered_and_kept_with_what_was_seen(platform_on:
     run_all(platform_on)
     recording = brought.recording()
     assert (brought.job(job_id).state, recording.state) == ("succeeded", "registered")
-    assert recording.blob_sha256 == recording.sha256
+    assert [file.blob_sha256 for file in recording.files] == [recording.sha256]
     assert recording.inspection is not None
     seen = inspect(bag)
     assert [topic["name"] for topic in recording.inspection["topics"]] == [topic.topic.name for topic in seen.topics]
@@ -76,7 +76,7 @@ def test_a_good_recording_is_registered_and_kept_with_what_was_seen(platform_on:
     with platform_on.database.reading() as session:
         blob = session.get_one(Blob, recording.sha256)
     assert platform_on.store.local(blob.object_key).read_bytes() == bag.read_bytes()
-    file = upload_file(platform_on.settings, recording.upload_id or "")
+    file = upload_file(platform_on.settings, recording.files[0].upload_id or "")
     assert file.exists()
     expire(platform_on)
     assert not file.exists()
@@ -101,7 +101,7 @@ def test_what_is_no_bag_fails_the_job_and_refuses_the_recording_in_the_same_word
     brought = bring(platform_on)
     (tmp_path / "page").write_text("<!doctype html><title>Sign in</title>")
     job_id = brought.add(tmp_path / "page", "run.mcap")
-    upload_id = brought.recording().upload_id or ""
+    upload_id = brought.recording().files[0].upload_id or ""
     with platform_on.database.transaction() as session:
         reserve(session, brought.owner_id, 37, upload_id, "upload", 100)
     run_all(platform_on)
@@ -109,7 +109,7 @@ def test_what_is_no_bag_fails_the_job_and_refuses_the_recording_in_the_same_word
     assert (job.state, job.failure_code, recording.state) == ("failed", "BAG-001", "refused")
     assert recording.findings == [{"code": "BAG-001", "severity": "error", "topic": "", "message": job.failure}]
     assert job.failure.startswith("run.mcap ")
-    assert recording.blob_sha256 is None
+    assert recording.files[0].blob_sha256 is None
     assert not upload_file(platform_on.settings, upload_id).exists()
     with platform_on.database.reading() as session:
         assert session.scalar(select(func.sum(QuotaEntry.amount))) == 0
@@ -140,7 +140,7 @@ def test_bytes_that_are_not_those_received_are_refused(platform: Platform, bag: 
     brought = bring(platform)
     job_id = brought.add(bag)
     with platform.database.transaction() as session:
-        session.get_one(Recording, brought.recording_ids[0]).sha256 = "ab" * 32
+        session.get_one(Recording, brought.recording_ids[0]).files[0].sha256 = "ab" * 32
     run_all(platform)
     assert brought.job(job_id).failure_code == "recording_changed"
     assert brought.recording().state == "refused"
@@ -149,7 +149,7 @@ def test_bytes_that_are_not_those_received_are_refused(platform: Platform, bag: 
 def test_a_worker_without_the_uploads_says_so(platform: Platform, bag: Path) -> None:
     brought = bring(platform)
     job_id = brought.add(bag)
-    upload_file(platform.settings, brought.recording().upload_id or "").unlink()
+    upload_file(platform.settings, brought.recording().files[0].upload_id or "").unlink()
     run_all(platform)
     assert brought.job(job_id).failure_code == "recording_file_missing"
     assert brought.recording().state == "received"
@@ -223,7 +223,8 @@ def test_a_sequence_is_read_as_it_was_written(bag: Path) -> None:
 def test_sweeps_without_a_motion_are_read_as_they_were_written(bag: Path) -> None:
     _, sweeps = open_sequence(bag, calibration_path(bag), "field")
     assert isinstance(sweeps.mount, SweepMount)
-    still = read_sweeps(sweeps_bytes(replace(sweeps, mount=None), Kept("blobs/aa/key", "run.mcap")), lambda _: bag)
+    kept = Kept("run.mcap", (KeptFile("blobs/aa/key", "run.mcap"),))
+    still = read_sweeps(sweeps_bytes(replace(sweeps, mount=None), kept), lambda _: bag)
     assert still.mount is None
     np.testing.assert_array_equal(still.sweep(2).points_lidar.shape[1], 3)
 

@@ -32,6 +32,7 @@ from services.runtime.processing_errors import (
     SeveralRecordingsError,
     UnknownStagesError,
 )
+from tests.rows import recording_of
 from tests.services.runs import Brought, bring
 
 
@@ -42,8 +43,8 @@ def with_recording(brought: Brought, state: str = "registered") -> None:
         session.add(upload)
         session.flush()
         quota.reserve(session, brought.owner_id, 7, upload.id, "upload", 100)
-        recording = Recording(sequence_id=brought.sequence_id, upload_id=upload.id, filename="run.mcap", state=state)
-        recording.size_bytes, recording.sha256 = 7, "ab" * 32
+        upload.sha256 = "ab" * 32
+        recording = recording_of(upload, brought.sequence_id, state)
         session.add(recording)
         session.flush()
         brought.recording_ids.append(recording.id)

@@ -28,6 +28,7 @@ from services.runtime.uploads.files import HeldFile
 from services.runtime.uploads.finishing import terminate
 from services.runtime.uploads.receiving import Piece, receive
 from services.runtime.uploads.rows import Owner, find
+from tests.rows import recording_of
 from tests.services.runtime.uploads.sending import (
     declared,
     made,
@@ -167,8 +168,7 @@ def record(platform: Platform, owner: Owner, upload: Upload) -> Recording:
     with platform.database.transaction() as session:
         consume(session, upload.id, owner.user_id, "recording")
         blob = keep(session, platform.store, path_of(platform, upload), adopt=True)
-        recording = Recording(sequence_id=sequence_id, upload_id=upload.id, filename="run.mcap", sha256=blob.sha256)
-        recording.size_bytes, recording.blob_sha256, recording.state = upload.length_bytes, blob.sha256, "registered"
+        recording = recording_of(upload, sequence_id, "registered", blob.sha256)
         session.add(recording)
     return recording
 
@@ -307,8 +307,7 @@ def test_the_sweeper_removes_the_bytes_of_a_recording_only_once_they_are_kept_or
     sequence_id = make_sequence(platform, owner, "waiting")
     with platform.database.transaction() as session:
         consume(session, waiting.id, owner.user_id, "recording")
-        recording = Recording(sequence_id=sequence_id, upload_id=waiting.id, filename="a", sha256=waiting.sha256)
-        recording.size_bytes = waiting.length_bytes
+        recording = recording_of(waiting, sequence_id)
         session.add(recording)
     record(platform, owner, registered)
     expire(platform)
