@@ -56,6 +56,7 @@ def synchronise_recording(platform: Platform, attempt: Attempt) -> Outcome:
         odometry_topic=attempt.arguments["odometry_topic"] or None,
         lidar_topic=attempt.arguments["lidar_topic"] or None,
         recording_sha256=inputs.recording_sha256,
+        progress=attempt.progress,
     )
     bag, calibration = locate(platform, inputs.recording), locate_file(platform, inputs.calibration)
     sequence, sweeps = open_sequence(bag, calibration, inputs.name, options)

@@ -45,6 +45,8 @@ def sweeps_bytes(sweeps: BagSweeps, kept: Kept) -> bytes:
         record["max_gap_ns"] = sweeps.mount.max_gap_ns
         arrays["pose_stamps_ns"] = sweeps.mount.trajectory.stamps_ns
         arrays["map_from_ego"] = sweeps.mount.trajectory.map_from_ego.wxyz_xyz
+        if sweeps.mount.trajectory.segment is not None:
+            arrays["pose_segment"] = sweeps.mount.trajectory.segment
         arrays["ego_from_lidar"] = sweeps.mount.ego_from_lidar.wxyz_xyz
     return npz_bytes({"record": np.frombuffer(json.dumps(record).encode(), np.uint8), **arrays})
 
@@ -55,7 +57,8 @@ def read_sweeps(payload: bytes, locate: Callable[[Kept], Path]) -> BagSweeps:
         record = json.loads(arrays["record"].tobytes())
         mount = None
         if "max_gap_ns" in record:
-            trajectory = Trajectory(arrays["pose_stamps_ns"], SE3(arrays["map_from_ego"]))
+            poses = SE3(arrays["map_from_ego"])
+            trajectory = Trajectory(arrays["pose_stamps_ns"], poses, dict(arrays).get("pose_segment"))
             mount = SweepMount(trajectory, SE3(arrays["ego_from_lidar"]), record["max_gap_ns"])
         path = locate(Kept(record["name"], tuple(KeptFile(**file) for file in record["files"])))
         return BagSweeps(path, record["topic"], arrays["message_index"], arrays["stamps_ns"], mount)
