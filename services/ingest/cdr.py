@@ -1,14 +1,14 @@
-"""Plain CDR as ROS 2 writes it: check, walk, and view many messages of one layout as numpy records.
+"""Plain CDR as ROS 2 writes it: check, walk, and stack many messages of one layout as rows of bytes.
 
 **Conventions.** A payload is 4 bytes of encapsulation, then the body; alignment counts from the body's first byte.
-Only little-endian plain CDR is read. A field is (name, kind): a numpy scalar code such as "f8", "9f8", "string", or
-"count" for the length of a sequence whose elements follow in the list. Source: OMG DDSI-RTPS 2.5, 10; the walk
-checks every length against the payload before it is used.
+Only little-endian plain CDR is read. Source: OMG DDSI-RTPS 2.5, 10; the walk checks every length against the payload
+before it is used.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from struct import Struct
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +19,12 @@ HEAD_BYTES = 4
 # rmw implementations pad a message to four bytes or do not: so many bytes may follow the last field.
 PADDING_BYTES = 3
 NS_PER_S = 1_000_000_000
-
-Field = tuple[str, str]
-Table = NDArray[np.void]
-HEADER: tuple[Field, ...] = (("sec", "i4"), ("nanosec", "u4"), ("frame_id", "string"))
+# Splits of one size by comparison before every message is measured by itself: the first is fast for the many that
+# are alike, the second is linear for an adversary's that never are.
+MOST_SPLITS = 16
 
 _U32 = Struct("<I")
+Layout = TypeVar("Layout")
 
 
 class Cursor:
@@ -46,6 +46,11 @@ class Cursor:
     def u8(self) -> int:
         return self.payload[self.take(1)]
 
+    def length(self) -> tuple[int, int]:
+        """Offset of a length, and the length."""
+        start = self.take(4, 4)
+        return start, int(_U32.unpack_from(self.payload, start)[0])
+
     def u32(self) -> int:
         return int(_U32.unpack_from(self.payload, self.take(4, 4))[0])
 
@@ -59,9 +64,18 @@ class Cursor:
         start = self.take(size)
         return text_of(bytes(self.payload[start : start + size]), self.type_name)
 
+    def end(self) -> None:
+        """Nothing but padding may follow."""
+        if len(self.payload) - self.at > PADDING_BYTES:
+            problem = f"its fields end at byte {self.at}, the message has {len(self.payload)}"
+            raise MessageLayoutError(self.type_name, problem)
+
     def count(self, least_bytes: int) -> int:
         """Length of a sequence whose elements take at least `least_bytes` each."""
-        count = self.u32()
+        return self.bounded(self.u32(), least_bytes)
+
+    def bounded(self, count: int, least_bytes: int) -> int:
+        """`count`, when so many elements can follow."""
         if count * least_bytes > len(self.payload) - self.at:
             problem = f"a sequence declares {count} elements, {len(self.payload) - self.at} bytes are left"
             raise MessageLayoutError(self.type_name, problem)
@@ -86,82 +100,59 @@ def text_of(raw: bytes, type_name: str) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Group:
-    """Messages of one length and one set of string lengths: `rows` are their places in the input."""
+class Sheet(Generic[Layout]):
+    """Messages of one length and one layout: `rows` are their places in the input, `raw` (n, size) their bytes."""
 
     rows: NDArray[np.int64]
-    table: Table
-
-    def stamps_ns(self, sec: str = "sec", nanosec: str = "nanosec") -> NDArray[np.int64]:
-        return np.asarray(self.table[sec].astype(np.int64) * NS_PER_S + self.table[nanosec], np.int64)
-
-    def texts(self, name: str, type_name: str) -> list[str]:
-        """The string of every message, decoded once per distinct value."""
-        column = self.table[name]
-        known = {raw: text_of(raw, type_name) for raw in set(column.tolist())}
-        return [known[raw] for raw in column.tolist()]
+    raw: NDArray[np.uint8]
+    layout: Layout
 
 
-def groups(
-    payloads: Sequence[memoryview], describe: Callable[[memoryview], Sequence[Field]], type_name: str
-) -> Iterator[Group]:
-    """All payloads as tables: `describe` gives the fields of one payload, every row that agrees in length and string
-    lengths shares its table. Raises: MessageLayoutError, ByteOrderError."""
+Measure = Callable[[memoryview], tuple[Layout, Sequence[int]]]
+
+
+def sheets(payloads: Sequence[memoryview], measure: Measure[Layout]) -> Iterator[Sheet[Layout]]:
+    """All payloads, stacked: `measure` gives the layout of one and the offsets of the lengths it depends on; every
+    message of the same size in which those words are the same shares it. Raises: what `measure` raises."""
     by_size: dict[int, list[int]] = {}
     for row, payload in enumerate(payloads):
         by_size.setdefault(len(payload), []).append(row)
     for size, listed in by_size.items():
         rows = np.array(listed, np.int64)
-        raw = np.frombuffer(b"".join(payloads[row] for row in listed), np.uint8).reshape(len(rows), size)
-        while len(rows):
-            record = layout(payloads[rows[0]], describe(payloads[rows[0]]), type_name)
-            table = raw.view(record)[:, 0]
-            alike = _alike(table)
-            yield Group(rows[alike], table[alike])
-            rows, raw = rows[~alike], raw[~alike]
+        for _split in range(MOST_SPLITS):
+            layout, places = measure(payloads[rows[0]])
+            raw = _stacked(payloads, rows, size)
+            alike = _alike(raw, places)
+            if alike.all():
+                yield Sheet(rows, raw, layout)
+                break
+            yield Sheet(rows[alike], raw[alike], layout)
+            rows = rows[~alike]
+        else:
+            yield from _measured_each(payloads, rows, measure)
 
 
-def _alike(table: Table) -> NDArray[np.bool_]:
+def _stacked(payloads: Sequence[memoryview], rows: NDArray[np.int64], size: int) -> NDArray[np.uint8]:
+    return np.frombuffer(b"".join([payloads[row] for row in rows]), np.uint8).reshape(len(rows), size)
+
+
+def _alike(raw: NDArray[np.uint8], places: Sequence[int]) -> NDArray[np.bool_]:
     """Rows whose encapsulation and lengths are those of the first row; the first always is."""
-    alike = np.ones(len(table), np.bool_)
-    for name in table.dtype.names or ():
-        if name == "encapsulation" or name.endswith(".length"):
-            alike &= table[name] == table[name][0]
-    return alike
+    words = np.array([0, *places], np.int64)
+    columns = (words[:, None] + np.arange(4)).ravel()
+    return np.asarray((raw[:, columns] == raw[0, columns]).all(axis=1))
 
 
-def fits(payload: memoryview, fields: Sequence[Field], type_name: str) -> bool:
-    """Whether the fields end where the payload does."""
-    try:
-        layout(payload, fields, type_name)
-    except MessageLayoutError:
-        return False
-    return True
-
-
-def layout(payload: memoryview, fields: Sequence[Field], type_name: str) -> np.dtype[np.void]:
-    """The numpy record of exactly this payload: strings get the lengths that it declares.
-
-    Lengths themselves are columns `<name>.length`, so that a table can check them in every row.
-    Raises: MessageLayoutError when the fields end beyond or well before the payload's end.
-    """
-    cursor = Cursor(payload, type_name)
-    names, offsets = ["encapsulation"], [0]
-    formats: list[str | np.dtype[np.generic]] = ["<u2"]
-    for name, kind in fields:
-        if kind == "string":
-            offsets.append(cursor.take(4, 4))
-            size = int(_U32.unpack_from(payload, offsets[-1])[0])
-            names += [f"{name}.length", name]
-            formats += ["<u4", f"S{size}"]
-            offsets.append(cursor.take(size))
-            continue
-        is_count = kind == "count"
-        code = np.dtype("u4" if is_count else kind).newbyteorder("<")
-        names.append(f"{name}.length" if is_count else name)
-        formats.append(code)
-        offsets.append(cursor.take(code.itemsize, code.base.itemsize))
-    if len(payload) - cursor.at > PADDING_BYTES:
-        problem = f"its fields end at byte {cursor.at}, the message has {len(payload)}"
-        raise MessageLayoutError(type_name, problem)
-    return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": len(payload)})
+def _measured_each(
+    payloads: Sequence[memoryview], rows: NDArray[np.int64], measure: Measure[Layout]
+) -> Iterator[Sheet[Layout]]:
+    by_lengths: dict[bytes, list[int]] = {}
+    for row in rows.tolist():
+        payload = payloads[row]
+        _layout, places = measure(payload)
+        key = b"".join(bytes(payload[place : place + 4]) for place in (0, *places))
+        by_lengths.setdefault(key, []).append(row)
+    for listed in by_lengths.values():
+        alike = np.array(listed, np.int64)
+        first = payloads[listed[0]]
+        yield Sheet(alike, _stacked(payloads, alike, len(first)), measure(first)[0])

@@ -10,19 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from services.ingest.cdr import HEADER, Field, groups
-from services.ingest.messages.batch import Stamped, payloads_of
+from services.ingest.messages.batch import Stamped
+from services.ingest.messages.table import STAMP, decode_table
 
 TYPE = "sensor_msgs/msg/Imu"
-FIELDS: tuple[Field, ...] = (
-    *HEADER,
-    ("orientation", "4f8"),
-    ("orientation_covariance", "9f8"),
-    ("angular_velocity", "3f8"),
-    ("angular_velocity_covariance", "9f8"),
-    ("linear_acceleration", "3f8"),
-    ("linear_acceleration_covariance", "9f8"),
-)
+_COLUMNS = (*STAMP, "angular_velocity", "linear_acceleration")
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,11 +28,5 @@ class ImuSamples:
 
 def decode_imu(messages: Iterable[Stamped]) -> ImuSamples:
     """Raises: MessageLayoutError, ByteOrderError."""
-    payloads = payloads_of(messages)
-    stamps_ns = np.empty(len(payloads), np.int64)
-    rates, accelerations = np.empty((len(payloads), 3)), np.empty((len(payloads), 3))
-    for group in groups(payloads, lambda _payload: FIELDS, TYPE):
-        stamps_ns[group.rows] = group.stamps_ns()
-        rates[group.rows] = group.table["angular_velocity"]
-        accelerations[group.rows] = group.table["linear_acceleration"]
-    return ImuSamples(stamps_ns, rates, accelerations)
+    table = decode_table(TYPE, messages, only=_COLUMNS)
+    return ImuSamples(table.stamps_ns(), table.vectors("angular_velocity"), table.vectors("linear_acceleration"))

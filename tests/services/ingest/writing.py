@@ -180,7 +180,9 @@ def _random_value(kind: Any, generator: np.random.Generator, is_tame: bool) -> A
 
 
 def _random_array(code: str, length: int, generator: np.random.Generator, is_tame: bool) -> Any:
-    kind = np.dtype("u1" if code == "octet" else code)
+    if code == "byte":  # unsigned in ROS 2, signed to rosbags: what both agree on
+        return generator.integers(0, 128, length).astype(np.int8)
+    kind = np.dtype("u1" if code in ("octet", "char") else code)
     if kind.kind == "f" and is_tame:
         return generator.normal(0, 10, length).astype(kind)
     if kind.kind == "b":

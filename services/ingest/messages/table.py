@@ -1,0 +1,220 @@
+"""Messages of any type → columns, compiled from the definition of the type.
+
+**Conventions.** A column is named by its dotted path ("header.stamp.sec"). Numbers outside of sequences are arrays
+(N,) or, for fixed arrays, (N, length); texts are lists of N; what lies in a sequence is `Ragged`, once for every
+sequence around it. Rows are in the order of the messages. Source of the wire format: `services.ingest.cdr`.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.ingest.cdr import NS_PER_S, Sheet, sheets, text_of
+from services.ingest.messages.batch import Stamped, payloads_of
+from services.ingest.messages.plan import Leaf, Node, Repeat, Text
+from services.ingest.messages.registry import Registry, registry
+from services.ingest.messages.sketch import Piece, Sketch, sketched
+
+Values = NDArray[Any] | list[str]
+
+
+@dataclass(frozen=True, eq=False)
+class Ragged:
+    """Element i of the level above has the values `offsets[i]:offsets[i + 1]`."""
+
+    offsets: NDArray[np.int64]
+    values: "Column"
+
+    @property
+    def numbers(self) -> NDArray[Any]:
+        """The values of all, one after the other; TypeError where they are none."""
+        if not isinstance(self.values, np.ndarray):
+            raise TypeError("the sequence holds no numbers")
+        return self.values
+
+    @property
+    def texts(self) -> list[str]:
+        if not isinstance(self.values, list):
+            raise TypeError("the sequence holds no texts")
+        return self.values
+
+
+Column = NDArray[Any] | list[str] | Ragged
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """N messages; `columns` has the leaves that were asked for, by dotted path."""
+
+    count: int
+    columns: Mapping[str, Column]
+
+    def numbers(self, name: str) -> NDArray[Any]:
+        """A column outside of sequences; KeyError, TypeError where the type has none of that name and kind."""
+        column = self.columns[name]
+        if not isinstance(column, np.ndarray):
+            raise TypeError(f"{name} is no column of numbers")
+        return column
+
+    def vectors(self, name: str, axes: str = "xyz") -> NDArray[np.float64]:
+        """(N, len(axes)) from the columns name.x, name.y, …"""
+        columns = [self.numbers(f"{name}.{axis}") for axis in axes]
+        return np.stack(columns, axis=1).astype(np.float64, copy=False)
+
+    def texts(self, name: str) -> list[str]:
+        column = self.columns[name]
+        if not isinstance(column, list):
+            raise TypeError(f"{name} is no column of texts")
+        return column
+
+    def ragged(self, name: str) -> Ragged:
+        column = self.columns[name]
+        if not isinstance(column, Ragged):
+            raise TypeError(f"{name} is in no sequence")
+        return column
+
+    def stamps_ns(self, name: str = "header.stamp") -> NDArray[np.int64]:
+        seconds = self.numbers(f"{name}.sec").astype(np.int64)
+        return np.asarray(seconds * NS_PER_S + self.numbers(f"{name}.nanosec").astype(np.int64), np.int64)
+
+
+STAMP = ("header.stamp.sec", "header.stamp.nanosec")
+
+
+def decode_table(
+    type_name: str,
+    messages: Iterable[Stamped],
+    known: Registry | None = None,
+    only: Sequence[str] | None = None,
+) -> Table:
+    """Every column of every message, or those in `only` (a path, or what begins with it and a dot).
+
+    Raises: DefinitionMissingError, DefinitionRefusedError, MessageLayoutError, ByteOrderError.
+    """
+    plan = (known or registry()).plan(type_name)
+    payloads = payloads_of(messages)
+    stacked = list(sheets(payloads, measure_of(plan, type_name)))
+    columns: dict[str, Column] = {}
+    _Filler(stacked, len(payloads), type_name).fill(plan, only, columns)
+    return Table(len(payloads), columns)
+
+
+def measure_of(plan: Sequence[Node], type_name: str) -> Callable[[memoryview], tuple[Sketch, list[int]]]:
+    """How `sheets` measures messages of a plan."""
+
+    def measure(payload: memoryview) -> tuple[Sketch, list[int]]:
+        sketch = sketched(payload, plan, type_name)
+        return sketch, sketch.lengths
+
+    return measure
+
+
+@dataclass(frozen=True, eq=False)
+class _Level:
+    """A repetition around the node at hand: where the elements of each element above begin."""
+
+    repeat: Repeat
+    offsets: NDArray[np.int64]
+
+
+class _Filler:
+    """Puts the pieces of all sheets into columns, one column after the other."""
+
+    def __init__(self, stacked: Sequence[Sheet[Sketch]], count: int, type_name: str) -> None:
+        self._stacked, self._count, self._type_name = stacked, count, type_name
+        self._pieces: dict[str, list[tuple[Sheet[Sketch], Piece]]] = {}
+        for sheet in stacked:
+            for piece in sheet.layout.pieces:
+                self._pieces.setdefault(piece.node.name, []).append((sheet, piece))
+
+    def fill(self, nodes: Sequence[Node], only: Sequence[str] | None, columns: dict[str, Column]) -> None:
+        self._fill(nodes, (), only, columns)
+
+    def _fill(
+        self, nodes: Sequence[Node], levels: tuple[_Level, ...], only: Sequence[str] | None, columns: dict[str, Column]
+    ) -> None:
+        for node in nodes:
+            if isinstance(node, Repeat):
+                if _is_wanted(node.name, only) or _leads_to(node.name, only):
+                    inner = None if _is_wanted(node.name, only) else only
+                    self._fill(node.element, (*levels, self._level(node, levels)), inner, columns)
+            elif _is_wanted(node.name, only):
+                columns[node.name] = _wrapped(self._values(node, levels), levels)
+
+    def _level(self, repeat: Repeat, levels: tuple[_Level, ...]) -> _Level:
+        counts = np.zeros(self._total(levels), np.int64)
+        for sheet in self._stacked:
+            for above, count in sheet.layout.counts.get(repeat.name, ()):
+                counts[_places(sheet.rows, above, levels)] = count
+        return _Level(repeat, np.concatenate([[0], np.cumsum(counts)]).astype(np.int64))
+
+    def _total(self, levels: tuple[_Level, ...]) -> int:
+        return int(levels[-1].offsets[-1]) if levels else self._count
+
+    def _values(self, node: Leaf | Text, levels: tuple[_Level, ...]) -> Values:
+        total, pieces = self._total(levels), self._pieces.get(node.name, [])
+        if isinstance(node, Text):
+            texts = np.full(total, "", object)
+            for sheet, piece in pieces:
+                texts[_places(sheet.rows, piece.above, levels)] = self._texts(sheet, piece)
+            return list(texts)
+        shape = (total,) if node.length is None else (total, node.length)
+        values = np.empty(shape, node.code.newbyteorder("="))
+        for sheet, piece in pieces:
+            values[_run_places(sheet.rows, piece, levels)] = _view(sheet.raw, piece, node)
+        return values != 0 if node.is_bool else values
+
+    def _texts(self, sheet: Sheet[Sketch], piece: Piece) -> NDArray[np.object_]:
+        """Decoded once per distinct value."""
+        raw = [bytes(row) for row in sheet.raw[:, piece.offset : piece.offset + piece.text_bytes]]
+        known = {text: text_of(text, self._type_name) for text in set(raw)}
+        texts = np.empty(len(raw), object)
+        texts[:] = [known[text] for text in raw]
+        return texts
+
+
+def _places(rows: NDArray[np.int64], above: tuple[int, ...], levels: tuple[_Level, ...]) -> NDArray[np.int64]:
+    """Rows of the table that elements `above` of the messages `rows` have."""
+    for index, level in zip(above, levels, strict=False):
+        rows = level.offsets[rows] + index
+    return rows
+
+
+def _run_places(rows: NDArray[np.int64], piece: Piece, levels: tuple[_Level, ...]) -> NDArray[np.int64]:
+    places = _places(rows, piece.above, levels)
+    if piece.run is None:
+        return places
+    elements = piece.run.first + piece.run.step * np.arange(piece.run.elements)
+    return np.asarray(levels[-1].offsets[places][:, None] + elements, np.int64)
+
+
+def _view(raw: NDArray[np.uint8], piece: Piece, leaf: Leaf) -> NDArray[Any]:
+    """(n,), (n, run), (n, length) or (n, run, length): the numbers where they lie, aligned or not."""
+    shape, strides = [len(raw)], [raw.shape[1]]
+    if piece.run is not None:
+        shape, strides = [*shape, piece.run.elements], [*strides, piece.run.stride]
+    if leaf.length is not None:
+        shape, strides = [*shape, leaf.length], [*strides, leaf.code.itemsize]
+    return np.ndarray(shape, leaf.code, raw.data, piece.offset, strides)
+
+
+def _wrapped(values: Values, levels: tuple[_Level, ...]) -> Column:
+    column: Column = values
+    for level in reversed(levels):
+        length = level.repeat.length
+        if length is not None and isinstance(column, np.ndarray):
+            column = column.reshape(len(level.offsets) - 1, length, *column.shape[1:])
+        else:
+            column = Ragged(level.offsets, column)
+    return column
+
+
+def _is_wanted(name: str, only: Sequence[str] | None) -> bool:
+    return only is None or any(name == path or name.startswith(f"{path}.") for path in only)
+
+
+def _leads_to(name: str, only: Sequence[str] | None) -> bool:
+    return only is not None and any(path.startswith(f"{name}.") for path in only)
