@@ -44,17 +44,12 @@ class Profile(StrEnum):
 
 ProfileOption = Annotated[Profile, typer.Option(help="Height as in the paper, or above the ground nearby.")]
 OdometryOption = Annotated[
-    str | None, typer.Option(metavar="TOPIC", help="The topic that gives the poses; else the best the bag has.")
+    str | None,
+    typer.Option(metavar="TOPIC", help="What gives the poses: a topic, or kiss-icp; else the best the bag has."),
 ]
 LidarOption = Annotated[
     str | None, typer.Option(metavar="TOPIC", help="The topic of the LiDAR's clouds, where the bag has several.")
 ]
-
-
-def refuse_kiss_icp(odometry: str | None) -> None:
-    """Raises `typer.BadParameter` for what is promised but not there yet."""
-    if odometry == "kiss-icp":
-        raise typer.BadParameter("kiss-icp is not built in yet; the bag must hold poses", param_hint="--odometry")
 
 
 def cores() -> int:

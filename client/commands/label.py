@@ -14,7 +14,6 @@ from client.inputs import (
     ProfileOption,
     WorkersOption,
     cores,
-    refuse_kiss_icp,
 )
 from client.progress import reported
 from client.streams import JsonOption, echo_findings, echo_json
@@ -37,7 +36,6 @@ def label(
     as_json: JsonOption = False,
 ) -> None:
     """Label every frame of a recording: free, traversable, potentially traversable or not, in 0.2 m voxels."""
-    refuse_kiss_icp(odometry)
     from services.ingest.opening import open_sequence
     from services.ingest.pipeline import SynchroniseOptions
     from services.labeler.parameters import parameters_for
@@ -45,7 +43,7 @@ def label(
     from services.labeler.pipeline import label as label_sequence
 
     with reported() as progress:
-        topics = SynchroniseOptions(odometry_topic=odometry, lidar_topic=lidar)
+        topics = SynchroniseOptions(odometry_topic=odometry, lidar_topic=lidar, progress=progress)
         sequence, sweeps = open_sequence(bag, calibration, bag.stem, topics)
         options = LabelOptions(parameters_for(profile.value), workers or cores())
         record = label_sequence(sequence, sweeps, output, options, progress).as_record()

@@ -11,7 +11,6 @@ from client.inputs import (
     ProfileOption,
     SequenceArgument,
     ServerOption,
-    refuse_kiss_icp,
 )
 from client.streams import JsonOption, echo_json
 
@@ -28,7 +27,6 @@ def process(
     as_json: JsonOption = False,
 ) -> None:
     """Have every frame of a sequence labelled; asked twice, it is done once."""
-    refuse_kiss_icp(odometry)
     from client.connecting import connected
     from client.remote import find_sequence, start_run
     from client.watching import watch_run

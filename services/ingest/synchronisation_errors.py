@@ -57,7 +57,7 @@ class NoPoseSourceError(StoneError):
     def __init__(self, found: Sequence[str]) -> None:
         super().__init__(
             "no pose source: no NovAtel INSPVA(X), no nav_msgs/msg/Odometry, and no /tf from odom, map or world to the "
-            f"robot (found: {listed(found)}); record one, or run a LiDAR odometry on the bag and record its topic"
+            f"robot (found: {listed(found)}); record one, or have the sweeps tell: --odometry kiss-icp"
         )
 
 

@@ -74,15 +74,6 @@ def test_a_missing_calibration_is_usage(tmp_path: Path) -> None:
     assert "does not exist" in result.stderr
 
 
-def test_kiss_icp_is_refused_rather_than_ignored(tmp_path: Path) -> None:
-    for name in ("run.mcap", "rig.yaml"):
-        (tmp_path / name).write_bytes(b"")
-    inputs = (tmp_path / "run.mcap", "--calibration", tmp_path / "rig.yaml", "-o", tmp_path / "out")
-    result = stone("label", *inputs, "--odometry", "kiss-icp")
-    assert result.exit_code == 2
-    assert "not built in yet" in result.stderr
-
-
 def test_an_unknown_profile_is_usage(tmp_path: Path) -> None:
     for name in ("run.mcap", "rig.yaml"):
         (tmp_path / name).write_bytes(b"")
