@@ -46,8 +46,8 @@ def clock_line(stamps_ns: Stamps, record_times_ns: Stamps) -> ClockLine | None:
     if slope is None:
         return ClockLine(offset_ns, round(spread(y)), None, None)
     jitter_ns = spread(y - slope * x)
-    sigma = MEDIAN_TO_SIGMA * jitter_ns / (np.sqrt(len(x)) * float(np.std(x)))
-    return ClockLine(offset_ns, round(jitter_ns), -slope * PPM, sigma * PPM)
+    sigma = MEDIAN_TO_SIGMA * jitter_ns / float(np.sqrt(len(x)) * np.std(x))
+    return ClockLine(offset_ns, round(jitter_ns), -slope * PPM + 0.0, sigma * PPM)
 
 
 def robust_slope(x: Array, y: Array) -> float:
