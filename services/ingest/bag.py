@@ -4,20 +4,23 @@
 stays valid after the bag is closed. `index` counts within the topic, in log-time order.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from services.ingest.containers import opened_store
 from services.ingest.errors import EncodingRefusedError, UnknownTopicError
-from services.ingest.magic import container_of, sole_mcap
-from services.ingest.mcap_store import McapStore
-from services.ingest.rosbags_store import RosbagsStore
+from services.ingest.members import members_of
+from services.ingest.split_store import SplitStore
+from services.ingest.store import Store
 from services.ingest.topic import Topic
+from services.ingest.unpacking import is_packed, unpacked, unpacked_head
+from stone.findings import Finding
 
 __all__ = ["Bag", "RawMessage", "Store", "Topic", "open_bag"]
 
@@ -29,32 +32,12 @@ class RawMessage:
     payload: memoryview
 
 
-class Store(Protocol):
-    """What holds the messages: an MCAP file by memory map, or anything rosbags reads."""
-
-    topics: tuple[Topic, ...]
-    is_indexed: bool
-
-    def log_times_ns(self, topic: str) -> NDArray[np.int64]:
-        """Ascending log times of the topic's messages."""
-        ...
-
-    def payload(self, topic: str, index: int) -> memoryview:
-        """The CDR message at `index` in log-time order."""
-        ...
-
-    def heads(self, topics: Sequence[str]) -> Iterator[tuple[str, int, memoryview]]:
-        """Topic, index and CDR message of every message, in the order in which they are stored."""
-        ...
-
-    def close(self) -> None: ...
-
-
 class Bag:
     """An open recording; a context manager."""
 
-    def __init__(self, path: Path, store: Store) -> None:
+    def __init__(self, path: Path, store: Store, findings: tuple[Finding, ...] = ()) -> None:
         self.path = path
+        self.findings = (*findings, *store.findings)
         self._store = store
         self._topics = {topic.name: topic for topic in store.topics}
 
@@ -100,24 +83,38 @@ class Bag:
         self._check_readable(topic)
         times = self._store.log_times_ns(topic)
         for index in range(*slice(start, stop).indices(len(times))):
-            yield RawMessage(int(times[index]), index, self._store.payload(topic, index))
+            yield RawMessage(int(times[index]), index, self._payload(topic, index))
 
     def message(self, topic: str, index: int) -> RawMessage:
         """One message; raises IndexError beyond the topic's count, else as `messages`."""
         self._check_readable(topic)
         times = self._store.log_times_ns(topic)
         position = range(len(times))[index]
-        return RawMessage(int(times[position]), position, self._store.payload(topic, position))
+        return RawMessage(int(times[position]), position, self._payload(topic, position))
 
-    def heads(self, topics: Sequence[str]) -> Iterator[tuple[str, int, memoryview]]:
+    def heads(self, topics: Sequence[str], whole: Collection[str] = ()) -> Iterator[tuple[str, int, memoryview]]:
         """(topic, index, payload) of all messages, in storage order, for a scan of their first bytes.
 
-        Every chunk is inflated once, whatever the number of topics; plain chunks are neither read whole nor checked.
-        Raises: as `messages`.
+        A payload may end after `services.ingest.store.HEAD_BYTES`, except of the topics named in `whole`.
+        Every chunk is inflated once, whatever the number of topics; plain chunks are neither read whole nor checked,
+        databases not beyond the pages that hold the heads. Raises: as `messages`.
         """
         for topic in topics:
             self._check_readable(topic)
-        yield from self._store.heads(topics)
+        for topic, index, payload in self._store.heads(topics, whole):
+            yield topic, index, self._head(topic, index, topic in whole) if is_packed(payload) else payload
+
+    def _payload(self, topic: str, index: int) -> memoryview:
+        payload = self._store.payload(topic, index)
+        return unpacked(payload, self._where(topic, index)) if is_packed(payload) else payload
+
+    def _head(self, topic: str, index: int, is_whole: bool) -> memoryview:
+        """Of a packed message, which is read whole: its first bytes alone may not unpack."""
+        unpack = unpacked if is_whole else unpacked_head
+        return unpack(self._store.payload(topic, index), self._where(topic, index))
+
+    def _where(self, topic: str, index: int) -> str:
+        return f"{self.path.name}, {topic} message {index}"
 
     def _all_times(self) -> Iterator[NDArray[np.int64]]:
         return (self._store.log_times_ns(topic.name) for topic in self.topics if topic.count)
@@ -133,11 +130,20 @@ class Bag:
 
 
 def open_bag(path: Path) -> Bag:
-    """Open an `.mcap` file, a `.db3` file or a rosbag2 folder, told apart by content.
+    """Open an `.mcap` file, a `.db3` file or a rosbag2 folder of either, told apart by content.
 
-    Raises: FileNotFoundError, NotABagError (BAG-001), CutBagError (BAG-010), MalformedBagError (BAG-012) and the
-    other `BAG-*` refusals.
+    Split bags are one recording; files and messages that were compressed by the recorder are unpacked as they are read.
+    What was noticed is in `findings` (BAG-021 … BAG-031).
+    Raises: FileNotFoundError, NotABagError (BAG-001), CutBagError (BAG-010), MalformedBagError (BAG-012),
+    MembersRefusedError (BAG-019) and the other `BAG-*` refusals.
     """
-    file = sole_mcap(path)
-    container = container_of(file)
-    return Bag(path, McapStore(file) if container == "mcap" else RosbagsStore(file))
+    members = members_of(path)
+    with ExitStack() as opened:
+        parts: list[Store] = []
+        for file in members.files:
+            parts.append(opened_store(file))
+            opened.callback(parts[-1].close)
+        store = parts[0] if len(parts) == 1 else SplitStore(path.name, parts)
+        bag = Bag(path, store, members.findings)
+        opened.pop_all()
+    return bag

@@ -161,13 +161,22 @@ class PoseValueError(IngestError):
         super().__init__(f"{type_name} number {index} {problem}; the source was not initialised when it was recorded")
 
 
-class SlowPathRefusedError(IngestError):
-    """rosbags, which reads what is not MCAP, refuses the recording."""
+class DatabaseRefusedError(IngestError):
+    """A `.db3` file is no rosbag2 database, or nothing can be read of it."""
 
     code = "BAG-018"
 
     def __init__(self, name: str, reason: str) -> None:
-        super().__init__(f"{name} cannot be read by rosbags ({reason}); the database or its metadata.yaml is damaged")
+        super().__init__(f"{name} cannot be read as a rosbag2 database: {reason}")
+
+
+class MembersRefusedError(IngestError):
+    """A folder does not say which of its files are the recording, or none of them is there."""
+
+    code = "BAG-019"
+
+    def __init__(self, name: str, problem: str) -> None:
+        super().__init__(f"{name} cannot be opened as a rosbag2 folder: {problem}")
 
 
 class RecoveryTargetError(IngestError):
@@ -177,3 +186,26 @@ class RecoveryTargetError(IngestError):
 
     def __init__(self, name: str) -> None:
         super().__init__(f"{name} is the original; recover into another file, the original is never written")
+
+
+class PackedTooLargeError(IngestError):
+    """A message or a file that was compressed grows beyond anything a recorder packs."""
+
+    code = "BAG-027"
+
+    def __init__(self, where: str, packed_bytes: int, limit_bytes: int) -> None:
+        super().__init__(
+            f"{where}: its {packed_bytes} compressed bytes grow beyond {limit_bytes}; "
+            f"unpack it elsewhere if it is what it should be"
+        )
+
+
+class NoRoomError(IngestError):
+    """What must be unpacked or copied to be read does not fit the folder for temporary files."""
+
+    code = "BAG-028"
+
+    def __init__(self, name: str, size_bytes: int, free_bytes: int) -> None:
+        super().__init__(
+            f"{name} needs a temporary copy of {size_bytes} bytes, {free_bytes} are free; set TMPDIR to a larger disk"
+        )

@@ -7,17 +7,20 @@ commonest broken upload.
 from pathlib import Path
 from typing import Literal
 
+from services.ingest import packed_file
 from services.ingest.errors import CutBagError, NotABagError
 from services.ingest.mcap_records import MAGIC
 
-Container = Literal["mcap", "sqlite", "folder"]
+Container = Literal["mcap", "sqlite", "zstd"]
 SNIFFED_BYTES = 512
+SQLITE_MAGIC = b"SQLite format 3\x00"
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 _KNOWN: tuple[tuple[bytes, str], ...] = (
     (b"#ROSBAG V", "a ROS 1 bag: convert it with rosbags-convert"),
     (b"PK\x03\x04", "a zip archive: unpack it first"),
     (b"\x1f\x8b", "a gzip archive: unpack it first"),
-    (b"\x28\xb5\x2f\xfd", "a file compressed with zstd: unpack it first"),
+    (ZSTD_MAGIC, "a file compressed with zstd, and no bag in it"),
     (b"\x04\x22\x4d\x18", "a file compressed with lz4: unpack it first"),
     (b"BZh", "a bzip2 archive: unpack it first"),
     (b"\xfd7zXZ", "an xz archive: unpack it first"),
@@ -29,32 +32,51 @@ _KNOWN: tuple[tuple[bytes, str], ...] = (
 
 
 def container_of(path: Path) -> Container:
-    """Raises: FileNotFoundError, NotABagError, CutBagError (fewer bytes than the magic has)."""
-    if path.is_dir():
-        return _container_of_folder(path)
-    with path.open("rb") as file:
-        first = file.read(SNIFFED_BYTES)
-    if first.startswith(MAGIC):
-        return "mcap"
-    if first.startswith(b"SQLite format 3\x00"):
-        return "sqlite"
+    """ "zstd" where an MCAP or SQLite file was compressed as a whole.
+
+    Raises: FileNotFoundError, NotABagError, CutBagError (fewer bytes than the magic has).
+    """
+    first = _first_bytes(path)
+    container = _container(first)
+    if container is not None:
+        return container
+    if first.startswith(ZSTD_MAGIC) and _container(packed_file.first_bytes(path, SNIFFED_BYTES)):
+        return "zstd"
+    if not first and has_wal(path):
+        return "sqlite"  # a recorder in WAL mode that died before it ever wrote the database itself
     if first and MAGIC.startswith(first):
         raise CutBagError(path.name, len(first))
     raise NotABagError(path.name, first, _looks_like(first))
 
 
-def sole_mcap(path: Path) -> Path:
-    """The one MCAP file of a rosbag2 folder that is not split; `path` itself for everything else."""
-    if not path.is_dir():
-        return path
-    files = [file for file in path.iterdir() if file.name != "metadata.yaml"]
-    return files[0] if len(files) == 1 and files[0].suffix == ".mcap" else path
+def is_container(path: Path) -> bool:
+    """Whether `container_of` would not refuse it as something else; a cut one counts."""
+    try:
+        container_of(path)
+    except NotABagError:
+        return False
+    except CutBagError:
+        return True
+    return True
 
 
-def _container_of_folder(path: Path) -> Container:
-    if (path / "metadata.yaml").is_file():
-        return "folder"
-    raise NotABagError(path.name, b"", "a folder without metadata.yaml: name the .mcap or .db3 file itself")
+def has_wal(path: Path) -> bool:
+    """Whether a write-ahead log with content lies beside a database."""
+    wal = path.with_name(f"{path.name}-wal")
+    return wal.is_file() and wal.stat().st_size > 0
+
+
+def _first_bytes(path: Path) -> bytes:
+    if path.exists() and not path.is_file():  # a pipe or a device could be read forever
+        raise NotABagError(path.name, b"", "a folder" if path.is_dir() else "no regular file")
+    with path.open("rb") as file:
+        return file.read(SNIFFED_BYTES)
+
+
+def _container(first: bytes) -> Container | None:
+    if first.startswith(MAGIC):
+        return "mcap"
+    return "sqlite" if first.startswith(SQLITE_MAGIC) else None
 
 
 def _looks_like(first: bytes) -> str:

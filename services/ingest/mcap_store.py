@@ -7,7 +7,7 @@ is the index (20 bytes a message) and the `KEPT_CHUNKS` chunks used last: neighb
 
 import mmap
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,7 @@ from services.ingest.errors import EncodingRefusedError, MalformedBagError
 from services.ingest.mcap_catalogue import Catalogue, Entries, message_head, read_catalogue
 from services.ingest.mcap_chunks import check_crc32, inflate
 from services.ingest.topic import Topic
+from stone.findings import Finding
 
 KEPT_CHUNKS = 2
 FORGET_BYTES = 64 * 2**20  # in a file without chunks, how far to read on before giving pages back
@@ -25,6 +26,8 @@ FORGET_BYTES = 64 * 2**20  # in a file without chunks, how far to read on before
 
 class McapStore:
     """One open MCAP file; `is_indexed` is False where the whole file had to be walked."""
+
+    findings: tuple[Finding, ...] = ()
 
     def __init__(self, path: Path) -> None:
         with path.open("rb") as file:
@@ -47,8 +50,11 @@ class McapStore:
         """The message's CDR bytes, the chunk's CRC-32 checked where one was written."""
         return self._payload(topic, index, is_checked=True)
 
-    def heads(self, topics: Sequence[str]) -> Iterator[tuple[str, int, memoryview]]:
-        """Storage order, so that each chunk is inflated once; plain chunks are not read whole for it."""
+    def heads(self, topics: Sequence[str], whole: Collection[str] = ()) -> Iterator[tuple[str, int, memoryview]]:
+        """Storage order, so that each chunk is inflated once; plain chunks are not read whole for it.
+
+        Every payload is whole: a view costs nothing that is not touched.
+        """
         parts = [self._entries[topic] for topic in topics]
         if not parts:
             return
@@ -64,6 +70,9 @@ class McapStore:
                 yield topic, int(index[row]), self._payload(topic, int(index[row]), is_checked=False)
         finally:
             self._map.madvise(mmap.MADV_NORMAL)
+
+    def release(self) -> None:
+        self._chunks.clear()
 
     def close(self) -> None:
         self._chunks.clear()

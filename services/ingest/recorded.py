@@ -75,7 +75,7 @@ def read_recorded(bag: Bag, scanned: tuple[str, ...], whole: tuple[str, ...]) ->
     kept_bytes = {name: HEADER_BYTES if topics[name].type == POINT_CLOUD else STAMP_BYTES for name in scanned}
     heads = {name: [b""] * topics[name].count for name in scanned}
     payloads = {name: [b""] * topics[name].count for name in whole}
-    for name, index, payload in bag.heads((*scanned, *whole)):
+    for name, index, payload in bag.heads((*scanned, *whole), whole=whole):
         if name in payloads:
             payloads[name][index] = bytes(payload)
         else:

@@ -1,0 +1,117 @@
+"""Messages of one rosbag2 database (`.db3`), sound or damaged.
+
+**Conventions.** Opened by SQLite where it lies, its bytes never written; where SQLite calls it malformed, whatever rows
+its pages still hold (finding BAG-030). Payloads are copies. Memory is the index, 32 bytes a message.
+"""
+
+from collections.abc import Collection, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.ingest.db3_objects import DamagedSchemaError, tables_of
+from services.ingest.db3_place import Place, place_of
+from services.ingest.db3_rows import Rows, TopicRow
+from services.ingest.db3_salvage import SalvagedRows, opened_pages
+from services.ingest.db3_sql import DamagedDatabaseError, SqlRows
+from services.ingest.errors import EncodingRefusedError, MalformedBagError
+from services.ingest.store import HEAD_BYTES
+from services.ingest.topic import Topic
+from stone.findings import Finding
+
+
+class SqliteStore:
+    """One open database; `is_indexed` is True because its rows are."""
+
+    is_indexed = True
+
+    def __init__(self, path: Path) -> None:
+        self._name = path.name
+        place = place_of(path)
+        try:
+            self._rows: Rows = _rows_of(place, path.name)
+            self._order = _by_topic(self._rows, path.name)
+        except BaseException:
+            place.close()
+            raise
+        self.topics = tuple(self._topic(name) for name in sorted(self._order))
+        self.findings: tuple[Finding, ...] = (*place.findings, *self._rows.findings, *self._left_out())
+        if self.topics and all(topic.encoding != "cdr" for topic in self.topics):
+            self.close()
+            raise EncodingRefusedError(path.name, self.topics[0].name, self.topics[0].encoding)
+
+    def log_times_ns(self, topic: str) -> NDArray[np.int64]:
+        return self._rows.index.time_ns[self._order[topic]]
+
+    def payload(self, topic: str, index: int) -> memoryview:
+        return memoryview(self._read(int(self._order[topic][index]), is_whole=True))
+
+    def heads(self, topics: Sequence[str], whole: Collection[str] = ()) -> Iterator[tuple[str, int, memoryview]]:
+        """By rowid, which is the order in the file."""
+        if not topics:
+            return
+        rows = np.concatenate([self._order[topic] for topic in topics])
+        numbers = np.concatenate([np.full(len(self._order[topic]), n) for n, topic in enumerate(topics)])
+        indices = np.concatenate([np.arange(len(self._order[topic])) for topic in topics])
+        for at in np.argsort(rows, kind="stable").tolist():
+            topic = topics[numbers[at]]
+            yield topic, int(indices[at]), memoryview(self._read(int(rows[at]), is_whole=topic in whole))
+
+    def release(self) -> None:
+        self._rows.release()
+
+    def close(self) -> None:
+        self._rows.close()
+
+    def _read(self, row: int, *, is_whole: bool) -> bytes:
+        rowid, size_bytes = int(self._rows.index.rowid[row]), int(self._rows.index.size_bytes[row])
+        try:
+            if is_whole or size_bytes <= HEAD_BYTES:
+                return self._rows.data(rowid)
+            return self._rows.head(rowid, HEAD_BYTES)
+        except DamagedDatabaseError as error:
+            raise MalformedBagError(f"{self._name}, message row {rowid}", str(error)) from None
+
+    def _topic(self, name: str) -> Topic:
+        told = next(topic for topic in self._rows.topics if topic.name == name)
+        schema = self._rows.definitions.get(told.type, "")
+        return Topic(name, told.type, len(self._order[name]), schema, told.encoding)
+
+    def _left_out(self) -> Iterator[Finding]:
+        known = sum(len(rows) for rows in self._order.values())
+        count = self._rows.index.left_out + len(self._rows.index.rowid) - known
+        if count:
+            message = f"{count} rows of {self._name} are no messages (other columns, or a topic that is not listed)."
+            yield Finding("BAG-031", "warning", self._name, message)
+
+
+def _rows_of(place: Place, name: str) -> Rows:
+    """SQLite is asked only after its schema was found to be a recorder's, and believed when it says no."""
+    try:
+        tables_of(opened_pages(place, name), name)
+        return SqlRows(place, name)
+    except DamagedSchemaError:
+        return SalvagedRows(place, name, "its schema cannot be read")
+    except DamagedDatabaseError as error:
+        return SalvagedRows(place, name, str(error)[:160])
+
+
+def _by_topic(rows: Rows, name: str) -> dict[str, NDArray[np.int64]]:
+    """Rows of each topic in log-time order, ties in that of the file; several ids may carry one topic, of one type."""
+    types: dict[str, TopicRow] = {}
+    for topic in rows.topics:
+        first = types.setdefault(topic.name, topic)
+        if (first.type, first.encoding) != (topic.type, topic.encoding):
+            raise MalformedBagError(name, f"topic {topic.name!r} is recorded as {first.type} and as {topic.type}")
+    names = sorted(types)
+    number_of = {topic_name: number for number, topic_name in enumerate(names)}
+    ids = np.array(sorted(topic.topic_id for topic in rows.topics), np.int64)
+    name_of_id = {topic.topic_id: number_of[topic.name] for topic in rows.topics}
+    numbers = np.array([name_of_id[topic_id] for topic_id in ids.tolist()], np.int64)
+    place = np.searchsorted(ids, rows.index.topic_id)
+    known = np.flatnonzero(np.append(ids, 0)[place] == rows.index.topic_id if len(ids) else np.zeros(0, np.bool_))
+    number = numbers[place[known]]
+    order = known[np.lexsort((known, rows.index.time_ns[known], number))]
+    stops = np.cumsum(np.bincount(number, minlength=len(names)))
+    return dict(zip(names, np.split(order, stops[:-1]), strict=True)) if names else {}
