@@ -36,6 +36,13 @@ class Ragged:
         return self.values
 
     @property
+    def inner(self) -> "Ragged":
+        """The sequences in this sequence."""
+        if not isinstance(self.values, Ragged):
+            raise TypeError("the sequence holds no sequences")
+        return self.values
+
+    @property
     def texts(self) -> list[str]:
         if not isinstance(self.values, list):
             raise TypeError("the sequence holds no texts")

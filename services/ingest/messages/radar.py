@@ -1,0 +1,32 @@
+"""Any radar message that is understood → detections, by the type of its topic.
+
+**Conventions.** `services.ingest.messages.radar_detections` says what the columns mean. Scan i is message i.
+"""
+
+from collections.abc import Callable, Iterable
+
+from services.ingest.errors import DefinitionMissingError
+from services.ingest.messages import radar_ars548, radar_cloud, radar_continental, radar_packets, radar_scan
+from services.ingest.messages.batch import Stamped
+from services.ingest.messages.radar_detections import RadarDetections
+
+__all__ = ["RADAR_TYPES", "RadarDetections", "decode_radar"]
+
+_DECODERS: dict[str, Callable[[Iterable[Stamped], str], RadarDetections]] = {
+    radar_ars548.TYPE: radar_ars548.decode_ars548,
+    radar_continental.TYPE: radar_continental.decode_continental,
+    radar_scan.TYPE: radar_scan.decode_radar_scan,
+    radar_packets.TYPE: radar_packets.decode_packets,
+    radar_cloud.TYPE: lambda messages, _schema: radar_cloud.decode_radar_cloud(messages),
+}
+RADAR_TYPES = frozenset(_DECODERS)
+
+
+def decode_radar(topic_type: str, messages: Iterable[Stamped], schema: str = "") -> RadarDetections:
+    """`schema` is the definition that the recording embeds, "" for none.
+
+    Raises: DefinitionMissingError (no radar type), MessageLayoutError, ByteOrderError, CloudLayoutError, PacketError.
+    """
+    if topic_type not in _DECODERS:
+        raise DefinitionMissingError(topic_type, tuple(sorted(RADAR_TYPES)))
+    return _DECODERS[topic_type](messages, schema)

@@ -1,0 +1,138 @@
+"""ars548_messages/msg/DetectionList: 800 places, of which the first `list_numofdetections` count.
+
+**Conventions.** What follows the count is left over from earlier scans and never read: of each message only its head,
+its count and the detections that count are touched, which is what makes this fast. Header stamps are the host's by the
+driver's default; `sensor_stamps_ns` is the radar's own clock. Source: ars548_ros (ROS 2), ARS 548 RDI interface.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from struct import Struct
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.ingest.errors import MessageLayoutError
+from services.ingest.messages.batch import Stamped, payloads_of
+from services.ingest.messages.plan import Leaf, Node
+from services.ingest.messages.radar_detections import (
+    INVALID_MASK,
+    RadarDetections,
+    detections,
+    joined_ns,
+    offsets_of,
+)
+from services.ingest.messages.registry import resolved
+from services.ingest.messages.sketch import Piece, sketched
+
+TYPE = "ars548_messages/msg/DetectionList"
+PLACES, COUNT = "list_detections", "list_numofdetections"
+# Columns of ours and the driver's names for them.
+FIELDS = {
+    "azimuth": "f_azimuthangle", "elevation": "f_elevationangle", "range": "f_range", "range_rate": "f_rangerate",
+    "rcs": "s_rcs", "flags": "u_invalidflags",
+}  # fmt: skip
+STAMPS = ("header.stamp.sec", "header.stamp.nanosec", "timestamp_seconds", "timestamp_nanoseconds")
+# Encapsulation and length of the frame's name: with the size, all that the layout of a message depends on.
+_KEY = Struct("<4s8xI")
+# So many messages are gathered at once: their detections stay in the processor's cache until they are columns.
+_BATCH = 32
+
+
+@dataclass(frozen=True, eq=False)
+class _Layout:
+    """Where things are in every message of one size and one length of its frame's name."""
+
+    stamps: np.dtype[np.void]
+    count_at: int
+    first_at: int
+    places: int
+    detection: np.dtype[np.void]
+
+
+def decode_ars548(messages: Iterable[Stamped], schema: str = "") -> RadarDetections:
+    """N = messages. Raises: MessageLayoutError (also for more detections than there are places), ByteOrderError."""
+    payloads = payloads_of(messages)
+    plan = resolved(TYPE, schema).registry.plan(TYPE)
+    stamps = np.empty((len(payloads), len(STAMPS)), np.int64)
+    counts = np.zeros(len(payloads), np.int64)
+    layouts: list[tuple[NDArray[np.int64], _Layout]] = []
+    for rows in _alike(payloads):
+        layout = _layout(payloads[rows[0]], plan)
+        alike = [payloads[row] for row in rows]
+        counts[rows], stamps[rows] = _counts(alike, layout), _stamps(alike, layout)
+        layouts.append((np.array(rows, np.int64), layout))
+    offsets = offsets_of(counts)
+    columns = _gathered(payloads, layouts, offsets)
+    columns["invalid"] = columns.pop("flags") & INVALID_MASK != 0
+    return detections(joined_ns(stamps[:, 0], stamps[:, 1]), offsets, columns, joined_ns(stamps[:, 2], stamps[:, 3]))
+
+
+def _alike(payloads: Sequence[memoryview]) -> Iterable[list[int]]:
+    """Rows of messages that share a layout."""
+    by_key: dict[tuple[Any, ...], list[int]] = {}
+    for row, payload in enumerate(payloads):
+        key = (len(payload), *_KEY.unpack_from(payload)) if len(payload) >= _KEY.size else (len(payload),)
+        by_key.setdefault(key, []).append(row)
+    return by_key.values()
+
+
+def _layout(payload: memoryview, plan: Sequence[Node]) -> _Layout:
+    """From the definition, so that an embedded one that differs is followed."""
+    pieces = {piece.node.name: piece for piece in sketched(payload, plan, TYPE).pieces}
+    wanted = (*STAMPS, COUNT, *(f"{PLACES}.{name}" for name in FIELDS.values()))
+    if missing := [name for name in wanted if name not in pieces]:
+        raise MessageLayoutError(TYPE, f"its definition has no {missing[0]}")
+    inside = {name: pieces[f"{PLACES}.{name}"] for name in FIELDS.values()}
+    run = next(iter(inside.values())).run
+    if run is None or run.step != 1 or run.first != 0:
+        raise MessageLayoutError(TYPE, f"its definition has {PLACES} of another kind")
+    first_at = min(piece.offset for piece in inside.values())
+    detection = _record(inside, first_at, run.stride)
+    stamps = _record({name: pieces[name] for name in STAMPS}, 0, first_at)
+    return _Layout(stamps, pieces[COUNT].offset, first_at, run.elements, detection)
+
+
+def _record(pieces: dict[str, Piece], start: int, size: int) -> np.dtype[np.void]:
+    formats = [piece.node.code for piece in pieces.values() if isinstance(piece.node, Leaf)]
+    offsets = [piece.offset - start for piece in pieces.values()]
+    return np.dtype({"names": list(pieces), "formats": formats, "offsets": offsets, "itemsize": size})
+
+
+def _counts(payloads: Sequence[memoryview], layout: _Layout) -> list[int]:
+    unpack = Struct("<I").unpack_from
+    counts = [unpack(payload, layout.count_at)[0] for payload in payloads]
+    if max(counts) > layout.places:
+        raise MessageLayoutError(TYPE, f"{COUNT} is {max(counts)}, the list has {layout.places} places")
+    return counts
+
+
+def _stamps(payloads: Sequence[memoryview], layout: _Layout) -> NDArray[np.int64]:
+    heads = np.frombuffer(b"".join([payload[: layout.first_at] for payload in payloads]), layout.stamps)
+    return np.stack([heads[name].astype(np.int64) for name in STAMPS], axis=1)
+
+
+def _gathered(
+    payloads: Sequence[memoryview], layouts: Sequence[tuple[NDArray[np.int64], _Layout]], offsets: NDArray[np.int64]
+) -> dict[str, NDArray[Any]]:
+    """The columns of all detections, in the order of the messages."""
+    columns: dict[str, NDArray[Any]] = {name: np.empty(offsets[-1], np.float32) for name in FIELDS}
+    columns["flags"] = np.empty(offsets[-1], np.uint8)
+    for rows, layout in layouts:
+        start, size = layout.first_at, layout.detection.itemsize
+        for batch in (rows[begin : begin + _BATCH] for begin in range(0, len(rows), _BATCH)):
+            ends = start + (offsets[batch + 1] - offsets[batch]) * size
+            parts = [payloads[row][start:end] for row, end in zip(batch.tolist(), ends.tolist(), strict=True)]
+            table = np.frombuffer(b"".join(parts), layout.detection)
+            places = _places(batch, offsets)
+            for name, theirs in FIELDS.items():
+                columns[name][places] = table[theirs]
+    return columns
+
+
+def _places(rows: NDArray[np.int64], offsets: NDArray[np.int64]) -> slice | NDArray[np.int64]:
+    """Where the detections of `rows` go: in one piece unless messages of another layout lie between them."""
+    if rows[-1] - rows[0] == len(rows) - 1:
+        return slice(int(offsets[rows[0]]), int(offsets[rows[-1] + 1]))
+    return np.concatenate([np.arange(offsets[row], offsets[row + 1]) for row in rows])
