@@ -54,7 +54,7 @@ def track_from_ins(
     findings = ordered.findings + _clock(samples, rows, topic) + _left_out(samples, len(rows), topic)
     if not solution.rtk.any():
         findings += (Finding("GNS-301", "warning", topic, "nothing tells whether RTK was fixed (no BESTPOS)"),)
-    return PoseTrack(trajectory, source, topic, findings, origin, solution)
+    return PoseTrack(trajectory, source, topic, findings, origin, solution, is_smooth=True)
 
 
 def enu_poses(samples: InsSamples, rows: NDArray[np.int64]) -> tuple[SE3, tuple[float, float, float]]:

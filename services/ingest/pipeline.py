@@ -89,6 +89,6 @@ def _synchronised(
         inputs={bag.path.name: options.recording_sha256 or recording_sha256(bag.path)},
         findings=mounts + clock.findings + track.findings + doubts + unmatched + usable_finding(posed),
     )
-    motion = SweepMount(track.trajectory, calibration.ego_from_lidar, options.max_pose_gap_ns)
+    motion = SweepMount(posed.path, calibration.ego_from_lidar, options.max_pose_gap_ns)
     sweeps = BagSweeps(bag.path, clock.topic, posed.message_index, frames.stamps_ns, motion)
     return sequence, sweeps

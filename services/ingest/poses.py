@@ -30,6 +30,7 @@ FIXED_FRAMES = ("odom", "map", "world")
 class PoseTrack:
     """Where the robot was, by which `source` of which `topic`; `solution` is the quality of each pose where it is told.
 
+    `is_smooth` says that the source knows how the robot moved between its samples, and filtered them so (an INS).
     `map_origin_deg_m` is latitude, longitude, height of the map's origin where there is one.
     """
 
@@ -39,6 +40,7 @@ class PoseTrack:
     findings: tuple[Finding, ...] = ()
     map_origin_deg_m: tuple[float, float, float] | None = None
     solution: SolutionQuality | None = None
+    is_smooth: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,10 +14,11 @@ from services.ingest.lidar_clock import LidarClock
 from services.ingest.poses import PoseTrack
 from services.ingest.synchronisation_errors import NoFramesError
 from stone.association import typical_period_ns
+from stone.between import with_between
 from stone.findings import Finding
 from stone.pose_quality import quality_at, unknown_quality
 from stone.sequence import Association, ExcludedFrame, Frames, frame_token
-from stone.trajectory import Interpolated, PoseStatus
+from stone.trajectory import Interpolated, PoseStatus, Trajectory
 
 EXCLUSIONS = {
     PoseStatus.BEFORE_FIRST: "no_pose_before_first",
@@ -29,12 +30,13 @@ EXCLUSIONS = {
 
 @dataclass(frozen=True, eq=False)
 class PosedFrames:
-    """Frames without their other sensors yet; `period_ns` is that of all sweeps, usable or not.
+    """Frames without their other sensors yet, and the `path` their poses are on; `period_ns` is that of all sweeps.
 
     `message_index` (N,) is that of each frame's sweep in its topic.
     """
 
     frames: Frames
+    path: Trajectory
     period_ns: int
     message_index: NDArray[np.int64]
     excluded: tuple[ExcludedFrame, ...]
@@ -43,8 +45,9 @@ class PosedFrames:
 def frames_with_pose(name: str, clock: LidarClock, track: PoseTrack, max_gap_ns: int) -> PosedFrames:
     """Every LiDAR stamp, as a frame or as an exclusion with its reason. Raises NoFramesError when none has a pose."""
     stamps_ns, trajectory = clock.ordered.stamps_ns, track.trajectory
-    at_stamp = trajectory.at(stamps_ns, max_gap_ns)
-    at_ends = [trajectory.at(stamps_ns + offset_ns, max_gap_ns) for offset_ns in clock.span_ns]
+    path = with_between(trajectory, max_gap_ns) if track.is_smooth else trajectory
+    at_stamp = path.at(stamps_ns, max_gap_ns)
+    at_ends = [path.at(stamps_ns + offset_ns, max_gap_ns) for offset_ns in clock.span_ns]
     is_empty = clock.points == 0
     is_broken = (at_ends[0].segment != at_stamp.segment) | (at_ends[1].segment != at_stamp.segment)
     is_usable = at_stamp.is_ok & at_ends[0].is_ok & at_ends[1].is_ok & ~is_empty & ~is_broken
@@ -62,7 +65,7 @@ def frames_with_pose(name: str, clock: LidarClock, track: PoseTrack, max_gap_ns:
         quality=quality_at(trajectory, track.solution or unknown_quality(len(trajectory)), stamps_ns[rows]),
         sweeps=Association(clock.topic, clock.ordered.index[rows], np.zeros(len(rows), np.int64)),
     )
-    return PosedFrames(frames, typical_period_ns(stamps_ns), clock.ordered.index[rows], excluded)
+    return PosedFrames(frames, path, typical_period_ns(stamps_ns), clock.ordered.index[rows], excluded)
 
 
 def usable_finding(posed: PosedFrames) -> tuple[Finding, ...]:
