@@ -42,9 +42,12 @@ def inspection_table(record: Mapping[str, Any]) -> Table:
         table.add_column(column, overflow="fold")
     for column in ("messages", "Hz", "gaps"):
         table.add_column(column, justify="right")
+    parts = {topic: part for part, topic in record.get("channels", {}).items()}
     for topic in record["topics"]:
+        role = topic["role"] or DASH
+        part = parts.get(topic["name"], role)
         rate = DASH if topic["rate_hz"] is None else f"{topic['rate_hz']:.1f}"
-        names = (topic["name"], topic["type"].rpartition("/")[2], topic["role"] or DASH)
+        names = (topic["name"], topic["type"].rpartition("/")[2], role if part == role else f"{role} ({part})")
         table.add_row(*map(safe_text, names), str(topic["count"]), rate, str(len(topic["gaps"])))
     return table
 

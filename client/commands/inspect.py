@@ -6,20 +6,32 @@ from client.inputs import BagArgument
 from client.refusals import REFUSED
 from client.streams import JsonOption, echo_findings, echo_json
 from client.tables import inspection_table, show
+from client.topic_choices import SaveTopicsOption, TopicOption, TopicsOption, chosen_topics
 
 
-def inspect(bag: BagArgument, as_json: JsonOption = False) -> None:
+def inspect(
+    bag: BagArgument,
+    topics: TopicsOption = None,
+    topic: TopicOption = [],  # noqa: B006
+    save_topics: SaveTopicsOption = None,
+    as_json: JsonOption = False,
+) -> None:
     """Show a recording's topics with their roles, rates and gaps, and what is noticed about them.
 
+    Where several topics fit one role, choose with --topic and save the choice for the robot's next recording.
     Exit code 1 where something in it cannot be used, named by an error line.
     """
     from services.ingest.inspection import inspect as inspect_bag
+    from services.ingest.profile_file import write_profile
 
-    inspection = inspect_bag(bag)
+    profile = chosen_topics(topics, topic)
+    inspection = inspect_bag(bag, profile)
     if as_json:
         echo_json(inspection.as_record())
     else:
         show(inspection_table(inspection.as_record()))
+    if save_topics is not None:
+        write_profile(save_topics, inspection.assignment.as_profile(profile.platform))
     echo_findings(inspection.findings)
     if any(finding.severity == "error" for finding in inspection.findings):
         raise typer.Exit(REFUSED)

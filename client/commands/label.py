@@ -18,6 +18,7 @@ from client.inputs import (
 from client.progress import reported
 from client.streams import JsonOption, echo_findings, echo_json
 from client.tables import class_table, show
+from client.topic_choices import TopicOption, TopicsOption, chosen_topics
 from stone.findings import Finding
 
 OutputOption = Annotated[
@@ -32,6 +33,8 @@ def label(
     profile: ProfileOption = Profile.PAPER,
     odometry: OdometryOption = None,
     lidar: LidarOption = None,
+    topics: TopicsOption = None,
+    topic: TopicOption = [],  # noqa: B006
     workers: WorkersOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -43,8 +46,9 @@ def label(
     from services.labeler.pipeline import label as label_sequence
 
     with reported() as progress:
-        topics = SynchroniseOptions(odometry_topic=odometry, lidar_topic=lidar, progress=progress)
-        sequence, sweeps = open_sequence(bag, calibration, bag.stem, topics)
+        chosen = chosen_topics(topics, topic).topics
+        sources = SynchroniseOptions(odometry, lidar, topics=chosen, progress=progress)
+        sequence, sweeps = open_sequence(bag, calibration, bag.stem, sources)
         options = LabelOptions(parameters_for(profile.value), workers or cores())
         record = label_sequence(sequence, sweeps, output, options, progress).as_record()
     if as_json:

@@ -4,7 +4,7 @@
 finding says what later stages will do about it, or what to change before the next recording.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 from services.ingest.bag import Bag, Topic
 from services.ingest.messages.pointcloud2 import Cloud, lidar_points
@@ -13,17 +13,6 @@ from services.ingest.timing import Timing
 from stone.findings import Finding
 
 Inspected = tuple[Topic, Role, Timing]
-
-PACKET_TYPES = frozenset(
-    {
-        "hesai_ros_driver/msg/UdpFrame",
-        "pandar_msgs/msg/PandarScan",
-        "nebula_msgs/msg/NebulaPackets",
-        "velodyne_msgs/msg/VelodyneScan",
-    }
-)
-POSE_ROLES: tuple[Role, ...] = ("ins", "odometry", "tf")
-SINGLE_ROLES: tuple[Role, ...] = ("lidar", "ins", "odometry")
 
 
 def container_findings(bag: Bag) -> Iterator[Finding]:
@@ -46,22 +35,3 @@ def cloud_findings(topic: Topic, cloud: Cloud) -> Iterator[Finding]:
     elif points.offset_ns is None:
         message = "The points carry no time: deskew is off, a turning robot smears its sweeps."
         yield Finding("TOP-102", "warning", topic.name, message)
-
-
-def topic_findings(inspected: Sequence[Inspected]) -> Iterator[Finding]:
-    """Roles that nobody fills, and roles that several topics fit."""
-    names: dict[Role, list[str]] = {}
-    for topic, role, _timing in inspected:
-        if topic.count:
-            names.setdefault(role, []).append(topic.name)
-    if "lidar" not in names:
-        packets = [topic.name for topic, _role, _timing in inspected if topic.type in PACKET_TYPES]
-        why = f"{packets[0]} holds raw packets: let the driver publish points." if packets else "Labels need one."
-        yield Finding("TOP-101", "error", packets[0] if packets else "", f"No LiDAR PointCloud2 found. {why}")
-    if not names.keys() & set(POSE_ROLES):
-        message = "No source of poses: neither INS, odometry nor /tf. Labels need one."
-        yield Finding("TOP-103", "warning", "", message)
-    for role in SINGLE_ROLES:
-        if len(listed := names.get(role, [])) > 1:
-            message = f"{len(listed)} topics fit role {role}: {', '.join(listed)}; choose one."
-            yield Finding("TOP-110", "warning", listed[0], message)

@@ -12,10 +12,13 @@ import numpy as np
 
 from services.ingest import checks
 from services.ingest.bag import Bag, Topic, open_bag
+from services.ingest.cdr import Cursor
 from services.ingest.clocks.findings import clock_findings
 from services.ingest.clocks.measuring import kept_bytes, measured
 from services.ingest.clocks.report import ClockReport
+from services.ingest.definition_checks import definition_findings
 from services.ingest.messages.pointcloud2 import decode_cloud
+from services.ingest.profiles import Assignment, Candidate, Profile, resolve
 from services.ingest.roles import POINT_CLOUD, Role, TopicFacts, role_of
 from services.ingest.scan import Scan, scan_of
 from services.ingest.timing import Timing, measure
@@ -53,6 +56,8 @@ class Inspection:
     topics: tuple[InspectedTopic, ...]
     findings: tuple[Finding, ...]
     clocks: ClockReport = field(default_factory=ClockReport)
+    candidates: tuple[Candidate, ...] = ()
+    assignment: Assignment = field(default_factory=Assignment)
 
     def as_record(self) -> dict[str, object]:
         return {
@@ -60,20 +65,27 @@ class Inspection:
             "topics": [topic.as_record() for topic in self.topics],
             "findings": [finding.as_record() for finding in self.findings],
             "clocks": self.clocks.as_record(),
+            "channels": dict(self.assignment.channels),
         }
 
 
-def inspect(path: Path) -> Inspection:
-    """Raises: FileNotFoundError and the `BAG-*` refusals of `open_bag`."""
+def inspect(path: Path, profile: Profile | None = None) -> Inspection:
+    """`profile` chooses between topics that fit one role.
+
+    Raises: FileNotFoundError and the `BAG-*` refusals of `open_bag`.
+    """
     with open_bag(path) as bag:
         scan = scan_of(bag, kept_bytes)
-        findings: list[Finding] = list(checks.container_findings(bag))
+        findings: list[Finding] = [*checks.container_findings(bag), *definition_findings(bag.topics)]
         topics = tuple(_inspected(bag, topic, scan, findings) for topic in bag.topics)
         by_role = [(topic.topic, topic.role, topic.timing) for topic in topics]
-        findings += checks.topic_findings(by_role)
+        candidates = tuple(_candidate(bag, topic) for topic in topics)
+        assignment = resolve(candidates, profile or Profile())
+        findings += assignment.findings
         clocks = measured(bag, scan, by_role)
         findings += clock_findings(by_role, clocks)
-        return Inspection(bag.end_ns - bag.start_ns, topics, tuple(findings), clocks.report)
+        duration_ns = bag.end_ns - bag.start_ns
+        return Inspection(duration_ns, topics, tuple(findings), clocks.report, candidates, assignment)
 
 
 def _inspected(bag: Bag, topic: Topic, scan: Scan, findings: list[Finding]) -> InspectedTopic:
@@ -100,3 +112,20 @@ def _cloud_facts(bag: Bag, facts: TopicFacts, topic: Topic, findings: list[Findi
     if role_of(known) == "lidar":
         findings += checks.cloud_findings(topic, cloud)
     return known
+
+
+def _candidate(bag: Bag, inspected: InspectedTopic) -> Candidate:
+    """Of cameras and radars the frame of the first message tells where they sit."""
+    topic, role = inspected.topic, inspected.role
+    frame_id = _frame_id(bag, topic) if role in ("camera", "radar") and topic.count else ""
+    return Candidate(topic.name, topic.type, role, topic.count, inspected.timing.rate_hz, frame_id)
+
+
+def _frame_id(bag: Bag, topic: Topic) -> str:
+    """ "" for a message that cannot be read, which the scan has named already."""
+    try:
+        cursor = Cursor(bag.message(topic.name, 0).payload, topic.type)
+        cursor.stamp_ns()
+        return cursor.text()
+    except StoneError:
+        return ""

@@ -3,6 +3,7 @@
 **Conventions.** A hostile recording may declare a hundred thousand topics with endless names; what is cut is counted.
 """
 
+from itertools import islice
 from typing import Any
 
 from services.ingest.inspection import InspectedTopic, Inspection
@@ -13,18 +14,21 @@ LONGEST_TEXT = 300
 
 def inspection_record(inspection: Inspection) -> dict[str, Any]:
     """`duration_ns`, `topics`, `findings` and how many of the last two there were."""
+    frame_ids = {candidate.name: candidate.frame_id for candidate in inspection.candidates}
     return {
         "duration_ns": inspection.duration_ns,
-        "topics": [_topic(topic) for topic in inspection.topics[:MOST_TOPICS]],
+        "topics": [_topic(topic, frame_ids.get(topic.topic.name, "")) for topic in inspection.topics[:MOST_TOPICS]],
         "topics_total": len(inspection.topics),
         "findings": [_short(finding.as_record()) for finding in inspection.findings[:MOST_FINDINGS]],
         "findings_total": len(inspection.findings),
+        "channels": _short(dict(islice(inspection.assignment.channels.items(), MOST_TOPICS))),
     }
 
 
-def _topic(topic: InspectedTopic) -> dict[str, Any]:
+def _topic(topic: InspectedTopic, frame_id: str) -> dict[str, Any]:
     gaps = [gap.as_record() for gap in topic.timing.gaps[:MOST_GAPS]]
-    return {**_short(topic.as_record()), "gaps": gaps, "gaps_total": len(topic.timing.gaps)}
+    record = {**topic.as_record(), "frame_id": frame_id}
+    return {**_short(record), "gaps": gaps, "gaps_total": len(topic.timing.gaps)}
 
 
 def _short(record: dict[str, Any]) -> dict[str, Any]:

@@ -5,8 +5,9 @@ small to be a revolution and has no ring. Source: field layouts of the Hesai, Ne
 ARS 548 drivers.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol, TypeVar
 
 Role = Literal["lidar", "camera", "radar", "gnss", "ins", "imu", "odometry", "tf", "tf_static", "camera_info", "other"]
 
@@ -26,6 +27,19 @@ ROLE_OF_TYPE: dict[str, Role] = {
     "continental_msgs/msg/ContinentalArs548DetectionList": "radar",
     "radar_msgs/msg/RadarScan": "radar",
 }
+PACKET_TYPES = frozenset(
+    {
+        "hesai_ros_driver/msg/UdpFrame",
+        "pandar_msgs/msg/PandarScan",
+        "nebula_msgs/msg/NebulaPackets",
+        "velodyne_msgs/msg/VelodyneScan",
+    }
+)
+POSE_ROLES: tuple[Role, ...] = ("ins", "odometry", "tf")
+INSPVAX = "novatel_oem7_msgs/msg/INSPVAX"
+# A LiDAR turns 5 to 20 times a second, some 30; what is slower is a map. An IMU that integrates well samples faster
+# than any pose source; what is slower is a copy for people to look at.
+PLAUSIBLE_HZ: dict[Role, tuple[float, float]] = {"lidar": (3.0, 40.0), "imu": (50.0, 2000.0)}
 POINT_CLOUD, TRANSFORMS = "sensor_msgs/msg/PointCloud2", "tf2_msgs/msg/TFMessage"
 RING_FIELDS = frozenset({"ring", "channel", "laser_id", "line"})
 DOPPLER_FIELDS = frozenset({"rcs", "range_rate", "v", "v_r", "doppler", "velocity", "radial_speed"})
@@ -67,3 +81,31 @@ def _role_of_cloud(facts: TopicFacts) -> Role:
     if facts.point_count > 0:
         return "radar"
     return "radar" if "radar" in facts.name.lower() else "lidar"
+
+
+class Rated(Protocol):
+    """What tells two topics of one role apart."""
+
+    @property
+    def type(self) -> str: ...
+    @property
+    def count(self) -> int: ...
+    @property
+    def rate_hz(self) -> float | None: ...
+
+
+Topical = TypeVar("Topical", bound=Rated)
+
+
+def with_plausible_rate(role: Role, topics: Sequence[Topical]) -> Sequence[Topical]:
+    """Those whose rate is the role's; all of them where none is, or where the role has none."""
+    low_hz, high_hz = PLAUSIBLE_HZ.get(role, (0.0, float("inf")))
+    plausible = [topic for topic in topics if topic.rate_hz is not None and low_hz <= topic.rate_hz <= high_hz]
+    return plausible or topics
+
+
+def fullest(topics: Sequence[Topical]) -> Sequence[Topical]:
+    """INSPVA and INSPVAX of one receiver are the same solution: the more frequent, else the one with its quality."""
+    if len({topic.type for topic in topics}) < len(topics):
+        return topics
+    return sorted(topics, key=lambda topic: (-topic.count, topic.type != INSPVAX))[:1]

@@ -5,12 +5,22 @@ for by the name kiss-icp, it is the LiDAR itself (`services.ingest.kiss_odometry
 Topics without messages count as absent.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from services.ingest.bag import Bag, Topic
-from services.ingest.checks import PACKET_TYPES
 from services.ingest.messages.pointcloud2 import decode_cloud
-from services.ingest.roles import POINT_CLOUD, Role, TopicFacts, role_of
+from services.ingest.profiles import Candidate
+from services.ingest.roles import (
+    PACKET_TYPES,
+    POINT_CLOUD,
+    POSE_ROLES,
+    Role,
+    TopicFacts,
+    fullest,
+    role_of,
+    with_plausible_rate,
+)
 from services.ingest.synchronisation_errors import (
     AmbiguousTopicsError,
     NoLidarError,
@@ -19,9 +29,7 @@ from services.ingest.synchronisation_errors import (
 )
 
 BESTPOS = "novatel_oem7_msgs/msg/BESTPOS"
-INSPVAX = "novatel_oem7_msgs/msg/INSPVAX"
 KISS_ICP = "kiss-icp"
-POSE_ROLES: tuple[Role, ...] = ("ins", "odometry", "tf")
 ROLE_OF_SWEEPS: Role = "lidar"
 ASSOCIATED_ROLES: tuple[Role, ...] = ("camera", "radar", "imu")
 
@@ -55,17 +63,24 @@ class Sources:
 
 def choose_sources(bag: Bag, lidar_topic: str | None, odometry_topic: str | None) -> Sources:
     """Raises NoLidarError, NoPoseSourceError, AmbiguousTopicsError, WrongTopicError; what decoding a cloud raises."""
-    roles = [(topic, _role(bag, topic)) for topic in bag.topics if topic.count and topic.encoding == "cdr"]
+    topics = {topic.name: topic for topic in bag.topics if topic.count and topic.encoding == "cdr"}
+    roles = [_candidate(bag, topic) for topic in topics.values()]
     lidar = _lidar(roles, lidar_topic)
-    pose, pose_role = (lidar, ROLE_OF_SWEEPS) if odometry_topic == KISS_ICP else _pose(roles, odometry_topic)
+    pose = lidar if odometry_topic == KISS_ICP else _pose(roles, odometry_topic)
     return Sources(
-        lidar=lidar,
-        pose=pose,
-        pose_role=pose_role,
-        fixes=next((topic for topic, _ in roles if topic.type == BESTPOS), None),
-        tf_static=tuple(topic.name for topic, role in roles if role == "tf_static"),
-        associated=tuple((topic, role) for topic, role in roles if role in ASSOCIATED_ROLES),
+        lidar=topics[lidar.name],
+        pose=topics[pose.name],
+        pose_role=ROLE_OF_SWEEPS if pose is lidar else pose.role,
+        fixes=next((topic for topic in topics.values() if topic.type == BESTPOS), None),
+        tf_static=tuple(topic.name for topic in roles if topic.role == "tf_static"),
+        associated=tuple((topics[topic.name], topic.role) for topic in roles if topic.role in ASSOCIATED_ROLES),
     )
+
+
+def _candidate(bag: Bag, topic: Topic) -> Candidate:
+    duration_s = (bag.end_ns - bag.start_ns) / 1e9
+    rate_hz = topic.count / duration_s if duration_s > 0 else None
+    return Candidate(topic.name, topic.type, _role(bag, topic), topic.count, rate_hz)
 
 
 def _role(bag: Bag, topic: Topic) -> Role:
@@ -76,46 +91,38 @@ def _role(bag: Bag, topic: Topic) -> Role:
     return role_of(TopicFacts(topic.name, topic.type, None, fields, len(cloud.points)))
 
 
-def _lidar(roles: list[tuple[Topic, Role]], asked: str | None) -> Topic:
+def _lidar(roles: list[Candidate], asked: str | None) -> Candidate:
     if asked is not None:
-        return _asked(roles, asked, [topic for topic, _ in roles if topic.type == POINT_CLOUD], POINT_CLOUD)
-    lidars = [topic for topic, role in roles if role == "lidar"]
+        return _asked(roles, asked, [topic for topic in roles if topic.type == POINT_CLOUD], POINT_CLOUD)
+    lidars = [topic for topic in roles if topic.role == "lidar"]
     if not lidars:
-        raise NoLidarError([topic.name for topic, _ in roles if topic.type in PACKET_TYPES])
-    return _only("lidar", lidars, "--lidar")
+        raise NoLidarError([topic.name for topic in roles if topic.type in PACKET_TYPES])
+    return _only("lidar", with_plausible_rate("lidar", lidars), "--lidar")
 
 
-def _pose(roles: list[tuple[Topic, Role]], asked: str | None) -> tuple[Topic, Role]:
-    fitting = [(topic, role) for topic, role in roles if role in POSE_ROLES]
+def _pose(roles: list[Candidate], asked: str | None) -> Candidate:
+    fitting = [topic for topic in roles if topic.role in POSE_ROLES]
     if asked is not None:
-        topic = _asked(roles, asked, [topic for topic, _ in fitting], "nav_msgs/msg/Odometry, INSPVA(X) or /tf")
-        return topic, next(role for found, role in fitting if found is topic)
+        return _asked(roles, asked, fitting, "nav_msgs/msg/Odometry, INSPVA(X) or /tf")
     for wanted in POSE_ROLES:
-        topics = [topic for topic, role in fitting if role == wanted]
+        topics: Sequence[Candidate] = [topic for topic in fitting if topic.role == wanted]
         if wanted == "ins":
-            topics = _fullest(topics)
+            topics = fullest(topics)
         if topics:
-            return _only(wanted, topics, "--odometry"), wanted
-    raise NoPoseSourceError([f"{topic.name} ({topic.type})" for topic, _ in roles])
+            return _only(wanted, topics, "--odometry")
+    raise NoPoseSourceError([f"{topic.name} ({topic.type})" for topic in roles])
 
 
-def _fullest(topics: list[Topic]) -> list[Topic]:
-    """INSPVA and INSPVAX of one receiver are the same solution: the more frequent, else the one with its quality."""
-    if len({topic.type for topic in topics}) < len(topics):
-        return topics
-    return sorted(topics, key=lambda topic: (-topic.count, topic.type != INSPVAX))[:1]
-
-
-def _asked(roles: list[tuple[Topic, Role]], asked: str, fitting: list[Topic], expected: str) -> Topic:
+def _asked(roles: list[Candidate], asked: str, fitting: list[Candidate], expected: str) -> Candidate:
     for topic in fitting:
         if topic.name == asked:
             return topic
-    found = next((f"is of type {topic.type}" for topic, _ in roles if topic.name == asked), "has no messages here")
+    found = next((f"is of type {topic.type}" for topic in roles if topic.name == asked), "has no messages here")
     names = ", ".join(topic.name for topic in fitting[:6]) or "there is none"
     raise WrongTopicError(asked, found, f"{expected} ({names})")
 
 
-def _only(role: Role, topics: list[Topic], option: str) -> Topic:
+def _only(role: Role, topics: Sequence[Candidate], option: str) -> Candidate:
     if len(topics) > 1:
         raise AmbiguousTopicsError(role, [topic.name for topic in topics], option)
     return topics[0]

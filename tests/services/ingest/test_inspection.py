@@ -74,6 +74,7 @@ def test_a_sound_recording_has_roles_and_rates_and_no_findings(tmp_path: Path) -
     messages = _clouds() + _stamped("/imu", IMU, _every(5 * MS, 180)) + _stamped("/odom", ODOMETRY, _every(50 * MS, 18))
     record = _inspected(tmp_path, messages).as_record()
     del record["clocks"]
+    assert record.pop("channels") == {"lidar": "/lidar", "pose": "/odom", "imu": "/imu"}
     assert record == {
         "duration_ns": 900 * MS,
         "topics": [
