@@ -1,0 +1,110 @@
+"""A share of a recording, taken at the same instants from all its topics, so that each chunk is inflated once.
+
+**Conventions.** `at_ns` is log time since the recording's start. Instants divide the recording evenly. About 1 % of a
+topic's messages are looked at, within the bounds of its kind: 16 to 32 of those that take milliseconds each, a few
+hundred of the small ones. A message that lies is left out and counted, and its topic named for it.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from services.ingest.bag import Bag, Topic
+from stone.errors import StoneError
+from stone.findings import Finding
+
+# A power of two, so that the instants of fewer samples are among those of more.
+INSTANTS = 512
+SAMPLED_SHARE = 0.01
+
+
+@dataclass(frozen=True)
+class Effort:
+    """The fewest and the most samples of a topic, powers of two up to `INSTANTS`."""
+
+    least: int
+    most: int
+
+
+HEAVY, LIGHT, TINY = Effort(16, 32), Effort(128, 128), Effort(INSTANTS, INSTANTS)
+# Nobody mounts more; a recording that declares thousands of cameras is not worth hours.
+MOST_TOPICS_OF_A_ROLE = 12
+
+
+@dataclass(frozen=True)
+class Look:
+    """`see` is shown (at_ns, payload) of sampled messages of `topic`; it may refuse one by raising a StoneError.
+
+    A payload is valid during the call only as far as memory goes: whoever keeps it keeps its chunk.
+    """
+
+    topic: Topic
+    see: Callable[[int, memoryview], None]
+    effort: Effort
+
+
+@dataclass
+class _Refusals:
+    """Of one topic: how many samples were taken and which were refused, by code, with the first sentence of each."""
+
+    taken: int = 0
+    counts: Counter[str] = field(default_factory=Counter)
+    sentences: dict[str, str] = field(default_factory=dict)
+
+
+def sample(bag: Bag, looks: Sequence[Look]) -> tuple[Finding, ...]:
+    """Show every look its samples, in log order; what was refused is returned, one finding per topic and code."""
+    wanted = [_indices(bag, look) for look in looks]
+    refusals = [_Refusals() for _ in looks]
+    for instant in range(INSTANTS):
+        for look, indices, refused in zip(looks, wanted, refusals, strict=True):
+            if instant in indices:
+                _show(bag, look, indices[instant], refused)
+    return tuple(_findings(looks, refusals))
+
+
+def readable(topics: Sequence[Topic], most: int = MOST_TOPICS_OF_A_ROLE) -> list[Topic]:
+    """The first of them that have messages which can be decoded at all."""
+    return [topic for topic in topics if topic.count and topic.encoding == "cdr"][:most]
+
+
+def _indices(bag: Bag, look: Look) -> dict[int, int]:
+    """Which message of the topic is shown at which instant; none twice, all of a topic that has few."""
+    times_ns = bag.log_times_ns(look.topic.name)
+    count = len(times_ns)
+    if not count:
+        return {}
+    stride = INSTANTS // _samples(count, look.effort)
+    instants = np.arange(stride // 2, INSTANTS, stride)
+    span_ns = max(1, bag.end_ns - bag.start_ns)
+    asked_ns = bag.start_ns + ((2 * instants + 1) * (span_ns / (2 * INSTANTS))).astype(np.int64)
+    found = np.minimum(np.searchsorted(times_ns, asked_ns), count - 1)
+    _distinct, first = np.unique(found, return_index=True)
+    return {int(instants[row]): int(found[row]) for row in first}
+
+
+def _samples(count: int, effort: Effort) -> int:
+    samples = effort.least
+    while samples < min(effort.most, count * SAMPLED_SHARE):
+        samples *= 2
+    return samples
+
+
+def _show(bag: Bag, look: Look, index: int, refused: _Refusals) -> None:
+    refused.taken += 1
+    try:
+        message = bag.message(look.topic.name, index)
+        look.see(message.log_time_ns - bag.start_ns, message.payload)
+    except StoneError as error:
+        refused.counts[error.code] += 1
+        refused.sentences.setdefault(error.code, str(error))
+
+
+def _findings(looks: Sequence[Look], refusals: Sequence[_Refusals]) -> Iterator[Finding]:
+    for look, refused in zip(looks, refusals, strict=True):
+        is_lost = refused.counts.total() == refused.taken
+        for code, count in sorted(refused.counts.items()):
+            said = f"{count} of {refused.taken} sampled messages are left out: {refused.sentences[code]}"
+            yield Finding(code, "error" if is_lost else "warning", look.topic.name, said)
