@@ -49,13 +49,13 @@ def inflate(view: memoryview, chunk: Chunk) -> memoryview:
     return records
 
 
-def pieces_of(packed: memoryview, compression: str) -> Iterator[bytes | memoryview]:
+def pieces_of(packed: memoryview, compression: str, piece_bytes: int = PIECE_BYTES) -> Iterator[bytes | memoryview]:
     """What inflates, in order and piece by piece, of a stream that was cut off; it ends where nothing more does."""
     if compression == "":
-        yield from (packed[at : at + PIECE_BYTES] for at in range(0, len(packed), PIECE_BYTES))
+        yield from (packed[at : at + piece_bytes] for at in range(0, len(packed), piece_bytes))
     elif compression in ("lz4", "zstd"):
         with suppress(*_DAMAGED):
-            yield from _lz4_pieces(packed) if compression == "lz4" else _zstd_pieces(packed)
+            yield from _lz4_pieces(packed, piece_bytes) if compression == "lz4" else _zstd_pieces(packed, piece_bytes)
 
 
 def check_crc32(records: memoryview, chunk: Chunk) -> None:
@@ -100,19 +100,19 @@ def _check_true_size(packed: memoryview, chunk: Chunk) -> None:
         raise MalformedBagError(chunk.where, _problem(chunk, f"{total} or more came out"))
 
 
-def _lz4_pieces(packed: memoryview) -> Iterator[bytes]:
+def _lz4_pieces(packed: memoryview, piece_bytes: int = PIECE_BYTES) -> Iterator[bytes]:
     codec = LZ4FrameDecompressor()
-    piece = codec.decompress(packed, max_length=PIECE_BYTES)
+    piece = codec.decompress(packed, max_length=piece_bytes)
     while piece or not (codec.eof or codec.needs_input):
         yield piece
-        piece = b"" if codec.eof else codec.decompress(b"", max_length=PIECE_BYTES)
+        piece = b"" if codec.eof else codec.decompress(b"", max_length=piece_bytes)
 
 
-def _zstd_pieces(packed: memoryview) -> Iterator[bytes]:
+def _zstd_pieces(packed: memoryview, piece_bytes: int = PIECE_BYTES) -> Iterator[bytes]:
     # The window is memory too: nothing larger than the limit of an ordinary level-19 frame is granted.
     codec = zstandard.ZstdDecompressor(max_window_size=UNDOUBTED_BYTES)
     with codec.stream_reader(BytesIO(packed), read_across_frames=True) as stream:
-        while piece := stream.read(PIECE_BYTES):
+        while piece := stream.read(piece_bytes):
             yield piece
 
 
