@@ -93,8 +93,9 @@ def check_encapsulation(payload: memoryview, type_name: str) -> None:
 
 
 def text_of(raw: bytes, type_name: str) -> str:
+    """Without its terminator; NULs before that are the sender's own (NovAtel's driver pads station ids with them)."""
     try:
-        return raw.rstrip(b"\0").decode()
+        return raw.removesuffix(b"\0").decode()
     except UnicodeDecodeError:
         raise MessageLayoutError(type_name, f"{raw[:16]!r} is not UTF-8 text") from None
 
