@@ -52,6 +52,49 @@ def inspection_table(record: Mapping[str, Any]) -> Table:
     return table
 
 
+def clock_table(record: Mapping[str, Any]) -> Table:
+    """What each topic's stamps say of its clock (`clocks` of the record of `stone inspect --json`).
+
+    "late ms" is how much later they are than the sensor's own time, where its messages carry one. A camera_info is
+    stamped as its image is, and left out.
+    """
+    lag = record["imu_lag"]
+    title = "clocks: record time − stamp"
+    if lag is not None:
+        told = f"{lag['lag_ns'] / 1e6:+.1f} ± {lag['sigma_ns'] / 1e6:.1f} ms"
+        title += f"; gyro of {safe_text(lag['topic'])} late by {told} against {safe_text(lag['reference'])}"
+    table = Table(title=title, title_justify="left", box=SIMPLE)
+    table.add_column("topic", overflow="fold")
+    table.add_column("stamped by")
+    for column in ("offset", "drift ppm", "jitter ms", "late ms", "steps back", "repeats"):
+        table.add_column(column, justify="right")
+    for clock in record["topics"]:
+        if clock["role"] != "camera_info":
+            table.add_row(safe_text(clock["topic"]), clock["stamp_source"], *_clock_numbers(clock))
+    return table
+
+
+def _clock_numbers(clock: Mapping[str, Any]) -> tuple[str, ...]:
+    drift_ppm, jitter_ns, own_ns = clock["drift_ppm"], clock["jitter_ns"], clock["own_offset_ns"]
+    return (
+        _offset(clock["offset_ns"], clock["constant"]),
+        DASH if drift_ppm is None else f"{drift_ppm:+.1f}",
+        DASH if jitter_ns is None else f"{jitter_ns / 1e6:.2f}",
+        DASH if own_ns is None else f"{own_ns / 1e6:.1f} ± {clock['own_jitter_ns'] / 1e6:.1f}",
+        str(clock["steps_back"]),
+        str(clock["repeats"]),
+    )
+
+
+def _offset(offset_ns: int | None, constant: str) -> str:
+    """Milliseconds up to a second, seconds beyond, with the constant it is close to."""
+    if offset_ns is None:
+        return DASH
+    if abs(offset_ns) < 1_000_000_000:
+        return f"{offset_ns / 1e6:.1f} ms"
+    return f"{offset_ns / 1e9:.3f} s{f' ({constant})' if constant else ''}"
+
+
 def score_table(record: Mapping[str, Any], title: str) -> Table:
     """The IoUs over all voxels and within occupied ground truth (the record of `stone score --json`)."""
     within = record["iou_within_occupied"]

@@ -5,7 +5,7 @@ import typer
 from client.inputs import BagArgument
 from client.refusals import REFUSED
 from client.streams import JsonOption, echo_findings, echo_json
-from client.tables import inspection_table, show
+from client.tables import clock_table, inspection_table, show
 from client.topic_choices import SaveTopicsOption, TopicOption, TopicsOption, chosen_topics
 
 
@@ -26,10 +26,12 @@ def inspect(
 
     profile = chosen_topics(topics, topic)
     inspection = inspect_bag(bag, profile)
+    record = inspection.as_record()
     if as_json:
-        echo_json(inspection.as_record())
+        echo_json(record)
     else:
-        show(inspection_table(inspection.as_record()))
+        show(inspection_table(record))
+        show(clock_table(inspection.clocks.as_record()))
     if save_topics is not None:
         write_profile(save_topics, inspection.assignment.as_profile(profile.platform))
     echo_findings(inspection.findings)

@@ -21,6 +21,7 @@ def inspection_record(inspection: Inspection) -> dict[str, Any]:
         "topics_total": len(inspection.topics),
         "findings": [_short(finding.as_record()) for finding in inspection.findings[:MOST_FINDINGS]],
         "findings_total": len(inspection.findings),
+        "clocks": _clocks(inspection),
         "channels": _short(dict(islice(inspection.assignment.channels.items(), MOST_TOPICS))),
     }
 
@@ -29,6 +30,14 @@ def _topic(topic: InspectedTopic, frame_id: str) -> dict[str, Any]:
     gaps = [gap.as_record() for gap in topic.timing.gaps[:MOST_GAPS]]
     record = {**topic.as_record(), "frame_id": frame_id}
     return {**_short(record), "gaps": gaps, "gaps_total": len(topic.timing.gaps)}
+
+
+def _clocks(inspection: Inspection) -> dict[str, Any]:
+    lag = inspection.clocks.imu_lag
+    return {
+        "topics": [_short(clock.as_record()) for clock in inspection.clocks.topics[:MOST_TOPICS]],
+        "imu_lag": None if lag is None else _short(lag.as_record()),
+    }
 
 
 def _short(record: dict[str, Any]) -> dict[str, Any]:

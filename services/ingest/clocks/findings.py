@@ -66,28 +66,33 @@ def _sequence_findings(topic: str, role: Role, timing: Timing) -> Iterator[Findi
 def _gap_finding(topic: str, timing: Timing) -> Finding:
     worst = max(timing.gaps, key=lambda gap: gap.duration_ns)
     message = (
-        f"{len(timing.gaps)} gaps at a rate of {timing.rate_hz:.2f} Hz, "
+        f"{len(timing.gaps)} gap{'s' * (len(timing.gaps) > 1)} at a rate of {timing.rate_hz:.2f} Hz, "
         f"the longest of {worst.duration_ns / 1e9:.3f} s at {worst.start_ns} ns."
     )
     return Finding("TIM-204", "warning", topic, message)
 
 
 def _host_findings(clock: TopicClock) -> Iterator[Finding]:
-    if clock.stamp_source != "host":
+    if clock.stamp_source != "host" or clock.role in UNCLOCKED_ROLES:
         return
     if clock.own_jitter_ns is not None and clock.own_offset_ns is not None:
-        used = "GPS time is used instead" if clock.role in ("ins", "gnss") else "let the driver stamp with its time"
+        is_gps = clock.role in ("ins", "gnss")
+        remedy = "GPS time is used instead" if is_gps else "Let the driver stamp with the sensor's time"
         message = (
             f"Stamped on the host (jitter {clock.own_jitter_ns / 1e6:.2f} ms). "
-            f"{used} (median offset {clock.own_offset_ns / 1e6:.2f} ms)."
+            f"{remedy} (median offset {_readable(clock.own_offset_ns)})."
         )
         yield Finding("TIM-201", "warning", clock.topic, message)
-    elif clock.role in ("lidar", "camera", "radar", "imu"):
+    elif clock.role != "odometry":
         message = (
             "Stamped on the host, it seems: its stamps are as irregular as their publishing "
-            f"({(clock.offset_ns or 0) / 1e6:.2f} ms before they were recorded). Let the driver stamp by the sensor."
+            f"({_readable(clock.offset_ns or 0)} before they were recorded). Let the driver stamp by the sensor."
         )
         yield Finding("TIM-201", "warning", clock.topic, message)
+
+
+def _readable(duration_ns: int) -> str:
+    return f"{duration_ns / 1e6:.2f} ms" if abs(duration_ns) < CLOCK_DISTANCE_NS else f"{duration_ns / 1e9:.3f} s"
 
 
 def _unsynchronised(clock: TopicClock, measured: Measured) -> Iterator[Finding]:
@@ -105,26 +110,35 @@ def distance_findings(report: ClockReport) -> Iterator[Finding]:
     compared = {clock.topic: clock for clock in _clocked(report) if clock.offset_ns is not None}
     offsets = {name: clock.offset_ns or 0 for name, clock in compared.items()}
     lidars = [name for name, clock in compared.items() if clock.role == "lidar"]
-    if len(offsets) < 2:
+    if not offsets:
         return
     agreed = _agreeing(offsets, lidars)
     reference_ns = round(float(np.median([offsets[name] for name in agreed])))
     whose = next((name for name in agreed if name in lidars), agreed[0])
-    for name in [name for name in compared if name not in agreed]:
-        ahead_ns = reference_ns - offsets[name]
-        constant = constant_of(ahead_ns) or compared[name].constant
-        doubt = f" (= {constant.replace('-', ' − ')}?)" if constant else ""
-        message = f"Its clock differs from that of {whose} by {ahead_ns / 1e9:.3f} s{doubt}."
-        yield Finding("TIM-202", "warning", name, f"{message} Nothing was shifted; set time_offset_ns.")
+    for name, clock in compared.items():
+        if name not in agreed:
+            yield _distance(name, "Its clock", reference_ns - offsets[name], whose, clock.constant)
+        own_ns = reference_ns - offsets[name] - (clock.own_offset_ns or 0)
+        if clock.role in ("ins", "gnss") and clock.own_offset_ns is not None and abs(own_ns) > CLOCK_DISTANCE_NS:
+            yield _distance(name, "The GPS time in it, which is used,", own_ns, whose, "")
+
+
+def _distance(topic: str, what: str, ahead_ns: int, whose: str, constant: str) -> Finding:
+    named = constant_of(ahead_ns) or constant
+    doubt = f" (= {named.replace('-', ' − ')}?)" if named else ""
+    message = f"{what} differs from the clock of {whose} by {ahead_ns / 1e9:.3f} s{doubt}."
+    return Finding("TIM-202", "warning", topic, f"{message} Nothing was shifted; set time_offset_ns.")
 
 
 def _agreeing(offsets_ns: Mapping[str, int], lidars: Sequence[str]) -> list[str]:
     """The topics whose clocks are one: the largest group, of two as large the LiDAR's."""
-
-    def near(name: str) -> list[str]:
-        return [other for other in offsets_ns if abs(offsets_ns[other] - offsets_ns[name]) <= CLOCK_DISTANCE_NS]
-
-    return max((near(name) for name in offsets_ns), key=lambda group: (len(group), bool(set(group) & set(lidars))))
+    names, offsets = list(offsets_ns), np.array(list(offsets_ns.values()), np.float64)
+    ordered = np.sort(offsets)
+    first = np.searchsorted(ordered, offsets - CLOCK_DISTANCE_NS, side="left")
+    sizes = np.searchsorted(ordered, offsets + CLOCK_DISTANCE_NS, side="right") - first
+    is_lidar = np.isin(names, lidars)
+    centre = offsets[np.lexsort((is_lidar, sizes))[-1]]
+    return [name for name, offset in zip(names, offsets, strict=True) if abs(offset - centre) <= CLOCK_DISTANCE_NS]
 
 
 def drift_findings(report: ClockReport) -> Iterator[Finding]:

@@ -44,7 +44,11 @@ def trigger_findings(bag: Bag, sequence: Sequence, sweeps: BagSweeps) -> tuple[F
     if triggers is None:
         return ()
     topics = [one.topic for one in taken]
-    return (*_shared(triggers, sweeps.topic), *_late(triggers, topics), *_swapped(triggers, topics, cameras))
+    return (
+        *_shared(triggers, sweeps.topic),
+        *_late(triggers, topics, look.period_ns),
+        *_swapped(triggers, topics, cameras),
+    )
 
 
 def bearing_rad(camera: Mount) -> float:
@@ -86,12 +90,13 @@ def _shared(triggers: Triggers, lidar: str) -> Iterator[Finding]:
         yield Finding("TIM-205", "warning", lidar, message)
 
 
-def _late(triggers: Triggers, topics: Listed[str]) -> Iterator[Finding]:
+def _late(triggers: Triggers, topics: Listed[str], period_ns: int) -> Iterator[Finding]:
     for topic, late_ns in zip(topics, triggers.late_ns.tolist(), strict=True):
         if abs(late_ns) > ON_TIME_NS:
             message = (
                 f"Fires {_when(late_ns)} the LiDAR looks its way, unlike the other cameras "
-                f"(limit {ON_TIME_NS / 1e6:g} ms). Nothing was shifted; set its trigger's angle, or check its mount."
+                f"({abs(late_ns) / period_ns * 360:.0f}° of its turn; limit {ON_TIME_NS / 1e6:g} ms). "
+                "Nothing was shifted; set its trigger's angle, or check its mount."
             )
             yield Finding("TIM-205", "warning", topic, message)
 
