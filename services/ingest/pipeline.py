@@ -26,6 +26,7 @@ from services.ingest.sweeps import BagSweeps
 from services.ingest.synchronisation import frames_with_pose, usable_finding
 from stone.calibration import Calibration
 from stone.deskew import SweepMount
+from stone.findings import Finding
 from stone.sequence import Sequence
 from stone.trajectory import DEFAULT_MAX_GAP_NS
 
@@ -60,8 +61,16 @@ def synchronise(
     """
     with open_bag(bag_path) as bag:
         sequence, sweeps = _synchronised(bag, calibration, options, name)
-        seen = projection_findings(bag, sequence, sweeps) + trigger_findings(bag, sequence, sweeps)
+        seen = projection_findings(bag, sequence, sweeps)
+        seen += trigger_findings(bag, _without_refuted(sequence, seen), sweeps)
     return replace(sequence, findings=(*sequence.findings, *seen)), sweeps
+
+
+def _without_refuted(sequence: Sequence, seen: tuple[Finding, ...]) -> Sequence:
+    """A mount that is not its camera's cannot say when that camera should have fired."""
+    refuted = {finding.topic for finding in seen if finding.code == "CAL-404"}
+    mounts = tuple(mount for mount in sequence.calibration.mounts if mount.name not in refuted)
+    return replace(sequence, calibration=replace(sequence.calibration, mounts=mounts))
 
 
 def _synchronised(
