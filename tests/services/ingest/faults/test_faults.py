@@ -66,10 +66,10 @@ def test_a_fault_accuses_nothing_that_is_sound(told: Telling, fault: FaultName) 
 
 CONSEQUENCES: dict[FaultName, Named] = {
     # 37 s apart, not one sweep has a pose.
-    "clock_37s": {("SYN-502", "")},
-    "camera_dropped": {("TIM-204", TOPICS[DROPPING_CHANNEL])},
+    "clock_37s": {("SYN-501", "")},
+    "camera_dropped": {("TIM-204", TOPICS[DROPPING_CHANNEL]), ("SYN-504", TOPICS[DROPPING_CHANNEL])},
     "rtk_gap": {("SYN-501", "")},
-    "position_jump": {("GNS-301", INSPVAX_TOPIC), ("SYN-501", "")},
+    "position_jump": {("GNS-301", INSPVAX_TOPIC), ("GNS-304", INSPVAX_TOPIC), ("SYN-501", "")},
     "extrinsic_inverted": {("CAL-414", INVERTED_CHANNEL)},
 }
 
@@ -108,7 +108,8 @@ def test_the_gap_of_the_receiver_is_measured_and_its_frames_left_out(told: Telli
     gap = told("rtk_gap")
     assert number(r"longest of ([\d.]+) s", gap.sentence("TIM-204", INSPVAX_TOPIC)) == pytest.approx(FIX_GAP_NS / 1e9)
     assert gap.sequence is not None
-    assert 2 <= len(gap.sequence.excluded) <= 4
+    # A sweep lasts 0.1 s, so those of 0.5 s touch a gap of 0.4 s.
+    assert [frame.code for frame in gap.sequence.excluded] == ["pose_gap"] * 5
 
 
 def test_a_step_back_is_measured(told: Telling) -> None:
