@@ -25,7 +25,10 @@ UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
 STRUCTURED = ("application/json", "application/yaml")
 OBJECT = {"type": "object"}
 BINARY = {"type": "string", "format": "binary"}
-INLINE = ("image/png", "image/jpeg", "application/json")
+INLINE = ("image/png", "image/jpeg", "application/json", "text/html")
+LOCKED = "default-src 'none'; sandbox"
+# Pages are ours (`quality.html`); they bring their style and pictures with them, and run and load nothing.
+POLICIES = {"text/html": "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"}
 
 
 @dataclass(frozen=True)
@@ -78,7 +81,7 @@ def _headers(file: StoredFile) -> dict[str, str]:
         "Cache-Control": "private, no-cache",
         "Content-Disposition": f"{shown}; filename=\"{safe_name(file.filename)}\"; filename*=UTF-8''{spelled}",
         "X-Content-Type-Options": "nosniff",
-        "Content-Security-Policy": "default-src 'none'; sandbox",
+        "Content-Security-Policy": POLICIES.get(file.media_type, LOCKED),
     }
 
 

@@ -5,8 +5,10 @@ from collections.abc import Iterable
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
+from api.preview_files import previews_of_sequence
 from api.schemas.base import instant
 from api.schemas.sequences import ArtefactItem, JobGlance, LabelGlance, SequenceDetail, SequenceItem
+from api.visible import labels_of
 from services.runtime.orm import Artefact, Job, LabelSet, Recording, Sequence
 
 PACKS = "labels/"
@@ -25,7 +27,8 @@ def sequence_detail(session: Session, sequence: Sequence) -> SequenceDetail:
     """A sequence with the files of its newest labels."""
     item = sequence_items(session, [sequence])[0]
     artefacts = _artefacts(session, item.labels.id) if item.labels else []
-    return SequenceDetail(**dict(item), artefacts=artefacts)
+    previews = previews_of_sequence(session, sequence, labels_of(session, sequence.id))
+    return SequenceDetail(**dict(item), artefacts=artefacts, previews=previews)
 
 
 def _item(row: Sequence, recordings: int, job: JobGlance | None, labels: LabelSet | None) -> SequenceItem:

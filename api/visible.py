@@ -53,10 +53,15 @@ def job_of(session: Session, caller: Caller, job_id: str) -> Job:
     return _known(found, "job", job_id)
 
 
+def labels_of(session: Session, sequence_id: str) -> LabelSet | None:
+    """The labels that count; None while there are none."""
+    newest = select(LabelSet).where(LabelSet.sequence_id == sequence_id).order_by(*_NEWEST).limit(1)
+    return session.scalars(newest).one_or_none()
+
+
 def newest_label_set(session: Session, sequence_id: str) -> LabelSet:
     """The labels that count. Raises `NotFoundError` while there are none."""
-    newest = select(LabelSet).where(LabelSet.sequence_id == sequence_id).order_by(*_NEWEST).limit(1)
-    return _known(session.scalars(newest).one_or_none(), "label set of sequence", sequence_id)
+    return _known(labels_of(session, sequence_id), "label set of sequence", sequence_id)
 
 
 def frame_of(session: Session, caller: Caller, token: str) -> tuple[LabelledFrame, LabelSet]:

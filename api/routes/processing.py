@@ -4,9 +4,7 @@
 answers with the run that is at it, or that has made it already.
 """
 
-from typing import Annotated
-
-from fastapi import APIRouter, Path, Request, Response
+from fastapi import APIRouter, Request, Response
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
@@ -18,15 +16,15 @@ from api.errors import NotFoundError
 from api.files import StoredFile, answer_file, file_responses
 from api.job_views import job_detail
 from api.paging import Page, PageDep, page
+from api.preview_files import PREVIEW_TYPES, PreviewName, sequence_preview
 from api.schemas.base import IdPath
 from api.schemas.jobs import JobDetail
 from api.schemas.processing import FrameItem, ProcessBody
-from api.visible import newest_label_set, sequence_of
-from services.runtime.orm import Artefact, Blob, LabelledFrame
+from api.visible import labels_of, newest_label_set, sequence_of
+from services.runtime.orm import Artefact, Blob, LabelledFrame, LabelSet, Sequence
 from services.runtime.processing import start_processing
 
 router = APIRouter(prefix="/sequences/{sequence_id}", tags=["processing"])
-PreviewName = Annotated[str, Path(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}\.(png|jpg)$", examples=["bev.png"])]
 
 
 @router.post("/process", status_code=202, responses=refusals(403, 404, 409))
@@ -76,25 +74,38 @@ def download_mesh(sequence_id: IdPath, caller: Reader, platform: PlatformDep, re
     return answer_file(request, platform.store, file)
 
 
-@router.get("/previews/{name}", response_class=Response, responses=file_responses("image/png", "image/jpeg"))
+@router.get("/previews/{name}", response_class=Response, responses=file_responses(*PREVIEW_TYPES))
 def download_preview(
     sequence_id: IdPath, name: PreviewName, caller: Reader, platform: PlatformDep, request: Request
 ) -> Response:
-    """A picture of the labels: `bev.png` shows them from above."""
+    """A picture: `bev.png` shows the labels from above, `overlay_CAM_FRONT.jpg` the LiDAR's points on a camera's image.
+
+    Overlays are those of the run that made the labels that count; before there are any, of the last run.
+    """
     with platform.database.reading() as session:
-        file = _artefact(session, caller, sequence_id, name)
+        sequence = sequence_of(session, caller, sequence_id)
+        labels = labels_of(session, sequence.id)
+        file = _file_of(session, sequence, labels, name) or sequence_preview(session, sequence, labels, name)
     return answer_file(request, platform.store, file)
 
 
 def _artefact(session: Session, caller: Caller, sequence_id: str, name: str) -> StoredFile:
     """A file of the newest labels, called after the sequence. Raises `NotFoundError`."""
     sequence = sequence_of(session, caller, sequence_id)
-    labels = newest_label_set(session, sequence.id)
-    named = select(Artefact, Blob).join(Blob, Blob.sha256 == Artefact.blob_sha256)
-    mine = named.where(Artefact.label_set_id == labels.id, Artefact.name == name)
-    row = session.execute(mine).one_or_none()
-    if row is None:
+    file = _file_of(session, sequence, newest_label_set(session, sequence.id), name)
+    if file is None:
         raise NotFoundError("file of this sequence", name)
+    return file
+
+
+def _file_of(session: Session, sequence: Sequence, labels: LabelSet | None, name: str) -> StoredFile | None:
+    """A file of these labels, called after the sequence."""
+    if labels is None:
+        return None
+    named = select(Artefact, Blob).join(Blob, Blob.sha256 == Artefact.blob_sha256)
+    row = session.execute(named.where(Artefact.label_set_id == labels.id, Artefact.name == name)).one_or_none()
+    if row is None:
+        return None
     artefact, blob = row
     filename = f"{sequence.name}-{name}"
     return StoredFile(blob.object_key, blob.size_bytes, blob.sha256, artefact.media_type, filename)

@@ -1,14 +1,19 @@
 """Recordings of a sequence: a complete upload becomes one, is read by a job, and can be taken away again."""
 
-from fastapi import APIRouter, Response
+from dataclasses import dataclass
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Request, Response
 from sqlalchemy import select
 
 from api import audit
 from api.answers import refusals
 from api.callers import Curator, Reader
 from api.deps import PlatformDep
+from api.files import answer_file, file_responses
 from api.job_views import job_items
 from api.paging import Page, PageDep, page
+from api.preview_files import PREVIEW_TYPES, PreviewName, previews_of_recording, recording_preview
 from api.schemas.base import IdPath, instant
 from api.schemas.calibrations import FindingItem
 from api.schemas.recordings import (
@@ -23,6 +28,15 @@ from services.runtime.orm import Recording, RecordingFile
 from services.runtime.recordings import add_recording, remove_recording
 
 router = APIRouter(prefix="/sequences/{sequence_id}/recordings", tags=["recordings"])
+
+
+@dataclass(frozen=True)
+class RecordingPreview:
+    """Which preview of which recording."""
+
+    sequence_id: IdPath
+    recording_id: IdPath
+    name: PreviewName
 
 
 @router.post("", status_code=202, responses=refusals(403, 404, 409))
@@ -57,7 +71,19 @@ def show_recording(sequence_id: IdPath, recording_id: IdPath, caller: Reader, pl
     with platform.database.reading() as session:
         recording = recording_of(session, caller, sequence_id, recording_id)
         item = dict(recording_item(recording))
-        return RecordingDetail(**item, inspection=recording.inspection, quality=recording.quality)
+        previews = previews_of_recording(session, recording)
+        return RecordingDetail(**item, inspection=recording.inspection, quality=recording.quality, previews=previews)
+
+
+@router.get("/{recording_id}/previews/{name}", response_class=Response, responses=file_responses(*PREVIEW_TYPES))
+def download_recording_preview(
+    at: Annotated[RecordingPreview, Depends()], caller: Reader, platform: PlatformDep, request: Request
+) -> Response:
+    """`cameras.jpg`, `sweep.png`, `track.png`; `quality.html`, a page for people, and `quality.json` for programs."""
+    with platform.database.reading() as session:
+        recording = recording_of(session, caller, at.sequence_id, at.recording_id)
+        file = recording_preview(session, recording, at.name)
+    return answer_file(request, platform.store, file)
 
 
 @router.delete("/{recording_id}", status_code=204, responses=refusals(403, 404, 409))

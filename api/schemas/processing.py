@@ -18,7 +18,7 @@ class ProcessBody(Body):
 
     profile: Literal["paper", "local"] = "paper"
     parameters: dict[ParameterName, StrictInt | StrictFloat] = Field(default={}, max_length=64)
-    odometry_topic: Topic | None = None
+    odometry_topic: Literal["kiss-icp"] | Topic | None = None
     lidar_topic: Topic | None = None
     stages: list[Literal["synchronise", "label"]] = Field(default=["synchronise", "label"], min_length=1, max_length=2)
 

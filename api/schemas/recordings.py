@@ -8,6 +8,7 @@ from pydantic import AfterValidator, ConfigDict, Field, model_validator
 from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Body, IdText, example
 from api.schemas.calibrations import FindingItem
 from api.schemas.jobs import JOB_EXAMPLE, JobItem
+from api.schemas.previews import PREVIEW_EXAMPLE, PreviewItem
 from services.runtime.bag_files import MOST_FILES
 from services.runtime.recordings import Received
 from services.runtime.uploads.declared import LONGEST_NAME_BYTES, check_filename
@@ -112,10 +113,13 @@ class RecordingItem(Answer):
 class RecordingDetail(RecordingItem):
     """A recording with what its inspection said: topics, roles, clocks, and how good it is (null until registered)."""
 
-    model_config = example(**RECORDING_EXAMPLE, inspection={"topics": []}, quality={"score": 87, "deductions": []})
+    model_config = example(
+        **RECORDING_EXAMPLE, inspection={"topics": []}, quality={"score": 87}, previews=[PREVIEW_EXAMPLE]
+    )
 
     inspection: dict[str, Any] | None
     quality: dict[str, Any] | None
+    previews: list[PreviewItem]
 
 
 class RecordingAccepted(Answer):

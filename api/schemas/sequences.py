@@ -6,6 +6,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, Field
 
 from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Body, IdText, Line, example
+from api.schemas.previews import PREVIEW_EXAMPLE, PreviewItem
 from stone.sequence import NAME, SequenceNameError
 
 ARTEFACT_EXAMPLE = {
@@ -125,8 +126,12 @@ class ArtefactItem(Answer):
 
 
 class SequenceDetail(SequenceItem):
-    """A sequence with the files of its newest label set; the packs of labels are reached through its frames."""
+    """A sequence with the files of its newest label set, and pictures of what they were made of.
 
-    model_config = example(**SEQUENCE_EXAMPLE, artefacts=[ARTEFACT_EXAMPLE])
+    The packs of labels are reached through its frames.
+    """
+
+    model_config = example(**SEQUENCE_EXAMPLE, artefacts=[ARTEFACT_EXAMPLE], previews=[PREVIEW_EXAMPLE])
 
     artefacts: list[ArtefactItem]
+    previews: list[PreviewItem]

@@ -10,6 +10,7 @@ itself always stays: remove it after the commit.
 """
 
 import hashlib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from secrets import token_hex
@@ -24,7 +25,7 @@ from services.runtime.orm import Blob, LooseObject
 from services.runtime.orm.base import now_ns
 from services.runtime.store import Store
 
-__all__ = ["Collected", "PreparedBlob", "collect", "keep", "link", "prepare"]
+__all__ = ["Collected", "PreparedBlob", "collect", "keep", "link", "link_all", "prepare"]
 
 SLOW_BYTES_PER_S = 2**20
 
@@ -70,7 +71,7 @@ def link(session: Session, prepared: PreparedBlob) -> Blob:
     """The blob's row, held against collection until the session ends: refer to it by a foreign key before that.
 
     Where its object was collected meanwhile (the grace passed), the file is stored again, within the session. Whoever
-    links several in one session does so in the order of their `sha256`, or two such sessions may wait for each other.
+    links several in one session does so by `link_all`, or two such sessions may wait for each other.
     """
     key = _taken(session, prepared.object_key)
     while (blob := _held(session, prepared.sha256)) is None:
@@ -80,6 +81,13 @@ def link(session: Session, prepared: PreparedBlob) -> Blob:
     if key and blob.object_key != key:  # somebody else stored the same content first
         insert_new(session, LooseObject, [{"object_key": key, "is_condemned": True}])
     return blob
+
+
+def link_all(session: Session, prepared: Iterable[PreparedBlob]) -> None:
+    """The rows of several contents, in the one order in which no two sessions wait for each other."""
+    by_content = {blob.sha256: blob for blob in prepared}
+    for _sha256, blob in sorted(by_content.items()):
+        link(session, blob)
 
 
 def _taken(session: Session, key: str) -> str:

@@ -126,7 +126,7 @@ def test_a_recording_comes_with_the_job_that_reads_it(
     assert row_of(platform_on, job["id"]).arguments == {"recording_id": recording["id"]}
     assert bells == [("ingest", 1)]
     shown = api_on.get(answer.headers["location"], headers=ada.headers).json()
-    assert shown == {**recording, "inspection": None, "quality": None}
+    assert shown == {**recording, "inspection": None, "quality": None, "previews": []}
     listed = api_on.get(f"{URL}/{made['id']}/recordings", headers=ada.headers).json()
     assert listed == {"items": [recording], "next": None}
 
