@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from services.ingest.bag import Bag, Topic
-from services.ingest.channels import channel_of_words
 from services.ingest.inspection import Inspection
 from services.ingest.messages.camera import picture_of
-from services.ingest.quality.cameras import in_ring_order
 from services.ingest.quality.markup import plain
-from services.ingest.quality.report import of_role
+from services.ingest.quality.watched import cameras_of
 from stone.errors import StoneError
 
 TILE_WIDTH_PX, COLUMNS, GAP_PX = 480, 3, 6
@@ -42,10 +40,10 @@ class _Tile:
 
 def camera_strip(bag: Bag, inspection: Inspection) -> bytes | None:
     """None for a recording without cameras."""
-    cameras = in_ring_order(of_role(inspection, "camera"))
+    cameras = cameras_of(inspection)
     if not cameras:
         return None
-    tiles = [_tile(bag, topic) for topic in cameras]
+    tiles = [_tile(bag, topic, channel or topic.name) for topic, channel in cameras]
     height_px = round(TILE_WIDTH_PX * _ratio(tiles))
     rows, columns = -(-len(tiles) // COLUMNS), min(COLUMNS, len(tiles))
     size = (columns * (TILE_WIDTH_PX + GAP_PX) - GAP_PX, rows * (height_px + GAP_PX) - GAP_PX)
@@ -58,9 +56,8 @@ def camera_strip(bag: Bag, inspection: Inspection) -> bytes | None:
     return stream.getvalue()
 
 
-def _tile(bag: Bag, topic: Topic) -> _Tile:
+def _tile(bag: Bag, topic: Topic, label: str) -> _Tile:
     """The picture nearest to the middle in time, else one of a quarter off."""
-    label = channel_of_words("camera", topic.name) or topic.name
     times_ns = bag.log_times_ns(topic.name)
     reason = ""
     for place in PLACES:

@@ -16,7 +16,7 @@ from services.ingest.inspection import Inspection
 from services.ingest.messages.pointcloud2 import decode_cloud, lidar_points
 from services.ingest.previews.canvas import BACKGROUND, INK, LINE, SOFT, TEXT_POINTS, dressed, png, square_figure
 from services.ingest.quality.plots import drawing_style
-from services.ingest.quality.report import of_role
+from services.ingest.quality.watched import of_role
 from stone.errors import StoneError
 
 RADII_M = (10.0, 15.0, 20.0, 30.0, 40.0, 60.0, 80.0, 120.0, 200.0)

@@ -19,9 +19,9 @@ from services.ingest.messages.odometry import decode_odometry
 from services.ingest.messages.tf import decode_transforms
 from services.ingest.poses import FIXED_FRAMES
 from services.ingest.quality.facts import RtkWord
-from services.ingest.quality.report import of_role
 from services.ingest.quality.rtk import BESTPOS, WORD_OF_TYPE
 from services.ingest.quality.sampling import TINY, Look, sample
+from services.ingest.quality.watched import of_role
 from services.ingest.roles import Role
 
 SOURCE_ROLES: tuple[Role, ...] = ("ins", "odometry", "gnss", "tf")

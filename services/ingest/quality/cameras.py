@@ -5,21 +5,18 @@ decoded at a fraction of its size. Luminance is Rec. 601 of 8-bit RGB. Source of
 "Diatom autofocusing in brightfield microscopy", ICPR 2000 (variance of the Laplacian).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from services.ingest.bag import Topic
-from services.ingest.channels import channel_of_words
 from services.ingest.messages.camera import decode_image
 from services.ingest.quality.facts import CameraFacts
 from services.ingest.quality.sampling import HEAVY, Look
 
 WIDTH_PX = 640
 DARK_LEVEL, BRIGHT_LEVEL = 8, 247
-CAMERA_RING = ("CAM_FRONT_LEFT", "CAM_FRONT", "CAM_FRONT_RIGHT", "CAM_BACK_LEFT", "CAM_BACK", "CAM_BACK_RIGHT")
 REC_601 = np.array([0.299, 0.587, 0.114], np.float32)
 
 
@@ -37,8 +34,8 @@ class PictureFacts:
 class CameraLook:
     """Collects what the pictures of one topic are like."""
 
-    def __init__(self, topic: Topic) -> None:
-        self._topic = topic
+    def __init__(self, topic: Topic, channel: str) -> None:
+        self._topic, self._channel = topic, channel
         self._seen: list[tuple[int, PictureFacts]] = []
 
     @property
@@ -57,7 +54,7 @@ class CameraLook:
         pictures = [picture for _, picture in self._seen]
         return CameraFacts(
             self._topic.name,
-            channel_of_words("camera", self._topic.name) or "",
+            self._channel,
             pictures[0].size_px,
             tuple(at_ns for at_ns, _ in self._seen),
             tuple(picture.sharpness for picture in pictures),
@@ -86,12 +83,3 @@ def sharpness(luminance: NDArray[np.float32]) -> float:
     centre = luminance[1:-1, 1:-1]
     around = luminance[:-2, 1:-1] + luminance[2:, 1:-1] + luminance[1:-1, :-2] + luminance[1:-1, 2:]
     return float(np.var(around - 4 * centre, dtype=np.float64))
-
-
-def in_ring_order(topics: Sequence[Topic]) -> list[Topic]:
-    """Front above back, left to right, where names say it; the others after them, by name."""
-    return sorted(topics, key=lambda topic: (_place(channel_of_words("camera", topic.name)), topic.name))
-
-
-def _place(channel: str | None) -> int:
-    return CAMERA_RING.index(channel) if channel in CAMERA_RING else len(CAMERA_RING)

@@ -23,7 +23,7 @@ COLOURS = {
     "ink": "#010203", "soft": "#010204", "line": "#010205", "bad": "#010206", "ok": "#010207", "warn": "#010208",
     **{f"c{place}": f"#01030{place}" for place in range(SERIES_COLOURS)},
 }  # fmt: skip
-WIDTH_IN, HEIGHT_IN = 5.0, 2.3
+WIDTH_IN, HEIGHT_IN = 4.5, 2.2
 SVG_HEAD = (
     r'<svg viewBox="\1" xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
     r' aria-hidden="true" focusable="false">'

@@ -7,16 +7,16 @@ as a finding; it is never a failure.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from services.ingest.bag import Bag, Topic
+from services.ingest.bag import Bag
 from services.ingest.inspection import Inspection
-from services.ingest.quality.cameras import CameraLook, in_ring_order
+from services.ingest.quality.cameras import CameraLook
 from services.ingest.quality.clouds import LidarLook, RadarLook
 from services.ingest.quality.coverage import coverage_of
 from services.ingest.quality.facts import Facts, RtkFacts
 from services.ingest.quality.rtk import RTK_TYPES, RtkLook
-from services.ingest.quality.sampling import readable, sample
+from services.ingest.quality.sampling import sample
 from services.ingest.quality.score import Deduction, deductions_of, score_of
-from services.ingest.roles import Role
+from services.ingest.quality.watched import cameras_of, of_role
 from stone.findings import Finding
 
 MOST_LEFT_OUT = 100
@@ -48,17 +48,11 @@ def quality_of(bag: Bag, inspection: Inspection) -> Quality:
     return Quality(score_of(deductions), deductions, facts, left_out)
 
 
-def of_role(inspection: Inspection, role: Role) -> list[Topic]:
-    """The topics of a role that have messages which can be decoded; a bounded number."""
-    return readable([inspected.topic for inspected in inspection.topics if inspected.role == role])
-
-
 def _facts(bag: Bag, inspection: Inspection) -> tuple[Facts, tuple[Finding, ...]]:
-    cameras = [CameraLook(topic) for topic in in_ring_order(of_role(inspection, "camera"))]
+    cameras = [CameraLook(topic, channel) for topic, channel in cameras_of(inspection)]
     lidars = [LidarLook(topic) for topic in of_role(inspection, "lidar")]
     radars = [RadarLook(topic) for topic in of_role(inspection, "radar")]
-    solutions = [one.topic for one in inspection.topics if one.topic.type in RTK_TYPES]
-    fixes = [RtkLook(topic) for topic in readable(solutions)]
+    fixes = [RtkLook(topic) for topic in of_role(inspection, "gnss", "ins") if topic.type in RTK_TYPES]
     looks = [*(one.look for one in cameras), *(one.look for one in lidars), *(one.look for one in radars)]
     looks += [one.look for one in fixes]
     left_out = sample(bag, looks)

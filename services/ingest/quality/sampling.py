@@ -29,8 +29,6 @@ class Effort:
 
 
 HEAVY, LIGHT, TINY = Effort(16, 32), Effort(128, 128), Effort(INSTANTS, INSTANTS)
-# Nobody mounts more; a recording that declares thousands of cameras is not worth hours.
-MOST_TOPICS_OF_A_ROLE = 12
 
 
 @dataclass(frozen=True)
@@ -63,11 +61,6 @@ def sample(bag: Bag, looks: Sequence[Look]) -> tuple[Finding, ...]:
             if instant in indices:
                 _show(bag, look, indices[instant], refused)
     return tuple(_findings(looks, refusals))
-
-
-def readable(topics: Sequence[Topic], most: int = MOST_TOPICS_OF_A_ROLE) -> list[Topic]:
-    """The first of them that have messages which can be decoded at all."""
-    return [topic for topic in topics if topic.count and topic.encoding == "cdr"][:most]
 
 
 def _indices(bag: Bag, look: Look) -> dict[int, int]:

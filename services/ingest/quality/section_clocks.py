@@ -43,16 +43,19 @@ def _table(stamped: Sequence[TopicClock]) -> Table:
             f"{place}",
             name(clock.topic),
             text(clock.stamp_source),
-            _ms(clock.offset_ns),
-            text(clock.constant) or "–",
+            f"{_ms(clock.offset_ns)}{_constant(clock)}",
             number(clock.drift_ppm, 1),
             _ms(clock.jitter_ns),
             str(clock.steps_back),
         )
         for place, clock in enumerate(stamped, start=1)
     )
-    columns = ("row", "topic", "stamped by", "offset, ms", "known as", "drift, ppm", "jitter, ms", "steps back")
-    return Table("Offset, drift and jitter by topic", columns, rows, frozenset({0, 3, 5, 6, 7}))
+    columns = ("row", "topic", "stamped by", "offset, ms", "drift, ppm", "jitter, ms", "steps back")
+    return Table("Offset, drift and jitter by topic", columns, rows, frozenset({0, 3, 4, 5, 6}))
+
+
+def _constant(clock: TopicClock) -> str:
+    return f'<br><span class="soft">= {text(clock.constant)}?</span>' if clock.constant else ""
 
 
 def _lag(lag: ImuLag) -> str:

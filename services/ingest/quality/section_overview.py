@@ -13,9 +13,9 @@ from stone.findings import Finding
 
 # From this score on: the class of the ring, and the word.
 VERDICTS = (
-    (90, "good", "good"),
-    (70, "usable", "usable, look at what is named"),
-    (0, "poor", "poor, labels will suffer"),
+    (90, "good", "Good"),
+    (70, "usable", "Usable: look at what it lost"),
+    (0, "poor", "Poor: labels will suffer"),
 )
 MOST_FINDINGS = 200
 SEVERITIES = ("error", "warning", "info")

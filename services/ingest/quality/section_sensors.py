@@ -34,14 +34,14 @@ def _rtk(rtk: RtkFacts, duration_ns: int) -> Iterator[str]:
     told = f"RTK fixed {percent(rtk.share('fixed'))}, float {percent(rtk.share('float'))} of the time."
     strip = word_strip([at_ns / max(1, duration_ns) for at_ns in rtk.at_ns], rtk.words)
     axis = f'<div class="axis"><span>0 s</span><span>{number(span_s)} s</span></div>'
+    seen = f'<p class="soft">{len(rtk.words)} messages of {name(rtk.topic)} were looked at.</p>'
     words = legend([("fixed", "RTK fixed"), ("float", "RTK float"), ("other", "anything else")])
     share = f'<p class="share">{percent(rtk.share("fixed"))}</p><p class="soft">of the time with RTK fixed</p>'
-    yield f'<div class="grid">{figure("Solution over time", share + words + strip + axis, told)}'
+    yield f'<div class="grid">{figure("Solution over time", share + words + strip + axis, told, seen)}'
     line = Line(_seconds(rtk.at_ns), tuple(100 * value for value in rtk.stdev_m), "c3")
     plot = time_plot(Frame("stdev", span_s, "standard deviation, cm", low=0.0), [line])
     deviation = f"The receiver's own horizontal deviation, median {number(100 * (middle(rtk.stdev_m) or 0.0))} cm."
     yield f"{figure('What the receiver thinks it knows', plot, deviation)}</div>"
-    yield f'<p class="soft">{len(rtk.words)} messages of {name(rtk.topic)} were looked at.</p>'
 
 
 def _cameras(cameras: Sequence[CameraFacts], duration_ns: int) -> Iterator[str]:

@@ -40,10 +40,13 @@ def _coverage(coverage: Sequence[Coverage], topics_total: int, duration_ns: int)
 def _row(topic: Coverage, duration_ns: int) -> str:
     span_ns = max(1, duration_ns)
     if topic.covered_ratio is None:
-        bar, told = span_strip(topic.first_ns / span_ns, topic.last_ns / span_ns), f"{topic.count} messages"
+        bar, told = (
+            span_strip(topic.first_ns / span_ns, topic.last_ns / span_ns),
+            f"{topic.count} message{'' if topic.count == 1 else 's'}",
+        )
     else:
         bar = cover_strip(topic.covered, [(start / span_ns, end / span_ns) for start, end in topic.gaps_ns])
-        gaps = f" · {len(topic.gaps_ns)} gaps" if topic.gaps_ns else ""
+        gaps = f" · {len(topic.gaps_ns)} gap{'s' if len(topic.gaps_ns) > 1 else ''}" if topic.gaps_ns else ""
         told = f"{number(topic.rate_hz)} Hz · {percent(topic.covered_ratio)}{gaps}"
     return f'<li><div class="what">{name(topic.topic)}<span>{text(topic.role)} · {told}</span></div>{bar}</li>'
 

@@ -35,7 +35,9 @@ color:var(--ink);text-decoration:none;font-size:.875rem}
 nav a:hover{border-color:var(--accent)}
 section{background:var(--card);border:1px solid var(--line);border-radius:12px;padding:16px;margin:0 0 16px}
 .grid{display:grid;gap:16px 24px;grid-template-columns:repeat(auto-fit,minmax(min(100%,300px),1fr))}
-.grid.wide{grid-template-columns:repeat(auto-fit,minmax(min(100%,440px),1fr))}
+.grid>*{min-width:0}
+@media (min-width:960px){.grid.wide{grid-template-columns:400px minmax(0,1fr)}}
+.grid+p,.scroll+p{margin-top:12px}
 .share{font-size:2.25rem;font-weight:600;line-height:1.2;margin:0}
 .ring{flex:none;width:112px;height:112px;border-radius:50%;display:grid;place-items:center;
 background:radial-gradient(closest-side,var(--bg) 82%,transparent 83%),
@@ -78,7 +80,7 @@ figure{margin:0;min-width:0}
 figure+.grid,.grid+.grid{margin-top:20px}
 figcaption{margin-top:6px}
 .plot svg:not(.strip),.plot img{display:block;width:100%;height:auto}
-.plot svg:not(.strip){max-width:620px}
+.plot svg:not(.strip){max-width:520px}
 .plot svg text{font-family:inherit!important}
 .plot img{border-radius:8px;background:var(--rail)}
 details{margin-top:8px}
@@ -86,10 +88,10 @@ summary{cursor:pointer;color:var(--accent);font-size:.875rem}
 .scroll{overflow-x:auto}
 table{border-collapse:collapse;font-size:.8125rem;min-width:100%}
 caption{text-align:left;color:var(--soft);padding:4px 0}
-th,td{padding:4px 12px 4px 0;text-align:left;border-bottom:1px solid var(--line);vertical-align:top;font-weight:400}
+th,td{padding:4px 10px 4px 0;text-align:left;border-bottom:1px solid var(--line);vertical-align:top;font-weight:400}
 thead th{color:var(--soft);white-space:nowrap}
 .n{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}
-td .name,th .name{display:inline-block;min-width:9rem}
+td .name,th .name{white-space:nowrap;font-size:.75rem}
 footer{padding-top:4px;padding-bottom:32px}
 @media print{nav,.skip{display:none}section{break-inside:avoid}}
 """
