@@ -1,101 +1,117 @@
 """The stage that reads a recording once and keeps it: received → registered or refused.
 
+    files → (what was cut off is recovered) → inspection → quality → previews → blobs → rows
+
 **Conventions.** The uploads' files stay until blobs hold their bytes, so an attempt killed anywhere is repeated from
-the start; the sweeper removes the files afterwards. A refusal is written before the job fails by it, in the same words.
+the start and makes the same; the sweeper removes the files afterwards. A refusal is written before the job fails by it,
+in the same words.
 """
 
+import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from sqlalchemy.orm import Session
 
-from services.ingest.errors import IngestError
-from services.ingest.inspection import inspect
+from services.ingest.bag import open_bag
+from services.ingest.cut_files import RecoveredFile, recovered_files
+from services.ingest.errors import CutBagError, IngestError
+from services.ingest.inspection import Inspection, inspect
 from services.ingest.inspection_record import inspection_record
-from services.ingest.named import named, named_folder
-from services.ingest.recording_errors import RecordingChangedError, RecordingFileMissingError, RecordingRefusedError
+from services.ingest.previews.pictures import previews_of
+from services.ingest.quality.page import quality_page
+from services.ingest.quality.report import Quality, quality_of
+from services.ingest.received import Received, ReceivedFile, received
+from services.ingest.recording_errors import RecordingChangedError
 from services.runtime import quota
-from services.runtime.blobs import PreparedBlob, link, prepare
+from services.runtime.blobs import PreparedBlob, link_all, prepare
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.specs import Attempt, Outcome
-from services.runtime.orm import Blob, Recording, RecordingFile
+from services.runtime.orm import Recording
 from services.runtime.platform import Platform
-from services.runtime.uploads import upload_file
+from services.runtime.previews import PreparedPreview, Shown, prepared_previews, replace_previews
+from services.runtime.workspace import Workspace
 from stone.errors import StoneError
 from stone.findings import Finding
 
-NAMES_FOLDER = "names"
+QUALITY_RECORD, QUALITY_PAGE = "quality.json", "quality.html"
+STEPS = 4
 
 
 @dataclass(frozen=True)
-class _File:
-    """What a row says of one file; `path` is where its bytes lie now."""
+class _Seen:
+    """What was seen in the bag; `recovered` is read in the place of what was cut off."""
 
-    row_id: str
-    upload_id: str
-    filename: str
-    sha256: str
-    path: Path
+    inspection: Inspection
+    quality: Quality
+    recovered: Mapping[str, RecoveredFile]
+    pictures: tuple[tuple[str, str, bytes], ...]
 
 
 @dataclass(frozen=True)
-class _Received:
-    """What the rows say of the recording."""
+class _Kept:
+    """The stored bytes: of each file and of what was recovered of it by the file's row, and of the previews."""
 
-    recording_id: str
-    name: str
-    files: tuple[_File, ...]
+    originals: Mapping[str, PreparedBlob]
+    recovered: Mapping[str, PreparedBlob]
+    previews: tuple[PreparedPreview, ...]
 
-    def named(self, folder: Path) -> Path:
-        """The bag as its owner named it: a file, or a folder with the files."""
-        if len(self.files) == 1:
-            return named(folder, self.files[0].path, self.name)
-        return named_folder(folder, [(file.path, file.filename) for file in self.files], self.name)
+    def blobs(self) -> list[PreparedBlob]:
+        return [*self.originals.values(), *self.recovered.values(), *(preview.blob for preview in self.previews)]
 
 
 def register(platform: Platform, attempt: Attempt) -> Outcome:
     """Inspect the recording and keep it as blobs. Raises the `BAG-*` refusals, `RecordingChangedError`."""
-    received = _received(platform, str(attempt.arguments["recording_id"]))
-    attempt.progress("inspect", 0, 2)
+    brought = received(platform, str(attempt.arguments["recording_id"]))
+    work = Workspace(platform.store, platform.settings, attempt.root_id).folder
+    attempt.progress("inspect", 0, STEPS)
     try:
-        inspection = inspect(received.named(platform.settings.root / NAMES_FOLDER))
-        attempt.progress("keep", 1, 2)
-        prepared = {file.row_id: _prepared(platform, file) for file in received.files}
+        seen = _seen(brought, work, attempt)
+        attempt.progress("keep", 2, STEPS)
+        originals = {file.row_id: _prepared(platform, file) for file in brought.files}
     except (IngestError, RecordingChangedError) as error:  # a store that is full or away is no fault of the recording
-        _refuse(platform, received, error)
+        _refuse(platform, brought, error)
         raise
-    record = inspection_record(inspection)
-    attempt.progress("keep", 2, 2)
-    attempt.log("inspected", topics=len(inspection.topics), findings=len(inspection.findings))
-    result = {"recording_id": received.recording_id, "topics": len(inspection.topics)}
-    return Outcome(result, commit=lambda session: _register(session, received, prepared, record))
+    attempt.progress("keep", 3, STEPS)
+    recovered = {
+        row_id: prepare(platform.store, platform.database, file.path, adopt=True)
+        for row_id, file in seen.recovered.items()
+    }
+    kept = _Kept(originals, recovered, prepared_previews(platform, work, _drawn(brought.name, seen)))
+    attempt.progress("keep", STEPS, STEPS)
+    topics, findings = len(seen.inspection.topics), len(seen.inspection.findings)
+    attempt.log("inspected", topics=topics, findings=findings, score=seen.quality.score, recovered=len(recovered))
+    result = {"recording_id": brought.recording_id, "topics": topics, "score": seen.quality.score}
+    return Outcome(result, commit=lambda session: _register(session, brought, seen, kept))
 
 
-def _received(platform: Platform, recording_id: str) -> _Received:
-    with platform.database.reading() as session:
-        recording = session.get(Recording, recording_id)
-        if recording is None:
-            raise JobCancelledError("its recording was deleted")
-        files = tuple(_file(session, platform, file) for file in recording.files)
-    for file in files:
-        if file.path.is_file():
-            continue
-        if recording.state == "refused":  # by an attempt that was killed before it could say so
-            raise RecordingRefusedError(recording.filename, recording.findings[0]["message"])
-        raise RecordingFileMissingError(file.filename, file.upload_id)
-    return _Received(recording_id, recording.filename, files)
+def _seen(brought: Received, work: Path, attempt: Attempt) -> _Seen:
+    path, recovered = brought.bag(), {}
+    try:
+        inspection = inspect(path)
+    except CutBagError:
+        recovered = recovered_files(brought, work / "recovered")
+        if not recovered:
+            raise
+        path = brought.bag({row_id: file.path for row_id, file in recovered.items()})
+        inspection = inspect(path)
+    said = tuple(file.finding for file in recovered.values())
+    inspection = replace(inspection, findings=(*said, *inspection.findings))
+    attempt.progress("measure", 1, STEPS)
+    with open_bag(path) as bag:
+        quality = quality_of(bag, inspection)
+        return _Seen(inspection, quality, recovered, tuple(previews_of(bag, inspection)))
 
 
-def _file(session: Session, platform: Platform, row: RecordingFile) -> _File:
-    blob = session.get(Blob, row.blob_sha256) if row.blob_sha256 else None
-    upload_id = row.upload_id or ""
-    path = platform.store.local(blob.object_key) if blob else upload_file(platform.settings, upload_id)
-    return _File(row.id, upload_id, row.filename, row.sha256, path)
+def _drawn(name: str, seen: _Seen) -> tuple[tuple[str, str, bytes], ...]:
+    """The previews, with the quality for programs and for people."""
+    record = json.dumps(seen.quality.as_record(), indent=1, allow_nan=False).encode()
+    page = quality_page(name, seen.inspection, seen.quality, seen.pictures)
+    return ((QUALITY_RECORD, "application/json", record), (QUALITY_PAGE, "text/html", page), *seen.pictures)
 
 
-def _prepared(platform: Platform, file: _File) -> PreparedBlob:
+def _prepared(platform: Platform, file: ReceivedFile) -> PreparedBlob:
     """Raises `RecordingChangedError`."""
     prepared = prepare(platform.store, platform.database, file.path, adopt=True)
     if prepared.sha256 != file.sha256:
@@ -103,31 +119,30 @@ def _prepared(platform: Platform, file: _File) -> PreparedBlob:
     return prepared
 
 
-def _register(
-    session: Session, received: _Received, prepared: Mapping[str, PreparedBlob], record: dict[str, Any]
-) -> None:
-    recording = session.get(Recording, received.recording_id, with_for_update=True)
+def _register(session: Session, brought: Received, seen: _Seen, kept: _Kept) -> None:
+    recording = session.get(Recording, brought.recording_id, with_for_update=True)
     if recording is None:
         raise JobCancelledError("its recording was deleted")
-    blobs = {blob.sha256: blob for blob in prepared.values()}
-    for _sha256, blob in sorted(blobs.items()):
-        link(session, blob)
+    link_all(session, kept.blobs())
     for file in recording.files:
-        file.blob_sha256 = prepared[file.id].sha256
+        file.blob_sha256 = kept.originals[file.id].sha256
+        file.recovered_blob_sha256 = kept.recovered[file.id].sha256 if file.id in kept.recovered else None
+    record = inspection_record(seen.inspection)
     recording.state = "registered"
     recording.findings = record.pop("findings")
-    recording.inspection = record
+    recording.inspection, recording.quality = record, seen.quality.as_record()
+    replace_previews(session, Shown(recording.sequence_id, recording.id), kept.previews)
 
 
-def _refuse(platform: Platform, received: _Received, error: StoneError) -> None:
+def _refuse(platform: Platform, brought: Received, error: StoneError) -> None:
     """Write the refusal down, give the owner's bytes back, remove the files."""
     with platform.database.transaction() as session:
-        recording = session.get(Recording, received.recording_id, with_for_update=True)
+        recording = session.get(Recording, brought.recording_id, with_for_update=True)
         if recording is None or recording.state != "received":
             return
         recording.state = "refused"
         recording.findings = [Finding(error.code, "error", "", str(error)[:2000]).as_record()]
-        for file in received.files:
+        for file in brought.files:
             quota.release(session, file.upload_id, "recording refused")
-    for file in received.files:
+    for file in brought.files:
         file.path.unlink(missing_ok=True)

@@ -12,17 +12,22 @@ from typing import Any
 
 from sqlalchemy.orm import Session
 
+from services.ingest.bag import open_bag
 from services.ingest.named import named, named_folder
 from services.ingest.opening import open_sequence
+from services.ingest.overlay import overlays_of
 from services.ingest.pipeline import SynchroniseOptions
-from services.ingest.registering import NAMES_FOLDER, register
+from services.ingest.received import NAMES_FOLDER
+from services.ingest.registering import register
 from services.ingest.sweep_file import Kept, KeptFile, read_sweeps, sweeps_bytes
 from services.ingest.sweeps import BagSweeps
 from services.runtime.atomic import atomic_file
+from services.runtime.blobs import link_all
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.specs import Attempt, Handlers, JobSpec, Outcome
 from services.runtime.orm import Blob, Calibration, Recording, RecordingFile
 from services.runtime.platform import Platform
+from services.runtime.previews import PreparedPreview, Shown, prepared_previews, replace_previews
 from services.runtime.processing import LABEL, REGISTER, SYNCHRONISE
 from services.runtime.run_files import SEQUENCE_FILE, SWEEPS_FILE
 from services.runtime.sequence_file import sequence_bytes
@@ -58,10 +63,12 @@ def synchronise_recording(platform: Platform, attempt: Attempt) -> Outcome:
         recording_sha256=inputs.recording_sha256,
         progress=attempt.progress,
     )
-    bag, calibration = locate(platform, inputs.recording), locate_file(platform, inputs.calibration)
-    sequence, sweeps = open_sequence(bag, calibration, inputs.name, options)
+    path, calibration = locate(platform, inputs.recording), locate_file(platform, inputs.calibration)
+    sequence, sweeps = open_sequence(path, calibration, inputs.name, options)
     attempt.progress("synchronise", 1, 2)
     workspace = Workspace(platform.store, platform.settings, attempt.root_id)
+    with open_bag(path) as bag:
+        overlays = prepared_previews(platform, workspace.folder, overlays_of(bag, sequence, sweeps))
     _write(workspace.folder / SEQUENCE_FILE, sequence_bytes(sequence))
     _write(workspace.folder / SWEEPS_FILE, sweeps_bytes(sweeps, inputs.recording))
     workspace.push(SEQUENCE_FILE, SWEEPS_FILE)
@@ -73,7 +80,9 @@ def synchronise_recording(platform: Platform, attempt: Attempt) -> Outcome:
         "findings": _findings(sequence.findings),
     }
     attempt.log("synchronised", frames=len(sequence.frames), excluded=len(sequence.excluded))
-    return Outcome(result, then=(JobSpec(LABEL),) if "label" in attempt.arguments["stages"] else ())
+    then = (JobSpec(LABEL),) if "label" in attempt.arguments["stages"] else ()
+    shown = Shown(attempt.sequence_id or "", recipe=attempt.arguments["recipe"])
+    return Outcome(result, then=then, commit=lambda session: _show(session, shown, overlays))
 
 
 def open_described(platform: Platform, description: bytes) -> BagSweeps:
@@ -92,6 +101,11 @@ def locate(platform: Platform, kept: Kept) -> Path:
 def locate_file(platform: Platform, kept: KeptFile) -> Path:
     """A file on this machine with the object's bytes, called as its owner called it."""
     return named(platform.settings.root / NAMES_FOLDER, platform.store.local(kept.object_key), kept.filename)
+
+
+def _show(session: Session, shown: Shown, overlays: tuple[PreparedPreview, ...]) -> None:
+    link_all(session, (overlay.blob for overlay in overlays))
+    replace_previews(session, shown, overlays)
 
 
 def _inputs(platform: Platform, attempt: Attempt) -> _Inputs:
