@@ -3,6 +3,7 @@
 import typer
 
 from client.inputs import BagArgument
+from client.quality_file import HtmlOption, write_quality_page
 from client.refusals import REFUSED
 from client.streams import JsonOption, echo_findings, echo_json
 from client.tables import clock_table, inspection_table, show
@@ -14,11 +15,13 @@ def inspect(
     topics: TopicsOption = None,
     topic: TopicOption = [],  # noqa: B006
     save_topics: SaveTopicsOption = None,
+    html: HtmlOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Show a recording's topics with their roles, rates and gaps, and what is noticed about them.
 
     Where several topics fit one role, choose with --topic and save the choice for the robot's next recording.
+    With --html its quality is measured too: a page with plots, and under --json one more key.
     Exit code 1 where something in it cannot be used, named by an error line.
     """
     from services.ingest.inspection import inspect as inspect_bag
@@ -27,6 +30,8 @@ def inspect(
     profile = chosen_topics(topics, topic)
     inspection = inspect_bag(bag, profile)
     record = inspection.as_record()
+    if html is not None:
+        record["quality"] = write_quality_page(bag, inspection, html).as_record()
     if as_json:
         echo_json(record)
     else:
