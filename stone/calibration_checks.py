@@ -171,4 +171,4 @@ def _unmeasured_mounts(calibration: Calibration) -> Findings:
     on_lidar = [m.name for m in calibration.mounts if np.array_equal(m.lidar_from_sensor.wxyz_xyz, identity)]
     if len(on_lidar) < 2:
         return ()
-    return (warning("CAL-405", ", ".join(on_lidar), "extrinsics are the identity; were they never measured?"),)
+    return (warning("CAL-417", ", ".join(on_lidar), "extrinsics are the identity; were they never measured?"),)

@@ -43,10 +43,22 @@ class ImageSizeError(StoneError):
         )
 
 
+class DisconnectedSensorError(StoneError):
+    """No chain of transforms leads from a sensor to the LiDAR."""
+
+    code = "CAL-405"
+
+    def __init__(self, sensor: str, frame: str, lidar_frame: str) -> None:
+        super().__init__(
+            f"{sensor}: its frame {frame!r} has no path to the LiDAR's frame {lidar_frame!r} "
+            "(a transform missing, or a frame called differently in two files?)"
+        )
+
+
 class NotFiniteError(StoneError):
     """A number is NaN or infinite."""
 
-    code = "CAL-406"
+    code = "CAL-416"
 
     def __init__(self, sensor: str, what: str) -> None:
         super().__init__(f"{sensor}: {what} holds NaN or infinity; every number of a calibration is finite")

@@ -11,7 +11,8 @@ from math import pi
 import numpy as np
 from numpy.typing import NDArray
 
-from stone.calibration import CameraIntrinsics, Mount
+from stone.calibration import Calibration, CameraIntrinsics, Mount
+from stone.findings import Finding
 from stone.projection import project
 from stone.se3 import SE3
 
@@ -77,3 +78,16 @@ def view_of(mount: Mount, ego_from_lidar: SE3, points_camera: NDArray[np.float64
         off_name_deg(mount.name, ego_from_camera),
         bool(up[2] > UPRIGHT_LEAST and abs(axis[2]) < LEVEL_MOST),
     )
+
+
+def name_findings(calibration: Calibration) -> tuple[Finding, ...]:
+    """A warning for each camera that looks elsewhere than its name says; no recording is needed to see that."""
+    findings = []
+    for mount in calibration.of_kind("camera"):
+        apart_deg = off_name_deg(mount.name, calibration.ego_from_lidar @ mount.lidar_from_sensor)
+        if apart_deg is not None and apart_deg > OFF_NAME_LIMIT_DEG:
+            sentence = (
+                f"{mount.name} looks {apart_deg:.0f}° from where its name says (transform inverted, or names swapped?)"
+            )
+            findings.append(Finding("CAL-404", "warning", mount.name, sentence))
+    return tuple(findings)

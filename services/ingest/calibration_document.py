@@ -1,4 +1,4 @@
-"""The keys of a native calibration file, as its author writes them.
+"""The keys of a native calibration file, and of the rig document that completes others, as their authors write them.
 
 **Conventions.** Unknown keys are refused, so that a typo is not a silent default. Values are of the declared kind (no
 numbers in quotes); what they must amount to is checked by `stone.calibration_checks`.
@@ -76,3 +76,30 @@ class CalibrationDocument(Document):
     footprint: FootprintDocument | None = None
     self_boxes_ego: Annotated[list[BoxDocument], Field(max_length=100)] = []
     sensors: Annotated[dict[Name, SensorDocument], Field(max_length=100)] = {}
+
+
+class RigTransform(TransformDocument):
+    parent: Name
+    child: Name
+
+
+class RigSensor(Document):
+    """`kind` where the frame's name does not say it; sizes where the other file does not."""
+
+    frame: Name
+    kind: Literal["camera", "radar", "ins", "imu", "lidar"] | None = None
+    frame_id: Annotated[str, Field(max_length=100)] | None = None
+    time_offset_ns: Annotated[int, Field(ge=-(10**12), le=10**12)] | None = None
+    width_px: Pixels | None = None
+    height_px: Pixels | None = None
+
+
+class RigDocument(Document):
+    stone_rig: Literal[1]
+    name: Name | None = None
+    ego: Name | None = None
+    lidar: Name | None = None
+    transforms: Annotated[list[RigTransform], Field(max_length=100)] = []
+    sensors: Annotated[dict[Name, RigSensor], Field(max_length=100)] = {}
+    footprint: FootprintDocument | None = None
+    self_boxes_ego: Annotated[list[BoxDocument], Field(max_length=100)] = []

@@ -3,6 +3,8 @@
 **Conventions.** Codes CAL-42x; what is wrong with the numbers is said by `stone.calibration_errors`.
 """
 
+from collections.abc import Iterable
+
 from stone.errors import StoneError
 
 
@@ -35,12 +37,61 @@ class CalibrationKeyError(StoneError):
 
 
 class CalibrationFormatError(StoneError):
-    """The file is a calibration, but in another format than is read."""
+    """The file is none of the seven formats that are read."""
 
     code = "CAL-423"
 
     def __init__(self, name: str, looks_like: str) -> None:
         super().__init__(
-            f"{name} looks like {looks_like}; only the native format is read, "
-            "a YAML file that begins with `stone_calibration: 1` (see examples/)"
+            f"{name} looks like {looks_like}; read are the native format (`stone_calibration: 1`, see examples/), ROS "
+            "camera_info, Kalibr camchain, OpenCalib, nuScenes calibrated_sensor, Autoware sensor_kit and /tf_static"
         )
+
+
+class HalfRigError(StoneError):
+    """The files describe a part of a robot; nothing in them says the rest."""
+
+    code = "CAL-424"
+
+    def __init__(self, name: str, missing: str, remedy: str) -> None:
+        super().__init__(f"{name} is half a rig: {missing}; {remedy}")
+
+
+class AmbiguousRigError(StoneError):
+    """Several things in the files could be the one that is meant."""
+
+    code = "CAL-425"
+
+    def __init__(self, name: str, what: str, choices: Iterable[str], remedy: str) -> None:
+        shown = ", ".join(list(choices)[:8])
+        super().__init__(f"{name}: {what} could be any of {shown}; {remedy}")
+
+
+class LensModelError(StoneError):
+    """A camera is calibrated with a lens model that is not projected here."""
+
+    code = "CAL-427"
+
+    def __init__(self, name: str, sensor: str, model: str) -> None:
+        super().__init__(
+            f"{name}: {sensor} has the lens model {model[:40]!r}; read are pinhole cameras with none, plumb_bob, "
+            "radtan, rational_polynomial or equidistant distortion (calibrate again with one of them)"
+        )
+
+
+class CalibrationBundleError(StoneError):
+    """A zip or folder is not a bundle of calibration files."""
+
+    code = "CAL-428"
+
+    def __init__(self, name: str, problem: str) -> None:
+        super().__init__(f"{name} is not a bundle of calibration files: {problem}")
+
+
+class ConflictingFilesError(StoneError):
+    """Two files of one bundle say different things of the same."""
+
+    code = "CAL-429"
+
+    def __init__(self, name: str, what: str, files: Iterable[str]) -> None:
+        super().__init__(f"{name}: {' and '.join(files)} disagree about {what}; leave one of them out")

@@ -1,136 +1,100 @@
-"""A calibration from its file: read, understood, checked.
+"""A calibration from its file, folder, zip or recording: recognised, understood, checked. The page to read first.
 
-**Conventions.** The native format is YAML that begins with `stone_calibration: 1`; lengths in metres, quaternions wxyz,
-transforms `dst_from_src`. Findings are what was mended or is doubtful; everything worse is raised.
+    bytes, bounded → documents → parts, one per document → draft, all parts together → calibration → checks
+
+**Conventions.** Seven formats are read. The native one is YAML that begins with `stone_calibration: 1` and says all.
+Every other one was made to say less: ROS camera_info and Kalibr place no LiDAR, Autoware no lens, nuScenes no image
+size. They are completed by each other's files in one zip or folder, and by a rig document (`stone_rig: 1`,
+`services.ingest.calibrations.rig`) for what no tool writes. What is still missing is refused as half a rig, with what
+to add. A recording is read by its /tf_static and CameraInfo. Findings are what was mended or is doubtful; everything
+worse is raised.
 """
 
+from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 
-import numpy as np
-from pydantic import ValidationError
+from services.ingest.calibration_document import RigDocument
+from services.ingest.calibrations.assembly import assembled
+from services.ingest.calibrations.bundle import Bundle, read_bundle
+from services.ingest.calibrations.draft import draft_of
+from services.ingest.calibrations.native import native
+from services.ingest.calibrations.part import Format
+from services.ingest.calibrations.recognition import Recognised, recognised
+from services.ingest.calibrations.recorded import is_recording, recorded_part
+from stone.calibration import Calibration
+from stone.calibration_checks import Findings, check_calibration
+from stone.camera_views import name_findings
+from stone.findings import Finding
 
-from services.ingest.calibration_document import (
-    CalibrationDocument,
-    IntrinsicsDocument,
-    SensorDocument,
-    TransformDocument,
-)
-from services.ingest.calibration_errors import CalibrationFormatError, CalibrationKeyError
-from services.ingest.calibration_yaml import read_yaml
-from stone.calibration import Box, Calibration, CameraIntrinsics, Footprint, Mount, SensorKind
-from stone.calibration_checks import (
-    Findings,
-    check_calibration,
-    checked_transform,
-    quaternion_and_translation,
-    rotation_and_translation,
-)
-from stone.camera_checks import check_intrinsics
-from stone.se3 import SE3
+# Of the formats in a bundle, the first of these is what it is called.
+RANKS: tuple[Format, ...] = ("native", "kalibr", "opencalib", "nuscenes", "autoware", "ros_camera_info", "tf_static")
 
-# A key that only one other format has at its top level.
-OTHER_FORMATS = {
-    "camera_matrix": "a ROS camera_info file",
-    "image_width": "a ROS camera_info file",
-    "cam0": "a Kalibr camchain",
-    "base_link": "an Autoware sensor_kit_calibration",
-    "sensor_kit_base_link": "an Autoware sensor_kit_calibration",
-    "calibration_time": "a KITTI calibration",
-    "P0": "a KITTI calibration",
-    "R_rect_00": "a KITTI calibration",
-    "Tr_velo_to_cam": "a KITTI calibration",
-}
+
+@dataclass(frozen=True, eq=False)
+class CalibrationRead:
+    """A calibration, what was noticed about it, and the format it came in."""
+
+    calibration: Calibration
+    findings: Findings
+    format: Format
 
 
 def read_calibration(path: Path) -> tuple[Calibration, Findings]:
-    """The calibration in a native YAML file, and what was mended or is doubtful about it.
+    """The calibration at `path`, and what was mended or is doubtful about it; raises as `read_any_calibration`."""
+    read = read_any_calibration(path)
+    return read.calibration, read.findings
 
-    Raises OSError; CalibrationSizeError, CalibrationYamlError, CalibrationFormatError, CalibrationKeyError (the file);
-    and the leaves of `stone.calibration_errors` (the numbers).
+
+def read_any_calibration(path: Path) -> CalibrationRead:
+    """As `read_calibration_files`, or from a recording's own topics.
+
+    Raises as `read_calibration_files`, and what opening and decoding a recording raise (BAG-*, MSG-*).
     """
-    content = read_yaml(path)
-    _check_format(path.name, content)
-    try:
-        document = CalibrationDocument.model_validate(content)
-    except ValidationError as error:
-        raise _key_error(path.name, error) from None
-    return _calibration(document)
+    if not is_recording(path):
+        return read_calibration_files(path)
+    part = recorded_part(path)
+    return _assembled(Recognised(None, (part,), RigDocument(stone_rig=1)), Bundle(()), path.name)
 
 
-def _check_format(name: str, content: object) -> None:
-    if isinstance(content, list):
-        is_nuscenes = bool(content) and isinstance(content[0], dict) and "sensor_token" in content[0]
-        raise CalibrationFormatError(name, "a nuScenes calibrated_sensor table" if is_nuscenes else "a list")
-    if not isinstance(content, dict):
-        raise CalibrationFormatError(name, "an empty file" if content is None else "plain text")
-    if "stone_calibration" in content:
-        return
-    for key, looks_like in OTHER_FORMATS.items():
-        if key in content:
-            raise CalibrationFormatError(name, looks_like)
-    if any(isinstance(value, dict) and "sensor_name" in value for value in content.values()):
-        raise CalibrationFormatError(name, "an OpenCalib file")
-    raise CalibrationFormatError(name, "another YAML file")
+def read_calibration_files(path: Path) -> CalibrationRead:
+    """The calibration in a YAML or JSON file, or in a zip or folder of them.
+
+    Raises OSError; the leaves of `services.ingest.calibration_errors` (the files) and of `stone.calibration_errors`
+    (the numbers); ShapeError for a vector of another length.
+    """
+    bundle = read_bundle(path)
+    found = recognised(bundle, path.name)
+    if found.native is None:
+        return _assembled(found, bundle, path.name)
+    calibration, findings = native(*found.native)
+    return CalibrationRead(calibration, findings + _whole(calibration, bundle), "native")
 
 
-def _key_error(name: str, error: ValidationError) -> CalibrationKeyError:
-    """The first complaint, with the key as the author would find it."""
-    first = error.errors(include_url=False, include_context=False)[0]
-    key = ".".join(str(part) for part in first["loc"])[:120]
-    problem = first["msg"].removeprefix("Value error, ")
-    if not isinstance(first["input"], (dict, list)):
-        problem += f", not {str(first['input'])[:40]!r}"
-    return CalibrationKeyError(name, key, problem, error.error_count() - 1)
+def _assembled(found: Recognised, bundle: Bundle, name: str) -> CalibrationRead:
+    calibration, findings = assembled(draft_of(name, found.parts), found.rig)
+    noticed = tuple(finding for part in found.parts for finding in part.findings)
+    return CalibrationRead(calibration, noticed + findings + _whole(calibration, bundle), _format(found))
 
 
-def _calibration(document: CalibrationDocument) -> tuple[Calibration, Findings]:
-    ego_from_lidar, findings = _transform("ego_from_lidar", "lidar", document.ego_from_lidar)
-    mounts = []
-    for name, sensor in document.sensors.items():
-        mount, noticed = _mount(name, sensor)
-        mounts.append(mount)
-        findings += noticed
-    footprint = document.footprint
-    calibration = Calibration(
-        name=document.name,
-        ego_from_lidar=ego_from_lidar,
-        mounts=tuple(mounts),
-        footprint=Footprint(footprint.length_m, footprint.width_m) if footprint else Footprint(),
-        self_boxes_ego=tuple(Box(_triple(box.min_m), _triple(box.max_m)) for box in document.self_boxes_ego),
-    )
-    return calibration, findings + check_calibration(calibration)
+def calibration_sha256(path: Path) -> str:
+    """Of a file its bytes; of a folder the names and bytes of its documents. Raises as `read_bundle`."""
+    if path.is_file():
+        return sha256(path.read_bytes()).hexdigest()
+    digest = sha256()
+    for name, content in read_bundle(path).documents:
+        digest.update(f"{len(name.encode())} {name} {len(content)} ".encode() + content)
+    return digest.hexdigest()
 
 
-def _mount(name: str, sensor: SensorDocument) -> tuple[Mount, Findings]:
-    lidar_from_sensor, findings = _transform(name, sensor.kind, sensor.lidar_from_sensor)
-    intrinsics = _intrinsics(sensor.intrinsics) if sensor.intrinsics else None
-    if intrinsics is not None:
-        findings += check_intrinsics(name, intrinsics)
-    return Mount(name, sensor.kind, lidar_from_sensor, sensor.frame_id, sensor.time_offset_ns, intrinsics), findings
+def _format(found: Recognised) -> Format:
+    formats = {part.format for part in found.parts}
+    return next((rank for rank in RANKS if rank in formats), "native")
 
 
-def _transform(name: str, kind: SensorKind, document: TransformDocument) -> tuple[SE3, Findings]:
-    if document.matrix is not None:
-        return checked_transform(name, np.array(document.matrix))
-    translation_m = np.array(document.translation_m)
-    if document.rotation_matrix is not None:
-        return rotation_and_translation(name, np.array(document.rotation_matrix), translation_m)
-    return quaternion_and_translation(name, kind, np.array(document.rotation_wxyz), translation_m)
-
-
-def _intrinsics(document: IntrinsicsDocument) -> CameraIntrinsics:
-    return CameraIntrinsics(
-        document.model,
-        document.width_px,
-        document.height_px,
-        document.fx_px,
-        document.fy_px,
-        document.cx_px,
-        document.cy_px,
-        tuple(document.distortion),
-    )
-
-
-def _triple(values: list[float]) -> tuple[float, float, float]:
-    x, y, z = values
-    return x, y, z
+def _whole(calibration: Calibration, bundle: Bundle) -> Findings:
+    aside: Findings = ()
+    if bundle.aside:
+        shown = ", ".join(bundle.aside[:5])[:200]
+        aside = (Finding("CAL-431", "info", "", f"{len(bundle.aside)} files were not looked at: {shown}"),)
+    return check_calibration(calibration) + name_findings(calibration) + aside

@@ -27,6 +27,7 @@ JPEG = "image/jpeg"
 WIDEST_PX = 1280
 JPEG_QUALITY = 85
 NEAREST_M, FARTHEST_M = 1.0, 60.0
+PIXELS_PER_DOT = 30
 TICKS_M = (1, 3, 10, 30, 60)
 # Google's Turbo as polynomials of degree 5 in [0, 1] (A. Mikhailov and R. du Bois, 2019), constant term first.
 TURBO = np.array(
@@ -80,14 +81,21 @@ def _paint(pixels: NDArray[np.uint8], pair: Pair, intrinsics: CameraIntrinsics) 
     height_px, width_px = pixels.shape[:2]
     points_camera = pair.points_camera
     found, is_in_image = project(points_camera, intrinsics)
+    is_in_image[np.flatnonzero(is_in_image)] = _thinned(int(is_in_image.sum()), height_px * width_px)
     range_m = np.linalg.norm(points_camera[is_in_image], axis=1)
     order = np.argsort(-range_m, kind="stable")
     scale = (width_px / intrinsics.width_px, height_px / intrinsics.height_px)
     places = ((found[is_in_image][order] + 0.5) * scale).astype(np.int64)
-    reach = np.arange(-(width_px // 900), width_px // 900 + 1)
+    reach = np.arange(-max(width_px // 900, 1), max(width_px // 900, 1) + 1)
     dot = np.stack(np.meshgrid(reach, reach), axis=-1).reshape(-1, 2)
     spread = np.clip((places[:, None] + dot).reshape(-1, 2), 0, (width_px - 1, height_px - 1))
     pixels[spread[:, 1], spread[:, 0]] = np.repeat(range_colours(range_m[order]), len(dot), axis=0)
+
+
+def _thinned(count: int, area_px: int) -> NDArray[np.bool_]:
+    """Every n-th of `count` points, so that dots leave most of the picture to be seen."""
+    step = 1 + count * PIXELS_PER_DOT // area_px
+    return np.asarray(np.arange(count) % step == 0)
 
 
 def _scale(image: Image.Image, name: str) -> None:

@@ -181,11 +181,11 @@ def test_a_number_beyond_floats_is_refused(written):
 @pytest.mark.parametrize(
     ("content", "looks_like"),
     [
-        ("image_width: 640\nimage_height: 480\n", "a ROS camera_info file"),
-        ("cam0:\n  camera_model: pinhole\n", "a Kalibr camchain"),
-        ('[{"sensor_token": "a", "rotation": [1, 0, 0, 0]}]', "a nuScenes calibrated_sensor table"),
-        ('{"top_center_lidar": {"sensor_name": "a"}}', "an OpenCalib file"),
-        ("base_link:\n  sensor_kit_base_link: {x: 1}\n", "an Autoware"),
+        ("image_width: 640\nimage_height: 480\n", "a camera_info file without its camera_matrix"),
+        ("P0: 1 0 0 0\nR0_rect: 1 0 0\n", "a KITTI calibration"),
+        ('[{"token": "a", "channel": "b", "modality": "c"}]', "a nuScenes sensor table without its calibrated_sensor"),
+        ("[1, 2]", "a list"),
+        ("1: 2", "another YAML file .a key is no text"),
         ("<html>", "plain text"),
         ("", "an empty file"),
         ("colour: red\n", "another YAML file"),
@@ -200,16 +200,6 @@ def test_a_channel_given_twice_is_refused(written):
     with pytest.raises(CalibrationYamlError, match='found duplicate key "INS"'):
         read_calibration(written(NATIVE + "  INS: {kind: ins}\n"))
     assert issubclass(RepeatedSensorError, StoneError)
-
-
-@pytest.mark.field_data
-def test_no_calibration_found_in_the_wild_passes_for_native(field_data: Path):
-    files = [path for path in (field_data / "calibrations").rglob("*") if path.suffix in (".yaml", ".json", ".txt")]
-    assert len(files) > 5
-    for path in files:
-        with pytest.raises((CalibrationFormatError, CalibrationYamlError)) as refused:
-            read_calibration(path)
-        assert "\n" not in str(refused.value)
 
 
 def test_refusals_survive_the_way_between_processes():
