@@ -66,7 +66,7 @@ def clock_table(record: Mapping[str, Any]) -> Table:
     table = Table(title=title, title_justify="left", box=SIMPLE)
     table.add_column("topic", overflow="fold")
     table.add_column("stamped by")
-    for column in ("offset", "drift ppm", "jitter ms", "late ms", "steps back", "repeats"):
+    for column in ("offset", "ppm", "jitter ms", "late ms", "back", "repeats"):
         table.add_column(column, justify="right")
     for clock in record["topics"]:
         if clock["role"] != "camera_info":

@@ -8,7 +8,7 @@ time between them; the gyro is integrated over the same time, so that neither is
 rough ground rolls and pitches a robot faster than it ever yaws (on simulated drives of 6 s: 0.3 ms from the truth, by
 yaw alone 8 ms). A positive lag means that the gyro's stamps are late. Orientations are `wxyz`.
 Source: generalised cross-correlation (Knapp and Carter, 1976) with a fitted mount; the standard error is that of least
-squares, residual over the slope of the signal.
+squares, residual over the slope of the signal, which is too small where the gyro's own noise is most of the residual.
 """
 
 from dataclasses import dataclass
@@ -28,7 +28,8 @@ COARSE_STEP_S = 0.01
 LEAST_STEP_S = 0.045
 # An interval longer than this many typical ones is a gap.
 GAP_RATIO = 2.5
-LEAST_TURNS = 20
+# Three seconds at 20 Hz: fewer smooth turns can be those of any other moment, under some mount.
+LEAST_TURNS = 60
 SLOPE_STEP_S = 0.001
 
 
