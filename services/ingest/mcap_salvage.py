@@ -11,7 +11,7 @@ from struct import Struct
 
 from services.ingest import mcap_records as wire
 from services.ingest.errors import IngestError, MalformedBagError
-from services.ingest.mcap_chunks import CHUNK_LIMIT_BYTES, inflate, pieces_of
+from services.ingest.mcap_chunks import CHUNK_LIMIT_BYTES, check_crc32, inflate, pieces_of
 from services.ingest.mcap_records import Fields, Record
 
 _PREFIX = Struct("<BQ")
@@ -96,10 +96,13 @@ def _of_chunk(found: Found, losses: Losses) -> Iterator[Found]:
     try:
         chunk = wire.read_chunk(found.fields())
         records = inflate(found.view, chunk)
-        for record in wire.walk(records, 0, len(records), chunk.where):
-            yield Found(records, record, chunk.where)
+        if not chunk.compression:
+            check_crc32(records, chunk)
+        whole = [Found(records, record, chunk.where) for record in wire.walk(records, 0, len(records), chunk.where)]
     except IngestError as error:
         losses.add(f"{error} ({error.code})")
+        return
+    yield from whole
 
 
 def _of_cut_chunk(view: memoryview, name: str, losses: Losses) -> Iterator[Found]:

@@ -85,8 +85,6 @@ def _listed(folder: Path, names: list[str], metadata: BagMetadata) -> Members:
     if others := [name for name in names if name not in known and is_container(folder / name)]:
         message = f"metadata.yaml does not list {_shown(others)}: left out."
         findings.append(Finding("BAG-024", "warning", others[0], message))
-    for name in present:
-        container_of(folder / name)
     return Members(tuple(folder / name for name in present), tuple(findings))
 
 

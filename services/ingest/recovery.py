@@ -5,19 +5,17 @@ recovery that is killed leaves nothing under the target's name. Messages keep th
 bytes, channels their metadata; ids may change. Memory is one chunk of either file.
 """
 
-import mmap
+from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from services.ingest import mcap_records as wire
 from services.ingest.errors import RecoveryTargetError
-from services.ingest.magic import container_of
 from services.ingest.mcap_copy import Copy, opened_copy
-from services.ingest.mcap_salvage import Losses, complete_records, first_compression
+from services.ingest.members import members_of
+from services.ingest.recovery_sources import Source, opened_source
 from services.runtime.atomic import atomic_file
 from stone.findings import Finding, Severity
-
-FORGET_BYTES = 64 * 2**20
 
 
 @dataclass(frozen=True)
@@ -41,53 +39,53 @@ class Recovery:
 
 
 def recover(path: Path, out: Path) -> Recovery:
-    """Write `out`, an MCAP file, from whatever of `path` is complete.
+    """Write `out`, an MCAP file, from whatever is whole of `path`: a file, or all the files of a folder.
 
-    Raises: FileNotFoundError, NotABagError (BAG-001), RecoveryTargetError (BAG-026: `out` is the original), OSError.
+    One file gives the same bytes whenever it is recovered.
+    Raises: FileNotFoundError, NotABagError (BAG-001), CutBagError (not even the magic is whole), RecoveryTargetError
+    (BAG-026: `out` is part of the original), DatabaseRefusedError, MembersRefusedError, OSError.
     """
-    if out.exists() and out.samefile(path):
-        raise RecoveryTargetError(path.name)
-    container_of(path)
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as mapped:
-        losses = Losses()
-        with atomic_file(out) as staging, memoryview(mapped) as view:
-            compression = first_compression(view, path.name)
-            with staging.open("wb") as stream, opened_copy(stream, compression, losses) as copy:
-                _keep_all(mapped, view, path.name, copy)
-        return _told(path.name, len(mapped), copy, losses)
+    members = members_of(path)
+    if out.exists() and any(out.samefile(file) for file in members.files):
+        raise RecoveryTargetError(out.name)
+    with ExitStack() as opened:
+        sources = [opened.enter_context(opened_source(file)) for file in members.files]
+        staging = opened.enter_context(atomic_file(out))
+        with staging.open("wb") as stream, opened_copy(stream, sources[0].compression) as copy:
+            for source in sources:
+                source.keep(copy)
+    return _told(path.name, sources, members.findings, copy)
 
 
-def _keep_all(mapped: mmap.mmap, view: memoryview, name: str, copy: Copy) -> None:
-    forgotten = 0
-    for found in complete_records(view, name, copy.losses):
-        copy.keep(found)
-        if copy.losses.stop_byte - forgotten > FORGET_BYTES:
-            mapped.madvise(mmap.MADV_DONTNEED, 0, copy.losses.stop_byte // mmap.PAGESIZE * mmap.PAGESIZE)
-            forgotten = copy.losses.stop_byte
-    copy.say_unknown()
-
-
-def _told(name: str, total_bytes: int, copy: Copy, losses: Losses) -> Recovery:
-    read_bytes = total_bytes if losses.is_sealed else losses.stop_byte
-    lost = _lost(total_bytes, copy, losses)
+def _told(name: str, sources: list[Source], noticed: tuple[Finding, ...], copy: Copy) -> Recovery:
+    read_bytes, total_bytes = (sum(n) for n in zip(*((s.read_bytes, s.total_bytes) for s in sources), strict=True))
+    is_sealed = all(source.losses.is_sealed for source in sources)
+    is_whole = is_sealed and not noticed and not any(source.losses.problems for source in sources)
+    lost = _lost(sources, noticed, copy)
     kept = f"{copy.messages} messages of {len(copy.topics)} topics, the last logged at {copy.last_ns} ns, are recovered"
-    ended = "is complete up to its index" if losses.is_sealed else f"was cut off at byte {read_bytes} of {total_bytes}"
-    severity: Severity = "info" if losses.is_sealed and not losses.problems else "warning"
+    ended = "is complete up to its index" if is_sealed else f"was cut off at byte {read_bytes} of {total_bytes}"
+    severity: Severity = "info" if is_whole else "warning"
     finding = Finding("BAG-010", severity, "", f"{name} {ended}: {kept}. {lost}")
     return Recovery(copy.messages, copy.topics, read_bytes, total_bytes, copy.last_ns, lost, finding)
 
 
-def _lost(total_bytes: int, copy: Copy, losses: Losses) -> str:
-    """One sentence; how long the cut took away is an estimate from the mean rate of what was kept."""
-    parts = []
-    left_bytes = 0 if losses.is_sealed else total_bytes - losses.stop_byte
-    if left_bytes:
-        span_s = (copy.last_ns - copy.first_ns) / 1e9
-        about_s = span_s * left_bytes / max(1, losses.stop_byte - len(wire.MAGIC))
-        parts.append(f"of the last {left_bytes} bytes (about {about_s:.3f} s) what was not whole")
-    if not losses.is_sealed:
-        parts.append("whatever the recorder had not written yet")
-    parts += losses.problems
-    if losses.unsaid:
-        parts.append(f"{losses.unsaid} more pieces")
+def _lost(sources: list[Source], noticed: tuple[Finding, ...], copy: Copy) -> str:
+    """One sentence; how long a cut took away is an estimate from the mean rate of what was kept."""
+    kept_bytes = sum(source.read_bytes for source in sources)
+    rate_s = (copy.last_ns - copy.first_ns) / 1e9 / max(1, kept_bytes)
+    parts = [finding.message.removesuffix(".") for finding in noticed if finding.severity == "error"]
+    for source in sources:
+        about = f"{source.name}: " if len(sources) > 1 else ""
+        parts += [f"{about}{part}" for part in _lost_of(source, rate_s)]
     return f"Lost: {'; '.join(parts)}." if parts else "Nothing is lost but the index."
+
+
+def _lost_of(source: Source, rate_s: float) -> Iterator[str]:
+    left_bytes = source.total_bytes - source.read_bytes
+    if left_bytes:
+        yield f"of the last {left_bytes} bytes (about {left_bytes * rate_s:.3f} s) what was not whole"
+    if not source.losses.is_sealed:
+        yield "whatever the recorder had not written yet"
+    yield from source.losses.problems
+    if source.losses.unsaid:
+        yield f"{source.losses.unsaid} more pieces"
