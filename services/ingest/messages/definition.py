@@ -26,7 +26,12 @@ CODES = {
 }  # fmt: skip
 PRIMITIVES = frozenset({*CODES, "string", "wstring"})
 _OLD_NAMES = {"time": "builtin_interfaces/msg/Time", "duration": "builtin_interfaces/msg/Duration"}
-_FIELD = re.compile(r"([A-Za-z][\w/]{0,200})(<=\d{1,9})?(\[(?:<=)?\d{0,9}\])?\s+([A-Za-z]\w{0,100})\s*(=?)", re.ASCII)
+# Type, bound of a string, array, name; then the value of a constant (5), a default, or nothing.
+_FIELD = re.compile(
+    r"([A-Za-z][\w/]{0,200})(<=\d{1,9})?(\[(?:<=)?\d{0,9}\])?\s+([A-Za-z]\w{0,100})"
+    r"(?:\s*(=).*|\s+[-+.\d\[\"'tTfF].*)?",
+    re.ASCII,
+)
 _TYPE = re.compile(r"([a-z][a-z0-9_]{0,80})/(?:msg/)?([A-Za-z]\w{0,100})", re.ASCII)
 _SEPARATOR = re.compile(r"={40,}")
 _HEADING = re.compile(r"MSG:\s*(\S{1,200})")
@@ -94,7 +99,7 @@ def _fields(lines: list[str], type_name: str) -> tuple[Field, ...]:
         content = line.split("#", 1)[0].strip()
         if not content:
             continue
-        match = _FIELD.match(content)
+        match = _FIELD.fullmatch(content)
         if match is None:
             raise DefinitionRefusedError(type_name, f"{content[:60]!r} is neither a field nor a constant")
         if match[5]:
