@@ -88,6 +88,8 @@ class SqliteStore:
 
 def _rows_of(place: Place, name: str) -> Rows:
     """SQLite is asked only after its schema was found to be a recorder's, and believed when it says no."""
+    if place.path.stat().st_size == 0:  # SQLite would not read the log of an empty file but delete it
+        return SalvagedRows(place, name, "its own file is empty, all there is lies in its log")
     try:
         tables_of(opened_pages(place, name), name)
         return SqlRows(place, name)
