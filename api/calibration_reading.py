@@ -6,6 +6,8 @@ a time and the others wait, briefly; then they are told to come back.
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import datetime, timedelta
+from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import BoundedSemaphore
@@ -14,9 +16,11 @@ from typing import IO
 from api.errors import BodyTooLargeError, RateLimitedError
 from api.file_errors import CalibrationRefusedError
 from api.files import safe_name
-from services.ingest.calibration_errors import CalibrationKeyError
-from services.ingest.calibration_file import read_calibration
-from services.runtime.calibrations import ReadCalibration
+from api.schemas.base import EPOCH
+from services.ingest.calibration_errors import CalibrationKeyError, ValidityError
+from services.ingest.calibration_file import CalibrationRead, read_calibration_files
+from services.runtime.calibrations import ReadCalibration, Validity
+from services.runtime.store import Store
 from stone.calibration import Calibration
 from stone.errors import StoneError
 
@@ -24,6 +28,7 @@ LARGEST_BYTES = 2**20
 AT_ONCE = 2
 PATIENCE_S = 10.0
 PER_MINUTE = 60.0
+FORM = "the form"
 
 _turns = BoundedSemaphore(AT_ONCE)
 
@@ -41,21 +46,50 @@ def received(file: IO[bytes], filename: str) -> Iterator[Path]:
 
 
 def read(path: Path) -> ReadCalibration:
-    """What the file amounts to.
+    """What the file amounts to; raises as `understood`."""
+    found = understood(path)
+    sensors = tuple({"name": mount.name, "kind": mount.kind} for mount in found.calibration.mounts)
+    findings = tuple(finding.as_record() for finding in found.findings)
+    return ReadCalibration(found.calibration.name, path.name, sensors, findings, found.format)
+
+
+def understood(path: Path) -> CalibrationRead:
+    """The calibration in a file or a zip.
 
     Raises `CalibrationRefusedError`; `RateLimitedError` when too many are being read.
     """
     if not _turns.acquire(timeout=PATIENCE_S):
         raise RateLimitedError(PER_MINUTE, int(PATIENCE_S))
     try:
-        calibration, findings = read_calibration(path)
-        _check_names(path.name, calibration)
+        found = read_calibration_files(path)
+        _check_names(path.name, found.calibration)
     except StoneError as reason:
         raise CalibrationRefusedError(path.name, reason) from reason
     finally:
         _turns.release()
-    sensors = tuple({"name": mount.name, "kind": mount.kind} for mount in calibration.mounts)
-    return ReadCalibration(calibration.name, path.name, sensors, tuple(finding.as_record() for finding in findings))
+    return found
+
+
+def stored(store: Store, object_key: str, filename: str) -> Calibration:
+    """A calibration that was kept, read again; raises as `understood`, and ObjectMissingError."""
+    content = b"".join(store.read(object_key))
+    with received(BytesIO(content), filename) as path:
+        return understood(path).calibration
+
+
+def validity(valid_from: datetime | None, valid_to: datetime | None) -> Validity:
+    """Raises `CalibrationRefusedError` for a time that never is, or that nanoseconds since 1970 do not reach."""
+    found = Validity(*(None if moment is None else _since_1970_ns(moment) for moment in (valid_from, valid_to)))
+    reached = [moment_ns for moment_ns in (found.from_ns, found.to_ns) if moment_ns is not None]
+    if any(not 0 <= moment_ns < 2**63 for moment_ns in reached):
+        raise CalibrationRefusedError(FORM, ValidityError(FORM, "its years are not within 1970 to 2262"))
+    if len(reached) == len((valid_from, valid_to)) and reached[0] >= reached[1]:
+        raise CalibrationRefusedError(FORM, ValidityError(FORM, "valid_from is not before valid_to"))
+    return found
+
+
+def _since_1970_ns(moment: datetime) -> int:
+    return (moment - EPOCH) // timedelta(microseconds=1) * 1000
 
 
 def _check_names(filename: str, calibration: Calibration) -> None:

@@ -162,7 +162,16 @@ def check_calibration(calibration: Calibration) -> Findings:
     for index, box in enumerate(calibration.self_boxes_ego):
         if not all(low < high for low, high in zip(box.min_m, box.max_m, strict=True)):
             raise FootprintError(f"self box {index}", f"{box.min_m} to {box.max_m}", "min below max on every axis")
-    return _unmeasured_mounts(calibration)
+    return _unmeasured_mounts(calibration) + _sunken_lidar(calibration)
+
+
+def _sunken_lidar(calibration: Calibration) -> Findings:
+    """The ego origin lies on the ground, so a LiDAR below it is under the ground."""
+    height_m = float(calibration.ego_from_lidar.translation_m[2])
+    if height_m >= 0:
+        return ()
+    sentence = f"the LiDAR lies {-height_m:.2f} m under the ground (inverted, or is the ego origin not on the ground?)"
+    return (warning("CAL-419", "ego_from_lidar", sentence),)
 
 
 def _unmeasured_mounts(calibration: Calibration) -> Findings:

@@ -8,6 +8,7 @@ import numpy as np
 from stone.calibration import CameraIntrinsics, Mount
 from stone.calibration_checks import Findings, warning
 from stone.calibration_errors import CameraMatrixError, DistortionLengthError, ImageSizeError, NotFiniteError
+from stone.projection import is_folded
 
 DISTORTION_LENGTHS = {"pinhole": 0, "plumb_bob": 5, "rational_polynomial": 8, "equidistant": 4}
 FOCAL_RATIO_USUAL = (0.2, 5.0)
@@ -16,7 +17,7 @@ ASPECT_TOLERANCE_RATIO = 0.05
 
 
 def check_intrinsics(sensor: str, camera: CameraIntrinsics) -> Findings:
-    """Warnings for unusual focal lengths and principal points.
+    """Warnings for unusual focal lengths and principal points, and for a lens that folds its image over.
 
     Raises NotFiniteError, DistortionLengthError, CameraMatrixError (focal length ≤ 0, principal point off the image).
     """
@@ -29,6 +30,9 @@ def check_intrinsics(sensor: str, camera: CameraIntrinsics) -> Findings:
     findings += _check_axis(sensor, "y", camera.fy_px, camera.cy_px, camera.height_px)
     if abs(camera.fx_px / camera.fy_px - 1) > ASPECT_TOLERANCE_RATIO:
         sentence = f"fx/fy is {camera.fx_px / camera.fy_px:.3f}, but pixels are square"
+        findings += (warning("CAL-411", sensor, sentence),)
+    if is_folded(camera):
+        sentence = f"the {camera.model} distortion turns back before the image's corner (of another camera or model?)"
         findings += (warning("CAL-411", sensor, sentence),)
     return findings
 

@@ -1,9 +1,12 @@
 """Calibrations: a file comes in, is read at once, and is refused or kept for ever."""
 
+from dataclasses import asdict, replace
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, File, Query, Request, Response, UploadFile
+from fastapi import APIRouter, Depends, File, Form, Query, Request, Response, UploadFile
+from pydantic import AwareDatetime
 from sqlalchemy import select
+from sqlalchemy.orm import Session
 
 from api import audit, calibration_reading
 from api.answers import refusals
@@ -12,17 +15,24 @@ from api.deps import PlatformDep
 from api.etags import etag
 from api.files import StoredFile, answer_file, file_responses
 from api.paging import Page, PageDep, page
-from api.schemas.base import PLAIN, IdPath, instant
-from api.schemas.calibrations import CalibrationItem, FindingItem, SensorItem
+from api.schemas.base import ID_PATTERN, PLAIN, IdPath, instant, instant_or_none
+from api.schemas.calibrations import CalibrationDiffItem, CalibrationItem, FindingItem, SensorItem
 from api.tus_errors import UnsupportedMediaTypeError
 from api.visible import calibration_of, theirs
 from services.runtime import blobs
-from services.runtime.calibrations import add_calibration
+from services.runtime.calibrations import Validity, add_calibration
 from services.runtime.orm import Blob, Calibration
+from stone.calibration_diff import difference
 
 router = APIRouter(prefix="/calibrations", tags=["calibrations"])
-YAML = "application/yaml"
-CalibrationUpload = Annotated[UploadFile, File(description="a native calibration file (YAML), at most 1 MiB")]
+YAML, ZIP = "application/yaml", "application/zip"
+UPLOADED = "YAML or JSON of any format that is read, or a zip of such files that complete each other; at most 1 MiB"
+CalibrationUpload = Annotated[UploadFile, File(description=UPLOADED)]
+Moment = Annotated[AwareDatetime | None, Form(description="when the calibration begins, or ceases, to be true")]
+AGAINST = (
+    "the calibration that is compared with; without it the version before this one, this one itself if it is first"
+)
+AgainstQuery = Annotated[str | None, Query(pattern=ID_PATTERN, description=AGAINST)]
 FORM = "multipart/form-data"
 NameQuery = Annotated[str | None, Query(pattern=PLAIN, max_length=100)]
 
@@ -34,16 +44,27 @@ def refuse_other_types(request: Request) -> None:
         raise UnsupportedMediaTypeError(given, FORM)
 
 
+def asked_validity(valid_from: Moment = None, valid_to: Moment = None) -> Validity:
+    """Raises `CalibrationRefusedError` for a time that never is."""
+    return calibration_reading.validity(valid_from, valid_to)
+
+
 FormOnly = Annotated[None, Depends(refuse_other_types)]
+ValidityDep = Annotated[Validity, Depends(asked_validity)]
 
 
 @router.post("", status_code=201, responses={200: {"model": CalibrationItem}, **refusals(413, 415)})
 def add_calibration_file(
-    caller: Curator, _form: FormOnly, file: CalibrationUpload, platform: PlatformDep, response: Response
+    caller: Curator,
+    _form: FormOnly,
+    file: CalibrationUpload,
+    platform: PlatformDep,
+    response: Response,
+    validity: ValidityDep,
 ) -> CalibrationItem:
-    """Keep a calibration: 201 for a new version of its name, 200 for bytes that are known already."""
+    """Keep a calibration: 201 for a new version of its name, 200 for one that is known with these times already."""
     with calibration_reading.received(file.file, file.filename or "") as path:
-        read = calibration_reading.read(path)
+        read = replace(calibration_reading.read(path), validity=validity)
         prepared = blobs.prepare(platform.store, platform.database, path)
         with platform.database.transaction() as session:
             row, is_new = add_calibration(session, caller.user_id, read, prepared)
@@ -78,14 +99,39 @@ def show_calibration(
     return shown
 
 
-@router.get("/{calibration_id}/file", response_class=Response, responses=file_responses(YAML))
+@router.get("/{calibration_id}/file", response_class=Response, responses=file_responses(YAML, ZIP))
 def download_calibration(calibration_id: IdPath, caller: Reader, platform: PlatformDep, request: Request) -> Response:
     """The file as it was uploaded."""
     with platform.database.reading() as session:
         row = calibration_of(session, caller, calibration_id)
         blob = session.get_one(Blob, row.blob_sha256)
-        file = StoredFile(blob.object_key, blob.size_bytes, blob.sha256, YAML, row.filename)
+        media_type = ZIP if row.filename.lower().endswith(".zip") else YAML
+        file = StoredFile(blob.object_key, blob.size_bytes, blob.sha256, media_type, row.filename)
     return answer_file(request, platform.store, file)
+
+
+@router.get("/{calibration_id}/diff", responses=refusals(404))
+def diff_calibrations(
+    calibration_id: IdPath, caller: Reader, platform: PlatformDep, against: AgainstQuery = None
+) -> CalibrationDiffItem:
+    """How far every sensor moved and turned from `against` to this calibration, and what of its lens changed."""
+    with platform.database.reading() as session:
+        row = calibration_of(session, caller, calibration_id)
+        other = _before(session, row) if against is None else calibration_of(session, caller, against)
+        files = [(session.get_one(Blob, one.blob_sha256).object_key, one.filename) for one in (other, row)]
+        other_id = other.id
+    before, after = (calibration_reading.stored(platform.store, key, name) for key, name in files)
+    found = difference(before, after)
+    return CalibrationDiffItem.model_validate(
+        {"id": calibration_id, "against": other_id, "is_same": found.is_same, **asdict(found)}
+    )
+
+
+def _before(session: Session, row: Calibration) -> Calibration:
+    """The version before it of its owner's calibrations of its name; itself for the first."""
+    of_name = select(Calibration).where(Calibration.owner_id == row.owner_id, Calibration.name == row.name)
+    earlier = of_name.where(Calibration.version < row.version).order_by(Calibration.version.desc()).limit(1)
+    return session.scalars(earlier).first() or row
 
 
 def _item(row: Calibration) -> CalibrationItem:
@@ -96,6 +142,9 @@ def _item(row: Calibration) -> CalibrationItem:
         version=row.version,
         filename=row.filename,
         sha256=row.sha256,
+        format=row.format,
+        valid_from=instant_or_none(row.valid_from_ns),
+        valid_to=instant_or_none(row.valid_to_ns),
         sensors=[SensorItem(**sensor) for sensor in row.sensors],
         findings=[FindingItem(**finding) for finding in row.findings],
         created_at=instant(row.created_ns),

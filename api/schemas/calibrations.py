@@ -26,7 +26,10 @@ class SensorItem(Answer):
 
 
 class CalibrationItem(Answer):
-    """An immutable calibration; a file of the same name in it and other bytes is the next version."""
+    """An immutable calibration; a file of the same name in it and other bytes is the next version.
+
+    It is true of recordings from `valid_from` up to `valid_to`; null is open on that side.
+    """
 
     model_config = example(
         id=ID_EXAMPLE,
@@ -35,8 +38,11 @@ class CalibrationItem(Answer):
         version=2,
         filename="warthog-1.yaml",
         sha256=SHA256_EXAMPLE,
+        format="native",
         sensors=[{"name": "CAM_FRONT", "kind": "camera"}],
         findings=[],
+        valid_from="2026-05-01T00:00:00Z",
+        valid_to=None,
         created_at="2026-05-03T09:12:44.120000Z",
     )
 
@@ -46,6 +52,67 @@ class CalibrationItem(Answer):
     version: int
     filename: str
     sha256: str
+    format: str
     sensors: list[SensorItem]
     findings: list[FindingItem]
+    valid_from: datetime | None
+    valid_to: datetime | None
     created_at: datetime
+
+
+class TransformChangeItem(Answer):
+    """How far an origin moved (in the LiDAR's frame; the LiDAR's own in the ego frame), and how far it turned."""
+
+    model_config = example(translation_m=[0.0, 0.01, 0.0], distance_m=0.01, rotation_deg=0.2)
+
+    translation_m: tuple[float, float, float]
+    distance_m: float
+    rotation_deg: float
+
+
+class ValueChangeItem(Answer):
+    """One value of a lens (`fx_px`, `distortion_0`, …) or a sensor's frame; null where one side has none."""
+
+    model_config = example(key="fx_px", before=1000.0, after=1003.5)
+
+    key: str
+    before: float | str | None
+    after: float | str | None
+
+
+class SensorChangeItem(Answer):
+    """One channel: `status` is same, changed, added or removed."""
+
+    model_config = example(
+        name="CAM_FRONT",
+        kind="camera",
+        status="changed",
+        transform={"translation_m": [0.0, 0.01, 0.0], "distance_m": 0.01, "rotation_deg": 0.2},
+        time_offset_ns=0,
+        values=[{"key": "fx_px", "before": 1000.0, "after": 1003.5}],
+    )
+
+    name: str
+    kind: str
+    status: str
+    transform: TransformChangeItem
+    time_offset_ns: int
+    values: list[ValueChangeItem]
+
+
+class CalibrationDiffItem(Answer):
+    """What changed from the calibration `against` to `id`."""
+
+    model_config = example(
+        id=ID_EXAMPLE,
+        against=ID_EXAMPLE,
+        is_same=True,
+        ego_from_lidar={"translation_m": [0.0, 0.0, 0.0], "distance_m": 0.0, "rotation_deg": 0.0},
+        sensors=[],
+    )
+
+    id: str
+    against: str
+    is_same: bool
+    ego_from_lidar: TransformChangeItem
+    sensors: list[SensorChangeItem]

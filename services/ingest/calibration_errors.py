@@ -95,3 +95,12 @@ class ConflictingFilesError(StoneError):
 
     def __init__(self, name: str, what: str, files: Iterable[str]) -> None:
         super().__init__(f"{name}: {' and '.join(files)} disagree about {what}; leave one of them out")
+
+
+class ValidityError(StoneError):
+    """A calibration would be valid at no time."""
+
+    code = "CAL-418"
+
+    def __init__(self, name: str, problem: str) -> None:
+        super().__init__(f"{name}: {problem}; it is valid from `valid_from` up to `valid_to`, either may be left out")

@@ -1,10 +1,9 @@
 """From the two files a field engineer has, a recording and a calibration, to the sequence that is labelled."""
 
 from dataclasses import replace
-from hashlib import sha256
 from pathlib import Path
 
-from services.ingest.calibration_file import read_calibration
+from services.ingest.calibration_file import calibration_sha256, read_calibration
 from services.ingest.pipeline import SynchroniseOptions, synchronise
 from services.ingest.sweeps import BagSweeps
 from stone.sequence import Sequence
@@ -19,5 +18,5 @@ def open_sequence(
     """
     rig, noticed = read_calibration(calibration)
     sequence, sweeps = synchronise(bag, rig, options or SynchroniseOptions(), name)
-    inputs = {**sequence.inputs, calibration.name: sha256(calibration.read_bytes()).hexdigest()}
+    inputs = {**sequence.inputs, calibration.name: calibration_sha256(calibration)}
     return replace(sequence, inputs=inputs, findings=(*noticed, *sequence.findings)), sweeps

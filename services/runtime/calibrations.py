@@ -1,4 +1,4 @@
-"""Calibrations as rows: immutable, versioned by owner and name, the same bytes only once.
+"""Calibrations as rows: immutable, versioned by owner and name, the same bytes for the same time only once.
 
 **Conventions.** Part of the caller's transaction; the owner's row is locked first, so that two files at once become
 versions one after another. The bytes lie in the store before (`blobs.prepare`).
@@ -14,6 +14,17 @@ from services.runtime.orm import Calibration, User
 
 
 @dataclass(frozen=True)
+class Validity:
+    """[from, to), nanoseconds since 1970; None: open on that side."""
+
+    from_ns: int | None = None
+    to_ns: int | None = None
+
+
+ALWAYS = Validity()
+
+
+@dataclass(frozen=True)
 class ReadCalibration:
     """A calibration file that was read and accepted: what its list entry shows."""
 
@@ -21,14 +32,24 @@ class ReadCalibration:
     filename: str
     sensors: tuple[dict[str, str], ...]
     findings: tuple[dict[str, str], ...]
+    format: str = "native"
+    validity: Validity = ALWAYS
 
 
 def add_calibration(
     session: Session, owner_id: str, read: ReadCalibration, blob: PreparedBlob
 ) -> tuple[Calibration, bool]:
-    """The next version of the owner's calibrations of this name, or the one that has these bytes already; is it new."""
+    """The next version of the owner's calibrations of this name, or the one that says the same already; is it new.
+
+    The same bytes for another time are another version: what was said of one is never changed.
+    """
     session.execute(select(User.id).where(User.id == owner_id).with_for_update(key_share=True))
-    same = select(Calibration).where(Calibration.owner_id == owner_id, Calibration.sha256 == blob.sha256)
+    same = select(Calibration).where(
+        Calibration.owner_id == owner_id,
+        Calibration.sha256 == blob.sha256,
+        Calibration.valid_from_ns.is_not_distinct_from(read.validity.from_ns),
+        Calibration.valid_to_ns.is_not_distinct_from(read.validity.to_ns),
+    )
     standing = session.scalars(same).first()
     if standing is not None:
         return standing, False
@@ -45,6 +66,9 @@ def add_calibration(
         blob_sha256=row.sha256,
         sensors=list(read.sensors),
         findings=list(read.findings),
+        format=read.format,
+        valid_from_ns=read.validity.from_ns,
+        valid_to_ns=read.validity.to_ns,
     )
     session.add(calibration)
     session.flush()

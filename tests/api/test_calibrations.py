@@ -92,7 +92,8 @@ BOMB = b"a: &a [x, x, x, x, x, x, x, x, x]\n" + b"".join(
         (b"stone_calibration: 1\nnmae: rig\n", "CAL-422"),
         (PLAIN.replace(b"ego_from_lidar", b"lidar_from_ego"), "CAL-422"),
         (b"stone_calibration: 1\nname: " + b"9" * 900_000, "CAL-421"),
-        (b"cam0: {}\n", "CAL-423"),
+        (b"cam0: {}\n", "CAL-422"),
+        (b"colour: red\n", "CAL-423"),
     ],
 )
 def test_what_is_no_calibration_is_refused_with_its_code(
