@@ -2,16 +2,18 @@
 
     map_from_ego(t) = ego_from_lidar @ first_from_lidar(t) @ ego_from_lidar⁻¹
 
-**Conventions.** `map` is the ego frame at the first sweep, so up is where the robot stood, not where gravity says. A
+**Conventions.** `map` is the ego frame at the first pose, so up is where the robot stood, not where gravity says. A
 pose is the LiDAR's at the last point of a sweep, where KISS-ICP deskews to; at the stamp where points carry no time.
-One sweep is held at a time and the local map forgets what is out of range, so memory does not grow with the recording.
-One thread, so that equal recordings give equal poses. Source: Vizzo et al., "KISS-ICP: In Defense of Point-to-Point
-ICP", RA-L 2023; the package `kiss-icp`.
+The first sweeps are taken twice: a map begun by a sweep that nothing was known to deskew it with stays bent. One sweep
+is held at a time and the local map forgets what is out of range, so memory does not grow with the recording. One
+thread, so that equal recordings give equal poses. Source: Vizzo et al., "KISS-ICP: In Defense of Point-to-Point ICP",
+RA-L 2023; the package `kiss-icp`.
 """
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib.metadata import version
+from itertools import islice
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -38,6 +40,8 @@ STAGE = "odometry"
 MAX_RANGE_M, MIN_RANGE_M, VOXEL_M = 100.0, 1.0, 1.0
 # Fewer points within range fix no pose.
 LEAST_POINTS = 100
+# So many sweeps tell how fast the robot was when the recording began.
+WARM_SWEEPS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,34 +52,50 @@ class SweepTopic:
     clock: LidarClock
 
 
+@dataclass(frozen=True, eq=False)
+class _Sweep:
+    """What the package takes: points (N, 3) and their times (N,), or none; `end_ns` is when the pose holds."""
+
+    ordinal: int
+    end_ns: int
+    points_lidar: NDArray[np.float64]
+    times_s: NDArray[np.float64]
+
+
 def track_from_sweeps(topic: SweepTopic, calibration: Calibration, progress: Progress) -> PoseTrack:
     """The track of all sweeps in time order. Raises NoUsablePoseError and what decoding a cloud raises."""
     source = f"kiss-icp {version('kiss-icp')} on {topic.clock.topic} (odometry from the sweeps)"
-    clock, odometry = topic.clock, _kiss_icp()
-    total = len(clock.ordered.index)
-    end_ns = clock.span_ns[1]
+    total = len(topic.clock.ordered.index)
+    odometry = _kiss_icp()
+    for sweep in islice(_sweeps(topic), WARM_SWEEPS):
+        odometry.register_frame(sweep.points_lidar, sweep.times_s)
+    moving, odometry = odometry.last_delta, _kiss_icp()
+    odometry.last_delta = moving
     stamps_ns: list[int] = []
-    first_from_lidar: list[NDArray[np.float64]] = []
-    for done, (stamp_ns, points) in enumerate(_sweeps(topic)):
-        progress(STAGE, done, total)
-        frame, times_s = _timed(points, clock)
-        if len(frame) >= LEAST_POINTS:
-            odometry.register_frame(frame, times_s)
-            stamps_ns.append(stamp_ns + end_ns)
-            first_from_lidar.append(odometry.last_pose)
+    start_from_lidar: list[NDArray[np.float64]] = []
+    for sweep in _sweeps(topic):
+        progress(STAGE, sweep.ordinal, total)
+        odometry.register_frame(sweep.points_lidar, sweep.times_s)
+        stamps_ns.append(sweep.end_ns)
+        start_from_lidar.append(odometry.last_pose)
     progress(STAGE, total, total)
     if not stamps_ns:
         raise NoUsablePoseError(source, total, f"no sweep has {LEAST_POINTS} points within {MAX_RANGE_M:g} m")
-    poses = SE3.from_matrix(np.stack(first_from_lidar))
-    map_from_ego = calibration.ego_from_lidar @ poses @ calibration.ego_from_lidar.inverse()
+    poses = SE3.from_matrix(np.stack(start_from_lidar))
+    ego_from_lidar = calibration.ego_from_lidar
+    map_from_ego = ego_from_lidar @ poses[0].inverse() @ poses @ ego_from_lidar.inverse()
     trajectory = Trajectory(np.array(stamps_ns, np.int64), map_from_ego)
-    return PoseTrack(trajectory, source, clock.topic, _passed_over(clock.topic, total - len(stamps_ns), total))
+    return PoseTrack(trajectory, source, topic.clock.topic, _findings(topic.clock.topic, len(stamps_ns), total))
 
 
-def _sweeps(topic: SweepTopic) -> Iterator[tuple[int, LidarPoints]]:
+def _sweeps(topic: SweepTopic) -> Iterator[_Sweep]:
+    """Those with points enough, in time order."""
     ordered = topic.clock.ordered
-    for stamp_ns, row in zip(ordered.stamps_ns.tolist(), ordered.index.tolist(), strict=True):
-        yield stamp_ns, lidar_points(decode_cloud(topic.bag.message(topic.clock.topic, row).payload))
+    for ordinal, (stamp_ns, row) in enumerate(zip(ordered.stamps_ns.tolist(), ordered.index.tolist(), strict=True)):
+        points = lidar_points(decode_cloud(topic.bag.message(topic.clock.topic, row).payload))
+        near, times_s = _timed(points, topic.clock)
+        if len(near) >= LEAST_POINTS:
+            yield _Sweep(ordinal, stamp_ns + topic.clock.span_ns[1], near, times_s)
 
 
 def _kiss_icp() -> "KissICP":
@@ -111,8 +131,10 @@ def _timed(points: LidarPoints, clock: LidarClock) -> tuple[NDArray[np.float64],
     return np.concatenate([near, np.zeros((2, 3))]), np.concatenate([times_ns, marks_ns]) * 1e-9
 
 
-def _passed_over(topic: str, count: int, total: int) -> tuple[Finding, ...]:
-    if not count:
-        return ()
-    sentence = f"{count} of {total} sweeps have fewer than {LEAST_POINTS} points in range and gave no pose"
-    return (Finding("SYN-505", "warning", topic, sentence),)
+def _findings(topic: str, used: int, total: int) -> tuple[Finding, ...]:
+    sentence = "the map's up is the robot's own where it began: on a slope, level ground is labelled as one"
+    findings = [Finding("SYN-506", "warning", topic, sentence)]
+    if used < total:
+        sentence = f"{total - used} of {total} sweeps have fewer than {LEAST_POINTS} points in range and gave no pose"
+        findings.append(Finding("SYN-505", "warning", topic, sentence))
+    return tuple(findings)
