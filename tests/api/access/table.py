@@ -57,6 +57,7 @@ POST   /api/v1/calibrations                                   401  403  201   20
 GET    /api/v1/calibrations                                   401  200  200   200   200  200 403  401  401  200 200
 GET    /api/v1/calibrations/{calibration_id}                  401  404  200   404   200  404 403  401  401  200 200
 GET    /api/v1/calibrations/{calibration_id}/file             401  404  200   404   200  404 403  401  401  200 200
+GET    /api/v1/calibrations/{calibration_id}/diff             401  404  200   404   200  404 403  401  401  200 200
 POST   /api/v1/sequences/{sequence_id}/recordings             401  403  202   404   404  404 403  401  401  202 403
 GET    /api/v1/sequences/{sequence_id}/recordings             401  404  200   404   200  404 403  401  401  200 200
 GET    /api/v1/sequences/{sequence_id}/recordings/{recording_id}     401 404 200 404 200 404 403 401 401 200 200
