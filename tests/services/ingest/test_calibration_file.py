@@ -31,7 +31,7 @@ sensors:
     lidar_from_sensor: {translation_m: [0.1, 0.0, -0.2], rotation_wxyz: [0.5, -0.5, 0.5, -0.5]}
     time_offset_ns: -1500
     intrinsics: {model: plumb_bob, width_px: 1920, height_px: 1200, fx_px: 1000, fy_px: 1000.5, cx_px: 960, cy_px: 600,
-                 distortion: [0.1, -0.2, 0, 0, 0.01]}
+                 distortion: [0.1, 0.02, 0, 0, 0.01]}
   RADAR_LEFT:
     kind: radar
     lidar_from_sensor: {translation_m: [0, 0.5, -0.4], rotation_matrix: [[0, -1, 0], [1, 0, 0], [0, 0, 1]]}
@@ -60,7 +60,7 @@ def test_the_native_format_is_read_as_written(written):
     np.testing.assert_allclose(calibration.ego_from_lidar.translation_m, [0.2, 0, 1.1])
     camera = calibration.mount("CAM_FRONT")
     assert (camera.kind, camera.frame_id, camera.time_offset_ns) == ("camera", "cam_front", -1500)
-    assert camera.intrinsics.distortion == (0.1, -0.2, 0, 0, 0.01)
+    assert camera.intrinsics.distortion == (0.1, 0.02, 0, 0, 0.01)
     assert (camera.intrinsics.width_px, camera.intrinsics.fy_px) == (1920, 1000.5)
     np.testing.assert_allclose(camera.lidar_from_sensor @ np.array([0.0, 0, 1]), [1.1, 0, -0.2], atol=1e-12)
     np.testing.assert_allclose(
