@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from services.ingest.bag import Bag, RawMessage, Topic
 from services.ingest.inspection import Inspection
-from services.ingest.messages.novatel import FixSamples, InsSamples, decode_bestpos, decode_inspva
+from services.ingest.messages.gnss import GNSS_TYPES, decode_gnss
 from services.ingest.messages.odometry import decode_odometry
 from services.ingest.messages.tf import decode_transforms
 from services.ingest.poses import FIXED_FRAMES
 from services.ingest.quality.facts import RtkWord
-from services.ingest.quality.rtk import BESTPOS, WORD_OF_TYPE
+from services.ingest.quality.rtk import BESTPOS, INSPVAX, WORD_OF_TYPE, decode_solution
 from services.ingest.quality.sampling import TINY, Look, sample
 from services.ingest.quality.watched import of_role
 from services.ingest.roles import Role
@@ -48,7 +48,7 @@ class _Position:
     group: tuple[str, str] = ("", "")
 
 
-Reader = Callable[[RawMessage], list[_Position]]
+Reader = Callable[[Topic, RawMessage], list[_Position]]
 
 
 def track_of(bag: Bag, inspection: Inspection) -> Track | None:
@@ -63,22 +63,25 @@ def track_of(bag: Bag, inspection: Inspection) -> Track | None:
 def _track(bag: Bag, topic: Topic) -> Track | None:
     read, is_geodetic = READERS[topic.type]
     seen: list[_Position] = []
-    sample(bag, [Look(topic, lambda at_ns, payload: seen.extend(read(RawMessage(at_ns, 0, payload))), TINY)])
-    finite = [one for one in _of_one_group(seen) if np.isfinite([one.first, one.second]).all()]
-    if is_geodetic:
-        finite = [
-            one for one in finite if abs(one.first) <= 90 and abs(one.second) <= 360 and (one.first or one.second)
-        ]
-    if len(finite) < 2:
+    sample(bag, [Look(topic, lambda at_ns, payload: seen.extend(read(topic, RawMessage(at_ns, 0, payload))), TINY)])
+    usable = [one for one in _of_one_group(seen) if _is_place(one, is_geodetic)]
+    if len(usable) < 2:
         return None
-    values = np.array([(one.first, one.second) for one in finite], np.float64)
+    values = np.array([(one.first, one.second) for one in usable], np.float64)
     points_m = _east_north_m(values) if is_geodetic else values
     is_near = np.linalg.norm(points_m - np.median(points_m, axis=0), axis=1) <= LAST_M
     if is_near.sum() < 2:
         return None
-    words = tuple(one.word for one, kept in zip(finite, is_near, strict=True) if kept and one.word is not None)
+    words = tuple(one.word for one, kept in zip(usable, is_near, strict=True) if kept and one.word is not None)
     has_words = len(words) == int(is_near.sum())
     return Track(topic.type.rpartition("/")[2], points_m[is_near], words if has_words else (), is_geodetic)
+
+
+def _is_place(one: _Position, is_geodetic: bool) -> bool:
+    """Finite, and on Earth; receivers write 0, 0 before they know."""
+    if not np.isfinite([one.first, one.second]).all():
+        return False
+    return not is_geodetic or (abs(one.first) <= 90 and abs(one.second) <= 360 and (one.first, one.second) != (0, 0))
 
 
 def _of_one_group(seen: list[_Position]) -> list[_Position]:
@@ -93,26 +96,26 @@ def _east_north_m(degrees: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([east, north], axis=1)
 
 
-def _ins(message: RawMessage) -> list[_Position]:
-    return [_solution(decode_inspva([message]))]
-
-
-def _bestpos(message: RawMessage) -> list[_Position]:
-    return [_solution(decode_bestpos([message]))]
-
-
-def _solution(samples: InsSamples | FixSamples) -> _Position:
+def _solution(topic: Topic, message: RawMessage) -> list[_Position]:
+    samples = decode_solution(topic, message)
     word = None if samples.pos_type is None else WORD_OF_TYPE.get(int(samples.pos_type[0]), "other")
-    return _Position(float(samples.latitude_deg[0]), float(samples.longitude_deg[0]), word)
+    return [_Position(float(samples.latitude_deg[0]), float(samples.longitude_deg[0]), word)]
 
 
-def _odometry(message: RawMessage) -> list[_Position]:
+def _fix(topic: Topic, message: RawMessage) -> list[_Position]:
+    samples = decode_gnss(topic.type, [message], topic.schema)
+    if not samples.is_fixed[0]:
+        return []
+    return [_Position(float(samples.latitude_deg[0]), float(samples.longitude_deg[0]))]
+
+
+def _odometry(_topic: Topic, message: RawMessage) -> list[_Position]:
     samples = decode_odometry([message])
     x_m, y_m, _z_m = samples.parent_from_child.translation_m[0].tolist()
     return [_Position(x_m, y_m)]
 
 
-def _transforms(message: RawMessage) -> list[_Position]:
+def _transforms(_topic: Topic, message: RawMessage) -> list[_Position]:
     moving = [pair for pair in decode_transforms([message]) if pair.parent.strip("/") in FIXED_FRAMES]
     return [
         _Position(float(x_m), float(y_m), None, (pair.parent, pair.child))
@@ -123,9 +126,8 @@ def _transforms(message: RawMessage) -> list[_Position]:
 
 # How a type is read, and whether it speaks of latitude and longitude.
 READERS: dict[str, tuple[Reader, bool]] = {
-    "novatel_oem7_msgs/msg/INSPVA": (_ins, True),
-    "novatel_oem7_msgs/msg/INSPVAX": (_ins, True),
-    BESTPOS: (_bestpos, True),
+    **dict.fromkeys(("novatel_oem7_msgs/msg/INSPVA", INSPVAX, BESTPOS), (_solution, True)),
+    **dict.fromkeys(GNSS_TYPES, (_fix, True)),
     "nav_msgs/msg/Odometry": (_odometry, False),
     "tf2_msgs/msg/TFMessage": (_transforms, False),
 }

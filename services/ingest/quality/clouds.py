@@ -51,7 +51,7 @@ class RadarLook:
         return Look(self._topic, self._see, LIGHT)
 
     def _see(self, at_ns: int, payload: memoryview) -> None:
-        detections = decode_radar(self._topic.type, [RawMessage(at_ns, 0, payload)])
+        detections = decode_radar(self._topic.type, [RawMessage(at_ns, 0, payload)], self._topic.schema)
         self._seen.append((at_ns, int(np.count_nonzero(detections.is_valid))))
 
     def facts(self) -> RadarFacts | None:

@@ -34,9 +34,7 @@ class RtkLook:
         return Look(self.topic, self._see, TINY)
 
     def _see(self, at_ns: int, payload: memoryview) -> None:
-        message = RawMessage(at_ns, 0, payload)
-        samples: FixSamples | InsSamples
-        samples = decode_bestpos([message]) if self.topic.type == BESTPOS else decode_inspva([message])
+        samples = decode_solution(self.topic, RawMessage(at_ns, 0, payload))
         if samples.pos_type is not None and samples.position_stdev_m is not None:
             word = WORD_OF_TYPE.get(int(samples.pos_type[0]), "other")
             self._seen.append((at_ns, word, _horizontal_m(samples.position_stdev_m[0])))
@@ -47,6 +45,13 @@ class RtkLook:
             return None
         at_ns, words, stdev_m = zip(*self._seen, strict=True)
         return RtkFacts(self.topic.name, at_ns, words, stdev_m)
+
+
+def decode_solution(topic: Topic, message: RawMessage) -> FixSamples | InsSamples:
+    """One sample, by the definition that the recording embeds. Raises what `decode_bestpos` raises."""
+    if topic.type == BESTPOS:
+        return decode_bestpos([message], topic.schema)
+    return decode_inspva([message], topic.schema)
 
 
 def _horizontal_m(stdev_m: NDArray[np.float64]) -> float:

@@ -69,8 +69,10 @@ def _indices(bag: Bag, look: Look) -> dict[int, int]:
     count = len(times_ns)
     if not count:
         return {}
-    stride = INSTANTS // _samples(count, look.effort)
-    instants = np.arange(stride // 2, INSTANTS, stride)
+    samples = _samples(count, look.effort)
+    if count <= samples:
+        return {index * INSTANTS // count: index for index in range(count)}
+    instants = np.arange(INSTANTS // samples // 2, INSTANTS, INSTANTS // samples)
     span_ns = max(1, bag.end_ns - bag.start_ns)
     asked_ns = bag.start_ns + ((2 * instants + 1) * (span_ns / (2 * INSTANTS))).astype(np.int64)
     found = np.minimum(np.searchsorted(times_ns, asked_ns), count - 1)

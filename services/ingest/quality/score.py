@@ -22,6 +22,7 @@ POINTS_OF_CODE: Mapping[str, tuple[int, int]] = {
     "TIM-203": (5, 15),
     "TIM-204": (2, 10),
     "GNS-302": (8, 16),
+    "MSG-309": (1, 3),
 }
 POINTS_OF_SEVERITY: Mapping[str, tuple[int, int]] = {"error": (15, 30), "warning": (4, 12), "info": (0, 0)}
 MEASURED_CODES = frozenset({"GNS-301"})

@@ -72,7 +72,8 @@ def _table(coverage: Sequence[Coverage]) -> Table:
 def _rates(steady: Sequence[Coverage], duration_ns: int) -> str:
     span_s = duration_ns / NS_PER_S
     lines = [Line(_middles(len(topic.rates_hz), span_s), _seen(topic), ROLE_COLOUR[topic.role]) for topic in steady]
-    frame = Frame("rates", span_s, "messages per second", is_log=True)
+    usual_hz = [topic.rate_hz or 1.0 for topic in steady]
+    frame = Frame("rates", span_s, "messages per second", min(usual_hz) / 4, 2.5 * max(usual_hz), is_log=True)
     roles = [role for role in ROLE_COLOUR if any(topic.role == role for topic in steady)]
     key = legend([(ROLE_COLOUR[role], role) for role in roles])
     told = f"One line for each of {len(steady)} sensors; a level line is a sensor that keeps its pace."
@@ -94,7 +95,7 @@ def _share(topic: Coverage) -> tuple[float, ...]:
 
 
 def _seen(topic: Coverage) -> tuple[float, ...]:
-    """A logarithm has no zero: silence is drawn at a thousandth of what is usual."""
+    """A logarithm has no zero: silence is drawn far below the frame, at a thousandth of what is usual."""
     least_hz = (topic.rate_hz or 1.0) / 1000
     return tuple(max(rate_hz, least_hz) for rate_hz in topic.rates_hz)
 
