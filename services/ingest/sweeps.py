@@ -41,14 +41,15 @@ class BagSweeps:
         Raises IndexError; what opening and decoding raise (BAG-*, MSG-*); PointOffsetError of `stone.deskew`.
         """
         stamp_ns = int(self.stamps_ns[index])
-        message = _opened(self.path).message(self.topic, int(self.message_index[index]))
+        message = opened(self.path).message(self.topic, int(self.message_index[index]))
         found = lidar_points(decode_cloud(message.payload))
         if self.mount is None or found.offset_ns is None:
             return Sweep(stamp_ns, found.points_lidar)
         return Sweep(stamp_ns, deskew(found.points_lidar, found.offset_ns, self.mount, stamp_ns))
 
 
-def _opened(path: Path) -> Bag:
+def opened(path: Path) -> Bag:
+    """The recording, open in this process and thread; it stays so."""
     status = path.stat()
     return _opened_once(path, (status.st_mtime_ns, status.st_size), (os.getpid(), threading.get_ident()))
 
