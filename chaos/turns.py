@@ -17,8 +17,8 @@ from chaos.made import Brought
 from chaos.places import Owner, Place
 from chaos.verdict import Violation
 from client.api import Api
+from client.bags import hashed_bag
 from client.remote import add_recording, ensure_sequence, pin_calibration, start_run
-from client.tus import hashed
 from services.runtime.orm import Job, JobAttempt
 
 PATIENCE_S = 120.0
@@ -75,7 +75,7 @@ class Turn:
 
     def send(self, api: Api, sequence: Item) -> None:
         """The recording, read and kept when this returns."""
-        add_recording(api, sequence, hashed(self.place.inputs.bag, _silent), _silent)
+        add_recording(api, sequence, hashed_bag(self.place.inputs.bag, _silent), _silent)
 
     def process(self, api: Api, sequence: Item) -> Brought:
         """Start the run; what was brought is complete with it."""

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from client.api import Api
+from client.bags import LocalBag, hashed_bag
 from client.credentials import Server
 from client.downloading import download_labels
 from client.following import follow
@@ -28,7 +29,6 @@ from client.remote import (
     pin_calibration,
     start_run,
 )
-from client.tus import LocalFile, hashed
 from services.eval.manifest import Manifest, write_manifest
 from services.eval.pipeline import score, validate
 from services.eval.submission import write_submission
@@ -83,7 +83,7 @@ def run_demo(folder: Path, plan: DemoPlan, progress: Report) -> dict[str, Any]:
 
 def label_on_server(api: Api, recorded: Recorded, progress: Report) -> Item:
     """The sequence, once its labels are in `labels/`: uploaded, processed, downloaded."""
-    local = hashed(recorded.bag, progress)
+    local = hashed_bag(recorded.bag, progress)
     sequence = _free_sequence(api, local)
     pin_calibration(api, sequence, recorded.calibration)
     add_recording(api, sequence, local, progress)
@@ -105,7 +105,7 @@ def score_baseline(recorded: Recorded, name: str, progress: Report) -> dict[str,
     return score(folder / "baseline.zip", folder / "labels", progress=progress).as_record()
 
 
-def _free_sequence(api: Api, local: LocalFile) -> Item:
+def _free_sequence(api: Api, local: LocalBag) -> Item:
     """`demo`, or `demo-2`, … where that name is taken by another recording: nothing of the user's is replaced."""
     for number in count(1):
         sequence = ensure_sequence(api, SEQUENCE if number == 1 else f"{SEQUENCE}-{number}")

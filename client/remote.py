@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from client.api import Api, Patience
+from client.bags import LocalBag, part_of
 from client.errors import RecordingRefusedError, ServerRefusedError, UnknownSubjectError
 from client.following import AWAY_S, POLL_S, follow
 from client.progress import Report
-from client.tus import LocalFile, Purpose, upload_file
+from client.tus import Purpose, upload_file
 
 Item = Mapping[str, Any]
 ID = re.compile(r"[0-9a-f]{32}")
@@ -75,22 +76,28 @@ def pin_calibration(api: Api, sequence: Item, calibration: Path) -> Item:
     return kept
 
 
-def add_recording(api: Api, sequence: Item, local: LocalFile, progress: Report) -> Item:
-    """Send the bag and have it read; a bag that the sequence has already is not sent again.
+def add_recording(api: Api, sequence: Item, local: LocalBag, progress: Report) -> Item:
+    """Send the files of the bag and have it read; a bag that the sequence has already is not sent again.
 
     Raises `RecordingRefusedError`, `JobFailedError`, and what `upload_file` raises.
     """
     recording = _recorded(api, sequence, local)
     if recording is None:
-        upload_id = upload_file(api, local, Purpose("recording", sequence["id"]), progress)
-        accepted = api.create(f"/sequences/{sequence['id']}/recordings", {"upload_id": upload_id})
+        purpose = Purpose("recording", sequence["id"])
+        upload_ids = []
+        for number, file in enumerate(local.files):
+            before = sum(earlier.size_bytes for earlier in local.files[:number])
+            upload_ids.append(upload_file(api, file, purpose, part_of(progress, before, local.size_bytes)))
+        several = {"upload_ids": upload_ids, "name": local.name}
+        body = several if len(upload_ids) > 1 else {"upload_id": upload_ids[0]}
+        accepted = api.create(f"/sequences/{sequence['id']}/recordings", body)
         follow(api, accepted["job"]["id"], progress)
         recording = accepted["recording"]
     return _registered(api, sequence, recording)
 
 
-def has_other_recording(api: Api, sequence: Item, local: LocalFile) -> bool:
-    """Whether the sequence has a recording that is not this file."""
+def has_other_recording(api: Api, sequence: Item, local: LocalBag) -> bool:
+    """Whether the sequence has a recording that is not this bag."""
     recordings = api.pages(f"/sequences/{sequence['id']}/recordings")
     return any(recording["sha256"] != local.sha256 for recording in recordings)
 
@@ -101,9 +108,9 @@ def start_run(api: Api, sequence: Item, body: Mapping[str, Any]) -> Item:
     return run
 
 
-def _recorded(api: Api, sequence: Item, local: LocalFile) -> Item | None:
+def _recorded(api: Api, sequence: Item, local: LocalBag) -> Item | None:
     for recording in api.pages(f"/sequences/{sequence['id']}/recordings"):
-        if (recording["sha256"], recording["filename"]) == (local.sha256, local.path.name):
+        if (recording["sha256"], recording["filename"]) == (local.sha256, local.name):
             found: Item = recording
             return found
     return None

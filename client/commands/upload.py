@@ -9,7 +9,7 @@ from client.progress import transferred
 from client.streams import JsonOption, echo_findings, echo_json
 from stone.findings import Finding
 
-NameOption = Annotated[str | None, typer.Option(metavar="NAME", help="The sequence; else the file's own name.")]
+NameOption = Annotated[str | None, typer.Option(metavar="NAME", help="The sequence; else the bag's own name.")]
 ProcessOption = Annotated[bool, typer.Option("--process", help="Have it processed at once, and watch.")]
 
 
@@ -21,19 +21,20 @@ def upload(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Send a recording and its calibration; begun again after anything, it goes on where it was."""
+    """Send a recording and its calibration; begun again after anything, it goes on where it was.
+
+    A rosbag2 folder is one recording: every file of the bag is sent, and then they are sealed together.
+    """
+    from client.bags import called, hashed_bag
     from client.connecting import connected
     from client.remote import add_recording, ensure_sequence, pin_calibration, start_run
-    from client.tus import hashed
     from client.watching import watch_run
 
-    if bag.is_dir():
-        raise typer.BadParameter("a rosbag2 folder; upload its one .mcap or .db3 file", param_hint="BAG")
     with connected(server) as api:
-        sequence = ensure_sequence(api, name or bag.stem)
+        sequence = ensure_sequence(api, name or called(bag))
         kept = pin_calibration(api, sequence, calibration)
         with transferred() as progress:
-            recording = add_recording(api, sequence, hashed(bag, progress), progress)
+            recording = add_recording(api, sequence, hashed_bag(bag, progress), progress)
         record: dict[str, Any] = {"sequence": sequence["id"], "name": sequence["name"], "recording": recording["id"]}
         record |= {"calibration": kept["id"], "sha256": recording["sha256"]}
         if process:

@@ -1,8 +1,8 @@
 """Several files that are one bag: which may stand together, and what the whole is called by content.
 
-**Conventions.** The files of a rosbag2 folder: one or more of `.mcap` or of `.db3` (each perhaps beside its write-ahead
-log, each perhaps compressed as a file by zstd), and perhaps `metadata.yaml`. Names are compared as they are on a disk
-that does not tell cases apart, so that a folder can be written anywhere.
+**Conventions.** The files of a rosbag2 folder: one or more of `.mcap` or of `.db3`, each perhaps compressed as a file
+by zstd, a database perhaps beside the journal of what was not finished; and perhaps `metadata.yaml`. Names are compared
+as they are on a disk that does not tell cases apart, so that a folder can be written anywhere.
 """
 
 import re
@@ -14,7 +14,8 @@ from stone.errors import StoneError
 METADATA = "metadata.yaml"
 MOST_FILES = 512
 BAG_FILE = re.compile(r".+\.(mcap|db3)(\.zstd)?", re.IGNORECASE)
-WRITE_AHEAD = re.compile(r"(.+\.db3)-wal", re.IGNORECASE)
+LEFT_BESIDE = ("-wal", "-journal")
+JOURNAL = re.compile(r"(.+\.db3)-(wal|journal)", re.IGNORECASE)
 
 
 class BadBagFilesError(StoneError):
@@ -28,7 +29,7 @@ class BadBagFilesError(StoneError):
 
 def is_bag_part(name: str) -> bool:
     """Whether a file so called belongs to a bag."""
-    return name == METADATA or any(form.fullmatch(name) for form in (BAG_FILE, WRITE_AHEAD))
+    return name == METADATA or any(form.fullmatch(name) for form in (BAG_FILE, JOURNAL))
 
 
 def check_bag_files(names: Sequence[str]) -> None:
@@ -47,9 +48,9 @@ def check_bag_files(names: Sequence[str]) -> None:
     if len(storages) > 1:
         raise BadBagFilesError("both .mcap and .db3 files are there")
     for name in names:
-        log = WRITE_AHEAD.fullmatch(name)
-        if log and log[1].casefold() not in folded:
-            raise BadBagFilesError(f"{name[:100]!r} has no {log[1][:100]!r} beside it")
+        journal = JOURNAL.fullmatch(name)
+        if journal and journal[1].casefold() not in folded:
+            raise BadBagFilesError(f"{name[:100]!r} has no {journal[1][:100]!r} beside it")
 
 
 def whole_sha256(files: Iterable[tuple[str, str]]) -> str:

@@ -30,6 +30,7 @@ from services.runtime.orm import (
 )
 from services.runtime.platform import Platform
 from services.runtime.processing import ProcessRequest, start_processing
+from services.runtime.quota import reserve
 from services.runtime.recordings import Received, add_recording
 from services.runtime.sweep_sources import provide_sweeps
 from services.runtime.uploads import upload_file
@@ -97,6 +98,7 @@ class Brought:
             upload.sha256 = hashlib.sha256(content).hexdigest()
             session.add(upload)
             session.flush()
+            reserve(session, self.owner_id, len(content), upload.id, "upload", 2**40)
             file = upload_file(self.platform.settings, upload.id)
             file.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(path, file)

@@ -18,7 +18,6 @@ from services.runtime.jobs.specs import Attempt, Handler, Outcome
 from services.runtime.orm import Blob, JobAttempt, QuotaEntry, Recording
 from services.runtime.platform import Platform
 from services.runtime.processing import delete_sequence
-from services.runtime.quota import reserve
 from services.runtime.sequence_file import read_sequence, sequence_bytes
 from services.runtime.settings import StoreSettings
 from services.runtime.uploads import expire, upload_file
@@ -102,8 +101,6 @@ def test_what_is_no_bag_fails_the_job_and_refuses_the_recording_in_the_same_word
     (tmp_path / "page").write_text("<!doctype html><title>Sign in</title>")
     job_id = brought.add(tmp_path / "page", "run.mcap")
     upload_id = brought.recording().files[0].upload_id or ""
-    with platform_on.database.transaction() as session:
-        reserve(session, brought.owner_id, 37, upload_id, "upload", 100)
     run_all(platform_on)
     job, recording = brought.job(job_id), brought.recording()
     assert (job.state, job.failure_code, recording.state) == ("failed", "BAG-001", "refused")

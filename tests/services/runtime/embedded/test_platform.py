@@ -9,9 +9,9 @@ from typing import Any
 import psutil
 import pytest
 
+from client.bags import hashed_bag
 from client.following import follow
 from client.remote import add_recording, ensure_sequence, pin_calibration, start_run
-from client.tus import hashed
 from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate
 from tests.stone_serve import STONE, Serving, environment, is_alive, serving, until
@@ -52,7 +52,7 @@ def sequence(up: Up, folder: Path) -> dict[str, Any]:
     with up().api() as api:
         made = dict(ensure_sequence(api, "run"))
         pin_calibration(api, made, calibration_path(bag))
-        add_recording(api, made, hashed(bag, quiet), quiet)
+        add_recording(api, made, hashed_bag(bag, quiet), quiet)
     return made
 
 
