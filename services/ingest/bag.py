@@ -143,6 +143,8 @@ def open_bag(path: Path) -> Bag:
         for file in members.files:
             parts.append(opened_store(file))
             opened.callback(parts[-1].close)
+            if len(members.files) > 1:
+                parts[-1].release()
         store = parts[0] if len(parts) == 1 else SplitStore(path.name, parts)
         bag = Bag(path, store, members.findings)
         opened.pop_all()

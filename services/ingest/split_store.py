@@ -29,8 +29,6 @@ class SplitStore:
         listed = _by_name(self._parts)
         self.topics = tuple(_joined(name, listed[topic]) for topic in sorted(listed))
         self._places = {topic: self._placed(topic) for topic in listed}
-        for part in self._parts:
-            part.release()
 
     def log_times_ns(self, topic: str) -> NDArray[np.int64]:
         return self._places[topic][0]
