@@ -1,7 +1,7 @@
 """What the radars saw for each frame, moved to the frame's stamp and freed of the robot's own motion.
 
-**Conventions.** Points are in the LiDAR frame at the frame's stamp, as those of a sweep are. A radar measured `dt_ns` of
-its association after the stamp. Only detections that the radar itself calls valid, in its order.
+**Conventions.** Points are in the LiDAR frame at the frame's stamp, as those of a sweep are. A radar measured
+`dt_ns` of its association after the stamp. Only detections that the radar itself calls valid, in its order.
 """
 
 from collections.abc import Mapping
