@@ -1,6 +1,6 @@
-# make install | demo | serve | test | check | chaos | bench | bench-platform | bench-truth: each installs first, which
-# costs nothing when nothing changed.
-.PHONY: install test-clients demo serve test check chaos bench bench-platform bench-truth
+# make install | demo | serve | test | check | chaos | fuzz | bench | bench-read | bench-platform | bench-truth
+# Each installs first, which costs nothing when nothing changed.
+.PHONY: install test-clients demo serve test check chaos fuzz bench bench-read bench-platform bench-truth
 .DELETE_ON_ERROR:
 
 BIN := .venv/bin
@@ -33,6 +33,12 @@ check: test-clients
 
 chaos: install
 	$(BIN)/python -m chaos
+
+fuzz: install
+	$(BIN)/python -m fuzz
+
+bench-read: install
+	$(BIN)/python -m benchmarks.read
 
 bench: install
 	$(BIN)/python -m benchmarks.label

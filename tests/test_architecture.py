@@ -14,7 +14,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("stone", "services", "simulator", "client", "api")
-SOURCES = tuple(path for package in (*PACKAGES, "chaos") for path in sorted((ROOT / package).rglob("*.py")))
+SOURCES = tuple(path for package in (*PACKAGES, "chaos", "fuzz") for path in sorted((ROOT / package).rglob("*.py")))
 MAX_FILE_LINES = 300
 MAX_FUNCTION_LINES = 50
 EMPTY_WORDS = {"util", "utils", "helper", "helpers", "manager", "common", "misc"}

@@ -167,7 +167,7 @@ class DatabaseRefusedError(IngestError):
     code = "BAG-018"
 
     def __init__(self, name: str, reason: str) -> None:
-        super().__init__(f"{name} cannot be read as a rosbag2 database: {reason}")
+        super().__init__(f"{name} cannot be read as a rosbag2 database: {" ".join(reason.split())}")
 
 
 class MembersRefusedError(IngestError):

@@ -1,0 +1,105 @@
+"""Fuzz the parsers: `python -m fuzz [--minutes 10] [--only mcap db3 messages definition calibration] [--folder DIR]`.
+
+`--minutes` is of each target; two run side by side. Ends with 1 when an input crashed a parser, hung it for ten seconds
+or cost it more than 64 MiB. Such an input lies in the folder; once mended it belongs into `tests/fuzz/cases/<target>/`,
+where every test run plays it again.
+"""
+
+import argparse
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from fuzz.seeds import write_seeds
+from fuzz.targets import TARGETS
+
+ROOT = Path(__file__).resolve().parents[1]
+CASES = ROOT / "tests" / "fuzz" / "cases"
+HANG_S = 10
+PROCESS_LIMIT_MB = 1024
+LONGEST_INPUT_BYTES = 1 << 16
+PROGRESS = re.compile(r"^#(\d+)\s.*?cov: (\d+) ft: (\d+)", re.MULTILINE)
+CONSOLE = Console(highlight=False, markup=False, soft_wrap=True)
+
+
+@dataclass(frozen=True)
+class Fuzzed:
+    """What a target took: inputs tried, branches met, the inputs that broke it."""
+
+    name: str
+    inputs: int
+    branches: int
+    broken: tuple[Path, ...]
+    exit_code: int
+
+
+def main() -> int:
+    options = _options()
+    CONSOLE.print(f"seed {options.seed}, folder {options.folder}")
+    with ThreadPoolExecutor(options.jobs) as pool:
+        fuzzed = list(pool.map(lambda name: _fuzz(name, options), options.only or TARGETS))
+    CONSOLE.print(_table(fuzzed, options))
+    for one in fuzzed:
+        for path in one.broken:
+            CONSOLE.print(f"{one.name}: {path}; see {options.folder / one.name}.log")
+    return 1 if any(one.broken or one.exit_code for one in fuzzed) else 0
+
+
+def _fuzz(name: str, options: argparse.Namespace) -> Fuzzed:
+    folder: Path = options.folder / name
+    corpus, found = folder / "corpus", folder / "found"
+    for each in (corpus, found):
+        each.mkdir(parents=True, exist_ok=True)
+    write_seeds(name, corpus)
+    limits = [f"-max_total_time={int(options.minutes * 60)}", f"-timeout={HANG_S}", f"-rss_limit_mb={PROCESS_LIMIT_MB}"]
+    shape = [
+        f"-max_len={LONGEST_INPUT_BYTES}",
+        f"-seed={options.seed}",
+        f"-artifact_prefix={found}/",
+        "-print_final_stats=1",
+    ]
+    known = [str(CASES / name)] if (CASES / name).is_dir() else []
+    command = [sys.executable, "-m", "fuzz.fuzzing", name, *limits, *shape, str(corpus), *known]
+    log = options.folder / f"{name}.log"
+    with log.open("wb") as file:
+        ended = subprocess.run(
+            command, cwd=ROOT, env={**os.environ, "TMPDIR": options.scratch}, stdout=file, stderr=file
+        )
+    said = PROGRESS.findall(log.read_text("utf-8", "replace")) or [("0", "0", "0")]
+    return Fuzzed(name, int(said[-1][0]), int(said[-1][2]), tuple(sorted(found.iterdir())), ended.returncode)
+
+
+def _table(fuzzed: list[Fuzzed], options: argparse.Namespace) -> Table:
+    table = Table(title=f"{options.minutes:g} minutes each, seed {options.seed}")
+    for column in ("parser", "inputs", "branches met", "crashes, hangs, growth over 64 MiB"):
+        table.add_column(column, justify="left" if column == "parser" else "right")
+    for one in fuzzed:
+        table.add_row(one.name, str(one.inputs), str(one.branches), str(len(one.broken)))
+    return table
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m fuzz", description=__doc__)
+    parser.add_argument("--minutes", type=float, default=10.0, help="of each parser")
+    parser.add_argument("--only", nargs="+", choices=list(TARGETS), default=[])
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=2, help="parsers side by side")
+    parser.add_argument("--folder", type=Path, help="a temporary one unless named")
+    options = parser.parse_args()
+    options.folder = (options.folder or Path(tempfile.mkdtemp(prefix="stone-fuzz-"))).absolute()
+    options.folder.mkdir(parents=True, exist_ok=True)
+    memory = Path("/dev/shm")  # inputs are files for a moment; on a disk that moment is the longest part
+    options.scratch = str(memory) if memory.is_dir() else tempfile.gettempdir()
+    return options
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,80 @@
+"""One small file of each format of calibration, and the ending it comes with."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from fuzz.targets import ENDINGS
+from simulator.calibration_yaml import write_calibration
+from simulator.rig import calibration
+
+CAMERA_INFO = """\
+image_width: 640
+image_height: 400
+camera_name: cam_front
+camera_matrix: {rows: 3, cols: 3, data: [381.0, 0, 320.0, 0, 381.0, 200.0, 0, 0, 1]}
+distortion_model: plumb_bob
+distortion_coefficients: {rows: 1, cols: 5, data: [-0.1, 0.01, 0, 0, 0]}
+rectification_matrix: {rows: 3, cols: 3, data: [1, 0, 0, 0, 1, 0, 0, 0, 1]}
+projection_matrix: {rows: 3, cols: 4, data: [381.0, 0, 320.0, 0, 0, 381.0, 200.0, 0, 0, 0, 1, 0]}
+"""
+KALIBR = """\
+cam0:
+  camera_model: pinhole
+  intrinsics: [458.6, 457.2, 367.2, 248.3]
+  distortion_model: radtan
+  distortion_coeffs: [-0.28, 0.07, 0.0001, 0.00002]
+  resolution: [752, 480]
+  rostopic: /cam0/image_raw
+  T_cam_imu: [[1, 0, 0, 0.1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+  timeshift_cam_imu: 0.001
+cam1:
+  camera_model: pinhole
+  intrinsics: [457.5, 456.1, 379.9, 255.2]
+  distortion_model: equidistant
+  distortion_coeffs: [-0.28, 0.07, -0.0001, -0.00003]
+  resolution: [752, 480]
+  rostopic: /cam1/image_raw
+  T_cn_cnm1: [[1, 0, 0, -0.11], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+"""
+AUTOWARE = """\
+sensor_kit_base_link:
+  velodyne_top_base_link: {x: 0.0, y: 0.0, z: 0.0, roll: 0.0, pitch: 0.0, yaw: 1.575}
+  camera0/camera_link: {x: 0.1, y: 0.03, z: -0.1, roll: -0.02, pitch: 0.01, yaw: -0.02}
+"""
+TF_STATIC = """\
+transforms:
+- header: {stamp: {sec: 0, nanosec: 0}, frame_id: base_link}
+  child_frame_id: lidar
+  transform: {translation: {x: 0.1, y: 0.0, z: 1.2}, rotation: {x: 0.0, y: 0.0, z: 0.0, w: 1.0}}
+"""
+OPENCALIB = """\
+{"top_center_lidar-to-center_camera-extrinsic": {"sensor_name": "top_center_lidar",
+ "target_sensor_name": "center_camera", "device_type": "relational", "param_type": "extrinsic",
+ "param": {"time_lag": 0, "sensor_calib": {"rows": 4, "cols": 4, "type": 6, "continuous": true,
+ "data": [[1, 0, 0, 0.1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}}}}
+"""
+NUSCENES = """\
+[{"token": "a", "sensor_token": "b", "translation": [1.7, 0.0, 1.5], "rotation": [0.5, -0.5, 0.5, -0.5],
+  "camera_intrinsic": [[1266.4, 0.0, 816.2], [0.0, 1266.4, 491.5], [0.0, 0.0, 1.0]]},
+ {"token": "c", "sensor_token": "d", "translation": [0.9, 0.0, 1.8], "rotation": [0.7, 0.0, 0.0, -0.7],
+  "camera_intrinsic": []}]
+"""
+TEXTS = {
+    "camera-info": (".yaml", CAMERA_INFO),
+    "kalibr": (".yaml", KALIBR),
+    "autoware": (".yaml", AUTOWARE),
+    "tf-static": (".yaml", TF_STATIC),
+    "opencalib": (".json", OPENCALIB),
+    "nuscenes": (".json", NUSCENES),
+}
+
+
+def calibrations() -> Mapping[str, tuple[int, bytes]]:
+    """By name: which of the endings, and the file."""
+    found = {name: (ENDINGS.index(ending), text.encode()) for name, (ending, text) in TEXTS.items()}
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "rig.yaml"
+        write_calibration(calibration(640), path)
+        found["native"] = (ENDINGS.index(".yaml"), path.read_bytes())
+    return found

@@ -1,0 +1,56 @@
+"""What any input may cost: no exception without a code, and no growth beyond a limit.
+
+**Conventions.** A target is a function of bytes that reads them as a hostile file would be read. `StoneError` is the
+only exception it may end with. Growth is the kernel's peak of this process, above what it held before the input.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from stone.errors import StoneError
+
+GROWTH_LIMIT_BYTES = 64 * 2**20
+STATUS = Path("/proc/self/status")
+
+Target = Callable[[bytes], None]
+
+
+class GrowthError(AssertionError):
+    """An input cost more memory than any may."""
+
+    def __init__(self, growth_bytes: int, input_bytes: int) -> None:
+        super().__init__(f"{growth_bytes >> 20} MiB for an input of {input_bytes} bytes, the limit is 64 MiB")
+
+
+class UncodedError(AssertionError):
+    """A refusal that no program can tell from another."""
+
+    def __init__(self, error: StoneError) -> None:
+        super().__init__(f"{type(error).__name__} has no code, or more than one line: {str(error)[:300]!r}")
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What the process holds and the most it ever held, bytes."""
+
+    held: int
+    peak: int
+
+
+def memory() -> Memory:
+    lines = dict(line.split(":", 1) for line in STATUS.read_text().splitlines())
+    return Memory(*(int(lines[name].split()[0]) * 1024 for name in ("VmRSS", "VmHWM")))
+
+
+def check(target: Target, content: bytes) -> None:
+    """Raises `GrowthError`, `UncodedError`, and whatever the target lets through."""
+    before = memory()
+    try:
+        target(content)
+    except StoneError as error:
+        if type(error) is StoneError or not error.code or "\n" in str(error):
+            raise UncodedError(error) from error
+    after = memory()
+    if after.peak > max(before.peak, before.held + GROWTH_LIMIT_BYTES):
+        raise GrowthError(after.peak - before.held, len(content))

@@ -1,0 +1,135 @@
+"""Small whole inputs to begin from: a tiny drive of the simulated rig, written by other people's libraries.
+
+**Conventions.** Without checksums, since a mutation must get past the door; libFuzzer takes the inputs apart.
+"""
+
+import sqlite3
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from functools import cache
+from io import BytesIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from mcap.writer import CompressionType, IndexType, Writer
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as RosbagsWriter
+
+from fuzz.calibrations import calibrations
+from fuzz.messages import DECODERS
+from services.ingest.bag import open_bag
+from services.ingest.messages.registry import message_definition, typestore
+from simulator.options import SimulateOptions
+from simulator.pipeline import simulate
+
+LONGEST_SEED_BYTES = 50_000
+MESSAGES_EACH = 3
+OPTIONS = SimulateOptions(seconds=0.2, channels=4, columns=12, camera_width_px=32, world_width_m=30.0)
+CONTAINERS: Mapping[str, Mapping[str, Any]] = {
+    "plain": {"compression": CompressionType.NONE},
+    "lz4": {"compression": CompressionType.LZ4},
+    "zstd": {"compression": CompressionType.ZSTD},
+    "unchunked": {"use_chunking": False, "compression": CompressionType.NONE},
+    "unindexed": {"compression": CompressionType.NONE, "index_types": IndexType.NONE},
+}
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A message of the tiny drive."""
+
+    topic: str
+    type: str
+    log_time_ns: int
+    payload: bytes
+
+
+def write_seeds(target: str, corpus: Path) -> None:
+    """The inputs that the fuzzing of `target` begins from, a file each."""
+    for name, content in SEEDS[target]():
+        (corpus / f"seed-{name}").write_bytes(content)
+
+
+@cache
+def samples() -> tuple[Sample, ...]:
+    """The first messages of every topic, the small ones."""
+    found: list[Sample] = []
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "tiny.mcap"
+        simulate(path, OPTIONS)
+        with open_bag(path) as bag:
+            for topic in bag.topics:
+                messages = list(bag.messages(topic.name, 0, MESSAGES_EACH))
+                found += [Sample(topic.name, topic.type, m.log_time_ns, bytes(m.payload)) for m in messages]
+    return tuple(sample for sample in found if len(sample.payload) <= LONGEST_SEED_BYTES)
+
+
+def mcap_seeds() -> Iterator[tuple[str, bytes]]:
+    """Each way to lay out a file, whole and cut."""
+    for name, layout in CONTAINERS.items():
+        content = _mcap(layout)
+        yield name, content
+        yield f"{name}-cut", content[: len(content) * 3 // 4]
+
+
+def db3_seeds() -> Iterator[tuple[str, bytes]]:
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "run"
+        with RosbagsWriter(path, version=8, storage_plugin=StoragePlugin.SQLITE3) as writer:
+            channels = {
+                topic: writer.add_connection(topic, kind, typestore=typestore())
+                for topic, kind in {sample.topic: sample.type for sample in _small()}.items()
+            }
+            for sample in _small():
+                writer.write(channels[sample.topic], sample.log_time_ns, sample.payload)
+        for file in sorted(path.glob("*.db3")):
+            with closing(sqlite3.connect(file, isolation_level=None)) as database:
+                database.execute("PRAGMA page_size = 512")  # small inputs are mutated where it matters
+                database.execute("VACUUM")
+            yield file.stem, file.read_bytes()
+
+
+def message_seeds() -> Iterator[tuple[str, bytes]]:
+    """Every message to every decoder: most refuse it, which is also worth seeing."""
+    for choice, _decoder in enumerate(DECODERS):
+        for sample in {sample.type: sample for sample in samples()}.values():
+            yield f"{choice}-{sample.type.replace('/', '-')}", bytes([choice]) + sample.payload
+
+
+def definition_seeds() -> Iterator[tuple[str, bytes]]:
+    for sample in {sample.type: sample for sample in samples()}.values():
+        yield sample.type.replace("/", "-"), message_definition(sample.type).encode() + b"\0\0" + sample.payload
+
+
+def calibration_seeds() -> Iterator[tuple[str, bytes]]:
+    for name, (choice, content) in calibrations().items():
+        yield name, bytes([choice]) + content
+
+
+SEEDS: Mapping[str, Callable[[], Iterator[tuple[str, bytes]]]] = {
+    "mcap": mcap_seeds,
+    "db3": db3_seeds,
+    "messages": message_seeds,
+    "definition": definition_seeds,
+    "calibration": calibration_seeds,
+}
+
+
+def _small() -> list[Sample]:
+    return [sample for sample in samples() if len(sample.payload) < 4096]
+
+
+def _mcap(layout: Mapping[str, Any]) -> bytes:
+    file = BytesIO()
+    writer = Writer(file, chunk_size=4000, enable_crcs=False, **layout)
+    writer.start(profile="ros2", library="")
+    channels: dict[str, int] = {}
+    for sample in sorted(_small(), key=lambda sample: sample.log_time_ns):
+        if sample.topic not in channels:
+            schema = writer.register_schema(sample.type, "ros2msg", message_definition(sample.type).encode()[:400])
+            channels[sample.topic] = writer.register_channel(sample.topic, "cdr", schema)
+        writer.add_message(channels[sample.topic], sample.log_time_ns, sample.payload, sample.log_time_ns)
+    writer.finish()  # type: ignore[no-untyped-call]
+    return file.getvalue()

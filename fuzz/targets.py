@@ -1,0 +1,84 @@
+"""What is fuzzed: the readers of recordings, of messages and of calibrations, each as one function of bytes.
+
+**Conventions.** Each target ends normally or with a `StoneError`. Of `messages` the first byte chooses the type, of
+`calibration` the ending of the file's name; the rest is the content.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from fuzz.limits import Target
+from fuzz.messages import DECODERS
+from services.ingest.bag import open_bag
+from services.ingest.calibration_file import read_calibration
+from services.ingest.inspection import inspect
+from services.ingest.messages.batch import Stamped
+from services.ingest.messages.registry import resolved
+from services.ingest.messages.table import decode_table
+from services.ingest.recorded import OwnMessage
+from services.ingest.recovery import recover
+from stone.errors import StoneError
+
+DESCRIBED = "field_msgs/msg/Reading"
+ENDINGS = (".yaml", ".json", ".zip", ".txt")
+
+
+def read_recording(path: Path) -> None:
+    """Everything that touches bytes: the catalogue, every payload, the inspection."""
+    with open_bag(path) as bag:
+        for topic in bag.topics:
+            if topic.encoding == "cdr":
+                for message in bag.messages(topic.name):
+                    bytes(message.payload[:4096])
+    inspect(path)
+
+
+def read_mcap(content: bytes) -> None:
+    """As it is; and cut where it ends, what can be recovered of it."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "run.mcap"
+        path.write_bytes(content)
+        try:
+            read_recording(path)
+        except StoneError:
+            recover(path, Path(folder) / "recovered.mcap")
+            read_recording(Path(folder) / "recovered.mcap")
+
+
+def read_db3(content: bytes) -> None:
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "run.db3"
+        path.write_bytes(content)
+        read_recording(path)
+
+
+def read_messages(content: bytes) -> None:
+    """One message, twice, for what compares a message with the one before it."""
+    if content:
+        payload: Stamped = OwnMessage(memoryview(content[1:]))
+        DECODERS[content[0] % len(DECODERS)]([payload, payload])
+
+
+def read_calibration_file(content: bytes) -> None:
+    if content:
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / f"rig{ENDINGS[content[0] % len(ENDINGS)]}"
+            path.write_bytes(content[1:])
+            read_calibration(path)
+
+
+def read_definition(content: bytes) -> None:
+    """A type as a recording describes it, and one message by that description, cut from the same bytes."""
+    text, _, payload = content.partition(b"\0\0")
+    known = resolved(DESCRIBED, text.decode("utf-8", "replace")).registry
+    decode_table(DESCRIBED, [OwnMessage(memoryview(payload))], known)
+
+
+TARGETS: Mapping[str, Target] = {
+    "mcap": read_mcap,
+    "db3": read_db3,
+    "messages": read_messages,
+    "definition": read_definition,
+    "calibration": read_calibration_file,
+}

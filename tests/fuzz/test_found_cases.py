@@ -1,0 +1,59 @@
+"""What fuzzing found stays found: each input that once broke a parser is read, or refused by code, on every run.
+
+The cases are the inputs as libFuzzer left them, `cases/<target>/<what was wrong>`.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fuzz.limits import GROWTH_LIMIT_BYTES, GrowthError, UncodedError, check
+from fuzz.seeds import SEEDS
+from fuzz.targets import TARGETS
+from stone.errors import StoneError
+
+CASES = Path(__file__).with_name("cases")
+FOUND = sorted(path for path in CASES.rglob("*") if path.is_file())
+
+
+class WordyError(StoneError):
+    code = "wordy"
+
+
+@pytest.mark.parametrize("path", FOUND, ids=lambda path: f"{path.parent.name}-{path.name}")
+def test_an_input_that_once_broke_a_parser_does_not(path: Path) -> None:
+    check(TARGETS[path.parent.name], path.read_bytes())
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_every_seed_is_read_or_refused_by_code(target: str) -> None:
+    seeds = dict(SEEDS[target]())
+    assert seeds
+    for content in seeds.values():
+        check(TARGETS[target], content)
+
+
+def test_growth_is_noticed() -> None:
+    def grow(content: bytes) -> None:
+        np.ones(2 * GROWTH_LIMIT_BYTES, np.uint8)
+
+    with pytest.raises(GrowthError, match="12[78] MiB for an input of 1 bytes"):
+        check(grow, b"x")
+
+
+@pytest.mark.parametrize("error", [StoneError("bare"), WordyError("two\nlines")])
+def test_a_refusal_that_no_program_understands_is_noticed(error: StoneError) -> None:
+    def refuse(content: bytes) -> None:
+        raise error
+
+    with pytest.raises(UncodedError):
+        check(refuse, b"")
+
+
+def test_any_other_exception_comes_through() -> None:
+    def fail(content: bytes) -> None:
+        raise IndexError("a fault of ours")
+
+    with pytest.raises(IndexError):
+        check(fail, b"")
