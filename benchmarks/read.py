@@ -1,0 +1,214 @@
+"""Reading recordings beside the two libraries that everybody uses: `python -m benchmarks.read [--rounds 5]`.
+
+The ways take turns in one run, each in a process of its own; a figure is the best of its rounds, a ratio is ours to the
+peer's in this run. Clouds: xyz of all points ends as contiguous (N, 3) float32, so all bytes are touched; ours is what
+the labeler does, returns filtered, times and rings read. Lists: all detections as arrays; the peers take minutes, so
+they read the first of them and are scaled by the count. Header scan: the stamp of every message of 400 MB of clouds.
+Growth is the kernel's peak of the process above what it held before, mapped pages of the file included.
+"""
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import perf_counter
+
+import numpy as np
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rich.console import Console
+from rich.table import Table
+from rosbags.rosbag2 import Reader
+
+from benchmarks.recordings import (
+    CLOUD_TOPIC,
+    CLOUDS,
+    COMPRESSIONS,
+    LIST_TOPIC,
+    LISTS,
+    POINT,
+    POINTS,
+    SCANNED_BYTES,
+    cloud_payload,
+    write_clouds,
+    write_lists,
+)
+from fuzz.limits import memory
+from services.ingest.bag import open_bag
+from services.ingest.messages.pointcloud2 import decode_cloud, lidar_points
+from services.ingest.messages.radar import decode_radar
+from services.ingest.messages.registry import typestore
+from services.ingest.scan import scan_of
+
+PEER_LISTS = 400
+CLOUD_BYTES = POINTS * POINT.itemsize
+OURS, MCAP, ROSBAGS = "ours", "mcap-ros2-support", "rosbags"
+
+
+@dataclass(frozen=True)
+class Turn:
+    """What one turn took; `share` of the work was done."""
+
+    seconds: float
+    growth_bytes: int
+    share: float = 1.0
+
+
+@dataclass(frozen=True)
+class Work:
+    """One thing to read, and how each of the three reads it: a function of the path that gives the share it did."""
+
+    name: str
+    path: Path
+    ways: dict[str, Callable[[Path], float]]
+    turns: dict[str, list[Turn]] = field(default_factory=dict)
+
+    def best_s(self, way: str) -> float:
+        """Seconds for the whole."""
+        return min(turn.seconds / turn.share for turn in self.turns[way])
+
+
+def our_clouds(path: Path) -> float:
+    with open_bag(path) as bag:
+        for message in bag.messages(CLOUD_TOPIC):
+            lidar_points(decode_cloud(message.payload))
+    return 1.0
+
+
+def mcap_clouds(path: Path) -> float:
+    with path.open("rb") as file:
+        for decoded in make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages():
+            _xyz(decoded.decoded_message.data)
+    return 1.0
+
+
+def rosbags_clouds(path: Path) -> float:
+    for payload, kind in _rosbags(path):
+        _xyz(typestore().deserialize_cdr(payload, kind).data)
+    return 1.0
+
+
+def our_lists(path: Path) -> float:
+    with open_bag(path) as bag:
+        kind = next(topic.type for topic in bag.topics)
+        found = decode_radar(kind, bag.messages(LIST_TOPIC))
+    if len(found.range_m) != LISTS * 300:
+        raise SystemExit(f"{len(found.range_m)} detections were read, {LISTS * 300} were written")
+    return 1.0
+
+
+def mcap_lists(path: Path) -> float:
+    with path.open("rb") as file:
+        decoded = make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
+        for _, one in zip(range(PEER_LISTS), decoded, strict=False):
+            message = one.decoded_message
+            np.array([d.f_range for d in message.list_detections[: message.list_numofdetections]], np.float32)
+    return PEER_LISTS / LISTS
+
+
+def rosbags_lists(path: Path) -> float:
+    for _, (payload, kind) in zip(range(PEER_LISTS), _rosbags(path), strict=False):
+        message = typestore().deserialize_cdr(payload, kind)
+        np.array([d.f_range for d in message.list_detections[: message.list_numofdetections]], np.float32)
+    return PEER_LISTS / LISTS
+
+
+def our_scan(path: Path) -> float:
+    with open_bag(path) as bag:
+        scan_of(bag, lambda topic: False)
+    return 1.0
+
+
+def mcap_scan(path: Path) -> float:
+    with path.open("rb") as file:
+        for _schema, _channel, message in make_reader(file).iter_messages():
+            int.from_bytes(message.data[4:8], "little")
+    return 1.0
+
+
+def rosbags_scan(path: Path) -> float:
+    for payload, _kind in _rosbags(path):
+        int.from_bytes(payload[4:8], "little")
+    return 1.0
+
+
+def _rosbags(path: Path) -> Iterator[tuple[bytes, str]]:
+    with Reader(path) as reader:
+        for connection, _time, payload in reader.messages():
+            yield payload, connection.msgtype
+
+
+def _xyz(data: object) -> None:
+    points = np.frombuffer(data, POINT)  # type: ignore[call-overload]
+    out = np.empty((len(points), 3), np.float32)
+    for place, axis in enumerate("xyz"):
+        out[:, place] = points[axis]
+
+
+def _turn(way: Callable[[Path], float], path: Path) -> Turn:
+    """In a process that has done nothing yet, but is warm: kernels are compiled, types are known."""
+    with get_context("spawn").Pool(1) as pool:
+        return pool.apply(_measured, (way, path))
+
+
+def _measured(way: Callable[[Path], float], path: Path) -> Turn:
+    typestore()
+    lidar_points(decode_cloud(memoryview(cloud_payload(0))))
+    before, begun_s = memory(), perf_counter()
+    share = way(path)
+    seconds = perf_counter() - begun_s
+    return Turn(seconds, memory().peak - before.held, share)
+
+
+def works(folder: Path) -> list[Work]:
+    clouds = {OURS: our_clouds, MCAP: mcap_clouds, ROSBAGS: rosbags_clouds}
+    listed = [
+        Work(f"xyz of {CLOUDS} clouds, {name}", write_clouds(folder / f"{name}.mcap", name), clouds)
+        for name in COMPRESSIONS
+    ]
+    lists = {OURS: our_lists, MCAP: mcap_lists, ROSBAGS: rosbags_lists}
+    listed.append(Work(f"{LISTS} detection lists", write_lists(folder / "lists.mcap"), lists))
+    scans = {OURS: our_scan, MCAP: mcap_scan, ROSBAGS: rosbags_scan}
+    large = write_clouds(folder / "large.mcap", "none", SCANNED_BYTES // CLOUD_BYTES)
+    return [*listed, Work(f"stamps of {large.stat().st_size / 1e6:.0f} MB", large, scans)]
+
+
+def table_of(measured: list[Work]) -> Table:
+    table = Table(title="best of the rounds; × is the peer's time to ours")
+    table.add_column("work")
+    for column in (OURS, "GB/s", MCAP, "×", ROSBAGS, "×", "growth, MiB: ours", MCAP, ROSBAGS):
+        table.add_column(column, justify="right")
+    for work in measured:
+        ours_s = work.best_s(OURS)
+        rate = f"{CLOUDS * CLOUD_BYTES / ours_s / 1e9:.2f}" if "xyz" in work.name else ""
+        peers = [
+            text
+            for way in (MCAP, ROSBAGS)
+            for text in (f"{work.best_s(way) * 1e3:,.1f} ms", f"{work.best_s(way) / ours_s:,.1f}")
+        ]
+        growth = [f"{min(turn.growth_bytes for turn in work.turns[way]) / 2**20:.0f}" for way in work.ways]
+        table.add_row(work.name, f"{ours_s * 1e3:,.1f} ms", rate, *peers, *growth)
+    return table
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.read", description=__doc__)
+    parser.add_argument("--rounds", type=int, default=5)
+    options = parser.parse_args()
+    console = Console(highlight=False)
+    with TemporaryDirectory() as folder:
+        measured = works(Path(folder))
+        for number in range(options.rounds):
+            console.print(f"round {number + 1} of {options.rounds}")
+            for work in measured:
+                for name, way in work.ways.items():
+                    work.turns.setdefault(name, []).append(_turn(way, work.path))
+    Console(width=max(console.width, 150)).print(table_of(measured))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
