@@ -9,6 +9,7 @@ from http import HTTPStatus
 from api import errors as api
 from api import file_errors as files
 from api import tus_errors as tus
+from services.ingest import profile_errors as profiles
 from services.runtime import bag_files, quota, recordings, store_keys
 from services.runtime import label_choices as choices
 from services.runtime import processing_errors as processing
@@ -52,6 +53,7 @@ STATUS_OF: dict[type[StoneError], int] = {
     processing.SequenceDeletedError: 404,
     processing.SeveralRecordingsError: 409,
     processing.UnknownStagesError: 422,
+    profiles.BadProfileError: 422,
     recordings.ForeignTargetError: 409,
     recordings.RecordingInUseError: 409,
     quota.QuotaExceededError: 413,

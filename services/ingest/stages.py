@@ -60,6 +60,7 @@ def synchronise_recording(platform: Platform, attempt: Attempt) -> Outcome:
     options = SynchroniseOptions(
         odometry_topic=attempt.arguments["odometry_topic"] or None,
         lidar_topic=attempt.arguments["lidar_topic"] or None,
+        topics=attempt.arguments.get("topics", {}),
         recording_sha256=inputs.recording_sha256,
         progress=attempt.progress,
     )

@@ -7,7 +7,7 @@ which are named here by kind only.
 
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from sqlalchemy import delete, func, select
@@ -30,6 +30,7 @@ from services.runtime.processing_errors import (
     SeveralRecordingsError,
     UnknownStagesError,
 )
+from services.runtime.profiles import topics_of
 from services.runtime.recipes import CODE_VERSION, recipe_of
 
 PROCESS = "sequence.process"
@@ -42,13 +43,17 @@ ALIVE = Job.state.not_in(TERMINAL)
 
 @dataclass(frozen=True)
 class ProcessRequest:
-    """How a sequence is to be processed; `parameters` by dotted name (`services/runtime/label_choices.py`)."""
+    """How a sequence is to be processed; `parameters` by dotted name (`services/runtime/label_choices.py`).
+
+    `topics` are those of the platform's profile; the two topics named here go before them.
+    """
 
     profile: str = "paper"
     parameters: Mapping[str, float] = field(default_factory=dict)
     odometry_topic: str | None = None
     lidar_topic: str | None = None
     stages: tuple[str, ...] = STAGES
+    topics: Mapping[str, str] = field(default_factory=dict)
 
 
 def register(session: Session, recording: Recording) -> Job:
@@ -68,6 +73,7 @@ def start_processing(session: Session, sequence: Sequence, request: ProcessReque
         raise UnknownStagesError(request.stages, STAGES)
     sequence = lock_sequence(session, sequence.id)
     calibration, recording = _inputs(session, sequence)
+    request = replace(request, topics=topics_of(session, sequence))
     arguments = _arguments(request, calibration, recording)
     recipe = _recipe(sequence, request, calibration, recording)
     standing = _standing(session, sequence, recipe)
@@ -140,6 +146,7 @@ def _arguments(request: ProcessRequest, calibration: Calibration, recording: Rec
         "calibration_id": calibration.id,
         "odometry_topic": request.odometry_topic,
         "lidar_topic": request.lidar_topic,
+        "topics": dict(request.topics),
         "profile": request.profile,
         "parameters": dict(request.parameters),
         "stages": list(request.stages),
@@ -156,6 +163,7 @@ def _recipe(sequence: Sequence, request: ProcessRequest, calibration: Calibratio
             "calibration": [calibration.filename, calibration.sha256],
             "odometry_topic": request.odometry_topic,
             "lidar_topic": request.lidar_topic,
+            **({"topics": dict(request.topics)} if request.topics else {}),
             "profile": request.profile,
             "parameters": {name: float(value) for name, value in request.parameters.items()},
             "stages": request.stages,

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from services.runtime import blobs
 from services.runtime.access import tokens
-from services.runtime.orm import Calibration, JobLine, Sequence, Upload, User, new_id
+from services.runtime.orm import Calibration, JobLine, Profile, Sequence, Upload, User, new_id
 from services.runtime.platform import Platform
 from tests.api import made
 from tests.api.serving import Person
@@ -19,7 +19,7 @@ from tests.rows import recording_of
 CALIBRATION_FILE = Path(__file__).resolve().parents[3] / "examples" / "kitti0005.calibration.yaml"
 IDS = ("sequence_id", "calibration_id", "recording_id", "job_id", "upload_id", "token_id", "user_id", "token")
 UNKNOWN = {name: f"{number:032x}" for number, name in enumerate(IDS, 1)} | {"complete_upload": f"{99:032x}"}
-WORDS = {"name": "bev.png", "code": "not_found", "act": "cancel", "queue": "labeler"}
+WORDS = {"name": "bev.png", "code": "not_found", "act": "cancel", "queue": "labeler", "platform_name": "warthog"}
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,7 @@ def make_world(platform: Platform, user: User) -> World:
     owner = Person(user.id, user.name, "")
     calibration_id = _calibration(platform, user.id)
     sequence_id = _sequence(platform, user.id, calibration_id)
+    _profile(platform, user.id)
     labels = made.labels(platform, {"id": sequence_id, "name": _name(platform, sequence_id), "owner_id": user.id})
     named = {
         "sequence_id": sequence_id,
@@ -71,6 +72,11 @@ def _sequence(platform: Platform, owner_id: str, calibration_id: str) -> str:
         return row.id
 
 
+def _profile(platform: Platform, owner_id: str) -> None:
+    with platform.database.transaction() as session:
+        session.add(Profile(owner_id=owner_id, platform=WORDS["platform_name"], topics={"lidar": "/points"}))
+
+
 def _name(platform: Platform, sequence_id: str) -> str:
     with platform.database.reading() as session:
         return session.get_one(Sequence, sequence_id).name
@@ -82,6 +88,7 @@ def _recording(platform: Platform, owner: Person, sequence_id: str) -> str:
     with platform.database.transaction() as session:
         blob = blobs.keep(session, platform.store, path)
         row = recording_of(session.get_one(Upload, upload_id), sequence_id, "registered", blob.sha256)
+        row.inspection = {"topics": []}
         session.add(row)
         session.flush()
         return row.id

@@ -14,7 +14,7 @@ from services.runtime.jobs.queueing import enqueue_run
 from services.runtime.jobs.specs import Context, JobSpec
 from services.runtime.jobs.steering import cancel
 from services.runtime.label_choices import ChoiceError
-from services.runtime.orm import Job, LabelSet, QuotaEntry, Recording, Upload
+from services.runtime.orm import Job, LabelSet, Profile, QuotaEntry, Recording, Sequence, Upload
 from services.runtime.platform import Platform
 from services.runtime.processing import (
     PROCESS,
@@ -32,6 +32,7 @@ from services.runtime.processing_errors import (
     SeveralRecordingsError,
     UnknownStagesError,
 )
+from services.runtime.profiles import keep_profile
 from tests.rows import recording_of
 from tests.services.runs import Brought, bring
 
@@ -212,3 +213,17 @@ def test_jobs_of_a_batch_are_taken_in_their_order(platform_on: Platform) -> None
         assert claimed is not None
         taken.append(claimed.arguments["tile"])
     assert taken == list(range(40))
+
+
+def test_the_profile_of_the_platform_is_what_a_run_is_made_with(ready: Brought) -> None:
+    with ready.platform.database.transaction() as session:
+        session.get_one(Sequence, ready.sequence_id).platform = "rover"
+        session.add(Profile(owner_id=ready.owner_id, platform="rover", topics={"pose": "/odom"}))
+    run_id = ready.process()
+    with ready.platform.database.reading() as session:
+        assert session.get_one(Job, run_id).arguments["topics"] == {"pose": "/odom"}
+    with ready.platform.database.transaction() as session:
+        profile = session.scalars(select(Profile)).one()
+        keep_profile(session, profile, {"pose": "/other"})
+    with pytest.raises(AlreadyProcessingError):
+        ready.process()

@@ -1,0 +1,133 @@
+"""Profiles of topics by platform, and the dry run that says what they resolve to in a recording.
+
+**Conventions.** A profile is its owner's, an administrator's not excepted. The dry run needs no job: it reads what the
+recording's inspection kept.
+"""
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Path, Query, Request, Response
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from api import audit
+from api.answers import refusals
+from api.callers import Curator, Reader
+from api.deps import PlatformDep
+from api.errors import ConflictError, NotFoundError
+from api.etags import etag, require_match
+from api.paging import Page, PageDep, page
+from api.schemas.base import PLAIN, IdPath, instant
+from api.schemas.calibrations import FindingItem
+from api.schemas.profiles import ProfileBody, ProfileItem, RolesAnswer
+from api.visible import recording_of, sequence_of
+from services.ingest.profile_errors import BadProfileError
+from services.ingest.profiles import LONGEST_TOPIC, MOST_TOPICS, Candidate, resolve
+from services.ingest.profiles import Profile as Chosen
+from services.runtime.orm import Calibration, Profile, Sequence
+from services.runtime.profiles import keep_profile, lock_profile, profile_of, topics_of
+
+router = APIRouter(tags=["profiles"])
+PlatformName = Annotated[str, Path(pattern=PLAIN, min_length=1, max_length=64, examples=["warthog-1"])]
+Choice = Annotated[str, Query(pattern=PLAIN, max_length=64 + LONGEST_TOPIC)]
+Choices = Annotated[list[Choice], Query(alias="topic", max_length=MOST_TOPICS, examples=[["lidar=/lidar_points"]])]
+
+
+@router.get("/profiles", responses=refusals())
+def list_profiles(caller: Reader, platform: PlatformDep, query: PageDep) -> Page[ProfileItem]:
+    """The caller's profiles, newest first."""
+    statement = select(Profile).where(Profile.owner_id == caller.user_id)
+    with platform.database.reading() as session:
+        return page(session, statement, Profile.id.desc(), query).shown(_item)
+
+
+@router.get("/profiles/{platform_name}", responses=refusals(404))
+def show_profile(platform_name: PlatformName, caller: Reader, platform: PlatformDep, response: Response) -> ProfileItem:
+    """The topics that the caller chose for a platform."""
+    with platform.database.reading() as session:
+        row = profile_of(session, caller.user_id, platform_name)
+        if row is None:
+            raise NotFoundError("profile", platform_name)
+        shown = _item(row)
+    response.headers["ETag"] = etag(shown.revision)
+    return shown
+
+
+@router.put("/profiles/{platform_name}", responses={201: {"model": ProfileItem}, **refusals(403, 412, 428)})
+def save_profile(
+    platform_name: PlatformName,
+    body: ProfileBody,
+    caller: Curator,
+    platform: PlatformDep,
+    request: Request,
+    response: Response,
+) -> ProfileItem:
+    """Choose the topics of a platform: 201 for a new profile; one that exists is replaced, by If-Match."""
+    topics = Chosen(body.topics, platform_name).topics
+    with platform.database.transaction() as session:
+        row = lock_profile(session, caller.user_id, platform_name)
+        response.status_code = 200 if row is not None else 201
+        if row is not None:
+            require_match(request, row.revision)
+        row = row or Profile(owner_id=caller.user_id, platform=platform_name)
+        if keep_profile(session, row, topics):
+            audit.record(session, caller, "profile.save", row.id, facts={"platform": platform_name})
+        shown = _item(row)
+    response.headers["ETag"] = etag(shown.revision)
+    return shown
+
+
+@router.get("/sequences/{sequence_id}/recordings/{recording_id}/roles", responses=refusals(404, 409))
+def show_roles(
+    sequence_id: IdPath,
+    recording_id: IdPath,
+    caller: Reader,
+    platform: PlatformDep,
+    choices: Choices = [],  # noqa: B006
+) -> RolesAnswer:
+    """Which topic would play which part, by the platform's profile and the choices given (`topic=PART=NAME`).
+
+    Nothing is saved. 409 until the recording was read.
+    """
+    with platform.database.reading() as session:
+        sequence = sequence_of(session, caller, sequence_id)
+        inspection = recording_of(session, caller, sequence_id, recording_id).inspection
+        if inspection is None:
+            raise ConflictError("the recording was not read yet, or could not be: see its state and findings")
+        saved, frames = topics_of(session, sequence), _channel_of_frame(session, sequence)
+    made = dict(_choice(choice) for choice in choices)
+    chosen = {part: topic for part, topic in saved.items() if topic not in made.values()} | made
+    resolved = resolve(_candidates(inspection), Chosen(chosen, sequence.platform), frames)
+    return RolesAnswer(
+        platform=sequence.platform,
+        chosen=chosen,
+        channels=dict(resolved.channels),
+        findings=[FindingItem(**finding.as_record()) for finding in resolved.findings],
+    )
+
+
+def _choice(text: str) -> tuple[str, str]:
+    part, sign, topic = text.partition("=")
+    if not sign:
+        raise BadProfileError(f"the choice {text[:40]!r}", "PART=TOPIC, such as lidar=/lidar_points")
+    return part, topic
+
+
+def _candidates(inspection: dict[str, Any]) -> list[Candidate]:
+    keys = ("name", "type", "role", "count", "rate_hz")
+    topics = inspection.get("topics", ())
+    return [Candidate(**{key: topic[key] for key in keys}, frame_id=topic.get("frame_id", "")) for topic in topics]
+
+
+def _channel_of_frame(session: Session, sequence: Sequence) -> dict[str, str]:
+    """The channel of each frame_id that the sequence's calibration knows."""
+    if sequence.calibration_id is None:
+        return {}
+    sensors = session.get_one(Calibration, sequence.calibration_id).sensors
+    return {sensor["frame_id"].strip("/"): sensor["name"] for sensor in sensors if sensor.get("frame_id")}
+
+
+def _item(row: Profile) -> ProfileItem:
+    return ProfileItem(
+        platform=row.platform, topics=row.topics, revision=row.revision, created_at=instant(row.created_ns)
+    )
