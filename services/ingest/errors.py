@@ -44,7 +44,7 @@ class MalformedBagError(IngestError):
     code = "BAG-012"
 
     def __init__(self, where: str, problem: str) -> None:
-        super().__init__(f"{where}: {problem}; the file is damaged or was not written by a working MCAP writer")
+        super().__init__(f"{where}: {problem}; the file is damaged or was not written by a working recorder")
 
 
 class ChunkTooLargeError(IngestError):
@@ -167,7 +167,8 @@ class DatabaseRefusedError(IngestError):
     code = "BAG-018"
 
     def __init__(self, name: str, reason: str) -> None:
-        super().__init__(f"{name} cannot be read as a rosbag2 database: {" ".join(reason.split())}")
+        one_line = " ".join(reason.split())  # SQLite quotes statements as they were written
+        super().__init__(f"{name} cannot be read as a rosbag2 database: {one_line}")
 
 
 class MembersRefusedError(IngestError):

@@ -38,7 +38,7 @@ def test_growth_is_noticed() -> None:
     def grow(content: bytes) -> None:
         np.ones(2 * GROWTH_LIMIT_BYTES, np.uint8)
 
-    with pytest.raises(GrowthError, match="12[78] MiB for an input of 1 bytes"):
+    with pytest.raises(GrowthError, match=r"12[78] MiB for an input of 1 bytes"):
         check(grow, b"x")
 
 
