@@ -70,7 +70,8 @@ def world_from_ego(stamps_ns: NDArray[np.int64]) -> SE3:
 def ins_messages(stamps_ns: NDArray[np.int64], seed: int = 0, **facts: Any) -> list[Recorded]:
     """INSPVAX at whole milliseconds, stamped by a host that is 3 ± 2 ms late; `facts` overwrite status or type."""
     world_from_ins = world_from_ego(stamps_ns) @ EGO_FROM_LIDAR @ LIDAR_FROM_INS
-    geodetic = np.stack(pymap3d.enu2geodetic(*world_from_ins.translation_m.T, *ORIGIN), axis=-1)
+    place_m = world_from_ins.translation_m + np.array([0, facts.get("north_m", 0), 0])
+    geodetic = np.stack(pymap3d.enu2geodetic(*place_m.T, *ORIGIN), axis=-1)
     angles = Rotation.from_quat(np.roll(world_from_ins.wxyz, -1, axis=-1)).as_euler("ZYX", degrees=True)
     generator = np.random.default_rng(seed)
     late_ns = generator.integers(1_000_000, 5_000_000, len(stamps_ns))
