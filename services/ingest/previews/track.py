@@ -2,7 +2,7 @@
 
 **Conventions.** The first of INS, odometry, satellite fixes and TF that has two positions. Metres: east and north of
 the first usable position for what speaks of latitudes, the source's own fixed frame otherwise. Nothing is smoothed;
-what lies further than `LAST_M` from the middle of the others is left out as no place the robot drove to.
+what lies further than `LAST_M` from the middle of the others along either axis is no place the robot drove to.
 """
 
 from collections.abc import Callable
@@ -69,7 +69,7 @@ def _track(bag: Bag, topic: Topic) -> Track | None:
         return None
     values = np.array([(one.first, one.second) for one in usable], np.float64)
     points_m = _east_north_m(values) if is_geodetic else values
-    is_near = np.linalg.norm(points_m - np.median(points_m, axis=0), axis=1) <= LAST_M
+    is_near = np.max(np.abs(points_m - np.median(points_m, axis=0)), axis=1) <= LAST_M
     if is_near.sum() < 2:
         return None
     words = tuple(one.word for one, kept in zip(usable, is_near, strict=True) if kept and one.word is not None)

@@ -5,12 +5,15 @@ slots out have a valid share of 1. Ranges are from the sensor.
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from services.ingest.bag import RawMessage, Topic
 from services.ingest.messages.pointcloud2 import decode_cloud, lidar_points
 from services.ingest.messages.radar import decode_radar
 from services.ingest.quality.facts import LidarFacts, RadarFacts
 from services.ingest.quality.sampling import HEAVY, LIGHT, Look
+
+MOST_RANGE_M = 1e4
 
 
 class LidarLook:
@@ -28,7 +31,7 @@ class LidarLook:
         cloud = decode_cloud(payload)
         points_lidar = lidar_points(cloud).points_lidar
         slots = len(cloud.points)
-        range_m = float(np.median(np.linalg.norm(points_lidar, axis=1))) if len(points_lidar) else 0.0
+        range_m = _median_range_m(points_lidar)
         self._seen.append((at_ns, slots, len(points_lidar) / max(1, slots), range_m))
 
     def facts(self) -> LidarFacts | None:
@@ -37,6 +40,13 @@ class LidarLook:
             return None
         at_ns, slots, valid_ratio, range_m = zip(*self._seen, strict=True)
         return LidarFacts(self._topic.name, at_ns, slots, valid_ratio, range_m)
+
+
+def _median_range_m(points_lidar: NDArray[np.float32]) -> float:
+    """At most `MOST_RANGE_M`, whatever the message says; 0 for no points."""
+    within = np.nan_to_num(np.abs(points_lidar), nan=MOST_RANGE_M, posinf=MOST_RANGE_M)
+    ranges_m = np.linalg.norm(np.minimum(within, MOST_RANGE_M).astype(np.float64), axis=1)
+    return min(float(np.median(ranges_m)), MOST_RANGE_M) if len(ranges_m) else 0.0
 
 
 class RadarLook:

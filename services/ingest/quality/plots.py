@@ -137,14 +137,15 @@ def _plain(value: float, _place: int) -> str:
 
 
 def _svg(figure: Figure, plot_name: str) -> str:
-    """Without prologue, metadata and group ids (which would repeat on the page)."""
+    """Without prologue, metadata and the ids of groups, which would repeat on the page; those of markers and clips,
+    which are referred to, are salted with the plot's name."""
     stream = StringIO()
     with drawing_style(plot_name):
         figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     drawn = stream.getvalue()
     drawn = drawn[drawn.index("<svg") :]
     drawn = re.sub(r"<metadata>.*?</metadata>\s*", "", drawn, flags=re.DOTALL)
-    drawn = re.sub(r' id="[a-z]+[a-zA-Z]*_\d+(?:_\d+)?"', "", drawn)
+    drawn = re.sub(r' id="(?![mp][0-9a-f]{10}")[^"]*"', "", drawn)
     drawn = re.sub(r'<svg [^>]*?viewBox="([^"]+)"[^>]*>', SVG_HEAD, drawn, count=1)
     for variable, placeholder in COLOURS.items():
         drawn = drawn.replace(placeholder, f"var(--{variable})")

@@ -1,5 +1,6 @@
 """What is measured of pictures, clouds and positions, against slow loops and recordings of known quality."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from services.ingest.quality.rtk import WORD_OF_TYPE
 from tests.services.ingest.quality import recordings
 from tests.services.ingest.quality.recordings import LIDAR, measured, ticks
 from tests.services.ingest.rigs import stamped, written
+from tests.services.ingest.writing import HESAI, Recorded, cloud_payload, sweep
 
 SHAPES = st.tuples(st.integers(1, 12), st.integers(1, 12))
 
@@ -57,6 +59,17 @@ def test_zeros_in_a_cloud_are_no_returns(tmp_path: Path) -> None:
     assert (lidar.topic, set(lidar.slots)) == (LIDAR, {1200})
     assert lidar.valid_ratio == pytest.approx([0.75] * len(lidar.at_ns))
     assert all(10 < range_m < 60 for range_m in lidar.range_m)
+
+
+@pytest.mark.parametrize("value", [np.inf, -np.inf, 3e38, np.nan])
+def test_points_beyond_all_measure_stay_numbers(tmp_path: Path, value: float) -> None:
+    stamps = ticks(1, 10)
+    points = sweep(HESAI, 1200)
+    points["y"] = value
+    payload = cloud_payload(points)
+    said = [Recorded(LIDAR, "sensor_msgs/msg/PointCloud2", int(stamp), payload) for stamp in stamps]
+    record = measured(written(tmp_path / "run.mcap", said))[1].as_record()
+    json.dumps(record, allow_nan=False)
 
 
 def test_the_share_of_fixed_solutions_is_that_of_the_messages(tmp_path: Path) -> None:
