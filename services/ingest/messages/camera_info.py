@@ -59,7 +59,7 @@ def decode_camera_info(messages: Iterable[Stamped], schema: str = "") -> CameraI
 
 
 def _info(table: Table, row: int) -> CameraInfo:
-    distortion = table.ragged("d")
+    offsets, distortion = table.ragged("d")
     whole = {name: int(table.numbers(name)[row]) for name in ("width", "height", "binning_x", "binning_y")}
     x, y, width, height = (
         int(table.numbers(f"roi.{name}")[row]) for name in ("x_offset", "y_offset", "width", "height")
@@ -69,10 +69,10 @@ def _info(table: Table, row: int) -> CameraInfo:
         whole["width"],
         whole["height"],
         table.texts("distortion_model")[row],
-        distortion.numbers[distortion.offsets[row] : distortion.offsets[row + 1]],
-        table.numbers("k")[row].reshape(3, 3),
-        table.numbers("r")[row].reshape(3, 3),
-        table.numbers("p")[row].reshape(3, 4),
+        distortion[offsets[row] : offsets[row + 1]],
+        table.numbers("k", 9)[row].reshape(3, 3),
+        table.numbers("r", 9)[row].reshape(3, 3),
+        table.numbers("p", 12)[row].reshape(3, 4),
         (whole["binning_x"], whole["binning_y"]),
         (x, y, width, height),
     )

@@ -34,6 +34,12 @@ FIELDS = {
     "rcs": "s_rcs", "flags": "u_invalidflags",
 }  # fmt: skip
 STAMPS = ("header.stamp.sec", "header.stamp.nanosec", "timestamp_seconds", "timestamp_nanoseconds")
+# What the definition must make of them.
+CODES = (
+    {f"{PLACES}.{name}": "<f4" for name in FIELDS.values()}
+    | {f"{PLACES}.s_rcs": "i1", f"{PLACES}.u_invalidflags": "u1", COUNT: "<u4"}
+    | {name: "<i4" if name == STAMPS[0] else "<u4" for name in STAMPS}
+)
 # Encapsulation and length of the frame's name: with the size, all that the layout of a message depends on.
 _KEY = Struct("<4s8xI")
 # So many messages are gathered at once: their detections stay in the processor's cache until they are columns.
@@ -81,21 +87,24 @@ def _alike(payloads: Sequence[memoryview]) -> Iterable[list[int]]:
 def _layout(payload: memoryview, plan: Sequence[Node]) -> _Layout:
     """From the definition, so that an embedded one that differs is followed."""
     pieces = {piece.node.name: piece for piece in sketched(payload, plan, TYPE).pieces}
-    wanted = (*STAMPS, COUNT, *(f"{PLACES}.{name}" for name in FIELDS.values()))
-    if missing := [name for name in wanted if name not in pieces]:
-        raise MessageLayoutError(TYPE, f"its definition has no {missing[0]}")
+    for name, code in CODES.items():
+        node = pieces[name].node if name in pieces else None
+        if not isinstance(node, Leaf) or node.code != np.dtype(code) or node.length is not None:
+            raise MessageLayoutError(TYPE, f"its definition has no {name} of the type {code}")
     inside = {name: pieces[f"{PLACES}.{name}"] for name in FIELDS.values()}
-    run = next(iter(inside.values())).run
-    if run is None or run.step != 1 or run.first != 0:
-        raise MessageLayoutError(TYPE, f"its definition has {PLACES} of another kind")
     first_at = min(piece.offset for piece in inside.values())
-    detection = _record(inside, first_at, run.stride)
+    run = pieces[f"{PLACES}.s_rcs"].run
+    is_alone = run is not None and (run.first, run.step) == (0, 1) and not any(piece.above for piece in inside.values())
+    if run is None or not is_alone or first_at + run.elements * run.stride > len(payload):
+        raise MessageLayoutError(TYPE, f"its definition makes another thing of {PLACES}")
+    if max(pieces[name].offset + 4 for name in STAMPS) > first_at:
+        raise MessageLayoutError(TYPE, f"its definition has stamps behind {PLACES}")
     stamps = _record({name: pieces[name] for name in STAMPS}, 0, first_at)
-    return _Layout(stamps, pieces[COUNT].offset, first_at, run.elements, detection)
+    return _Layout(stamps, pieces[COUNT].offset, first_at, run.elements, _record(inside, first_at, run.stride))
 
 
 def _record(pieces: dict[str, Piece], start: int, size: int) -> np.dtype[np.void]:
-    formats = [piece.node.code for piece in pieces.values() if isinstance(piece.node, Leaf)]
+    formats = [CODES.get(name, CODES.get(f"{PLACES}.{name}")) for name in pieces]
     offsets = [piece.offset - start for piece in pieces.values()]
     return np.dtype({"names": list(pieces), "formats": formats, "offsets": offsets, "itemsize": size})
 

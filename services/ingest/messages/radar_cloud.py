@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from services.ingest.errors import CloudLayoutError
 from services.ingest.messages.batch import Stamped
 from services.ingest.messages.pointcloud2 import decode_cloud
-from services.ingest.messages.radar_detections import RadarDetections, offsets_of
+from services.ingest.messages.radar_detections import COLUMNS, RadarDetections, offsets_of
 
 TYPE = "sensor_msgs/msg/PointCloud2"
 NAMES = {
@@ -33,8 +33,9 @@ def decode_radar_cloud(messages: Iterable[Stamped]) -> RadarDetections:
     """
     clouds = [decode_cloud(message.payload) for message in messages]
     points = [_points(cloud.points) for cloud in clouds]
-    parts = [_columns(cloud.points, xyz) for cloud, xyz in zip(clouds, points, strict=True)]
-    columns = {name: _joined([part[name] for part in parts]).astype(np.float32) for name in NAMES}
+    with np.errstate(over="ignore", invalid="ignore"):  # what is too large for a float32 becomes infinite
+        parts = [_columns(cloud.points, xyz) for cloud, xyz in zip(clouds, points, strict=True)]
+        columns = {name: _joined([part[name] for part in parts]).astype(np.float32) for name in COLUMNS}
     given = np.concatenate([np.empty((0, 3)), *points])
     return RadarDetections(
         np.array([cloud.stamp_ns for cloud in clouds], np.int64),

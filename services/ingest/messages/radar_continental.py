@@ -6,10 +6,8 @@ which. Source: tier4/nebula, continental_msgs.
 
 from collections.abc import Iterable
 
-import numpy as np
-
 from services.ingest.messages.batch import Stamped
-from services.ingest.messages.radar_detections import RadarDetections, detections
+from services.ingest.messages.radar_detections import RadarDetections, from_sequence
 from services.ingest.messages.registry import resolved
 from services.ingest.messages.table import STAMP, decode_table
 
@@ -25,6 +23,4 @@ def decode_continental(messages: Iterable[Stamped], schema: str = "") -> RadarDe
     """N = messages. Raises: MessageLayoutError, ByteOrderError, and what an unreadable `schema` raises."""
     only = (*STAMP, *(f"detections.{name}" for name in (*FIELDS.values(), *FLAGS)))
     table = decode_table(TYPE, messages, resolved(TYPE, schema).registry, only)
-    columns = {name: table.ragged(f"detections.{theirs}").numbers for name, theirs in FIELDS.items()}
-    columns["invalid"] = np.any([table.ragged(f"detections.{name}").numbers for name in FLAGS], axis=0)
-    return detections(table.stamps_ns(), table.ragged("detections.range").offsets, columns)
+    return from_sequence(table, "detections", FIELDS, FLAGS)

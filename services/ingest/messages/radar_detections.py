@@ -5,7 +5,7 @@ upwards. Range rate is positive when the target moves away. A detection that the
 the table with `is_valid` False: nothing is dropped. Source: ARS 548 RDI interface, REP 103.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -14,9 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.ingest.cdr import NS_PER_S
+from services.ingest.errors import MessageLayoutError
+from services.ingest.messages.table import Table
 
 # The flag bits of one detection, ARS 548: distance, azimuth, elevation and range rate (the others are deviations).
 INVALID_MASK = 0x01 | 0x04 | 0x10 | 0x40
+
+COLUMNS = ("azimuth", "elevation", "range", "range_rate", "rcs")
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,9 +56,10 @@ class RadarDetections:
         if self.given_points is not None:
             return self.given_points
         azimuth, elevation = self.azimuth_rad.astype(np.float64), self.elevation_rad.astype(np.float64)
-        level = np.cos(elevation)
-        directions = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=1)
-        return np.asarray(directions * self.range_m[:, None], np.float64)
+        with np.errstate(invalid="ignore"):  # an infinite angle has no direction: NaN, and is not valid
+            level = np.cos(elevation)
+            directions = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=1)
+            return np.asarray(directions * self.range_m[:, None], np.float64)
 
     def of(self, scan: int) -> "RadarDetections":
         """One scan, as a table of N = 1; IndexError beyond the last."""
@@ -83,20 +88,39 @@ def detections(
 ) -> RadarDetections:
     """From columns azimuth, elevation, range, range_rate, rcs and invalid (bool); a value that is not finite is
     invalid whatever the sensor says."""
-    angles = [np.ascontiguousarray(columns[name], np.float32) for name in ("azimuth", "elevation")]
-    distances = [np.ascontiguousarray(columns[name], np.float32) for name in ("range", "range_rate")]
-    is_finite = np.isfinite(angles[0]) & np.isfinite(angles[1]) & np.isfinite(distances[0]) & np.isfinite(distances[1])
+    with np.errstate(over="ignore", invalid="ignore"):  # what is too large for a float32 becomes infinite
+        read = {name: np.ascontiguousarray(columns[name], np.float32) for name in COLUMNS}
+    is_finite = np.ones(len(read["range"]), np.bool_)
+    for name in COLUMNS[:4]:
+        is_finite &= np.isfinite(read[name])
     return RadarDetections(
         stamps_ns,
         offsets,
-        angles[0],
-        angles[1],
-        distances[0],
-        distances[1],
-        np.asarray(columns["rcs"], np.float32),
+        read["azimuth"],
+        read["elevation"],
+        read["range"],
+        read["range_rate"],
+        read["rcs"],
         is_finite & ~np.asarray(columns["invalid"], np.bool_),
         sensor_stamps_ns,
     )
+
+
+def from_sequence(table: Table, sequence: str, names: Mapping[str, str], flags: Sequence[str] = ()) -> RadarDetections:
+    """From a sequence of detections: `names` are its fields for our columns, `flags` those that say "invalid".
+
+    Raises: MessageLayoutError where the definition makes other things of them.
+    """
+    read = {name: table.ragged(f"{sequence}.{name}") for name in (*names.values(), *flags)}
+    offsets = next(iter(read.values()))[0]
+    for name, (own, _values) in read.items():
+        if not np.array_equal(own, offsets):
+            raise MessageLayoutError(table.type_name, f"{sequence}.{name} is not as long as the other columns")
+    columns = {ours: read[theirs][1] for ours, theirs in names.items()}
+    columns["invalid"] = np.zeros(offsets[-1], np.bool_)
+    for name in flags:
+        columns["invalid"] |= read[name][1] != 0
+    return detections(table.stamps_ns(), offsets, columns)
 
 
 def offsets_of(counts: NDArray[np.integer]) -> NDArray[np.int64]:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from services.ingest.errors import MessageLayoutError
 from services.ingest.messages.batch import Stamped
 from services.ingest.messages.errors import PacketError
 from services.ingest.messages.radar_detections import (
@@ -85,23 +86,27 @@ _COLUMNS = {
 def detection_lists(messages: Iterable[Stamped], schema: str = "") -> DetectionLists:
     """Every field of every detection list; raises as `decode_packets`."""
     table = decode_table(TYPE, messages, resolved(TYPE, schema).registry)
-    packets = table.ragged("packets.data")
-    inner = packets.inner
+    packets = table.columns.get("packets.data")
+    if not isinstance(packets, Ragged) or not isinstance(packets.values, Ragged):
+        raise MessageLayoutError(TYPE, "its definition makes no packets of bytes of packets.data")
+    offsets, content = packets.values.offsets, packets.values.values
+    if not isinstance(content, np.ndarray) or content.dtype != np.uint8 or content.ndim != 1:
+        raise MessageLayoutError(TYPE, "its definition makes no bytes of packets.data")
     rows = np.repeat(np.arange(table.count), np.diff(packets.offsets))
-    ours = _detection_packets(inner)
-    raw = [inner.numbers[inner.offsets[place] : inner.offsets[place + 1]] for place in ours]
+    ours = _detection_packets(offsets, content)
+    raw = [content[offsets[place] : offsets[place + 1]] for place in ours]
     lists = np.frombuffer(b"".join(part.tobytes() for part in raw), DETECTION_LIST)
     if len(lists) and lists["number_of_detections"].max() > PLACES:
         raise PacketError(f"{lists['number_of_detections'].max()} detections are declared, a list has {PLACES} places")
     return DetectionLists(table.stamps_ns(), rows[ours], lists)
 
 
-def _detection_packets(packets: Ragged) -> Sequence[int]:
+def _detection_packets(offsets: NDArray[np.int64], content: NDArray[np.uint8]) -> Sequence[int]:
     """Places of the packets that are detection lists, by their SOME/IP header."""
-    sizes = np.diff(packets.offsets)
+    sizes = np.diff(offsets)
     heads = [
-        np.frombuffer(packets.numbers[start : start + HEADER.itemsize].tobytes(), HEADER)[0] if size >= 8 else None
-        for start, size in zip(packets.offsets[:-1].tolist(), sizes.tolist(), strict=True)
+        np.frombuffer(content[start : start + HEADER.itemsize].tobytes(), HEADER)[0] if size >= 8 else None
+        for start, size in zip(offsets[:-1].tolist(), sizes.tolist(), strict=True)
     ]
     ours = []
     for place, head in enumerate(heads):

@@ -6,10 +6,8 @@ radar_msgs (branch ros2), REP 103 for the signs of angles.
 
 from collections.abc import Iterable
 
-import numpy as np
-
 from services.ingest.messages.batch import Stamped
-from services.ingest.messages.radar_detections import RadarDetections, detections
+from services.ingest.messages.radar_detections import RadarDetections, from_sequence
 from services.ingest.messages.registry import resolved
 from services.ingest.messages.table import decode_table
 
@@ -23,6 +21,4 @@ FIELDS = {
 def decode_radar_scan(messages: Iterable[Stamped], schema: str = "") -> RadarDetections:
     """N = messages; a return is valid when it is finite. Raises: MessageLayoutError, ByteOrderError."""
     table = decode_table(TYPE, messages, resolved(TYPE, schema).registry)
-    columns = {name: table.ragged(f"returns.{theirs}").numbers for name, theirs in FIELDS.items()}
-    columns["invalid"] = np.zeros(len(columns["range"]), np.bool_)
-    return detections(table.stamps_ns(), table.ragged("returns.range").offsets, columns)
+    return from_sequence(table, "returns", FIELDS)

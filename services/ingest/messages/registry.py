@@ -7,7 +7,7 @@ over what is known here, for it says what was written; where the two differ, a f
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from importlib.resources import files
 from pathlib import Path
@@ -41,16 +41,21 @@ class MessageText(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Registry:
-    """What is known of message types; `types` maps full names to fields."""
+    """What is known of message types; `types` maps full names to fields. Plans are made once and kept with it."""
 
     types: Types
+    _plans: dict[str, tuple[Node, ...]] = field(default_factory=dict, repr=False)
 
     def __contains__(self, type_name: object) -> bool:
         return type_name in self.types
 
     def plan(self, type_name: str) -> tuple[Node, ...]:
         """Raises: DefinitionMissingError, DefinitionRefusedError."""
-        return _plan(self, type_name)
+        if type_name not in self.types:
+            raise DefinitionMissingError(type_name, PACKAGES)
+        if type_name not in self._plans:
+            self._plans[type_name] = compiled(type_name, self.types)
+        return self._plans[type_name]
 
     def with_types(self, types: Types) -> "Registry":
         """These types first, then those known already."""
@@ -62,13 +67,6 @@ class Resolved(NamedTuple):
 
     registry: Registry
     findings: tuple[Finding, ...]
-
-
-@lru_cache(maxsize=512)
-def _plan(known: Registry, type_name: str) -> tuple[Node, ...]:
-    if type_name not in known.types:
-        raise DefinitionMissingError(type_name, PACKAGES)
-    return compiled(type_name, known.types)
 
 
 def registry(extra: Sequence[Path | MessageText] = ()) -> Registry:
@@ -95,6 +93,7 @@ def registry(extra: Sequence[Path | MessageText] = ()) -> Registry:
     return known
 
 
+@lru_cache(maxsize=64)
 def resolved(type_name: str, schema: str, known: Registry | None = None) -> Resolved:
     """How to decode a topic of `type_name` that embeds `schema` ("" for none).
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.ingest.cdr import NS_PER_S, Sheet, sheets, text_of
+from services.ingest.errors import MessageLayoutError
 from services.ingest.messages.batch import Stamped, payloads_of
 from services.ingest.messages.plan import Leaf, Node, Repeat, Text
 from services.ingest.messages.registry import Registry, registry
@@ -28,42 +29,29 @@ class Ragged:
     offsets: NDArray[np.int64]
     values: "Column"
 
-    @property
-    def numbers(self) -> NDArray[Any]:
-        """The values of all, one after the other; TypeError where they are none."""
-        if not isinstance(self.values, np.ndarray):
-            raise TypeError("the sequence holds no numbers")
-        return self.values
-
-    @property
-    def inner(self) -> "Ragged":
-        """The sequences in this sequence."""
-        if not isinstance(self.values, Ragged):
-            raise TypeError("the sequence holds no sequences")
-        return self.values
-
-    @property
-    def texts(self) -> list[str]:
-        if not isinstance(self.values, list):
-            raise TypeError("the sequence holds no texts")
-        return self.values
-
 
 Column = NDArray[Any] | list[str] | Ragged
 
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """N messages; `columns` has the leaves that were asked for, by dotted path."""
+    """N messages; `columns` has the leaves that were asked for, by dotted path.
 
+    A recording's own definition may lack a field or make another thing of it, so whoever wants a column says of what
+    kind: every accessor raises MessageLayoutError where it is none of that kind.
+    """
+
+    type_name: str
     count: int
     columns: Mapping[str, Column]
 
-    def numbers(self, name: str) -> NDArray[Any]:
-        """A column outside of sequences; KeyError, TypeError where the type has none of that name and kind."""
-        column = self.columns[name]
-        if not isinstance(column, np.ndarray):
-            raise TypeError(f"{name} is no column of numbers")
+    def numbers(self, name: str, length: int | None = None, kinds: str = "fiu") -> NDArray[Any]:
+        """(N,), or (N, length) of a fixed array; `kinds` are numpy's, "iu" for whole numbers only."""
+        column = self._column(name)
+        shape = () if length is None else (length,)
+        if not isinstance(column, np.ndarray) or column.shape[1:] != shape or column.dtype.kind not in kinds:
+            kind = "number" if length is None else f"array of {length}"
+            raise MessageLayoutError(self.type_name, f"its definition makes no {kind} of {name}")
         return column
 
     def vectors(self, name: str, axes: str = "xyz") -> NDArray[np.float64]:
@@ -72,20 +60,34 @@ class Table:
         return np.stack(columns, axis=1).astype(np.float64, copy=False)
 
     def texts(self, name: str) -> list[str]:
-        column = self.columns[name]
+        """One text a message."""
+        column = self._column(name)
         if not isinstance(column, list):
-            raise TypeError(f"{name} is no column of texts")
+            raise MessageLayoutError(self.type_name, f"its definition makes no text of {name}")
         return column
 
-    def ragged(self, name: str) -> Ragged:
-        column = self.columns[name]
-        if not isinstance(column, Ragged):
-            raise TypeError(f"{name} is in no sequence")
-        return column
+    def ragged(self, name: str) -> tuple[NDArray[np.int64], NDArray[Any]]:
+        """Offsets (N + 1,) and numbers (M,) of a sequence."""
+        column = self._column(name)
+        if isinstance(column, Ragged) and isinstance(column.values, np.ndarray) and column.values.ndim == 1:
+            return column.offsets, column.values
+        raise MessageLayoutError(self.type_name, f"its definition makes no sequence of numbers of {name}")
+
+    def ragged_texts(self, name: str) -> tuple[NDArray[np.int64], list[str]]:
+        """Offsets (N + 1,) and texts (M) of a sequence."""
+        column = self._column(name)
+        if isinstance(column, Ragged) and isinstance(column.values, list):
+            return column.offsets, column.values
+        raise MessageLayoutError(self.type_name, f"its definition makes no sequence of texts of {name}")
 
     def stamps_ns(self, name: str = "header.stamp") -> NDArray[np.int64]:
-        seconds = self.numbers(f"{name}.sec").astype(np.int64)
-        return np.asarray(seconds * NS_PER_S + self.numbers(f"{name}.nanosec").astype(np.int64), np.int64)
+        sec, nanosec = (self.numbers(f"{name}.{part}", kinds="iu").astype(np.int64) for part in ("sec", "nanosec"))
+        return np.asarray(sec * NS_PER_S + nanosec, np.int64)
+
+    def _column(self, name: str) -> Column:
+        if name not in self.columns:
+            raise MessageLayoutError(self.type_name, f"its definition has no {name}")
+        return self.columns[name]
 
 
 STAMP = ("header.stamp.sec", "header.stamp.nanosec")
@@ -106,7 +108,7 @@ def decode_table(
     stacked = list(sheets(payloads, measure_of(plan, type_name)))
     columns: dict[str, Column] = {}
     _Filler(stacked, len(payloads), type_name).fill(plan, only, columns)
-    return Table(len(payloads), columns)
+    return Table(type_name, len(payloads), columns)
 
 
 def measure_of(plan: Sequence[Node], type_name: str) -> Callable[[memoryview], tuple[Sketch, list[int]]]:

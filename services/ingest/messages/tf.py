@@ -45,11 +45,11 @@ def decode_transforms(messages: Iterable[Stamped]) -> tuple[TransformSamples, ..
 
 def _numbers(table: Table, name: str) -> NDArray[Any]:
     """One value a transform, in the order of the messages."""
-    return table.ragged(f"transforms.{name}").numbers
+    return table.ragged(f"transforms.{name}")[1]
 
 
 def _rows_of_pairs(table: Table) -> dict[tuple[str, str], list[int]]:
-    parents, children = (table.ragged(f"transforms.{name}").texts for name in ("header.frame_id", "child_frame_id"))
+    parents, children = (table.ragged_texts(f"transforms.{name}")[1] for name in ("header.frame_id", "child_frame_id"))
     rows: dict[tuple[str, str], list[int]] = {}
     for row, pair in enumerate(zip(parents, children, strict=True)):
         rows.setdefault(pair, []).append(row)

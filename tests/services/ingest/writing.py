@@ -13,6 +13,7 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
+from rosbags.typesys.store import Typestore
 
 from services.ingest.messages.registry import message_definition, typestore
 
@@ -160,23 +161,27 @@ def sweep(record: np.dtype[np.void], count: int, seed: int = 0, stamp_ns: int = 
     return points
 
 
-def random_message(type_name: str, generator: np.random.Generator, is_tame: bool = False) -> Any:
+def random_message(
+    type_name: str, generator: np.random.Generator, is_tame: bool = False, store: Typestore | None = None
+) -> Any:
     """A message whose every field is random bits, NaNs and infinities included; `is_tame`: floats are ordinary."""
-    _constants, fields = typestore().fielddefs[type_name]
-    return made(type_name, **{name: _random_value(kind, generator, is_tame) for name, kind in fields})
+    known = store or typestore()
+    _constants, fields = known.fielddefs[type_name]
+    values = {name: _random_value(kind, generator, is_tame, known) for name, kind in fields}
+    return known.types[type_name](**values)
 
 
-def _random_value(kind: Any, generator: np.random.Generator, is_tame: bool) -> Any:
+def _random_value(kind: Any, generator: np.random.Generator, is_tame: bool, store: Typestore) -> Any:
     node, detail = kind
     if node == Nodetype.BASE:
         return _random_text(generator) if detail[0] == "string" else _random_array(detail[0], 1, generator, is_tame)[0]
     if node == Nodetype.NAME:
-        return random_message(detail, generator, is_tame)
+        return random_message(detail, generator, is_tame, store)
     (element, size) = detail
     length = size if node == Nodetype.ARRAY else int(generator.integers(0, 4))
     if element[0] == Nodetype.BASE and element[1][0] != "string":
         return _random_array(element[1][0], length, generator, is_tame)
-    return [_random_value(element, generator, is_tame) for _ in range(length)]
+    return [_random_value(element, generator, is_tame, store) for _ in range(length)]
 
 
 def _random_array(code: str, length: int, generator: np.random.Generator, is_tame: bool) -> Any:

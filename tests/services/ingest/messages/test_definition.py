@@ -163,7 +163,7 @@ def test_files_that_are_no_definitions_are_refused(tmp_path: Path) -> None:
     for name, content, sentence in (
         ("Thing.txt", b"int32 x", r"it is no .msg file"),
         ("Thing.msg", b"\xff\xfe", r"it is no UTF-8 text"),
-        ("Large.msg", b"#" * (MOST_CHARACTERS + 1), r"larger than 1048576 bytes"),
+        ("Large.msg", b"#" * (MOST_CHARACTERS + 1), r"larger than 262144 bytes"),
         ("9.msg", b"int32 x", r"'my_msgs/9' is no name of a type"),
     ):
         (folder / name).write_bytes(content)
