@@ -71,7 +71,7 @@ def split_into(bag: Path, folder: Path, parts: int) -> None:
                 for _schema, channel, message in reader.iter_messages(starting_at=begin, ending_before=end):
                     stamps = (message.log_time, message.publish_time)
                     writer.add_message(channels[channel.id], stamps[0], message.data, stamps[1], message.sequence)
-                writer.finish()
+                writer.finish()  # type: ignore[no-untyped-call]
 
 
 def blob_bytes(brought: Brought, sha256: str | None) -> bytes:
