@@ -18,8 +18,9 @@ from stone.se3 import SE3
 
 # Half of the points that a lens' share of the horizon holds, but never more than the 5 % of design §2.
 LEAST_RATIO = 0.05
-# FRONT_LEFT may mean 20° or 70°; looking more than 75° past what the name says is another direction.
-OFF_NAME_LIMIT_DEG = 75.0
+# FRONT_LEFT may mean 20° or 70°; looking more than 75° past what the name says is another direction. LEFT alone may be
+# the left one of a pair that looks forward, so only its opposite is wrong.
+OFF_NAME_LIMIT_DEG, OFF_SIDE_LIMIT_DEG = 75.0, 135.0
 UPRIGHT_LEAST, LEVEL_MOST = 0.5, 0.8
 
 WORDS = {"FRONT": (1, 0), "FORWARD": (1, 0), "BACK": (-1, 0), "REAR": (-1, 0), "LEFT": (0, 1), "RIGHT": (0, -1)}
@@ -31,11 +32,11 @@ class View:
 
     seen_ratio: float
     off_name_deg: float | None
+    is_elsewhere: bool
     is_plausible: bool
 
     def is_wrong(self, least_ratio: float) -> bool:
-        is_elsewhere = self.off_name_deg is not None and self.off_name_deg > OFF_NAME_LIMIT_DEG
-        return self.seen_ratio <= least_ratio or is_elsewhere
+        return self.seen_ratio <= least_ratio or self.is_elsewhere
 
 
 def named_direction(name: str) -> NDArray[np.float64] | None:
@@ -61,6 +62,14 @@ def off_name_deg(name: str, ego_from_camera: SE3) -> float | None:
     return float(np.rad2deg(np.arccos(np.clip(axis @ wanted / length, -1.0, 1.0))))
 
 
+def is_elsewhere(name: str, apart_deg: float | None) -> bool:
+    """Whether a camera of this name that looks `apart_deg` off it is another camera, or its transform wrong."""
+    if apart_deg is None:
+        return False
+    words = set(re.split(r"[^A-Z]+", name.upper())) & set(WORDS)
+    return apart_deg > (OFF_SIDE_LIMIT_DEG if words <= {"LEFT", "RIGHT"} else OFF_NAME_LIMIT_DEG)
+
+
 def least_seen_ratio(intrinsics: CameraIntrinsics) -> float:
     """Below this share of the sweep's points the camera does not look where the LiDAR measures."""
     half_rad = intrinsics.width_px / 2 / intrinsics.fx_px
@@ -73,9 +82,11 @@ def view_of(mount: Mount, ego_from_lidar: SE3, points_camera: NDArray[np.float64
     is_in_image = project(points_camera, mount.intrinsics)[1] if mount.intrinsics else np.zeros(0, np.bool_)
     ego_from_camera = ego_from_lidar @ mount.lidar_from_sensor
     axis, up = ego_from_camera.rotation() @ (0.0, 0.0, 1.0), ego_from_camera.rotation() @ (0.0, -1.0, 0.0)
+    apart_deg = off_name_deg(mount.name, ego_from_camera)
     return View(
         float(is_in_image.mean()) if len(is_in_image) else 0.0,
-        off_name_deg(mount.name, ego_from_camera),
+        apart_deg,
+        is_elsewhere(mount.name, apart_deg),
         bool(up[2] > UPRIGHT_LEAST and abs(axis[2]) < LEVEL_MOST),
     )
 
@@ -85,7 +96,7 @@ def name_findings(calibration: Calibration) -> tuple[Finding, ...]:
     findings = []
     for mount in calibration.of_kind("camera"):
         apart_deg = off_name_deg(mount.name, calibration.ego_from_lidar @ mount.lidar_from_sensor)
-        if apart_deg is not None and apart_deg > OFF_NAME_LIMIT_DEG:
+        if is_elsewhere(mount.name, apart_deg):
             sentence = (
                 f"{mount.name} looks {apart_deg:.0f}° from where its name says (transform inverted, or names swapped?)"
             )

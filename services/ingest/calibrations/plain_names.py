@@ -22,6 +22,8 @@ EGO_FRAMES = ("base_footprint", "ground_projection", "ego", "ego_vehicle", "base
 DIRECTIONS = {
     "front": "FRONT", "forward": "FRONT", "back": "BACK", "rear": "BACK", "left": "LEFT", "right": "RIGHT",
 }  # fmt: skip
+# What may stand beside a direction: front_center_camera is the front one, traffic_light_right_camera no right one.
+SAYING_NOTHING = frozenset({"camera", "cam", "radar", "center", "centre", "middle", "rgb", "color"})
 PREFIXES = {"camera": "CAM", "radar": "RADAR"}
 
 
@@ -52,6 +54,8 @@ def channel_of(name: str, kind: SensorKind) -> str:
     """CAM_FRONT_LEFT for camera_front_left, INS and IMU for theirs; else the name itself."""
     if kind in ("ins", "imu"):
         return kind.upper()
-    found = {DIRECTIONS[word] for word in words_of(name) if word in DIRECTIONS}
+    words = words_of(name)
+    others = set(words) - MEANINGLESS - SAYING_NOTHING - set(DIRECTIONS)
+    found = {DIRECTIONS[word] for word in words if word in DIRECTIONS}
     places = [place for place in ("FRONT", "BACK", "LEFT", "RIGHT") if place in found]
-    return "_".join([PREFIXES[kind], *places]) if kind in PREFIXES and places else name
+    return "_".join([PREFIXES[kind], *places]) if kind in PREFIXES and places and not others else name

@@ -54,7 +54,7 @@ def relative(dst: str, src: str) -> Matrix:
 
 def write(folder: Path, files: Mapping[str, object]) -> Path:
     """Every file as JSON, which YAML is too; texts as they are."""
-    folder.mkdir(exist_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
     for name, content in files.items():
         (folder / name).write_text(content if isinstance(content, str) else json.dumps(content, indent=1))
     return folder
