@@ -78,7 +78,7 @@ class SqlRows:
             if self._connection is None:
                 self._connection = _connected(self._place)
             yield self._connection
-        except sqlite3.Error as error:
+        except (sqlite3.Error, UnicodeError) as error:  # its sentences quote names that need not be text
             self.release()
             raise DamagedDatabaseError(str(error)) from None
 
