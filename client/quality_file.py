@@ -1,10 +1,13 @@
 """The quality of a recording as a page on the disk, for `stone inspect --html`."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.table import Table
 
+from client.tables import plain_table, safe_text
 from services.runtime.atomic import atomic_file
 
 if TYPE_CHECKING:
@@ -32,3 +35,12 @@ def write_quality_page(bag: Path, inspection: "Inspection", out: Path) -> "Quali
     with atomic_file(out) as staging:
         staging.write_bytes(quality_page(bag.name, inspection, quality, pictures))
     return quality
+
+
+def deduction_table(record: Mapping[str, Any]) -> Table:
+    """What the score lost and by what (the `quality` of `stone inspect --html OUT.html --json`)."""
+    table = plain_table(f"quality {record['score']} of 100", "code", "points")
+    table.add_column("why", overflow="fold")
+    for one in record["deductions"]:
+        table.add_row(safe_text(one["code"]), f"-{one['points']}", safe_text(one["message"]))
+    return table

@@ -1,9 +1,11 @@
 """`stone inspect`: what is in a recording, and what is wrong with it."""
 
+from typing import Any
+
 import typer
 
 from client.inputs import BagArgument
-from client.quality_file import HtmlOption, write_quality_page
+from client.quality_file import HtmlOption, deduction_table, write_quality_page
 from client.refusals import REFUSED
 from client.streams import JsonOption, echo_findings, echo_json
 from client.tables import clock_table, inspection_table, show
@@ -29,16 +31,20 @@ def inspect(
 
     profile = chosen_topics(topics, topic)
     inspection = inspect_bag(bag, profile)
-    record = inspection.as_record()
+    record: dict[str, Any] = inspection.as_record()
+    findings = inspection.findings
     if html is not None:
-        record["quality"] = write_quality_page(bag, inspection, html).as_record()
+        quality = write_quality_page(bag, inspection, html)
+        record["quality"], findings = quality.as_record(), (*findings, *quality.left_out)
     if as_json:
         echo_json(record)
     else:
         show(inspection_table(record))
         show(clock_table(inspection.clocks.as_record()))
+        if "quality" in record:
+            show(deduction_table(record["quality"]))
     if save_topics is not None:
         write_profile(save_topics, inspection.assignment.as_profile(profile.platform))
-    echo_findings(inspection.findings)
-    if any(finding.severity == "error" for finding in inspection.findings):
+    echo_findings(findings)
+    if any(finding.severity == "error" for finding in findings):
         raise typer.Exit(REFUSED)

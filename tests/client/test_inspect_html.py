@@ -1,6 +1,7 @@
 """`stone inspect --html` writes a page beside its answer, whole or not at all, and the same one every time."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -31,6 +32,22 @@ def test_the_page_holds_the_score_and_the_pictures_and_json_the_numbers(recordin
     assert page.count('<img src="data:image/png;base64,') == 2
     assert "$HOME &lt;b&gt;.mcap" in page
     assert [path.name for path in tmp_path.iterdir()] == ["out.html"]
+
+
+def test_people_read_the_score_and_what_it_lost(recording: Path, tmp_path: Path) -> None:
+    result = inspect(recording, "--html", str(tmp_path / "out.html"))
+    assert re.search(r"quality \d+ of 100", result.stdout)
+    assert re.search(r"TIM-201 +-\d", result.stdout)
+
+
+def test_a_topic_that_lies_is_an_error_once_it_is_looked_at(tmp_path: Path) -> None:
+    lies = [recordings.picture("/camera/front/image", int(stamp), b"no picture") for stamp in ticks(1, 10)]
+    path = written(tmp_path / "run.mcap", lies, recordings.clouds(ticks(1, 10)))
+    assert inspect(path).exit_code == 0
+    result = inspect(path, "--html", str(tmp_path / "out.html"))
+    assert result.exit_code == 1
+    assert "/camera/front/image: 10 of 10 sampled messages are left out" in result.stderr
+    assert (tmp_path / "out.html").is_file()
 
 
 def test_the_same_recording_gives_the_same_bytes(recording: Path, tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from services.ingest.bag import Bag, Topic
 from services.ingest.inspection import Inspection
 from services.ingest.messages.camera import picture_of
 from services.ingest.quality.markup import plain
+from services.ingest.quality.sampling import Span, span_of
 from services.ingest.quality.watched import cameras_of
 from stone.errors import StoneError
 
@@ -43,7 +44,8 @@ def camera_strip(bag: Bag, inspection: Inspection) -> bytes | None:
     cameras = cameras_of(inspection)
     if not cameras:
         return None
-    tiles = [_tile(bag, topic, channel or topic.name) for topic, channel in cameras]
+    span = span_of(bag)
+    tiles = [_tile(bag, topic, channel or topic.name, span) for topic, channel in cameras]
     height_px = round(TILE_WIDTH_PX * _ratio(tiles))
     rows, columns = -(-len(tiles) // COLUMNS), min(COLUMNS, len(tiles))
     size = (columns * (TILE_WIDTH_PX + GAP_PX) - GAP_PX, rows * (height_px + GAP_PX) - GAP_PX)
@@ -56,12 +58,12 @@ def camera_strip(bag: Bag, inspection: Inspection) -> bytes | None:
     return stream.getvalue()
 
 
-def _tile(bag: Bag, topic: Topic, label: str) -> _Tile:
+def _tile(bag: Bag, topic: Topic, label: str, span: Span) -> _Tile:
     """The picture nearest to the middle in time, else one of a quarter off."""
     times_ns = bag.log_times_ns(topic.name)
     reason = ""
     for place in PLACES:
-        asked_ns = bag.start_ns + round(place * (bag.end_ns - bag.start_ns))
+        asked_ns = span.start_ns + round(place * span.length_ns)
         index = min(int(np.searchsorted(times_ns, asked_ns)), len(times_ns) - 1)
         try:
             return _Tile(label, picture_of(topic.type, bag.message(topic.name, index).payload, TILE_WIDTH_PX), "")

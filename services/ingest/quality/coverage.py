@@ -13,6 +13,7 @@ from services.ingest.bag import Bag
 from services.ingest.cdr import NS_PER_S
 from services.ingest.inspection import InspectedTopic, Inspection
 from services.ingest.quality.facts import Coverage
+from services.ingest.quality.sampling import Span, span_of
 from services.ingest.roles import Role
 from services.ingest.timing import GAP_RATIO, LEAST_STEADY_COUNT, Timing
 
@@ -29,13 +30,13 @@ def coverage_of(bag: Bag, inspection: Inspection) -> tuple[Coverage, ...]:
     """Of the topics that have messages, in the order of `ROLES`; at most `MOST_TOPICS`."""
     spoken = [topic for topic in inspection.topics if topic.topic.count]
     ordered = sorted(spoken, key=lambda topic: ROLES.index(topic.role))
-    return tuple(_coverage(bag, topic) for topic in ordered[:MOST_TOPICS])
+    span = span_of(bag)
+    return tuple(_coverage(bag, topic, span) for topic in ordered[:MOST_TOPICS])
 
 
-def _coverage(bag: Bag, inspected: InspectedTopic) -> Coverage:
+def _coverage(bag: Bag, inspected: InspectedTopic, span: Span) -> Coverage:
     topic, rate_hz = inspected.topic, inspected.timing.rate_hz
-    times_ns = bag.log_times_ns(topic.name) - bag.start_ns
-    span_ns = bag.end_ns - bag.start_ns
+    times_ns, span_ns = bag.log_times_ns(topic.name) - span.start_ns, span.length_ns
     first_ns, last_ns = int(times_ns[0]), int(times_ns[-1])
     if rate_hz is None or len(times_ns) < LEAST_STEADY_COUNT or span_ns <= 0:
         return Coverage(topic.name, inspected.role, topic.count, rate_hz, first_ns, last_ns, None, (), ())

@@ -43,6 +43,19 @@ class Look:
     effort: Effort
 
 
+@dataclass(frozen=True)
+class Span:
+    """Log times of the first and the last message of a recording; asked once, since it takes a look at every topic."""
+
+    start_ns: int
+    length_ns: int
+
+
+def span_of(bag: Bag) -> Span:
+    start_ns = bag.start_ns
+    return Span(start_ns, bag.end_ns - start_ns)
+
+
 @dataclass
 class _Refusals:
     """Of one topic: how many samples were taken and which were refused, by code, with the first sentence of each."""
@@ -51,19 +64,26 @@ class _Refusals:
     counts: Counter[str] = field(default_factory=Counter)
     sentences: dict[str, str] = field(default_factory=dict)
 
+    def add(self, error: StoneError | None) -> None:
+        self.taken += 1
+        if error is not None:
+            self.counts[error.code] += 1
+            self.sentences.setdefault(error.code, str(error))
+
 
 def sample(bag: Bag, looks: Sequence[Look]) -> tuple[Finding, ...]:
     """Show every look its samples, in log order; what was refused is returned, one finding per topic and code."""
-    wanted = [_indices(bag, look) for look in looks]
+    span = span_of(bag)
+    wanted = [_indices(bag, look, span) for look in looks]
     refusals = [_Refusals() for _ in looks]
     for instant in range(INSTANTS):
         for look, indices, refused in zip(looks, wanted, refusals, strict=True):
             if instant in indices:
-                _show(bag, look, indices[instant], refused)
+                refused.add(_show(bag, look, indices[instant], span.start_ns))
     return tuple(_findings(looks, refusals))
 
 
-def _indices(bag: Bag, look: Look) -> dict[int, int]:
+def _indices(bag: Bag, look: Look, span: Span) -> dict[int, int]:
     """Which message of the topic is shown at which instant; none twice, all of a topic that has few."""
     times_ns = bag.log_times_ns(look.topic.name)
     count = len(times_ns)
@@ -73,8 +93,7 @@ def _indices(bag: Bag, look: Look) -> dict[int, int]:
     if count <= samples:
         return {index * INSTANTS // count: index for index in range(count)}
     instants = np.arange(INSTANTS // samples // 2, INSTANTS, INSTANTS // samples)
-    span_ns = max(1, bag.end_ns - bag.start_ns)
-    asked_ns = bag.start_ns + ((2 * instants + 1) * (span_ns / (2 * INSTANTS))).astype(np.int64)
+    asked_ns = span.start_ns + ((2 * instants + 1) * (max(1, span.length_ns) / (2 * INSTANTS))).astype(np.int64)
     found = np.minimum(np.searchsorted(times_ns, asked_ns), count - 1)
     _distinct, first = np.unique(found, return_index=True)
     return {int(instants[row]): int(found[row]) for row in first}
@@ -87,14 +106,14 @@ def _samples(count: int, effort: Effort) -> int:
     return samples
 
 
-def _show(bag: Bag, look: Look, index: int, refused: _Refusals) -> None:
-    refused.taken += 1
+def _show(bag: Bag, look: Look, index: int, start_ns: int) -> StoneError | None:
+    """Why the message was refused, if it was."""
     try:
         message = bag.message(look.topic.name, index)
-        look.see(message.log_time_ns - bag.start_ns, message.payload)
+        look.see(message.log_time_ns - start_ns, message.payload)
     except StoneError as error:
-        refused.counts[error.code] += 1
-        refused.sentences.setdefault(error.code, str(error))
+        return error
+    return None
 
 
 def _findings(looks: Sequence[Look], refusals: Sequence[_Refusals]) -> Iterator[Finding]:

@@ -21,6 +21,7 @@ POINTS_OF_CODE: Mapping[str, tuple[int, int]] = {
     "TIM-202": (8, 16),
     "TIM-203": (5, 15),
     "TIM-204": (2, 10),
+    "TIM-208": (5, 20),
     "GNS-302": (8, 16),
     "MSG-309": (1, 3),
 }
