@@ -1,14 +1,14 @@
 """How much later a gyro's stamps are than those of a source of orientations, from the turns that both tell.
 
-    rate of turn(t) ≈ ω(t + lag) A + b,   the lag at which the two agree best
+    rate of turn(t) ≈ R ω(t + lag) + b,   the lag at which the two agree best
 
 **Conventions.** The rate of turn is the rotation between two orientations, in the source's own axes, divided by the
-time between them; the gyro is integrated over the same time, so that neither is differentiated nor resampled. `A`
-(3, 3) and `b` are fitted: neither the mount of the gyro nor its bias need be known. All three axes count, because
-rough ground rolls and pitches a robot faster than it ever yaws (on simulated drives of 6 s: 0.3 ms from the truth, by
-yaw alone 8 ms). A positive lag means that the gyro's stamps are late. Orientations are `wxyz`.
-Source: generalised cross-correlation (Knapp and Carter, 1976) with a fitted mount; the standard error is that of least
-squares, residual over the slope of the signal, which is too small where the gyro's own noise is most of the residual.
+time between them; the gyro is integrated over the same time, so that neither is differentiated nor resampled. The
+rotation `R` and the bias `b` are fitted: the mount of the gyro need not be known. All three axes count, because rough
+ground rolls and pitches a robot faster than it ever yaws (on simulated drives of 6 s: 0.3 ms from the truth, by yaw
+alone 8 ms). A positive lag means that the gyro's stamps are late. Orientations are `wxyz`.
+Source: generalised cross-correlation (Knapp and Carter, 1976) with a fitted mount (Kabsch, 1976); the standard error is
+that of least squares, residual over the slope of the signal.
 """
 
 from dataclasses import dataclass
@@ -31,6 +31,7 @@ GAP_RATIO = 2.5
 # Three seconds at 20 Hz: fewer smooth turns can be those of any other moment, under some mount.
 LEAST_TURNS = 60
 SLOPE_STEP_S = 0.001
+FITTED = 7  # a rotation, a bias, the lag
 
 
 @dataclass(frozen=True)
@@ -61,12 +62,14 @@ class _Gyro:
     time_s: Array
     angle_rad: Array
 
-    def rate_between(self, begin_s: Array, end_s: Array) -> Array:
-        """Mean rates (K, 3) over K intervals."""
+    def rates_between(self, turns: Turns, lag_s: float) -> Array:
+        """Mean rates (K, 3) over the steps, `lag_s` later, without what they share."""
+        begin_s, end_s = turns.begin_s + lag_s, turns.end_s + lag_s
         turned = [
             np.interp(end_s, self.time_s, axis) - np.interp(begin_s, self.time_s, axis) for axis in self.angle_rad.T
         ]
-        return np.stack(turned, axis=-1) / (end_s - begin_s)[:, None]
+        rates = np.stack(turned, axis=-1) / (end_s - begin_s)[:, None]
+        return np.asarray(rates - rates.mean(axis=0))
 
 
 def gyro_lag(gyro: tuple[Stamps, Array], source: tuple[Stamps, Array]) -> GyroLag | None:
@@ -134,32 +137,44 @@ def _integrated(time_s: Array, rates: Array) -> Array:
 
 def _best(gyro: _Gyro, turns: Turns) -> GyroLag | None:
     searched = np.arange(-MAX_LAG_S, MAX_LAG_S + COARSE_STEP_S / 2, COARSE_STEP_S)
-    errors = np.array([_fit(gyro, turns, lag_s)[0] for lag_s in searched.tolist()])
-    at = int(np.argmin(errors))
+    found = [_agreement(gyro, turns, lag_s) for lag_s in searched.tolist()]
+    at = int(np.argmax(found))
     if at in (0, len(searched) - 1):
         return None
     bounds = (searched[at - 1], searched[at + 1])
-    found = minimize_scalar(lambda lag_s: _fit(gyro, turns, lag_s)[0], bounds=bounds, method="bounded")
-    lag_s = float(found.x)
-    error, weights = _fit(gyro, turns, lag_s)
-    slope = (_told(gyro, turns, lag_s + SLOPE_STEP_S) - _told(gyro, turns, lag_s - SLOPE_STEP_S)) @ weights
-    slope_energy = float(np.sum((slope / (2 * SLOPE_STEP_S)) ** 2))
-    free = turns.rates_rad_s.size - weights.size - 1
-    if slope_energy == 0 or free <= 0:
+    best = minimize_scalar(lambda lag_s: -_agreement(gyro, turns, lag_s), bounds=bounds, method="bounded")
+    lag_s, correlation = float(best.x), -float(best.fun)
+    sigma_s = _sigma_s(gyro, turns, lag_s)
+    return None if sigma_s is None else GyroLag(round(lag_s * 1e9), round(sigma_s * 1e9), min(correlation, 1.0))
+
+
+def _agreement(gyro: _Gyro, turns: Turns, lag_s: float) -> float:
+    """Correlation of the rates under the rotation that makes it largest (Kabsch, 1976; a mirrored gyro is one, too)."""
+    told, turned = gyro.rates_between(turns, lag_s), turns.centred()
+    energy = float(np.sum(told**2) * np.sum(turned**2))
+    return float(np.linalg.svd(told.T @ turned, compute_uv=False).sum()) / np.sqrt(energy) if energy > 0 else 0.0
+
+
+def _sigma_s(gyro: _Gyro, turns: Turns, lag_s: float) -> float | None:
+    """Standard error of the lag; None where the source's rates never change.
+
+    Only what no small turn of the mount could explain as well tells of the lag. The gyro's slope has its noise in it,
+    which moves with the lag: it counts in the error, never in the signal.
+    """
+    told, turned = gyro.rates_between(turns, lag_s), turns.centred()
+    u, _, v = np.linalg.svd(told.T @ turned)
+    mount = u @ v
+    tilts = np.stack([np.cross(turned, axis).ravel() for axis in np.eye(3)], axis=-1)
+    slope = gyro.rates_between(turns, lag_s + SLOPE_STEP_S) - gyro.rates_between(turns, lag_s - SLOPE_STEP_S)
+    noisy = _energy_beside(slope @ mount / (2 * SLOPE_STEP_S), tilts)
+    signal = _energy_beside(np.gradient(turned, turns.begin_s, axis=0), tilts)
+    if signal == 0:
         return None
-    sigma_s = float(np.sqrt(error / free / slope_energy))
-    total = float(np.sum(turns.centred() ** 2))
-    return GyroLag(round(lag_s * 1e9), round(sigma_s * 1e9), float(np.sqrt(max(0.0, 1 - error / total))))
+    error = float(np.sum((told @ mount - turned) ** 2)) / (turned.size - FITTED)
+    return float(np.sqrt(error * max(noisy, signal))) / signal
 
 
-def _fit(gyro: _Gyro, turns: Turns, lag_s: float) -> tuple[float, Array]:
-    """Squared error of the best mount at this lag, and its weights (4, 3): the gyro's axes and the bias."""
-    told = _told(gyro, turns, lag_s)
-    weights: Array = np.linalg.lstsq(told, turns.rates_rad_s, rcond=None)[0].astype(np.float64)
-    return float(np.sum((told @ weights - turns.rates_rad_s) ** 2)), weights
-
-
-def _told(gyro: _Gyro, turns: Turns, lag_s: float) -> Array:
-    """What the gyro says of the turns (K, 4), with a column of ones."""
-    rates = gyro.rate_between(turns.begin_s + lag_s, turns.end_s + lag_s)
-    return np.concatenate([rates, np.ones((len(rates), 1))], axis=1)
+def _energy_beside(slope_per_s: Array, tilts: Array) -> float:
+    """Sum of squares of what is left of the slope when the tilts (3K, 3) are fitted to it."""
+    flat = slope_per_s.ravel()
+    return float(np.sum((flat - tilts @ np.linalg.lstsq(tilts, flat, rcond=None)[0]) ** 2))

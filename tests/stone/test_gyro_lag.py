@@ -163,6 +163,22 @@ def test_nothing_is_told_of_a_robot_that_stands_or_of_no_messages() -> None:
     assert gyro_lag(drive.gyro(), (source_ns[:10], wxyz[:10])) is None
 
 
+def test_a_drive_that_hardly_tells_says_so() -> None:
+    """Two slow tones alone: a small turn of the mount looks like a lag, so the standard error is large."""
+    time_s = np.arange(0, 8, 0.05)
+    angles = np.stack([0.5 * time_s, 0.1 * np.sin(time_s), 0.17 * np.cos(0.7 * time_s)], axis=-1)
+    wxyz = np.roll(Rotation.from_euler("ZYX", angles).as_quat(), 1, axis=1)
+    lively, slow = Drive(2, seconds=8.0), (T0_NS + np.rint(time_s * 1e9).astype(np.int64), wxyz)
+    gyro_s = np.arange(-0.6, 8.6, 0.005)
+    body = np.stack([0.5 * gyro_s, 0.1 * np.sin(gyro_s), 0.17 * np.cos(0.7 * gyro_s)], axis=-1)
+    attitude = Rotation.from_euler("ZYX", body)
+    rates = (attitude[:-1].inv() * attitude[1:]).as_rotvec() / 0.005
+    noisy = rates + np.random.default_rng(0).normal(0, 0.002, (len(gyro_s) - 1, 3))
+    told = _found((T0_NS + np.rint((gyro_s[:-1] + 0.0025) * 1e9).astype(np.int64), noisy), slow)
+    assert abs(told.lag_ns) < 4 * told.sigma_ns
+    assert told.sigma_ns > 5 * _found(lively.gyro(), lively.source()).sigma_ns
+
+
 def test_a_gyro_that_measures_something_else_hardly_correlates() -> None:
     drive = Drive(1)
     gyro_ns, rates = drive.gyro()

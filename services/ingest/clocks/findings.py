@@ -53,7 +53,7 @@ def _sequence_findings(topic: str, role: Role, timing: Timing) -> Iterator[Findi
     if role in UNCLOCKED_ROLES and role != "other":
         return
     if timing.repeats and timing.has_header and role != "other":
-        message = f"{timing.repeats} messages repeat a stamp; the first of each is used."
+        message = f"{timing.repeats} of {len(timing.stamps_ns)} messages repeat a stamp; the first of each is used."
         yield Finding("TIM-206", "warning", topic, message)
     if timing.gaps:
         yield _gap_finding(topic, timing)

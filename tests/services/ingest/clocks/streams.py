@@ -1,6 +1,6 @@
 """Small recordings whose clocks are known: topics with chosen stamps and chosen record times."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -57,15 +57,19 @@ def clouds(stamps_ns: Stamps, log_times_ns: Stamps, topic: str = "/lidar") -> li
     ]
 
 
-def solutions(topic: str, times_ns: Stamps, late_ns: Stamps, type_name: str = INSPVAX) -> list[Recorded]:
-    """NovAtel logs valid at `times_ns` (whole milliseconds), stamped and recorded `late_ns` later."""
-    message = random_message(type_name, np.random.default_rng(1), is_tame=True)
+def solutions(
+    topic: str, times_ns: Stamps, late_ns: Stamps, fields: Sequence[Mapping[str, float]] | None = None
+) -> list[Recorded]:
+    """INSPVAX valid at `times_ns` (whole milliseconds), stamped and recorded `late_ns` later; `fields` of each."""
+    message = random_message(INSPVAX, np.random.default_rng(1), is_tame=True)
     recorded = []
-    for time_ns, late in zip(times_ns.tolist(), late_ns.tolist(), strict=True):
+    for row, (time_ns, late) in enumerate(zip(times_ns.tolist(), late_ns.tolist(), strict=True)):
+        for name, value in fields[row].items() if fields else ():
+            setattr(message, name, value)
         gps_ms = time_ns // MS + (LEAP_S - GPS_EPOCH_S) * 1000
         message.nov_header.gps_week_number, message.nov_header.gps_week_milliseconds = divmod(gps_ms, WEEK_MS)
         message.header = header(time_ns + late, "gps")
-        recorded.append(Recorded(topic, type_name, time_ns + late + 100_000, serialised(message)))
+        recorded.append(Recorded(topic, INSPVAX, time_ns + late + 100_000, serialised(message)))
     return recorded
 
 
