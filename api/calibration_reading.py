@@ -48,7 +48,8 @@ def received(file: IO[bytes], filename: str) -> Iterator[Path]:
 def read(path: Path) -> ReadCalibration:
     """What the file amounts to; raises as `understood`."""
     found = understood(path)
-    sensors = tuple({"name": mount.name, "kind": mount.kind} for mount in found.calibration.mounts)
+    mounts = found.calibration.mounts
+    sensors = tuple({"name": mount.name, "kind": mount.kind, "frame_id": mount.frame_id} for mount in mounts)
     findings = tuple(finding.as_record() for finding in found.findings)
     return ReadCalibration(found.calibration.name, path.name, sensors, findings, found.format)
 

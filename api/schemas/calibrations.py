@@ -17,12 +17,13 @@ class FindingItem(Answer):
 
 
 class SensorItem(Answer):
-    """One sensor the calibration places on the robot."""
+    """One sensor the calibration places on the robot; `frame_id` is that of its messages, "" where it is not told."""
 
-    model_config = example(name="CAM_FRONT", kind="camera")
+    model_config = example(name="CAM_FRONT", kind="camera", frame_id="cam_front")
 
     name: str
     kind: str
+    frame_id: str = ""
 
 
 class CalibrationItem(Answer):

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from services.ingest.channels import channel_of
 from services.ingest.extrinsics import plain
 from services.ingest.recorded import Ordered, Recorded, in_order
 from services.ingest.roles import Role
@@ -54,13 +55,20 @@ def associate(topics: SensorTopics, posed: PosedFrames) -> tuple[Frames, tuple[F
 
 
 def mount_of(topic: str, frame_id: str, role: Role, calibration: Calibration) -> Mount | None:
-    """By the frame the messages are in, else by a channel spelt out in the topic (/radar_left/detections)."""
+    """By the frame the messages are in, else by a channel spelt out in the topic (/radar_left/detections).
+
+    Else by the words of the names, where they name one channel only.
+    """
     mounts = [mount for mount in calibration.mounts if mount.kind == role]
     for mount in mounts:
         if mount.frame_id and plain(mount.frame_id) == plain(frame_id):
             return mount
     parts = topic.lower().split("/")
-    return next((mount for mount in mounts if mount.name.lower() in parts), None)
+    spelt = next((mount for mount in mounts if mount.name.lower() in parts), None)
+    if spelt is not None or role not in ("camera", "radar"):
+        return spelt
+    channel = channel_of(role, topic, frame_id, {})
+    return next((mount for mount in mounts if mount.name == channel), None)
 
 
 def _mount(topics: SensorTopics, topic: str, role: Role) -> Mount | None:

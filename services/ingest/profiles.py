@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from services.ingest.channels import PREFIX, ChannelKind, channel_of
 from services.ingest.profile_errors import BadProfileError
-from services.ingest.roles import PACKET_TYPES, POSE_ROLES, ROLE_OF_TYPE, Role, fullest, with_plausible_rate
+from services.ingest.roles import PACKET_TYPES, POINT_CLOUD, POSE_ROLES, Role, fullest, with_plausible_rate
 from stone.findings import Finding, Severity
 
 PARTS = ("lidar", "pose", "imu")
@@ -102,7 +102,7 @@ def _chosen(candidates: Sequence[Candidate], profile: Profile) -> tuple[dict[str
 
 def _can_be(candidate: Candidate, part: str) -> bool:
     """A choice may overrule how a cloud was taken, not what type of message it is."""
-    is_cloud = candidate.type not in ROLE_OF_TYPE and candidate.role in ("lidar", "radar")
+    is_cloud = candidate.type == POINT_CLOUD
     if part == "lidar":
         return is_cloud
     if part == "pose":
@@ -150,7 +150,7 @@ def _missing(candidates: Sequence[Candidate], channels: Mapping[str, str]) -> It
     """What labels need and nothing fits; several that fit are not nothing."""
     recorded = [candidate for candidate in candidates if candidate.count]
     if "lidar" not in channels and not _of_role(recorded, "lidar"):
-        packets = [candidate.name for candidate in candidates if candidate.type in PACKET_TYPES]
+        packets = [candidate.name for candidate in _of_role(candidates, "other") if candidate.type in PACKET_TYPES]
         why = f"{packets[0]} holds raw packets: let the driver publish points." if packets else "Labels need one."
         yield Finding("TOP-101", "error", packets[0] if packets else "", f"No LiDAR PointCloud2 found. {why}")
     if "pose" not in channels and not any(candidate.role in POSE_ROLES for candidate in recorded):

@@ -27,11 +27,13 @@ ROLE_OF_TYPE: dict[str, Role] = {
     "continental_msgs/msg/ContinentalArs548DetectionList": "radar",
     "radar_msgs/msg/RadarScan": "radar",
 }
+# Whose packets these are, a LiDAR's or a radar's, only the topic's name says.
+PACKETS_OF_EITHER = "nebula_msgs/msg/NebulaPackets"
 PACKET_TYPES = frozenset(
     {
         "hesai_ros_driver/msg/UdpFrame",
         "pandar_msgs/msg/PandarScan",
-        "nebula_msgs/msg/NebulaPackets",
+        PACKETS_OF_EITHER,
         "velodyne_msgs/msg/VelodyneScan",
     }
 )
@@ -67,6 +69,8 @@ def role_of(facts: TopicFacts) -> Role:
     if facts.type == TRANSFORMS:
         is_slow = facts.rate_hz is None or facts.rate_hz < LAST_STATIC_RATE_HZ
         return "tf_static" if is_slow and facts.name.rstrip("/").endswith("static") else "tf"
+    if facts.type == PACKETS_OF_EITHER and "radar" in facts.name.lower():
+        return "radar"
     return ROLE_OF_TYPE.get(facts.type, "other")
 
 

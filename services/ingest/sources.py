@@ -96,7 +96,7 @@ def _lidar(roles: list[Candidate], asked: str | None) -> Candidate:
         return _asked(roles, asked, [topic for topic in roles if topic.type == POINT_CLOUD], POINT_CLOUD)
     lidars = [topic for topic in roles if topic.role == "lidar"]
     if not lidars:
-        raise NoLidarError([topic.name for topic in roles if topic.type in PACKET_TYPES])
+        raise NoLidarError([topic.name for topic in roles if topic.role == "other" and topic.type in PACKET_TYPES])
     return _only("lidar", with_plausible_rate("lidar", lidars), "--lidar")
 
 

@@ -132,7 +132,7 @@ def test_a_calibration_is_kept_as_it_came(api_on: httpx.Client, platform_on: Pla
     assert answer.status_code == 201
     assert (item["version"], item["sha256"], item["filename"]) == (1, sha256(PLAIN).hexdigest(), "rig.yaml")
     assert answer.headers["location"] == f"{URL}/{item['id']}"
-    assert item["sensors"] == [{"name": "RADAR_FRONT", "kind": "radar"}]
+    assert item["sensors"] == [{"name": "RADAR_FRONT", "kind": "radar", "frame_id": ""}]
     assert api_on.get(answer.headers["location"], headers=ada.headers).json() == item
     file = api_on.get(f"{URL}/{item['id']}/file", headers=ada.headers)
     assert (file.content, file.headers["content-type"]) == (PLAIN, "application/yaml")

@@ -1,8 +1,20 @@
 """A topic's role follows from what it holds; its name only breaks ties."""
 
+from dataclasses import dataclass
+
 import pytest
 
-from services.ingest.roles import POINT_CLOUD, ROLE_OF_TYPE, TRANSFORMS, Role, TopicFacts, role_of
+from services.ingest.roles import (
+    INSPVAX,
+    POINT_CLOUD,
+    ROLE_OF_TYPE,
+    TRANSFORMS,
+    Role,
+    TopicFacts,
+    fullest,
+    role_of,
+    with_plausible_rate,
+)
 
 XYZ = frozenset({"x", "y", "z"})
 
@@ -47,3 +59,32 @@ def test_transforms_are_static_when_they_are_latched_under_the_contracted_name()
     assert role_of(TopicFacts("/robot/tf_static", TRANSFORMS, 0.1)) == "tf_static"
     assert role_of(TopicFacts("/tf_static", TRANSFORMS, 50.0)) == "tf"
     assert role_of(TopicFacts("/tf", TRANSFORMS, None)) == "tf"
+
+
+def test_packets_that_either_sensor_sends_are_a_radar_s_only_where_the_name_says_so() -> None:
+    packets = "nebula_msgs/msg/NebulaPackets"
+    assert role_of(TopicFacts("/sensing/radar/front/nebula_packets", packets, 20.0)) == "radar"
+    assert role_of(TopicFacts("/sensing/front/nebula_packets", packets, 20.0)) == "other"
+
+
+@dataclass(frozen=True)
+class Seen:
+    type: str
+    count: int
+    rate_hz: float | None
+
+
+def test_only_an_implausible_rate_rules_a_topic_out_and_never_the_last() -> None:
+    sweeps, a_map, unknown = (Seen(POINT_CLOUD, 10, rate_hz) for rate_hz in (10.0, 0.1, None))
+    assert with_plausible_rate("lidar", [a_map, sweeps, unknown]) == [sweeps]
+    assert with_plausible_rate("lidar", [a_map, unknown]) == [a_map, unknown]
+    assert with_plausible_rate("odometry", [a_map, sweeps]) == [a_map, sweeps]
+
+
+def test_of_two_logs_of_one_receiver_the_fuller_counts_and_then_the_one_with_its_quality() -> None:
+    inspva = Seen("novatel_oem7_msgs/msg/INSPVA", 10, 10.0)
+    fuller, equal = Seen(INSPVAX, 20, 20.0), Seen(INSPVAX, 10, 10.0)
+    assert fullest([inspva, fuller]) == [fuller]
+    assert fullest([inspva, equal]) == fullest([equal, inspva]) == [equal]
+    assert fullest([equal, fuller]) == [equal, fuller]
+    assert fullest([]) == []

@@ -5,10 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from services.ingest.associating import mount_of
 from services.ingest.extrinsics import StaticTree, turn_deg
 from services.ingest.pipeline import SynchroniseOptions, synchronise
 from services.ingest.recorded import in_order
-from services.ingest.associating import mount_of
+from services.ingest.synchronisation_errors import WrongTopicError
+from services.runtime.sequence_file import read_sequence, sequence_bytes
 from stone.se3 import SE3
 from tests.services.ingest import rigs
 from tests.services.ingest.rigs import PERIOD_NS, T0_NS, calibration, plain_sweep, stamped, written
@@ -60,6 +62,47 @@ def test_every_sensor_is_found_under_its_channel(tmp_path, base):
     assert [f.code for f in sequence.findings if f.topic == RADAR] == ["SYN-504"]
 
 
+def test_an_imu_keeps_its_samples_from_frame_to_frame(tmp_path, base):
+    """Recorded out of order and twice: they are counted in the order of their stamps."""
+    imu_ns = T0_NS - 1_000_000 + np.arange(420) * 5_000_000
+    recorded = messages(IMU, "sensor_msgs/msg/Imu", [*imu_ns[:50], imu_ns[20], *imu_ns[50:]], "imu_link")
+    frames = synchronised(tmp_path / "a.mcap", base, recorded).frames
+    start = frames.slices["IMU"].start
+    assert (len(start), frames.slices["IMU"].topic) == (len(frames) + 1, IMU)
+    for index, stamp_ns in enumerate(frames.stamps_ns):
+        between = imu_ns[start[index] : start[index + 1]]
+        expected = [s for s in imu_ns if stamp_ns <= s < stamp_ns + PERIOD_NS]
+        assert between.tolist() == expected
+
+
+def test_an_imu_that_is_silent_has_empty_slices(tmp_path, base):
+    sequence = synchronised(tmp_path / "a.mcap", base, messages(IMU, "sensor_msgs/msg/Imu", STAMPS_NS[:1], "imu_link"))
+    assert sequence.frames.slices["IMU"].start.tolist() == [0] + [1] * 20
+
+
+def test_the_phase_that_was_learnt_is_kept_with_the_images_and_reaches_the_labeler(tmp_path, base):
+    imu = messages(IMU, "sensor_msgs/msg/Imu", STAMPS_NS, "imu_link")
+    sequence = synchronised(tmp_path / "a.mcap", base, images(STAMPS_NS + PHASE_NS), imu)
+    read = read_sequence(sequence_bytes(sequence)).frames
+    assert read.associations["CAM_FRONT"].phase_ns == PHASE_NS
+    assert read.associations["IMU"].phase_ns is None
+    assert read.slices["IMU"].start.tolist() == sequence.frames.slices["IMU"].start.tolist()
+
+
+def test_a_topic_named_for_a_channel_is_that_channels(tmp_path, base):
+    """The profile of a platform says so, whatever frame the messages are in."""
+    stamps_ns = STAMPS_NS + 1_000_000
+    unknown = messages("/other/image", "sensor_msgs/msg/CompressedImage", stamps_ns, "elsewhere")
+    path = written(tmp_path / "a.mcap", base, unknown)
+    for channel, expected in (("CAM_FRONT", "CAM_FRONT"), ("RADAR_LEFT", "/other/image")):
+        options = SynchroniseOptions(topics={channel: "/other/image"})
+        assert list(synchronise(path, calibration(), options, "run")[0].frames.associations) == [expected]
+    with pytest.raises(WrongTopicError, match="/other/image"):
+        synchronise(path, calibration(), SynchroniseOptions(topics={"lidar": "/other/image"}), "run")
+    with pytest.raises(WrongTopicError, match="/other/image"):
+        synchronise(path, calibration(), SynchroniseOptions(topics={"pose": "/other/image"}), "run")
+
+
 def test_an_image_belongs_to_the_frame_that_triggered_it_not_to_the_nearest(tmp_path, base):
     """At a phase of 60 ms the nearest stamp would be the next frame's."""
     sequence = synchronised(tmp_path / "a.mcap", base, images(np.delete(STAMPS_NS + PHASE_NS, 7)))
@@ -100,6 +143,8 @@ def test_a_channel_spelt_out_in_the_topic_is_enough():
     assert mount_of("/sensors/radar_left/list", "unheard_of", "radar", calibration()).name == "RADAR_LEFT"
     assert mount_of("/sensors/radar_left/list", "unheard_of", "camera", calibration()) is None
     assert mount_of("/anything", "/cam_front", "camera", calibration()).name == "CAM_FRONT"
+    assert mount_of("/frontCamera/image_raw", "unheard_of", "camera", calibration()).name == "CAM_FRONT"
+    assert mount_of("/camera/rear/image_raw", "unheard_of", "camera", calibration()) is None
 
 
 def test_order_keeps_the_first_of_equal_stamps_and_counts_steps_back():
