@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.ingest.messages.batch import Stamped
+from services.ingest.messages.columns import Table
 from services.ingest.messages.registry import resolved
-from services.ingest.messages.table import Table, decode_table
+from services.ingest.messages.table import decode_table
 
 TYPE = "sensor_msgs/msg/CameraInfo"
 

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.ingest.messages.batch import Stamped
+from services.ingest.messages.columns import Table
 from services.ingest.messages.registry import resolved
-from services.ingest.messages.table import STAMP, Table, decode_table
+from services.ingest.messages.table import STAMP, decode_table
 
 NAVSATFIX = "sensor_msgs/msg/NavSatFix"
 GPSFIX_TYPES = frozenset({"gps_msgs/msg/GPSFix", "gps_common/msg/GPSFix"})

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from services.ingest.errors import MessageLayoutError
 from services.ingest.messages.batch import Stamped
+from services.ingest.messages.columns import Table
 from services.ingest.messages.gps_time import unix_ns
 from services.ingest.messages.novatel_types import PACKAGE, decode_novatel, fits
-from services.ingest.messages.table import Table
 
 INS_SOLUTION_GOOD, INS_SOLUTION_FREE, INS_ALIGNMENT_COMPLETE = 3, 6, 7
 NARROW_INT, INS_RTKFLOAT, INS_RTKFIXED = 50, 55, 56

@@ -14,10 +14,11 @@ import numpy as np
 
 from services.ingest.errors import MessageLayoutError
 from services.ingest.messages.batch import Stamped
+from services.ingest.messages.columns import Table
 from services.ingest.messages.definition import Field
 from services.ingest.messages.registry import Registry, registry, resolved
 from services.ingest.messages.sketch import Sketch, sketched
-from services.ingest.messages.table import Table, decode_table
+from services.ingest.messages.table import decode_table
 
 PACKAGE = "novatel_oem7_msgs/msg/"
 _ADDED_BY_HUMBLE = frozenset({"receiver_status", "idle_time"})

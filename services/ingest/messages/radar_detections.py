@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from services.ingest.cdr import NS_PER_S
 from services.ingest.errors import MessageLayoutError
-from services.ingest.messages.table import Table
+from services.ingest.messages.columns import Table
 
 # The flag bits of one detection, ARS 548: distance, azimuth, elevation and range rate (the others are deviations).
 INVALID_MASK = 0x01 | 0x04 | 0x10 | 0x40

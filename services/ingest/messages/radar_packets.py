@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from services.ingest.errors import MessageLayoutError
 from services.ingest.messages.batch import Stamped
+from services.ingest.messages.columns import Ragged
 from services.ingest.messages.errors import PacketError
 from services.ingest.messages.radar_detections import (
     INVALID_MASK,
@@ -22,7 +23,7 @@ from services.ingest.messages.radar_detections import (
     offsets_of,
 )
 from services.ingest.messages.registry import resolved
-from services.ingest.messages.table import Ragged, decode_table
+from services.ingest.messages.table import decode_table
 
 TYPE = "nebula_msgs/msg/NebulaPackets"
 DETECTION_METHOD = 336

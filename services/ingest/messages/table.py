@@ -1,94 +1,28 @@
 """Messages of any type → columns, compiled from the definition of the type.
 
-**Conventions.** A column is named by its dotted path ("header.stamp.sec"). Numbers outside of sequences are arrays
-(N,) or, for fixed arrays, (N, length); texts are lists of N; what lies in a sequence is `Ragged`, once for every
-sequence around it. Rows are in the order of the messages. Source of the wire format: `services.ingest.cdr`.
+**Conventions.** Columns are those of `services.ingest.messages.columns`, the wire format that of `services.ingest.cdr`.
+Messages of one layout are copied together; layouts are few, so what costs is the copying.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from services.ingest.cdr import NS_PER_S, Sheet, sheets, text_of
+from services.ingest.cdr import Sheet, sheets, text_of
 from services.ingest.errors import MessageLayoutError
 from services.ingest.messages.batch import Stamped, payloads_of
+from services.ingest.messages.columns import Column, Ragged, Table
 from services.ingest.messages.plan import Leaf, Node, Repeat, Text
 from services.ingest.messages.registry import Registry, registry
 from services.ingest.messages.sketch import Piece, Sketch, sketched
 
+# Parts of all layouts together, some 300 bytes each; a topic of one publisher has a few layouts of a hundred parts.
+MOST_PIECES = 500_000
+
 Values = NDArray[Any] | list[str]
-
-
-@dataclass(frozen=True, eq=False)
-class Ragged:
-    """Element i of the level above has the values `offsets[i]:offsets[i + 1]`."""
-
-    offsets: NDArray[np.int64]
-    values: "Column"
-
-
-Column = NDArray[Any] | list[str] | Ragged
-
-
-@dataclass(frozen=True, eq=False)
-class Table:
-    """N messages; `columns` has the leaves that were asked for, by dotted path.
-
-    A recording's own definition may lack a field or make another thing of it, so whoever wants a column says of what
-    kind: every accessor raises MessageLayoutError where it is none of that kind.
-    """
-
-    type_name: str
-    count: int
-    columns: Mapping[str, Column]
-
-    def numbers(self, name: str, length: int | None = None, kinds: str = "fiu") -> NDArray[Any]:
-        """(N,), or (N, length) of a fixed array; `kinds` are numpy's, "iu" for whole numbers only."""
-        column = self._column(name)
-        shape = () if length is None else (length,)
-        if not isinstance(column, np.ndarray) or column.shape[1:] != shape or column.dtype.kind not in kinds:
-            kind = "number" if length is None else f"array of {length}"
-            raise MessageLayoutError(self.type_name, f"its definition makes no {kind} of {name}")
-        return column
-
-    def vectors(self, name: str, axes: str = "xyz") -> NDArray[np.float64]:
-        """(N, len(axes)) from the columns name.x, name.y, …"""
-        columns = [self.numbers(f"{name}.{axis}") for axis in axes]
-        return np.stack(columns, axis=1).astype(np.float64, copy=False)
-
-    def texts(self, name: str) -> list[str]:
-        """One text a message."""
-        column = self._column(name)
-        if not isinstance(column, list):
-            raise MessageLayoutError(self.type_name, f"its definition makes no text of {name}")
-        return column
-
-    def ragged(self, name: str) -> tuple[NDArray[np.int64], NDArray[Any]]:
-        """Offsets (N + 1,) and numbers (M,) of a sequence."""
-        column = self._column(name)
-        if isinstance(column, Ragged) and isinstance(column.values, np.ndarray) and column.values.ndim == 1:
-            return column.offsets, column.values
-        raise MessageLayoutError(self.type_name, f"its definition makes no sequence of numbers of {name}")
-
-    def ragged_texts(self, name: str) -> tuple[NDArray[np.int64], list[str]]:
-        """Offsets (N + 1,) and texts (M) of a sequence."""
-        column = self._column(name)
-        if isinstance(column, Ragged) and isinstance(column.values, list):
-            return column.offsets, column.values
-        raise MessageLayoutError(self.type_name, f"its definition makes no sequence of texts of {name}")
-
-    def stamps_ns(self, name: str = "header.stamp") -> NDArray[np.int64]:
-        sec, nanosec = (self.numbers(f"{name}.{part}", kinds="iu").astype(np.int64) for part in ("sec", "nanosec"))
-        return np.asarray(sec * NS_PER_S + nanosec, np.int64)
-
-    def _column(self, name: str) -> Column:
-        if name not in self.columns:
-            raise MessageLayoutError(self.type_name, f"its definition has no {name}")
-        return self.columns[name]
-
 
 STAMP = ("header.stamp.sec", "header.stamp.nanosec")
 
@@ -105,20 +39,27 @@ def decode_table(
     """
     plan = (known or registry()).plan(type_name)
     payloads = payloads_of(messages)
-    stacked = list(sheets(payloads, measure_of(plan, type_name)))
     columns: dict[str, Column] = {}
-    _Filler(stacked, len(payloads), type_name).fill(plan, only, columns)
+    _Filler(_stacked(payloads, plan, type_name), len(payloads), type_name).fill(plan, only, columns)
     return Table(type_name, len(payloads), columns)
 
 
-def measure_of(plan: Sequence[Node], type_name: str) -> Callable[[memoryview], tuple[Sketch, list[int]]]:
-    """How `sheets` measures messages of a plan."""
+def _stacked(payloads: Sequence[memoryview], plan: Sequence[Node], type_name: str) -> list[Sheet[Sketch]]:
+    """All sheets; refuses messages that are so unlike each other that their layouts outgrow them."""
 
     def measure(payload: memoryview) -> tuple[Sketch, list[int]]:
         sketch = sketched(payload, plan, type_name)
         return sketch, sketch.lengths
 
-    return measure
+    stacked: list[Sheet[Sketch]] = []
+    pieces = 0
+    for sheet in sheets(payloads, measure):
+        stacked.append(sheet)
+        pieces += len(sheet.layout.pieces)
+        if pieces > MOST_PIECES:
+            problem = f"{len(stacked)} messages of different layouts have more than {MOST_PIECES} parts together"
+            raise MessageLayoutError(type_name, problem)
+    return stacked
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from services.ingest.cdr import NS_PER_S
 from services.ingest.messages.batch import Stamped, poses
-from services.ingest.messages.table import Table, decode_table
+from services.ingest.messages.columns import Table
+from services.ingest.messages.table import decode_table
 from stone.se3 import SE3
 
 TYPE = "tf2_msgs/msg/TFMessage"

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from services.ingest.messages.columns import Ragged, Table
 from services.ingest.messages.registry import typestore
-from services.ingest.messages.table import Ragged, Table
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from services.ingest.messages.table import decode_table
 from tests.services.ingest.messages.oracle import Message, damaged_in_turn, wire
 from tests.services.ingest.writing import random_message, serialised
 
-KINDS = ("uint8", "float64", "string", "float32[]", "int64[3]", "float32", "bool", "uint32", "builtin_interfaces/Time")
+KINDS = ("uint8", "float64", "string", "float32[]", "int64[3]", "float32", "bool", "uint32", "int8[2]")
 TIME = "int32 sec\nuint32 nanosec"
 FIX = "sensor_msgs/msg/NavSatFix"
 DECODERS: dict[str, Callable[[list[Message], str], Any]] = {

@@ -143,6 +143,24 @@ def test_a_count_of_billions_is_refused_before_anything_is_made() -> None:
         decode_table(PATH, wire([body]))
 
 
+def _strings(count: int) -> bytes:
+    """A message of one sequence of empty strings."""
+    return b"\0\1\0\0" + count.to_bytes(4, "little") + b"\1\0\0\0\0\0\0\0" * count
+
+
+def test_layouts_that_outgrow_their_messages_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.ingest.messages.sketch.MOST_WALKED", 1000)
+    monkeypatch.setattr("services.ingest.messages.table.MOST_PIECES", 5000)
+    known = registry((MessageText("my_msgs/msg/Words", "string[] words"),))
+    words = decode_table("my_msgs/msg/Words", wire([_strings(3), _strings(0)]), known).ragged_texts("words")
+    assert (words[0].tolist(), words[1]) == ([0, 3, 3], ["", "", ""])
+    with pytest.raises(MessageLayoutError, match=r"words has 1001 elements of varying size, 1000 are read"):
+        decode_table("my_msgs/msg/Words", wire([_strings(1001)]), known)
+    many = wire([_strings(600 + place) for place in range(9)])
+    with pytest.raises(MessageLayoutError, match=r"9 messages of different layouts have more than 5000 parts"):
+        decode_table("my_msgs/msg/Words", many, known)
+
+
 def test_texts_that_never_have_the_same_lengths_cost_no_more_than_a_walk_each() -> None:
     """2,000 messages of one size, each with its own split of it: beyond a few splits they are measured one by one."""
     count = 40 * MOST_SPLITS
