@@ -24,6 +24,7 @@ COLOURS = {
     **{f"c{place}": f"#01030{place}" for place in range(SERIES_COLOURS)},
 }  # fmt: skip
 WIDTH_IN, HEIGHT_IN = 4.5, 2.2
+LEAST_SIDE_MS = 2.0
 SVG_HEAD = (
     r'<svg viewBox="\1" xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
     r' aria-hidden="true" focusable="false">'
@@ -98,6 +99,8 @@ def offset_plot(plot_name: str, offsets_ms: Sequence[tuple[float, float, str]]) 
         axes.plot([offset_ms], [row], color=COLOURS[colour], marker="o", markersize=4.5, markeredgewidth=0)
     axes.axvline(0, color=COLOURS["soft"], linewidth=0.8)
     axes.set_xscale("symlog", linthresh=10.0)
+    ends_ms = [offset_ms + sign * jitter_ms for offset_ms, jitter_ms, _ in offsets_ms for sign in (-1, 1)]
+    axes.set_xlim(2 * min(-LEAST_SIDE_MS, *ends_ms), 2 * max(LEAST_SIDE_MS, *ends_ms))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter(FuncFormatter(_plain))
     axes.set_ylim(len(offsets_ms) + 0.6, 0.4)

@@ -50,7 +50,7 @@ def _table(stamped: Sequence[TopicClock]) -> Table:
         )
         for place, clock in enumerate(stamped, start=1)
     )
-    columns = ("row", "topic", "stamped by", "offset, ms", "drift, ppm", "jitter, ms", "steps back")
+    columns = ("row", "topic", "stamped by", "offset, ms", "drift, ppm", "jitter, ms", "back")
     return Table("Offset, drift and jitter by topic", columns, rows, frozenset({0, 3, 4, 5, 6}))
 
 

@@ -36,8 +36,8 @@ nav a:hover{border-color:var(--accent)}
 section{background:var(--card);border:1px solid var(--line);border-radius:12px;padding:16px;margin:0 0 16px}
 .grid{display:grid;gap:16px 24px;grid-template-columns:repeat(auto-fit,minmax(min(100%,300px),1fr))}
 .grid>*{min-width:0}
-@media (min-width:960px){.grid.wide{grid-template-columns:400px minmax(0,1fr)}}
-.grid+p,.scroll+p{margin-top:12px}
+@media (min-width:960px){.grid.wide{grid-template-columns:350px minmax(0,1fr)}}
+.grid+p,.scroll+p,.rows+p{margin-top:12px}
 .share{font-size:2.25rem;font-weight:600;line-height:1.2;margin:0}
 .ring{flex:none;width:112px;height:112px;border-radius:50%;display:grid;place-items:center;
 background:radial-gradient(closest-side,var(--bg) 82%,transparent 83%),
@@ -47,7 +47,8 @@ conic-gradient(var(--tone) calc(var(--score)*1%),var(--rail) 0)}
 .good{--tone:var(--ok)}.usable{--tone:var(--warn)}.poor{--tone:var(--bad)}
 .verdict{font-weight:600;color:var(--tone)}
 ol.lost{list-style:none;margin:0;padding:0}
-ol.lost li{display:grid;grid-template-columns:3.2rem 1fr;gap:0 12px;padding:8px 0;border-top:1px solid var(--line)}
+ol.lost li{display:grid;grid-template-columns:3.2rem minmax(0,1fr);overflow-wrap:anywhere;gap:0 12px;
+padding:8px 0;border-top:1px solid var(--line)}
 ol.lost li:first-child{border-top:0}
 ol.lost b{font-size:1.25rem;text-align:right;color:var(--bad)}
 code,.code{font:600 .8125rem ui-monospace,"DejaVu Sans Mono",Menlo,monospace}
