@@ -13,6 +13,8 @@ from services.ingest.kiss_odometry import LEAST_POINTS, STAGE
 from services.ingest.opening import open_sequence
 from services.ingest.pipeline import SynchroniseOptions, synchronise
 from services.ingest.synchronisation_errors import NoUsablePoseError
+from services.runtime.platform import Platform
+from services.runtime.sequence_file import sequence_bytes
 from simulator.options import SimulateOptions
 from simulator.pipeline import simulate
 from simulator.truth import Truth, read_truth
@@ -20,6 +22,7 @@ from stone.se3 import SE3
 from tests.services.ingest import rigs
 from tests.services.ingest.rigs import HESAI, LIDAR_FRAME, LIDAR_TOPIC, PERIOD_NS, T0_NS, calibration, written
 from tests.services.ingest.writing import CloudText, Recorded, cloud_payload
+from tests.services.runs import NAME, bring_ready, run_all
 
 ASKED = SynchroniseOptions(odometry_topic="kiss-icp")
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -203,3 +206,15 @@ def test_a_recording_that_has_poses_is_read_without_them_when_asked(tmp_path):
     sequence, _ = synchronise(path, calibration(), ASKED, "run")
     place_m = sequence.frames.map_from_ego.translation_m
     np.testing.assert_allclose(place_m, np.zeros_like(place_m), atol=0.02)
+
+
+def test_the_platform_takes_the_same_name_and_makes_the_same_sequence(platform: Platform, tmp_path: Path) -> None:
+    bag = tmp_path / "run.mcap"
+    simulate(bag, SimulateOptions(seconds=0.6, seed=3, channels=16, columns=300, cameras=False))
+    brought = bring_ready(platform, bag)
+    root_id = brought.process(stages=("synchronise",), odometry_topic="kiss-icp")
+    run_all(platform)
+    assert brought.job(root_id).failure == ""
+    left = b"".join(platform.store.read(f"work/{root_id}/sequence.npz"))
+    sequence, _ = open_sequence(bag, bag.with_name("run.calibration.yaml"), NAME, ASKED)
+    assert left == sequence_bytes(sequence)
