@@ -40,7 +40,7 @@ class CalibrationItem(Answer):
         filename="warthog-1.yaml",
         sha256=SHA256_EXAMPLE,
         format="native",
-        sensors=[{"name": "CAM_FRONT", "kind": "camera"}],
+        sensors=[{"name": "CAM_FRONT", "kind": "camera", "frame_id": "cam_front"}],
         findings=[],
         valid_from="2026-05-01T00:00:00Z",
         valid_to=None,
