@@ -4,6 +4,7 @@
 than a recorder writes, or that claims more bytes than the file has, is not listed but counted.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -40,6 +41,10 @@ class Rows(Protocol):
 
     def data(self, rowid: int) -> bytes:
         """The whole message."""
+        ...
+
+    def several(self, rowids: Sequence[int]) -> dict[int, bytes]:
+        """Whole messages by rowid, for small ones that are read one after the other."""
         ...
 
     def head(self, rowid: int, size_bytes: int) -> bytes:

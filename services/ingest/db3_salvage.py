@@ -7,6 +7,7 @@ only where every row in it looks like a recorder's. The number lost is what rowi
 """
 
 import mmap
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,9 @@ class SalvagedRows:
 
     def data(self, rowid: int) -> bytes:
         return self._read(rowid, None)
+
+    def several(self, rowids: Sequence[int]) -> dict[int, bytes]:
+        return {rowid: self.data(rowid) for rowid in rowids}
 
     def head(self, rowid: int, size_bytes: int) -> bytes:
         return self._read(rowid, size_bytes)

@@ -6,8 +6,9 @@ touch the first pages of a message and no others. Source: sqlite.org/security.ht
 """
 
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import chain
 from urllib.parse import quote
 
 import numpy as np
@@ -54,9 +55,14 @@ class SqlRows:
             self.index = _index(connection, _bytes_of(place))
 
     def data(self, rowid: int) -> bytes:
+        """By a blob handle, which copies once where a query copies twice."""
+        with self._reading() as connection, connection.blobopen("messages", "data", rowid, readonly=True) as blob:
+            return blob.read()
+
+    def several(self, rowids: Sequence[int]) -> dict[int, bytes]:
+        query = f"SELECT rowid, data FROM messages WHERE rowid IN ({', '.join('?' * len(rowids))})"
         with self._reading() as connection:
-            found = connection.execute("SELECT data FROM messages WHERE rowid = ?", (rowid,)).fetchone()
-        return bytes(found[0])
+            return dict(connection.execute(query, rowids))
 
     def head(self, rowid: int, size_bytes: int) -> bytes:
         with self._reading() as connection, connection.blobopen("messages", "data", rowid, readonly=True) as blob:
@@ -143,7 +149,7 @@ def _index(connection: sqlite3.Connection, file_bytes: int) -> RowIndex:
     """Raises DamagedDatabaseError where rowids do not ascend: a tree that leads twice to one page never ends."""
     cursor, parts, last = connection.execute(INDEX_QUERY), [np.zeros((0, 4), np.int64)], -(2**63) - 1
     while rows := cursor.fetchmany(BATCH_ROWS):
-        part = np.array(rows, np.int64)
+        part = np.fromiter(chain.from_iterable(rows), np.int64, 4 * len(rows)).reshape(-1, 4)
         if part[0, 0] <= last or (np.diff(part[:, 0]) <= 0).any():
             raise DamagedDatabaseError("its rows are not in order")
         last = int(part[-1, 0])

@@ -5,6 +5,7 @@ its pages still hold (finding BAG-030). Payloads are copies. Memory is the index
 """
 
 from collections.abc import Collection, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,9 @@ from services.ingest.store import HEAD_BYTES
 from services.ingest.topic import Topic
 from stone.findings import Finding
 
+# Small messages are read so many at a time, while they are read in order.
+AHEAD_ROWS = 256
+
 
 class SqliteStore:
     """One open database; `is_indexed` is True because its rows are."""
@@ -28,6 +32,8 @@ class SqliteStore:
 
     def __init__(self, path: Path) -> None:
         self._name = path.name
+        self._ahead: dict[int, bytes] = {}
+        self._next = ("", 0)
         place = place_of(path)
         try:
             self._rows: Rows = _rows_of(place, path.name)
@@ -45,7 +51,11 @@ class SqliteStore:
         return self._rows.index.time_ns[self._order[topic]]
 
     def payload(self, topic: str, index: int) -> memoryview:
-        return memoryview(self._read(int(self._order[topic][index]), is_whole=True))
+        rows, is_in_order = self._order[topic], self._next == (topic, index)
+        self._next = (topic, index + 1)
+        found = self._ahead.pop(int(rows[index]), None)
+        upcoming = rows[index : index + AHEAD_ROWS if is_in_order else index + 1]
+        return memoryview(self._read(upcoming, is_whole=True) if found is None else found)
 
     def heads(self, topics: Sequence[str], whole: Collection[str] = ()) -> Iterator[tuple[str, int, memoryview]]:
         """By rowid, which is the order in the file."""
@@ -54,24 +64,46 @@ class SqliteStore:
         rows = np.concatenate([self._order[topic] for topic in topics])
         numbers = np.concatenate([np.full(len(self._order[topic]), n) for n, topic in enumerate(topics)])
         indices = np.concatenate([np.arange(len(self._order[topic])) for topic in topics])
-        for at in np.argsort(rows, kind="stable").tolist():
-            topic = topics[numbers[at]]
-            yield topic, int(indices[at]), memoryview(self._read(int(rows[at]), is_whole=topic in whole))
+        order = np.argsort(rows, kind="stable")
+        rows = rows[order]
+        told = zip(rows.tolist(), numbers[order].tolist(), indices[order].tolist(), strict=True)
+        for place, (row, number, index) in enumerate(told):
+            head = self._ahead.pop(row, None)
+            if head is None:
+                head = self._read(rows[place : place + AHEAD_ROWS], is_whole=topics[number] in whole)
+            yield topics[number], index, memoryview(head)
 
     def release(self) -> None:
+        self._ahead = {}
         self._rows.release()
 
     def close(self) -> None:
         self._rows.close()
 
-    def _read(self, row: int, *, is_whole: bool) -> bytes:
-        rowid, size_bytes = int(self._rows.index.rowid[row]), int(self._rows.index.size_bytes[row])
+    def _read(self, upcoming: NDArray[np.int64], *, is_whole: bool) -> bytes:
+        """The message of the first of the rows that are wanted next; small ones are read many at a time."""
+        index = self._rows.index
+        rowid, size_bytes = int(index.rowid[upcoming[0]]), int(index.size_bytes[upcoming[0]])
         try:
-            if is_whole or size_bytes <= HEAD_BYTES:
-                return self._rows.data(rowid)
-            return self._rows.head(rowid, HEAD_BYTES)
+            if size_bytes <= HEAD_BYTES and len(upcoming) > 1:
+                self._read_ahead(upcoming)
+                if (found := self._ahead.pop(int(upcoming[0]), None)) is not None:
+                    return found
+            return (
+                self._rows.data(rowid) if is_whole or size_bytes <= HEAD_BYTES else self._rows.head(rowid, HEAD_BYTES)
+            )
         except DamagedDatabaseError as error:
             raise MalformedBagError(f"{self._name}, message row {rowid}", str(error)) from None
+
+    def _read_ahead(self, upcoming: NDArray[np.int64]) -> None:
+        index = self._rows.index
+        small = upcoming[index.size_bytes[upcoming] <= HEAD_BYTES]
+        rowids = index.rowid[small].tolist()
+        with suppress(DamagedDatabaseError):  # then each is read alone, and the damaged one says so
+            found = self._rows.several(rowids)
+            self._ahead = {
+                row: found[rowid] for row, rowid in zip(small.tolist(), rowids, strict=True) if rowid in found
+            }
 
     def _topic(self, name: str) -> Topic:
         told = next(topic for topic in self._rows.topics if topic.name == name)
