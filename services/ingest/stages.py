@@ -21,6 +21,7 @@ from services.ingest.received import NAMES_FOLDER
 from services.ingest.registering import register
 from services.ingest.sweep_file import Kept, KeptFile, read_sweeps, sweeps_bytes
 from services.ingest.sweeps import BagSweeps
+from services.ingest.validity import validity_findings
 from services.runtime.atomic import atomic_file
 from services.runtime.blobs import link_all
 from services.runtime.jobs.errors import JobCancelledError
@@ -46,6 +47,7 @@ class _Inputs:
     recording: Kept
     recording_sha256: str
     calibration: KeptFile
+    valid_ns: tuple[int | None, int | None]
 
 
 def handlers(platform: Platform) -> Handlers:
@@ -66,6 +68,7 @@ def synchronise_recording(platform: Platform, attempt: Attempt) -> Outcome:
     )
     path, calibration = locate(platform, inputs.recording), locate_file(platform, inputs.calibration)
     sequence, sweeps = open_sequence(path, calibration, inputs.name, options)
+    sequence = replace(sequence, findings=(*sequence.findings, *validity_findings(sequence, *inputs.valid_ns)))
     attempt.progress("synchronise", 1, 2)
     workspace = Workspace(platform.store, platform.settings, attempt.root_id)
     with open_bag(path) as bag:
@@ -118,7 +121,8 @@ def _inputs(platform: Platform, attempt: Attempt) -> _Inputs:
         kept = Kept(recording.filename, tuple(_kept_file(session, file) for file in recording.files))
         calibration = session.get_one(Calibration, attempt.arguments["calibration_id"])
         rig = session.get_one(Blob, calibration.blob_sha256)
-    return _Inputs(sequence.name, kept, recording.sha256, KeptFile(rig.object_key, calibration.filename))
+        valid_ns = (calibration.valid_from_ns, calibration.valid_to_ns)
+    return _Inputs(sequence.name, kept, recording.sha256, KeptFile(rig.object_key, calibration.filename), valid_ns)
 
 
 def _kept_file(session: Session, file: RecordingFile) -> KeptFile:
