@@ -4,7 +4,7 @@
 them (xyzw) and leave as `wxyz`.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Protocol
 
 import numpy as np
@@ -16,6 +16,7 @@ from stone.se3 import SE3
 # Drivers write (0, 0, 0, 0) for "unknown"; rounding to float32 or to four decimals stays far above this.
 LEAST_NORM = 1e-3
 MOST_COMPONENT = 1e6
+BATCH_BYTES = 16 << 20
 
 
 class Stamped(Protocol):
@@ -27,6 +28,20 @@ class Stamped(Protocol):
 
 def payloads_of(messages: Iterable[Stamped]) -> list[memoryview]:
     return [message.payload for message in messages]
+
+
+def payload_batches(messages: Iterable[Stamped]) -> Iterator[list[memoryview]]:
+    """The payloads in portions of some megabytes: a reader that inflates chunks need not keep them all."""
+    batch: list[memoryview] = []
+    size_bytes = 0
+    for message in messages:
+        batch.append(message.payload)
+        size_bytes += len(message.payload)
+        if size_bytes >= BATCH_BYTES:
+            yield batch
+            batch, size_bytes = [], 0
+    if batch:
+        yield batch
 
 
 def poses(translation_m: NDArray[np.float64], xyzw: NDArray[np.float64], type_name: str) -> SE3:

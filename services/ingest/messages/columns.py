@@ -5,7 +5,7 @@
 sequence around it. Rows are in the order of the messages.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -82,3 +82,18 @@ class Table:
         if name not in self.columns:
             raise MessageLayoutError(self.type_name, f"its definition has no {name}")
         return self.columns[name]
+
+
+def joined_column(parts: Sequence[Column]) -> Column:
+    """One column of parts of the same kind, one after the other; there is at least one."""
+    if len(parts) == 1:
+        return parts[0]
+    arrays = [part for part in parts if isinstance(part, np.ndarray)]
+    if arrays:
+        return np.concatenate(arrays)
+    ragged = [part for part in parts if isinstance(part, Ragged)]
+    if ragged:
+        begins = np.cumsum([0, *(part.offsets[-1] for part in ragged)])
+        offsets = [part.offsets[1:] + begin for part, begin in zip(ragged, begins[:-1], strict=True)]
+        return Ragged(np.concatenate([[0], *offsets]).astype(np.int64), joined_column([part.values for part in ragged]))
+    return [text for part in parts if isinstance(part, list) for text in part]

@@ -3,12 +3,13 @@
 **Conventions.** `services.ingest.messages.radar_detections` says what the columns mean. Scan i is message i.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from itertools import islice
 
 from services.ingest.errors import DefinitionMissingError
 from services.ingest.messages import radar_ars548, radar_cloud, radar_continental, radar_packets, radar_scan
 from services.ingest.messages.batch import Stamped
-from services.ingest.messages.radar_detections import RadarDetections
+from services.ingest.messages.radar_detections import RadarDetections, joined
 
 __all__ = ["RADAR_TYPES", "RadarDetections", "decode_radar"]
 
@@ -19,6 +20,8 @@ _DECODERS: dict[str, Callable[[Iterable[Stamped], str], RadarDetections]] = {
     radar_packets.TYPE: radar_packets.decode_packets,
     radar_cloud.TYPE: lambda messages, _schema: radar_cloud.decode_radar_cloud(messages),
 }
+# An ARS 548 list has 41,741 bytes, so this is some 21 MB.
+_PORTION = 512
 RADAR_TYPES = frozenset(_DECODERS)
 
 
@@ -29,4 +32,13 @@ def decode_radar(topic_type: str, messages: Iterable[Stamped], schema: str = "")
     """
     if topic_type not in _DECODERS:
         raise DefinitionMissingError(topic_type, tuple(sorted(RADAR_TYPES)))
-    return _DECODERS[topic_type](messages, schema)
+    decode = _DECODERS[topic_type]
+    parts = [decode(some, schema) for some in _portions(messages)]
+    return joined(parts) if parts else decode([], schema)
+
+
+def _portions(messages: Iterable[Stamped]) -> Iterator[list[Stamped]]:
+    """So many at once that whoever inflates chunks to get at them need not keep them all."""
+    remaining = iter(messages)
+    while some := list(islice(remaining, _PORTION)):
+        yield some

@@ -123,6 +123,26 @@ def from_sequence(table: Table, sequence: str, names: Mapping[str, str], flags: 
     return detections(table.stamps_ns(), offsets, columns)
 
 
+def joined(parts: Sequence[RadarDetections]) -> RadarDetections:
+    """One table of several of the same kind, one after the other; there is at least one."""
+    if len(parts) == 1:
+        return parts[0]
+    own = [part.sensor_stamps_ns for part in parts if part.sensor_stamps_ns is not None]
+    given = [part.given_points for part in parts if part.given_points is not None]
+    return RadarDetections(
+        np.concatenate([part.stamps_ns for part in parts]),
+        offsets_of(np.concatenate([part.counts for part in parts])),
+        np.concatenate([part.azimuth_rad for part in parts]),
+        np.concatenate([part.elevation_rad for part in parts]),
+        np.concatenate([part.range_m for part in parts]),
+        np.concatenate([part.range_rate_m_s for part in parts]),
+        np.concatenate([part.rcs_db for part in parts]),
+        np.concatenate([part.is_valid for part in parts]),
+        np.concatenate(own) if own else None,
+        np.concatenate(given) if given else None,
+    )
+
+
 def offsets_of(counts: NDArray[np.integer]) -> NDArray[np.int64]:
     """(N + 1,) from (N,): where each scan begins, and the total."""
     return np.concatenate([[0], np.cumsum(counts, dtype=np.int64)]).astype(np.int64)

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from services.ingest.cdr import Sheet, sheets, text_of
 from services.ingest.errors import MessageLayoutError
-from services.ingest.messages.batch import Stamped, payloads_of
-from services.ingest.messages.columns import Column, Ragged, Table
+from services.ingest.messages.batch import Stamped, payload_batches
+from services.ingest.messages.columns import Column, Ragged, Table, joined_column
 from services.ingest.messages.plan import Leaf, Node, Repeat, Text
 from services.ingest.messages.registry import Registry, registry
 from services.ingest.messages.sketch import Piece, Sketch, sketched
@@ -38,7 +38,13 @@ def decode_table(
     Raises: DefinitionMissingError, DefinitionRefusedError, MessageLayoutError, ByteOrderError.
     """
     plan = (known or registry()).plan(type_name)
-    payloads = payloads_of(messages)
+    parts = [_decoded(batch, plan, type_name, only) for batch in payload_batches(messages)]
+    parts = parts or [_decoded([], plan, type_name, only)]
+    columns = {name: joined_column([part.columns[name] for part in parts]) for name in parts[0].columns}
+    return Table(type_name, sum(part.count for part in parts), columns)
+
+
+def _decoded(payloads: list[memoryview], plan: Sequence[Node], type_name: str, only: Sequence[str] | None) -> Table:
     columns: dict[str, Column] = {}
     _Filler(_stacked(payloads, plan, type_name), len(payloads), type_name).fill(plan, only, columns)
     return Table(type_name, len(payloads), columns)

@@ -18,6 +18,7 @@ from tests.services.ingest.writing import cloud_payload, header, random_message,
 
 ARS548, SCAN = "ars548_messages/msg/DetectionList", "radar_msgs/msg/RadarScan"
 CONTINENTAL = "continental_msgs/msg/ContinentalArs548DetectionList"
+CLOUD, LISTS = "sensor_msgs/msg/PointCloud2", frozenset({CONTINENTAL, SCAN})
 NEBULA_CLOUD = np.dtype(
     [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("azimuth", "<f4"), ("elevation", "<f4"), ("range", "<f4"),
      ("range_rate", "<f4"), ("rcs", "i1")]
@@ -85,6 +86,22 @@ def test_many_lists_are_the_sum_of_their_parts() -> None:
         assert whole.of(row).stamps_ns.tolist() == alone.stamps_ns.tolist()
 
 
+@pytest.mark.parametrize("type_name", [ARS548, CONTINENTAL, SCAN, CLOUD])
+def test_a_topic_in_portions_is_the_same_table(type_name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    generator = np.random.default_rng(8)
+    contents = [serialised(random_message(type_name, generator)) for _ in range(9)] if type_name in LISTS else []
+    contents = contents or _lists(3, [7, 0, 2, 800, 1], ["front"])
+    if type_name == CLOUD:
+        contents = [cloud_payload(_cloud(NEBULA_CLOUD, count, count)) for count in (3, 0, 9, 1)]
+    whole = decode_radar(type_name, wire(contents))
+    monkeypatch.setattr("services.ingest.messages.radar._PORTION", 2)
+    parts = decode_radar(type_name, wire(contents))
+    for name in ("stamps_ns", "offsets", "azimuth_rad", "range_m", "range_rate_m_s", "rcs_db", "is_valid"):
+        assert getattr(parts, name).tobytes() == getattr(whole, name).tobytes()
+    assert parts.points_radar.tobytes() == whole.points_radar.tobytes()
+    assert (parts.sensor_stamps_ns is None) == (type_name != ARS548)
+
+
 @settings(max_examples=40, deadline=None)
 @given(seed=seeds, count=st.integers(0, 9))
 def test_continental_lists_are_what_rosbags_reads(seed: int, count: int) -> None:
@@ -126,7 +143,7 @@ def _cloud(record: np.dtype[np.void], count: int, seed: int) -> NDArray[np.void]
 @pytest.mark.parametrize("record", [NEBULA_CLOUD, UPO_CLOUD])
 def test_a_radar_cloud_keeps_its_points_and_its_speeds(record: np.dtype[np.void]) -> None:
     clouds = [_cloud(record, count, count) for count in (0, 1, 40)]
-    ours = decode_radar("sensor_msgs/msg/PointCloud2", wire([cloud_payload(points) for points in clouds]))
+    ours = decode_radar(CLOUD, wire([cloud_payload(points) for points in clouds]))
     together = np.concatenate(clouds)
     assert ours.counts.tolist() == [0, 1, 40]
     np.testing.assert_array_equal(ours.points_radar, np.stack([together[name] for name in "xyz"], axis=1))
@@ -141,7 +158,7 @@ def test_a_radar_cloud_keeps_its_points_and_its_speeds(record: np.dtype[np.void]
 
 def test_a_cloud_without_speed_says_nan() -> None:
     points = np.ones(3, np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4")]))
-    ours = decode_radar("sensor_msgs/msg/PointCloud2", wire([cloud_payload(points)]))
+    ours = decode_radar(CLOUD, wire([cloud_payload(points)]))
     assert np.isnan(ours.range_rate_m_s).all()
     assert np.isnan(ours.rcs_db).all()
     np.testing.assert_allclose(ours.azimuth_rad, np.pi / 4, rtol=1e-6)

@@ -76,6 +76,14 @@ def _outer(store, generator, fields):  # type: ignore[no-untyped-def]
     return store.types["my_msgs/msg/Outer"](before=before, things=things, three=[thing() for _ in range(3)], after=7)
 
 
+@pytest.mark.parametrize("type_name", MIXED)
+def test_a_topic_in_portions_is_the_same_table(type_name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    generator = np.random.default_rng(6)
+    messages = wire([serialised(random_message(type_name, generator)) for _ in range(23)])
+    monkeypatch.setattr("services.ingest.messages.batch.BATCH_BYTES", 3 * len(messages[0].payload))
+    assert_same(decode_table(type_name, messages), read_by_rosbags(type_name, messages))
+
+
 def test_only_the_columns_that_are_asked_for_are_made() -> None:
     messages = wire([serialised(random_message(PATH, np.random.default_rng(4))) for _ in range(9)])
     table = decode_table(PATH, messages, only=("header.stamp", "poses.pose.position"))
