@@ -96,7 +96,7 @@ def _synchronised(
         pose_source=track.source,
         map_origin_deg_m=track.map_origin_deg_m,
         inputs={bag.path.name: options.recording_sha256 or recording_sha256(bag.path)},
-        findings=mounts + clock.findings + track.findings + doubts + unmatched + usable_finding(posed),
+        findings=bag.findings + mounts + clock.findings + track.findings + doubts + unmatched + usable_finding(posed),
     )
     motion = SweepMount(posed.path, calibration.ego_from_lidar, options.max_pose_gap_ns)
     sweeps = BagSweeps(bag.path, clock.topic, posed.message_index, frames.stamps_ns, motion)
