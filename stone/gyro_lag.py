@@ -31,6 +31,7 @@ GAP_RATIO = 2.5
 # Three seconds at 20 Hz: fewer smooth turns can be those of any other moment, under some mount.
 LEAST_TURNS = 60
 SLOPE_STEP_S = 0.001
+LAST_RATE_RAD_S = 1000.0
 FITTED = 7  # a rotation, a bias, the lag
 
 
@@ -110,10 +111,10 @@ def _seconds(stamps_ns: Stamps, start_ns: int) -> Array:
 
 
 def _ordered(stamps_ns: Stamps, values: Array) -> tuple[Stamps, Array]:
-    """In time order, the first of equal stamps, without rows that are not finite."""
-    is_finite = np.isfinite(values).all(axis=1)
-    unique_ns, first = np.unique(stamps_ns[is_finite], return_index=True)
-    return unique_ns, values[is_finite][first]
+    """In time order, the first of equal stamps, without rows of NaN or of what nothing turns at."""
+    is_possible = (np.abs(values) <= LAST_RATE_RAD_S).all(axis=1)
+    unique_ns, first = np.unique(stamps_ns[is_possible], return_index=True)
+    return unique_ns, values[is_possible][first]
 
 
 def _inside(turns: Turns, time_s: Array) -> Turns:

@@ -2,7 +2,8 @@
 
 **Conventions.** Storage order, so each chunk is inflated once. A topic whose messages lie is remembered with its
 refusal and left out of the rest of the pass; damage of the container itself is raised. Of a topic that is looked at,
-the `MOST_KEPT` messages in the middle are copied, whatever its length: memory does not grow with the recording.
+at most `MOST_KEPT` messages in its middle are copied, and of all together at most `MOST_KEPT_BYTES`, shared alike:
+memory does not grow with the recording.
 """
 
 from collections.abc import Callable, Mapping
@@ -15,8 +16,9 @@ from services.ingest.bag import Bag, Topic
 from services.ingest.errors import ByteOrderError, MessageLayoutError
 from services.ingest.timing import begins_with_header, stamp_of
 
-# Three minutes of a 200 Hz IMU, half an hour of a 20 Hz receiver: 11 MB of either.
+# Three minutes of a 200 Hz IMU, half an hour of a 20 Hz receiver.
 MOST_KEPT = 36_000
+MOST_KEPT_BYTES = 48 * 2**20
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +47,7 @@ def scan_of(bag: Bag, kept_bytes: Callable[[Topic], int]) -> Scan:
     stamped = {topic.name: topic for topic in bag.topics if topic.encoding == "cdr" and begins_with_header(topic)}
     stamps_ns = {name: np.zeros(topic.count, np.int64) for name, topic in stamped.items()}
     copied = {name: size for name, topic in stamped.items() if (size := kept_bytes(topic))}
-    windows = {name: _middle(stamped[name].count) for name in copied}
+    windows = {name: _middle(stamped[name].count, MOST_KEPT_BYTES // len(copied) // copied[name]) for name in copied}
     kept = {name: [b""] * len(window) for name, window in windows.items()}
     refused: dict[str, ByteOrderError | MessageLayoutError] = {}
     for name, index, payload in bag.heads(tuple(stamped)):
@@ -66,10 +68,11 @@ def scan_of(bag: Bag, kept_bytes: Callable[[Topic], int]) -> Scan:
     )
 
 
-def _middle(count: int) -> range:
+def _middle(count: int, most: int) -> range:
     """The indices that are kept."""
-    first = max(0, (count - MOST_KEPT) // 2)
-    return range(first, min(count, first + MOST_KEPT))
+    most = min(most, MOST_KEPT)
+    first = max(0, (count - most) // 2)
+    return range(first, min(count, first + most))
 
 
 def _messages(payloads: list[bytes]) -> list[KeptMessage]:

@@ -20,8 +20,9 @@ from services.ingest.scan import Scan
 from services.ingest.topic import Topic
 from stone.gyro_lag import gyro_lag
 
-IMU_BYTES = 1024  # an Imu takes 324 bytes and its frame_id
-POSE_BYTES = 4096  # an Odometry takes 720 bytes and two names
+IMU_BYTES = 512  # an Imu takes 324 bytes and its frame_id
+POSE_BYTES = 1536  # an Odometry takes 720 bytes and two names
+LAST_ANGLE_DEG = 720.0
 # Below this the two hardly tell of the same turns, and the lag is noise.
 LEAST_CORRELATION = 0.8
 LAST_SIGMA_NS = 5_000_000
@@ -57,6 +58,6 @@ def _oriented(source: Topic, messages: Sequence[Stamped]) -> Oriented:
         odometry = decode_odometry(messages)
         return odometry.stamps_ns, odometry.parent_from_child.wxyz
     ins = decode_inspva(messages)
-    knows_week = ins.gps_stamps_ns > 0
-    wxyz = enu_from_body_wxyz(ins.roll_deg[knows_week], ins.pitch_deg[knows_week], ins.azimuth_deg[knows_week])
-    return ins.gps_stamps_ns[knows_week], wxyz
+    angles_deg = np.stack([ins.roll_deg, ins.pitch_deg, ins.azimuth_deg])
+    is_told = (ins.gps_stamps_ns > 0) & (np.abs(angles_deg) <= LAST_ANGLE_DEG).all(axis=0)
+    return ins.gps_stamps_ns[is_told], enu_from_body_wxyz(*angles_deg[:, is_told])
