@@ -24,7 +24,8 @@ MOST_LEFT_OUT = 100
 
 @dataclass(frozen=True)
 class Quality:
-    """`score` is 0 to 100; `left_out` are the findings about sampled messages that could not be read."""
+    """`score` is 0 to 100; `left_out` are the findings about sampled messages that could not be read,
+    where the inspection has not named the same already."""
 
     score: int
     deductions: tuple[Deduction, ...]
@@ -43,7 +44,9 @@ class Quality:
 
 def quality_of(bag: Bag, inspection: Inspection) -> Quality:
     """Of a recording without messages the score is what its findings leave. Raises nothing for what a message says."""
-    facts, left_out = _facts(bag, inspection)
+    facts, refused = _facts(bag, inspection)
+    named = {(finding.code, finding.topic) for finding in inspection.findings}
+    left_out = tuple(finding for finding in refused if (finding.code, finding.topic) not in named)
     deductions = deductions_of((*inspection.findings, *left_out), facts)
     return Quality(score_of(deductions), deductions, facts, left_out)
 

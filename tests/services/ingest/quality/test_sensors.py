@@ -12,11 +12,21 @@ from scipy.ndimage import gaussian_filter, laplace
 from services.ingest.quality.cameras import picture_facts, sharpness
 from services.ingest.quality.rtk import WORD_OF_TYPE
 from tests.services.ingest.quality import recordings
-from tests.services.ingest.quality.recordings import LIDAR, measured, ticks
+from tests.services.ingest.quality.recordings import LIDAR, RADAR, measured, ticks
 from tests.services.ingest.rigs import stamped, written
-from tests.services.ingest.writing import HESAI, Recorded, cloud_payload, sweep
+from tests.services.ingest.writing import HESAI, Recorded, cloud_payload, header, random_message, serialised, sweep
 
+DETECTION_LIST = "ars548_messages/msg/DetectionList"
 SHAPES = st.tuples(st.integers(1, 12), st.integers(1, 12))
+
+
+def detection_list(stamp_ns: int, count: int) -> Recorded:
+    """Valid detections in every place, of which the list says that `count` count."""
+    message = random_message(DETECTION_LIST, np.random.default_rng(count), True)
+    message.header, message.list_numofdetections = header(stamp_ns, "radar"), count
+    for detection in message.list_detections:
+        detection.u_invalidflags = 0
+    return Recorded(RADAR, DETECTION_LIST, stamp_ns, serialised(message))
 
 
 @given(shape=SHAPES, seed=st.integers(0, 2**31))
@@ -61,6 +71,13 @@ def test_zeros_in_a_cloud_are_no_returns(tmp_path: Path) -> None:
     assert all(10 < range_m < 60 for range_m in lidar.range_m)
 
 
+def test_only_the_detections_that_count_are_counted(tmp_path: Path) -> None:
+    counts, stamps = (0, 3, 800, 7), ticks(0.2, 20)
+    said = [detection_list(int(stamp), count) for stamp, count in zip(stamps, counts, strict=True)]
+    (radar,) = measured(written(tmp_path / "run.mcap", said))[1].facts.radars
+    assert (radar.topic, radar.detections) == (RADAR, counts)
+
+
 @pytest.mark.parametrize("value", [np.inf, -np.inf, 3e38, np.nan])
 def test_points_beyond_all_measure_stay_numbers(tmp_path: Path, value: float) -> None:
     stamps = ticks(1, 10)
@@ -96,6 +113,16 @@ def test_a_topic_that_lies_is_left_out_with_its_reason_and_the_others_are_measur
     (finding,) = quality.left_out
     assert (finding.topic, finding.severity) == ("/camera/front/image", "error")
     assert any(deduction.code == finding.code for deduction in quality.deductions)
+
+
+def test_what_the_inspection_named_already_is_not_said_again(tmp_path: Path) -> None:
+    said = [
+        Recorded(LIDAR, "sensor_msgs/msg/PointCloud2", int(stamp), b"\0\1\0\0" + bytes(40)) for stamp in ticks(1, 10)
+    ]
+    inspection, quality = measured(written(tmp_path / "run.mcap", said))
+    named = [finding.code for finding in (*inspection.findings, *quality.left_out) if finding.topic == LIDAR]
+    assert len(named) == len(set(named)) >= 1
+    assert quality.facts.lidars == ()
 
 
 def test_a_recording_without_messages_has_a_quality_too(tmp_path: Path) -> None:
