@@ -89,13 +89,13 @@ def register(platform: Platform, attempt: Attempt) -> Outcome:
 def _seen(brought: Received, work: Path, attempt: Attempt) -> _Seen:
     path, recovered = brought.bag(), {}
     try:
-        inspection = inspect(path)
+        inspection = inspect(path, brought.profile)
     except CutBagError:
         recovered = recovered_files(brought, work / "recovered")
         if not recovered:
             raise
         path = brought.bag({row_id: file.path for row_id, file in recovered.items()})
-        inspection = inspect(path)
+        inspection = inspect(path, brought.profile)
     said = tuple(file.finding for file in recovered.values())
     inspection = replace(inspection, findings=(*said, *inspection.findings))
     attempt.progress("measure", 1, STEPS)

@@ -62,6 +62,7 @@ POST   /api/v1/sequences/{sequence_id}/recordings             401  403  202   40
 GET    /api/v1/sequences/{sequence_id}/recordings             401  404  200   404   200  404 403  401  401  200 200
 GET    /api/v1/sequences/{sequence_id}/recordings/{recording_id}     401 404 200 404 200 404 403 401 401 200 200
 DELETE /api/v1/sequences/{sequence_id}/recordings/{recording_id}     401 403 204 404 204 404 403 401 401 204 403
+GET /api/v1/sequences/{sequence_id}/recordings/{recording_id}/previews/{name} 401 404 200 404 200 404 403 401 401 200 200
 GET    /api/v1/sequences/{sequence_id}/recordings/{recording_id}/roles 401 404 200 404 200 404 403 401 401 200 200
 GET    /api/v1/profiles                                       401  200  200   200   200  200 403  401  401  200 200
 GET    /api/v1/profiles/{platform_name}                       401  404  200   404   404  404 403  401  401  200 200
@@ -87,7 +88,7 @@ POST   /api/v1/admin/jobs/{job_id}/{act}                      401  403  403   40
 GET    /api/v1/admin/queues                                   401  403  403   403   200  403 403  401  401  403 403
 POST   /api/v1/admin/queues/{queue}/{act}                     401  403  403   403   200  403 403  401  401  403 403
 GET    /api/v1/admin/workers                                  401  403  403   403   200  403 403  401  401  403 403
-"""
+"""  # noqa: E501  (one row is a character too long)
 
 
 def expectations(table: str = TABLE) -> dict[Operation, Mapping[str, int]]:

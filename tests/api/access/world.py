@@ -10,8 +10,9 @@ from pathlib import Path
 
 from services.runtime import blobs
 from services.runtime.access import tokens
-from services.runtime.orm import Calibration, JobLine, Profile, Sequence, Upload, User, new_id
+from services.runtime.orm import Calibration, JobLine, Preview, Profile, Sequence, Upload, User, new_id
 from services.runtime.platform import Platform
+from services.runtime.profiles import profile_of
 from tests.api import made
 from tests.api.serving import Person
 from tests.rows import recording_of
@@ -74,7 +75,8 @@ def _sequence(platform: Platform, owner_id: str, calibration_id: str) -> str:
 
 def _profile(platform: Platform, owner_id: str) -> None:
     with platform.database.transaction() as session:
-        session.add(Profile(owner_id=owner_id, platform=WORDS["platform_name"], topics={"lidar": "/points"}))
+        if profile_of(session, owner_id, WORDS["platform_name"]) is None:  # a second world of the same user
+            session.add(Profile(owner_id=owner_id, platform=WORDS["platform_name"], topics={"lidar": "/points"}))
 
 
 def _name(platform: Platform, sequence_id: str) -> str:
@@ -91,6 +93,9 @@ def _recording(platform: Platform, owner: Person, sequence_id: str) -> str:
         row.inspection = {"topics": []}
         session.add(row)
         session.flush()
+        preview = Preview(sequence_id=sequence_id, recording_id=row.id, name=WORDS["name"], media_type="image/png")
+        preview.blob_sha256, preview.size_bytes = blob.sha256, blob.size_bytes
+        session.add(preview)
         return row.id
 
 

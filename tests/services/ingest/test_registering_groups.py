@@ -5,8 +5,6 @@ import shutil
 from pathlib import Path
 
 import pytest
-from mcap.reader import make_reader
-from mcap.writer import Writer
 from sqlalchemy import func, select
 
 from services.ingest.opening import open_sequence
@@ -19,6 +17,7 @@ from services.runtime.sequence_file import sequence_bytes
 from services.runtime.uploads import expire, upload_file
 from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate
+from tests.services.ingest.splitting import split_into
 from tests.services.runs import Brought, bring, run_all
 
 TINY = SimulateOptions(seconds=1.0, seed=3, channels=16, columns=120, cameras=False)
@@ -48,30 +47,6 @@ def cut(bag: Path) -> Path:
     path = bag.parent / "cut.mcap"
     path.write_bytes(bag.read_bytes()[: bag.stat().st_size * 3 // 4])
     return path
-
-
-def split_into(bag: Path, folder: Path, parts: int) -> None:
-    """Write the messages of `bag` into `parts` files, a share of its time each, with the mcap library."""
-    with bag.open("rb") as stream:
-        reader = make_reader(stream)
-        summary = reader.get_summary()
-        assert summary is not None
-        assert summary.statistics is not None
-        first, last = summary.statistics.message_start_time, summary.statistics.message_end_time
-        for part in range(parts):
-            begin, end = (first + (last + 1 - first) * edge // parts for edge in (part, part + 1))
-            with (folder / f"run_{part}.mcap").open("wb") as out:
-                writer = Writer(out)
-                writer.start(profile="ros2")
-                schemas = {s.id: writer.register_schema(s.name, s.encoding, s.data) for s in summary.schemas.values()}
-                channels = {
-                    c.id: writer.register_channel(c.topic, c.message_encoding, schemas[c.schema_id], dict(c.metadata))
-                    for c in summary.channels.values()
-                }
-                for _schema, channel, message in reader.iter_messages(starting_at=begin, ending_before=end):
-                    stamps = (message.log_time, message.publish_time)
-                    writer.add_message(channels[channel.id], stamps[0], message.data, stamps[1], message.sequence)
-                writer.finish()  # type: ignore[no-untyped-call]
 
 
 def blob_bytes(brought: Brought, sha256: str | None) -> bytes:
