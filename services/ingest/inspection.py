@@ -25,6 +25,7 @@ from services.ingest.timing import Timing, measure
 from stone.errors import StoneError
 from stone.findings import Finding
 
+MOST_FRAMES = 64
 NO_STAMPS = np.zeros(0, np.int64)
 
 
@@ -79,7 +80,7 @@ def inspect(path: Path, profile: Profile | None = None) -> Inspection:
         findings: list[Finding] = [*checks.container_findings(bag), *definition_findings(bag.topics)]
         topics = tuple(_inspected(bag, topic, scan, findings) for topic in bag.topics)
         by_role = [(topic.topic, topic.role, topic.timing) for topic in topics]
-        candidates = tuple(_candidate(bag, topic) for topic in topics)
+        candidates = _candidates(bag, topics)
         assignment = resolve(candidates, profile or Profile())
         findings += assignment.findings
         clocks = measured(bag, scan, by_role)
@@ -114,11 +115,21 @@ def _cloud_facts(bag: Bag, facts: TopicFacts, topic: Topic, findings: list[Findi
     return known
 
 
-def _candidate(bag: Bag, inspected: InspectedTopic) -> Candidate:
-    """Of cameras and radars the frame of the first message tells where they sit."""
-    topic, role = inspected.topic, inspected.role
-    frame_id = _frame_id(bag, topic) if role in ("camera", "radar") and topic.count else ""
-    return Candidate(topic.name, topic.type, role, topic.count, inspected.timing.rate_hz, frame_id)
+def _candidates(bag: Bag, topics: tuple[InspectedTopic, ...]) -> tuple[Candidate, ...]:
+    """Of cameras and radars the frame of the first message tells where they sit; no robot has more than are asked."""
+    placed = [topic.topic for topic in topics if topic.role in ("camera", "radar") and topic.topic.count]
+    frame_ids = {topic.name: _frame_id(bag, topic) for topic in placed[:MOST_FRAMES]}
+    return tuple(
+        Candidate(
+            part.topic.name,
+            part.topic.type,
+            part.role,
+            part.topic.count,
+            part.timing.rate_hz,
+            frame_ids.get(part.topic.name, ""),
+        )
+        for part in topics
+    )
 
 
 def _frame_id(bag: Bag, topic: Topic) -> str:

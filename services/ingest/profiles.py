@@ -137,13 +137,14 @@ def _of_role(candidates: Sequence[Candidate], role: Role) -> list[Candidate]:
 
 
 def _ambiguous(part: str, fitting: Sequence[Candidate]) -> Finding:
-    names = [candidate.name for candidate in fitting]
-    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-    message = (
-        f"{len(names)} topics fit role {part}: {', '.join(names[:SHOWN])}{more}; choose one: --topic {part}={names[0]}"
-    )
+    message = f"{len(fitting)} topics fit role {part}: {_listed(fitting)}; choose one: --topic {part}={fitting[0].name}"
     severity: Severity = "info" if part == "imu" else "warning"
-    return Finding("TOP-110", severity, names[0], message)
+    return Finding("TOP-110", severity, fitting[0].name, message)
+
+
+def _listed(candidates: Sequence[Candidate]) -> str:
+    more = f" and {len(candidates) - SHOWN} more" if len(candidates) > SHOWN else ""
+    return ", ".join(candidate.name for candidate in candidates[:SHOWN]) + more
 
 
 def _missing(candidates: Sequence[Candidate], channels: Mapping[str, str]) -> Iterator[Finding]:
@@ -159,11 +160,12 @@ def _missing(candidates: Sequence[Candidate], channels: Mapping[str, str]) -> It
 
 
 def _nameless(free: Sequence[Candidate], channel_of_frame: Mapping[str, str]) -> Iterator[Finding]:
-    """Cameras and radars of which nothing says where they look."""
+    """Cameras and radars of which nothing says where they look; one finding for each kind."""
     kinds: tuple[ChannelKind, ...] = ("camera", "radar")
     for kind in kinds:
-        for candidate in _of_role(free, kind):
-            if channel_of(kind, candidate.name, candidate.frame_id, channel_of_frame) is None:
-                line = f"--topic {PREFIX[kind]}_FRONT={candidate.name}"
-                message = f"Which {kind} it is cannot be told from its names; where it looks ahead: {line}"
-                yield Finding("TOP-112", "info", candidate.name, message)
+        found = _of_role(free, kind)
+        lost = [one for one in found if channel_of(kind, one.name, one.frame_id, channel_of_frame) is None]
+        if lost:
+            line = f"--topic {PREFIX[kind]}_FRONT={lost[0].name}"
+            message = f"Where the {kind} of {_listed(lost)} looks cannot be told from names; where ahead: {line}"
+            yield Finding("TOP-112", "info", lost[0].name, message)

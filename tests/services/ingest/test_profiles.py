@@ -101,6 +101,13 @@ def test_a_choice_that_the_recording_does_not_bear_out_is_said_and_left(chosen: 
     assert why in assignment.findings[0].message
 
 
+def test_a_thousand_nameless_cameras_are_one_finding() -> None:
+    crowd = tuple(Candidate(f"/image{row}", IMAGE, "camera", 100, 10.0) for row in range(1000))
+    (finding,) = resolve((*RIG, *crowd), Profile()).findings
+    assert finding.code == "TOP-112"
+    assert "/image5 and 994 more" in finding.message
+
+
 def test_a_cloud_may_be_chosen_against_what_it_was_taken_for() -> None:
     small = Candidate("/tiny_lidar", POINT_CLOUD, "radar", 100, 10.0)
     assert resolve((small, INS), Profile({"lidar": "/tiny_lidar"})) == Assignment(
