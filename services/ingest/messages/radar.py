@@ -33,12 +33,13 @@ def decode_radar(topic_type: str, messages: Iterable[Stamped], schema: str = "")
     if topic_type not in _DECODERS:
         raise DefinitionMissingError(topic_type, tuple(sorted(RADAR_TYPES)))
     decode = _DECODERS[topic_type]
-    parts = [decode(some, schema) for some in _portions(messages)]
-    return joined(parts) if parts else decode([], schema)
+    return joined([decode(some, schema) for some in _portions(messages)])
 
 
 def _portions(messages: Iterable[Stamped]) -> Iterator[list[Stamped]]:
-    """So many at once that whoever inflates chunks to get at them need not keep them all."""
+    """So many at once that whoever inflates chunks to get at them need not keep them all; an empty one where there
+    are none."""
     remaining = iter(messages)
+    yield list(islice(remaining, _PORTION))
     while some := list(islice(remaining, _PORTION)):
         yield some

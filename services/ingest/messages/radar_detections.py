@@ -6,7 +6,7 @@ the table with `is_valid` False: nothing is dropped. Source: ARS 548 RDI interfa
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
 
@@ -127,20 +127,16 @@ def joined(parts: Sequence[RadarDetections]) -> RadarDetections:
     """One table of several of the same kind, one after the other; there is at least one."""
     if len(parts) == 1:
         return parts[0]
-    own = [part.sensor_stamps_ns for part in parts if part.sensor_stamps_ns is not None]
-    given = [part.given_points for part in parts if part.given_points is not None]
+    columns = [_columns(part) for part in parts]
+    offsets = offsets_of(np.concatenate([part.counts for part in parts]))
     return RadarDetections(
-        np.concatenate([part.stamps_ns for part in parts]),
-        offsets_of(np.concatenate([part.counts for part in parts])),
-        np.concatenate([part.azimuth_rad for part in parts]),
-        np.concatenate([part.elevation_rad for part in parts]),
-        np.concatenate([part.range_m for part in parts]),
-        np.concatenate([part.range_rate_m_s for part in parts]),
-        np.concatenate([part.rcs_db for part in parts]),
-        np.concatenate([part.is_valid for part in parts]),
-        np.concatenate(own) if own else None,
-        np.concatenate(given) if given else None,
+        offsets=offsets, **{name: np.concatenate([part[name] for part in columns]) for name in columns[0]}
     )
+
+
+def _columns(part: RadarDetections) -> dict[str, NDArray[Any]]:
+    read = {item.name: getattr(part, item.name) for item in fields(part)}
+    return {name: value for name, value in read.items() if value is not None and name != "offsets"}
 
 
 def offsets_of(counts: NDArray[np.integer]) -> NDArray[np.int64]:
