@@ -23,7 +23,7 @@ from stone.errors import StoneError
 
 TILE_WIDTH_PX, COLUMNS, GAP_PX = 480, 3, 6
 LEAST_RATIO, USUAL_RATIO, MOST_RATIO = 0.4, 0.625, 1.5
-LABEL_PX, LONGEST_LABEL = 18, 44
+LABEL_PX, LONGEST_LABEL = 18, 36
 JPEG_QUALITY = 85
 BACKGROUND, TILE, INK, SOFT = (18, 21, 15), (36, 41, 32), (255, 255, 255), (190, 196, 184)
 # Where to look when the middle cannot be read.
@@ -100,4 +100,5 @@ def _drawn(tile: _Tile, height_px: int) -> Image.Image:
 
 def _font(size_px: int) -> ImageFont.FreeTypeFont:
     """The one that matplotlib brings along, so that it is the same everywhere."""
-    return ImageFont.truetype(Path(mpl.get_data_path(), "fonts", "ttf", "DejaVuSans.ttf"), size_px)
+    file = Path(mpl.get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")
+    return ImageFont.truetype(file, size_px, layout_engine=ImageFont.Layout.BASIC)

@@ -6,6 +6,7 @@
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from services.ingest.previews.canvas import INK, LINE, SOFT, TEXT_POINTS, dressed, png, square_figure
@@ -29,7 +30,7 @@ def track_view(track: Track) -> bytes:
         axes.set_axisbelow(True)
         _bounded(axes, track)
         _line(axes, track)
-        _legend(axes, track)
+        _legend(figure, track)
         return png(figure)
 
 
@@ -55,7 +56,8 @@ def _line(axes: Axes, track: Track) -> None:
     axes.plot([end[0]], [end[1]], "s", color=INK, markersize=8)
 
 
-def _legend(axes: Axes, track: Track) -> None:
+def _legend(figure: Figure, track: Track) -> None:
+    """Below the plot, where no track runs."""
     entries = [
         Line2D([], [], color=INK, marker="o", markerfacecolor="none", linestyle="none", label="start"),
         Line2D([], [], color=INK, marker="s", linestyle="none", label="end"),
@@ -65,4 +67,13 @@ def _legend(axes: Axes, track: Track) -> None:
         for word, colour in COLOUR_OF_WORD.items()
         if word in track.words
     ]
-    axes.legend(handles=entries, loc="best", frameon=False, labelcolor=SOFT, fontsize=TEXT_POINTS)
+    figure.legend(
+        handles=entries,
+        loc="outside lower center",
+        ncols=len(entries),
+        columnspacing=1.2,
+        handlelength=1.4,
+        frameon=False,
+        labelcolor=SOFT,
+        fontsize=TEXT_POINTS,
+    )
