@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from services.ingest.profile_errors import BadProfileError
 from services.ingest.profiles import LONGEST_TOPIC, MOST_TOPICS, Assignment, Candidate, Profile, resolve
-from services.ingest.roles import INSPVAX, POINT_CLOUD
+from services.ingest.roles import INSPVAX, POINT_CLOUD, Role
 
 IMU, IMAGE, ODOMETRY = "sensor_msgs/msg/Imu", "sensor_msgs/msg/Image", "nav_msgs/msg/Odometry"
 INSPVA = "novatel_oem7_msgs/msg/INSPVA"
@@ -148,3 +148,34 @@ def test_the_order_of_topics_does_not_matter(topics: list[Candidate]) -> None:
 def test_a_profile_that_cannot_be_is_refused(topics: dict[str, str], found: str) -> None:
     with pytest.raises(BadProfileError, match=found):
         Profile(topics)
+
+
+ROLES: tuple[Role, ...] = ("lidar", "camera", "radar", "ins", "imu", "odometry", "tf", "other")
+ANY = st.builds(
+    Candidate,
+    name=st.sampled_from(["front", "left", "rear/left", "odd", "\x00", "x" * 400]).flatmap(
+        lambda word: st.integers(0, 5).map(lambda number: f"/{word}/{number}")
+    ),
+    type=st.sampled_from([POINT_CLOUD, IMAGE, IMU, INSPVA, INSPVAX, "std_msgs/msg/String"]),
+    role=st.sampled_from(ROLES),
+    count=st.integers(0, 3),
+    rate_hz=st.none() | st.floats(0.0, 1e6),
+    frame_id=st.sampled_from(["", "a", "/a", "cam_front"]),
+)
+CHOSEN = st.dictionaries(st.sampled_from(["lidar", "pose", "imu", "CAM_FRONT"]), st.sampled_from(["/odd/1", "/left/2"]))
+
+
+@given(
+    st.lists(ANY, unique_by=lambda candidate: candidate.name, max_size=12),
+    CHOSEN.filter(lambda topics: len(set(topics.values())) == len(topics)),
+)
+def test_whatever_was_recorded_each_topic_plays_one_part_at_most(
+    topics: list[Candidate], chosen: dict[str, str]
+) -> None:
+    assignment = resolve(topics, Profile(chosen), {"a": "CAM_BACK"})
+    played = list(assignment.channels.values())
+    assert len(set(played)) == len(played)
+    assert set(played) <= {topic.name for topic in topics if topic.count}
+    refused = {finding.topic for finding in assignment.findings if finding.code == "TOP-111"}
+    for part, topic in chosen.items():
+        assert (assignment.channels.get(part) == topic) or topic in refused
