@@ -142,8 +142,11 @@ def _agreeing(offsets_ns: Mapping[str, int], lidars: Sequence[str]) -> list[str]
 
 
 def drift_findings(report: ClockReport) -> Iterator[Finding]:
-    """Clocks that run fast or slow against what the others agree on, by more than what they scatter."""
-    drifts = [clock for clock in _clocked(report) if clock.drift_ppm is not None and clock.role != "other"]
+    """Clocks that run fast or slow against what the others agree on, by more than what they scatter.
+
+    Odometry has no clock of its own: it takes ever longer to compute, and its stamps are those of its input.
+    """
+    drifts = [clock for clock in _clocked(report) if clock.drift_ppm is not None and clock.role != "odometry"]
     if len(drifts) < 2:
         return
     lidar = [clock for clock in drifts if clock.role == "lidar"]
@@ -155,9 +158,10 @@ def drift_findings(report: ClockReport) -> Iterator[Finding]:
         is_certain = abs(apart_ppm) > max(DRIFT_LIMIT_PPM, DRIFT_SIGMAS * (clock.drift_sigma_ppm or 0.0))
         if not is_certain or abs(apart_ppm) > LAST_DRIFT_PPM:
             continue
+        doubt = ", or its messages came later and later" if apart_ppm < 0 else ""
         message = (
             f"Its clock drifts by {apart_ppm:+.1f} ppm against the other topics' "
-            f"({abs(apart_ppm) * 0.06:.2f} ms a minute). Nothing was shifted; synchronise it by PTP."
+            f"({abs(apart_ppm) * 0.06:.2f} ms a minute){doubt}. Nothing was shifted; synchronise it by PTP."
         )
         yield Finding("TIM-207", "warning", clock.topic, message)
 

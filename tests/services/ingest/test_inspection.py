@@ -148,7 +148,8 @@ def test_a_recording_without_lidar_or_poses_says_which_is_missing(tmp_path: Path
 
 
 def test_packets_without_points_are_named(tmp_path: Path) -> None:
-    packets = [Recorded("/lidar_packets", "hesai_ros_driver/msg/UdpFrame", START_NS, b"\x00\x01\x00\x00abcd")]
+    frame = random_message("hesai_ros_driver/msg/UdpFrame", np.random.default_rng(0), is_tame=True)
+    packets = [Recorded("/lidar_packets", "hesai_ros_driver/msg/UdpFrame", START_NS, serialised(frame))]
     inspection = _inspected(tmp_path, packets + _stamped("/odom", ODOMETRY, _every(50 * MS, 18)))
     assert _codes(inspection) == [("TOP-101", "/lidar_packets")]
     assert "raw packets" in inspection.findings[0].message

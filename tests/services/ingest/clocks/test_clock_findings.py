@@ -1,5 +1,6 @@
 """Each fault of a clock is named, on the topic that has it, and on no other."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from services.ingest.clocks.constants import constant_of
 from services.ingest.inspection import inspect
+from stone.se3 import SE3
 from tests.services.ingest.clocks.streams import (
     IMAGE,
     IMU,
@@ -20,6 +22,7 @@ from tests.services.ingest.clocks.streams import (
     stream,
     timing_codes,
 )
+from tests.services.ingest.rigs import odometry
 from tests.services.ingest.writing import Recorded
 
 S = 1_000 * MS
@@ -104,6 +107,24 @@ def test_the_radar_that_drifts_is_named_with_its_drift(tmp_path: Path) -> None:
     assert timing_codes(inspection) == [("TIM-207", "/radar")]
     assert "+50.0 ppm" in sentence(inspection, "TIM-207", "/radar")
     assert "3.00 ms a minute" in sentence(inspection, "TIM-207", "/radar")
+
+
+def test_a_clock_that_seems_slow_may_have_been_heard_ever_later(tmp_path: Path) -> None:
+    sweeps_ns = every(100 * MS, 300)
+    lidar = clouds(sweeps_ns, sweeps_ns + 105 * MS)
+    inspection = inspected(tmp_path, lidar, _run(-50), _run(0, "/left"))
+    assert timing_codes(inspection) == [("TIM-207", "/radar")]
+    assert "-50.0 ppm" in sentence(inspection, "TIM-207", "/radar")
+    assert "or its messages came later and later" in sentence(inspection, "TIM-207", "/radar")
+
+
+def test_odometry_that_takes_ever_longer_to_compute_accuses_no_clock(tmp_path: Path) -> None:
+    sweeps_ns = every(100 * MS, 300)
+    times_ns = sweeps_ns + 105 * MS
+    slower_ns = times_ns + ((sweeps_ns - sweeps_ns[0]) * 300e-6).astype(np.int64)
+    poses = [odometry(int(stamp_ns), SE3.identity()) for stamp_ns in sweeps_ns]
+    late = [replace(one, log_time_ns=int(time_ns)) for one, time_ns in zip(poses, slower_ns, strict=True)]
+    assert timing_codes(inspected(tmp_path, clouds(sweeps_ns, times_ns), _run(0), late)) == []
 
 
 def test_a_recorder_whose_own_clock_drifts_accuses_no_sensor(tmp_path: Path) -> None:

@@ -7,14 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from services.ingest.bag import open_bag
+from services.ingest.clocks.imu_lag import POSE_BYTES
+from services.ingest.clocks.measuring import kept_bytes
 from services.ingest.clocks.report import TopicClock
 from services.ingest.inspection import Inspection
 from services.ingest.inspection_record import MOST_TOPICS, inspection_record
-from services.ingest.scan import MOST_KEPT
+from services.ingest.scan import MOST_KEPT, scan_of
 from tests.services.ingest.clocks.streams import (
     IMAGE,
     IMU,
     MS,
+    Stamps,
     clouds,
     every,
     inspected,
@@ -23,7 +27,7 @@ from tests.services.ingest.clocks.streams import (
     stream,
     timing_codes,
 )
-from tests.services.ingest.writing import Recorded
+from tests.services.ingest.writing import Recorded, write_mcap
 
 CLOUDS = every(100 * MS, 30)
 
@@ -126,3 +130,19 @@ def test_of_a_long_recording_the_middle_is_kept(tmp_path: Path, monkeypatch: pyt
     late_ns[:30] = late_ns[70:] = np.random.default_rng(0).integers(0, 20 * MS, 30)
     clock = _clock(inspected(tmp_path, _lidar(), solutions("/ins", every(50 * MS, 100), late_ns)), "/ins")
     assert (clock.count, clock.own_offset_ns, clock.own_jitter_ns) == (100, MS, 0)
+
+
+def test_what_is_kept_of_all_topics_together_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two receivers share the room of one, and each keeps its middle."""
+    monkeypatch.setattr("services.ingest.scan.MOST_KEPT_BYTES", 2 * 40 * POSE_BYTES)
+    times_ns = every(50 * MS, 100)
+    path = write_mcap(tmp_path / "run.mcap", _solutions("/a", times_ns) + _solutions("/b", times_ns))
+    with open_bag(path) as bag:
+        scan = scan_of(bag, kept_bytes)
+    assert {name: len(kept) for name, kept in scan.kept.items()} == {"/a": 40, "/b": 40}
+    assert scan.kept_from == {"/a": 30, "/b": 30}
+    assert scan.stamps_ns["/a"].tolist() == (times_ns + MS).tolist()
+
+
+def _solutions(topic: str, times_ns: Stamps) -> list[Recorded]:
+    return solutions(topic, times_ns, np.full(len(times_ns), MS))
