@@ -2,10 +2,12 @@
 
 from dataclasses import dataclass
 
+from services.ingest.associating import mount_of
 from services.ingest.bag import Bag
 from services.ingest.extrinsics import plain, static_tree
 from services.ingest.ins_poses import track_from_ins
 from services.ingest.kiss_odometry import Progress, SweepTopic, track_from_sweeps
+from services.ingest.levelling import ImuTopic, imu_topic, levelled
 from services.ingest.lidar_clock import LidarClock
 from services.ingest.messages.novatel import decode_bestpos
 from services.ingest.messages.tf import decode_transforms
@@ -39,8 +41,17 @@ def ego_track(inputs: PoseInputs, rig: Rig, progress: Progress) -> PoseTrack:
     """
     if inputs.sources.pose_role == "lidar":
         track = track_from_sweeps(SweepTopic(inputs.bag, inputs.clock), rig.calibration, progress)
-        return split_at_jumps(track)
+        return split_at_jumps(levelled(track, _calibrated_imu(inputs, rig.calibration)))
     return split_at_jumps(_recorded_track(inputs.recorded, inputs.sources, rig))
+
+
+def _calibrated_imu(inputs: PoseInputs, calibration: Calibration) -> ImuTopic | None:
+    """The first IMU that the calibration places; None without."""
+    for topic, role in inputs.sources.associated:
+        mount = mount_of(topic.name, inputs.recorded.frame_id(topic.name), role, calibration)
+        if role == "imu" and mount is not None:
+            return imu_topic(inputs.bag, topic.name, mount, calibration.ego_from_lidar)
+    return None
 
 
 def _recorded_track(recorded: Recorded, sources: Sources, rig: Rig) -> PoseTrack:

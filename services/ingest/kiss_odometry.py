@@ -2,7 +2,7 @@
 
     map_from_ego(t) = ego_from_lidar @ first_from_lidar(t) @ ego_from_lidar⁻¹
 
-**Conventions.** `map` is the ego frame at the first pose, so up is where the robot stood, not where gravity says. A
+**Conventions.** `map` is the ego frame at the first pose: up is the robot's own there (`services.ingest.levelling`). A
 pose is the LiDAR's at the last point of a sweep, where KISS-ICP deskews to; at the stamp where points carry no time.
 The first sweeps are taken twice: a map begun by a sweep that nothing was known to deskew it with stays bent. One sweep
 is held at a time and the local map forgets what is out of range, so memory does not grow with the recording. One
@@ -85,7 +85,9 @@ def track_from_sweeps(topic: SweepTopic, calibration: Calibration, progress: Pro
     ego_from_lidar = calibration.ego_from_lidar
     map_from_ego = ego_from_lidar @ poses[0].inverse() @ poses @ ego_from_lidar.inverse()
     trajectory = Trajectory(np.array(stamps_ns, np.int64), map_from_ego)
-    return PoseTrack(trajectory, source, topic.clock.topic, _findings(topic.clock.topic, len(stamps_ns), total))
+    return PoseTrack(
+        trajectory, source, topic.clock.topic, _passed_over(topic.clock.topic, total - len(stamps_ns), total)
+    )
 
 
 def _sweeps(topic: SweepTopic) -> Iterator[_Sweep]:
@@ -131,10 +133,8 @@ def _timed(points: LidarPoints, clock: LidarClock) -> tuple[NDArray[np.float64],
     return np.concatenate([near, np.zeros((2, 3))]), np.concatenate([times_ns, marks_ns]) * 1e-9
 
 
-def _findings(topic: str, used: int, total: int) -> tuple[Finding, ...]:
-    sentence = "the map's up is the robot's own where it began: on a slope, level ground is labelled as one"
-    findings = [Finding("SYN-506", "warning", topic, sentence)]
-    if used < total:
-        sentence = f"{total - used} of {total} sweeps have fewer than {LEAST_POINTS} points in range and gave no pose"
-        findings.append(Finding("SYN-505", "warning", topic, sentence))
-    return tuple(findings)
+def _passed_over(topic: str, count: int, total: int) -> tuple[Finding, ...]:
+    if not count:
+        return ()
+    sentence = f"{count} of {total} sweeps have fewer than {LEAST_POINTS} points in range and gave no pose"
+    return (Finding("SYN-505", "warning", topic, sentence),)

@@ -66,11 +66,17 @@ def test_the_simulated_drive_is_found_within_two_per_cent_of_its_length(drive, f
     assert sequence.map_origin_deg_m is None
 
 
-def test_the_map_is_the_ego_frame_where_it_began_and_the_finding_says_so(drive, found):
+def test_the_map_begins_where_the_robot_did_and_is_level_by_its_imu(drive, found):
     sequence, sweeps, _ = found
-    first = sweeps.mount.trajectory.map_from_ego[0]
-    np.testing.assert_allclose(first.as_matrix(), np.eye(4), atol=1e-9)
-    assert "SYN-506" in [finding.code for finding in sequence.findings]
+    track = sweeps.mount.trajectory
+    np.testing.assert_allclose(track.map_from_ego.translation_m[0], np.zeros(3), atol=1e-9)
+    up = drive[1].trajectory.at(track.stamps_ns).rotation()[:, 2, 2]
+    tilt_deg = np.rad2deg(np.arccos(up))
+    apart_deg = np.rad2deg(np.arccos(track.map_from_ego.rotation()[:, 2, 2])) - tilt_deg
+    assert np.abs(np.median(apart_deg)) < 0.5, f"{np.median(apart_deg):.2f}° of tilt off"
+    said = next(finding for finding in sequence.findings if finding.code == "SYN-506")
+    assert said.severity == "info"
+    assert "against the gravity that /imu/data measured" in said.message
 
 
 def test_only_the_first_sweep_has_no_pose_and_later_ones_are_deskewed(drive, found):
@@ -206,6 +212,8 @@ def test_a_recording_that_has_poses_is_read_without_them_when_asked(tmp_path):
     sequence, _ = synchronise(path, calibration(), ASKED, "run")
     place_m = sequence.frames.map_from_ego.translation_m
     np.testing.assert_allclose(place_m, np.zeros_like(place_m), atol=0.02)
+    said = next(finding for finding in sequence.findings if finding.code == "SYN-506")
+    assert (said.severity, "the robot's own where it began" in said.message) == ("warning", True)
 
 
 def test_the_platform_takes_the_same_name_and_makes_the_same_sequence(platform: Platform, tmp_path: Path) -> None:
