@@ -87,9 +87,12 @@ def test_every_schema_version_is_read_and_only_the_fourth_embeds_definitions(tmp
 
 
 @pytest.mark.parametrize("mode", [CompressionMode.MESSAGE, CompressionMode.FILE])
+@pytest.mark.parametrize("plugin", StoragePlugin)
 @pytest.mark.parametrize("has_metadata", [True, False])
-def test_what_the_recorder_compressed_is_unpacked(tmp_path: Path, mode: CompressionMode, has_metadata: bool) -> None:
-    folder = _written(tmp_path / "run", StoragePlugin.SQLITE3, mode)
+def test_what_the_recorder_compressed_is_unpacked(
+    tmp_path: Path, mode: CompressionMode, plugin: StoragePlugin, has_metadata: bool
+) -> None:
+    folder = _written(tmp_path / "run", plugin, mode)
     if not has_metadata:
         (folder / "metadata.yaml").unlink()
     before = {file.name: file.read_bytes() for file in folder.iterdir()}
