@@ -46,7 +46,7 @@ def field_limit(intrinsics: CameraIntrinsics) -> float:
     reach = np.linspace(0.0, WIDEST_RAD if is_fisheye else WIDEST_RATIO, STEPS)
     with np.errstate(all="ignore"):
         radius = reach * _radial(reach * reach, intrinsics)
-    turns = np.flatnonzero(~(np.diff(radius) > 0))
+        turns = np.flatnonzero(~(np.diff(radius) > 0))
     return float(reach[turns[0]]) if turns.size else float(reach[-1])
 
 
@@ -60,7 +60,9 @@ def corner_reach(intrinsics: CameraIntrinsics) -> float:
 def is_folded(intrinsics: CameraIntrinsics) -> bool:
     """Whether the lens turns back before it reaches the image's corner: coefficients of another camera or model."""
     limit = field_limit(intrinsics)
-    return bool(limit * _radial(np.array([limit * limit]), intrinsics)[0] < corner_reach(intrinsics))
+    with np.errstate(all="ignore"):
+        seen = limit * _radial(np.array([limit * limit]), intrinsics)[0]
+    return not seen >= corner_reach(intrinsics)
 
 
 def _perspective(points: Array, lens: CameraIntrinsics) -> tuple[Array, NDArray[np.bool_]]:

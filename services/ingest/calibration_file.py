@@ -63,10 +63,14 @@ def read_calibration_files(path: Path) -> CalibrationRead:
     Raises OSError; the leaves of `services.ingest.calibration_errors` (the files) and of `stone.calibration_errors`
     (the numbers); ShapeError for a vector of another length.
     """
-    bundle = read_bundle(path)
-    found = recognised(bundle, path.name)
+    return read_files(read_bundle(path), path.name)
+
+
+def read_files(bundle: Bundle, name: str) -> CalibrationRead:
+    """The calibration in files that were read already; `name` is what they are called together. Raises as above."""
+    found = recognised(bundle, name)
     if found.native is None:
-        return _assembled(found, bundle, path.name)
+        return _assembled(found, bundle, name)
     calibration, findings = native(*found.native)
     return CalibrationRead(calibration, findings + _whole(calibration, bundle), "native")
 
