@@ -12,6 +12,7 @@ from services.ingest.errors import CutBagError, IngestError
 from services.ingest.named import named
 from services.ingest.received import Received, ReceivedFile
 from services.ingest.recovery import recover
+from services.runtime.errors import PlatformFaultError
 from stone.findings import Finding
 
 
@@ -38,6 +39,8 @@ def _is_cut(received: Received, file: ReceivedFile) -> bool:
         open_bag(named(received.folder, file.path, file.filename)).close()
     except CutBagError:
         return True
+    except PlatformFaultError:
+        raise
     except IngestError:  # alone it may be no bag: a metadata.yaml, a database without its log
         return False
     return False

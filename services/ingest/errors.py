@@ -4,6 +4,7 @@
 of the file unless the sentence names a chunk. A leaf takes the facts and quotes them.
 """
 
+from services.runtime.errors import PlatformFaultError
 from stone.errors import StoneError
 
 SHOWN_BYTES = 16
@@ -201,7 +202,7 @@ class PackedTooLargeError(IngestError):
         )
 
 
-class NoRoomError(IngestError):
+class NoRoomError(PlatformFaultError, IngestError):
     """What must be unpacked or copied to be read does not fit the folder for temporary files."""
 
     code = "BAG-028"

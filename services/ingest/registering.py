@@ -26,6 +26,7 @@ from services.ingest.received import Received, ReceivedFile, received
 from services.ingest.recording_errors import RecordingChangedError
 from services.runtime import quota
 from services.runtime.blobs import PreparedBlob, link_all, prepare
+from services.runtime.errors import PlatformFaultError
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.specs import Attempt, Outcome
 from services.runtime.orm import Recording
@@ -70,7 +71,9 @@ def register(platform: Platform, attempt: Attempt) -> Outcome:
         seen = _seen(brought, work, attempt)
         attempt.progress("keep", 2, STEPS)
         originals = {file.row_id: _prepared(platform, file) for file in brought.files}
-    except (IngestError, RecordingChangedError) as error:  # a store that is full or away is no fault of the recording
+    except PlatformFaultError:  # a disk that is full, a store that is away: no fault of the recording
+        raise
+    except (IngestError, RecordingChangedError) as error:
         _refuse(platform, brought, error)
         raise
     attempt.progress("keep", 3, STEPS)

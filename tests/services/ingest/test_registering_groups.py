@@ -2,11 +2,13 @@
 
 import json
 import shutil
+import sqlite3
 from pathlib import Path
 
 import pytest
 from sqlalchemy import func, select
 
+from services.ingest import private_folder
 from services.ingest.opening import open_sequence
 from services.ingest.pipeline import SynchroniseOptions
 from services.runtime.orm import Blob, Preview, QuotaEntry
@@ -17,7 +19,9 @@ from services.runtime.sequence_file import sequence_bytes
 from services.runtime.uploads import expire, upload_file
 from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate
+from tests.services.ingest.databases import SCHEMAS, insert
 from tests.services.ingest.splitting import split_into
+from tests.services.ingest.writing import HESAI, POINT_CLOUD, Recorded, cloud_payload, sweep
 from tests.services.runs import Brought, bring, run_all
 
 TINY = SimulateOptions(seconds=1.0, seed=3, channels=16, columns=120, cameras=False)
@@ -204,3 +208,54 @@ def test_what_ends_gives_all_its_files_back(platform_on: Platform, split: Path, 
 def taken_bytes(platform: Platform) -> int:
     with platform.database.reading() as session:
         return int(session.scalar(select(func.coalesce(func.sum(QuotaEntry.amount), 0))) or 0)
+
+
+def test_a_database_that_was_not_closed_is_read_with_its_journal_and_neither_changes(
+    platform: Platform, tmp_path: Path
+) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    unclosed_database(tmp_path / "recorder.db3", folder / "run_0.db3")
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert before["run_0.db3-wal"], "the recorder died with a journal"
+    brought = bring(platform)
+    job_id = brought.add(folder)
+    run_all(platform)
+    recording = brought.recording()
+    assert (brought.job(job_id).failure, recording.state) == ("", "registered")
+    assert recording.inspection is not None
+    assert [(topic["name"], topic["count"]) for topic in recording.inspection["topics"]] == [("/points", 5)]
+    assert "BAG-029" in [finding["code"] for finding in recording.findings]
+    assert {file.filename: blob_bytes(brought, file.blob_sha256) for file in recording.files} == before
+
+
+def test_a_disk_without_room_is_no_fault_of_the_recording(
+    platform: Platform, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    unclosed_database(tmp_path / "recorder.db3", folder / "run_0.db3")
+    brought = bring(platform)
+    job_id = brought.add(folder)
+    with monkeypatch.context() as full:
+        full.setattr(private_folder, "SPARED_BYTES", 2**62)
+        run_all(platform)
+    assert (brought.job(job_id).state, brought.job(job_id).failure_code) == ("failed", "BAG-028")
+    assert brought.recording().state == "received"
+    assert all(upload_file(platform.settings, file.upload_id or "").exists() for file in brought.recording().files)
+
+
+def unclosed_database(recorder: Path, left: Path) -> None:
+    """What is left on the disk of five messages when the recorder dies before it closes."""
+    start_ns = 1_700_000_000_000_000_000
+    clouds = [
+        Recorded("/points", POINT_CLOUD, start_ns + number * 10**8, cloud_payload(sweep(HESAI, 10, seed=number)))
+        for number in range(5)
+    ]
+    connection = sqlite3.connect(recorder, isolation_level=None)
+    connection.execute("PRAGMA journal_mode=WAL")
+    connection.executescript(SCHEMAS[4])
+    insert(connection, clouds)
+    for suffix in ("", "-wal"):
+        shutil.copyfile(f"{recorder}{suffix}", f"{left}{suffix}")
+    connection.close()
