@@ -16,6 +16,12 @@ from services.ingest.cdr import NS_PER_S
 from services.ingest.errors import MessageLayoutError
 
 
+def as_doubles(values: NDArray[Any]) -> NDArray[np.float64]:
+    """A damaged message may hold a signalling NaN, which is as good as any other."""
+    with np.errstate(invalid="ignore"):
+        return values.astype(np.float64, copy=False)
+
+
 @dataclass(frozen=True, eq=False)
 class Ragged:
     """Element i of the level above has the values `offsets[i]:offsets[i + 1]`."""
@@ -51,7 +57,7 @@ class Table:
     def vectors(self, name: str, axes: str = "xyz") -> NDArray[np.float64]:
         """(N, len(axes)) from the columns name.x, name.y, …"""
         columns = [self.numbers(f"{name}.{axis}") for axis in axes]
-        return np.stack(columns, axis=1).astype(np.float64, copy=False)
+        return as_doubles(np.stack(columns, axis=1))
 
     def texts(self, name: str) -> list[str]:
         """One text a message."""

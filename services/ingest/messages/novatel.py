@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from services.ingest.errors import MessageLayoutError
 from services.ingest.messages.batch import Stamped
-from services.ingest.messages.columns import Table
+from services.ingest.messages.columns import Table, as_doubles
 from services.ingest.messages.gps_time import unix_ns
 from services.ingest.messages.novatel_types import PACKAGE, decode_novatel, fits
 
@@ -100,7 +100,7 @@ def decode_bestpos(messages: Iterable[Stamped], schema: str = "") -> FixSamples:
         table.numbers("lat"),
         table.numbers("lon"),
         table.numbers("hgt"),
-        table.numbers("undulation").astype(np.float64),
+        as_doubles(table.numbers("undulation")),
         _deviations(table, ("lat", "lon", "hgt")),
     )
 
@@ -125,4 +125,4 @@ def _ins_table(messages: list[Stamped], schema: str) -> Table:
 
 
 def _deviations(table: Table, names: tuple[str, str, str]) -> NDArray[np.float64]:
-    return np.stack([table.numbers(f"{name}_stdev") for name in names], axis=1).astype(np.float64)
+    return as_doubles(np.stack([table.numbers(f"{name}_stdev") for name in names], axis=1))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from services.ingest.errors import CloudLayoutError
 from services.ingest.messages.batch import Stamped
+from services.ingest.messages.columns import as_doubles
 from services.ingest.messages.pointcloud2 import decode_cloud
 from services.ingest.messages.radar_detections import COLUMNS, RadarDetections, offsets_of
 
@@ -55,7 +56,7 @@ def _points(records: NDArray[np.void]) -> NDArray[np.float64]:
     names = records.dtype.names or ()
     if not all(name in names and records.dtype[name].kind == "f" for name in "xyz"):
         raise CloudLayoutError(f"x, y and z must be floats, its fields are {', '.join(names)}"[:200])
-    return np.stack([records[name].astype(np.float64) for name in "xyz"], axis=1)
+    return np.stack([as_doubles(records[name]) for name in "xyz"], axis=1)
 
 
 def _columns(records: NDArray[np.void], xyz: NDArray[np.float64]) -> dict[str, NDArray[Any]]:

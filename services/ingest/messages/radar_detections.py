@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from services.ingest.cdr import NS_PER_S
 from services.ingest.errors import MessageLayoutError
-from services.ingest.messages.columns import Table
+from services.ingest.messages.columns import Table, as_doubles
 
 # The flag bits of one detection, ARS 548: distance, azimuth, elevation and range rate (the others are deviations).
 INVALID_MASK = 0x01 | 0x04 | 0x10 | 0x40
@@ -55,11 +55,11 @@ class RadarDetections:
         """(M, 3) metres in the radar's axes, computed when first asked for."""
         if self.given_points is not None:
             return self.given_points
-        azimuth, elevation = self.azimuth_rad.astype(np.float64), self.elevation_rad.astype(np.float64)
+        azimuth, elevation = as_doubles(self.azimuth_rad), as_doubles(self.elevation_rad)
         with np.errstate(invalid="ignore"):  # an infinite angle has no direction: NaN, and is not valid
             level = np.cos(elevation)
             directions = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=1)
-            return np.asarray(directions * self.range_m[:, None], np.float64)
+            return np.asarray(directions * as_doubles(self.range_m)[:, None], np.float64)
 
     def of(self, scan: int) -> "RadarDetections":
         """One scan, as a table of N = 1; IndexError beyond the last."""

@@ -21,6 +21,7 @@ from tests.services.ingest.messages.oracle import Message, damaged_in_turn, wire
 from tests.services.ingest.writing import random_message, serialised
 
 KINDS = ("uint8", "float64", "string", "float32[]", "int64[3]", "float32", "bool", "uint32", "int8[2]")
+SIGNALLING = b"\0\0\xa0\x7f"
 TIME = "int32 sec\nuint32 nanosec"
 FIX = "sensor_msgs/msg/NavSatFix"
 DECODERS: dict[str, Callable[[list[Message], str], Any]] = {
@@ -119,3 +120,18 @@ def test_an_uploaded_definition_reads_what_nobody_knew() -> None:
     table = decode_table("my_msgs/msg/Thing", wire([body]), known)
     assert table.ragged("values")[1].tolist() == [1.5, 2.5]
     assert table.texts("name") == ["b"]
+
+
+def test_a_signalling_nan_is_as_good_as_any_other() -> None:
+    """Damage makes them; numpy warns of them where a float becomes a double, and a warning is an error here."""
+    fix = random_message("novatel_oem7_msgs/msg/BESTPOS", np.random.default_rng(0), is_tame=True)
+    fix.sol_status.status, fix.pos_type.type, fix.lat_stdev = 0, 50, 1.25
+    damaged = serialised(fix).replace(np.float32(1.25).tobytes(), SIGNALLING)
+    assert np.isnan(decode_bestpos(wire([damaged])).position_stdev_m[0, 0])
+    scan = random_message("radar_msgs/msg/RadarScan", np.random.default_rng(1), is_tame=True)
+    scan.returns = [random_message("radar_msgs/msg/RadarReturn", np.random.default_rng(2), is_tame=True)]
+    scan.returns[0].azimuth = 1.25
+    damaged = serialised(scan).replace(np.float32(1.25).tobytes(), SIGNALLING)
+    ours = decode_radar("radar_msgs/msg/RadarScan", wire([damaged]))
+    assert np.isnan(ours.points_radar[0, 0])
+    assert not ours.is_valid[0]
