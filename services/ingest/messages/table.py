@@ -20,7 +20,7 @@ from services.ingest.messages.registry import Registry, registry
 from services.ingest.messages.sketch import Piece, Sketch, sketched
 
 # Parts of all layouts together, some 300 bytes each; a topic of one publisher has a few layouts of a hundred parts.
-MOST_PIECES = 500_000
+MOST_PIECES = 200_000
 
 Values = NDArray[Any] | list[str]
 
