@@ -11,11 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from services.ingest.extrinsics import BASE_FRAMES, StaticTree, plain
+from services.ingest.extrinsics import BASE_FRAMES, plain
 from services.ingest.messages.batch import Stamped
 from services.ingest.messages.odometry import decode_odometry
 from services.ingest.messages.tf import TransformSamples, decode_transforms
 from services.ingest.recorded import in_order
+from services.ingest.static_tree import StaticTree
 from services.ingest.synchronisation_errors import NoPoseSourceError, NoUsablePoseError
 from stone.calibration import Calibration
 from stone.findings import Finding
