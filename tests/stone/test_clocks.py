@@ -16,13 +16,13 @@ unhurried = settings(deadline=None, max_examples=40)
 
 
 def _record_times_ns(count: int) -> Stamps:
-    return START_NS + np.arange(count, dtype=np.int64) * PERIOD_NS
+    return np.asarray(START_NS + np.arange(count, dtype=np.int64) * PERIOD_NS, np.int64)
 
 
 def _stamps_ns(record_times_ns: Stamps, offset_ns: int, drift_ppm: float) -> Stamps:
     """Of a clock that is `offset_ns` behind and runs fast by `drift_ppm`."""
     ahead_ns = np.rint((record_times_ns - record_times_ns[0]) * drift_ppm * 1e-6).astype(np.int64)
-    return record_times_ns - offset_ns + ahead_ns
+    return np.asarray(record_times_ns - offset_ns + ahead_ns, np.int64)
 
 
 @unhurried

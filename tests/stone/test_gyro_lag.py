@@ -14,7 +14,7 @@ from stone.gyro_lag import GyroLag, gyro_lag, turns_of
 T0_NS = 1_760_000_000_000_000_000
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
-unhurried = settings(deadline=None, max_examples=15)
+unhurried = settings(deadline=None, max_examples=10)
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,8 @@ class Drive:
     def rates(self, time_s: Array) -> Array:
         """Body rates (N, 3) by central differences over 0.2 ms, by scipy."""
         half_s = 1e-4
-        return (self.attitude(time_s - half_s).inv() * self.attitude(time_s + half_s)).as_rotvec() / (2 * half_s)
+        turned = self.attitude(time_s - half_s).inv() * self.attitude(time_s + half_s)
+        return np.asarray(turned.as_rotvec() / (2 * half_s), np.float64)
 
     def source(self, hz: float = 20.0) -> tuple[Stamps, Array]:
         time_s = np.arange(0, self.seconds, 1 / hz)
@@ -103,7 +104,7 @@ def test_the_order_of_messages_and_repeated_ones_do_not_matter() -> None:
 
 def test_the_standard_error_is_of_the_size_of_the_error() -> None:
     errors = []
-    for seed in range(25):
+    for seed in range(16):
         drive = Drive(seed, seconds=12.0)
         lag = _found(drive.gyro(0.012), drive.source())
         errors.append((lag.lag_ns - 12_000_000) / lag.sigma_ns)
@@ -140,7 +141,9 @@ def test_what_is_no_rate_is_left_out() -> None:
 def test_the_rates_between_orientations_are_those_of_scipy() -> None:
     drive = Drive(8, seconds=3.0)
     source_ns, wxyz = drive.source()
-    turns = turns_of((source_ns - T0_NS) * 1e-9, wxyz * np.where(np.arange(len(wxyz)) % 2, -1.0, 1.0)[:, None])
+    turns = turns_of(
+        (source_ns - T0_NS).astype(np.float64) * 1e-9, wxyz * np.where(np.arange(len(wxyz)) % 2, -1.0, 1.0)[:, None]
+    )
     attitude = Rotation.from_quat(np.roll(wxyz, -1, axis=1))
     expected = (attitude[:-1].inv() * attitude[1:]).as_rotvec() / 0.05
     np.testing.assert_allclose(turns.rates_rad_s, expected, atol=1e-6)

@@ -91,7 +91,7 @@ def test_known_constants_have_their_names_and_others_none(ahead_s: float, named:
 
 
 def _run(drift_ppm: float, topic: str = "/radar") -> list[Recorded]:
-    times_ns = every(150 * MS, 200)
+    times_ns = every(500 * MS, 60)
     stamps_ns = times_ns + ((times_ns - times_ns[0]) * drift_ppm * 1e-6).astype(np.int64)
     lists = radar_lists(topic, stamps_ns, stamps_ns)
     return [
@@ -101,7 +101,7 @@ def _run(drift_ppm: float, topic: str = "/radar") -> list[Recorded]:
 
 
 def test_the_radar_that_drifts_is_named_with_its_drift(tmp_path: Path) -> None:
-    sweeps_ns = every(100 * MS, 300)
+    sweeps_ns = every(300 * MS, 100)
     lidar = clouds(sweeps_ns, sweeps_ns + 105 * MS)
     inspection = inspected(tmp_path, lidar, _run(50), _run(0, "/left"), _run(-4, "/right"))
     assert timing_codes(inspection) == [("TIM-207", "/radar")]
@@ -110,7 +110,7 @@ def test_the_radar_that_drifts_is_named_with_its_drift(tmp_path: Path) -> None:
 
 
 def test_a_clock_that_seems_slow_may_have_been_heard_ever_later(tmp_path: Path) -> None:
-    sweeps_ns = every(100 * MS, 300)
+    sweeps_ns = every(300 * MS, 100)
     lidar = clouds(sweeps_ns, sweeps_ns + 105 * MS)
     inspection = inspected(tmp_path, lidar, _run(-50), _run(0, "/left"))
     assert timing_codes(inspection) == [("TIM-207", "/radar")]
@@ -119,7 +119,7 @@ def test_a_clock_that_seems_slow_may_have_been_heard_ever_later(tmp_path: Path) 
 
 
 def test_odometry_that_takes_ever_longer_to_compute_accuses_no_clock(tmp_path: Path) -> None:
-    sweeps_ns = every(100 * MS, 300)
+    sweeps_ns = every(300 * MS, 100)
     times_ns = sweeps_ns + 105 * MS
     slower_ns = times_ns + ((sweeps_ns - sweeps_ns[0]) * 300e-6).astype(np.int64)
     poses = [odometry(int(stamp_ns), SE3.identity()) for stamp_ns in sweeps_ns]
@@ -129,7 +129,7 @@ def test_odometry_that_takes_ever_longer_to_compute_accuses_no_clock(tmp_path: P
 
 def test_a_recorder_whose_own_clock_drifts_accuses_no_sensor(tmp_path: Path) -> None:
     """All sensors drift alike against it."""
-    sweeps_ns = every(100 * MS, 300)
+    sweeps_ns = every(300 * MS, 100)
     record_ns = sweeps_ns + ((sweeps_ns - sweeps_ns[0]) * -60e-6).astype(np.int64)
     lidar = clouds(sweeps_ns, record_ns + 105 * MS)
     assert timing_codes(inspected(tmp_path, lidar, _run(60), _run(60, "/left"))) == []

@@ -19,6 +19,7 @@ DRIVE = Drive(3, seconds=float(SECONDS))
 # How the IMU is bolted on: on its side, looking backwards.
 BODY_FROM_IMU = Rotation.from_euler("ZYX", [2.9, 0.1, 1.5])
 POSES_NS = T0_NS + np.arange(SECONDS * 20, dtype=np.int64) * 50 * MS
+POSES_S = (POSES_NS - T0_NS).astype(np.float64) * 1e-9
 SWEEPS = [plain_sweep(T0_NS + row * 100 * MS) for row in range(SECONDS * 10)]
 
 
@@ -38,7 +39,7 @@ def _readings(lag_ns: int) -> list[Recorded]:
 
 def _solutions() -> list[Recorded]:
     """The receiver's attitude at whole milliseconds, stamped by a host that is 1 to 5 ms late."""
-    angles_deg = np.rad2deg(DRIVE.angles((POSES_NS - T0_NS) * 1e-9))
+    angles_deg = np.rad2deg(DRIVE.angles(POSES_S))
     late_ns = np.random.default_rng(0).integers(MS, 5 * MS, len(POSES_NS))
     attitudes = [{"azimuth": 90 - yaw, "pitch": -pitch, "roll": roll} for yaw, pitch, roll in angles_deg.tolist()]
     return solutions(INS_TOPIC, POSES_NS, late_ns, attitudes)
@@ -46,7 +47,7 @@ def _solutions() -> list[Recorded]:
 
 def _odometry() -> list[Recorded]:
     """The pose of the same body by odometry."""
-    wxyz = np.roll(DRIVE.attitude((POSES_NS - T0_NS) * 1e-9).as_quat(), 1, axis=1)
+    wxyz = np.roll(DRIVE.attitude(POSES_S).as_quat(), 1, axis=1)
     poses = [SE3.from_parts(quaternion, np.zeros(3)) for quaternion in wxyz]
     return [odometry(stamp_ns, pose, child="gps") for stamp_ns, pose in zip(POSES_NS.tolist(), poses, strict=True)]
 
