@@ -25,7 +25,7 @@ ServerOption = Annotated[
 SequenceArgument = Annotated[str, typer.Argument(metavar="SEQUENCE", help="A sequence's name or id.")]
 CalibrationOption = Annotated[
     Path,
-    typer.Option("--calibration", metavar="CAL.yaml", exists=True, dir_okay=False, help="Where the sensors sit."),
+    typer.Option("--calibration", metavar="CAL", exists=True, help="Where the sensors sit: file, folder or zip."),
 ]
 
 

@@ -15,6 +15,7 @@ from client.errors import RecordingRefusedError, ServerRefusedError, UnknownSubj
 from client.following import AWAY_S, POLL_S, follow
 from client.progress import Report
 from client.tus import Purpose, upload_file
+from services.ingest.calibrations.bundle import read_bundle, zipped
 
 Item = Mapping[str, Any]
 ID = re.compile(r"[0-9a-f]{32}")
@@ -69,9 +70,12 @@ def job_by_id(api: Api, subject: str) -> Item | None:
 
 
 def pin_calibration(api: Api, sequence: Item, calibration: Path) -> Item:
-    """Have the sequence use this calibration file; the calibration with its findings."""
-    content = calibration.read_bytes()
-    kept: Item = api.send("POST", "/calibrations", files={"file": (calibration.name, content)}).json()
+    """Have the sequence use this calibration file, or folder of files; the calibration with its findings."""
+    if calibration.is_dir():
+        sent = (f"{calibration.resolve().name}.zip", zipped(read_bundle(calibration)))
+    else:
+        sent = (calibration.name, calibration.read_bytes())
+    kept: Item = api.send("POST", "/calibrations", files={"file": sent}).json()
     api.send("PUT", f"/sequences/{sequence['id']}/calibration", json={"calibration_id": kept["id"]})
     return kept
 

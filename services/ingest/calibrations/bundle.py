@@ -118,3 +118,12 @@ def _wanted(name: str, names: list[str]) -> frozenset[str]:
 def _check_total(name: str, total_bytes: int) -> None:
     if total_bytes > BUNDLE_LIMIT_BYTES:
         raise CalibrationBundleError(name, f"its files together are larger than {BUNDLE_LIMIT_BYTES} bytes")
+
+
+def zipped(bundle: Bundle) -> bytes:
+    """The documents as a zip that `read_bundle` reads; equal bundles give equal bytes, whenever they are packed."""
+    packed = BytesIO()
+    with ZipFile(packed, "w") as archive:
+        for name, content in bundle.documents:
+            archive.writestr(ZipInfo(name), content, ZIP_DEFLATED)
+    return packed.getvalue()

@@ -1,5 +1,6 @@
 """One robot, written in every format, is read as that robot: frames, lenses, times, in file, folder and zip."""
 
+import os
 import zipfile
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from services.ingest.calibration_file import CalibrationRead, calibration_sha256, read_any_calibration
+from services.ingest.calibrations.bundle import read_bundle, zipped
 from stone.calibration import CameraIntrinsics
 from tests.services.ingest.calibrations import robots
 
@@ -157,3 +159,16 @@ def test_a_camera_info_message_as_ros_prints_it_is_a_lens(tmp_path: Path) -> Non
     }
     files["camera_front.yaml"] = message
     check(read_any_calibration(robots.write(tmp_path / "a", files)), robots.LENSES)
+
+
+def test_a_folder_is_sent_as_a_zip_that_says_the_same_whenever_it_is_packed(
+    written: tuple[Path, str, dict], tmp_path: Path
+) -> None:
+    folder, _, lenses = written
+    packed = zipped(read_bundle(folder))
+    for file in folder.iterdir():
+        os.utime(file, (1e9, 1e9))
+    assert zipped(read_bundle(folder)) == packed
+    path = tmp_path / "sent.zip"
+    path.write_bytes(packed)
+    check(read_any_calibration(path), lenses)
