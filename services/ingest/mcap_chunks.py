@@ -8,7 +8,6 @@ their first message is read, never on a header-only scan (which would turn milli
 
 from collections.abc import Iterator
 from contextlib import suppress
-from io import BytesIO
 
 import cramjam
 import numpy as np
@@ -101,17 +100,21 @@ def _check_true_size(packed: memoryview, chunk: Chunk) -> None:
 
 
 def _lz4_pieces(packed: memoryview, piece_bytes: int = PIECE_BYTES) -> Iterator[bytes]:
+    # Fed in slices: what it has not consumed yet the decompressor copies at every call.
     codec = LZ4FrameDecompressor()
-    piece = codec.decompress(packed, max_length=piece_bytes)
-    while piece or not (codec.eof or codec.needs_input):
-        yield piece
-        piece = b"" if codec.eof else codec.decompress(b"", max_length=piece_bytes)
+    for at in range(0, len(packed), PIECE_BYTES):
+        piece = codec.decompress(packed[at : at + PIECE_BYTES], max_length=piece_bytes)
+        while piece or not (codec.eof or codec.needs_input):
+            yield piece
+            piece = b"" if codec.eof else codec.decompress(b"", max_length=piece_bytes)
+        if codec.eof:
+            return
 
 
 def _zstd_pieces(packed: memoryview, piece_bytes: int = PIECE_BYTES) -> Iterator[bytes]:
     # The window is memory too: nothing larger than the limit of an ordinary level-19 frame is granted.
     codec = zstandard.ZstdDecompressor(max_window_size=UNDOUBTED_BYTES)
-    with codec.stream_reader(BytesIO(packed), read_across_frames=True) as stream:
+    with codec.stream_reader(packed, read_across_frames=True) as stream:
         while piece := stream.read(piece_bytes):
             yield piece
 

@@ -237,6 +237,7 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 from services.ingest.mcap_copy import Copy
+from services.ingest.mcap_records import MAGIC
 from services.ingest.recovery import recover
 write, limit = Copy.write, int(sys.argv[3])
 def dying(copy, *message):
@@ -260,25 +261,3 @@ def test_a_recovery_that_is_killed_leaves_no_half_file(tmp_path: Path, has_earli
     assert (out.read_bytes() == b"of an earlier run") if has_earlier else not out.exists()
     assert recover(path, out).messages == 60
     assert [entry.name for entry in out.parent.iterdir()] == ["out.mcap"]
-
-
-GROWTH = """
-import resource, sys
-from pathlib import Path
-from services.ingest.recovery import recover
-before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-recovery = recover(Path(sys.argv[1]), Path(sys.argv[2]))
-sys.stdout.write(f"{recovery.messages} {(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024}")
-"""
-
-
-def test_a_large_file_is_recovered_in_little_memory(tmp_path: Path) -> None:
-    """120 MB; a window of the mapped original and one chunk of the copy are in memory at a time."""
-    payload = b"\x00\x01\x00\x00" + np.random.default_rng(0).bytes(2_000_000)
-    messages = [Recorded("/a", IMU, row, payload) for row in range(60)]
-    path = write_mcap(tmp_path / "run.mcap", messages, chunk_size=4 << 20)
-    command = [sys.executable, "-c", GROWTH, str(path), str(tmp_path / "out.mcap")]
-    done = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True, timeout=100)
-    count, growth_bytes = (int(word) for word in done.stdout.split())
-    assert count == 60
-    assert growth_bytes < 64 * 2**20
