@@ -51,8 +51,7 @@ def sweep_view(bag: Bag, inspection: Inspection) -> bytes | None:
 def from_above(points: NDArray[np.float32], radius_m: float) -> NDArray[np.float32]:
     """The highest z in each pixel of (RASTER_PX, RASTER_PX) over [−radius, radius)², y upwards; NaN where none is."""
     raster = np.full((RASTER_PX, RASTER_PX), np.nan, np.float32)
-    columns = np.floor((points[:, 0] + radius_m) * (RASTER_PX / (2 * radius_m)))
-    rows = np.floor((points[:, 1] + radius_m) * (RASTER_PX / (2 * radius_m)))
+    columns, rows = np.floor((points[:, :2].astype(np.float64) + radius_m) * (RASTER_PX / (2 * radius_m))).T
     is_inside = (columns >= 0) & (columns < RASTER_PX) & (rows >= 0) & (rows < RASTER_PX)
     order = np.flatnonzero(is_inside)[np.argsort(points[is_inside, 2], kind="stable")]  # of one pixel's, the last stays
     row, column, height = rows[order].astype(np.intp), columns[order].astype(np.intp), points[order, 2]

@@ -107,7 +107,7 @@ def test_seen_from_above_every_pixel_has_the_highest_point_in_it(count: int, rad
     points = np.random.default_rng(seed).uniform(-1.2 * radius_m, 1.2 * radius_m, (count, 3)).astype(np.float32)
     highest: dict[tuple[int, int], float] = {}
     for x, y, z in points.tolist():
-        cell = tuple(math.floor((value + radius_m) * RASTER_PX / (2 * radius_m)) for value in (y, x))
+        cell = tuple(math.floor((value + radius_m) * (RASTER_PX / (2 * radius_m))) for value in (y, x))
         if all(0 <= place < RASTER_PX for place in cell):
             highest[cell] = max(z, highest.get(cell, -math.inf))  # type: ignore[index, call-overload]
     raster = from_above(points, radius_m)
