@@ -15,6 +15,10 @@ from services.runtime.orm import Blob, LabelSet, Preview, Recording, Sequence
 PreviewName = Annotated[
     str, Path(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,127}\.(png|jpg|json|html)$", examples=["cameras.jpg"])
 ]
+PictureName = Annotated[
+    str, Path(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,127}\.(png|jpg)$", examples=["bev.png", "overlay_CAM_FRONT.jpg"])
+]
+PICTURE_TYPES = ("image/png", "image/jpeg")
 PREVIEW_TYPES = ("image/png", "image/jpeg", "application/json", "text/html")
 
 

@@ -16,7 +16,7 @@ from api.errors import NotFoundError
 from api.files import StoredFile, answer_file, file_responses
 from api.job_views import job_detail
 from api.paging import Page, PageDep, page
-from api.preview_files import PREVIEW_TYPES, PreviewName, sequence_preview
+from api.preview_files import PICTURE_TYPES, PictureName, sequence_preview
 from api.schemas.base import IdPath
 from api.schemas.jobs import JobDetail
 from api.schemas.processing import FrameItem, ProcessBody
@@ -74,9 +74,9 @@ def download_mesh(sequence_id: IdPath, caller: Reader, platform: PlatformDep, re
     return answer_file(request, platform.store, file)
 
 
-@router.get("/previews/{name}", response_class=Response, responses=file_responses(*PREVIEW_TYPES))
+@router.get("/previews/{name}", response_class=Response, responses=file_responses(*PICTURE_TYPES))
 def download_preview(
-    sequence_id: IdPath, name: PreviewName, caller: Reader, platform: PlatformDep, request: Request
+    sequence_id: IdPath, name: PictureName, caller: Reader, platform: PlatformDep, request: Request
 ) -> Response:
     """A picture: `bev.png` shows the labels from above, `overlay_CAM_FRONT.jpg` the LiDAR's points on a camera's image.
 
