@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.ingest.containers import opened_store
+from services.ingest.definitions_beside import described
 from services.ingest.errors import EncodingRefusedError, UnknownTopicError
 from services.ingest.members import members_of
 from services.ingest.split_store import SplitStore
@@ -36,10 +37,12 @@ class Bag:
     """An open recording; a context manager."""
 
     def __init__(self, path: Path, store: Store, findings: tuple[Finding, ...] = ()) -> None:
-        self.path = path
-        self.findings = (*findings, *store.findings)
+        topics, noticed = described(store.topics, path) if path.is_dir() else (store.topics, ())
+        self.path, self.topics = path, topics
+        """Every topic that is declared, by name; `count` may be 0."""
+        self.findings = (*findings, *store.findings, *noticed)
         self._store = store
-        self._topics = {topic.name: topic for topic in store.topics}
+        self._topics = {topic.name: topic for topic in topics}
 
     def __enter__(self) -> "Bag":
         return self
@@ -49,11 +52,6 @@ class Bag:
 
     def close(self) -> None:
         self._store.close()
-
-    @property
-    def topics(self) -> tuple[Topic, ...]:
-        """Every topic that is declared, by name; `count` may be 0."""
-        return self._store.topics
 
     @property
     def is_indexed(self) -> bool:

@@ -1,8 +1,9 @@
 """Several files that are one bag: which may stand together, and what the whole is called by content.
 
 **Conventions.** The files of a rosbag2 folder: one or more of `.mcap` or of `.db3`, each perhaps compressed as a file
-by zstd, a database perhaps beside the journal of what was not finished; and perhaps `metadata.yaml`. Names are compared
-as they are on a disk that does not tell cases apart, so that a folder can be written anywhere.
+by zstd, a database perhaps beside the journal of what was not finished; perhaps `metadata.yaml`; and definitions of
+messages where the recorder embedded none (`my_msgs.Reading.msg`). Names are compared as on a disk that does not tell
+cases apart, so that a folder can be written anywhere.
 """
 
 import re
@@ -16,6 +17,7 @@ MOST_FILES = 512
 BAG_FILE = re.compile(r".+\.(mcap|db3)(\.zstd)?", re.IGNORECASE)
 LEFT_BESIDE = ("-wal", "-journal")
 JOURNAL = re.compile(r"(.+\.db3)-(wal|journal)", re.IGNORECASE)
+DEFINITION = re.compile(r"[a-z][a-z0-9_]{0,99}\.[A-Z][A-Za-z0-9]{0,99}\.msg")
 
 
 class BadBagFilesError(StoneError):
@@ -29,7 +31,7 @@ class BadBagFilesError(StoneError):
 
 def is_bag_part(name: str) -> bool:
     """Whether a file so called belongs to a bag."""
-    return name == METADATA or any(form.fullmatch(name) for form in (BAG_FILE, JOURNAL))
+    return name == METADATA or any(form.fullmatch(name) for form in (BAG_FILE, JOURNAL, DEFINITION))
 
 
 def check_bag_files(names: Sequence[str]) -> None:
