@@ -77,8 +77,8 @@ def test_poses_are_within_two_millimetres_and_two_hundredths_of_a_degree(drive, 
     apart_mm = np.linalg.norm(found.translation_m - exact.translation_m, axis=1) * 1e3
     turn_deg = turned_deg(exact, found)
     LOG.info("poses: %.3f mm, %.4f° at most", apart_mm.max(), turn_deg.max())
-    record_property("position_mm", apart_mm.max())
-    record_property("turn_deg", turn_deg.max())
+    record_property("position_mm", float(apart_mm.max()))
+    record_property("turn_deg", float(turn_deg.max()))
     assert apart_mm.max() < 2.0
     assert turn_deg.max() < 0.02
 
@@ -98,7 +98,7 @@ def test_deskewed_points_are_where_a_robot_that_stands_still_would_measure_them(
             worst_mm.append(np.linalg.norm(found - exact, axis=1).max() * 1e3)
             raw_mm.append(np.linalg.norm(raw.points_lidar - exact, axis=1).max() * 1e3)
     LOG.info("deskewed points: %.3f mm at most; as measured: %.0f mm", max(worst_mm), max(raw_mm))
-    record_property("deskewed_mm", max(worst_mm))
+    record_property("deskewed_mm", float(max(worst_mm)))
     assert max(worst_mm) < 5.0
     assert max(raw_mm) > 100.0
 
