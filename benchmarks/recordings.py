@@ -1,6 +1,7 @@
 """The recordings that readers are measured on, written by the `mcap` library; payloads are noise where noise is data.
 
-**Conventions.** Chunks of 4 MiB as the ROS 2 recorder's, so a large cloud has a chunk of its own.
+**Conventions.** As ROS 2 Humble's recorder does by default: chunks of 768 KiB, so a large cloud has a chunk of its own,
+and no checksums; compressed only where a name says so.
 """
 
 from pathlib import Path
@@ -48,7 +49,7 @@ def write_lists(path: Path, count: int = LISTS) -> Path:
         record["list_detections"][name] = draws.normal(size=800).astype(np.float32)
     record["list_numofdetections"] = 300
     with path.open("wb") as file:
-        writer, channel = _started(file, LIST_TOPIC, "ars548_messages/msg/DetectionList", "lz4")
+        writer, channel = _started(file, LIST_TOPIC, "ars548_messages/msg/DetectionList", "none")
         for number in range(count):
             stamp_ns = START_NS + number * 16_666_667
             record["sec"], record["nanosec"] = divmod(stamp_ns, 1_000_000_000)
@@ -58,7 +59,7 @@ def write_lists(path: Path, count: int = LISTS) -> Path:
 
 
 def _started(file: object, topic: str, kind: str, compression: str) -> tuple[Writer, int]:
-    writer = Writer(file, chunk_size=4 << 20, compression=COMPRESSIONS[compression])
+    writer = Writer(file, chunk_size=768 << 10, compression=COMPRESSIONS[compression], enable_crcs=False)
     writer.start("ros2", library="")
     schema = writer.register_schema(kind, "ros2msg", message_definition(kind).encode())
     return writer, writer.register_channel(topic, "cdr", schema)

@@ -9,6 +9,7 @@ import mmap
 from collections import OrderedDict
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
+from struct import Struct
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from services.ingest.topic import Topic
 from stone.findings import Finding
 
 KEPT_CHUNKS = 2
+_MESSAGE = Struct("<BQHIQQ")  # a record's opcode and length, then a message's head
 FORGET_BYTES = 64 * 2**20  # in a file without chunks, how far to read on before giving pages back
 
 
@@ -39,6 +41,7 @@ class McapStore:
         self._checked: set[int] = set()
         self._near_byte = 0
         self._entries = _merged_by_topic(self._catalogue, self._name)
+        self._topic_of = {number: channel.topic for number, channel in self._catalogue.channels.items()}
         self.topics = _topics(self._catalogue, self._entries)
         self.is_indexed = self._catalogue.is_indexed
         self._refuse_other_encodings()
@@ -85,15 +88,25 @@ class McapStore:
             self._forget(0, len(self._map))
             self._near_byte = offset
         view = self._view if number < 0 else self._records(number, is_checked)
+        if 0 <= offset <= len(view) - _MESSAGE.size:
+            opcode, length, channel_id, _sequence, log_time_ns, _published_ns = _MESSAGE.unpack_from(view, offset)
+            start, stop = offset + _MESSAGE.size, offset + wire.PREFIX_BYTES + length
+            is_promised = self._topic_of.get(channel_id) == topic and log_time_ns == entries.log_time_ns[index]
+            if opcode == wire.MESSAGE and start <= stop <= len(view) and is_promised:
+                return view[start:stop]
+        raise self._broken_promise(view, number, offset)
+
+    def _broken_promise(self, view: memoryview, number: int, offset: int) -> MalformedBagError:
+        """What stands where the index promised a message."""
         where = self._name if number < 0 else self._catalogue.chunks[number].where
-        record = wire.record_at(view, offset, len(view), where)
-        if record.opcode != wire.MESSAGE:
-            raise MalformedBagError(where, f"the index points at byte {offset}, where no message starts")
-        channel_id, log_time_ns = message_head(view, record, where)
-        channel = self._catalogue.channels.get(channel_id)
-        if channel is None or channel.topic != topic or log_time_ns != entries.log_time_ns[index]:
-            raise MalformedBagError(where, f"the message at byte {offset} is not the one that the index promised")
-        return view[record.start + wire.MESSAGE_HEAD_BYTES : record.stop]
+        try:
+            record = wire.record_at(view, offset, len(view), where)
+            if record.opcode != wire.MESSAGE:
+                return MalformedBagError(where, f"the index points at byte {offset}, where no message starts")
+            message_head(view, record, where)
+        except MalformedBagError as error:
+            return error
+        return MalformedBagError(where, f"the message at byte {offset} is not the one that the index promised")
 
     def _records(self, number: int, is_checked: bool) -> memoryview:
         chunk = self._catalogue.chunks[number]
