@@ -23,7 +23,7 @@ from stone.findings import Finding
 
 KEPT_CHUNKS = 2
 _MESSAGE = Struct("<BQHIQQ")  # a record's opcode and length, then a message's head
-FORGET_BYTES = 64 * 2**20  # in a file without chunks, how far to read on before giving pages back
+FORGET_BYTES = 64 * 2**20  # how far to read on before giving back pages that may have been looked at late
 
 
 class McapStore:
@@ -39,7 +39,7 @@ class McapStore:
         self._catalogue = read_catalogue(self._view, self._name)
         self._chunks: OrderedDict[int, memoryview] = OrderedDict()
         self._checked: set[int] = set()
-        self._near_byte = 0
+        self._near_byte = self._dropped_bytes = 0
         self._entries = _merged_by_topic(self._catalogue, self._name)
         self._topic_of = {number: channel.topic for number, channel in self._catalogue.channels.items()}
         self.topics = _topics(self._catalogue, self._entries)
@@ -117,10 +117,17 @@ class McapStore:
             self._chunks.move_to_end(number)
             return self._chunks[number]
         while len(self._chunks) >= KEPT_CHUNKS:
-            dropped, _ = self._chunks.popitem(last=False)
-            self._forget(self._catalogue.chunks[dropped].start, self._catalogue.chunks[dropped].stop)
+            self._drop_oldest()
         self._chunks[number] = inflate(self._view, chunk)
         return self._chunks[number]
+
+    def _drop_oldest(self) -> None:
+        """Now and then with what lies before it: whoever gathers messages looks at them after their chunk has gone."""
+        dropped = self._catalogue.chunks[self._chunks.popitem(last=False)[0]]
+        self._dropped_bytes += dropped.stop - dropped.start
+        is_far = self._dropped_bytes > FORGET_BYTES // 2
+        self._forget(max(0, dropped.start - FORGET_BYTES) if is_far else dropped.start, dropped.stop)
+        self._dropped_bytes = 0 if is_far else self._dropped_bytes
 
     def _forget(self, start: int, stop: int) -> None:
         """Give the pages of these bytes back: read again they cost a page fault, kept they count as our memory."""
