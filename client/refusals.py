@@ -12,9 +12,9 @@ from typing import Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
-from client.streams import echo_findings, echo_json, one_line, wants_json
+from client.streams import echo_findings, echo_json, wants_json
 from services.eval.validation import Validation
-from stone.errors import StoneError
+from stone.errors import StoneError, one_line
 from stone.findings import Finding
 
 REFUSED = 1

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
+from stone.errors import one_line
 from stone.findings import Finding
 
 WANTS_JSON = "stone.wants_json"
@@ -47,8 +48,3 @@ def echo_findings(findings: Iterable[Finding]) -> None:
         is_named = not finding.topic or finding.message.startswith(finding.topic)
         about = "" if is_named else f"{finding.topic}: "
         typer.echo(one_line(f"{grade}{finding.code}: {about}{finding.message}"), err=True)
-
-
-def one_line(text: str) -> str:
-    """`text` with every control character spelled out (`\\n`, `\\x1b`), so that it is one harmless line."""
-    return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)

@@ -7,13 +7,20 @@ sentence that quotes the value, the limit and the likely mistake. Nothing is rai
 from typing import ClassVar
 
 
+def one_line(text: str) -> str:
+    """`text` with what is not printable escaped: what it quotes may hold line ends and commands to a terminal."""
+    if text.isprintable():
+        return text
+    return "".join(character if character.isprintable() else repr(character)[1:-1] for character in text)
+
+
 class StoneError(Exception):
     """An input or a state is refused; `code` names the reason for programs, the sentence for people."""
 
     code: ClassVar[str]
 
     def __init__(self, sentence: str) -> None:
-        super().__init__(sentence)
+        super().__init__(one_line(sentence))
 
     def __reduce__(self) -> tuple[object, ...]:
         """Leaves take facts, not sentences, so a pickle carries the finished sentence (worker → parent)."""

@@ -3,6 +3,8 @@
 from dataclasses import asdict, dataclass
 from typing import Literal
 
+from stone.errors import one_line
+
 Severity = Literal["error", "warning", "info"]
 
 
@@ -14,6 +16,9 @@ class Finding:
     severity: Severity
     topic: str
     message: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "message", one_line(self.message))
 
     def as_record(self) -> dict[str, str]:
         return asdict(self)

@@ -168,8 +168,8 @@ class DatabaseRefusedError(IngestError):
     code = "BAG-018"
 
     def __init__(self, name: str, reason: str) -> None:
-        one_line = " ".join(reason.split())  # SQLite quotes statements as they were written
-        super().__init__(f"{name} cannot be read as a rosbag2 database: {one_line}")
+        quoted = " ".join(reason.split())  # SQLite quotes statements as they were written
+        super().__init__(f"{name} cannot be read as a rosbag2 database: {quoted}")
 
 
 class MembersRefusedError(IngestError):

@@ -8,8 +8,8 @@ import typer
 from typer.testing import CliRunner, Result
 
 from client.refusals import RefusingGroup
-from client.streams import JsonOption, one_line
-from stone.errors import StoneError
+from client.streams import JsonOption
+from stone.errors import StoneError, one_line
 
 
 class MuddyError(StoneError):
