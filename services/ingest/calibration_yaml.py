@@ -73,6 +73,9 @@ def _yaml(name: str, text: str) -> tuple[object, ...]:
         documents = list(YAML(typ="safe", pure=True).load_all(text))
     except YAMLError as error:
         raise CalibrationYamlError(name, _sentence(error)) from None
+    except TypeError:  # the loader's word for a key that cannot be one
+        problem = "a key is itself a list or a mapping (a comma or a quote too many?)"
+        raise CalibrationYamlError(name, problem) from None
     except (ValueError, OverflowError) as error:
         raise CalibrationYamlError(name, str(error)[:SHOWN_CHARACTERS]) from None
     while len(documents) > 1 and documents[-1] is None:
