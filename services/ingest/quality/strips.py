@@ -38,18 +38,6 @@ def word_strip(at: Sequence[float], swatches: Sequence[str]) -> str:
     return f'{_SVG}<rect class="rail" width="{WIDTH}" height="{HEIGHT}"/>{"".join(bars)}</svg>'
 
 
-def sparkline(values: Sequence[float], usual: float) -> str:
-    """Values over time between 0 and twice what is usual."""
-    if len(values) < 2 or usual <= 0:
-        return ""
-    step = WIDTH / (len(values) - 1)
-    points = " ".join(
-        f"{place * step:.0f},{HEIGHT - 1 - (HEIGHT - 2) * min(2.0, value / usual) / 2:.1f}"
-        for place, value in enumerate(values)
-    )
-    return f'{_SVG}<polyline class="spark" points="{points}"/></svg>'
-
-
 def _bar(swatch: str, start: float, end: float, more: str) -> str:
     """At least 2 of the 1000 wide, so that it is seen."""
     left = min(max(0.0, start), 1.0) * WIDTH

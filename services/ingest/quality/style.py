@@ -67,7 +67,6 @@ svg.strip{display:block;width:100%;height:10px;border-radius:3px;overflow:hidden
 svg.strip.tall{height:22px}
 .rail{fill:var(--rail)}.cover{fill:var(--ok)}.gap{fill:var(--bad)}.loose{fill:var(--c0)}
 .fixed{fill:var(--ok)}.float{fill:var(--warn)}.other{fill:var(--bad)}
-.spark{fill:none;stroke:var(--c0);stroke-width:1.5;vector-effect:non-scaling-stroke}
 .axis{display:flex;justify-content:space-between;font-size:.75rem;color:var(--soft)}
 .legend{display:flex;flex-wrap:wrap;gap:2px 16px;list-style:none;margin:0 0 8px;padding:0;font-size:.8125rem}
 .legend li{display:flex;gap:6px;align-items:center;min-width:0}
