@@ -46,7 +46,10 @@ class TilingParameters:
 
 @dataclass(frozen=True)
 class LabelParameters:
-    """All that decides a label, besides the inputs; recorded with every label set."""
+    """All that decides a label, besides the inputs; recorded with every label set.
+
+    `confidence` adds to every frame how far each voxel is from the reference, and changes no label.
+    """
 
     profile: Profile = "paper"
     selection: SelectionParameters = field(default_factory=SelectionParameters)
@@ -58,6 +61,7 @@ class LabelParameters:
     reference: ReferenceParameters = field(default_factory=ReferenceParameters)
     footprint_band_m: float = BAND_M
     local_ground_radius_m: float = 0.5
+    confidence: bool = False
 
     @property
     def core_m(self) -> float:
