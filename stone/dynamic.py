@@ -64,8 +64,12 @@ def range_image(
     _project(points_ego, sensor_ego, _lens(parameters), nearest_m)
     sideways = spread_px(len(points_ego))
     nearest_m = _spread(nearest_m, max(sideways, ring_spread_px(nearest_m)), sideways)[MARGIN_PX:-MARGIN_PX]
-    view = SE3.from_parts(map_from_ego.wxyz, map_from_ego @ sensor_ego)
-    return RangeImage(view, np.where(np.isfinite(nearest_m), nearest_m, np.float32(0)))
+    return RangeImage(view_of(map_from_ego, sensor_ego), np.where(np.isfinite(nearest_m), nearest_m, np.float32(0)))
+
+
+def view_of(map_from_ego: SE3, sensor_ego: NDArray[np.float64]) -> SE3:
+    """`map_from_view`: the place of the sensor at `sensor_ego` (3,), the axes of the ego."""
+    return SE3.from_parts(map_from_ego.wxyz, map_from_ego @ sensor_ego)
 
 
 def spread_px(rays: int) -> int:

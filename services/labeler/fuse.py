@@ -3,13 +3,11 @@
 Every n-th sweep also leaves a range image, against which the surface stage votes moving things out.
 """
 
-from dataclasses import dataclass, field
-
 import numpy as np
 from numpy.typing import NDArray
 
 from services.labeler.run import Part, Run, Step, core_cells, silent, tiles_of
-from services.labeler.scratch import Arrays, fused_path, images_path, save
+from services.labeler.scratch import Arrays, fused_path, image_name, images_path, save
 from stone.calibration import Box
 from stone.dynamic import range_image
 from stone.grid import GRID_MAX_M, GRID_MIN_M
@@ -19,19 +17,13 @@ from stone.selection import within, world_points
 from stone.voxels import VOXEL_M
 
 
-@dataclass
-class _Images:
-    poses: list[NDArray[np.float64]] = field(default_factory=list)
-    ranges_m: list[NDArray[np.float32]] = field(default_factory=list)
-
-
 def fuse(run: Run, part: Part, step: Step = silent) -> int:
     """Fuse the frames of `part`, a step each; returns how many points went into the map."""
     parameters, frames = run.parameters, run.sequence.frames
     calibration = run.sequence.calibration
     builder = PointMapBuilder(parameters.surface.point_voxel_m)
     carver = Carver(parameters.carve)
-    images = _Images()
+    images: Arrays = {}
     reach = labelled_box(parameters.selection.margin_m)
     for index in range(*part):
         sweep = run.sweeps.sweep(index)
@@ -44,12 +36,11 @@ def fuse(run: Run, part: Part, step: Step = silent) -> int:
             carver.carve(points_ego, pose, run.sensor_ego)
         if index % parameters.dynamic.every_frame == 0:
             image = range_image(points_ego, pose, run.sensor_ego, parameters.dynamic)
-            images.poses.append(image.map_from_view.wxyz_xyz)
-            images.ranges_m.append(image.ranges_m)
+            images[image_name(index)] = image.ranges_m
         step(index + 1 - part[0], part[1] - part[0])
     _leave(run, part, builder.finish(), carver.finish())
-    if images.poses:
-        save(images_path(run, part), {"poses": np.stack(images.poses), "ranges_m": np.stack(images.ranges_m)})
+    if images:
+        save(images_path(run, part), images)
     return int(builder.points)
 
 

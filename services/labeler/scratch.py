@@ -6,17 +6,17 @@ a stage that runs twice writes the same bytes. All of it is deleted when the run
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import groupby
 from pathlib import Path
 from secrets import token_hex
 
 import numpy as np
 from numpy.typing import NDArray
 
-from services.labeler.run import Part, Run, Tile
-from stone.dynamic import RangeImage
+from services.labeler.run import Part, Run, Tile, parts_of
+from stone.dynamic import RangeImage, view_of
 from stone.observed import Observed, union
 from stone.pointmap import PointMap
-from stone.se3 import SE3
 
 Arrays = dict[str, NDArray[np.generic]]
 
@@ -94,16 +94,37 @@ def load_observed(run: Run, tile: Tile) -> Observed:
 
 
 def images_near(run: Run, low: NDArray[np.float64], high: NDArray[np.float64]) -> Iterator[RangeImage]:
-    """The range images taken within reach of the box [low, high] (3,), one part in memory at a time."""
-    for path in sorted((run.scratch / "images").glob("[0-9]*.npz")):
-        with np.load(path, allow_pickle=False) as archive:
-            poses = archive["poses"]
-            places = poses[:, 4:]
-            gaps = np.maximum(0.0, np.maximum(low - places, places - high))
-            near = np.flatnonzero(np.linalg.norm(gaps, axis=1) < run.parameters.dynamic.max_range_m)
-            ranges_m = archive["ranges_m"] if len(near) else poses
-        for index in near:
-            yield RangeImage(SE3(poses[index]), ranges_m[index])
+    """The range images taken within reach of the box [low, high] (3,), one in memory at a time.
+
+    Which those are is told by the run's poses alone, never by which parts happen to be fused already.
+    """
+    poses = run.sequence.frames.map_from_ego
+    for part, indices in _by_part(run, imaged_near(run, low, high)):
+        with np.load(images_path(run, part), allow_pickle=False) as archive:
+            for index in indices:
+                yield RangeImage(view_of(poses[index], run.sensor_ego), archive[image_name(index)])
+
+
+def imaged_near(run: Run, low: NDArray[np.float64], high: NDArray[np.float64]) -> list[int]:
+    """The frames, in order, that leave a range image taken within reach of the box [low, high] (3,)."""
+    dynamic, poses = run.parameters.dynamic, run.sequence.frames.map_from_ego
+    indices = np.arange(0, len(poses), dynamic.every_frame)
+    places = poses[indices] @ run.sensor_ego
+    gaps = np.maximum(0.0, np.maximum(low - places, places - high))
+    return [int(index) for index in indices[np.linalg.norm(gaps, axis=1) < dynamic.max_range_m]]
+
+
+def image_name(index: int) -> str:
+    """Under which the range image of this frame is saved among those of its part."""
+    return f"{index:06d}"
+
+
+def _by_part(run: Run, indices: list[int]) -> Iterator[tuple[Part, list[int]]]:
+    """These frames, in order, by the part that fused them."""
+    size = run.parameters.tiling.frames_per_part
+    parts = parts_of(run)
+    for at, mine in groupby(indices, lambda index: index // size):
+        yield parts[at], list(mine)
 
 
 def _fused_parts(run: Run, tile: Tile) -> list[Path]:
