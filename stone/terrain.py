@@ -31,6 +31,11 @@ def terrain_features(mesh: Mesh, normals: NDArray[np.float64], parameters: Terra
     return np.stack([mesh.vertices_map[:, 2], slope, roughness(mesh.vertices_map, parameters)], axis=1)
 
 
+def with_elevation(features: NDArray[np.float64], elevation_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The features (N, 3) with another elevation (N,)."""
+    return np.column_stack([elevation_m, features[:, SLOPE], features[:, ROUGHNESS]])
+
+
 def roughness(vertices_map: NDArray[np.float64], parameters: TerrainParameters) -> NDArray[np.float64]:
     """Eq. 3 per vertex (V,), log m²; floored, also where too few vertices are near to tell."""
     fits = plane_fits(cells_of(vertices_map, parameters.cell_m), parameters.neighbours)

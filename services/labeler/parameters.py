@@ -77,6 +77,18 @@ def parameters_for(profile: Profile) -> LabelParameters:
     return replace(paper, reference=replace(paper.reference, floor_voxels=200))
 
 
+def other_profile_of(profile: Profile) -> Profile:
+    """The one that a label set is held against."""
+    return "local" if profile == "paper" else "paper"
+
+
+def other_profile(parameters: LabelParameters) -> LabelParameters:
+    """The same with the other profile: its elevation, and the floor of its reference."""
+    other = parameters_for(other_profile_of(parameters.profile))
+    floored = replace(parameters.reference, floor_voxels=other.reference.floor_voxels)
+    return replace(parameters, profile=other.profile, reference=floored)
+
+
 def chosen_parameters(profile: str, choices: Mapping[str, float]) -> LabelParameters:
     """The parameters of a profile with some chosen by dotted name. Raises `ChoiceError`."""
     check_choices(profile, choices)

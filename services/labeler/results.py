@@ -53,16 +53,23 @@ def index_path(run: Run, part: Part) -> Path:
 
 
 def save_summary(run: Run, summary: TileSummary) -> None:
-    sums = summary.sums
     arrays: Arrays = {
         "tile": np.array(summary.tile),
-        "origin": sums.origin,
-        "count": np.array(sums.count),
-        "total": sums.total,
-        "outer": sums.outer,
+        **_sums_arrays(summary.sums, ""),
+        **_sums_arrays(summary.other_sums, "other_"),
         "counted": np.array([getattr(summary, name) for name in COUNTED]),
     }
     save(sums_path(run, summary.tile), arrays)
+
+
+def _sums_arrays(sums: FeatureSums, prefix: str) -> Arrays:
+    arrays: Arrays = {"origin": sums.origin, "count": np.array(sums.count), "total": sums.total, "outer": sums.outer}
+    return {f"{prefix}{name}": array for name, array in arrays.items()}
+
+
+def _sums_from(arrays: Arrays, prefix: str) -> FeatureSums:
+    origin, total, outer = (arrays[f"{prefix}{name}"] for name in ("origin", "total", "outer"))
+    return FeatureSums(origin, int(arrays[f"{prefix}count"].item()), total, outer)  # type: ignore[arg-type]
 
 
 def load_summaries(run: Run) -> list[TileSummary]:
@@ -71,9 +78,8 @@ def load_summaries(run: Run) -> list[TileSummary]:
     for path in (run.scratch / "sums").glob("*_*.npz"):
         arrays = load(path)
         i, j = arrays["tile"].tolist()
-        count = int(arrays["count"].item())
-        sums = FeatureSums(arrays["origin"], count, arrays["total"], arrays["outer"])  # type: ignore[arg-type]
-        summaries.append(TileSummary((i, j), sums, *arrays["counted"].tolist()))
+        both = (_sums_from(arrays, ""), _sums_from(arrays, "other_"))
+        summaries.append(TileSummary((i, j), *both, *arrays["counted"].tolist()))
     return sorted(summaries, key=lambda summary: summary.tile)
 
 

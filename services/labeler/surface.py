@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from services.labeler.parameters import LabelParameters
+from services.labeler.parameters import LabelParameters, Profile, other_profile_of
 from services.labeler.poisson import reconstruct
 from services.labeler.run import Run, Step, Tile, in_core, neighbourhood, silent
 from services.labeler.scratch import Arrays, images_near, load_observed, load_points, save, surface_path
@@ -19,7 +19,7 @@ from stone.mesh import Mesh, vertex_normals
 from stone.neighbours import cells_of, is_near, plane_fits
 from stone.observed import Observed
 from stone.pointmap import PointMap, merge
-from stone.terrain import ELEVATION, terrain_features
+from stone.terrain import ELEVATION, terrain_features, with_elevation
 from stone.traversability import FeatureSums, sums_of
 from stone.voxels import VOXEL_M, VoxelFeatures, height_above_local_ground, voxel_features
 
@@ -29,10 +29,14 @@ STEPS = 4  # merged, voted, reconstructed, described
 
 @dataclass(frozen=True, eq=False)
 class TileSummary:
-    """What the run needs to know of a tile before any voxel gets its class."""
+    """What the run needs to know of a tile before any voxel gets its class.
+
+    `sums` are of the run's own profile, `other_sums` of what the other profile would measure.
+    """
 
     tile: Tile
     sums: FeatureSums
+    other_sums: FeatureSums
     voxels: int
     points: int
     moving: int
@@ -51,22 +55,26 @@ def surface(run: Run, tile: Tile, step: Step = silent) -> TileSummary:
     step(2, STEPS)
     mesh, normals = _mesh(run.parameters, points, low)
     step(3, STEPS)
-    voxels = _features(run.parameters, mesh, normals)
-    voxels = voxels.where(in_core(centres_of(voxels.keys, VOXEL_M), tile, run.parameters.core_m))
+    voxels, other_height_m = _features(run.parameters, mesh, normals)
+    mine = in_core(centres_of(voxels.keys, VOXEL_M), tile, run.parameters.core_m)
+    voxels, other_height_m = voxels.where(mine), other_height_m[mine]
     is_driven = _driven(run, voxels)
     kept = _core_mesh(mesh, tile, run.parameters.core_m)
     observed = load_observed(run, tile)
-    _leave(run, tile, (voxels, is_driven), (kept, observed))
+    _leave(run, tile, (voxels, other_height_m, is_driven), (kept, observed))
     step(STEPS, STEPS)
-    sums = sums_of(voxels.features[is_driven], reference_origin(run))
+    driven, other_profile = voxels.where(is_driven), other_profile_of(run.parameters.profile)
+    other = with_elevation(driven.features, other_height_m[is_driven])
+    sums = sums_of(driven.features, reference_origin(run, run.parameters.profile))
+    other_sums = sums_of(other, reference_origin(run, other_profile))
     inside = int(in_core(points.centroids_map(), tile, run.parameters.core_m).sum())
     counts = (len(voxels), inside, int(moving.sum()), len(kept.vertices_map), len(kept.triangles))
-    return TileSummary(tile, sums, *counts)
+    return TileSummary(tile, sums, other_sums, *counts)
 
 
-def reference_origin(run: Run) -> NDArray[np.float64]:
+def reference_origin(run: Run, profile: Profile) -> NDArray[np.float64]:
     """The point all tiles sum about: the first pose's elevation in profile `paper`, nothing in `local`."""
-    elevation_m = run.sequence.frames.map_from_ego.translation_m[0, 2] if run.parameters.profile == "paper" else 0.0
+    elevation_m = run.sequence.frames.map_from_ego.translation_m[0, 2] if profile == "paper" else 0.0
     return np.array([elevation_m, 0.0, 0.0])
 
 
@@ -113,14 +121,16 @@ def _upright(points_map: NDArray[np.float64], parameters: LabelParameters) -> tu
     return (cells, width_m), float(bottom)
 
 
-def _features(parameters: LabelParameters, mesh: Mesh, normals: NDArray[np.float64]) -> VoxelFeatures:
+def _features(
+    parameters: LabelParameters, mesh: Mesh, normals: NDArray[np.float64]
+) -> tuple[VoxelFeatures, NDArray[np.float64]]:
+    """What the run's profile measures, and the elevation (K,) that the other one would."""
     voxels = voxel_features(mesh.vertices_map, terrain_features(mesh, normals, parameters.terrain))
-    if parameters.profile == "local" and len(voxels):
-        height_m = height_above_local_ground(voxels, parameters.local_ground_radius_m)
-        features = voxels.features.copy()
-        features[:, ELEVATION] = height_m
-        return VoxelFeatures(voxels.keys, features)
-    return voxels
+    height_m = height_above_local_ground(voxels, parameters.local_ground_radius_m)
+    if parameters.profile == "paper":
+        return voxels, height_m
+    local = VoxelFeatures(voxels.keys, with_elevation(voxels.features, height_m))
+    return local, voxels.features[:, ELEVATION]
 
 
 def _driven(run: Run, voxels: VoxelFeatures) -> NDArray[np.bool_]:
@@ -141,13 +151,14 @@ def _core_mesh(mesh: Mesh, tile: Tile, core_m: float) -> Mesh:
 def _leave(
     run: Run,
     tile: Tile,
-    voxels: tuple[VoxelFeatures, NDArray[np.bool_]],
+    voxels: tuple[VoxelFeatures, NDArray[np.float64], NDArray[np.bool_]],
     rest: tuple[Mesh, Observed],
 ) -> None:
-    (features, is_driven), (mesh, observed) = voxels, rest
+    (features, other_height_m, is_driven), (mesh, observed) = voxels, rest
     arrays: Arrays = {
         "keys": features.keys,
         "features": features.features,
+        "other_height_m": other_height_m,
         "is_driven": is_driven,
         "vertices": mesh.vertices_map.astype(np.float32),
         "triangles": mesh.triangles,
