@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from services.labeler.comparison import Tally, save_comparison
 from services.labeler.frames import labelled_tile
 from services.labeler.picture import TopView, write_top_view
 from services.labeler.ply import Piece, class_at, write_mesh
@@ -18,12 +19,14 @@ TOP_VIEW, MESH = "bev.png", "mesh.ply"
 
 
 def write_map(run: Run, tiles: list[TileSummary], reference: Reference, out: Path, step: Step = silent) -> None:
-    """Write both into the folder `out`, in the order of the tiles."""
-    view = TopView({})
+    """Write both into the folder `out`, in the order of the tiles, and leave in scratch how the profiles compare."""
+    view, tally = TopView({}), Tally(run, tiles)
     for number, summary in enumerate(tiles):
         step(number, len(tiles) + 1)
         arrays, classes = labelled_tile(run, summary.tile, reference)
         view.add(summary.tile, arrays["keys"], classes)  # type: ignore[arg-type]
+        tally.add(arrays, classes)
+    save_comparison(run, tally.comparison)
     with whole(out / TOP_VIEW) as staging:
         write_top_view(staging, view, run.sequence.frames.map_from_ego)
     step(len(tiles), len(tiles) + 1)

@@ -11,6 +11,7 @@ from pathlib import Path
 from sqlalchemy import insert, select
 from sqlalchemy.orm import Session
 
+from services.labeler.comparison import comparison_path
 from services.labeler.desk import Desk
 from services.labeler.map_files import MESH, TOP_VIEW
 from services.labeler.report import report_of
@@ -40,7 +41,7 @@ class _File:
 
 def publish(desk: Desk) -> Outcome:
     """Write the report and the frame table, store all files, and answer with the rows to write."""
-    desk.pull("sums", "packs", "map")
+    desk.pull("sums", "packs", "map", comparison_path(desk.run).name)
     files = _files(desk)
     prepared = []
     for number, file in enumerate(files):

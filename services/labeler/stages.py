@@ -10,6 +10,7 @@ are renamed into place and have the same bytes. Jobs carry numbers only; everyth
 from collections.abc import Callable
 from functools import partial
 
+from services.labeler.comparison import comparison_path
 from services.labeler.desk import Desk, desk_of
 from services.labeler.errors import NoFramesError
 from services.labeler.frames import labelled_frames, lay_sight_lines
@@ -142,7 +143,7 @@ def draw_map(desk: Desk) -> Outcome:
     desk.pull(reference_path(desk.run).name, "surface", "sums")
     out = desk.run.scratch / "map"
     write_map(desk.run, load_summaries(desk.run), load_reference(desk.run), out, desk.step("map"))
-    desk.push(out / TOP_VIEW, out / MESH)
+    desk.push(out / TOP_VIEW, out / MESH, comparison_path(desk.run))
     return Outcome()
 
 

@@ -1,0 +1,75 @@
+"""Both profiles side by side: what the one that was not asked for says of the voxels of the same map.
+
+**Conventions.** Counted are the voxels of the map, each once, not of the frames: a frame's grid is cut out of the map,
+and a voxel that a hundred frames see is still one place.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.labeler.parameters import LabelParameters, other_profile, other_profile_of
+from services.labeler.run import Run
+from services.labeler.scratch import Arrays, load, save
+from services.labeler.surface import TileSummary
+from stone.terrain import with_elevation
+from stone.traversability import NON_TRAVERSABLE, TRAVERSABLE, Reference, classify, reference_of, total_of
+
+CLASSES = ("traversable", "potentially_traversable", "non_traversable")
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """`counts` (3, 3): voxels that are T, P, N in the run's own profile (rows) and in the other (columns)."""
+
+    counts: NDArray[np.int64]
+
+    def as_record(self, parameters: LabelParameters) -> dict[str, Any]:
+        """Shares of the map's voxels: of each class in each profile, and of those that would change theirs."""
+        voxels = max(int(self.counts.sum()), 1)
+        own, other = self.counts.sum(axis=1), self.counts.sum(axis=0)
+        return {
+            "voxels": int(self.counts.sum()),
+            "class_share": {
+                parameters.profile: _shares(own, voxels),
+                other_profile_of(parameters.profile): _shares(other, voxels),
+            },
+            "differing_share": round(1.0 - float(np.trace(self.counts)) / voxels, 6) if self.counts.any() else 0.0,
+        }
+
+
+class Tally:
+    """Counts tile after tile."""
+
+    def __init__(self, run: Run, tiles: Sequence[TileSummary]) -> None:
+        self._parameters = other_profile(run.parameters).reference
+        self._reference: Reference = reference_of(total_of([tile.other_sums for tile in tiles]), self._parameters)
+        self.comparison = Comparison(np.zeros((3, 3), np.int64))
+
+    def add(self, arrays: Arrays, classes: NDArray[np.uint8]) -> None:
+        """One tile as the surface stage left it, and the classes (K,) of its voxels in the run's own profile."""
+        features = with_elevation(arrays["features"], arrays["other_height_m"])  # type: ignore[arg-type]
+        others = classify(features, arrays["is_driven"], self._reference, self._parameters.alpha)  # type: ignore[arg-type]
+        bins = np.arange(TRAVERSABLE, NON_TRAVERSABLE + 2) - 0.5
+        pairs, _, _ = np.histogram2d(classes, others, (bins, bins))
+        self.comparison = Comparison(self.comparison.counts + pairs.astype(np.int64))
+
+
+def comparison_path(run: Run) -> Path:
+    return run.scratch / "profiles.npz"
+
+
+def save_comparison(run: Run, comparison: Comparison) -> None:
+    save(comparison_path(run), {"counts": comparison.counts})
+
+
+def load_comparison(run: Run) -> Comparison:
+    return Comparison(load(comparison_path(run))["counts"])  # type: ignore[arg-type]
+
+
+def _shares(counts: NDArray[np.int64], total: int) -> dict[str, float]:
+    return {name: round(float(n) / total, 6) for name, n in zip(CLASSES, counts, strict=True)}
