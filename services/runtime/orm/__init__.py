@@ -3,6 +3,7 @@
 from services.runtime.orm.artefacts import Artefact, Blob, LabelledFrame, LabelSet, LooseObject
 from services.runtime.orm.base import Base, new_id
 from services.runtime.orm.books import AuditEntry, IdempotentReply, QuotaEntry
+from services.runtime.orm.exports import Export, ExportPack
 from services.runtime.orm.jobs import Job, JobAttempt, JobLine, JobNeed, Queue
 from services.runtime.orm.people import Team, TeamMember, Token, User, WebSession
 from services.runtime.orm.recordings import Preview, Recording, RecordingFile
@@ -14,6 +15,8 @@ __all__ = [
     "Base",
     "Blob",
     "Calibration",
+    "Export",
+    "ExportPack",
     "IdempotentReply",
     "Job",
     "JobAttempt",
