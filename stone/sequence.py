@@ -18,6 +18,7 @@ from stone.errors import StoneError
 from stone.findings import Finding
 from stone.pose_quality import PoseQuality
 from stone.se3 import SE3
+from stone.trajectory import DEFAULT_MAX_GAP_NS, Trajectory
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
@@ -97,7 +98,11 @@ class Frames:
 
 @dataclass(frozen=True, eq=False)
 class Sequence:
-    """One continuous run of the robot, synchronised; `inputs` names what it was made from (name → sha256)."""
+    """One continuous run of the robot, synchronised; `inputs` names what it was made from (name → sha256).
+
+    `track` is where the robot was between the frames, as its poses say before any refinement of the frames' own; poses
+    farther apart than `max_pose_gap_ns` are a gap in it. None where frames were not made from a recording.
+    """
 
     name: str
     frames: Frames
@@ -107,6 +112,8 @@ class Sequence:
     map_origin_deg_m: tuple[float, float, float] | None = None
     inputs: Mapping[str, str] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
+    track: Trajectory | None = None
+    max_pose_gap_ns: int = DEFAULT_MAX_GAP_NS
 
     def __post_init__(self) -> None:
         if not NAME.fullmatch(self.name):

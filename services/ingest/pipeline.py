@@ -97,6 +97,8 @@ def _synchronised(
         map_origin_deg_m=track.map_origin_deg_m,
         inputs={bag.path.name: options.recording_sha256 or recording_sha256(bag.path)},
         findings=bag.findings + mounts + clock.findings + track.findings + doubts + unmatched + usable_finding(posed),
+        track=posed.path,
+        max_pose_gap_ns=options.max_pose_gap_ns,
     )
     motion = SweepMount(posed.path, calibration.ego_from_lidar, options.max_pose_gap_ns)
     sweeps = BagSweeps(bag.path, clock.topic, posed.message_index, frames.stamps_ns, motion)

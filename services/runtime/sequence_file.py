@@ -1,9 +1,9 @@
 """A synchronised sequence as one file, which ingest writes and the labeler reads.
 
-**Conventions.** An npz of plain arrays: stamps, poses and their quality, per channel the message index and dt, or where
-its slices begin; everything else is JSON in the bytes of `record`. Floats survive exactly (JSON writes the shortest
-digits that read back the same). Tokens are not stored: they follow from name and stamps. Written and read by workers of
-one version, never taken from outside.
+**Conventions.** An npz of plain arrays: stamps, poses and their quality, the track between them, per channel the
+message index and dt, or where its slices begin; everything else is JSON in the bytes of `record`. Floats survive
+exactly (JSON writes the shortest digits that read back the same). Tokens are not stored: they follow from name and
+stamps. Written and read by workers of one version; beside labels on disk, also by the exports of that version.
 """
 
 import io
@@ -20,6 +20,7 @@ from stone.findings import Finding
 from stone.pose_quality import PoseQuality
 from stone.se3 import SE3
 from stone.sequence import Association, ExcludedFrame, Frames, Sequence, Slices, frame_token
+from stone.trajectory import Trajectory
 
 Arrays = dict[str, NDArray[Any]]
 QUALITY = ("gap_ns", "rtk", "stdev_m")
@@ -41,6 +42,10 @@ def sequence_bytes(sequence: Sequence) -> bytes:
         arrays |= {f"quality_{name}": values for name, values in vars(frames.quality).items()}
     if frames.sweeps is not None:
         arrays["sweep_index"] = frames.sweeps.message_index
+    if sequence.track is not None:
+        arrays |= {"track_stamps_ns": sequence.track.stamps_ns, "track": sequence.track.map_from_ego.wxyz_xyz}
+    if sequence.track is not None and sequence.track.segment is not None:
+        arrays["track_segment"] = sequence.track.segment
     return npz_bytes(arrays)
 
 
@@ -48,7 +53,7 @@ def read_sequence(payload: bytes) -> Sequence:
     """The sequence that `sequence_bytes` wrote."""
     with np.load(io.BytesIO(payload), allow_pickle=False) as arrays:
         record = json.loads(arrays["record"].tobytes())
-        frames = _frames(record, dict(arrays))
+        frames, track = _frames(record, dict(arrays)), _track(dict(arrays))
     return Sequence(
         name=record["name"],
         frames=frames,
@@ -58,7 +63,15 @@ def read_sequence(payload: bytes) -> Sequence:
         map_origin_deg_m=_floats(record["map_origin_deg_m"]),
         inputs=record["inputs"],
         findings=tuple(Finding(**finding) for finding in record["findings"]),
+        track=track,
+        max_pose_gap_ns=record["max_pose_gap_ns"],
     )
+
+
+def _track(arrays: Arrays) -> Trajectory | None:
+    if "track" not in arrays:
+        return None
+    return Trajectory(arrays["track_stamps_ns"], SE3(arrays["track"]), arrays.get("track_segment"))
 
 
 def _frames(record: dict[str, Any], arrays: Arrays) -> Frames:
@@ -91,6 +104,7 @@ def _record(sequence: Sequence) -> dict[str, Any]:
         "map_origin_deg_m": sequence.map_origin_deg_m,
         "inputs": dict(sequence.inputs),
         "findings": [finding.as_record() for finding in sequence.findings],
+        "max_pose_gap_ns": sequence.max_pose_gap_ns,
     }
 
 
