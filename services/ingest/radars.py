@@ -15,21 +15,9 @@ from services.ingest.messages.radar import decode_radar
 from services.ingest.sweeps import BagSweeps, opened
 from stone.deskew import SweepMount
 from stone.radar_motion import compensated, radar_motion
+from stone.samples import RadarSample
 from stone.se3 import SE3
 from stone.sequence import Association, Sequence
-
-
-@dataclass(frozen=True, eq=False)
-class RadarFrame:
-    """N detections: `points_lidar` (N, 3), what was measured, and `ground_rate_m_s` (N,), 0 for what stands still.
-
-    NaN where the track has no pose around the measurement.
-    """
-
-    points_lidar: NDArray[np.float64]
-    range_rate_m_s: NDArray[np.float64]
-    ground_rate_m_s: NDArray[np.float64]
-    rcs_db: NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +33,7 @@ class BagRadar:
     def __len__(self) -> int:
         return len(self.stamps_ns)
 
-    def frame(self, index: int) -> RadarFrame | None:
+    def frame(self, index: int) -> RadarSample | None:
         """What it saw for frame `index`; None where no message is near enough.
 
         Raises IndexError, and what opening and decoding raise (BAG-*, MSG-*).
@@ -53,13 +41,20 @@ class BagRadar:
         row, stamp_ns = int(self.taken.message_index[index]), int(self.stamps_ns[index])
         if row < 0:
             return None
-        bag = opened(self.path)
+        bag, taken_ns = opened(self.path), stamp_ns + int(self.taken.dt_ns[index])
         topic = next(topic for topic in bag.topics if topic.name == self.taken.topic)
         seen = decode_radar(topic.type, [bag.message(topic.name, row)], topic.schema)
-        motion = radar_motion(self.mount, self.lidar_from_radar, stamp_ns, stamp_ns + int(self.taken.dt_ns[index]))
-        range_rate_m_s = seen.range_rate_m_s.astype(np.float64)[seen.is_valid]
-        moved = compensated(seen.points_radar[seen.is_valid], range_rate_m_s, motion)
-        return RadarFrame(moved.points_lidar, range_rate_m_s, moved.ground_rate_m_s, seen.rcs_db[seen.is_valid])
+        motion = radar_motion(self.mount, self.lidar_from_radar, stamp_ns, taken_ns)
+        points_radar, range_rate_m_s = seen.points_radar[seen.is_valid], seen.range_rate_m_s[seen.is_valid]
+        moved = compensated(points_radar, range_rate_m_s.astype(np.float64), motion)
+        return RadarSample(
+            taken_ns,
+            points_radar,
+            moved.points_lidar,
+            range_rate_m_s.astype(np.float64),
+            moved.ground_rate_m_s,
+            seen.rcs_db[seen.is_valid],
+        )
 
 
 def radars_of(sequence: Sequence, sweeps: BagSweeps) -> Mapping[str, BagRadar]:

@@ -19,6 +19,7 @@ from services.ingest.overlay import overlays_of
 from services.ingest.pipeline import SynchroniseOptions
 from services.ingest.received import NAMES_FOLDER
 from services.ingest.registering import register
+from services.ingest.samples import BagSamples
 from services.ingest.sweep_file import Kept, KeptFile, read_sweeps, sweeps_bytes
 from services.ingest.sweeps import BagSweeps
 from services.ingest.validity import validity_findings
@@ -31,10 +32,12 @@ from services.runtime.platform import Platform
 from services.runtime.previews import PreparedPreview, Shown, prepared_previews, replace_previews
 from services.runtime.processing import LABEL, REGISTER, SYNCHRONISE
 from services.runtime.run_files import SEQUENCE_FILE, SWEEPS_FILE
+from services.runtime.sample_sources import RecordingDeletedError
 from services.runtime.sequence_file import sequence_bytes
 from services.runtime.stages import standing_sequence
 from services.runtime.workspace import Workspace
 from stone.findings import Finding
+from stone.sequence import Sequence
 
 MOST_FINDINGS = 100
 
@@ -94,6 +97,16 @@ def open_described(platform: Platform, description: bytes) -> BagSweeps:
     return read_sweeps(description, partial(locate, platform))
 
 
+def open_recording(platform: Platform, recording_id: str, sequence: Sequence) -> BagSamples:
+    """What the sensors gave for each frame of a sequence made of this recording. Raises `RecordingDeletedError`."""
+    with platform.database.reading() as session:
+        recording = session.get(Recording, recording_id)
+        if recording is None:
+            raise RecordingDeletedError(recording_id)
+        kept = _kept(session, recording)
+    return BagSamples(locate(platform, kept), sequence)
+
+
 def locate(platform: Platform, kept: Kept) -> Path:
     """The bag on this machine, a file or a folder, called as its owner called it."""
     if len(kept.files) == 1:
@@ -118,11 +131,15 @@ def _inputs(platform: Platform, attempt: Attempt) -> _Inputs:
         recording = session.get(Recording, attempt.arguments["recording_id"])
         if recording is None:
             raise JobCancelledError("its recording was deleted")
-        kept = Kept(recording.filename, tuple(_kept_file(session, file) for file in recording.files))
+        kept = _kept(session, recording)
         calibration = session.get_one(Calibration, attempt.arguments["calibration_id"])
         rig = session.get_one(Blob, calibration.blob_sha256)
         valid_ns = (calibration.valid_from_ns, calibration.valid_to_ns)
     return _Inputs(sequence.name, kept, recording.sha256, KeptFile(rig.object_key, calibration.filename), valid_ns)
+
+
+def _kept(session: Session, recording: Recording) -> Kept:
+    return Kept(recording.filename, tuple(_kept_file(session, file) for file in recording.files))
 
 
 def _kept_file(session: Session, file: RecordingFile) -> KeptFile:

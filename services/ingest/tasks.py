@@ -10,12 +10,14 @@ import services.runtime.one_thread  # noqa: F401
 
 from celery import shared_task
 
-from services.ingest.stages import handlers, open_described
+from services.ingest.stages import handlers, open_described, open_recording
 from services.runtime.jobs.running import run_next
 from services.runtime.platform import platform
+from services.runtime.sample_sources import provide_samples
 from services.runtime.sweep_sources import provide_sweeps
 
 provide_sweeps(open_described)
+provide_samples(open_recording)
 
 
 @shared_task(name="ingest.work", ignore_result=True)

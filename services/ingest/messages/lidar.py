@@ -33,13 +33,14 @@ class LidarPoints:
     """N returns: (N, 3) float32 metres in the LiDAR frame, and where the cloud says so when and by which laser.
 
     `offset_ns` is relative to the header stamp; `time_meaning` says how it was read ("absolute s", "relative ns",
-    "none", "another clock").
+    "none", "another clock"); `rows` (N,) are the records of the cloud that the returns are.
     """
 
     points_lidar: NDArray[np.float32]
     offset_ns: NDArray[np.int64] | None
     ring: NDArray[np.uint16] | None
     time_meaning: str
+    rows: NDArray[np.int32]
 
 
 def resolve_points(points: NDArray[np.void], stamp_ns: int) -> LidarPoints:
@@ -50,7 +51,7 @@ def resolve_points(points: NDArray[np.void], stamp_ns: int) -> LidarPoints:
         raise CloudLayoutError(f"x, y and z must be floats of one size, its fields are {', '.join(names)}"[:200])
     xyz, kept = _packed(points)
     offset_ns, meaning = _offsets(points, kept, stamp_ns)
-    return LidarPoints(xyz, offset_ns, _rings(points, kept), meaning)
+    return LidarPoints(xyz, offset_ns, _rings(points, kept), meaning, kept)
 
 
 def _packed(points: NDArray[np.void]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:

@@ -1,0 +1,90 @@
+"""What each sensor gave for a frame, as exports and previews ask for it.
+
+    map_from_ego(t) = map_from_ego(frame) @ track(stamp)⁻¹ @ track(t)
+
+**Conventions.** `stamp_ns` is when a sensor measured, on the LiDAR's clock. Between frames the robot moved as the
+sequence's track says, from the frame's own pose, so that refined poses of frames refine all others too. Nothing is
+extrapolated.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.se3 import SE3
+from stone.sequence import Sequence
+from stone.trajectory import Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class LidarSample:
+    """N returns, finite and not (0, 0, 0), moved to the frame's stamp where the cloud carries times.
+
+    `intensity` (N,) is as the driver gives it, 0 where it gives none or nothing finite; `ring` (N,) is the laser, 0
+    where the cloud does not say.
+    """
+
+    points_lidar: NDArray[np.float32]
+    intensity: NDArray[np.float32]
+    ring: NDArray[np.uint16]
+
+
+@dataclass(frozen=True, eq=False)
+class CameraSample:
+    """One picture as a JPEG file: the recorded bytes where it was recorded so, else encoded once."""
+
+    stamp_ns: int
+    content: bytes
+    width_px: int
+    height_px: int
+
+
+@dataclass(frozen=True, eq=False)
+class RadarSample:
+    """N detections that the radar itself calls valid, in its order.
+
+    `points_radar` (N, 3) are where it saw them, in its own axes at `stamp_ns`; `points_lidar` (N, 3) the same moved to
+    the frame's stamp in the LiDAR's axes. `range_rate_m_s` (N,) was measured, `ground_rate_m_s` (N,) is freed of the
+    robot's motion, 0 for what stands still. `points_lidar` and `ground_rate_m_s` are NaN where the track has no pose.
+    """
+
+    stamp_ns: int
+    points_radar: NDArray[np.float64]
+    points_lidar: NDArray[np.float64]
+    range_rate_m_s: NDArray[np.float64]
+    ground_rate_m_s: NDArray[np.float64]
+    rcs_db: NDArray[np.float32]
+
+
+class SampleSource(Protocol):
+    """Where samples come from. Picklable, so that workers can open it; in the order of frames it is cheap."""
+
+    def lidar(self, index: int) -> LidarSample:
+        """The sweep of frame `index`."""
+        ...
+
+    def camera(self, channel: str, index: int) -> CameraSample | None:
+        """The picture that frame `index` takes of this camera; None where it takes none."""
+        ...
+
+    def radar(self, channel: str, index: int) -> RadarSample | None:
+        """The scan that frame `index` takes of this radar; None where it takes none."""
+        ...
+
+
+def ego_at(sequence: Sequence, index: int, stamp_ns: int) -> SE3 | None:
+    """`map_from_ego` at a time near frame `index`; None where the track has no pose, or jumps in between.
+
+    A sequence without a track moved from frame to frame.
+    """
+    frames = sequence.frames
+    own_ns, own = int(frames.stamps_ns[index]), frames.map_from_ego[index]
+    if stamp_ns == own_ns:
+        return own
+    track = sequence.track or Trajectory(frames.stamps_ns, frames.map_from_ego)
+    found = track.at(np.array([own_ns, stamp_ns], np.int64), sequence.max_pose_gap_ns)
+    if not found.is_ok.all() or found.segment[0] != found.segment[1]:
+        return None
+    return own @ found.map_from_ego[0].inverse() @ found.map_from_ego[1]
