@@ -1,0 +1,46 @@
+"""Why labels cannot be exported."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from stone.errors import StoneError
+
+
+class NotLabelsError(StoneError):
+    """The folder is not what `stone label` leaves."""
+
+    code = "not_labels"
+
+    def __init__(self, directory: Path, missing: str) -> None:
+        super().__init__(
+            f"{directory} has no {missing}, so it is not a folder that `stone label` of this version wrote; "
+            "give the folder that was named with --output, or label the recording again"
+        )
+
+
+class DamagedLabelsError(StoneError):
+    """A file of the label set cannot be read."""
+
+    code = "damaged_labels"
+
+    def __init__(self, path: Path, reason: str) -> None:
+        super().__init__(f"{path} cannot be read: {reason[:200]}; was it changed by hand? Label the recording again")
+
+
+class RecordingGoneError(StoneError):
+    """The recording is no longer where it was labelled."""
+
+    code = "recording_gone"
+
+    def __init__(self, path: Path | None) -> None:
+        where = f"the recording {path} is gone" if path else "nothing says where the recording of these labels is"
+        super().__init__(f"{where}; say with --bag where it is now")
+
+
+class UnknownFormatError(StoneError):
+    """There is no export of this name."""
+
+    code = "unknown_format"
+
+    def __init__(self, name: str, known: Iterable[str]) -> None:
+        super().__init__(f"{name[:80]!r} is no format of an export; known are {', '.join(known)}")

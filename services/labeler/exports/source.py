@@ -1,0 +1,121 @@
+"""What an export is made of: a labelled sequence, wherever its labels and its recording lie.
+
+**Conventions.** Grids are (256, 256, 32), aligned with the ego frame at the frame's stamp (CONVENTIONS.md). Values are
+immutable; nothing is loaded before it is asked for, so an export needs the memory of one frame.
+"""
+
+import io
+import json
+import zipfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.labeler.exports.errors import DamagedLabelsError, NotLabelsError, RecordingGoneError
+from services.runtime.sequence_file import read_sequence
+from stone.samples import SampleSource
+from stone.sequence import Sequence
+
+REPORT, SEQUENCE, SOURCE, MESH, TABLE = "report.json", "sequence.npz", "source.json", "mesh.ply", "frames.parquet"
+MOST_JSON_BYTES = 1 << 28
+OpenSamples = Callable[[Path, Sequence], SampleSource]
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledSequence:
+    """`labels(index)` are the bytes of a frame's `labels.npz`; `mesh` is the map's PLY, `frames_table` the Parquet."""
+
+    sequence: Sequence
+    samples: SampleSource
+    labels: Callable[[int], bytes]
+    report: Mapping[str, Any]
+    mesh: Path
+    frames_table: Path
+
+    def grids(self, index: int) -> dict[str, NDArray[Any]]:
+        """The grids of frame `index`: semantics, mask_lidar and mask_camera, uint8, and further ones where asked for.
+
+        Raises `DamagedLabelsError`.
+        """
+        payload = self.labels(index)
+        try:
+            with np.load(io.BytesIO(payload), allow_pickle=False) as arrays:
+                return dict(arrays)
+        except (ValueError, OSError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            token = self.sequence.frames.tokens[index]
+            raise DamagedLabelsError(Path(token) / "labels.npz", str(error)) from error
+
+
+@dataclass(frozen=True)
+class _FrameFiles:
+    """The labels of frames as files of a folder; a value, so that a source can be given to workers."""
+
+    folder: Path
+    tokens: tuple[str, ...]
+
+    def __call__(self, index: int) -> bytes:
+        path = self.folder / self.tokens[index] / "labels.npz"
+        try:
+            return path.read_bytes()
+        except FileNotFoundError as error:
+            raise DamagedLabelsError(path, "it is missing") from error
+
+
+def folder_source(directory: Path, open_samples: OpenSamples, bag: Path | None = None) -> LabelledSequence:
+    """The sequence in a folder of `stone label`; the recording is where it was then, or at `bag`.
+
+    `open_samples` opens the recording at a path for a sequence (`services.ingest.samples.checked_samples`).
+    Raises `NotLabelsError`, `DamagedLabelsError`, `RecordingGoneError`, and what `open_samples` raises.
+    """
+    report, sequence = read_report(directory), _sequence(directory)
+    recording = bag or recorded_at(directory)
+    if recording is None or not recording.exists():
+        raise RecordingGoneError(recording)
+    return LabelledSequence(
+        sequence,
+        open_samples(recording, sequence),
+        _FrameFiles(directory / "gts" / sequence.name, sequence.frames.tokens),
+        report,
+        directory / MESH,
+        directory / TABLE,
+    )
+
+
+def read_report(directory: Path) -> Mapping[str, Any]:
+    """The report of the labels in a folder. Raises `NotLabelsError`, `DamagedLabelsError`."""
+    for name in (REPORT, SEQUENCE, TABLE, "gts"):
+        if not (directory / name).exists():
+            raise NotLabelsError(directory, name)
+    return _json(directory / REPORT)
+
+
+def recorded_at(directory: Path) -> Path | None:
+    """Where the recording lay when it was labelled; None where nothing says. Raises `DamagedLabelsError`."""
+    if not (directory / SOURCE).exists():
+        return None
+    recording = _json(directory / SOURCE).get("recording")
+    return Path(recording) if isinstance(recording, str) else None
+
+
+def _sequence(directory: Path) -> Sequence:
+    path = directory / SEQUENCE
+    try:
+        return read_sequence(path.read_bytes())
+    except (ValueError, OSError, KeyError, EOFError, TypeError, zipfile.BadZipFile) as error:
+        raise DamagedLabelsError(path, str(error)) from error
+
+
+def _json(path: Path) -> Mapping[str, Any]:
+    try:
+        if path.stat().st_size > MOST_JSON_BYTES:
+            raise DamagedLabelsError(path, f"it has more than {MOST_JSON_BYTES} bytes")
+        content = json.loads(path.read_text("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise DamagedLabelsError(path, str(error)) from error
+    if not isinstance(content, dict):
+        raise DamagedLabelsError(path, "it is no JSON object")
+    return content
