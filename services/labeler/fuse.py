@@ -6,6 +6,7 @@ Every n-th sweep also leaves a range image, against which the surface stage vote
 import numpy as np
 from numpy.typing import NDArray
 
+from services.labeler.fused_files import fused_columns
 from services.labeler.run import Part, Run, Step, core_cells, silent, tiles_of
 from services.labeler.scratch import Arrays, fused_path, image_name, images_path, save
 from stone.calibration import Box
@@ -58,13 +59,8 @@ def _leave(run: Run, part: Part, points: PointMap, observed: Observed) -> None:
     for i, j in sorted(_distinct(point_tiles) | _distinct(brick_tiles)):
         mine = (point_tiles[:, 0] == i) & (point_tiles[:, 1] == j)
         bricks = (brick_tiles[:, 0] == i) & (brick_tiles[:, 1] == j)
-        arrays: Arrays = {
-            "keys": points.keys[mine],
-            "moments": points.moments[mine],
-            "bricks": observed.keys[bricks],
-            "words": observed.words[bricks],
-        }
-        save(fused_path(run, (i, j), part), arrays)
+        mapped = points.where(mine), Observed(observed.keys[bricks], observed.words[bricks])
+        save(fused_path(run, (i, j), part), fused_columns(*mapped))
 
 
 def _distinct(tiles: NDArray[np.int64]) -> set[tuple[int, int]]:

@@ -13,6 +13,7 @@ from secrets import token_hex
 import numpy as np
 from numpy.typing import NDArray
 
+from services.labeler.fused_files import fused_observed, fused_points
 from services.labeler.run import Part, Run, Tile, parts_of
 from stone.dynamic import RangeImage, view_of
 from stone.observed import Observed, union
@@ -77,8 +78,7 @@ def load_points(run: Run, tile: Tile, low: NDArray[np.float64], high: NDArray[np
     found = []
     for path in _fused_parts(run, tile):
         with np.load(path, allow_pickle=False) as archive:
-            keys, moments = archive["keys"], archive["moments"]
-        points = PointMap(run.parameters.surface.point_voxel_m, keys, moments)
+            points = fused_points(archive, run.parameters.surface.point_voxel_m)
         xy = points.centroids_map()[:, :2]
         found.append(points.where(np.asarray(((xy >= low) & (xy < high)).all(axis=1))))
     return found
@@ -89,7 +89,7 @@ def load_observed(run: Run, tile: Tile) -> Observed:
     found = [Observed(np.zeros(0, np.int64), np.zeros(0, np.uint64))]
     for path in _fused_parts(run, tile):
         with np.load(path, allow_pickle=False) as archive:
-            found.append(Observed(archive["bricks"], archive["words"]))
+            found.append(fused_observed(archive))
     return union(found)
 
 

@@ -1,0 +1,77 @@
+"""What a part leaves of a tile, small: voxels counted from the least of their box, sums in as few bytes as hold them.
+
+**Conventions.** Lossless: what is read back has the bits of what was written, and equal maps give equal files, for a
+column's width follows from its values alone. A voxel takes about 30 bytes so, instead of 72. Cells are mixed-radix,
+x highest, hence sorted as the keys are.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.lattice import Keys, indices_of, keys_from_indices
+from stone.observed import Observed
+from stone.pointmap import COUNT, FRAMES, OFFSET, VIEW, PointMap
+
+Columns = Mapping[str, NDArray[np.generic]]
+
+WIDTHS = (np.uint8, np.int8, np.uint16, np.int16, np.uint32, np.int32)
+
+
+def fused_columns(points: PointMap, observed: Observed) -> dict[str, NDArray[np.generic]]:
+    """The arrays that `fused_points` and `fused_observed` make the two of again."""
+    box, cells = _cells_of(points.keys)
+    return {
+        "box": box,
+        "cells": cells,
+        "counts": _narrowed(points.moments[:, COUNT]),
+        "frames": _narrowed(points.moments[:, FRAMES]),
+        "offsets": _narrowed(points.moments[:, OFFSET]),
+        "views": _narrowed(points.moments[:, VIEW]),
+        "bricks": observed.keys,
+        "words": observed.words,
+    }
+
+
+def fused_points(columns: Columns, voxel_m: float) -> PointMap:
+    """The point map whose columns these are; one without voxels stays empty."""
+    keys = _keys_in(columns["box"], columns["cells"])
+    moments = np.empty((len(keys), 8), np.int64)
+    moments[:, COUNT], moments[:, FRAMES] = columns["counts"], columns["frames"]
+    moments[:, OFFSET], moments[:, VIEW] = columns["offsets"], columns["views"]
+    return PointMap(voxel_m, keys, moments)
+
+
+def fused_observed(columns: Columns) -> Observed:
+    """The observed bricks among these columns."""
+    return Observed(columns["bricks"].astype(np.int64, copy=False), columns["words"].astype(np.uint64, copy=False))
+
+
+def _cells_of(keys: Keys) -> tuple[NDArray[np.int64], NDArray[np.generic]]:
+    """The box (2, 3) around the voxels, its low corner and its extent, and each voxel's cell (M,) in it."""
+    if not len(keys):
+        return np.zeros((2, 3), np.int64), np.zeros(0, np.uint8)
+    indices = indices_of(keys)
+    low = indices.min(axis=0)
+    extent = indices.max(axis=0) - low + 1
+    i, j, k = (indices - low).T
+    return np.stack([low, extent]), _narrowed((i * extent[1] + j) * extent[2] + k)
+
+
+def _keys_in(box: NDArray[np.generic], cells: NDArray[np.generic]) -> Keys:
+    if not len(cells):
+        return np.zeros(0, np.int64)
+    low, extent = box.astype(np.int64)
+    rows, k = np.divmod(cells.astype(np.int64), extent[2])
+    i, j = np.divmod(rows, extent[1])
+    return keys_from_indices(np.stack([i, j, k], axis=1) + low)
+
+
+def _narrowed(values: NDArray[np.int64]) -> NDArray[np.generic]:
+    """The same numbers in the narrowest type that holds them all."""
+    if not values.size:
+        return values.astype(np.uint8)
+    least, most = int(values.min()), int(values.max())
+    fits = (width for width in WIDTHS if np.iinfo(width).min <= least and most <= np.iinfo(width).max)
+    return values.astype(next(fits, np.int64))
