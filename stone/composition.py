@@ -1,0 +1,122 @@
+"""What a dataset is made of: sequences as its catalogue lists them, and sums over them by the words they are said with.
+
+**Conventions.** Voxels are (T, P, N) of all frames, None where they are not known or not to be told; they add only
+where they are known, so shares of classes are of those sequences. Regions are compared without regard to case.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.surroundings import DAYLIGHT, ENVIRONMENTS, HALVES, ILLUMINATIONS, UNSAID
+
+Voxels = tuple[int, int, int]
+
+
+def path_length_m(positions_map: NDArray[np.float64]) -> float:
+    """How far the robot went: the length of the line through its positions (N, 3); 0 for fewer than two."""
+    steps = np.diff(np.asarray(positions_map, np.float64).reshape(-1, 3), axis=0)
+    return float(np.sqrt((steps**2).sum(axis=1)).sum())
+
+
+@dataclass(frozen=True)
+class CatalogueEntry:
+    """A labelled sequence as the dataset sees it; two that share a recording (its sha256) are one sequence twice.
+
+    `voxels` is None, and `distance_m` is, where the labels were made before these were kept.
+    """
+
+    id: str
+    name: str
+    environment: str
+    illumination: str
+    region: str
+    duration_s: float
+    frames: int
+    voxels: Voxels | None = None
+    distance_m: float | None = None
+    recordings: tuple[str, ...] = ()
+
+    @property
+    def half(self) -> str:
+        """day, night, or '' where it is not said."""
+        return DAYLIGHT.get(self.illumination, UNSAID)
+
+    @property
+    def region_key(self) -> str:
+        return self.region.casefold()
+
+
+@dataclass(frozen=True)
+class Tally:
+    """Sums over some sequences; `counted` of them have voxels, `measured` a distance."""
+
+    sequences: int = 0
+    frames: int = 0
+    duration_s: float = 0.0
+    distance_m: float = 0.0
+    measured: int = 0
+    voxels: Voxels = (0, 0, 0)
+    counted: int = 0
+
+    def class_shares(self) -> tuple[float, float, float] | None:
+        """T, P and N of the occupied voxels; None where there are none."""
+        total = sum(self.voxels)
+        return (self.voxels[0] / total, self.voxels[1] / total, self.voxels[2] / total) if total else None
+
+
+def tally_of(entries: Iterable[CatalogueEntry]) -> Tally:
+    """The sums; exact for what is counted, and for seconds and metres the same whatever the order."""
+    rows = sorted(entries, key=lambda entry: entry.id)
+    voxels = [entry.voxels for entry in rows if entry.voxels is not None]
+    distances = [entry.distance_m for entry in rows if entry.distance_m is not None]
+    return Tally(
+        sequences=len(rows),
+        frames=sum(entry.frames for entry in rows),
+        duration_s=sum(entry.duration_s for entry in rows),
+        distance_m=sum(distances),
+        measured=len(distances),
+        voxels=(sum(t for t, _, _ in voxels), sum(p for _, p, _ in voxels), sum(n for _, _, n in voxels)),
+        counted=len(voxels),
+    )
+
+
+@dataclass(frozen=True)
+class Composition:
+    """The dataset by each way of looking at it; keys that no sequence has are left out, '' is what was not said."""
+
+    total: Tally
+    environments: Mapping[str, Tally]
+    illuminations: Mapping[str, Tally]
+    halves: Mapping[str, Tally]
+    regions: Mapping[str, Tally]
+    cells: Mapping[tuple[str, str], Tally]
+    """By (environment, illumination)."""
+
+
+def composition_of(entries: Iterable[CatalogueEntry]) -> Composition:
+    """The dataset by environment, illumination, day or night, region, and environment × illumination."""
+    rows = tuple(entries)
+    return Composition(
+        total=tally_of(rows),
+        environments=_by({entry.id: entry.environment for entry in rows}, rows, ENVIRONMENTS),
+        illuminations=_by({entry.id: entry.illumination for entry in rows}, rows, ILLUMINATIONS),
+        halves=_by({entry.id: entry.half for entry in rows}, rows, HALVES),
+        regions=_by({entry.id: entry.region for entry in rows}, rows, ()),
+        cells=_cells(rows),
+    )
+
+
+def _by(key_of: Mapping[str, str], rows: tuple[CatalogueEntry, ...], order: tuple[str, ...]) -> dict[str, Tally]:
+    """In the order of the words; then what is no word of ours by name; what was not said last."""
+    keys = set(key_of.values())
+    others = sorted(keys - {*order, UNSAID})
+    ordered = [key for key in (*order, *others, UNSAID) if key in keys]
+    return {key: tally_of(entry for entry in rows if key_of[entry.id] == key) for key in ordered}
+
+
+def _cells(rows: tuple[CatalogueEntry, ...]) -> dict[tuple[str, str], Tally]:
+    keys = sorted({(entry.environment, entry.illumination) for entry in rows})
+    return {key: tally_of(entry for entry in rows if (entry.environment, entry.illumination) == key) for key in keys}
