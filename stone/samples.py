@@ -75,16 +75,24 @@ class SampleSource(Protocol):
 
 
 def ego_at(sequence: Sequence, index: int, stamp_ns: int) -> SE3 | None:
-    """`map_from_ego` at a time near frame `index`; None where the track has no pose, or jumps in between.
+    """`map_from_ego` at a time near frame `index`; None where the track has no pose, or jumps in between."""
+    poses, is_ok = egos_at(sequence, np.array([index], np.int64), np.array([stamp_ns], np.int64))
+    return poses[0] if is_ok[0] else None
+
+
+def egos_at(
+    sequence: Sequence, indices: NDArray[np.int64], stamps_ns: NDArray[np.int64]
+) -> tuple[SE3, NDArray[np.bool_]]:
+    """`map_from_ego` (N,) at times (N,) near frames `indices` (N,), and which of them there are; the others are NaN.
 
     A sequence without a track moved from frame to frame.
     """
     frames = sequence.frames
-    own_ns, own = int(frames.stamps_ns[index]), frames.map_from_ego[index]
-    if stamp_ns == own_ns:
-        return own
+    own_ns, own = frames.stamps_ns[indices], frames.map_from_ego[indices]
     track = sequence.track or Trajectory(frames.stamps_ns, frames.map_from_ego)
-    found = track.at(np.array([own_ns, stamp_ns], np.int64), sequence.max_pose_gap_ns)
-    if not found.is_ok.all() or found.segment[0] != found.segment[1]:
-        return None
-    return own @ found.map_from_ego[0].inverse() @ found.map_from_ego[1]
+    begin, end = (track.at(times_ns, sequence.max_pose_gap_ns) for times_ns in (own_ns, stamps_ns))
+    moved = own @ begin.map_from_ego.inverse() @ end.map_from_ego
+    is_own = own_ns == stamps_ns
+    is_ok = is_own | (begin.is_ok & end.is_ok & (begin.segment == end.segment))
+    poses = np.where(is_own[:, None], own.wxyz_xyz, np.where(is_ok[:, None], moved.wxyz_xyz, np.nan))
+    return SE3(poses), is_ok
