@@ -19,7 +19,7 @@ from services.runtime.jobs.queueing import enqueue, enqueue_run
 from services.runtime.jobs.specs import TERMINAL, Context, JobSpec
 from services.runtime.jobs.steering import cancel
 from services.runtime.label_choices import check_choices
-from services.runtime.orm import Calibration, Job, LabelSet, Preview, Recording, RecordingFile, Sequence
+from services.runtime.orm import Calibration, Export, Job, LabelSet, Preview, Recording, RecordingFile, Sequence
 from services.runtime.orm.base import now_ns
 from services.runtime.processing_errors import (
     AlreadyProcessingError,
@@ -86,7 +86,7 @@ def start_processing(session: Session, sequence: Sequence, request: ProcessReque
 
 
 def delete_sequence(session: Session, sequence: Sequence) -> None:
-    """Bury the sequence: its jobs are told to stop, its recordings and label sets are gone with this transaction.
+    """Bury the sequence: its jobs are told to stop, its recordings, label sets and exports are gone with it.
 
     The row stays for the jobs that name it. Blobs that nothing names any more are collected later. Raises
     `SequenceDeletedError`.
@@ -96,13 +96,15 @@ def delete_sequence(session: Session, sequence: Sequence) -> None:
     for root_id in session.scalars(alive).all():
         with suppress(JobStateError):  # it ended while we waited for its row
             cancel(session, root_id, "its sequence was deleted")
-    session.execute(delete(LabelSet).where(LabelSet.sequence_id == sequence.id))
     session.execute(delete(Preview).where(Preview.sequence_id == sequence.id))
     held = select(RecordingFile.upload_id).join(Recording).where(Recording.sequence_id == sequence.id)
-    upload_ids = session.scalars(held).all()
+    exports = select(Export.id).where(Export.sequence_id == sequence.id)
+    subjects = [*session.scalars(held), *session.scalars(exports)]
+    session.execute(delete(Export).where(Export.sequence_id == sequence.id))
+    session.execute(delete(LabelSet).where(LabelSet.sequence_id == sequence.id))
     session.execute(delete(Recording).where(Recording.sequence_id == sequence.id))
-    for upload_id in upload_ids:  # recordings before their owner's quota, as everywhere
-        quota.release(session, upload_id or "", "sequence deleted")
+    for subject_id in subjects:  # recordings before their owner's quota, as everywhere
+        quota.release(session, subject_id or "", "sequence deleted")
     sequence.deleted_ns = now_ns()
     sequence.revision += 1
 

@@ -1,0 +1,165 @@
+"""Exports of a sequence: asked for once, made by a job, read as files or as an archive, gone again when deleted.
+
+**Conventions.** An export is of one label set in one format; equal requests are one export (`recipe`), so an unchanged
+sequence is not written again, and labels made anew make earlier exports stale: they stay until they are deleted. Each
+function is part of the caller's transaction and locks the sequence's row first (`services/runtime/processing.py`). Its
+bytes are counted against the sequence's owner under the export's id. An export shows all labels of its sequence, so it
+is its owner's alone: what others download of a sequence with hidden frames must never be made from here.
+"""
+
+from collections.abc import Sequence as Listing
+from contextlib import suppress
+from dataclasses import dataclass
+
+from sqlalchemy import delete, select
+from sqlalchemy.orm import Session
+
+from services.runtime import quota
+from services.runtime.blobs import PreparedBlob, link_all
+from services.runtime.jobs.errors import JobCancelledError, JobStateError
+from services.runtime.jobs.queueing import enqueue
+from services.runtime.jobs.specs import TERMINAL, Attempt, Context, JobSpec
+from services.runtime.jobs.steering import cancel
+from services.runtime.orm import (
+    Artefact,
+    Export,
+    ExportPack,
+    Job,
+    LabelSet,
+    Recording,
+    Sequence,
+    new_id,
+)
+from services.runtime.orm.base import now_ns
+from services.runtime.packs import PackedFiles
+from services.runtime.processing import lock_sequence
+from services.runtime.recipes import CODE_VERSION, recipe_of
+from services.runtime.run_files import SEQUENCE_FILE
+from services.runtime.stages import standing_sequence
+from stone.errors import StoneError
+
+EXPORT = "labeler.export"
+FORMATS = ("nuscenes", "kitti", "mesh", "mcap", "rrd")
+FROM_LABELS_ALONE = ("mesh",)
+
+
+class UnknownExportFormatError(StoneError):
+    """There is no export of this name."""
+
+    code = "unknown_format"
+
+    def __init__(self, name: str) -> None:
+        super().__init__(f"{name[:80]!r} is no format of an export; known are {', '.join(FORMATS)}")
+
+
+class NothingToExportError(StoneError):
+    """The sequence has no labels, or not what an export is made of."""
+
+    code = "nothing_to_export"
+
+    def __init__(self, sequence_id: str, why: str) -> None:
+        super().__init__(f"sequence {sequence_id} cannot be exported: {why}")
+
+
+@dataclass(frozen=True, eq=False)
+class Made:
+    """What a job has made: blobs that are stored, and size and sha256 of the archives of the files."""
+
+    files: PackedFiles
+    index: PreparedBlob
+    packs: Listing[PreparedBlob]
+    tar: tuple[int, str]
+    zip: tuple[int, str]
+
+    @property
+    def size_bytes(self) -> int:
+        """What the export takes in the store."""
+        return self.index.size_bytes + sum(pack.size_bytes for pack in self.packs)
+
+
+def start_export(session: Session, sequence: Sequence, form: str) -> tuple[Export, Job]:
+    """The export of the labels that count, and its job: those that stand already, or new ones.
+
+    An export whose job failed or was cancelled is tried again. Raises `UnknownExportFormatError`,
+    `SequenceDeletedError`, `NothingToExportError`, `QueueDrainingError`.
+    """
+    if form not in FORMATS:
+        raise UnknownExportFormatError(form)
+    sequence = lock_sequence(session, sequence.id)
+    labels = _exportable_labels(session, sequence, form)
+    recipe = recipe_of({"labels": labels.recipe, "format": form})
+    export = _standing(session, sequence, recipe)
+    if export is not None:
+        job = session.get_one(Job, export.job_id, populate_existing=True)
+        if export.finished_ns is not None or (job.state not in TERMINAL and not job.cancel_reason):
+            return export, job
+    else:
+        facts = {"label_set_id": labels.id, "format": form, "recipe": recipe, "code_version": CODE_VERSION}
+        export = Export(id=new_id(), sequence_id=sequence.id, **facts)
+    job = enqueue(session, JobSpec(EXPORT, {"export_id": export.id}), Context(sequence.owner_id, sequence.id))
+    export.job_id = job.id
+    session.add(export)
+    session.flush()
+    return export, job
+
+
+def write_export(session: Session, attempt: Attempt, made: Made, limit_bytes: int) -> None:
+    """Write down what the job has made, in the transaction of its success; the owner may have `limit_bytes` in all.
+
+    Raises `JobCancelledError` when the export was deleted or is another job's now, `QuotaExceededError`.
+    """
+    sequence = standing_sequence(session, attempt)
+    export = exported_by(session, attempt)
+    link_all(session, (made.index, *made.packs))
+    for ordinal, pack in enumerate(made.packs):
+        session.add(
+            ExportPack(export_id=export.id, ordinal=ordinal, blob_sha256=pack.sha256, size_bytes=pack.size_bytes)
+        )
+    export.index_sha256, export.files, export.finished_ns = made.index.sha256, len(made.files), now_ns()
+    export.size_bytes = int(made.files.sizes_bytes.sum())
+    export.tar_bytes, export.tar_sha256 = made.tar
+    export.zip_bytes, export.zip_sha256 = made.zip
+    session.flush()
+    quota.reserve(session, sequence.owner_id, made.size_bytes, export.id, "export", limit_bytes)
+
+
+def exported_by(session: Session, attempt: Attempt) -> Export:
+    """The export that the attempt makes. Raises `JobCancelledError`."""
+    export = session.get(Export, attempt.arguments["export_id"], populate_existing=True)
+    if export is None or export.job_id != attempt.job_id:
+        raise JobCancelledError("its export was deleted, or is made by another job")
+    return export
+
+
+def delete_export(session: Session, export: Export) -> None:
+    """Delete an export, finished or not; its blobs are collected later. Raises `SequenceDeletedError`."""
+    lock_sequence(session, export.sequence_id)
+    with suppress(JobStateError):  # it has ended
+        cancel(session, export.job_id, "its export was deleted")
+    session.execute(delete(Export).where(Export.id == export.id))
+    quota.release(session, export.id, "export deleted")
+
+
+def counting_labels(session: Session, sequence_id: str) -> LabelSet | None:
+    """The labels that count: of several those that were asked for last."""
+    newest = select(LabelSet).where(LabelSet.sequence_id == sequence_id)
+    return session.scalars(newest.order_by(LabelSet.chosen_ns.desc(), LabelSet.id.desc()).limit(1)).one_or_none()
+
+
+def _standing(session: Session, sequence: Sequence, recipe: str) -> Export | None:
+    same = select(Export).where(Export.sequence_id == sequence.id, Export.recipe == recipe)
+    return session.scalars(same.execution_options(populate_existing=True)).one_or_none()
+
+
+def _exportable_labels(session: Session, sequence: Sequence, form: str) -> LabelSet:
+    """Raises `NothingToExportError`."""
+    labels = counting_labels(session, sequence.id)
+    if labels is None:
+        raise NothingToExportError(sequence.id, "it has no labels; have it processed first")
+    synchronised = select(Artefact.id).where(Artefact.label_set_id == labels.id, Artefact.name == SEQUENCE_FILE)
+    if session.scalar(synchronised) is None:
+        raise NothingToExportError(sequence.id, "an earlier version made its labels and kept no sequence.npz")
+    registered = select(Recording.id).where(Recording.sequence_id == sequence.id, Recording.state == "registered")
+    if form not in FROM_LABELS_ALONE and session.scalar(registered.limit(1)) is None:
+        raise NothingToExportError(sequence.id, "its recording was deleted; only a mesh can be made of labels alone")
+    return labels
