@@ -28,7 +28,7 @@ from services.runtime.settings import ApiSettings, Settings
 from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate
 
-LISTERS = ("ingest.synchronise", "labeler.parts", "labeler.tiles")
+LISTERS = ("ingest.synchronise", "labeler.parts")
 
 
 @dataclass(frozen=True)

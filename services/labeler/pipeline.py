@@ -1,33 +1,38 @@
 """From a synchronised sequence to its labels: the page to read first.
 
 fuse → surface → reference → frames → pictures. Each stage is one function of a `Run` and a part of the work; each
-leaves its result in scratch for the next, so the same stages run here on a few processes or as queue tasks.
+leaves its result in scratch for the next, so the same stages run here on a few processes or as queue tasks. Parts are
+fused in the order of recording, and a tile is reconstructed as soon as the last part that can reach it is fused
+(`services/labeler/plan.py`); the reference waits for all tiles, and the frames for the reference.
 
 **Conventions.** The output folder appears whole or not at all. Its contents (design §4):
-`gts/<sequence>/<frame_token>/labels.npz`, `frames.parquet`, `mesh.ply`, `bev.png`, `report.json`.
+`gts/<sequence>/<frame_token>/labels.npz`, `frames.parquet`, `mesh.ply`, `bev.png`, `report.json`, and `sequence.npz`,
+the synchronised sequence itself, of which exports are made.
 """
 
 import shutil
-import time
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable
 from collections.abc import Sequence as Listing
-from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar
 
+from services.labeler.costs import Meter
 from services.labeler.errors import NoFramesError
 from services.labeler.frames import frames, lay_sight_lines
 from services.labeler.fuse import fuse
 from services.labeler.map_files import write_map
 from services.labeler.parameters import LabelParameters
-from services.labeler.report import LabelReport, Meter, reference_from, report_of
-from services.labeler.run import Run, Tile, largest_first, parts_of
-from services.labeler.scratch import tile_named
-from services.labeler.surface import surface
+from services.labeler.plan import Plan, plan_of, surface_where_reached
+from services.labeler.report import LabelReport, reference_from, report_of
+from services.labeler.run import Run
+from services.labeler.surface import TileSummary
 from services.labeler.tables import write_frames
-from services.labeler.workers import Workers
+from services.labeler.workers import Task, Workers
 from services.runtime.atomic import atomic_directory
+from services.runtime.run_files import SEQUENCE_FILE
+from services.runtime.sequence_file import sequence_bytes
 from stone.sequence import Sequence, SweepSource
 
 T = TypeVar("T")
@@ -67,45 +72,53 @@ def label(
 
 @dataclass(frozen=True)
 class _Stages:
+    """Tasks are put to the workers, what they cost is noted, and how far each stage is told."""
+
     workers: Workers
     progress: Progress
     meter: Meter
 
     def run(self, name: str, task: Callable[..., T], arguments: Listing[tuple[object, ...]]) -> list[T]:
-        """All results of one stage, in order, reporting progress as they come."""
-        results = []
-        with self.timed(name):
-            self.progress(name, 0, len(arguments))
-            for done in self.workers.run(task, arguments):
-                self.meter.note(done)
-                results.append(done.value)
-                self.progress(name, len(results), len(arguments))
-        return results
+        """All results of one stage, in order."""
+        tasks = [Task((name, number), task, one) for number, one in enumerate(arguments)]
+        results: dict[tuple[object, ...], T] = self.run_all(tasks)
+        return [results[one.key] for one in tasks]
 
-    @contextmanager
-    def timed(self, name: str) -> Iterator[None]:
-        begin = time.perf_counter()
-        yield
-        self.meter.wall_s[name] = time.perf_counter() - begin
+    def run_all(self, tasks: Listing[Task]) -> dict[tuple[object, ...], T]:
+        """The result of every task by its key, whose first word is the stage."""
+        totals, results = Counter(str(task.key[0]) for task in tasks), dict[tuple[object, ...], T]()
+        counts = Counter[str]()
+        for stage, total in totals.items():
+            self.progress(stage, 0, total)
+        for task, done in self.workers.run_all(tasks):
+            stage = str(task.key[0])
+            self.meter.note(stage, done)
+            results[task.key] = done.value
+            counts[stage] += 1
+            self.progress(stage, counts[stage], totals[stage])
+        return results
 
 
 def _labelled(run: Run, out: Path, stages: _Stages) -> LabelReport:
-    parts = parts_of(run)
-    cameras = range(len(run.sequence.calibration.of_kind("camera")))
-    labels_root = out / "gts" / run.sequence.name
-    stages.run("fuse", fuse, [(run, part) for part in parts])
-    tiles = stages.run("surface", surface, [(run, tile) for tile in largest_first(_fused_bytes(run))])
-    tiles.sort(key=lambda summary: summary.tile)
+    plan, labels_root = plan_of(run), out / "gts" / run.sequence.name
+    done: dict[tuple[object, ...], TileSummary | None] = stages.run_all(_map_tasks(run, plan))
+    tiles = [tile for tile in (done[("surface", tile)] for tile in sorted(plan.needs)) if tile is not None]
     reference = reference_from(tiles, run.parameters)
-    stages.run("sight lines", lay_sight_lines, [(run, camera) for camera in cameras])
-    counts = stages.run("frames", frames, [(run, part, reference, labels_root) for part in parts])
+    counts = stages.run("frames", frames, [(run, part, reference, labels_root) for part in plan.parts])
     stages.run("pictures", write_map, [(run, tiles, reference, out)])
     report = report_of(run.sequence, run.parameters, tiles, counts)
     write_frames(out / "frames.parquet", run.sequence, report.counts)
+    (out / SEQUENCE_FILE).write_bytes(sequence_bytes(run.sequence))
     return replace(report, costs=stages.meter.as_record())
 
 
-def _fused_bytes(run: Run) -> dict[Tile, int]:
-    """Every tile that any point fell into, and how much of it there is."""
-    folders = (run.scratch / "fused").glob("*_*")
-    return {tile_named(folder.name): sum(path.stat().st_size for path in folder.iterdir()) for folder in folders}
+def _map_tasks(run: Run, plan: Plan) -> list[Task]:
+    """All that comes before the reference: each part followed by the tiles that waited for it last."""
+    tasks = list[Task]()
+    for part in plan.parts:
+        tasks.append(Task(("fuse", part), fuse, (run, part)))
+        for tile in (tile for tile, parts in plan.needs.items() if parts[-1] == part):
+            needs = frozenset(("fuse", one) for one in plan.needs[tile])
+            tasks.append(Task(("surface", tile), surface_where_reached, (run, tile), needs))
+    cameras = range(len(run.sequence.calibration.of_kind("camera")))
+    return [*tasks, *(Task(("sight lines", camera), lay_sight_lines, (run, camera)) for camera in cameras)]

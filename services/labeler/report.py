@@ -16,7 +16,6 @@ from services.labeler.frames import FrameCounts
 from services.labeler.parameters import LabelParameters
 from services.labeler.surface import TileSummary
 from services.labeler.tables import concatenated
-from services.labeler.workers import Done
 from stone.findings import Finding
 from stone.sequence import Sequence
 from stone.traversability import FEW_VOXELS, NoReferenceError, Reference, reference_of, total_of
@@ -25,29 +24,6 @@ CLASS_NAMES = ("free", "traversable", "potentially_traversable", "non_traversabl
 # Outside this many standard deviations of the driven elevation, profile `paper` calls any ground N (√χ²(3, 0.95)).
 RELIEF_SIGMAS = 2.8
 NARROW_RELIEF_RATIO = 0.5
-
-
-@dataclass
-class Meter:
-    """What the stages cost: wall and CPU seconds of each, the highest memory of any process."""
-
-    wall_s: dict[str, float] = field(default_factory=dict)
-    cpu_s: dict[int, float] = field(default_factory=dict)
-    peak_bytes: dict[int, int] = field(default_factory=dict)
-
-    def note(self, done: Done[Any]) -> None:
-        self.cpu_s[done.pid] = max(done.cpu_s, self.cpu_s.get(done.pid, 0.0))
-        self.peak_bytes[done.pid] = max(done.peak_bytes, self.peak_bytes.get(done.pid, 0))
-
-    def as_record(self) -> dict[str, Any]:
-        return {
-            "stages_wall_s": {stage: round(wall, 3) for stage, wall in self.wall_s.items()},
-            "cpu_s": round(sum(self.cpu_s.values()), 3),
-            "peak_bytes": {
-                "largest_process": max(self.peak_bytes.values()),
-                "all_processes": sum(self.peak_bytes.values()),
-            },
-        }
 
 
 @dataclass(frozen=True, eq=False)

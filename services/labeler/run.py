@@ -5,7 +5,7 @@ Cores tile the plane; the cube a tile is reconstructed in reaches `halo_m` beyon
 frames. The division depends on the parameters alone, never on the number of workers.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from services.labeler.parameters import LabelParameters
 from stone.lattice import Keys, indices_of
 from stone.sequence import Sequence, SweepSource
+from stone.voxels import VOXEL_M
 
 Tile = tuple[int, int]
 Part = tuple[int, int]
@@ -46,11 +47,6 @@ def parts_of(run: Run) -> list[Part]:
     return [(begin, min(begin + size, total)) for begin in range(0, total, size)]
 
 
-def largest_first(weights: Mapping[Tile, int]) -> list[Tile]:
-    """All tiles, the heaviest first, so that no worker is left alone with a big one at the end."""
-    return sorted(weights, key=lambda tile: (-weights[tile], tile))
-
-
 def core_cells(parameters: LabelParameters, voxel_m: float) -> int:
     """How many voxels of this size make the side of a core."""
     return round(parameters.core_m / voxel_m)
@@ -59,6 +55,13 @@ def core_cells(parameters: LabelParameters, voxel_m: float) -> int:
 def tiles_of(keys: Keys, cells: int) -> NDArray[np.int64]:
     """The tile (N, 2) of each voxel key (N,), for cores of `cells` voxels a side."""
     return indices_of(keys)[:, :2] // cells
+
+
+def tiles_across(parameters: LabelParameters, low: NDArray[np.int64], high: NDArray[np.int64]) -> list[Tile]:
+    """The tiles that a half-open range of label voxel indices (2,) or (3,) reaches into."""
+    cells = core_cells(parameters, VOXEL_M)
+    first, last = low[:2] // cells, (high[:2] - 1) // cells
+    return [(int(i), int(j)) for i in range(first[0], last[0] + 1) for j in range(first[1], last[1] + 1)]
 
 
 def neighbourhood(tile: Tile) -> list[Tile]:

@@ -1,6 +1,6 @@
 """What the labeler does in the queue, stage by stage; the science is the same that `pipeline.label` calls.
 
-    parts → fuse (each part) → tiles → surface (each tile, largest first), sight (each camera)
+    parts → fuse (each part) → surface (each tile, when the parts that can reach it are fused), sight (each camera)
           → reference → frames (each part), map → publish
 
 **Conventions.** A stage is a function of a `Desk`; it may run twice, at once or after being killed anywhere: its files
@@ -16,6 +16,7 @@ from services.labeler.errors import NoFramesError
 from services.labeler.frames import labelled_frames, lay_sight_lines
 from services.labeler.fuse import fuse
 from services.labeler.map_files import MESH, TOP_VIEW, write_map
+from services.labeler.plan import plan_of, surface_where_reached, tiles_around
 from services.labeler.publishing import publish
 from services.labeler.report import reference_from
 from services.labeler.results import (
@@ -29,13 +30,11 @@ from services.labeler.results import (
     sums_path,
     write_pack,
 )
-from services.labeler.run import Part, Tile, largest_first, neighbourhood, parts_of
-from services.labeler.scratch import images_path, sight_path, surface_path, tile_name, tile_named
-from services.labeler.surface import surface
+from services.labeler.run import Part, Tile, neighbourhood
+from services.labeler.scratch import images_path, sight_path, surface_path, tile_name
 from services.runtime.jobs.specs import Attempt, Handlers, JobSpec, Outcome
 from services.runtime.platform import Platform
 from services.runtime.processing import LABEL
-from stone.traversability import NoReferenceError
 
 Stage = Callable[[Desk], Outcome]
 
@@ -45,7 +44,6 @@ def handlers(platform: Platform) -> Handlers:
     stages: dict[str, Stage] = {
         LABEL: list_parts,
         "labeler.fuse": fuse_part,
-        "labeler.tiles": list_tiles,
         "labeler.surface": surface_tile,
         "labeler.sight": lay_sight,
         "labeler.reference": refer,
@@ -57,13 +55,26 @@ def handlers(platform: Platform) -> Handlers:
 
 
 def list_parts(desk: Desk) -> Outcome:
-    """What follows from the number of frames. Raises `NoFramesError`."""
+    """All the jobs of the run, by its plan. Raises `NoFramesError`."""
     if len(desk.run.sequence.frames) == 0:
         raise NoFramesError(desk.run.sequence)
-    parts = parts_of(desk.run)
-    fused = [JobSpec("labeler.fuse", {"part": part}, key=f"fuse {part[0]}") for part in parts]
-    tiles = JobSpec("labeler.tiles", needs=tuple(spec.key for spec in fused))
-    return Outcome({"parts": len(parts)}, then=(*fused, tiles))
+    plan = plan_of(desk.run)
+    fused = {part: JobSpec("labeler.fuse", {"part": part}, key=f"fuse {part[0]}") for part in plan.parts}
+    surfaces = [
+        JobSpec("labeler.surface", {"tile": tile}, f"surface {tile_name(tile)}", tuple(fused[one].key for one in parts))
+        for tile, parts in plan.needs.items()
+    ]
+    cameras = range(len(desk.run.sequence.calibration.of_kind("camera")))
+    sights = [JobSpec("labeler.sight", {"camera": camera}, key=f"sight {camera}") for camera in cameras]
+    reference = JobSpec("labeler.reference", key="reference", needs=tuple(spec.key for spec in (*surfaces, *sights)))
+    drawn = JobSpec("labeler.map", key="map", needs=(reference.key,))
+    frames = [
+        JobSpec("labeler.frames", {"part": part}, key=f"frames {part[0]}", needs=(reference.key,))
+        for part in plan.parts
+    ]
+    published = JobSpec("labeler.publish", needs=(drawn.key, *(spec.key for spec in frames)))
+    jobs = (*surfaces, *fused.values(), *sights, reference, drawn, *frames, published)
+    return Outcome({"parts": len(plan.parts), "tiles": len(surfaces)}, then=jobs)
 
 
 def fuse_part(desk: Desk) -> Outcome:
@@ -76,31 +87,15 @@ def fuse_part(desk: Desk) -> Outcome:
     return Outcome({"points": points})
 
 
-def list_tiles(desk: Desk) -> Outcome:
-    """What follows from where the points fell. Raises `NoReferenceError` where none did."""
-    tiles = largest_first(_fused_bytes(desk))
-    if not tiles:
-        raise NoReferenceError(0)
-    cameras = range(len(desk.run.sequence.calibration.of_kind("camera")))
-    surfaces = [JobSpec("labeler.surface", {"tile": tile}, key=f"surface {tile_name(tile)}") for tile in tiles]
-    sights = [JobSpec("labeler.sight", {"camera": camera}, key=f"sight {camera}") for camera in cameras]
-    reference = JobSpec("labeler.reference", key="reference", needs=tuple(spec.key for spec in (*surfaces, *sights)))
-    on_reference = (reference.key,)
-    frames = [
-        JobSpec("labeler.frames", {"part": part}, key=f"frames {part[0]}", needs=on_reference)
-        for part in parts_of(desk.run)
-    ]
-    drawn = JobSpec("labeler.map", key="map", needs=on_reference)
-    published = JobSpec("labeler.publish", needs=(drawn.key, *(spec.key for spec in frames)))
-    return Outcome({"tiles": len(tiles)}, then=(*surfaces, *sights, reference, drawn, *frames, published))
-
-
 def surface_tile(desk: Desk) -> Outcome:
-    """Points of a tile and its neighbours → mesh, features, sums over what was driven."""
+    """Points of a tile and its neighbours → mesh, features, sums over what was driven; nothing where none fell."""
     i, j = desk.attempt.arguments["tile"]
     tile: Tile = (i, j)
-    desk.workspace.pull("images/", *(f"fused/{tile_name(near)}/" for near in neighbourhood(tile)))
-    summary = surface(desk.run, tile, desk.step("surface"))
+    images = [f"images/{part[0]:06d}" for part in plan_of(desk.run).needs[tile]]
+    desk.workspace.pull(*images, *(f"fused/{tile_name(near)}/" for near in neighbourhood(tile)))
+    summary = surface_where_reached(desk.run, tile, desk.step("surface"))
+    if summary is None:
+        return Outcome({"voxels": 0})
     save_summary(desk.run, summary)
     desk.push(surface_path(desk.run, tile), sums_path(desk.run, tile))
     desk.attempt.log("reconstructed", tile=tile_name(tile), triangles=summary.triangles, driven=summary.sums.count)
@@ -118,7 +113,7 @@ def lay_sight(desk: Desk) -> Outcome:
 
 def refer(desk: Desk) -> Outcome:
     """Sums of all tiles → what driven ground is like. Raises `NoReferenceError`."""
-    desk.pull("sums")
+    desk.workspace.pull("sums/")
     reference = reference_from(load_summaries(desk.run), desk.run.parameters)
     save_reference(desk.run, reference)
     desk.push(reference_path(desk.run))
@@ -129,8 +124,11 @@ def refer(desk: Desk) -> Outcome:
 def label_part(desk: Desk) -> Outcome:
     """The labelled map → the labels of the frames of a part, in one pack."""
     part = _part(desk)
-    desk.pull(reference_path(desk.run).name, "surface")
-    desk.workspace.pull("sight/")
+    desk.pull(reference_path(desk.run).name)
+    around = [surface_path(desk.run, tile) for tile in tiles_around(desk.run, part)]
+    desk.workspace.pull("sight/", *(path.relative_to(desk.run.scratch).as_posix() for path in around))
+    if not any(path.exists() for path in around):
+        desk.pull("surface")
     reference = load_reference(desk.run)
     write_pack(desk.run, part, labelled_frames(desk.run, part, reference), desk.step("frames"))
     desk.push(pack_path(desk.run, part), index_path(desk.run, part))
@@ -154,12 +152,3 @@ def _at_a_desk(platform: Platform, stage: Stage, attempt: Attempt) -> Outcome:
 def _part(desk: Desk) -> Part:
     begin, end = desk.attempt.arguments["part"]
     return begin, end
-
-
-def _fused_bytes(desk: Desk) -> dict[Tile, int]:
-    """Every tile that any point fell into, and how much of it there is; asked of the store, nothing is moved."""
-    weights: dict[Tile, int] = {}
-    for stored in desk.platform.store.listed(f"work/{desk.attempt.root_id}/fused/"):
-        tile = tile_named(stored.key.split("/")[-2])
-        weights[tile] = weights.get(tile, 0) + stored.size_bytes
-    return weights

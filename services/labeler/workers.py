@@ -1,17 +1,19 @@
-"""Runs the tasks of a stage in other processes, and yields their results in the order of the tasks.
+"""Runs tasks in other processes: those of one stage, or of several whose tasks wait for each other.
 
 **Conventions.** Workers come from a fork server that has imported the kernels and Open3D but used neither, each
-with one thread for every library: the parallelism is over tasks, and the caller's own process stays small.
+with one thread for every library: the parallelism is over tasks, and the caller's own process stays small. Processes
+and not threads, because half of a stage is numpy and Python under the interpreter's lock.
 `ProcessPoolExecutor`, not `multiprocessing.Pool`, which once wrote all its results and never returned.
 """
 
 import os
+import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
 from multiprocessing import connection, get_context, parent_process
 from threading import Thread
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from services.runtime.usage import peak_bytes, used_cpu_s
 
@@ -21,12 +23,23 @@ PRELOAD = ["open3d", "services.labeler.fuse", "services.labeler.surface", "servi
 
 @dataclass(frozen=True)
 class Done(Generic[T]):
-    """The result of one task, and what its process has used so far."""
+    """The result of one task, how long it took, and what its process has used so far."""
 
     value: T
+    busy_s: float
     peak_bytes: int
     cpu_s: float
     pid: int
+
+
+@dataclass(frozen=True)
+class Task:
+    """`call(*arguments)` once every task named in `needs` is done; `key` names it, its stage first."""
+
+    key: tuple[object, ...]
+    call: Callable[..., Any]
+    arguments: tuple[object, ...]
+    needs: frozenset[tuple[object, ...]] = frozenset()
 
 
 class Workers:
@@ -35,6 +48,7 @@ class Workers:
     def __init__(self, processes: int) -> None:
         context = get_context("forkserver")
         context.set_forkserver_preload(PRELOAD)
+        self._processes = processes
         self._pool = ProcessPoolExecutor(processes, mp_context=context, initializer=_prepare)
 
     def __enter__(self) -> "Workers":
@@ -52,10 +66,31 @@ class Workers:
         futures = [self._pool.submit(_measured, task, one) for one in arguments]
         return (future.result() for future in futures)
 
+    def run_all(self, tasks: Sequence[Task]) -> Iterator[tuple[Task, Done[Any]]]:
+        """Every task when it is done, the first of those that can begin going first; the first that raises ends all.
+
+        No more are handed out than the processes and one waiting for each, so that what becomes ready goes first.
+        Raises ValueError where a need is nobody's key, or tasks wait for each other.
+        """
+        waiting, ended = list(tasks), set[tuple[object, ...]]()
+        running: dict[Future[Done[Any]], Task] = {}
+        while waiting or running:
+            ready = [task for task in waiting if task.needs <= ended][: 2 * self._processes - len(running)]
+            running |= {self._pool.submit(_measured, task.call, task.arguments): task for task in ready}
+            begun = {task.key for task in ready}
+            waiting = [task for task in waiting if task.key not in begun]
+            if not running:
+                raise ValueError(f"{len(waiting)} tasks wait for what nobody does, the first {waiting[0].key}")
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                task = running.pop(future)
+                ended.add(task.key)
+                yield task, future.result()
+
 
 def _measured(task: Callable[..., T], arguments: tuple[object, ...]) -> Done[T]:
+    begin = time.perf_counter()
     value = task(*arguments)
-    return Done(value, peak_bytes(), used_cpu_s(), os.getpid())
+    return Done(value, time.perf_counter() - begin, peak_bytes(), used_cpu_s(), os.getpid())
 
 
 def _prepare() -> None:

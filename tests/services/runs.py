@@ -248,7 +248,7 @@ def files_of_label(folder: Path) -> dict[str, bytes]:
     """What `stone label` wrote, named as `Brought.files` names it and without what was measured."""
     files = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
     record = json.loads(files["report.json"])
-    for name in ("stages_wall_s", "cpu_s", "peak_bytes"):
+    for name in ("stages_busy_s", "cpu_s", "peak_bytes"):
         del record[name]
     files["report.json"] = (json.dumps(record, indent=1) + "\n").encode()
     labels = (folder / "gts" / NAME).glob("*/labels.npz")

@@ -37,7 +37,7 @@ from tests.services.runs import (
 
 STAGES = {"ingest.synchronise"} | {
     f"labeler.{stage}"
-    for stage in ("parts", "fuse", "tiles", "surface", "sight", "reference", "frames", "map", "publish")
+    for stage in ("parts", "fuse", "surface", "sight", "reference", "frames", "map", "publish")
 }
 
 
@@ -243,10 +243,14 @@ def test_a_stage_of_a_cancelled_run_stops_at_its_next_word(finished: tuple[Broug
 
 def test_a_run_in_which_no_point_fell_anywhere_is_refused(finished: tuple[Brought, str]) -> None:
     brought, root_id = finished
-    shutil.rmtree(brought.platform.settings.root / "store" / "work" / root_id / "fused")
-    tiles = next(job for job in brought.jobs(root_id) if job.kind == "labeler.tiles")
+    work = brought.platform.settings.root / "store" / "work" / root_id
+    for folder in ("fused", "surface", "sums"):
+        shutil.rmtree(work / folder)
+    jobs = {job.kind: job for job in brought.jobs(root_id)}
+    table = stages.handlers(brought.platform)
+    assert table["labeler.surface"](Said(jobs["labeler.surface"])) == Outcome({"voxels": 0})
     with pytest.raises(NoReferenceError, match="the track covers 0 surface voxels"):
-        stages.handlers(brought.platform)[tiles.kind](Said(tiles))
+        table["labeler.reference"](Said(jobs["labeler.reference"]))
 
 
 def test_work_that_was_removed_and_code_that_changed_are_named(finished: tuple[Brought, str]) -> None:

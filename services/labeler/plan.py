@@ -1,0 +1,84 @@
+"""Which part of a run can reach which tile: known from the poses, before a sweep is read.
+
+So a tile is reconstructed as soon as the last part that can reach it is fused, while the rest of the run is still being
+read; the same plan makes the tasks of one machine and the jobs of the queue.
+
+**Conventions.** Reach is in plan. A frame leaves points within the labelled box and voxels along followed rays, and
+votes on what moved: all of it lies within `reach_m` of the ego's origin.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.labeler.fuse import labelled_box
+from services.labeler.parameters import LabelParameters
+from services.labeler.run import Part, Run, Step, Tile, parts_of, silent, tiles_across
+from services.labeler.scratch import tile_name
+from services.labeler.surface import TileSummary, surface
+from stone.grid import frame_bounds
+from stone.observed import BRICK
+from stone.voxels import VOXEL_M
+
+
+@dataclass(frozen=True)
+class Plan:
+    """`needs`: for every tile the run may reach, the parts that can reach its cube, in order.
+
+    Tiles are in the order in which they can be begun: by the last of their parts, then by place.
+    """
+
+    parts: tuple[Part, ...]
+    needs: Mapping[Tile, tuple[Part, ...]]
+
+
+def plan_of(run: Run) -> Plan:
+    """The plan of a run; no tile without a frame."""
+    parts = tuple(parts_of(run))
+    places = run.sequence.frames.map_from_ego.translation_m[:, :2]
+    reach = reach_m(run.parameters, run.sensor_ego)
+    needs: dict[Tile, tuple[Part, ...]] = {}
+    for tile in _tiles_around(places, run.parameters.core_m, reach):
+        is_near = _gaps_m(places, tile, run.parameters) <= reach
+        needs[tile] = tuple(part for part in parts if is_near[slice(*part)].any())
+    reached = [tile for tile in needs if needs[tile]]
+    return Plan(parts, {tile: needs[tile] for tile in sorted(reached, key=lambda tile: (needs[tile][-1], tile))})
+
+
+def surface_where_reached(run: Run, tile: Tile, step: Step = silent) -> TileSummary | None:
+    """The surface of a planned tile, or nothing where no part left anything after all."""
+    return surface(run, tile, step) if (run.scratch / "fused" / tile_name(tile)).is_dir() else None
+
+
+def tiles_around(run: Run, part: Part) -> list[Tile]:
+    """The tiles that the label grids of a part can touch."""
+    return tiles_across(run.parameters, *frame_bounds(run.sequence.frames.map_from_ego[slice(*part)]))
+
+
+def reach_m(parameters: LabelParameters, sensor_ego: NDArray[np.float64]) -> float:
+    """How far from the ego's origin a frame matters, metres."""
+    box = labelled_box(parameters.selection.margin_m)
+    corner = np.maximum(np.abs(box.min_m), np.abs(box.max_m))
+    sensor_m = float(np.linalg.norm(sensor_ego))
+    brick_m = BRICK * VOXEL_M
+    rays_m = max(parameters.carve.max_range_m, parameters.dynamic.max_range_m) + sensor_m
+    return max(float(np.linalg.norm(corner)), rays_m) + brick_m
+
+
+def _tiles_around(places: NDArray[np.float64], core_m: float, reach: float) -> list[Tile]:
+    """Every tile whose core is within reach of a place (N, 2), found frame by frame, for a run may be very long."""
+    cells = np.unique(np.floor(places / core_m).astype(np.int64), axis=0)
+    ring = int(np.ceil(reach / core_m))
+    shifts = np.stack(np.meshgrid(*[np.arange(-ring, ring + 1)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
+    around = np.unique((cells[:, None] + shifts).reshape(-1, 2), axis=0)
+    return [(int(i), int(j)) for i, j in around]
+
+
+def _gaps_m(places: NDArray[np.float64], tile: Tile, parameters: LabelParameters) -> NDArray[np.float64]:
+    """How far each place (N, 2) is from the tile's cube in plan; 0 inside."""
+    low = np.array(tile) * parameters.core_m - parameters.tiling.halo_m
+    high = low + parameters.core_m + 2 * parameters.tiling.halo_m
+    gaps = np.maximum(0.0, np.maximum(low - places, places - high))
+    return np.asarray(np.hypot(gaps[:, 0], gaps[:, 1]))
