@@ -44,3 +44,15 @@ class UnknownFormatError(StoneError):
 
     def __init__(self, name: str, known: Iterable[str]) -> None:
         super().__init__(f"{name[:80]!r} is no format of an export; known are {', '.join(known)}")
+
+
+class MapTooLargeError(StoneError):
+    """The map of a sequence is larger than any robot drives in one run."""
+
+    code = "map_too_large"
+
+    def __init__(self, width_m: float, height_m: float, limit_m: float) -> None:
+        super().__init__(
+            f"the map spans {width_m:.0f} × {height_m:.0f} m, the limit is {limit_m:.0f} m a side; "
+            "did a pose of the recording jump?"
+        )

@@ -1,0 +1,71 @@
+"""The map of a sequence as nuScenes draws its maps: white where the robot could drive, black elsewhere, 0.1 m a pixel.
+
+**Conventions.** The devkit puts the lower left corner of a mask at the origin of its global frame, so that frame is the
+map shifted by whole metres until all of the map has positive coordinates. A column is white where any surface in it is
+traversable or potentially so. Source: `MapMask` of nuscenes-devkit 1.2.
+"""
+
+import struct
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.labeler.exports.errors import MapTooLargeError
+from services.labeler.exports.ply_file import MeshFile
+from stone.voxels import VOXEL_M
+
+PIXELS_A_VOXEL = 2
+VERTICES_AT_ONCE = 1 << 20
+MARGIN_M = 1
+MOST_SIDE_M = 6000
+
+
+@dataclass(frozen=True, eq=False)
+class Mask:
+    """`is_drivable` (X, Y) by voxel column from `low_m` (2,), whole metres in the map frame."""
+
+    low_m: tuple[int, int]
+    is_drivable: NDArray[np.bool_]
+
+
+def mask_of(mesh: MeshFile, places_m: NDArray[np.float64]) -> Mask:
+    """The mask of a mesh, as large as it and all `places_m` (N, 2) together. Raises `MapTooLargeError`."""
+    corners = [places_m.min(axis=0), places_m.max(axis=0)]
+    for rows in _parts(mesh):
+        xy = mesh.vertices["xyz"][rows, :2]
+        corners += [xy.min(axis=0), xy.max(axis=0)]
+    low = np.floor(np.min(corners, axis=0)).astype(np.int64) - MARGIN_M
+    high = np.ceil(np.max(corners, axis=0)).astype(np.int64) + MARGIN_M
+    if (high - low > MOST_SIDE_M).any():
+        raise MapTooLargeError(float(high[0] - low[0]), float(high[1] - low[1]), MOST_SIDE_M)
+    size = np.round((high - low) / VOXEL_M).astype(np.int64)
+    is_drivable = np.zeros((int(size[0]), int(size[1])), np.bool_)
+    for rows in _parts(mesh):
+        xy = mesh.vertices["xyz"][rows, :2][np.isin(mesh.classes(rows), (1, 2))]
+        x, y = np.floor((xy.astype(np.float64) - low) / VOXEL_M).astype(np.int64).T
+        is_drivable[x, y] = True
+    return Mask((int(low[0]), int(low[1])), is_drivable)
+
+
+def write_mask(path: Path, mask: Mask) -> None:
+    """An eight-bit grey PNG, row after row from the north (PNG 1.2: IHDR, IDAT, IEND)."""
+    width, height = (side * PIXELS_A_VOXEL for side in mask.is_drivable.shape)
+    deflate = zlib.compressobj(6)
+    with path.open("wb") as file:
+        file.write(b"\x89PNG\r\n\x1a\n" + _chunk(b"IHDR", struct.pack(">2I5B", width, height, 8, 0, 0, 0, 0)))
+        for column in mask.is_drivable.T[::-1]:
+            row = b"\0" + np.repeat(column.astype(np.uint8) * 255, PIXELS_A_VOXEL).tobytes()
+            if packed := deflate.compress(row * PIXELS_A_VOXEL):
+                file.write(_chunk(b"IDAT", packed))
+        file.write(_chunk(b"IDAT", deflate.flush()) + _chunk(b"IEND", b""))
+
+
+def _parts(mesh: MeshFile) -> list[slice]:
+    return [slice(begin, begin + VERTICES_AT_ONCE) for begin in range(0, len(mesh.vertices), VERTICES_AT_ONCE)]
+
+
+def _chunk(kind: bytes, content: bytes) -> bytes:
+    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
