@@ -49,7 +49,8 @@ def label(
         chosen = chosen_topics(topics, topic).topics
         sources = SynchroniseOptions(odometry, lidar, topics=chosen, progress=progress)
         sequence, sweeps = open_sequence(bag, calibration, bag.stem, sources)
-        options = LabelOptions(parameters_for(profile.value), workers or cores())
+        source = {"recording": str(bag.resolve()), "calibration": str(calibration.resolve())}
+        options = LabelOptions(parameters_for(profile.value), workers or cores(), source)
         record = label_sequence(sequence, sweeps, output, options, progress).as_record()
     if as_json:
         echo_json(record)

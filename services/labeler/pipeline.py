@@ -10,9 +10,10 @@ fused in the order of recording, and a tile is reconstructed as soon as the last
 the synchronised sequence itself, of which exports are made.
 """
 
+import json
 import shutil
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from collections.abc import Sequence as Listing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -20,6 +21,7 @@ from typing import TypeVar
 
 from services.labeler.costs import Meter
 from services.labeler.errors import NoFramesError
+from services.labeler.exports.source import SOURCE
 from services.labeler.frames import frames, lay_sight_lines
 from services.labeler.fuse import fuse
 from services.labeler.map_files import write_map
@@ -42,10 +44,15 @@ REPORT = "report.json"
 
 @dataclass(frozen=True)
 class LabelOptions:
-    """How to run, as opposed to what to compute: `workers` never changes a label."""
+    """How to run, as opposed to what to compute: `workers` never changes a label.
+
+    `source` says where the inputs lay (`recording`, `calibration`: absolute paths), for exports made later on this
+    machine; it is written beside the labels as `source.json`.
+    """
 
     parameters: LabelParameters = field(default_factory=LabelParameters)
     workers: int = 1
+    source: Mapping[str, str] = field(default_factory=dict)
 
 
 def label(
@@ -66,6 +73,8 @@ def label(
         run = Run(sequence, sweeps, options.parameters, staging / ".scratch")
         report = _labelled(run, staging, _Stages(workers, progress, Meter()))
         shutil.rmtree(run.scratch)
+        if options.source:
+            (staging / SOURCE).write_text(json.dumps(dict(options.source)) + "\n")
         (staging / REPORT).write_text(report.text())
     return report
 
