@@ -1,6 +1,6 @@
-# make install | demo | serve | test | check | chaos | fuzz | bench | bench-read | bench-platform | bench-truth
+# make install | demo | serve | test | check | chaos | fuzz | bench | bench-label | bench-read | bench-platform | bench-truth
 # Each installs first, which costs nothing when nothing changed.
-.PHONY: install test-clients demo serve test check chaos fuzz bench bench-read bench-platform bench-truth
+.PHONY: install test-clients demo serve test check chaos fuzz bench bench-label bench-read bench-platform bench-truth
 .DELETE_ON_ERROR:
 
 BIN := .venv/bin
@@ -41,8 +41,10 @@ bench-read: install
 	$(BIN)/python -m benchmarks.read
 
 bench: install
-	$(BIN)/python -m benchmarks.label
 	$(BIN)/python -m benchmarks.score
+
+bench-label: install
+	$(BIN)/python -m benchmarks.label
 
 bench-platform: install
 	$(BIN)/python -m benchmarks.upload

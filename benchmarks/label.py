@@ -1,8 +1,10 @@
-"""Labelling simulated full-rig runs of two lengths: `python -m benchmarks.label [--frames 300 1200] [--workers 2]`.
+"""Labelling simulated full-rig runs of three lengths: `python -m benchmarks.label [--frames 300 1200 5000]`.
 
-Each run is a bag of 128 × 1800 rays and six cameras at 10 Hz, simulated once and kept in `--folder`. A child process
-per length synchronises and labels it, masks and removal of moving things included, and is the only thing timed:
-recorded seconds per CPU second (all processes), wall seconds, and the highest resident memory (all processes).
+Each run is a bag of 128 × 1800 rays and six cameras at 10 Hz, simulated once and kept in `--folder` (5,000 frames take
+19 GB). A child process per length synchronises and labels it, masks and removal of moving things included, and is the
+only thing timed: recorded seconds per CPU second (all processes), wall seconds, and the highest resident memory (all
+processes, children of the solver included). Then `--peer-frames` of the shortest run are reconstructed one by one, as
+`benchmarks/per_frame_poisson.py` says.
 """
 
 import argparse
@@ -17,8 +19,11 @@ import tempfile
 import time
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
+
+from benchmarks.per_frame_poisson import per_frame_poisson
 
 SWEEPS_HZ = 10.0
 PR_SET_CHILD_SUBREAPER = 36
@@ -27,8 +32,9 @@ COLUMNS = ("frames", "recorded s", "wall s", "× real time", "CPU s", "recorded 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--frames", type=int, nargs="+", default=[300, 1200])
+    parser.add_argument("--frames", type=int, nargs="+", default=[300, 1200, 5000])
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--peer-frames", type=int, default=10)
     parser.add_argument("--channels", type=int, default=128)
     parser.add_argument("--columns", type=int, default=1800)
     parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()) / "stone-bench")
@@ -37,6 +43,8 @@ def main() -> None:
     options.folder.mkdir(parents=True, exist_ok=True)
     rows = [_measured(_simulated(frames, options), frames, options) for frames in options.frames]
     _show(rows, options.workers)
+    if options.peer_frames:
+        _show_peer(_simulated(options.frames[0], options), rows[0], options)
 
 
 def _simulated(frames: int, options: argparse.Namespace) -> Path:
@@ -97,6 +105,18 @@ def _show(rows: list[dict[str, float]], workers: int) -> None:
     if len(rows) > 1:
         growth = rows[-1]["all MB"] / rows[0]["all MB"]
         console.print(f"memory growth {rows[0]['frames']:.0f} → {rows[-1]['frames']:.0f} frames: {growth:.2f}×")
+
+
+def _show_peer(bag: Path, row: dict[str, float], options: argparse.Namespace) -> None:
+    with tempfile.TemporaryDirectory(dir=options.folder) as scratch:
+        calibration = bag.with_suffix(".calibration.yaml")
+        peer = per_frame_poisson(bag, calibration, options.peer_frames, Path(scratch))
+    theirs, ours = float(np.median(peer.cpu_s)), row["CPU s"] / row["frames"]
+    Console().print(
+        f"Poisson frame by frame, {len(peer.cpu_s)} of the {row['frames']:.0f} frames: {theirs:.2f} CPU s a frame "
+        f"(median; {min(peer.cpu_s):.2f} to {max(peer.cpu_s):.2f}, {int(np.median(peer.voxels))} voxels); "
+        f"ours {ours:.4f}, reading and masks included: {theirs / ours:.0f}×"
+    )
 
 
 def _stone() -> str:

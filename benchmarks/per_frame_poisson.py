@@ -1,0 +1,76 @@
+"""The usual way to dense labels, as a measure: the surface of every frame reconstructed for itself.
+
+After SurroundOcc (Wei et al., ICCV 2023, `generate_occupancy_nuscenes`): the whole aggregated cloud is moved into the
+frame, cropped, given normals towards the sensor by 20 neighbours, reconstructed by Poisson at depth 10, freed of the
+tenth of its vertices that is least dense, and put into voxels. Our own writing of it, one thread; the labels of other
+classes, which it finds by nearest neighbour on a GPU, are left out.
+
+**Conventions.** Seconds are the processor's, of this process and the children it waited for.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.ingest.opening import open_sequence
+from services.labeler.apart import apart
+from services.labeler.fuse import fuse
+from services.labeler.parameters import parameters_for
+from services.labeler.plan import plan_of
+from services.labeler.run import Run
+from services.labeler.scratch import load_points, tile_named
+from services.runtime.usage import used_cpu_s
+from stone.grid import GRID_MAX_M, GRID_MIN_M
+from stone.pointmap import merge
+from stone.se3 import SE3
+from stone.voxels import VOXEL_M
+
+NEIGHBOURS, DEPTH, LEAST_DENSE = 20, 10, 0.1
+
+
+@dataclass(frozen=True)
+class PerFrame:
+    """What each of the chosen frames took, and the voxels it came to."""
+
+    cpu_s: tuple[float, ...]
+    voxels: tuple[int, ...]
+
+
+def per_frame_poisson(bag: Path, calibration: Path, frames: int, folder: Path) -> PerFrame:
+    """Reconstruct so many frames, spread evenly over the run, one by one; aggregation is not counted."""
+    sequence, sweeps = open_sequence(bag, calibration, bag.stem)
+    run = Run(sequence, sweeps, parameters_for("paper"), folder)
+    for part in plan_of(run).parts:
+        fuse(run, part)
+    cloud = _aggregated(run)
+    chosen = np.linspace(0, len(sequence.frames) - 1, frames).round().astype(int)
+    taken, found = list[float](), list[int]()
+    for index in chosen:
+        before = used_cpu_s()
+        found.append(apart(_frame_voxels, cloud, sequence.frames.map_from_ego[int(index)], run.sensor_ego))
+        taken.append(used_cpu_s() - before)
+    return PerFrame(tuple(taken), tuple(found))
+
+
+def _aggregated(run: Run) -> NDArray[np.float64]:
+    """All points of the run in the map frame, one for each voxel of 0.1 m."""
+    everywhere = (np.full(2, -np.inf), np.full(2, np.inf))
+    tiles = [tile_named(folder.name) for folder in sorted((run.scratch / "fused").iterdir())]
+    return merge([part for tile in tiles for part in load_points(run, tile, *everywhere)]).centroids_map()
+
+
+def _frame_voxels(cloud_map: NDArray[np.float64], map_from_ego: SE3, sensor_ego: NDArray[np.float64]) -> int:
+    """How many voxels the surface of this frame fills; in a child, for Open3D must not be used before a fork."""
+    import open3d
+
+    points = map_from_ego.inverse() @ cloud_map
+    points = points[((points >= GRID_MIN_M) & (points < GRID_MAX_M)).all(axis=1)]
+    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
+    cloud.estimate_normals(open3d.geometry.KDTreeSearchParamKNN(knn=NEIGHBOURS))
+    cloud.orient_normals_towards_camera_location(sensor_ego)
+    mesh, density = open3d.geometry.TriangleMesh.create_from_point_cloud_poisson(cloud, depth=DEPTH, n_threads=1)
+    mesh.remove_vertices_by_mask(np.asarray(density) < np.quantile(np.asarray(density), LEAST_DENSE))
+    voxels = np.unique(np.floor(np.asarray(mesh.vertices) / VOXEL_M).astype(np.int64), axis=0)
+    return len(voxels)
