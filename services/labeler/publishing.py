@@ -1,7 +1,8 @@
 """The last stage: the files of the run become blobs, and rows say what they are, in the transaction of the success.
 
-**Conventions.** Bytes first, outside any transaction; then all rows or none. A run whose sequence was deleted meanwhile
-writes no row and ends cancelled.
+**Conventions.** Bytes first, outside any transaction; then all rows or none. Beside what is written here, every file
+in the workspace's folder `map` is published under its name. A run whose sequence was deleted meanwhile writes no row
+and ends cancelled.
 """
 
 from dataclasses import asdict, dataclass
@@ -13,7 +14,6 @@ from sqlalchemy.orm import Session
 
 from services.labeler.comparison import comparison_path
 from services.labeler.desk import Desk
-from services.labeler.map_files import MESH, TOP_VIEW
 from services.labeler.report import report_of
 from services.labeler.results import PackIndex, load_pack, load_summaries, pack_path
 from services.labeler.run import parts_of
@@ -23,9 +23,21 @@ from services.runtime.blobs import PreparedBlob, link, prepare
 from services.runtime.jobs.specs import Outcome
 from services.runtime.orm import Artefact, Job, LabelledFrame, LabelSet, new_id
 from services.runtime.recipes import CODE_VERSION
+from services.runtime.run_files import SEQUENCE_FILE
 from services.runtime.stages import standing_sequence
 
 REPORT, TABLE = "report.json", "frames.parquet"
+DRAWN = "map"
+MEDIA_TYPES = {
+    ".json": "application/json",
+    ".parquet": "application/vnd.apache.parquet",
+    ".ply": "model/ply",
+    ".glb": "model/gltf-binary",
+    ".png": "image/png",
+    ".jpg": "image/jpeg",
+    ".gif": "image/gif",
+    ".mp4": "video/mp4",
+}
 
 
 @dataclass(frozen=True)
@@ -62,16 +74,26 @@ def _files(desk: Desk) -> list[_File]:
         staging.write_text(report.text())
     with whole(out / TABLE) as staging:
         write_frames(staging, run.sequence, report.counts)
+    drawn = run.scratch / DRAWN
     return [
-        _File(REPORT, "application/json", out / REPORT),
-        _File(TABLE, "application/vnd.apache.parquet", out / TABLE),
-        _File(TOP_VIEW, "image/png", run.scratch / "map" / TOP_VIEW),
-        _File(MESH, "model/ply", run.scratch / "map" / MESH),
+        _named(REPORT, out / REPORT),
+        _named(TABLE, out / TABLE),
+        _named(SEQUENCE_FILE, run.scratch / SEQUENCE_FILE),
+        *(_named(path.relative_to(drawn).as_posix(), path) for path in visible_files(drawn)),
         *(
             _File(f"labels/{part[0]:06d}.pack", "application/octet-stream", pack_path(run, part), part[0], index)
             for part, (index, _) in zip(parts, packs, strict=True)
         ),
     ]
+
+
+def visible_files(folder: Path) -> list[Path]:
+    """Every file below the folder in the order of their names, but those that are still being written."""
+    return sorted(path for path in folder.rglob("[!.]*") if path.is_file())
+
+
+def _named(name: str, path: Path) -> _File:
+    return _File(name, MEDIA_TYPES.get(path.suffix, "application/octet-stream"), path)
 
 
 def _write_rows(desk: Desk, prepared: list[tuple[_File, PreparedBlob]], session: Session) -> None:

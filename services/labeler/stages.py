@@ -13,6 +13,7 @@ from functools import partial
 from services.labeler.comparison import comparison_path
 from services.labeler.desk import Desk, desk_of
 from services.labeler.errors import NoFramesError
+from services.labeler.exporting import export
 from services.labeler.frames import labelled_frames, lay_sight_lines
 from services.labeler.fuse import fuse
 from services.labeler.map_files import MESH, TOP_VIEW, write_map
@@ -32,6 +33,7 @@ from services.labeler.results import (
 )
 from services.labeler.run import Part, Tile, neighbourhood
 from services.labeler.scratch import images_path, sight_path, surface_path, tile_name
+from services.runtime.exports import EXPORT
 from services.runtime.jobs.specs import Attempt, Handlers, JobSpec, Outcome
 from services.runtime.platform import Platform
 from services.runtime.processing import LABEL
@@ -51,7 +53,8 @@ def handlers(platform: Platform) -> Handlers:
         "labeler.map": draw_map,
         "labeler.publish": publish,
     }
-    return {kind: partial(_at_a_desk, platform, stage) for kind, stage in stages.items()}
+    made = {kind: partial(_at_a_desk, platform, stage) for kind, stage in stages.items()}
+    return {**made, EXPORT: partial(export, platform)}
 
 
 def list_parts(desk: Desk) -> Outcome:
