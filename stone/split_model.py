@@ -22,10 +22,14 @@ TRAIN, TEST = PARTS.index("train"), PARTS.index("test")
 
 @dataclass(frozen=True)
 class SolverLimits:
-    """Branch-and-bound nodes of one solve; the relative gap at which likeness is good enough; a net of seconds."""
+    """Branch-and-bound nodes spent on proving what the rules allow, and on likeness (to within a relative gap).
 
-    nodes: int = 2000
-    gap_ratio: float = 0.02
+    `time_s` of one solve is a net only: a proposal that stops there depends on the machine.
+    """
+
+    rule_nodes: int = 5000
+    likeness_nodes: int = 100
+    gap_ratio: float = 0.05
     time_s: float = 20.0
 
 
@@ -90,7 +94,7 @@ class Programme:
         self.bends[column] = float(COSTS[code])
         return {column: 1.0}
 
-    def solved(self, limits: SolverLimits) -> OptimizeResult:
+    def solved(self, nodes: int, gap_ratio: float, time_s: float) -> OptimizeResult:
         """Minimise the objective; `gap_ratio` 0 asks for proof."""
         shape = (len(self.rows), len(self.upper))
         terms = [(i, j, value) for i, (row, _, _) in enumerate(self.rows) for j, value in sorted(row.items())]
@@ -103,7 +107,7 @@ class Programme:
             integrality=np.array(self.whole),
             bounds=Bounds(np.zeros(shape[1]), np.array(self.upper)),
             constraints=LinearConstraint(csr_array((values.astype(float), (i, j)), shape=shape), low, high),
-            options={"node_limit": limits.nodes, "mip_rel_gap": limits.gap_ratio, "time_limit": limits.time_s},
+            options={"node_limit": nodes, "mip_rel_gap": gap_ratio, "time_limit": time_s},
         )
 
 
@@ -118,11 +122,11 @@ class Model:
         """The assignment that bends the rules at the least cost."""
         programme = self._programme(rules_of(self.sought), is_rigid=False)
         programme.objective = dict(programme.bends)
-        return self._read(programme, programme.solved(self._exact()))
+        return self._read(programme, self._proven(programme))
 
     def can_be_kept(self, rules: Iterable[Rule]) -> bool:
         """Whether all of these rules can be kept at once; true too where the solver could not tell."""
-        result = self._programme(tuple(rules), is_rigid=True).solved(self._exact())
+        result = self._proven(self._programme(tuple(rules), is_rigid=True))
         return bool(result.status != INFEASIBLE)
 
     def most_alike(self, bent: Solved) -> Solved:
@@ -131,11 +135,11 @@ class Model:
         if programme.bends:
             programme.row(programme.bends, 0.0, float(bent.cost))
         _add_likeness(programme, self.sought)
-        result = programme.solved(self.limits)
+        result = programme.solved(self.limits.likeness_nodes, self.limits.gap_ratio, self.limits.time_s)
         return self._read(programme, result) if result.x is not None else Solved(bent.parts, bent.cost, False)
 
-    def _exact(self) -> SolverLimits:
-        return SolverLimits(self.limits.nodes, 0.0, self.limits.time_s)
+    def _proven(self, programme: Programme) -> OptimizeResult:
+        return programme.solved(self.limits.rule_nodes, 0.0, self.limits.time_s)
 
     def _read(self, programme: Programme, result: OptimizeResult) -> Solved:
         if result.x is None:  # nothing was found within the limits: nothing is assigned, at the cost of all sizes

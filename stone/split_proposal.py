@@ -35,6 +35,15 @@ class BadSizesError(StoneError):
         )
 
 
+class EmptyCatalogueError(StoneError):
+    """There is nothing to divide."""
+
+    code = "empty_catalogue"
+
+    def __init__(self) -> None:
+        super().__init__("there is no labelled sequence to divide; have some processed first")
+
+
 class CatalogueTooLargeError(StoneError):
     """There are more sequences than a proposal is made for."""
 
@@ -80,11 +89,13 @@ def propose(
 ) -> Proposal:
     """The best split of `catalogue` into parts of these sizes (train, val, test); what is left over is in none.
 
-    Raises `BadSizesError`, `CatalogueTooLargeError`.
+    Raises `BadSizesError`, `EmptyCatalogueError`, `CatalogueTooLargeError`.
     """
     entries = tuple(sorted(catalogue, key=lambda entry: (entry.name, entry.id)))
     if not all(0 <= size <= MOST_SEQUENCES for size in sizes) or not any(sizes):
         raise BadSizesError(sizes)
+    if not entries:
+        raise EmptyCatalogueError()
     if len(entries) > MOST_SEQUENCES:
         raise CatalogueTooLargeError(len(entries))
     model = Model(Sought(entries, sizes), limits or SolverLimits())
