@@ -45,10 +45,33 @@ class TilingParameters:
 
 
 @dataclass(frozen=True)
+class RefinementParameters:
+    """How poses are refined (`services/labeler/refining.py`), where they are.
+
+    Sweeps are thinned to `sampling_m` and aligned with Gaussians of `voxel_m`; a pose is corrected by no more than the
+    two limits, which are several times what an RTK receiver or a short odometry is off, and each correction is drawn
+    back by `pull_ratio`, so that drift of the alignment itself stays within twenty times that of one frame.
+    """
+
+    method: Literal["small_gicp"] = "small_gicp"
+    reach_m: float = 40.0
+    sampling_m: float = 0.3
+    voxel_m: float = 0.5
+    correspondence_m: float = 1.0
+    iterations: int = 20
+    least_overlap_ratio: float = 0.3
+    max_correction_m: float = 0.3
+    max_correction_rad: float = 0.035
+    pull_ratio: float = 0.05
+    horizon_frames: int = 300
+
+
+@dataclass(frozen=True)
 class LabelParameters:
     """All that decides a label, besides the inputs; recorded with every label set.
 
-    `confidence` adds to every frame how far each voxel is from the reference, and changes no label.
+    `confidence` adds to every frame how far each voxel is from the reference, and changes no label. `refinement` is
+    None where the poses are taken as they came.
     """
 
     profile: Profile = "paper"
@@ -62,6 +85,7 @@ class LabelParameters:
     footprint_band_m: float = BAND_M
     local_ground_radius_m: float = 0.5
     confidence: bool = False
+    refinement: RefinementParameters | None = None
 
     @property
     def core_m(self) -> float:
