@@ -21,6 +21,16 @@ def path_length_m(positions_map: NDArray[np.float64]) -> float:
     return float(np.sqrt((steps**2).sum(axis=1)).sum())
 
 
+def duration_ns(stamps_ns: NDArray[np.int64]) -> int:
+    """How long a sequence lasts: from its first stamp to its last (rising, (N,)), and one mean period, as each frame
+    stands for the time until the next; 0 for fewer than two.
+    """
+    if len(stamps_ns) < 2:
+        return 0
+    span = int(stamps_ns[-1]) - int(stamps_ns[0])
+    return span * len(stamps_ns) // (len(stamps_ns) - 1)
+
+
 @dataclass(frozen=True)
 class CatalogueEntry:
     """A labelled sequence as the dataset sees it; two that share a recording (its sha256) are one sequence twice.

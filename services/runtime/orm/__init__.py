@@ -3,6 +3,7 @@
 from services.runtime.orm.artefacts import Artefact, Blob, LabelledFrame, LabelSet, LooseObject
 from services.runtime.orm.base import Base, new_id
 from services.runtime.orm.books import AuditEntry, IdempotentReply, QuotaEntry
+from services.runtime.orm.datasets import Dataset, DatasetMember, DatasetPack, DatasetPart, SplitMember, Splits
 from services.runtime.orm.exports import Export, ExportPack
 from services.runtime.orm.jobs import Job, JobAttempt, JobLine, JobNeed, Queue
 from services.runtime.orm.people import Team, TeamMember, Token, User, WebSession
@@ -15,6 +16,10 @@ __all__ = [
     "Base",
     "Blob",
     "Calibration",
+    "Dataset",
+    "DatasetMember",
+    "DatasetPack",
+    "DatasetPart",
     "Export",
     "ExportPack",
     "IdempotentReply",
@@ -32,6 +37,8 @@ __all__ = [
     "Recording",
     "RecordingFile",
     "Sequence",
+    "SplitMember",
+    "Splits",
     "Team",
     "TeamMember",
     "Token",

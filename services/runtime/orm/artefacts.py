@@ -3,7 +3,7 @@
 from sqlalchemy import ForeignKey, Index, String
 from sqlalchemy.orm import Mapped, mapped_column
 
-from services.runtime.orm.base import Base, Bytes, Id, Ns, Record, new_id, now_ns
+from services.runtime.orm.base import Base, Bytes, Count, Id, Ns, Record, new_id, now_ns
 
 
 class Blob(Base):
@@ -34,7 +34,8 @@ class LooseObject(Base):
 class LabelSet(Base):
     """The labels of a sequence under one recipe (sha256 of inputs, parameters and code version); made once.
 
-    Of several, the one that was asked for last counts: `chosen_ns`.
+    Of several, the one that was asked for last counts: `chosen_ns`. What it adds up to (how long and how far the robot
+    drove, voxels of all frames by class) is null where an earlier version did not write it down.
     """
 
     __tablename__ = "label_sets"
@@ -45,6 +46,12 @@ class LabelSet(Base):
     parameters: Mapped[Record]
     code_version: Mapped[str] = mapped_column(String(64))
     frames: Mapped[int]
+    duration_ns: Mapped[Ns | None]
+    distance_m: Mapped[float | None]
+    free_voxels: Mapped[Count | None]
+    t_voxels: Mapped[Count | None]
+    p_voxels: Mapped[Count | None]
+    n_voxels: Mapped[Count | None]
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
     chosen_ns: Mapped[Ns] = mapped_column(default=now_ns)
 

@@ -16,6 +16,7 @@ from sqlalchemy.orm import DeclarativeBase, mapped_column
 Id = Annotated[str, mapped_column(String(32))]
 Ns = Annotated[int, mapped_column(BigInteger)]
 Bytes = Annotated[int, mapped_column(BigInteger)]
+Count = Annotated[int, mapped_column(BigInteger)]
 Record = Annotated[dict[str, Any], mapped_column(JSON)]
 
 NAMING = {

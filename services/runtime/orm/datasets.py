@@ -1,0 +1,87 @@
+"""The dataset: the splits under discussion, and versions of it that were published and change no more.
+
+**Conventions.** A version keeps by itself whatever it is made of: what is said of its sequences stands in its own rows,
+and its bytes are held by foreign keys to blobs; so it stays as it is when sequences are renamed, labelled anew or
+deleted. The database refuses to change its rows.
+"""
+
+from sqlalchemy import ForeignKey, String
+from sqlalchemy.orm import Mapped, mapped_column
+
+from services.runtime.orm.base import Base, Bytes, Count, Id, Ns, new_id, now_ns
+
+
+class Splits(Base):
+    """The splits under discussion, of which there is one row; `revision` counts changes (ETag)."""
+
+    __tablename__ = "splits"
+    name: Mapped[str] = mapped_column(String(16), primary_key=True)
+    revision: Mapped[int] = mapped_column(default=0)
+    changed_ns: Mapped[Ns] = mapped_column(default=now_ns)
+
+
+class SplitMember(Base):
+    """A sequence in the splits under discussion: `part` is train, val or test."""
+
+    __tablename__ = "split_members"
+    sequence_id: Mapped[Id] = mapped_column(ForeignKey("sequences.id", ondelete="CASCADE"), primary_key=True)
+    part: Mapped[str] = mapped_column(String(8))
+
+
+class Dataset(Base):
+    """A version of the dataset; the manifest is a blob, so its name and its content are one."""
+
+    __tablename__ = "datasets"
+    id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
+    name: Mapped[str] = mapped_column(String(64), unique=True)
+    licence: Mapped[str] = mapped_column(String(64), default="")
+    code_version: Mapped[str] = mapped_column(String(64))
+    manifest_sha256: Mapped[str] = mapped_column(ForeignKey("blobs.sha256"), index=True)
+    manifest_bytes: Mapped[Bytes]
+    created_by: Mapped[Id] = mapped_column(ForeignKey("users.id"))
+    created_ns: Mapped[Ns] = mapped_column(default=now_ns)
+
+
+class DatasetMember(Base):
+    """A sequence of a version as it was then; voxels and distance are null where they were not known.
+
+    `label_set_id` and `sequence_id` say where it came from and may name nothing any more.
+    """
+
+    __tablename__ = "dataset_members"
+    dataset_id: Mapped[Id] = mapped_column(ForeignKey("datasets.id", ondelete="CASCADE"), primary_key=True)
+    sequence_id: Mapped[Id] = mapped_column(primary_key=True)
+    label_set_id: Mapped[Id]
+    part: Mapped[str] = mapped_column(String(8))
+    name: Mapped[str] = mapped_column(String(100))
+    environment: Mapped[str] = mapped_column(String(64))
+    illumination: Mapped[str] = mapped_column(String(64))
+    region: Mapped[str] = mapped_column(String(64))
+    recipe: Mapped[str] = mapped_column(String(64))
+    frames: Mapped[int]
+    duration_ns: Mapped[Ns]
+    distance_m: Mapped[float | None]
+    t_voxels: Mapped[Count | None]
+    p_voxels: Mapped[Count | None]
+    n_voxels: Mapped[Count | None]
+
+
+class DatasetPart(Base):
+    """The files of one part of a version: an index that says where each lies in which pack. Test's is never served."""
+
+    __tablename__ = "dataset_parts"
+    dataset_id: Mapped[Id] = mapped_column(ForeignKey("datasets.id", ondelete="CASCADE"), primary_key=True)
+    part: Mapped[str] = mapped_column(String(8), primary_key=True)
+    index_sha256: Mapped[str] = mapped_column(ForeignKey("blobs.sha256"), index=True)
+    files: Mapped[int]
+    size_bytes: Mapped[Bytes]
+
+
+class DatasetPack(Base):
+    """A blob in which files of a part lie, as the index numbers them."""
+
+    __tablename__ = "dataset_packs"
+    dataset_id: Mapped[Id] = mapped_column(ForeignKey("datasets.id", ondelete="CASCADE"), primary_key=True)
+    part: Mapped[str] = mapped_column(String(8), primary_key=True)
+    ordinal: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    blob_sha256: Mapped[str] = mapped_column(ForeignKey("blobs.sha256"), index=True)
