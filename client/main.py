@@ -11,6 +11,7 @@ import typer
 
 from client.commands.demo import demo
 from client.commands.download import download
+from client.commands.export import export
 from client.commands.inspect import inspect
 from client.commands.label import label
 from client.commands.login import login
@@ -34,7 +35,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
-    "On this machine": (simulate, inspect, recover, label, validate, score, demo),
+    "On this machine": (simulate, inspect, recover, label, export, validate, score, demo),
     "With a server": (serve, login, upload, process, watch, status, download),
 }
 for panel, commands in COMMANDS.items():

@@ -56,3 +56,35 @@ class MapTooLargeError(StoneError):
             f"the map spans {width_m:.0f} × {height_m:.0f} m, the limit is {limit_m:.0f} m a side; "
             "did a pose of the recording jump?"
         )
+
+
+class NotAnExportError(StoneError):
+    """The folder that is to take a sequence in is not an export it can join."""
+
+    code = "not_an_export"
+
+    def __init__(self, out: Path, reason: str) -> None:
+        super().__init__(f"{out} cannot take this export in: {reason}; choose another --output, or remove the folder")
+
+
+class ExportClashError(StoneError):
+    """Two sequences of one export would have the same file."""
+
+    code = "export_clash"
+
+    def __init__(self, path: str, sequence: str) -> None:
+        super().__init__(
+            f"{path[:200]} of sequence {sequence} is another sequence's file in this export already; "
+            "was one recording labelled under two names?"
+        )
+
+
+class MeshTooLargeError(StoneError):
+    """A binary glTF says its length in 32 bits."""
+
+    code = "mesh_too_large"
+
+    def __init__(self, size_bytes: int, limit_bytes: int) -> None:
+        super().__init__(
+            f"the mesh takes {size_bytes} bytes as binary glTF, the format ends at {limit_bytes}; use the PLY"
+        )

@@ -1,0 +1,160 @@
+"""An export as a folder on this machine: it appears whole, is not written again when nothing changed, and takes further
+sequences in.
+
+**Conventions.** `export.json` says the format and of each sequence the recipe; `checksums/<sequence>.sha256` lists its
+files (`sha256sum --check` reads it). Files of sequences that stay are hard-linked into the new folder, never rewritten;
+what all sequences share (tables, class names) is written anew from theirs, in the order of names.
+"""
+
+import json
+import os
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from hashlib import file_digest
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from services.labeler.exports.errors import ExportClashError, NotAnExportError
+from services.labeler.exports.joining import join, rearrange
+from services.labeler.exports.registry import exporter_of
+from services.labeler.exports.source import LabelledSequence
+from services.labeler.run import Step
+from services.runtime.atomic import atomic_directory
+from services.runtime.recipes import recipe_of
+
+MANIFEST, CHECKSUMS, FRESH = "export.json", "checksums", ".fresh"
+# What of a report decides an export's bytes; seconds and memory do not.
+DECIDING = ("sequence", "inputs", "parameters", "code_version", "frames", "class_share_of_occupied", "reference", "map")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One sequence of an export; `number` is its place where a format counts sequences."""
+
+    recipe: str
+    frames: int
+    number: int
+
+
+@dataclass(frozen=True)
+class ExportOutcome:
+    """`status` is written, added (beside other sequences), replaced or unchanged."""
+
+    format: str
+    sequence: str
+    status: str
+    frames: int
+    sequences: tuple[str, ...]
+    files: int = 0
+    size_bytes: int = 0
+
+
+@dataclass(frozen=True)
+class ExportRequest:
+    """The format's name, the folder, and the report of the labels."""
+
+    format: str
+    out: Path
+    report: Mapping[str, Any]
+
+
+def export(request: ExportRequest, open_source: Callable[[], LabelledSequence], step: Step) -> ExportOutcome:
+    """Export a sequence into the folder, where further sequences may be already; opens it only when it must.
+
+    Raises `UnknownFormatError`, `NotAnExportError`, `ExportClashError`, `OutputExistsError`, and what opening and
+    exporting raise.
+    """
+    exporter = exporter_of(request.format)
+    known, name = read_manifest(request.out, request.format), str(request.report["sequence"])
+    recipe = recipe_of({"format": request.format} | {key: request.report.get(key) for key in DECIDING})
+    if name in known and known[name].recipe == recipe:
+        return ExportOutcome(request.format, name, "unchanged", known[name].frames, tuple(sorted(known)))
+    entry = Entry(recipe, int(request.report["frames"]), _number(known, name))
+    entries = {**known, name: entry}
+    with atomic_directory(request.out, replaces=MANIFEST) as staging:
+        fresh = staging / FRESH
+        fresh.mkdir()
+        exporter(open_source(), fresh, step)
+        rearrange(request.format, fresh, name, entry.number)
+        for other in sorted(set(known) - {name}):
+            _link_kept(request.out, staging, other)
+        files, size_bytes = _move_in(fresh, staging, name)
+        fresh.rmdir()
+        join(request.format, staging, {one: entries[one].number for one in sorted(entries)})
+        (staging / MANIFEST).write_text(_manifest(request.format, entries), "utf-8")
+    status = "replaced" if name in known else "added" if known else "written"
+    return ExportOutcome(request.format, name, status, entry.frames, tuple(sorted(entries)), files, size_bytes)
+
+
+def read_manifest(out: Path, format_name: str) -> dict[str, Entry]:
+    """The sequences in a folder by name; none where there is no export yet. Raises `NotAnExportError`."""
+    path = out / MANIFEST
+    if not path.exists():
+        return {}
+    try:
+        content = json.loads(path.read_text("utf-8"))
+        entries = {str(name): Entry(**entry) for name, entry in content["sequences"].items()}
+        found = str(content["format"])
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise NotAnExportError(out, f"{MANIFEST} cannot be read ({error})"[:200]) from error
+    if found != format_name:
+        raise NotAnExportError(out, f"it holds an export in format {found}, not {format_name}")
+    return entries
+
+
+def _number(known: Mapping[str, Entry], name: str) -> int:
+    """The sequence's own, or the smallest that is free."""
+    if name in known:
+        return known[name].number
+    taken = {entry.number for entry in known.values()}
+    return next(number for number in range(len(taken) + 1) if number not in taken)
+
+
+def _manifest(format_name: str, entries: Mapping[str, Entry]) -> str:
+    sequences = {name: asdict(entries[name]) for name in sorted(entries)}
+    return json.dumps({"format": format_name, "sequences": sequences}, indent=1) + "\n"
+
+
+def _move_in(fresh: Path, staging: Path, name: str) -> tuple[int, int]:
+    """Move the new files to their places and write their checksums; how many, and how large."""
+    lines, size_bytes = [], 0
+    for path in sorted(path for path in fresh.rglob("*") if path.is_file()):
+        relative = path.relative_to(fresh)
+        if (staging / relative).exists():
+            raise ExportClashError(relative.as_posix(), name)
+        (staging / relative).parent.mkdir(parents=True, exist_ok=True)
+        with path.open("rb") as file:
+            lines.append(f"{file_digest(file, 'sha256').hexdigest()}  {relative.as_posix()}\n")
+        size_bytes += path.stat().st_size
+        path.rename(staging / relative)
+    for folder in sorted((path for path in fresh.rglob("*")), reverse=True):
+        folder.rmdir()
+    (staging / CHECKSUMS).mkdir(exist_ok=True)
+    (staging / CHECKSUMS / f"{name}.sha256").write_text("".join(lines), "utf-8")
+    return len(lines), size_bytes
+
+
+def _link_kept(out: Path, staging: Path, name: str) -> None:
+    """Give a sequence that stays its files in the new folder, without copying where the filesystem can."""
+    listing = f"{CHECKSUMS}/{name}.sha256"
+    try:
+        files = [line[66:] for line in (out / listing).read_text("utf-8").splitlines()]
+    except (OSError, ValueError) as error:
+        raise NotAnExportError(out, f"{listing} cannot be read ({error})"[:200]) from error
+    for relative in (*files, listing):
+        if PurePosixPath(relative).is_absolute() or ".." in PurePosixPath(relative).parts:
+            raise NotAnExportError(out, f"{listing} names {relative[:80]!r}")
+        if not (out / relative).is_file():
+            raise NotAnExportError(out, f"{relative[:120]} of sequence {name} is gone")
+        (staging / relative).parent.mkdir(parents=True, exist_ok=True)
+        _link(out / relative, staging / relative)
+
+
+def _link(old: Path, new: Path) -> None:
+    try:
+        os.link(old, new, follow_symlinks=False)
+    except FileExistsError:
+        raise
+    except OSError:  # a filesystem without hard links
+        shutil.copy2(old, new)

@@ -1,0 +1,146 @@
+"""Voxels as SemanticKITTI keeps them for scene completion, so that its readers open them.
+
+    dataset/sequences/<NN>/  voxels/<i>.{bin,label,invalid,occluded}  velodyne/<i>.bin  calib.txt  poses.txt  times.txt
+
+**Conventions.** 256 × 256 × 32 voxels, x slowest and z fastest, as theirs; but the grid lies all around the robot,
+[−25.6, 25.6) m forward, where theirs begins at the sensor. Scans are in the ego frame (theirs: Velodyne), so that scan
+and voxels share one frame; remission is the intensity as recorded. `bin`: a return of this sweep lies there; `label`:
+the class, uint16; `invalid`: no sweep of the run observed it; `occluded`: hidden from this frame's LiDAR behind
+labelled voxels. Bits are packed eight to a byte, the first in the highest. Poses are cam0's, relative to the first
+frame; cam0 is the ego frame with KITTI's camera axes (`Tr`). Source: semantic-kitti-api (auxiliary/SSCDataset.py,
+generate_sequential.py, auxiliary/shaders/draw_voxels.vert).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.labeler.exports.source import LabelledSequence
+from services.labeler.picture import CLASS_NAME, CLASS_RGB
+from services.labeler.run import Step
+from stone.calibration import CameraIntrinsics
+from stone.grid import GRID_MIN_M, GRID_SHAPE
+from stone.samples import LidarSample
+from stone.se3 import SE3, Array, wxyz_from_rotation
+from stone.sequence import Sequence
+from stone.visibility import SightLines, mark_visible, sight_lines
+from stone.voxels import VOXEL_M
+
+SEQUENCES = Path("dataset") / "sequences"
+CONFIG = "semantic-kitti-stone.yaml"
+# x right is −y, y down is −z, z forward is x.
+CAM0_FROM_EGO = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+# A quarter of all directions: six of these around a LiDAR see all that it can.
+QUARTER = CameraIntrinsics("pinhole", 256, 256, 128.0, 128.0, 128.0, 128.0)
+FACES = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
+
+
+@dataclass(frozen=True, eq=False)
+class _Out:
+    """The folder of one sequence, and what its LiDAR can see."""
+
+    folder: Path
+    around: tuple[SightLines, ...]
+    ego_from_lidar: SE3
+
+
+def write_kitti(source: LabelledSequence, out: Path, step: Step) -> None:
+    """Write the sequence as number 00 into the empty folder `out`.
+
+    Raises what reading samples raises (BAG-*, MSG-*), `DamagedLabelsError`.
+    """
+    sequence, folder = source.sequence, out / SEQUENCES / "00"
+    for name in ("voxels", "velodyne"):
+        (folder / name).mkdir(parents=True)
+    ego_from_lidar = sequence.calibration.ego_from_lidar
+    to = _Out(folder, _all_around(ego_from_lidar), ego_from_lidar)
+    for index in range(len(sequence.frames)):
+        _write_frame(source, index, to)
+        step(index + 1, len(sequence.frames))
+    _write_track(folder, sequence)
+    write_config(out, {sequence.name: 0})
+
+
+def write_config(folder: Path, numbers: Mapping[str, int]) -> None:
+    """What semantic-kitti-api reads of classes and sequences (name → number); all are for training."""
+    names = {0: "free", **{kind: name.replace(" ", "-") for kind, name in CLASS_NAME.items()}}
+    colours = {0: (0, 0, 0), **CLASS_RGB}
+    listed = sorted(numbers.items(), key=lambda pair: pair[1])
+    lines = [
+        "# Voxel classes of the STONE platform, for semantic-kitti-api",
+        "name: stone",
+        "labels:", *(f"  {kind}: {name}" for kind, name in names.items()),
+        "color_map: # bgr", *(f"  {kind}: [{b}, {g}, {r}]" for kind, (r, g, b) in colours.items()),
+        "learning_map:", *(f"  {kind}: {kind}" for kind in names),
+        "learning_map_inv:", *(f"  {kind}: {kind}" for kind in names),
+        "learning_ignore:", *(f"  {kind}: {'true' if kind == 0 else 'false'}" for kind in names),
+        "split:", f"  train: [{', '.join(str(number) for _, number in listed)}]", "  valid: []", "  test: []",
+        "sequences:", *(f"  {number}: {name!r}" for name, number in listed),
+    ]  # fmt: skip
+    (folder / CONFIG).write_text("\n".join(lines) + "\n", "utf-8")
+
+
+def packed(grid: NDArray[np.uint8] | NDArray[np.bool_]) -> bytes:
+    """Eight voxels a byte, the first in the highest bit."""
+    return np.packbits(grid.reshape(-1) != 0, bitorder="big").tobytes()
+
+
+def _write_frame(source: LabelledSequence, index: int, to: _Out) -> None:
+    grids, name = source.grids(index), f"{index:06d}"
+    scan = _in_ego(source.samples.lidar(index), to.ego_from_lidar)
+    visible = np.zeros(GRID_SHAPE, np.uint8)
+    for lines in to.around:
+        mark_visible(grids["semantics"], lines, visible)
+    contents = {
+        "bin": packed(_occupied(scan[:, :3])),
+        "label": grids["semantics"].astype("<u2").tobytes(),
+        "invalid": packed(grids["mask_lidar"] == 0),
+        "occluded": packed(visible == 0),
+    }
+    for suffix, content in contents.items():
+        (to.folder / "voxels" / f"{name}.{suffix}").write_bytes(content)
+    (to.folder / "velodyne" / f"{name}.bin").write_bytes(scan.astype("<f4").tobytes())
+
+
+def _in_ego(sample: LidarSample, ego_from_lidar: SE3) -> NDArray[np.float64]:
+    """(N, 4): x y z in the ego frame, remission."""
+    return np.column_stack([ego_from_lidar @ sample.points_lidar.astype(np.float64), sample.intensity])
+
+
+def _occupied(points_ego: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """The voxels of the grid in which there is a point."""
+    indices = np.floor((points_ego - np.array(GRID_MIN_M)) / VOXEL_M).astype(np.int64)
+    inside = ((indices >= 0) & (indices < np.array(GRID_SHAPE))).all(axis=1)
+    grid = np.zeros(GRID_SHAPE, np.bool_)
+    grid[tuple(indices[inside].T)] = True
+    return grid
+
+
+def _all_around(ego_from_lidar: SE3) -> tuple[SightLines, ...]:
+    """Six pinholes at the LiDAR, each a face of a cube."""
+    lines = []
+    for face in FACES:
+        forward = np.array(face, np.float64)
+        right = np.roll(forward, 1)
+        rotation = np.stack([right, np.cross(forward, right), forward], axis=1)
+        lines.append(sight_lines(QUARTER, SE3.from_parts(wxyz_from_rotation(rotation), ego_from_lidar.translation_m)))
+    return tuple(lines)
+
+
+def _write_track(folder: Path, sequence: Sequence) -> None:
+    frames = sequence.frames
+    cam0 = SE3.from_matrix(CAM0_FROM_EGO)
+    poses = (cam0 @ (frames.map_from_ego[0].inverse() @ frames.map_from_ego) @ cam0.inverse()).as_matrix()
+    seconds = (frames.stamps_ns - frames.stamps_ns[0]) * 1e-9
+    (folder / "poses.txt").write_text("".join(_line(pose[:3]) for pose in poses), "utf-8")
+    (folder / "times.txt").write_text("".join(f"{second:.9e}\n" for second in seconds), "utf-8")
+    projection = _line(np.eye(4)[:3])
+    named = [*((f"P{camera}", projection) for camera in range(4)), ("Tr", _line(CAM0_FROM_EGO[:3]))]
+    (folder / "calib.txt").write_text("".join(f"{name}: {line}" for name, line in named), "utf-8")
+
+
+def _line(rows: Array) -> str:
+    return " ".join(f"{value:.12e}" for value in rows.reshape(-1)) + "\n"
