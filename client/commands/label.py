@@ -1,5 +1,7 @@
 """`stone label`: from a recording and a calibration to 3D traversability labels."""
 
+from dataclasses import replace
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -24,6 +26,20 @@ from stone.findings import Finding
 OutputOption = Annotated[
     Path, typer.Option("-o", "--output", metavar="DIR", help="New or empty, or an earlier label set to replace.")
 ]
+ConfidenceOption = Annotated[
+    bool, typer.Option("--confidence", help="Add how far each voxel is from driven ground (array distance_squared).")
+]
+
+
+class Refine(StrEnum):
+    """How poses are refined before anything is labelled."""
+
+    SMALL_GICP = "small_gicp"
+
+
+RefineOption = Annotated[
+    Refine | None, typer.Option(help="Align each sweep with the map of those before it; what that did is reported.")
+]
 
 
 def label(
@@ -36,12 +52,14 @@ def label(
     topics: TopicsOption = None,
     topic: TopicOption = [],  # noqa: B006
     workers: WorkersOption = None,
+    refine: RefineOption = None,
+    confidence: ConfidenceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Label every frame of a recording: free, traversable, potentially traversable or not, in 0.2 m voxels."""
     from services.ingest.opening import open_sequence
     from services.ingest.pipeline import SynchroniseOptions
-    from services.labeler.parameters import parameters_for
+    from services.labeler.parameters import RefinementParameters, parameters_for
     from services.labeler.pipeline import LabelOptions
     from services.labeler.pipeline import label as label_sequence
 
@@ -50,7 +68,9 @@ def label(
         sources = SynchroniseOptions(odometry, lidar, topics=chosen, progress=progress)
         sequence, sweeps = open_sequence(bag, calibration, bag.stem, sources)
         source = {"recording": str(bag.resolve()), "calibration": str(calibration.resolve())}
-        options = LabelOptions(parameters_for(profile.value), workers or cores(), source)
+        refinement = RefinementParameters(refine.value) if refine else None
+        parameters = replace(parameters_for(profile.value), confidence=confidence, refinement=refinement)
+        options = LabelOptions(parameters, workers or cores(), source)
         record = label_sequence(sequence, sweeps, output, options, progress).as_record()
     if as_json:
         echo_json(record)

@@ -4,7 +4,7 @@
 and a voxel that a hundred frames see is still one place.
 """
 
-from collections.abc import Sequence
+from collections.abc import Sequence as Listing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,10 +16,38 @@ from services.labeler.parameters import LabelParameters, other_profile, other_pr
 from services.labeler.run import Run
 from services.labeler.scratch import Arrays, load, save
 from services.labeler.surface import TileSummary
+from stone.sequence import Sequence
 from stone.terrain import with_elevation
 from stone.traversability import NON_TRAVERSABLE, TRAVERSABLE, Reference, classify, reference_of, total_of
 
 CLASSES = ("traversable", "potentially_traversable", "non_traversable")
+
+
+# Outside this many standard deviations of the driven elevation, profile `paper` calls any ground N (√χ²(3, 0.95)).
+RELIEF_SIGMAS = 2.8
+NARROW_BAND_M = 3.2  # half the height of a label grid
+
+
+@dataclass(frozen=True)
+class Relief:
+    """Profile `paper` measures elevation against where the robot drove: ground farther than about `paper_band_m` above
+    or below its mean is N whatever its shape. That is no matter while the band `is_spanned`."""
+
+    track_span_m: float
+    paper_band_m: float
+    is_spanned: bool
+
+
+def relief_of(sequence: Sequence, paper_reference: Reference) -> Relief:
+    """What elevations the track met, and what the reference of profile `paper` makes of them."""
+    z = sequence.frames.map_from_ego.translation_m[:, 2]
+    band_m = RELIEF_SIGMAS * float(np.sqrt(paper_reference.covariance[0, 0]))
+    return Relief(round(float(np.ptp(z)), 3), round(band_m, 3), band_m > NARROW_BAND_M)
+
+
+def other_reference(parameters: LabelParameters, tiles: Listing[TileSummary]) -> Reference:
+    """What the profile that was not asked for holds driven ground to be; at least one tile."""
+    return reference_of(total_of([tile.other_sums for tile in tiles]), other_profile(parameters).reference)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,15 +73,15 @@ class Comparison:
 class Tally:
     """Counts tile after tile."""
 
-    def __init__(self, run: Run, tiles: Sequence[TileSummary]) -> None:
-        self._parameters = other_profile(run.parameters).reference
-        self._reference: Reference = reference_of(total_of([tile.other_sums for tile in tiles]), self._parameters)
+    def __init__(self, run: Run, tiles: Listing[TileSummary]) -> None:
+        self._alpha = run.parameters.reference.alpha
+        self._reference = other_reference(run.parameters, tiles)
         self.comparison = Comparison(np.zeros((3, 3), np.int64))
 
     def add(self, arrays: Arrays, classes: NDArray[np.uint8]) -> None:
         """One tile as the surface stage left it, and the classes (K,) of its voxels in the run's own profile."""
         features = with_elevation(arrays["features"], arrays["other_height_m"])  # type: ignore[arg-type]
-        others = classify(features, arrays["is_driven"], self._reference, self._parameters.alpha)  # type: ignore[arg-type]
+        others = classify(features, arrays["is_driven"], self._reference, self._alpha)  # type: ignore[arg-type]
         bins = np.arange(TRAVERSABLE, NON_TRAVERSABLE + 2) - 0.5
         pairs, _, _ = np.histogram2d(classes, others, (bins, bins))
         self.comparison = Comparison(self.comparison.counts + pairs.astype(np.int64))

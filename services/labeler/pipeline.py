@@ -1,9 +1,10 @@
 """From a synchronised sequence to its labels: the page to read first.
 
-fuse → surface → reference → frames → pictures. Each stage is one function of a `Run` and a part of the work; each
-leaves its result in scratch for the next, so the same stages run here on a few processes or as queue tasks. Parts are
-fused in the order of recording, and a tile is reconstructed as soon as the last part that can reach it is fused
-(`services/labeler/plan.py`); the reference waits for all tiles, and the frames for the reference.
+fuse → surface → reference → frames → pictures, before them poses are refined where that is asked for. Each stage is
+one function of a `Run` and a part of the work; each leaves its result in scratch for the next, so the same stages run
+here on a few processes or as queue tasks. Parts are fused in the order of recording, and a tile is reconstructed as
+soon as the last part that can reach it is fused (`services/labeler/plan.py`); the reference waits for all tiles, and
+the frames for the reference.
 
 **Conventions.** The output folder appears whole or not at all. Its contents (design §4):
 `gts/<sequence>/<frame_token>/labels.npz`, `frames.parquet`, `mesh.ply`, `bev.png`, `report.json`, and `sequence.npz`,
@@ -27,6 +28,7 @@ from services.labeler.fuse import fuse
 from services.labeler.map_files import write_map
 from services.labeler.parameters import LabelParameters
 from services.labeler.plan import Plan, plan_of, surface_where_reached
+from services.labeler.refining import refined
 from services.labeler.report import LabelReport, reference_from, report_of
 from services.labeler.run import Run
 from services.labeler.surface import TileSummary
@@ -70,8 +72,12 @@ def label(
     if len(sequence.frames) == 0:
         raise NoFramesError(sequence)
     with atomic_directory(directory, replaces=REPORT) as staging, Workers(options.workers) as workers:
+        stages, refinement = _Stages(workers, progress, Meter()), None
+        if options.parameters.refinement is not None:
+            (found,) = stages.run("refine poses", refined, [(sequence, sweeps, options.parameters)])
+            sequence, refinement = found[0], found[1].as_record()
         run = Run(sequence, sweeps, options.parameters, staging / ".scratch")
-        report = _labelled(run, staging, _Stages(workers, progress, Meter()))
+        report = replace(_labelled(run, staging, stages), refinement=refinement)
         shutil.rmtree(run.scratch)
         if options.source:
             (staging / SOURCE).write_text(json.dumps(dict(options.source)) + "\n")
@@ -115,7 +121,7 @@ def _labelled(run: Run, out: Path, stages: _Stages) -> LabelReport:
     reference = reference_from(tiles, run.parameters)
     counts = stages.run("frames", frames, [(run, part, reference, labels_root) for part in plan.parts])
     stages.run("pictures", write_map, [(run, tiles, reference, out)])
-    report = report_of(run.sequence, run.parameters, tiles, counts)
+    report = report_of(run, tiles, counts)
     write_frames(out / "frames.parquet", run.sequence, report.counts)
     (out / SEQUENCE_FILE).write_bytes(sequence_bytes(run.sequence))
     return replace(report, costs=stages.meter.as_record())

@@ -19,6 +19,7 @@ from services.labeler.results import PackIndex, load_pack, load_summaries, pack_
 from services.labeler.run import parts_of
 from services.labeler.scratch import whole
 from services.labeler.tables import write_frames
+from services.labeler.totals import Totals, totals_of
 from services.runtime.blobs import PreparedBlob, link, prepare
 from services.runtime.jobs.specs import Outcome
 from services.runtime.orm import Artefact, Job, LabelledFrame, LabelSet, new_id
@@ -62,13 +63,13 @@ def publish(desk: Desk) -> Outcome:
     desk.attempt.progress("publish", len(files), len(files))
     frames = len(desk.run.sequence.frames)
     desk.attempt.log("stored", files=len(files), size_bytes=sum(blob.size_bytes for _, blob in prepared))
-    return Outcome({"frames": frames}, commit=partial(_write_rows, desk, prepared))
+    return Outcome({"frames": frames}, commit=partial(_write_rows, desk, prepared, totals_of(desk.run)))
 
 
 def _files(desk: Desk) -> list[_File]:
     run, parts = desk.run, parts_of(desk.run)
     packs = [load_pack(run, part) for part in parts]
-    report = report_of(run.sequence, run.parameters, load_summaries(run), [counts for _, counts in packs])
+    report = report_of(run, load_summaries(run), [counts for _, counts in packs])
     out = run.scratch / "published"
     with whole(out / REPORT) as staging:
         staging.write_text(report.text())
@@ -96,7 +97,7 @@ def _named(name: str, path: Path) -> _File:
     return _File(name, MEDIA_TYPES.get(path.suffix, "application/octet-stream"), path)
 
 
-def _write_rows(desk: Desk, prepared: list[tuple[_File, PreparedBlob]], session: Session) -> None:
+def _write_rows(desk: Desk, prepared: list[tuple[_File, PreparedBlob]], totals: Totals, session: Session) -> None:
     """Raises `JobCancelledError` when the sequence was deleted: the transaction is undone by it."""
     sequence = standing_sequence(session, desk.attempt)
     run = session.get_one(Job, desk.attempt.root_id)
@@ -104,13 +105,13 @@ def _write_rows(desk: Desk, prepared: list[tuple[_File, PreparedBlob]], session:
     standing = select(LabelSet.id).where(LabelSet.sequence_id == sequence.id, LabelSet.recipe == recipe)
     label_set_id = session.scalar(standing)
     if label_set_id is None:
-        label_set_id = _write_label_set(desk, session, recipe)
+        label_set_id = _write_label_set(desk, session, recipe, totals)
         for file, blob in sorted(prepared, key=lambda pair: pair[1].sha256):  # the order in which all link
             _write_artefact(desk, session, label_set_id, (file, blob))
     run.result = {"label_set_id": label_set_id, "frames": len(desk.run.sequence.frames), "recipe": recipe}
 
 
-def _write_label_set(desk: Desk, session: Session, recipe: str) -> str:
+def _write_label_set(desk: Desk, session: Session, recipe: str, totals: Totals) -> str:
     row = LabelSet(
         id=new_id(),
         sequence_id=desk.attempt.sequence_id or "",
@@ -119,6 +120,7 @@ def _write_label_set(desk: Desk, session: Session, recipe: str) -> str:
         parameters=asdict(desk.run.parameters),
         code_version=CODE_VERSION,
         frames=len(desk.run.sequence.frames),
+        **totals,
     )
     session.add(row)
     session.flush()

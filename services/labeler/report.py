@@ -1,6 +1,9 @@
 """`report.json`: from what, how and how well a label set was made.
 
-**Conventions.** What was measured while it was made (seconds, memory) is apart, in `costs`: without them equal inputs
+**Conventions.** `class_share_of_occupied` is over all occupied voxels of all frames; `profiles` over the voxels of the
+map, each once: the classes in the profile that was asked for and in the other, the share that would change, and whether
+the track spans the relief that profile `paper` needs it to. `refinement` is null where poses were taken as they came.
+What was measured while it was made (seconds, memory) is apart, in `costs`: without them equal inputs
 give equal bytes.
 """
 
@@ -10,10 +13,10 @@ from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from typing import Any
 
-import numpy as np
-
+from services.labeler.comparison import Relief, load_comparison, other_reference, relief_of
 from services.labeler.frames import FrameCounts
 from services.labeler.parameters import LabelParameters
+from services.labeler.run import Run
 from services.labeler.surface import TileSummary
 from services.labeler.tables import concatenated
 from stone.findings import Finding
@@ -21,9 +24,6 @@ from stone.sequence import Sequence
 from stone.traversability import FEW_VOXELS, NoReferenceError, Reference, reference_of, total_of
 
 CLASS_NAMES = ("free", "traversable", "potentially_traversable", "non_traversable")
-# Outside this many standard deviations of the driven elevation, profile `paper` calls any ground N (√χ²(3, 0.95)).
-RELIEF_SIGMAS = 2.8
-NARROW_RELIEF_RATIO = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +37,8 @@ class LabelReport:
     tiles: tuple[TileSummary, ...]
     counts: FrameCounts
     findings: tuple[Finding, ...]
+    profiles: Mapping[str, Any]
+    refinement: Mapping[str, Any] | None = None
     costs: Mapping[str, Any] = field(default_factory=dict)
 
     def as_record(self) -> dict[str, Any]:
@@ -51,6 +53,8 @@ class LabelReport:
             "inputs": dict(sequence.inputs),
             "parameters": asdict(self.parameters),
             "class_share_of_occupied": self.class_shares(),
+            "profiles": dict(self.profiles),
+            "refinement": self.refinement,
             "observed_ratio": self._observed_ratio(),
             "reference": {
                 "features": ["elevation_m", "slope_rad", "roughness_log_m2"],
@@ -84,13 +88,16 @@ class LabelReport:
         return {"lidar": round(float(lidar), 6), "camera": round(float(camera), 6)}
 
 
-def report_of(
-    sequence: Sequence, parameters: LabelParameters, tiles: list[TileSummary], parts: list[FrameCounts]
-) -> LabelReport:
-    """The report of a run whose tiles and parts, in their order, were summed up so."""
+def report_of(run: Run, tiles: list[TileSummary], parts: list[FrameCounts]) -> LabelReport:
+    """The report of a run whose tiles and parts, in their order, were summed up so, and whose map was written."""
+    sequence, parameters = run.sequence, run.parameters
     reference, counts = reference_from(tiles, parameters), concatenated(parts)
-    findings = (*sequence.findings, *label_findings(sequence, parameters, reference, counts))
-    return LabelReport(sequence, parameters, version("stone-platform"), reference, tuple(tiles), counts, findings)
+    other = other_reference(parameters, tiles)
+    relief = relief_of(sequence, reference if parameters.profile == "paper" else other)
+    findings = (*sequence.findings, *label_findings(parameters, reference, counts, relief))
+    profiles = load_comparison(run).as_record(parameters) | {"elevation": asdict(relief)}
+    named = (sequence, parameters, version("stone-platform"))
+    return LabelReport(*named, reference, tuple(tiles), counts, findings, profiles)
 
 
 def reference_from(tiles: list[TileSummary], parameters: LabelParameters) -> Reference:
@@ -101,42 +108,25 @@ def reference_from(tiles: list[TileSummary], parameters: LabelParameters) -> Ref
 
 
 def label_findings(
-    sequence: Sequence, parameters: LabelParameters, reference: Reference, counts: FrameCounts
+    parameters: LabelParameters, reference: Reference, counts: FrameCounts, relief: Relief
 ) -> tuple[Finding, ...]:
     """What a person should know before trusting these labels."""
     found = []
     if reference.voxels < FEW_VOXELS:
-        found.append(
-            Finding(
-                "LAB-601",
-                "warning",
-                "",
-                f"the track covers {reference.voxels} surface voxels; below {FEW_VOXELS} the reference is a guess: "
-                "drive farther, or use profile local",
-            )
+        few = (
+            f"the track covers {reference.voxels} surface voxels; below {FEW_VOXELS} the reference is a guess: "
+            "drive farther, or use profile local"
         )
+        found.append(Finding("LAB-601", "warning", "", few))
     undriven = int((counts.classes[:, 1] == 0).sum())
     if undriven:
-        found.append(
-            Finding("LAB-602", "warning", "", f"{undriven} of {len(counts.classes)} frames hold no driven voxel")
+        none = f"{undriven} of {len(counts.classes)} frames hold no driven voxel"
+        found.append(Finding("LAB-602", "warning", "", none))
+    if parameters.profile == "paper" and not relief.is_spanned:
+        narrow = (
+            f"the track spans {relief.track_span_m:.2f} m of elevation, so ground more than about "
+            f"{relief.paper_band_m:.2f} m above or below its mean is labelled non-traversable whatever its shape: "
+            "profile local does not look at elevation"
         )
-    return (*found, *_relief(sequence, parameters, reference))
-
-
-def _relief(sequence: Sequence, parameters: LabelParameters, reference: Reference) -> tuple[Finding, ...]:
-    """Profile `paper` measures elevation against where the robot drove: say loudly when that was nearly level."""
-    if parameters.profile != "paper":
-        return ()
-    z = sequence.frames.map_from_ego.translation_m[:, 2]
-    band_m = RELIEF_SIGMAS * float(np.sqrt(reference.covariance[0, 0]))
-    if band_m > NARROW_RELIEF_RATIO * 6.4:
-        return ()
-    return (
-        Finding(
-            "LAB-603",
-            "warning",
-            "",
-            f"the track spans {float(np.ptp(z)):.2f} m of elevation, so ground more than about {band_m:.2f} m above or "
-            "below its mean is labelled non-traversable whatever its shape: profile local does not look at elevation",
-        ),
-    )
+        found.append(Finding("LAB-603", "warning", "", narrow))
+    return tuple(found)
