@@ -1,10 +1,14 @@
 """What bodies are made of: ids, instants, plain text, and the two kinds of model."""
 
+from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from typing import Annotated, Any
 
 from fastapi import Path, Query
 from pydantic import BaseModel, ConfigDict, StringConstraints
+from pydantic_core import PydanticCustomError
+
+from stone.errors import StoneError
 
 ID_EXAMPLE = "019aa5b0c1d24f6e8a7b3c5d9e0f1a2b"
 SHA256_EXAMPLE = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
@@ -29,6 +33,18 @@ def instant(moment_ns: int) -> datetime:
 
 def instant_or_none(moment_ns: int | None) -> datetime | None:
     return None if moment_ns is None else instant(moment_ns)
+
+
+def coded(check: Callable[[str], str]) -> Callable[[str], str]:
+    """The check as a validator whose refusal keeps its own code among the errors of the request."""
+
+    def checked(value: str) -> str:
+        try:
+            return check(value)
+        except StoneError as error:
+            raise PydanticCustomError(error.code, "{sentence}", {"sentence": str(error)}) from None  # type: ignore[arg-type]
+
+    return checked
 
 
 class Body(BaseModel):

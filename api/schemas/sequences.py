@@ -5,9 +5,17 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field
 
-from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Body, IdText, Line, example
+from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Body, IdText, Line, coded, example
 from api.schemas.previews import PREVIEW_EXAMPLE, PreviewItem
 from stone.sequence import NAME, SequenceNameError
+from stone.surroundings import (
+    ENVIRONMENTS,
+    ILLUMINATIONS,
+    REGION,
+    checked_environment,
+    checked_illumination,
+    checked_region,
+)
 
 ARTEFACT_EXAMPLE = {
     "name": "mesh.ply",
@@ -19,7 +27,7 @@ SEQUENCE_EXAMPLE: dict[str, Any] = {
     "id": ID_EXAMPLE,
     "owner_id": ID_EXAMPLE,
     "name": "forest-2026-05-03",
-    "environment": "forest",
+    "environment": "mountain",
     "illumination": "day",
     "region": "Gyeonggi",
     "platform": "warthog-1",
@@ -43,17 +51,31 @@ SequenceName = Annotated[
 ]
 
 
+Environment = Annotated[
+    str, AfterValidator(coded(checked_environment)), Field(json_schema_extra={"enum": ["", *ENVIRONMENTS]})
+]
+Illumination = Annotated[
+    str, AfterValidator(coded(checked_illumination)), Field(json_schema_extra={"enum": ["", *ILLUMINATIONS]})
+]
+Region = Annotated[
+    str, AfterValidator(coded(checked_region)), Field(json_schema_extra={"pattern": f"^({REGION.pattern})?$"})
+]
+
+
 class NewSequenceBody(Body):
-    """A sequence to be; its name is unique among its owner's."""
+    """A sequence to be; its name is unique among its owner's. '' means that something is not said.
+
+    Each illumination is day or night, dawn and dusk being day; a region is a plain name of one's own choice.
+    """
 
     model_config = example(
-        name="forest-2026-05-03", environment="forest", illumination="day", region="Gyeonggi", platform="warthog-1"
+        name="forest-2026-05-03", environment="mountain", illumination="day", region="Gyeonggi", platform="warthog-1"
     )
 
     name: SequenceName
-    environment: Line = ""
-    illumination: Line = ""
-    region: Line = ""
+    environment: Environment = ""
+    illumination: Illumination = ""
+    region: Region = ""
     platform: Line = ""
 
 
@@ -63,9 +85,9 @@ class SequenceChangesBody(Body):
     model_config = example(illumination="dusk")
 
     name: SequenceName | None = None
-    environment: Line | None = None
-    illumination: Line | None = None
-    region: Line | None = None
+    environment: Environment | None = None
+    illumination: Illumination | None = None
+    region: Region | None = None
     platform: Line | None = None
 
 

@@ -13,7 +13,7 @@ from tests.api.made import NOBODY, labels, row_of, run, sequence, upload
 from tests.api.serving import Person, client_of, person
 
 URL = "/api/v1/sequences"
-FACTS = {"environment": "forest", "illumination": "day", "region": "Gyeonggi", "platform": "warthog-1"}
+FACTS = {"environment": "mountain", "illumination": "day", "region": "Gyeonggi", "platform": "warthog-1"}
 
 
 def code_of(answer: httpx.Response) -> str:
@@ -77,6 +77,35 @@ def test_what_is_no_sequence_is_refused(api: httpx.Client, curator: Person, body
     answer = api.post(URL, json=body, headers=curator.headers)
     assert (answer.status_code, code_of(answer)) == (422, "invalid_request")
     assert api.get(URL, headers=curator.headers).json()["items"] == []
+
+
+@pytest.mark.parametrize(
+    ("said", "code", "allowed"),
+    [
+        ({"environment": "forest"}, "unknown_environment", "farmland, mountain, lake, construction"),
+        ({"illumination": "Day"}, "unknown_illumination", "day, sunny, overcast, dawn, dusk, night, moonlit, floodlit"),
+        ({"region": "Gyeong gi"}, "bad_region", "letters, digits, dots, dashes"),
+    ],
+)
+@pytest.mark.parametrize("method", ["POST", "PATCH"])
+def test_a_word_that_is_not_the_datasets_is_refused_with_those_that_are(
+    api: httpx.Client, curator: Person, forest: Mapping[str, Any], method: str, said: dict[str, str], code: str,
+    allowed: str,
+) -> None:  # fmt: skip
+    path = URL if method == "POST" else f"{URL}/{forest['id']}"
+    headers = {**curator.headers, "If-Match": "*"}
+    answer = api.request(method, path, json={"name": "other", **said}, headers=headers)
+    (error,) = answer.json()["errors"]
+    assert (answer.status_code, error["code"]) == (422, code)
+    assert error["where"] == f"body.{next(iter(said))}"
+    assert allowed in error["expected"]
+
+
+def test_what_was_said_may_be_taken_back(api: httpx.Client, curator: Person, forest: Mapping[str, Any]) -> None:
+    silent = dict.fromkeys(("environment", "illumination", "region"), "")
+    headers = {**curator.headers, "If-Match": "*"}
+    answer = api.patch(f"{URL}/{forest['id']}", json=silent, headers=headers)
+    assert {key: answer.json()[key] for key in silent} == silent
 
 
 @pytest.mark.parametrize(
@@ -176,7 +205,7 @@ def test_lists_are_filtered_and_paged_newest_first(api_on: httpx.Client, platfor
     ada = person(platform_on, "curator")
     names = ["wood-1", "wood-2", "Wood-3", "hill_1", "hill-1"]
     for name in names:
-        sequence(api_on, ada, name, environment="hill" if name[0] == "h" else "wood", region="é")
+        sequence(api_on, ada, name, environment="mountain" if name[0] == "h" else "lake", region="R-1")
 
     def listed(**query: Any) -> list[str]:
         answer = api_on.get(URL, params=query, headers=ada.headers)
@@ -187,9 +216,9 @@ def test_lists_are_filtered_and_paged_newest_first(api_on: httpx.Client, platfor
     assert listed(name="wood") == ["wood-2", "wood-1"], "a prefix is taken to the letter"
     assert listed(name="hill_") == ["hill_1"], "nor is it a pattern"
     assert listed(name="%") == []
-    assert listed(environment="hill") == names[3:][::-1]
-    assert listed(environment="hill", name="hill-") == ["hill-1"]
-    assert listed(region="é", limit=1) == names[-1:]
+    assert listed(environment="mountain") == names[3:][::-1]
+    assert listed(environment="mountain", name="hill-") == ["hill-1"]
+    assert listed(region="R-1", limit=1) == names[-1:]
     seen, cursor = [], None
     while True:
         body = api_on.get(
