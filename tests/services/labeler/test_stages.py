@@ -1,12 +1,16 @@
 """A sequence goes through the queues; what comes out is what the local command makes, byte for byte."""
 
 import hashlib
+import io
 import shutil
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from itertools import pairwise
+from math import dist
 from pathlib import Path
 
+import pyarrow.parquet as pq
 import pytest
 from sqlalchemy import delete, select, update
 
@@ -36,8 +40,7 @@ from tests.services.runs import (
 )
 
 STAGES = {"ingest.synchronise"} | {
-    f"labeler.{stage}"
-    for stage in ("parts", "fuse", "surface", "sight", "reference", "frames", "map", "publish")
+    f"labeler.{stage}" for stage in ("parts", "fuse", "surface", "sight", "reference", "frames", "map", "publish")
 }
 
 
@@ -147,6 +150,18 @@ def test_rows_say_what_was_made_and_where_it_lies(made: tuple[Brought, str]) -> 
     assert [frame.stamp_ns for frame in frames] == sorted(frame.stamp_ns for frame in frames)
     assert sorted(packs) == ["labels/000000.pack", "labels/000060.pack"]
     assert {"synchronised", "fused", "reconstructed", "reference", "labelled", "stored"} <= set(lines)
+
+
+def test_the_row_says_what_the_frame_table_adds_up_to(made: tuple[Brought, str], expected: dict[str, bytes]) -> None:
+    brought, _root_id = made
+    (label_set,) = brought.label_sets()
+    rows = pq.read_table(io.BytesIO(expected["frames.parquet"])).to_pylist()
+    frames = [row for row in rows if row["exclusion_code"] is None]
+    for name in ("free_voxels", "t_voxels", "p_voxels", "n_voxels"):
+        assert getattr(label_set, name) == sum(frame[name] for frame in frames)
+    steps = [dist(*([row[axis] for axis in ("x_m", "y_m", "z_m")] for row in pair)) for pair in pairwise(frames)]
+    assert label_set.distance_m == pytest.approx(sum(steps))
+    assert label_set.duration_ns == pytest.approx(len(frames) * 1e8, rel=1e-3)
 
 
 def test_asking_for_the_same_again_costs_nothing(finished: tuple[Brought, str]) -> None:
