@@ -9,16 +9,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from stone.lattice import EMPTY, Keys, centres_of, check_reach, pack, slot_of
+from stone.calibration import Box
+from stone.lattice import Keys, centres_of, check_reach
+from stone.moments import MOST_FRAMES, MOST_POINTS, QUANTUM_M, add_points, free_rows, move_rows, unpack_rows, workspace
 from stone.se3 import SE3
 
-QUANTUM_M = 2.0**-20
 COUNT, FRAMES, OFFSET, VIEW = 0, 1, slice(2, 5), slice(5, 8)
 LOAD_RATIO = 0.55
 SWEEP_REACH_M = 1000.0
+EVERYWHERE = Box((-math.inf,) * 3, (math.inf,) * 3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,101 +70,74 @@ def merge(maps: Sequence[PointMap]) -> PointMap:
 
 
 class PointMapBuilder:
-    """An incremental voxel hash: `insert` sweep after sweep, then `finish`."""
+    """An incremental voxel hash: `insert` sweep after sweep, then `finish`.
 
-    def __init__(self, voxel_m: float, slots: int = 1 << 18) -> None:
+    The first table is made for a minute of a full rig's map, so that it rarely has to grow; its pages cost nothing
+    until they are used.
+    """
+
+    def __init__(self, voxel_m: float, slots: int = 1 << 19) -> None:
         self._voxel_m = voxel_m
-        self._frame = 0
-        self._used = 0
+        self._rows = free_rows(slots)
+        self._work = workspace()
+        self._used = self._frames = self._points = 0
+        self._full: list[PointMap] = []
         self.points = 0
-        self._allocate(slots)
 
-    def _allocate(self, slots: int) -> None:
-        self._keys = np.full(slots, EMPTY, np.int64)
-        self._moments = np.zeros((slots, 8), np.int64)
-        self._last_frame = np.full(slots, -1, np.int32)
-
-    def insert(self, points_ego: NDArray[np.float32], map_from_ego: SE3, sensor_ego: NDArray[np.float64]) -> None:
-        """Add one sweep (N, 3) seen from `sensor_ego` (3,), its points nearer than `SWEEP_REACH_M`.
+    def insert(
+        self,
+        points_ego: NDArray[np.float32],
+        map_from_ego: SE3,
+        sensor_ego: NDArray[np.float64],
+        reach: Box = EVERYWHERE,
+    ) -> None:
+        """Add one sweep (N, 3) seen from `sensor_ego` (3,): its points in the half-open box `reach` of the ego frame,
+        nearer than `SWEEP_REACH_M`.
 
         Raises `OffLatticeError` for a pose that is not finite or off the lattice.
         """
         sensor_map = map_from_ego @ sensor_ego
         check_reach(np.abs(sensor_map) + SWEEP_REACH_M, self._voxel_m)  # a broken rotation shows in the sensor's place
-        matrix = map_from_ego.as_matrix()
-        done = 0
-        while done < len(points_ego):
-            done, self._used = _insert(
-                points_ego,
-                done,
-                (matrix, sensor_map, self._voxel_m, self._frame),
-                (self._keys, self._moments, self._last_frame),
-                self._used,
-            )
-            if done < len(points_ego):
+        if self._frames >= MOST_FRAMES or self._points + len(points_ego) > MOST_POINTS:
+            self._begin_another()
+        box = np.array([reach.min_m, reach.max_m], np.float64)
+        view = (box, map_from_ego.as_matrix(), sensor_map, self._voxel_m, self._frames)
+        self._add(np.ascontiguousarray(points_ego, np.float32), view)
+        self._frames += 1
+
+    def _add(self, points_ego: NDArray[np.float32], view: tuple[object, ...]) -> None:
+        state = np.array([0, self._used, 0, self._limit()], np.int64)
+        while state[0] < len(points_ego):
+            add_points(points_ego, view, self._rows, state, self._work)
+            if state[0] < len(points_ego):
                 self._grow()
-        self._frame += 1
-        self.points += len(points_ego)
+                state[3] = self._limit()
+        self._used, inside = int(state[1]), int(state[2])
+        self._points += inside
+        self.points += inside
+
+    def _limit(self) -> int:
+        return int(len(self._rows) * LOAD_RATIO)
 
     def _grow(self) -> None:
-        old = (self._keys, self._moments, self._last_frame)
-        self._allocate(2 * len(self._keys))
-        _rehash(old, (self._keys, self._moments, self._last_frame))
+        larger = free_rows(2 * len(self._rows))
+        move_rows(self._rows, larger)
+        self._rows = larger
+
+    def _begin_another(self) -> None:
+        """The table's tallies are nearly full: what it holds is set aside."""
+        self._full.append(self._finished())
+        self._rows = free_rows(len(self._rows))
+        self._used = self._frames = self._points = 0
+
+    def _finished(self) -> PointMap:
+        used = np.flatnonzero(self._rows[:, 0])
+        keys = self._rows[used, 0]
+        order = np.argsort(keys)
+        moments = np.empty((len(used), 8), np.int64)
+        unpack_rows(self._rows, used[order], moments)
+        return PointMap(self._voxel_m, keys[order], moments)
 
     def finish(self) -> PointMap:
         """What was inserted so far, as a frozen value."""
-        used = np.flatnonzero(self._keys != EMPTY)
-        order = used[np.argsort(self._keys[used])]
-        return PointMap(self._voxel_m, self._keys[order], self._moments[order])
-
-
-@njit(cache=True, nogil=True)
-def _insert(points, begin, sweep, table, used):  # type: ignore[no-untyped-def]
-    """Insert from `begin` until all points are in or the table is too full; (points done, slots used)."""
-    pose, sensor, voxel_m, frame = sweep
-    keys, moments, last_frame = table
-    inverse, unit = 1.0 / voxel_m, 1.0 / QUANTUM_M
-    limit = int(keys.size * LOAD_RATIO)
-    last_key, row = np.int64(EMPTY), np.int64(0)
-    for p in range(begin, points.shape[0]):
-        x, y, z = np.float64(points[p, 0]), np.float64(points[p, 1]), np.float64(points[p, 2])
-        mx = pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3]
-        my = pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3]
-        mz = pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3]
-        i, j, k = math.floor(mx * inverse), math.floor(my * inverse), math.floor(mz * inverse)
-        key = pack(i, j, k)
-        if key != last_key:
-            slot = slot_of(keys, key)
-            if keys[slot] == EMPTY:
-                if used >= limit:
-                    return p, used
-                keys[slot] = key
-                used += 1
-            last_key, row = key, slot
-        vx, vy, vz = sensor[0] - mx, sensor[1] - my, sensor[2] - mz
-        scale = unit / math.sqrt(vx * vx + vy * vy + vz * vz + 1e-12)
-        moment = moments[row]
-        moment[0] += 1
-        moment[2] += round((mx - (i + 0.5) * voxel_m) * unit)
-        moment[3] += round((my - (j + 0.5) * voxel_m) * unit)
-        moment[4] += round((mz - (k + 0.5) * voxel_m) * unit)
-        moment[5] += round(vx * scale)
-        moment[6] += round(vy * scale)
-        moment[7] += round(vz * scale)
-        if last_frame[row] != frame:
-            last_frame[row] = frame
-            moment[1] += 1
-    return points.shape[0], used
-
-
-@njit(cache=True, nogil=True)
-def _rehash(old, new):  # type: ignore[no-untyped-def]
-    keys, moments, last_frame = new
-    for row in range(old[0].size):
-        key = old[0][row]
-        if key == EMPTY:
-            continue
-        slot = slot_of(keys, key)
-        keys[slot] = key
-        moments[slot] = old[1][row]
-        last_frame[slot] = old[2][row]
+        return merge([*self._full, self._finished()]) if self._full else self._finished()

@@ -13,6 +13,11 @@ from numpy.typing import NDArray
 from stone.calibration import Box
 from stone.se3 import SE3
 
+# So many points are turned at once; only a block with points near the robot is looked at one by one.
+BLOCK = 64
+# Where a point is near is told by other sums than whether it is inside: allow for the rounding of both.
+SLACK_RATIO = 1e-6
+
 
 @dataclass(frozen=True)
 class SelectionParameters:
@@ -31,7 +36,9 @@ def world_points(
     """The points (M, 3) in the ego frame that are neither nearer than `min_range_m` nor inside a box."""
     boxes = np.array([[box.min_m, box.max_m] for box in boxes_ego], np.float64).reshape(-1, 2, 3)
     points_ego = np.empty((len(points_lidar), 3), np.float32)
-    kept = _select(np.ascontiguousarray(points_lidar), ego_from_lidar.as_matrix(), boxes, min_range_m**2, points_ego)
+    near_m = max(min_range_m, _reach_m(boxes, ego_from_lidar)) * (1.0 + SLACK_RATIO)
+    limits_m2 = (min_range_m**2, near_m**2)
+    kept = _select(np.ascontiguousarray(points_lidar), ego_from_lidar.as_matrix(), boxes, limits_m2, points_ego)
     return points_ego[:kept]
 
 
@@ -41,9 +48,42 @@ def within(points: NDArray[np.float32], box: Box) -> NDArray[np.float32]:
     return inside[: _within(points, np.array([box.min_m, box.max_m]), inside)]
 
 
+def _reach_m(boxes: NDArray[np.float64], ego_from_lidar: SE3) -> float:
+    """How far from the LiDAR the boxes (B, 2, 3) in the ego frame reach; 0 without any."""
+    farthest = np.abs(boxes - ego_from_lidar.translation_m).max(axis=1)
+    return float(np.linalg.norm(farthest, axis=1).max(initial=0.0))
+
+
 @njit(cache=True, nogil=True)
-def _select(points, pose, boxes, min_range_m2, out):  # type: ignore[no-untyped-def]
+def _select(points, pose, boxes, limits, out):  # type: ignore[no-untyped-def]
     kept = 0
+    for begin in range(0, points.shape[0], BLOCK):
+        block = points[begin : begin + BLOCK]
+        if _turn(block, pose, limits[1], out[kept:]):
+            kept = _select_one_by_one(block, pose, boxes, limits[0], out, kept)
+        else:
+            kept += block.shape[0]
+    return kept
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _turn(block, pose, near, out):  # type: ignore[no-untyped-def]
+    """Write all points of the block in the ego frame; how many are nearer than `near` (m²), or not finite."""
+    count = 0
+    m00, m01, m02, m03 = pose[0]  # read once: for all the compiler knows, `out` may be where the pose is
+    m10, m11, m12, m13 = pose[1]
+    m20, m21, m22, m23 = pose[2]
+    for p in range(block.shape[0]):
+        x, y, z = np.float64(block[p, 0]), np.float64(block[p, 1]), np.float64(block[p, 2])
+        out[p, 0] = m00 * x + m01 * y + m02 * z + m03
+        out[p, 1] = m10 * x + m11 * y + m12 * z + m13
+        out[p, 2] = m20 * x + m21 * y + m22 * z + m23
+        count += not x * x + y * y + z * z >= near
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _select_one_by_one(points, pose, boxes, min_range_m2, out, kept):  # type: ignore[no-untyped-def]
     for p in range(points.shape[0]):
         x, y, z = np.float64(points[p, 0]), np.float64(points[p, 1]), np.float64(points[p, 2])
         if not x * x + y * y + z * z >= min_range_m2:

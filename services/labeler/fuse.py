@@ -14,7 +14,7 @@ from stone.dynamic import range_image
 from stone.grid import GRID_MAX_M, GRID_MIN_M
 from stone.observed import BRICK, Carver, Observed
 from stone.pointmap import PointMap, PointMapBuilder
-from stone.selection import within, world_points
+from stone.selection import world_points
 from stone.voxels import VOXEL_M
 
 
@@ -32,7 +32,7 @@ def fuse(run: Run, part: Part, step: Step = silent) -> int:
         points_ego = world_points(
             sweep.points_lidar, calibration.ego_from_lidar, calibration.self_boxes_ego, parameters.selection.min_range_m
         )
-        builder.insert(within(points_ego, reach), pose, run.sensor_ego)
+        builder.insert(points_ego, pose, run.sensor_ego, reach)
         if index % parameters.carve.every_frame == 0:
             carver.carve(points_ego, pose, run.sensor_ego)
         if index % parameters.dynamic.every_frame == 0:

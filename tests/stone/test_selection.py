@@ -35,6 +35,18 @@ def test_without_boxes_the_range_alone_decides():
     assert world_points(points, SE3.identity(), (), 1.0).tolist() == [[2.0, 0, 0]]
 
 
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32), st.integers(0, 5))
+def test_points_beside_far_ones_are_looked_at_as_closely(seed, near_each):
+    """Points far from the robot are turned many at a time; none that is near may pass with them."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(20, 60, (700, 3)).astype(np.float32)
+    for begin in range(0, 700, 100):
+        points[begin + rng.integers(0, 100, near_each)] = rng.uniform(-2, 2, (near_each, 3))
+    one_by_one = [world_points(point[None], EGO_FROM_LIDAR, BOXES, 1.0) for point in points]
+    assert world_points(points, EGO_FROM_LIDAR, BOXES, 1.0).tobytes() == np.concatenate(one_by_one).tobytes()
+
+
 def test_points_that_are_not_numbers_are_not_of_the_world():
     points = np.array([[math.nan, 0, 9], [9, 0, 0]], np.float32)
     assert world_points(points, SE3.identity(), (), 1.0).tolist() == [[9, 0, 0]]
