@@ -1,0 +1,145 @@
+"""Versions of the dataset: published once from the splits under discussion, and never changed.
+
+**Conventions.** Slow things (indexes, digests) are made before the transaction, which then finds the splits unchanged
+or refuses. What a version is made of is held by foreign keys to blobs, test's labels too, which nothing serves.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from sqlalchemy import insert, select
+from sqlalchemy.exc import IntegrityError
+from sqlalchemy.orm import Session
+
+from services.runtime.access.errors import NameTakenError
+from services.runtime.blobs import PreparedBlob, link_all, prepare
+from services.runtime.catalogue import labelled_sequences
+from services.runtime.dataset_errors import BrokenSplitsError, NoSplitsError, SplitsChangedError
+from services.runtime.dataset_files import DatasetFile, files_of, packed, sums_file, sums_of
+from services.runtime.dataset_manifest import OPEN, Members, NewDataset, manifest_bytes
+from services.runtime.orm import Dataset, DatasetMember, DatasetPack, DatasetPart, new_id
+from services.runtime.orm.base import now_ns
+from services.runtime.packs import index_bytes
+from services.runtime.platform import Platform
+from services.runtime.recipes import CODE_VERSION
+from services.runtime.splits import Current, current_splits, errors_of, judged, lock_splits
+from stone.splits import PARTS
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedPart:
+    """A part whose index is stored: the files it lists, the blobs they lie in."""
+
+    files: tuple[DatasetFile, ...]
+    index: PreparedBlob
+    packs: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedDataset:
+    """A version that only wants its rows."""
+
+    asked: NewDataset
+    revision: int
+    created_ns: int
+    members: Members
+    manifest: PreparedBlob
+    parts: Mapping[str, PreparedPart]
+    sums: tuple[PreparedBlob, ...]
+
+
+def prepare_dataset(platform: Platform, asked: NewDataset, folder: Path) -> PreparedDataset:
+    """Everything of a version but its rows; `folder` is where its own files are written.
+
+    Raises `NoSplitsError`, `BrokenSplitsError`, `BadMemberError`, `NameTakenError`, `StoreFullError`.
+    """
+    created_ns = now_ns()
+    with platform.database.reading() as session:
+        if session.scalar(select(Dataset.id).where(Dataset.name == asked.name)) is not None:
+            raise NameTakenError("dataset version", asked.name)
+        current, members = _members(session)
+        files = {part: files_of(session, labelled) for part, labelled in members.items()}
+    sums = {part: sums_of(of_part) for part, of_part in files.items()}
+    listed = {part: (*of_part, sums_file(sums[part])) for part, of_part in files.items()}
+    stored = tuple(_stored(platform, folder / f"{part}.txt", content) for part, content in sums.items())
+    parts = {part: _prepared_part(platform, folder, part, of_part) for part, of_part in listed.items()}
+    manifest = manifest_bytes(asked, created_ns, members, {part: listed[part] for part in OPEN if part in listed})
+    blob = _stored(platform, folder / "manifest.json", manifest)
+    return PreparedDataset(asked, current.revision, created_ns, members, blob, parts, stored)
+
+
+def write_dataset(session: Session, prepared: PreparedDataset) -> Dataset:
+    """The rows of the version. Raises `SplitsChangedError`, `NameTakenError`."""
+    row = lock_splits(session)
+    if row.revision != prepared.revision:
+        raise SplitsChangedError(prepared.revision, row.revision)
+    parts = prepared.parts.items()
+    link_all(session, (prepared.manifest, *prepared.sums, *(part.index for _, part in parts)))
+    dataset = Dataset(
+        id=new_id(),
+        name=prepared.asked.name,
+        licence=prepared.asked.licence,
+        code_version=CODE_VERSION,
+        manifest_sha256=prepared.manifest.sha256,
+        manifest_bytes=prepared.manifest.size_bytes,
+        created_by=prepared.asked.user_id,
+        created_ns=prepared.created_ns,
+    )
+    session.add(dataset)
+    try:
+        session.flush()
+    except IntegrityError:
+        raise NameTakenError("dataset version", dataset.name) from None
+    _write_members(session, dataset.id, prepared.members)
+    for part, made in parts:
+        _write_part(session, dataset.id, part, made)
+    return dataset
+
+
+def _members(session: Session) -> tuple[Current, Members]:
+    """Raises `NoSplitsError`, `BrokenSplitsError`."""
+    current = current_splits(session)
+    if not current.split.filled:
+        raise NoSplitsError()
+    labelled = labelled_sequences(session)
+    if broken := errors_of(judged(current.split, labelled)):
+        raise BrokenSplitsError([finding.message for finding in broken])
+    parts = current.split.parts
+    return current, {part: tuple(one for one in labelled if one.entry.id in parts[part]) for part in PARTS}
+
+
+def _prepared_part(platform: Platform, folder: Path, part: str, files: tuple[DatasetFile, ...]) -> PreparedPart:
+    index, packs = packed(files)
+    return PreparedPart(files, _stored(platform, folder / f"{part}.npz", index_bytes(index)), packs)
+
+
+def _stored(platform: Platform, path: Path, content: bytes) -> PreparedBlob:
+    path.write_bytes(content)
+    return prepare(platform.store, platform.database, path, adopt=True)
+
+
+def _write_members(session: Session, dataset_id: str, members: Members) -> None:
+    for part, labelled in members.items():
+        for one in labelled:
+            entry, labels = one.entry, one.labels
+            row = DatasetMember(dataset_id=dataset_id, sequence_id=entry.id, label_set_id=labels.id, part=part)
+            row.name, row.recipe = entry.name, labels.recipe
+            row.environment, row.illumination, row.region = entry.environment, entry.illumination, entry.region
+            row.frames, row.duration_ns, row.distance_m = entry.frames, labels.duration_ns or 0, entry.distance_m
+            row.t_voxels, row.p_voxels, row.n_voxels = entry.voxels or (None, None, None)
+            session.add(row)
+    session.flush()
+
+
+def _write_part(session: Session, dataset_id: str, part: str, made: PreparedPart) -> None:
+    size_bytes = sum(file.size_bytes for file in made.files)
+    row = DatasetPart(dataset_id=dataset_id, part=part, files=len(made.files), size_bytes=size_bytes)
+    row.index_sha256 = made.index.sha256
+    session.add(row)
+    session.flush()
+    held = [
+        {"dataset_id": dataset_id, "part": part, "ordinal": ordinal, "blob_sha256": blob}
+        for ordinal, blob in enumerate(made.packs)
+    ]
+    session.execute(insert(DatasetPack), held)
