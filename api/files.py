@@ -1,13 +1,15 @@
 """Answering with a file of the store: whole, one range of it, or nothing when the caller has it already.
 
-**Conventions.** The ETag is the sha256 of the whole representation, so it never lies. One range is served (206), one
+**Conventions.** The ETag is the sha256 of the whole representation, so it never lies; `Repr-Digest` (RFC 9530) says it
+too, and `Content-Digest` where the whole is sent. One range is served (206), one
 beyond the end is refused (416), several or malformed ones are answered with the whole, as RFC 9110 §14.2 allows. Bytes
 go from the store to the socket in pieces; the first is read before the status is sent, so a missing object is an error
 and not half an answer. What a user uploaded is never rendered by a browser: `attachment`, `nosniff`, `sandbox`.
 """
 
 import re
-from collections.abc import Iterator
+from base64 import b64encode
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import chain
 from urllib.parse import quote
@@ -43,6 +45,17 @@ class StoredFile:
     offset_bytes: int = 0
 
 
+@dataclass(frozen=True)
+class Served:
+    """Bytes to answer with, of which `read(start, stop)` gives any range in pieces, and how they are called outside."""
+
+    size_bytes: int
+    sha256: str
+    media_type: str
+    filename: str
+    read: Callable[[int, int], Iterator[bytes]]
+
+
 def file_responses(*media_types: str) -> Responses:
     """What the document says of a route that answers with a file."""
     content = {media_type: {"schema": OBJECT if media_type in STRUCTURED else BINARY} for media_type in media_types}
@@ -53,18 +66,31 @@ def file_responses(*media_types: str) -> Responses:
 
 def answer_file(request: Request, store: Store, file: StoredFile) -> Response:
     """The file as 200, 206 or 304. Raises `RangeError` (416), `ObjectMissingError`."""
+    begin = file.offset_bytes
+
+    def read(start: int, stop: int) -> Iterator[bytes]:
+        return store.read(file.object_key, begin + start, begin + stop)
+
+    return answer_bytes(request, Served(file.size_bytes, file.sha256, file.media_type, file.filename, read))
+
+
+def answer_bytes(request: Request, file: Served) -> Response:
+    """The bytes as 200, 206 or 304; to HEAD the same head alone. Raises `RangeError` (416), and what reading raises."""
     headers = _headers(file)
     if is_unchanged(request, file.sha256):
         return Response(status_code=304, headers={key: headers[key] for key in ("ETag", "Cache-Control")})
+    if request.method == "HEAD":  # to which no range applies (RFC 9110 §14.2)
+        return Response(headers={**headers, "Content-Length": str(file.size_bytes)}, media_type=file.media_type)
     start, stop = 0, file.size_bytes
     asked = _range(request, file)
-    if asked is not None:
+    if asked is None:
+        headers["Content-Digest"] = headers["Repr-Digest"]
+    else:
         start, stop = asked
         headers["Content-Range"] = f"bytes {start}-{stop - 1}/{file.size_bytes}"
     headers["Content-Length"] = str(stop - start)
-    pieces = _opened(store.read(file.object_key, file.offset_bytes + start, file.offset_bytes + stop))
     status = 200 if asked is None else 206
-    return StreamingResponse(pieces, status_code=status, headers=headers, media_type=file.media_type)
+    return StreamingResponse(_opened(file.read(start, stop)), status, headers, media_type=file.media_type)
 
 
 def safe_name(name: str) -> str:
@@ -72,11 +98,12 @@ def safe_name(name: str) -> str:
     return UNSAFE.sub("_", name).strip("._")[:150] or "file"
 
 
-def _headers(file: StoredFile) -> dict[str, str]:
+def _headers(file: Served) -> dict[str, str]:
     shown = "inline" if file.media_type in INLINE else "attachment"
     spelled = quote(file.filename[:150], safe="")
     return {
         "ETag": etag(file.sha256),
+        "Repr-Digest": f"sha-256=:{b64encode(bytes.fromhex(file.sha256)).decode()}:",
         "Accept-Ranges": "bytes",
         "Cache-Control": "private, no-cache",
         "Content-Disposition": f"{shown}; filename=\"{safe_name(file.filename)}\"; filename*=UTF-8''{spelled}",
@@ -85,7 +112,7 @@ def _headers(file: StoredFile) -> dict[str, str]:
     }
 
 
-def _range(request: Request, file: StoredFile) -> tuple[int, int] | None:
+def _range(request: Request, file: Served) -> tuple[int, int] | None:
     """The half-open range asked for; None: the whole. Raises `RangeError`."""
     found = ONE_RANGE.fullmatch(request.headers.get("range", "").strip())
     if found is None or found.group() == "bytes=-" or not _is_same(request, file):
@@ -102,7 +129,7 @@ def _range(request: Request, file: StoredFile) -> tuple[int, int] | None:
     return start, stop
 
 
-def _is_same(request: Request, file: StoredFile) -> bool:
+def _is_same(request: Request, file: Served) -> bool:
     """Whether the range is of the file the caller has in mind, if it says which (RFC 9110 §13.1.5: strongly)."""
     return request.headers.get("if-range", etag(file.sha256)) == etag(file.sha256)
 

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from fastapi import Request
 
 PARAMETER = re.compile(r"\\{\w+\\}")
+PATH = r"\{path\}"  # a path within something, slashes and all
 
 
 def allowed(request: Request) -> str:
@@ -18,6 +19,6 @@ def allowed(request: Request) -> str:
 
 def _methods(request: Request) -> Iterator[str]:
     for template, methods in request.app.openapi()["paths"].items():
-        pattern = PARAMETER.sub("[^/]+", re.escape(template))
+        pattern = PARAMETER.sub("[^/]+", re.escape(template).replace(PATH, ".+"))
         if re.fullmatch(pattern, request.url.path):
             yield from (method.upper() for method in methods)

@@ -86,6 +86,18 @@ def page(
     return Rows(rows, None if is_last else _encode(getattr(rows[-1], column.key)))
 
 
+def place_of_page(total: int, query: PageQuery) -> tuple[range, str | None]:
+    """Which of `total` things, whose order never changes, are on the page, and the cursor of the next one.
+
+    Raises `BadCursorError`.
+    """
+    last = -1 if query.cursor is None else int(str(_decode(query.cursor, int)))
+    if last < -1:
+        raise BadCursorError()
+    places = range(min(last + 1, total), min(last + 1 + query.limit, total))
+    return places, _encode(places[-1]) if places and places.stop < total else None
+
+
 def _encode(value: object) -> str:
     return urlsafe_b64encode(json.dumps(value).encode()).decode().rstrip("=")
 

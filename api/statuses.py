@@ -10,7 +10,7 @@ from api import errors as api
 from api import file_errors as files
 from api import tus_errors as tus
 from services.ingest import profile_errors as profiles
-from services.runtime import bag_files, quota, recordings, store_keys
+from services.runtime import bag_files, exported, exports, quota, recordings, store_keys
 from services.runtime import label_choices as choices
 from services.runtime import processing_errors as processing
 from services.runtime.access import errors as access
@@ -42,6 +42,9 @@ STATUS_OF: dict[type[StoneError], int] = {
     access.WeakPasswordError: 422,
     bag_files.BadBagFilesError: 422,
     choices.ChoiceError: 422,
+    exported.ExportUnfinishedError: 409,
+    exports.NothingToExportError: 409,
+    exports.UnknownExportFormatError: 422,
     files.CalibrationRefusedError: 422,
     files.RangeError: 416,
     jobs.JobStateError: 409,

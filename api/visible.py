@@ -11,7 +11,8 @@ from sqlalchemy.orm import InstrumentedAttribute, Session, aliased
 
 from api.deps import Caller
 from api.errors import NotFoundError
-from services.runtime.orm import Calibration, Job, LabelledFrame, LabelSet, Recording, Sequence
+from services.runtime.exports import counting_labels
+from services.runtime.orm import Calibration, Export, Job, LabelledFrame, LabelSet, Recording, Sequence
 
 Row = TypeVar("Row")
 
@@ -47,6 +48,13 @@ def recording_of(session: Session, caller: Caller, sequence_id: str, recording_i
     return _known(session.scalars(of_sequence).one_or_none(), "recording", recording_id)
 
 
+def export_of(session: Session, caller: Caller, sequence_id: str, export_id: str) -> Export:
+    """Raises `NotFoundError`."""
+    sequence = sequence_of(session, caller, sequence_id)
+    of_sequence = select(Export).where(Export.sequence_id == sequence.id, Export.id == export_id)
+    return _known(session.scalars(of_sequence).one_or_none(), "export", export_id)
+
+
 def job_of(session: Session, caller: Caller, job_id: str) -> Job:
     """Raises `NotFoundError`."""
     found = session.scalars(theirs(select(Job), caller, Job.owner_id).where(Job.id == job_id)).one_or_none()
@@ -55,8 +63,7 @@ def job_of(session: Session, caller: Caller, job_id: str) -> Job:
 
 def labels_of(session: Session, sequence_id: str) -> LabelSet | None:
     """The labels that count; None while there are none."""
-    newest = select(LabelSet).where(LabelSet.sequence_id == sequence_id).order_by(*_NEWEST).limit(1)
-    return session.scalars(newest).one_or_none()
+    return counting_labels(session, sequence_id)
 
 
 def newest_label_set(session: Session, sequence_id: str) -> LabelSet:

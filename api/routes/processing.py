@@ -66,6 +66,14 @@ def download_frame_table(sequence_id: IdPath, caller: Reader, platform: Platform
     return answer_file(request, platform.store, file)
 
 
+@router.get("/sequence.npz", response_class=Response, responses=file_responses("application/octet-stream"))
+def download_synchronised(sequence_id: IdPath, caller: Reader, platform: PlatformDep, request: Request) -> Response:
+    """The synchronised sequence itself, of which `stone export` makes other formats beside the recording."""
+    with platform.database.reading() as session:
+        file = _artefact(session, caller, sequence_id, "sequence.npz")
+    return answer_file(request, platform.store, file)
+
+
 @router.get("/mesh", response_class=Response, responses=file_responses("model/ply"))
 def download_mesh(sequence_id: IdPath, caller: Reader, platform: PlatformDep, request: Request) -> Response:
     """The mesh of the whole sequence as binary PLY; ranges are served."""

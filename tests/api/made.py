@@ -8,15 +8,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import httpx
 
 from services.runtime import blobs
+from services.runtime.archives import KINDS
+from services.runtime.exports import Made, start_export, write_export
 from services.runtime.jobs.queueing import enqueue, enqueue_run
 from services.runtime.jobs.specs import Context, JobSpec
-from services.runtime.orm import Artefact, Job, LabelledFrame, LabelSet, Upload, new_id
+from services.runtime.orm import Artefact, Job, LabelledFrame, LabelSet, Sequence, Upload, new_id
 from services.runtime.orm.base import now_ns
+from services.runtime.packed_reading import archive_sha256, local_reader
+from services.runtime.packs import index_bytes, pack_folder
 from services.runtime.platform import Platform
 from services.runtime.uploads import upload_file
 from stone.sequence import frame_token
@@ -65,6 +70,7 @@ def labels(platform: Platform, made: Mapping[str, Any], frames: int = 3, seed: b
         "mesh.ply": b"ply\n" + seed + bytes(range(256)) * 40,
         "frames.parquet": b"PAR1" + seed + b"PAR1",
         "bev.png": b"\x89PNG\r\n" + seed,
+        "sequence.npz": b"PK" + seed,
         "labels/000000.pack": b"".join(of_frames.values()),
     }
     with platform.database.transaction() as session:
@@ -87,6 +93,28 @@ def labels(platform: Platform, made: Mapping[str, Any], frames: int = 3, seed: b
             session.add(frame)
             offset += len(content)
     return Labels(row.id, files, of_frames)
+
+
+def export(platform: Platform, sequence_id: str, files: Mapping[str, bytes], form: str = "mesh") -> str:
+    """The id of an export of the sequence's labels with these files, as its job leaves it; packs of 2 KiB."""
+    with platform.database.transaction() as session:
+        row, job = start_export(session, session.get_one(Sequence, sequence_id), form)
+    folder = Path(platform.settings.root) / f"made-{new_id()}"
+    for name, content in files.items():
+        (folder / "files" / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / "files" / name).write_bytes(content)
+    packed = pack_folder(folder / "files", folder / "packs", lambda done, total: None, pack_bytes=2048)
+    (folder / "index.npz").write_bytes(index_bytes(packed))
+    paths = [folder / "index.npz", *sorted((folder / "packs").iterdir())]
+    index, *packs = [blobs.prepare(platform.store, platform.database, path) for path in paths]
+    tar, zipped = (
+        archive_sha256(packed, kind, local_reader(folder / "packs"), lambda done, total: None) for kind in KINDS
+    )
+    with platform.database.transaction() as session:
+        ended: Any = SimpleNamespace(job_id=job.id, sequence_id=sequence_id, arguments=job.arguments)
+        write_export(session, ended, Made(packed, index, packs, tar, zipped), 2**40)
+        session.get_one(Job, job.id).state = "succeeded"
+    return row.id
 
 
 def run(platform: Platform, owner: Person, *kinds: str, sequence_id: str | None = None) -> str:

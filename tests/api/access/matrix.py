@@ -21,6 +21,7 @@ from tests.api.access.table import Operation
 from tests.api.access.world import UNKNOWN, WORDS, World
 
 Table = Mapping[Operation, Mapping[str, int]]
+CONVERTER = re.compile(r":\w+(?=})")  # of a parameter that takes slashes
 OF_A_MOMENT = {"x-request-id", "date", "content-length"}
 SEEING_ALL = (*OF_OWNER, "administrator")
 
@@ -104,7 +105,7 @@ def neutral(answer: Answer, ids: AbstractSet[str]) -> tuple[int, str, dict[str, 
 def unlisted(application: FastAPI, table: Table) -> set[Operation]:
     """Routes that are served but not in the table, or in the table but not served; the document itself aside."""
     routes = [route for route in iter_route_contexts(application.routes) if route.path != application.openapi_url]
-    served = {(method, route.path or "") for route in routes for method in route.methods or ("ANY",)}
+    served = {(method, CONVERTER.sub("", route.path or "")) for route in routes for method in route.methods or ("ANY",)}
     return (served | set(operations_in(application.openapi()))) ^ set(table)
 
 

@@ -74,6 +74,16 @@ GET    /api/v1/sequences/{sequence_id}/frames.parquet         401  404  200   40
 GET    /api/v1/sequences/{sequence_id}/mesh                   401  404  200   404   200  404 403  401  401  200 200
 GET    /api/v1/sequences/{sequence_id}/previews/{name}        401  404  200   404   200  404 403  401  401  200 200
 GET    /api/v1/sequences/{sequence_id}/events                 401  404  200   404   200  404 403  401  401  200 200
+POST   /api/v1/sequences/{sequence_id}/exports                401  403  202   404   202  404 403  401  401  202 403
+GET    /api/v1/sequences/{sequence_id}/exports                401  404  200   404   200  404 403  401  401  200 200
+GET    /api/v1/sequences/{sequence_id}/exports/{export_id}    401  404  200   404   200  404 403  401  401  200 200
+DELETE /api/v1/sequences/{sequence_id}/exports/{export_id}    401  403  204   404   204  404 403  401  401  204 403
+GET    /api/v1/sequences/{sequence_id}/exports/{export_id}/files      401 404 200 404 200 404 403 401 401 200 200
+GET    /api/v1/sequences/{sequence_id}/exports/{export_id}/files/{path} 401 404 200 404 200 404 403 401 401 200 200
+HEAD   /api/v1/sequences/{sequence_id}/exports/{export_id}/files/{path} 401 404 200 404 200 404 403 401 401 200 200
+GET    /api/v1/sequences/{sequence_id}/exports/{export_id}/archive    401 404 200 404 200 404 403 401 401 200 200
+HEAD   /api/v1/sequences/{sequence_id}/exports/{export_id}/archive    401 404 200 404 200 404 403 401 401 200 200
+GET    /api/v1/sequences/{sequence_id}/sequence.npz           401  404  200   404   200  404 403  401  401  200 200
 GET    /api/v1/frames/{token}                                 401  404  200   404   200  404 403  401  401  200 200
 GET    /api/v1/frames/{token}/labels.npz                      401  404  200   404   200  404 403  401  401  200 200
 GET    /api/v1/jobs                                           401  200  200   200   200  200 403  401  401  200 200

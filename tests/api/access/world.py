@@ -18,9 +18,26 @@ from tests.api.serving import Person
 from tests.rows import recording_of
 
 CALIBRATION_FILE = Path(__file__).resolve().parents[3] / "examples" / "kitti0005.calibration.yaml"
-IDS = ("sequence_id", "calibration_id", "recording_id", "job_id", "upload_id", "token_id", "user_id", "token")
+IDS = (
+    "sequence_id",
+    "calibration_id",
+    "recording_id",
+    "job_id",
+    "upload_id",
+    "token_id",
+    "user_id",
+    "token",
+    "export_id",
+)
 UNKNOWN = {name: f"{number:032x}" for number, name in enumerate(IDS, 1)} | {"complete_upload": f"{99:032x}"}
-WORDS = {"name": "bev.png", "code": "not_found", "act": "cancel", "queue": "labeler", "platform_name": "warthog"}
+WORDS = {
+    "name": "bev.png",
+    "code": "not_found",
+    "act": "cancel",
+    "queue": "labeler",
+    "platform_name": "warthog",
+    "path": "mesh.ply",
+}
 
 
 @dataclass(frozen=True)
@@ -48,6 +65,7 @@ def make_world(platform: Platform, user: User) -> World:
         "token_id": _token(platform, user),
         "user_id": user.id,
         "token": next(iter(labels.frames)),
+        "export_id": made.export(platform, sequence_id, {"mesh.ply": b"ply\n"}),
         **WORDS,
     }
     known = {value for key, value in named.items() if key not in WORDS}

@@ -1,0 +1,150 @@
+"""Exports of a sequence: asked for, followed by their job, downloaded whole or file by file, deleted.
+
+**Conventions.** Equal requests are one export: asking again answers with the one that stands, so an unchanged sequence
+is not written twice. Archives are laid out, never built: any range of one is served, and its bytes and sha256 stay the
+same, so that a download goes on where it broke off. An export shows its owner's labels and is its owner's alone.
+"""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Path, Query, Request, Response
+from sqlalchemy import select
+
+from api import audit
+from api.answers import refusals
+from api.callers import Curator, Reader
+from api.deps import Caller, PlatformDep
+from api.export_views import (
+    ARCHIVE_TYPES,
+    FILE_TYPE,
+    archive_sha256_of,
+    export_items,
+    served_archive,
+    served_file,
+)
+from api.files import answer_bytes, file_responses
+from api.job_views import job_items
+from api.paging import Page, PageDep, page, place_of_page
+from api.schemas.base import IdPath
+from api.schemas.exports import ArchiveKind, ExportAccepted, ExportFileItem, ExportItem, NewExportBody
+from api.visible import export_of, sequence_of
+from services.runtime.archives import MOST_NAME, NAME
+from services.runtime.exported import locate_export, stored_files
+from services.runtime.exports import delete_export, start_export
+from services.runtime.orm import Export, Sequence
+from services.runtime.packed_reading import StoredFiles
+from services.runtime.platform import Platform
+
+router = APIRouter(prefix="/sequences/{sequence_id}/exports", tags=["exports"])
+FilePath = Annotated[str, Path(pattern=f"^{NAME.pattern}$", max_length=MOST_NAME, examples=["sha256sum.txt"])]
+Kind = Annotated[ArchiveKind, Query(alias="format", description="tar for streams, zip for people")]
+FILE = file_responses(FILE_TYPE)
+ARCHIVE = file_responses(*ARCHIVE_TYPES)
+
+
+@dataclass(frozen=True)
+class ExportPath:
+    """Which export of which sequence."""
+
+    sequence_id: IdPath
+    export_id: IdPath
+
+
+AtExport = Annotated[ExportPath, Depends(ExportPath)]
+
+
+@router.post("", status_code=202, responses=refusals(403, 404, 409))
+def create_export(
+    sequence_id: IdPath, body: NewExportBody, caller: Curator, platform: PlatformDep, response: Response
+) -> ExportAccepted:
+    """Have the labels that count written in a format; an export that failed is tried again."""
+    with platform.database.transaction() as session:
+        sequence = sequence_of(session, caller, sequence_id)
+        export, job = start_export(session, sequence, body.format)
+        facts = {"format": body.format, "sequence_id": sequence.id, "job_id": job.id}
+        audit.record(session, caller, "export.create", export.id, facts=facts)
+        items = export_items(session, sequence.id, [export])
+        shown = ExportAccepted(export=items[0], job=job_items(session, [job])[0])
+    response.headers["Location"] = f"/api/v1/sequences/{sequence_id}/exports/{export.id}"
+    return shown
+
+
+@router.get("", responses=refusals(404))
+def list_exports(sequence_id: IdPath, caller: Reader, platform: PlatformDep, query: PageDep) -> Page[ExportItem]:
+    """The exports of a sequence, newest first; stale ones too."""
+    with platform.database.reading() as session:
+        sequence = sequence_of(session, caller, sequence_id)
+        found = page(session, select(Export).where(Export.sequence_id == sequence.id), Export.id.desc(), query)
+        return Page[ExportItem](items=export_items(session, sequence.id, found.rows), next=found.next)
+
+
+@router.get("/{export_id}", responses=refusals(404))
+def show_export(at: AtExport, caller: Reader, platform: PlatformDep) -> ExportItem:
+    """An export: how far it is, what it was made of, how large it is."""
+    with platform.database.reading() as session:
+        export = export_of(session, caller, at.sequence_id, at.export_id)
+        return export_items(session, export.sequence_id, [export])[0]
+
+
+@router.delete("/{export_id}", status_code=204, responses=refusals(403, 404))
+def remove_export(at: AtExport, caller: Curator, platform: PlatformDep) -> None:
+    """Delete an export and give its bytes back; a job that is at it is told to stop."""
+    with platform.database.transaction() as session:
+        export = export_of(session, caller, at.sequence_id, at.export_id)
+        facts = {"format": export.format, "sequence_id": export.sequence_id}
+        audit.record(session, caller, "export.delete", export.id, facts=facts)
+        delete_export(session, export)
+
+
+@router.get("/{export_id}/files", responses=refusals(404, 409))
+def list_files(at: AtExport, caller: Reader, platform: PlatformDep, query: PageDep) -> Page[ExportFileItem]:
+    """The files of an export in the order of the archives: by name, and the checksums last."""
+    stored, _, _ = _finished(platform, caller, at)
+    files = stored.files
+    places, following = place_of_page(len(files), query)
+    items = [
+        ExportFileItem(path=files.names[i], size_bytes=int(files.sizes_bytes[i]), sha256=files.digest(i))
+        for i in places
+    ]
+    return Page[ExportFileItem](items=items, next=following)
+
+
+@router.get("/{export_id}/files/{path:path}", response_class=Response, responses=FILE | refusals(409))
+def download_file(at: AtExport, path: FilePath, caller: Reader, platform: PlatformDep, request: Request) -> Response:
+    """One file of an export; `sha256sum.txt` has the checksums of all others."""
+    stored, _, _ = _finished(platform, caller, at)
+    return answer_bytes(request, served_file(platform.store, stored, path))
+
+
+@router.head("/{export_id}/files/{path:path}", response_class=Response, responses=FILE | refusals(409))
+def describe_file(at: AtExport, path: FilePath, caller: Reader, platform: PlatformDep, request: Request) -> Response:
+    """Size and checksum of a file."""
+    return download_file(at, path, caller, platform, request)
+
+
+@router.get("/{export_id}/archive", response_class=Response, responses=ARCHIVE | refusals(409))
+def download_archive(
+    at: AtExport, caller: Reader, platform: PlatformDep, request: Request, kind: Kind = "tar"
+) -> Response:
+    """All files of an export in one; ranges are served, the sha256 is the ETag."""
+    stored, export, sequence = _finished(platform, caller, at)
+    called = (f"{sequence.name}-{export.format}", archive_sha256_of(export, kind))
+    return answer_bytes(request, served_archive(platform.store, stored, kind, called))
+
+
+@router.head("/{export_id}/archive", response_class=Response, responses=ARCHIVE | refusals(409))
+def describe_archive(
+    at: AtExport, caller: Reader, platform: PlatformDep, request: Request, kind: Kind = "tar"
+) -> Response:
+    """Size and checksum of an archive."""
+    return download_archive(at, caller, platform, request, kind)
+
+
+def _finished(platform: Platform, caller: Caller, at: ExportPath) -> tuple[StoredFiles, Export, Sequence]:
+    """The files of an export. Raises `NotFoundError`, `ExportUnfinishedError`."""
+    with platform.database.reading() as session:
+        sequence = sequence_of(session, caller, at.sequence_id)
+        export = export_of(session, caller, sequence.id, at.export_id)
+        located = locate_export(session, export)
+    return stored_files(platform.store, located), export, sequence

@@ -1,0 +1,91 @@
+"""Exports over the wire: a sequence's labels in a format that others open."""
+
+from datetime import datetime
+from typing import Any, Literal
+
+from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Body, example
+from api.schemas.jobs import JOB_EXAMPLE, FailureItem, JobItem
+
+Format = Literal["nuscenes", "kitti", "mesh", "mcap", "rrd"]
+ArchiveKind = Literal["tar", "zip"]
+
+ARCHIVE_EXAMPLE = {"format": "tar", "size_bytes": 48210432, "sha256": SHA256_EXAMPLE}
+EXPORT_EXAMPLE: dict[str, Any] = {
+    "id": ID_EXAMPLE,
+    "sequence_id": ID_EXAMPLE,
+    "label_set_id": ID_EXAMPLE,
+    "job_id": ID_EXAMPLE,
+    "format": "nuscenes",
+    "state": "succeeded",
+    "is_stale": False,
+    "recipe": SHA256_EXAMPLE,
+    "code_version": "0.1.0",
+    "files": 13216,
+    "size_bytes": 41003421,
+    "archives": [ARCHIVE_EXAMPLE],
+    "failure": None,
+    "created_at": "2026-05-03T10:31:02.250000Z",
+    "finished_at": "2026-05-03T10:33:40Z",
+}
+
+
+class NewExportBody(Body):
+    """In which format the labels that count are wanted."""
+
+    model_config = example(format="nuscenes")
+
+    format: Format
+
+
+class ArchiveItem(Answer):
+    """All files of an export in one file, at `archive?format=…`."""
+
+    model_config = example(**ARCHIVE_EXAMPLE)
+
+    format: ArchiveKind
+    size_bytes: int
+    sha256: str
+
+
+class ExportItem(Answer):
+    """An export; its files and archives are there once its state is `succeeded`.
+
+    It is stale when other labels of the sequence count by now: it stays as it is until it is deleted.
+    """
+
+    model_config = example(**EXPORT_EXAMPLE)
+
+    id: str
+    sequence_id: str
+    label_set_id: str
+    job_id: str
+    format: Format
+    state: str
+    is_stale: bool
+    recipe: str
+    code_version: str
+    files: int
+    size_bytes: int
+    archives: list[ArchiveItem]
+    failure: FailureItem | None
+    created_at: datetime
+    finished_at: datetime | None
+
+
+class ExportAccepted(Answer):
+    """The export that was asked for, and the job that makes it or has made it."""
+
+    model_config = example(export=EXPORT_EXAMPLE, job={**JOB_EXAMPLE, "kind": "labeler.export"})
+
+    export: ExportItem
+    job: JobItem
+
+
+class ExportFileItem(Answer):
+    """One file of an export; its bytes are at `files/{path}`."""
+
+    model_config = example(path="v1.0-trainval/sample.json", size_bytes=152034, sha256=SHA256_EXAMPLE)
+
+    path: str
+    size_bytes: int
+    sha256: str
