@@ -7,6 +7,8 @@ from pathlib import Path
 from PIL import Image
 
 from services.labeler.exports.source import LabelledSequence
+from services.labeler.picture import CLASS_RGB, INK, PAPER, TRACK
+from services.labeler.previews.lettering import UNSEEN
 from services.labeler.previews.sheet import ABOVE, BELOW, cell_ratio, frame_sheet
 from services.labeler.previews.video import Mp4, gif_palette, write_gif
 from services.labeler.run import Step, silent
@@ -16,6 +18,7 @@ MP4, GIF = "film.mp4", "film.gif"
 RATE_HZ, MOST_FRAMES = 10, 300
 GIF_WIDTH_PX, MOST_GIF_FRAMES = 480, 100
 PALETTE_FROM = 4
+SHADES = (1.0, 0.84, 0.72)
 
 
 @dataclass(frozen=True)
@@ -34,10 +37,17 @@ def write_film(source: LabelledSequence, out: Path, step: Step = silent) -> None
     """
     reel = _reel_of(source)
     step(0, len(reel.indices))
-    palette = gif_palette([_small(picture) for picture in _spread(source, reel)])
+    palette = gif_palette([_small(picture) for picture in _spread(source, reel)], _kept_colours())
     with atomic_file(out / MP4) as mp4, atomic_file(out / GIF) as gif:
         frame_ms = round(1000 * reel.gif_every / RATE_HZ)
         write_gif(gif, _filmed(source, reel, mp4, step), palette, frame_ms)
+
+
+def _kept_colours() -> list[tuple[int, int, int]]:
+    """What a legend explains must look the same everywhere, in light and in shade."""
+    lit = [(colour, light) for colour in (*CLASS_RGB.values(), TRACK) for light in SHADES]
+    shaded = [(round(r * light), round(g * light), round(b * light)) for (r, g, b), light in lit]
+    return [PAPER, INK, UNSEEN, *shaded]
 
 
 def _reel_of(source: LabelledSequence) -> _Reel:
