@@ -1,13 +1,14 @@
-"""Which voxels of a frame's grid a camera sees: in its image, and nothing labelled in between.
+"""Which voxels of the grid one camera can see, and past which others it looks at them.
 
 **Conventions.** Grid as in `stone.grid`. Line of sight is decided voxel by voxel outwards: how open the way to a voxel
 is, is how open it is at the point one step nearer to the camera, interpolated between the four voxels around that
 point (XDraw: Franklin & Ray, 1994); a voxel is seen when its way is at least half open. One neighbour instead of four
 would bend every line towards the grid's axes. The steps depend on the calibration alone, so they are laid out once
-per robot and each frame is one pass.
+per robot; `stone.sight_batches` follows them for many frames at once.
+
+The grid is framed by one voxel on every side, so that what is nearer than its border has a place; there all is open.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,26 +16,47 @@ from numba import njit
 from numpy.typing import NDArray
 
 from stone.calibration import CameraIntrinsics
-from stone.grid import GRID_MIN_M, GRID_SHAPE, Grid
+from stone.grid import GRID_MIN_M, GRID_SHAPE
 from stone.se3 import SE3
 from stone.voxels import VOXEL_M
 
-SOURCE = -1
 OPEN = 240  # a way that nothing blocks; 16 × 15 levels fit a byte
 NEAR_M = 0.1
 RIM_M = 2 * VOXEL_M  # lines are followed so far around the image, else they would look around walls there
 
+FRAMED = (GRID_SHAPE[0] + 2, GRID_SHAPE[1] + 2, GRID_SHAPE[2] + 2)
+STRIDES = (FRAMED[1] * FRAMED[2], FRAMED[2], 1)
+VOXEL_BITS, WAY_BITS = 22, 5
+AT_SOURCE = 0  # the way of a voxel beside the camera, or of one that lines come from but that is out of sight itself
+IN_IMAGE = np.uint32(1 << 31)
+
 
 @dataclass(frozen=True, eq=False)
 class SightLines:
-    """Voxels in and around the image, nearest first: flat index `voxel` (S,), those of the four around the point one
-    step nearer, `nearer` (S, 4), −1 at the source, and their `weight` (S, 4), which add up to `OPEN`; `is_inside` (S,)
-    tells those in the image."""
+    """Voxels in and around the image, each after all that lie before it.
 
-    voxel: NDArray[np.int32]
-    nearer: NDArray[np.int32]
+    `place` (S,) uint32: bits 0–21 the voxel in the framed grid, flat; bits 22–26 the way to the four voxels around the
+    point one step nearer, a row of `ways()`; bit 31 whether it is in the image. `weight` (S, 4) uint8: what each of
+    the four counts; together `OPEN`.
+    """
+
+    place: NDArray[np.uint32]
     weight: NDArray[np.uint8]
-    is_inside: NDArray[np.bool_]
+
+
+def ways() -> NDArray[np.int64]:
+    """(25, 3) framed flat steps by way: to the first of the four, from there to the second, and to the third."""
+    table = [(0, 0, 0)]
+    for code in range(1, 25):
+        main, step, below_one, below_other = _way_of(code)
+        one, other = STRIDES[(main + 1) % 3], STRIDES[(main + 2) % 3]
+        table.append((STRIDES[main] * step - one * below_one - other * below_other, one, other))
+    return np.array(table, np.int64)
+
+
+def _way_of(code: int) -> tuple[int, int, int, int]:
+    """(axis, ±1, whether the point lies below the voxel on the next axis, and on the one after it) of a way."""
+    return (code - 1) >> 3, 1 if (code - 1) & 4 else -1, (code - 1) >> 1 & 1, (code - 1) & 1
 
 
 def sight_lines(intrinsics: CameraIntrinsics, ego_from_camera: SE3) -> SightLines:
@@ -43,84 +65,135 @@ def sight_lines(intrinsics: CameraIntrinsics, ego_from_camera: SE3) -> SightLine
     The image border is that of the undistorted pinhole: distortion bends lines within the image by less than a voxel
     at the ranges of the grid, and models that fold back would otherwise claim voxels behind the border.
     """
+    k = intrinsics
+    image = np.array([k.fx_px, k.fy_px, k.cx_px, k.cy_px, k.width_px, k.height_px], np.float64)
     camera = (ego_from_camera.translation_m - np.array(GRID_MIN_M)) / VOXEL_M
-    planes = [_in_image(plane, intrinsics, ego_from_camera) for plane in range(GRID_SHAPE[0])]
-    seen, inside = (np.concatenate(parts) for parts in zip(*planes, strict=True))
-    index = np.stack(np.unravel_index(seen, GRID_SHAPE), axis=1).astype(np.float32)
-    steps = np.linalg.norm(index + np.float32(0.5) - camera.astype(np.float32), axis=1)
-    order = np.argsort(steps, kind="stable")
-    seen, inside = seen[order], inside[order]
-    nearer, weight = np.full((len(seen), 4), SOURCE, np.int32), np.zeros((len(seen), 4), np.uint8)
-    _lay_out(seen, camera, nearer, weight)
-    return SightLines(seen.astype(np.int32), nearer, weight, inside)
+    kinds = np.zeros(GRID_SHAPE, np.uint8)
+    _project(ego_from_camera.inverse().as_matrix(), image, np.array(GRID_MIN_M), kinds)
+    _add_sources(camera, kinds)
+    ranks, layers = _ranks(camera)
+    places = np.empty((np.count_nonzero(kinds), 3), np.int16)
+    _sort(kinds, ranks, np.zeros(layers + 1, np.int64), places)
+    lines = SightLines(np.empty(len(places), np.uint32), np.zeros((len(places), 4), np.uint8))
+    _lay_out(places, camera, kinds, (lines.place, lines.weight))
+    return lines
 
 
-def mark_visible(classes: Grid, lines: SightLines, visible: Grid) -> None:
-    """Set to 1 in `visible` (the grid's shape) what this camera sees of the scene `classes`."""
-    flat = classes.reshape(-1)
-    way = (flat == 0) * np.uint8(OPEN)  # where the image does not reach, only what is there blocks
-    _look(flat, (lines.voxel, lines.nearer, lines.weight, lines.is_inside), way, visible.reshape(-1))
+def _ranks(camera: NDArray[np.float64]) -> tuple[NDArray[np.int64], int]:
+    """For each axis the rank of its layers of voxels by their distance from the camera, (3, 256), and how many."""
+    middles = np.arange(max(GRID_SHAPE)) + 0.5
+    distances = np.abs(middles - camera[:, None])
+    values, ranks = np.unique(distances, return_inverse=True)
+    return ranks.reshape(distances.shape), len(values)
 
 
-def _in_image(plane: int, k: CameraIntrinsics, ego_from_camera: SE3) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Of one plane of constant x: the voxels (flat) nearer than `RIM_M` to the image, and which are in it."""
-    size = GRID_SHAPE[1] * GRID_SHAPE[2]
-    flat = np.arange(plane * size, (plane + 1) * size)
-    centres = (np.stack(np.unravel_index(flat, GRID_SHAPE), axis=1) + 0.5) * VOXEL_M + np.array(GRID_MIN_M)
-    x, y, z = (ego_from_camera.inverse() @ centres).T
-    depth = np.where(z > NEAR_M, z, np.inf)
-    u, v = k.fx_px * x / depth + k.cx_px, k.fy_px * y / depth + k.cy_px
-    rim_u, rim_v = RIM_M * k.fx_px / depth, RIM_M * k.fy_px / depth
-    is_inside = (u >= 0) & (u < k.width_px) & (v >= 0) & (v < k.height_px) & (z > NEAR_M)
-    is_near = (u >= -rim_u) & (u < k.width_px + rim_u) & (v >= -rim_v) & (v < k.height_px + rim_v) & (z > NEAR_M)
-    return flat[is_near], is_inside[is_near]
+OUT_OF_SIGHT, SOURCE, RIM, INSIDE = range(4)
 
 
 @njit(cache=True, nogil=True)
-def _lay_out(seen, camera, nearer, weight):  # type: ignore[no-untyped-def]
-    plane, row = GRID_SHAPE[1] * GRID_SHAPE[2], GRID_SHAPE[2]
-    for s in range(seen.size):
-        at = (seen[s] // plane, (seen[s] % plane) // row, seen[s] % row)
-        way = (camera[0] - (at[0] + 0.5), camera[1] - (at[1] + 0.5), camera[2] - (at[2] + 0.5))
-        longest = max(abs(way[0]), abs(way[1]), abs(way[2]))
-        if longest <= 1.0:
-            weight[s, 0] = OPEN
-            continue
-        main = 0 if abs(way[0]) == longest else 1 if abs(way[1]) == longest else 2
-        one, other = (main + 1) % 3, (main + 2) % 3
-        step = 1 if way[main] > 0 else -1
-        u, v = at[one] + way[one] / longest, at[other] + way[other] / longest
-        left = OPEN
-        for corner in range(4):
-            du, dv = corner & 1, corner >> 1
-            iu, iv = math.floor(u) + du, math.floor(v) + dv
-            share = (1.0 - abs(u - iu)) * (1.0 - abs(v - iv))
-            part = left if corner == 3 else min(left, round(share * OPEN))
-            left -= part
-            flat, inside = _flat(main, at[main] + step, iu, iv)
-            weight[s, corner] = part
-            nearer[s, corner] = flat if inside else SOURCE
+def _project(camera_from_ego, image, low, kinds):  # type: ignore[no-untyped-def]
+    """Which voxels are in the image, and which nearer than `RIM_M` to it."""
+    m = camera_from_ego
+    fx, fy, cx, cy, width, height = image
+    for a in range(kinds.shape[0]):
+        for b in range(kinds.shape[1]):
+            for c in range(kinds.shape[2]):
+                p = (low[0] + (a + 0.5) * VOXEL_M, low[1] + (b + 0.5) * VOXEL_M, low[2] + (c + 0.5) * VOXEL_M)
+                z = m[2, 0] * p[0] + m[2, 1] * p[1] + m[2, 2] * p[2] + m[2, 3]
+                if z <= NEAR_M:
+                    continue
+                u = fx * (m[0, 0] * p[0] + m[0, 1] * p[1] + m[0, 2] * p[2] + m[0, 3]) / z + cx
+                v = fy * (m[1, 0] * p[0] + m[1, 1] * p[1] + m[1, 2] * p[2] + m[1, 3]) / z + cy
+                rim_u, rim_v = RIM_M * fx / z, RIM_M * fy / z
+                if 0 <= u < width and 0 <= v < height:
+                    kinds[a, b, c] = INSIDE
+                elif -rim_u <= u < width + rim_u and -rim_v <= v < height + rim_v:
+                    kinds[a, b, c] = RIM
 
 
 @njit(inline="always")
-def _flat(main, m, u, v):  # type: ignore[no-untyped-def]
-    """(flat index, is in the grid) of the voxel at m on axis `main` and u, v on the two axes after it."""
-    i, j, k = (m, u, v) if main == 0 else (v, m, u) if main == 1 else (u, v, m)
-    inside = 0 <= i < GRID_SHAPE[0] and 0 <= j < GRID_SHAPE[1] and 0 <= k < GRID_SHAPE[2]
-    return (i * GRID_SHAPE[1] + j) * GRID_SHAPE[2] + k, inside
+def _nearer(at, camera):  # type: ignore[no-untyped-def]
+    """(way, voxel, weights) of the four voxels around the point one step nearer to the camera.
+
+    The voxel is the first of the four; the others follow on the axes after the main one.
+    """
+    x, y, z = camera[0] - (at[0] + 0.5), camera[1] - (at[1] + 0.5), camera[2] - (at[2] + 0.5)
+    longest = max(abs(x), abs(y), abs(z))
+    if longest <= 1.0:
+        return AT_SOURCE, (at[0], at[1], at[2]), (OPEN, 0, 0, 0)
+    main = 0 if abs(x) == longest else 1 if abs(y) == longest else 2
+    p, q, r = (x, y, z) if main == 0 else (y, z, x) if main == 1 else (z, x, y)
+    step = 1 if p > 0 else -1
+    below_one, below_other = (1 if q < 0 else 0), (1 if r < 0 else 0)
+    u, v = q / longest + below_one, r / longest + below_other  # from the first of the four, 0 to 1
+    first = min(OPEN, round((1.0 - u) * (1.0 - v) * OPEN))
+    second = min(OPEN - first, round(u * (1.0 - v) * OPEN))
+    third = min(OPEN - first - second, round((1.0 - u) * v * OPEN))
+    m, one, other = at[main] + step, at[(main + 1) % 3] - below_one, at[(main + 2) % 3] - below_other
+    voxel = (m, one, other) if main == 0 else (other, m, one) if main == 1 else (one, other, m)
+    way = 1 + main * 8 + (4 if step > 0 else 0) + below_one * 2 + below_other
+    return way, voxel, (first, second, third, OPEN - first - second - third)
+
+
+@njit(inline="always")
+def _corner(voxel, way, corner):  # type: ignore[no-untyped-def]
+    """The voxel that is this corner of the four that begin with `voxel`."""
+    one, other = ((way - 1) // 8 + 1) % 3, ((way - 1) // 8 + 2) % 3
+    du, dv = corner & 1, corner >> 1
+    i = voxel[0] + (du if one == 0 else 0) + (dv if other == 0 else 0)
+    j = voxel[1] + (du if one == 1 else 0) + (dv if other == 1 else 0)
+    k = voxel[2] + (du if one == 2 else 0) + (dv if other == 2 else 0)
+    return i, j, k
 
 
 @njit(cache=True, nogil=True)
-def _look(classes, lines, way, visible):  # type: ignore[no-untyped-def]
-    """`way`: how open the line of sight through each voxel is, 0 … `OPEN`; 0 where the voxel is labelled itself."""
-    voxel, nearer, weight, is_inside = lines
-    for s in range(voxel.size):
-        total = 0
+def _add_sources(camera, kinds):  # type: ignore[no-untyped-def]
+    """Lines that come from beyond the rim begin there: what is there blocks, what lies before it does not."""
+    for a in range(kinds.shape[0]):
+        for b in range(kinds.shape[1]):
+            for c in range(kinds.shape[2]):
+                if kinds[a, b, c] < RIM:
+                    continue
+                way, voxel, weights = _nearer((a, b, c), camera)
+                for corner in range(4 if way != AT_SOURCE else 0):
+                    i, j, k = _corner(voxel, way, corner)
+                    inside = 0 <= i < kinds.shape[0] and 0 <= j < kinds.shape[1] and 0 <= k < kinds.shape[2]
+                    if inside and weights[corner] > 0 and kinds[i, j, k] == OUT_OF_SIGHT:
+                        kinds[i, j, k] = SOURCE
+
+
+@njit(cache=True, nogil=True)
+def _sort(kinds, ranks, begins, places):  # type: ignore[no-untyped-def]
+    """Counting sort by the greatest of the three distances: a way leads to voxels that are strictly nearer."""
+    for fill in range(2):
+        for a in range(kinds.shape[0]):
+            for b in range(kinds.shape[1]):
+                flat = max(ranks[0, a], ranks[1, b])
+                for c in range(kinds.shape[2]):
+                    if kinds[a, b, c] == OUT_OF_SIGHT:
+                        continue
+                    rank = max(flat, ranks[2, c])
+                    if fill:
+                        at = begins[rank]
+                        places[at, 0], places[at, 1], places[at, 2] = a, b, c
+                        begins[rank] += 1
+                    else:
+                        begins[rank + 1] += 1
+        if not fill:
+            for rank in range(1, begins.size):
+                begins[rank] += begins[rank - 1]
+
+
+@njit(cache=True, nogil=True)
+def _lay_out(places, camera, kinds, out):  # type: ignore[no-untyped-def]
+    place, weight = out
+    for s in range(places.shape[0]):
+        a, b, c = np.int64(places[s, 0]), np.int64(places[s, 1]), np.int64(places[s, 2])
+        framed = np.uint32(((a + 1) * FRAMED[1] + b + 1) * FRAMED[2] + c + 1)
+        if kinds[a, b, c] == SOURCE:
+            place[s] = framed
+            continue
+        way, _, weights = _nearer((a, b, c), camera)
+        place[s] = framed | np.uint32(way << VOXEL_BITS) | (IN_IMAGE if kinds[a, b, c] == INSIDE else np.uint32(0))
         for corner in range(4):
-            n = nearer[s, corner]
-            total += weight[s, corner] * (OPEN if n < 0 else way[n])
-        reached = total // OPEN
-        v = voxel[s]
-        if 2 * reached >= OPEN and is_inside[s]:
-            visible[v] = 1
-        way[v] = 0 if classes[v] else reached
+            weight[s, corner] = weights[corner]

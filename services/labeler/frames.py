@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,15 @@ from numpy.typing import NDArray
 from services.labeler.run import Part, Run, Tile, core_cells
 from services.labeler.scratch import Arrays, load, save, sight_path, surface_path
 from services.runtime.npz import npz_bytes
-from stone.grid import GRID_SHAPE, Grid, Window, crop, frame_bounds, reconcile, window_of
+from stone.columns import Columns, reconcile, spread_out
+from stone.confidence import MapDistances, cut_with_distances, map_distances
+from stone.crops import cut
+from stone.grid import Bounds, Window, frame_bounds, window_bytes, window_of
 from stone.observed import Observed, union
-from stone.traversability import Reference, classify
-from stone.visibility import SightLines, mark_visible, sight_lines
+from stone.se3 import SE3
+from stone.sight_batches import LANES, SightBatch
+from stone.traversability import Reference, classify, distance_squared
+from stone.visibility import SightLines, sight_lines
 from stone.voxels import VOXEL_M
 
 MAX_WINDOW_BYTES = 192 * 2**20
@@ -56,14 +62,12 @@ def frames(run: Run, part: Part, reference: Reference, labels_root: Path) -> Fra
 
 def labelled_frames(run: Run, part: Part, reference: Reference) -> Iterator[LabelledFrame]:
     """The frames of `part` in order, one at a time."""
-    cameras = [
-        SightLines(**load(path))  # type: ignore[arg-type]
-        for path in sorted((run.scratch / "sight").glob("[0-9]*.npz"))
-    ]
-    for begin, end in _near_together(run, part):
-        window = _window(run, frame_bounds(run.sequence.frames.map_from_ego[slice(begin, end)]), reference)
-        for index in range(begin, end):
-            yield _labelled(run, index, window, cameras)
+    paths = sorted((run.scratch / "sight").glob("[0-9]*.npz"))
+    sight = SightBatch([SightLines(**load(path)) for path in paths])  # type: ignore[arg-type]
+    for near in _near_together(run, part):
+        labelled_map = _map_around(run, _bounds(run, near), reference)
+        for batch in _batches(near):
+            yield from _labelled(run, batch, labelled_map, sight)
 
 
 def counts_of(frames: Sequence[LabelledFrame]) -> FrameCounts:
@@ -71,29 +75,49 @@ def counts_of(frames: Sequence[LabelledFrame]) -> FrameCounts:
     return FrameCounts(np.array([f.classes for f in frames]), np.array([f.observed for f in frames]))
 
 
-def _labelled(run: Run, index: int, window: Window, cameras: list[SightLines]) -> LabelledFrame:
-    semantics, mask_lidar = crop(window, run.sequence.frames.map_from_ego[index])
-    mask_camera = _seen(semantics, cameras)
-    by_class, by_mask = reconcile(semantics, mask_lidar, mask_camera)
-    grids = {"semantics": semantics, "mask_lidar": mask_lidar, "mask_camera": mask_camera}
-    return LabelledFrame(run.sequence.frames.tokens[index], npz_bytes(grids), by_class, by_mask)
+def _labelled(run: Run, batch: Part, labelled_map: "_LabelledMap", sight: SightBatch) -> Iterator[LabelledFrame]:
+    poses = run.sequence.frames.map_from_ego
+    cuts = [labelled_map.cut(poses[index]) for index in range(*batch)]
+    seen = sight.visible(np.stack([columns.occupied for columns, _ in cuts]))
+    for token, (columns, extra), visible in zip(run.sequence.frames.tokens[slice(*batch)], cuts, seen, strict=True):
+        masks = reconcile(columns, visible)
+        grids = {"mask_lidar": spread_out(masks.observed), "mask_camera": spread_out(masks.visible)}
+        payload = npz_bytes({"semantics": columns.classes(), **grids, **extra})
+        yield LabelledFrame(token, payload, masks.by_class, masks.by_mask)
+
+
+def _batches(part: Part) -> list[Part]:
+    """The part in as few batches as there can be, of as equal a size."""
+    count = -(-(part[1] - part[0]) // LANES)
+    ends = np.linspace(part[0], part[1], count + 1).round().astype(int).tolist()
+    return list(pairwise(ends))
 
 
 def _near_together(run: Run, part: Part) -> list[Part]:
     """The part cut where its frames lie so far apart that one dense window would not fit the memory."""
-    low, high = frame_bounds(run.sequence.frames.map_from_ego[slice(*part)])
-    if part[1] - part[0] == 1 or np.prod((high - low).astype(np.float64)) <= MAX_WINDOW_BYTES:
+    if part[1] - part[0] == 1 or window_bytes(_bounds(run, part)) <= MAX_WINDOW_BYTES:
         return [part]
     middle = (part[0] + part[1]) // 2
     return _near_together(run, (part[0], middle)) + _near_together(run, (middle, part[1]))
 
 
-def _seen(semantics: Grid, cameras: list[SightLines]) -> Grid:
-    """What any camera sees past the labelled voxels."""
-    visible = np.zeros(GRID_SHAPE, np.uint8)
-    for lines in cameras:
-        mark_visible(semantics, lines, visible)
-    return visible
+def _bounds(run: Run, part: Part) -> Bounds:
+    return frame_bounds(run.sequence.frames.map_from_ego[slice(*part)])
+
+
+@dataclass(frozen=True, eq=False)
+class _LabelledMap:
+    """The labelled map around some frames; with the D² of its voxels where confidence is asked for."""
+
+    window: Window
+    distances: MapDistances | None
+
+    def cut(self, map_from_ego: SE3) -> tuple[Columns, dict[str, NDArray[np.float16]]]:
+        """One frame, and what goes into its file besides."""
+        if self.distances is None:
+            return cut(self.window, map_from_ego), {}
+        columns, squared = cut_with_distances(self.window, map_from_ego, self.distances)
+        return columns, {"distance_squared": squared}
 
 
 def labelled_tile(run: Run, tile: Tile, reference: Reference) -> tuple[Arrays, NDArray[np.uint8]]:
@@ -103,17 +127,21 @@ def labelled_tile(run: Run, tile: Tile, reference: Reference) -> tuple[Arrays, N
     return arrays, classify(arrays["features"], arrays["is_driven"], reference, alpha)  # type: ignore[arg-type]
 
 
-def _window(run: Run, bounds: tuple[NDArray[np.int64], NDArray[np.int64]], reference: Reference) -> Window:
+def _map_around(run: Run, bounds: Bounds, reference: Reference) -> _LabelledMap:
     """The labelled map within a range of voxel indices."""
-    low, high = bounds
-    keys, classes = [np.zeros(0, np.int64)], [np.zeros(0, np.uint8)]
+    keys, classes, squared = [np.zeros(0, np.int64)], [np.zeros(0, np.uint8)], [np.zeros(0)]
     seen = [Observed(np.zeros(0, np.int64), np.zeros(0, np.uint64))]
-    for tile in tiles_between(run, low, high):
+    for tile in tiles_between(run, *bounds):
         arrays, kinds = labelled_tile(run, tile, reference)
         keys.append(arrays["keys"])  # type: ignore[arg-type]
         classes.append(kinds)
         seen.append(Observed(arrays["bricks"], arrays["words"]))  # type: ignore[arg-type]
-    return window_of(np.concatenate(keys), np.concatenate(classes), union(seen), bounds)
+        if run.parameters.confidence:
+            squared.append(distance_squared(arrays["features"], reference))  # type: ignore[arg-type]
+    window = window_of(np.concatenate(keys), np.concatenate(classes), union(seen), bounds)
+    if not run.parameters.confidence:
+        return _LabelledMap(window, None)
+    return _LabelledMap(window, map_distances(np.concatenate(keys), np.concatenate(squared)))
 
 
 def tiles_between(run: Run, low: NDArray[np.int64], high: NDArray[np.int64]) -> list[Tile]:

@@ -8,15 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from stone.grid import (
-    FRACTION_BITS,
-    GRID_MAX_M,
-    GRID_MIN_M,
-    GRID_SHAPE,
-    crop,
-    frame_bounds,
-    window_of,
-)
+from stone.closing import FRACTION_BITS
+from stone.crops import crop
+from stone.grid import GRID_MAX_M, GRID_MIN_M, GRID_SHAPE, frame_bounds, window_of
 from stone.lattice import keys_from_indices
 from stone.observed import BRICK, Observed
 from stone.se3 import SE3

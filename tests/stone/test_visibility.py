@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from stone.calibration import CameraIntrinsics
+from stone.columns import gathered, spread_out
 from stone.grid import GRID_MIN_M, GRID_SHAPE
 from stone.se3 import SE3
-from stone.visibility import mark_visible, sight_lines
+from stone.sight_batches import SightBatch
+from stone.visibility import sight_lines
 from stone.voxels import VOXEL_M
 
 INTRINSICS = CameraIntrinsics("pinhole", 640, 480, 400.0, 400.0, 320.0, 240.0)
@@ -43,9 +45,7 @@ def lines():
 
 
 def seen_in(classes, lines):
-    visible = np.zeros(GRID_SHAPE, np.uint8)
-    mark_visible(classes, lines, visible)
-    return visible
+    return spread_out(SightBatch([lines]).visible(gathered(classes)[None])[0])
 
 
 def test_in_an_empty_grid_all_of_the_image_is_seen_and_nothing_else(lines):
@@ -55,10 +55,19 @@ def test_in_an_empty_grid_all_of_the_image_is_seen_and_nothing_else(lines):
     assert visible.sum() > 100_000
 
 
-def test_what_was_seen_before_stays_seen(lines):
-    visible = np.ones(GRID_SHAPE, np.uint8)
-    mark_visible(np.zeros(GRID_SHAPE, np.uint8), lines, visible)
-    assert visible.all()
+def test_what_any_of_two_cameras_sees_is_seen(lines):
+    backward = SE3.from_parts(np.array([0.5, -0.5, -0.5, 0.5]), EGO_FROM_CAMERA.translation_m)
+    both = SightBatch([lines, sight_lines(INTRINSICS, backward)])
+    empty = np.zeros(GRID_SHAPE, np.uint8)
+    visible = spread_out(both.visible(gathered(empty)[None])[0]).astype(bool)
+    assert (visible == in_image(EGO_FROM_CAMERA) | in_image(backward)).all()
+    assert visible[:64].any()
+    assert visible[-64:].any()
+
+
+def test_without_cameras_nothing_is_seen():
+    occupied = np.zeros((3, *GRID_SHAPE[:2]), np.uint32)
+    assert not SightBatch([]).visible(occupied).any()
 
 
 @pytest.mark.parametrize("place", [133, 150, 200])

@@ -12,7 +12,6 @@ generate_sequential.py, auxiliary/shaders/draw_voxels.vert).
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -22,11 +21,13 @@ from services.labeler.exports.source import LabelledSequence
 from services.labeler.picture import CLASS_NAME, CLASS_RGB
 from services.labeler.run import Step
 from stone.calibration import CameraIntrinsics
+from stone.columns import Words, gathered, spread_out
 from stone.grid import GRID_MIN_M, GRID_SHAPE
 from stone.samples import LidarSample
 from stone.se3 import SE3, Array, wxyz_from_rotation
 from stone.sequence import Sequence
-from stone.visibility import SightLines, mark_visible, sight_lines
+from stone.sight_batches import LANES, SightBatch
+from stone.visibility import sight_lines
 from stone.voxels import VOXEL_M
 
 SEQUENCES = Path("dataset") / "sequences"
@@ -38,15 +39,6 @@ QUARTER = CameraIntrinsics("pinhole", 256, 256, 128.0, 128.0, 128.0, 128.0)
 FACES = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
 
 
-@dataclass(frozen=True, eq=False)
-class _Out:
-    """The folder of one sequence, and what its LiDAR can see."""
-
-    folder: Path
-    around: tuple[SightLines, ...]
-    ego_from_lidar: SE3
-
-
 def write_kitti(source: LabelledSequence, out: Path, step: Step) -> None:
     """Write the sequence as number 00 into the empty folder `out`.
 
@@ -55,11 +47,13 @@ def write_kitti(source: LabelledSequence, out: Path, step: Step) -> None:
     sequence, folder = source.sequence, out / SEQUENCES / "00"
     for name in ("voxels", "velodyne"):
         (folder / name).mkdir(parents=True)
-    ego_from_lidar = sequence.calibration.ego_from_lidar
-    to = _Out(folder, _all_around(ego_from_lidar), ego_from_lidar)
-    for index in range(len(sequence.frames)):
-        _write_frame(source, index, to)
-        step(index + 1, len(sequence.frames))
+    lidar, total = _all_around(sequence.calibration.ego_from_lidar), len(sequence.frames)
+    for begin in range(0, total, LANES):
+        batch = range(begin, min(begin + LANES, total))
+        occupied = np.stack([gathered(source.grids(index)["semantics"]) for index in batch])
+        for index, visible in zip(batch, lidar.visible(occupied), strict=True):
+            _write_frame(source, index, visible, folder)
+            step(index + 1, total)
     _write_track(folder, sequence)
     write_config(out, {sequence.name: 0})
 
@@ -88,21 +82,18 @@ def packed(grid: NDArray[np.uint8] | NDArray[np.bool_]) -> bytes:
     return np.packbits(grid.reshape(-1) != 0, bitorder="big").tobytes()
 
 
-def _write_frame(source: LabelledSequence, index: int, to: _Out) -> None:
+def _write_frame(source: LabelledSequence, index: int, visible: Words, folder: Path) -> None:
     grids, name = source.grids(index), f"{index:06d}"
-    scan = _in_ego(source.samples.lidar(index), to.ego_from_lidar)
-    visible = np.zeros(GRID_SHAPE, np.uint8)
-    for lines in to.around:
-        mark_visible(grids["semantics"], lines, visible)
+    scan = _in_ego(source.samples.lidar(index), source.sequence.calibration.ego_from_lidar)
     contents = {
         "bin": packed(_occupied(scan[:, :3])),
         "label": grids["semantics"].astype("<u2").tobytes(),
         "invalid": packed(grids["mask_lidar"] == 0),
-        "occluded": packed(visible == 0),
+        "occluded": packed(spread_out(~visible)),
     }
     for suffix, content in contents.items():
-        (to.folder / "voxels" / f"{name}.{suffix}").write_bytes(content)
-    (to.folder / "velodyne" / f"{name}.bin").write_bytes(scan.astype("<f4").tobytes())
+        (folder / "voxels" / f"{name}.{suffix}").write_bytes(content)
+    (folder / "velodyne" / f"{name}.bin").write_bytes(scan.astype("<f4").tobytes())
 
 
 def _in_ego(sample: LidarSample, ego_from_lidar: SE3) -> NDArray[np.float64]:
@@ -119,7 +110,7 @@ def _occupied(points_ego: NDArray[np.float64]) -> NDArray[np.bool_]:
     return grid
 
 
-def _all_around(ego_from_lidar: SE3) -> tuple[SightLines, ...]:
+def _all_around(ego_from_lidar: SE3) -> SightBatch:
     """Six pinholes at the LiDAR, each a face of a cube."""
     lines = []
     for face in FACES:
@@ -127,7 +118,7 @@ def _all_around(ego_from_lidar: SE3) -> tuple[SightLines, ...]:
         right = np.roll(forward, 1)
         rotation = np.stack([right, np.cross(forward, right), forward], axis=1)
         lines.append(sight_lines(QUARTER, SE3.from_parts(wxyz_from_rotation(rotation), ego_from_lidar.translation_m)))
-    return tuple(lines)
+    return SightBatch(lines)
 
 
 def _write_track(folder: Path, sequence: Sequence) -> None:

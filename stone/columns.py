@@ -1,0 +1,91 @@
+"""A label grid as upright columns of bits: a frame is cut, hidden, counted and compared in words, not in voxels.
+
+**Conventions.** A column is the 32 voxels over one place (x, y) of the grid of `stone.grid`; bit z of its uint32 word
+stands for voxel z. The class of a voxel is its bit of `ones` plus twice its bit of `twos`.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from stone.grid import GRID_SHAPE, Grid
+from stone.lanes import popcount, spread
+
+Words = NDArray[np.uint32]
+SHAPE = GRID_SHAPE[:2]
+NOTHING = np.zeros(SHAPE, np.uint32)
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """The label grid of one frame, each (256, 256) uint32: both bits of the classes, and what was observed."""
+
+    ones: Words
+    twos: Words
+    observed: Words
+
+    @property
+    def occupied(self) -> Words:
+        return self.ones | self.twos
+
+    def classes(self) -> Grid:
+        """The class of every voxel, of `GRID_SHAPE`."""
+        return spread_out(self.ones, self.twos)
+
+    def observed_grid(self) -> Grid:
+        return spread_out(self.observed)
+
+
+def gathered(grid: Grid) -> Words:
+    """The columns (256, 256) in which those voxels are set that are not 0 in the grid."""
+    return np.packbits(grid != 0, axis=-1, bitorder="little").view("<u4")[..., 0]
+
+
+def spread_out(ones: Words, twos: Words = NOTHING) -> Grid:
+    """The grid, of `GRID_SHAPE`, whose voxels are their bit of `ones` plus twice their bit of `twos`."""
+    grid = np.empty(GRID_SHAPE, np.uint8)
+    _spread(ones.reshape(-1), twos.reshape(-1), grid.reshape(-1))
+    return grid
+
+
+@njit(cache=True, nogil=True)
+def _spread(ones, twos, out):  # type: ignore[no-untyped-def]
+    for column in range(ones.size):
+        spread(ones[column], twos[column], out, 32 * column)
+
+
+@dataclass(frozen=True, eq=False)
+class Masks:
+    """What was observed and what cameras see of one frame, (256, 256) uint32 each, and how much that is.
+
+    `by_class` (4,) counts the voxels of each class, `by_mask` (2,) those of each mask.
+    """
+
+    observed: Words
+    visible: Words
+    by_class: NDArray[np.int64]
+    by_mask: NDArray[np.int64]
+
+
+def reconcile(columns: Columns, visible: Words) -> Masks:
+    """Make the masks agree: what is labelled was observed, and cameras vouch for no voxel that no ray reached."""
+    observed = columns.observed | columns.occupied
+    visible = visible & observed
+    kinds = [columns.ones & ~columns.twos, columns.twos & ~columns.ones, columns.ones & columns.twos]
+    labelled = [_count(words) for words in kinds]
+    by_class = np.array([32 * observed.size - sum(labelled), *labelled])
+    return Masks(observed, visible, by_class, np.array([_count(observed), _count(visible)]))
+
+
+def _count(words: Words) -> int:
+    return int(_popcount(words.reshape(-1)))
+
+
+@njit(cache=True, nogil=True)
+def _popcount(words):  # type: ignore[no-untyped-def]
+    total = np.int64(0)
+    for word in words:
+        total += np.int64(popcount(np.uint64(word)))
+    return total
