@@ -8,14 +8,17 @@ from http import HTTPStatus
 
 from api import errors as api
 from api import file_errors as files
+from api import split_errors as splits
 from api import tus_errors as tus
 from services.ingest import profile_errors as profiles
-from services.runtime import bag_files, exported, exports, quota, recordings, store_keys
+from services.runtime import archives, bag_files, exported, exports, quota, recordings, store_keys
+from services.runtime import dataset_errors as datasets
 from services.runtime import label_choices as choices
 from services.runtime import processing_errors as processing
 from services.runtime.access import errors as access
 from services.runtime.jobs import errors as jobs
 from services.runtime.uploads import errors as uploads
+from stone import splits as splitting
 from stone.errors import StoneError
 
 STATUS_OF: dict[type[StoneError], int] = {
@@ -40,8 +43,13 @@ STATUS_OF: dict[type[StoneError], int] = {
     access.NameTakenError: 409,
     access.UnknownRoleError: 422,
     access.WeakPasswordError: 422,
+    archives.BadMemberError: 409,
     bag_files.BadBagFilesError: 422,
     choices.ChoiceError: 422,
+    datasets.BrokenSplitsError: 409,
+    datasets.HiddenPartError: 404,
+    datasets.NoSplitsError: 409,
+    datasets.SplitsChangedError: 409,
     exported.ExportUnfinishedError: 409,
     exports.NothingToExportError: 409,
     exports.UnknownExportFormatError: 422,
@@ -60,6 +68,10 @@ STATUS_OF: dict[type[StoneError], int] = {
     recordings.ForeignTargetError: 409,
     recordings.RecordingInUseError: 409,
     quota.QuotaExceededError: 413,
+    splits.SplitRefusedError: 422,
+    splitting.BadSizesError: 422,
+    splitting.CatalogueTooLargeError: 422,
+    splitting.EmptyCatalogueError: 409,
     store_keys.StoreAwayError: 503,
     store_keys.StoreFullError: 507,
     tus.ExtensionError: 400,

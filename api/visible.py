@@ -11,8 +11,9 @@ from sqlalchemy.orm import InstrumentedAttribute, Session, aliased
 
 from api.deps import Caller
 from api.errors import NotFoundError
+from services.runtime.dataset_reading import dataset_named
 from services.runtime.exports import counting_labels
-from services.runtime.orm import Calibration, Export, Job, LabelledFrame, LabelSet, Recording, Sequence
+from services.runtime.orm import Calibration, Dataset, Export, Job, LabelledFrame, LabelSet, Recording, Sequence
 
 Row = TypeVar("Row")
 
@@ -95,6 +96,11 @@ def frame_of(session: Session, caller: Caller, token: str) -> tuple[LabelledFram
     mine = found if caller.is_administrator else found.where(Sequence.owner_id == caller.user_id)
     row = session.execute(mine).one_or_none()
     return _known(row, "frame", token)
+
+
+def dataset_of(session: Session, name: str) -> Dataset:
+    """A version of the dataset, which is everybody's. Raises `NotFoundError`."""
+    return _known(dataset_named(session, name), "dataset version", name)
 
 
 def _known(found: Row | None, kind: str, subject_id: str) -> Row:

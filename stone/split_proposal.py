@@ -12,45 +12,27 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from stone.composition import CatalogueEntry, tally_of
-from stone.errors import StoneError
 from stone.split_model import COSTS, Model, Rule, SolverLimits, Sought, rules_of
 from stone.split_rules import check_split
-from stone.splits import LENGTH, PARTS, REGIONS, SIZES, WHOLE, RuleFinding, Split, is_long_enough, twins_of
+from stone.splits import (
+    LENGTH,
+    MOST_SEQUENCES,
+    PARTS,
+    REGIONS,
+    SIZES,
+    WHOLE,
+    BadSizesError,
+    CatalogueTooLargeError,
+    EmptyCatalogueError,
+    RuleFinding,
+    Split,
+    is_long_enough,
+    twins_of,
+)
 
-__all__ = ["COSTS", "BadSizesError", "PartShares", "Proposal", "SolverLimits", "propose"]
+__all__ = ["COSTS", "PartShares", "Proposal", "SolverLimits", "propose"]
 
-MOST_SEQUENCES = 2000
 NAMED = 8
-
-
-class BadSizesError(StoneError):
-    """The sizes of the parts cannot be those of a split."""
-
-    code = "bad_split_sizes"
-
-    def __init__(self, sizes: tuple[int, ...]) -> None:
-        super().__init__(
-            f"sizes {sizes} are asked for; they are three whole numbers (train, val, test) from 0 to "
-            f"{MOST_SEQUENCES}, and not all 0"
-        )
-
-
-class EmptyCatalogueError(StoneError):
-    """There is nothing to divide."""
-
-    code = "empty_catalogue"
-
-    def __init__(self) -> None:
-        super().__init__("there is no labelled sequence to divide; have some processed first")
-
-
-class CatalogueTooLargeError(StoneError):
-    """There are more sequences than a proposal is made for."""
-
-    code = "catalogue_too_large"
-
-    def __init__(self, sequences: int) -> None:
-        super().__init__(f"{sequences} sequences are to be divided; the most is {MOST_SEQUENCES}, leave some out")
 
 
 @dataclass(frozen=True)

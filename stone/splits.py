@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from stone.composition import CatalogueEntry
+from stone.errors import StoneError
 from stone.surroundings import ENVIRONMENTS, HALVES
 
 Part = Literal["train", "val", "test"]
@@ -21,6 +22,7 @@ Severity = Literal["error", "warning"]
 
 PARTS: tuple[Part, ...] = ("train", "val", "test")
 SHORTEST_S = 20.0
+MOST_SEQUENCES = 2000
 
 WHOLE = "whole_sequences"
 LENGTH = "sequence_length"
@@ -30,6 +32,36 @@ PLACES = "every_environment"
 SIZES = "split_sizes"
 UNSAID = "not_said"
 RULES = (WHOLE, LENGTH, REGIONS, LIGHT, PLACES, SIZES)
+
+
+class BadSizesError(StoneError):
+    """The sizes of the parts cannot be those of a split."""
+
+    code = "bad_split_sizes"
+
+    def __init__(self, sizes: tuple[int, ...]) -> None:
+        super().__init__(
+            f"sizes {sizes} are asked for; they are three whole numbers (train, val, test) from 0 to "
+            f"{MOST_SEQUENCES}, and not all 0"
+        )
+
+
+class EmptyCatalogueError(StoneError):
+    """There is nothing to divide."""
+
+    code = "empty_catalogue"
+
+    def __init__(self) -> None:
+        super().__init__("there is no labelled sequence to divide; have some processed first")
+
+
+class CatalogueTooLargeError(StoneError):
+    """There are more sequences than a proposal is made for."""
+
+    code = "catalogue_too_large"
+
+    def __init__(self, sequences: int) -> None:
+        super().__init__(f"{sequences} sequences are to be divided; the most is {MOST_SEQUENCES}, leave some out")
 
 
 @dataclass(frozen=True)

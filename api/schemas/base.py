@@ -42,7 +42,7 @@ def coded(check: Callable[[str], str]) -> Callable[[str], str]:
         try:
             return check(value)
         except StoneError as error:
-            raise PydanticCustomError(error.code, "{sentence}", {"sentence": str(error)}) from None  # type: ignore[arg-type]
+            raise PydanticCustomError(error.code, "{sentence}", {"sentence": str(error)}) from None
 
     return checked
 

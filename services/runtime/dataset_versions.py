@@ -13,6 +13,7 @@ from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from services.runtime.access.errors import NameTakenError
+from services.runtime.archives import layout
 from services.runtime.blobs import PreparedBlob, link_all, prepare
 from services.runtime.catalogue import labelled_sequences
 from services.runtime.dataset_errors import BrokenSplitsError, NoSplitsError, SplitsChangedError
@@ -34,6 +35,7 @@ class PreparedPart:
     files: tuple[DatasetFile, ...]
     index: PreparedBlob
     packs: tuple[str, ...]
+    tar_bytes: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +113,8 @@ def _members(session: Session) -> tuple[Current, Members]:
 
 def _prepared_part(platform: Platform, folder: Path, part: str, files: tuple[DatasetFile, ...]) -> PreparedPart:
     index, packs = packed(files)
-    return PreparedPart(files, _stored(platform, folder / f"{part}.npz", index_bytes(index)), packs)
+    blob = _stored(platform, folder / f"{part}.npz", index_bytes(index))
+    return PreparedPart(files, blob, packs, layout(index.members, "tar").size_bytes)
 
 
 def _stored(platform: Platform, path: Path, content: bytes) -> PreparedBlob:
@@ -135,7 +138,7 @@ def _write_members(session: Session, dataset_id: str, members: Members) -> None:
 def _write_part(session: Session, dataset_id: str, part: str, made: PreparedPart) -> None:
     size_bytes = sum(file.size_bytes for file in made.files)
     row = DatasetPart(dataset_id=dataset_id, part=part, files=len(made.files), size_bytes=size_bytes)
-    row.index_sha256 = made.index.sha256
+    row.index_sha256, row.tar_bytes = made.index.sha256, made.tar_bytes
     session.add(row)
     session.flush()
     held = [

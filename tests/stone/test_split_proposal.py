@@ -9,9 +9,20 @@ from hypothesis import strategies as st
 
 from stone.composition import CatalogueEntry, tally_of
 from stone.split_model import SolverLimits
-from stone.split_proposal import BadSizesError, CatalogueTooLargeError, EmptyCatalogueError, propose
+from stone.split_proposal import propose
 from stone.split_rules import check_split
-from stone.splits import LENGTH, LIGHT, PLACES, REGIONS, SIZES, WHOLE, Split
+from stone.splits import (
+    LENGTH,
+    LIGHT,
+    PLACES,
+    REGIONS,
+    SIZES,
+    WHOLE,
+    BadSizesError,
+    CatalogueTooLargeError,
+    EmptyCatalogueError,
+    Split,
+)
 from stone.surroundings import ENVIRONMENTS
 from tests.stone.catalogues import catalogue, entry, shuffled
 

@@ -75,6 +75,7 @@ class DatasetPart(Base):
     index_sha256: Mapped[str] = mapped_column(ForeignKey("blobs.sha256"), index=True)
     files: Mapped[int]
     size_bytes: Mapped[Bytes]
+    tar_bytes: Mapped[Bytes]
 
 
 class DatasetPack(Base):

@@ -1,0 +1,155 @@
+"""Versions of the dataset: published by an administrator, read and downloaded by everybody who is signed in.
+
+**Conventions.** A version never changes, so its manifest and its archives may be kept for ever. An archive is laid out,
+never built: any range of it is served. Test's labels are in none of these answers, and there is no route to them.
+"""
+
+from pathlib import Path as FilePath
+from tempfile import TemporaryDirectory
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Request, Response
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+from api import audit
+from api.answers import refusals
+from api.callers import Administrator, Reader
+from api.deps import PlatformDep
+from api.etags import etag
+from api.files import Served, StoredFile, answer_bytes, answer_file, file_responses
+from api.paging import Page, PageDep, page
+from api.schemas.base import instant
+from api.schemas.datasets import (
+    VERSION_PATTERN,
+    DatasetDetail,
+    DatasetItem,
+    DatasetMemberItem,
+    DatasetPartItem,
+    NewDatasetBody,
+    OpenPart,
+)
+from api.schemas.splits import Sizes
+from api.visible import dataset_of
+from services.runtime.archives import MEDIA_TYPES
+from services.runtime.dataset_manifest import NewDataset
+from services.runtime.dataset_reading import dataset_entries, locate_part, open_parts
+from services.runtime.dataset_versions import prepare_dataset, write_dataset
+from services.runtime.exported import archive_of, stored_files
+from services.runtime.orm import Blob, Dataset, DatasetMember, DatasetPart
+from services.runtime.packed_reading import archive_pieces
+
+router = APIRouter(prefix="/datasets", tags=["dataset"])
+DatasetName = Annotated[str, Path(pattern=VERSION_PATTERN, examples=["stone-1.0"])]
+MANIFEST = file_responses("application/json")
+ARCHIVE = file_responses(MEDIA_TYPES["tar"])
+
+
+@router.post("", status_code=201, responses=refusals(409))
+def create_dataset(
+    body: NewDatasetBody, caller: Administrator, platform: PlatformDep, response: Response
+) -> DatasetDetail:
+    """Publish the splits as they stand, as a version that never changes; train and val may then be downloaded."""
+    asked = NewDataset(body.name, body.licence, caller.user_id)
+    platform.settings.root.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(dir=platform.settings.root) as folder:
+        prepared = prepare_dataset(platform, asked, FilePath(folder))
+        with platform.database.transaction() as session:
+            dataset = write_dataset(session, prepared)
+            facts = {"name": dataset.name, "manifest_sha256": dataset.manifest_sha256}
+            audit.record_admin_act(session, caller, "dataset.create", dataset.id, body.reason, facts)
+            shown = _detail(session, dataset)
+    response.headers["Location"] = f"/api/v1/datasets/{dataset.name}"
+    response.headers["ETag"] = etag(dataset.manifest_sha256)
+    return shown
+
+
+@router.get("", responses=refusals())
+def list_datasets(_caller: Reader, platform: PlatformDep, query: PageDep) -> Page[DatasetItem]:
+    """The versions, newest first."""
+    with platform.database.reading() as session:
+        found = page(session, select(Dataset), Dataset.id.desc(), query)
+        return Page[DatasetItem](items=[_item(session, row) for row in found.rows], next=found.next)
+
+
+@router.get("/{dataset_name}", responses=refusals(404))
+def show_dataset(
+    dataset_name: DatasetName, _caller: Reader, platform: PlatformDep, response: Response
+) -> DatasetDetail:
+    """A version with its sequences and what can be downloaded of it."""
+    with platform.database.reading() as session:
+        dataset = dataset_of(session, dataset_name)
+        shown = _detail(session, dataset)
+    response.headers["ETag"] = etag(dataset.manifest_sha256)
+    return shown
+
+
+@router.get("/{dataset_name}/manifest", response_class=Response, responses=MANIFEST)
+def download_manifest(dataset_name: DatasetName, _caller: Reader, platform: PlatformDep, request: Request) -> Response:
+    """The manifest: sequences, statistics, and every file of train and val with its sha256."""
+    with platform.database.reading() as session:
+        row = dataset_of(session, dataset_name)
+        blob = session.get_one(Blob, row.manifest_sha256)
+    named = f"{row.name}.manifest.json"
+    file = StoredFile(blob.object_key, row.manifest_bytes, row.manifest_sha256, "application/json", named)
+    return answer_file(request, platform.store, file)
+
+
+@router.get("/{dataset_name}/archives/{part}", response_class=Response, responses=ARCHIVE)
+def download_part(
+    dataset_name: DatasetName, part: OpenPart, _caller: Reader, platform: PlatformDep, request: Request
+) -> Response:
+    """Train or val as a tar, whole or a range of it; `sha256sum.txt` in it checks every other file."""
+    with platform.database.reading() as session:
+        row, located = locate_part(session, dataset_of(session, dataset_name), part)
+    stored = stored_files(platform.store, located)
+    archive, read = archive_of(stored.files, "tar"), stored.reader(platform.store)
+    served = Served(
+        size_bytes=archive.size_bytes,
+        sha256=row.index_sha256,
+        media_type=MEDIA_TYPES["tar"],
+        filename=f"{dataset_name}-{part}.tar",
+        read=lambda start, stop: archive_pieces(stored.files, archive, (start, stop), read),
+        is_digest=False,
+    )
+    return answer_bytes(request, served)
+
+
+def _detail(session: Session, row: Dataset) -> DatasetDetail:
+    entries = dataset_entries(session, row)
+    members = [
+        DatasetMemberItem(
+            split=part,
+            name=one.name,
+            environment=one.environment,
+            illumination=one.illumination,
+            daylight=one.half,
+            region=one.region,
+            frames=one.frames,
+            duration_s=one.duration_s,
+            distance_m=one.distance_m,
+        )
+        for part, of_part in entries.items()
+        for one in of_part
+    ]
+    parts = [_part(one) for one in open_parts(session, row)]
+    return DatasetDetail(**dict(_item(session, row)), sequences=members, parts=parts)
+
+
+def _item(session: Session, row: Dataset) -> DatasetItem:
+    counted = select(DatasetMember.part, func.count()).where(DatasetMember.dataset_id == row.id)
+    sizes = dict(session.execute(counted.group_by(DatasetMember.part)).all())
+    return DatasetItem(
+        name=row.name,
+        licence=row.licence,
+        code_version=row.code_version,
+        manifest_sha256=row.manifest_sha256,
+        manifest_bytes=row.manifest_bytes,
+        sizes=Sizes(train=sizes.get("train", 0), val=sizes.get("val", 0), test=sizes.get("test", 0)),
+        created_at=instant(row.created_ns),
+    )
+
+
+def _part(row: DatasetPart) -> DatasetPartItem:
+    part: OpenPart = "train" if row.part == "train" else "val"
+    return DatasetPartItem(part=part, files=row.files, size_bytes=row.size_bytes, tar_bytes=row.tar_bytes)

@@ -1,0 +1,68 @@
+"""The splits under discussion: read, put as a whole, proposed by a solver.
+
+**Conventions.** There is one set of splits, and administrators put it; everybody sees how large it is, and where their
+own sequences are. What the rules forbid is refused with an error for each rule that is broken; what the data do not
+allow comes back as a warning. The solver is loaded when it is first asked.
+"""
+
+from fastapi import APIRouter, Request, Response
+
+from api import audit
+from api.answers import refusals
+from api.callers import Administrator, Reader
+from api.deps import PlatformDep
+from api.etags import etag, require_match
+from api.schemas.splits import ProposalAnswer, ProposalBody, SplitsAnswer, SplitsBody
+from api.split_errors import SplitRefusedError
+from api.split_views import proposal_answer, splits_answer
+from api.visible import sequences_of
+from services.runtime.catalogue import entries_of, labelled_sequences
+from services.runtime.splits import current_splits, errors_of, judged, lock_splits, replace_splits
+from stone.splits import Split
+
+router = APIRouter(prefix="/splits", tags=["dataset"])
+
+
+@router.get("", responses=refusals())
+def show_splits(caller: Reader, platform: PlatformDep, response: Response) -> SplitsAnswer:
+    """The splits: all of them for administrators, with what the rules say; one's own sequences for everybody else."""
+    with platform.database.reading() as session:
+        current = current_splits(session)
+        seen = labelled_sequences(session, sequences_of(caller))
+    response.headers["ETag"] = etag(current.revision)
+    findings = judged(current.split, seen) if caller.is_administrator else None
+    return splits_answer(current, entries_of(seen), findings)
+
+
+@router.put("", responses=refusals(409, 412, 428))
+def put_splits(
+    body: SplitsBody, caller: Administrator, platform: PlatformDep, request: Request, response: Response
+) -> SplitsAnswer:
+    """Put all splits at once; 422 names every rule that is broken, warnings are in the answer."""
+    split = Split(tuple(body.train), tuple(body.val), tuple(body.test))
+    with platform.database.transaction() as session:
+        row = lock_splits(session)
+        require_match(request, row.revision)
+        labelled = labelled_sequences(session)
+        findings = judged(split, labelled)
+        if errors := errors_of(findings):
+            raise SplitRefusedError(errors, {one.entry.id: one.entry.name for one in labelled})
+        replace_splits(session, row, split)
+        facts = dict(zip(("train", "val", "test"), split.sizes, strict=True)) | {"revision": row.revision}
+        audit.record_admin_act(session, caller, "splits.put", row.name, body.reason, facts)
+        current = current_splits(session)
+    response.headers["ETag"] = etag(current.revision)
+    return splits_answer(current, entries_of(labelled), findings)
+
+
+@router.post("/proposal", responses=refusals(409))
+def propose_splits(body: ProposalBody, caller: Administrator, platform: PlatformDep) -> ProposalAnswer:
+    """Splits of these sizes that keep every rule and are alike, or which rules clash. Nothing is saved."""
+    from stone.split_proposal import propose
+
+    left_out = set(body.leave_out)
+    with platform.database.reading() as session:
+        seen = entries_of(labelled_sequences(session))
+    entries = tuple(entry for entry in seen if entry.id not in left_out)
+    sizes = body.sizes
+    return proposal_answer(propose(entries, (sizes.train, sizes.val, sizes.test)), entries)

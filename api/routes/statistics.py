@@ -1,0 +1,66 @@
+"""What the dataset is made of, as JSON and as a figure: of a published version, or of the sequences a caller may see.
+
+**Conventions.** Both come from the same record, so they cannot differ. Of test's labels nothing is told.
+"""
+
+from hashlib import sha256
+from json import dumps
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Request, Response
+
+from api.answers import refusals
+from api.callers import Reader
+from api.deps import Caller, PlatformDep
+from api.etags import etag, is_unchanged
+from api.schemas.datasets import VERSION_PATTERN
+from api.schemas.statistics import StatisticsAnswer
+from api.visible import dataset_of, sequences_of
+from services.runtime.catalogue import entries_of, labelled_sequences
+from services.runtime.composition_figure import FIGURE_VERSION, composition_png, figure_title
+from services.runtime.dataset_reading import dataset_entries
+from services.runtime.platform import Platform
+from services.runtime.splits import current_splits
+from services.runtime.statistics import Record, statistics_record
+from stone.composition import CatalogueEntry
+
+router = APIRouter(prefix="/statistics", tags=["dataset"])
+VersionQuery = Annotated[str | None, Query(pattern=VERSION_PATTERN, description="a version of the dataset")]
+PNG = {"image/png": {"schema": {"type": "string", "format": "binary"}}}
+NOT_MODIFIED = {"description": "The caller has it already"}
+
+
+@router.get("", responses=refusals(404))
+def show_statistics(caller: Reader, platform: PlatformDep, dataset: VersionQuery = None) -> StatisticsAnswer:
+    """The composition by environment, illumination, region, class and split."""
+    return StatisticsAnswer(dataset=dataset, **_record(platform, caller, dataset))
+
+
+@router.get(
+    "/composition.png",
+    response_class=Response,
+    responses={200: {"description": "The figure", "content": PNG}, 304: NOT_MODIFIED, **refusals(404)},
+)
+def show_composition(caller: Reader, platform: PlatformDep, request: Request, dataset: VersionQuery = None) -> Response:
+    """The composition as a figure."""
+    record = _record(platform, caller, dataset)
+    title = figure_title(record["total"], dataset or "Labelled sequences")
+    tag = sha256(dumps([FIGURE_VERSION, title, record], sort_keys=True).encode()).hexdigest()
+    headers = {"ETag": etag(tag), "Cache-Control": "private, no-cache"}
+    if is_unchanged(request, tag):
+        return Response(status_code=304, headers=headers)
+    return Response(composition_png(record, title), headers=headers, media_type="image/png")
+
+
+def _record(platform: Platform, caller: Caller, dataset: str | None) -> Record:
+    """Raises `NotFoundError`."""
+    with platform.database.reading() as session:
+        if dataset is not None:
+            return statistics_record(dataset_entries(session, dataset_of(session, dataset)))
+        seen = entries_of(labelled_sequences(session, sequences_of(caller)))
+        split = current_splits(session).split
+    assigned: dict[str, list[CatalogueEntry]] = {
+        part: [entry for entry in seen if entry.id in ids] for part, ids in split.parts.items()
+    }
+    of_part = {entry.id for entries in assigned.values() for entry in entries}
+    return statistics_record({**assigned, "": [entry for entry in seen if entry.id not in of_part]})

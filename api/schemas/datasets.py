@@ -1,0 +1,83 @@
+"""Versions of the dataset over the wire."""
+
+from datetime import datetime
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from api.schemas.base import SHA256_EXAMPLE, Answer, Body, Line, Reason, example
+from api.schemas.splits import ENTRY_EXAMPLE, Sizes
+
+VERSION_PATTERN = "^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
+OpenPart = Literal["train", "val"]
+PART_EXAMPLE: dict[str, Any] = {"part": "train", "files": 41203, "size_bytes": 1500223311, "tar_bytes": 1531002880}
+MEMBER_EXAMPLE = {key: value for key, value in ENTRY_EXAMPLE.items() if key not in ("sequence_id", "voxels")}
+DATASET_EXAMPLE: dict[str, Any] = {
+    "name": "stone-1.0",
+    "licence": "CC-BY-NC-SA-4.0",
+    "code_version": "0.1.0",
+    "manifest_sha256": SHA256_EXAMPLE,
+    "manifest_bytes": 8120334,
+    "sizes": {"train": 31, "val": 7, "test": 5},
+    "created_at": "2026-05-03T09:12:44.120000Z",
+}
+
+
+class NewDatasetBody(Body):
+    """A version to be made of the splits as they stand. `reason` is kept in the audit log."""
+
+    model_config = example(name="stone-1.0", licence="CC-BY-NC-SA-4.0", reason="first release")
+
+    name: Annotated[str, Field(pattern=VERSION_PATTERN)]
+    licence: Line = ""
+    reason: Reason
+
+
+class DatasetItem(Answer):
+    """A version as a list shows it; it never changes."""
+
+    model_config = example(**DATASET_EXAMPLE)
+
+    name: str
+    licence: str
+    code_version: str
+    manifest_sha256: str
+    manifest_bytes: int
+    sizes: Sizes
+    created_at: datetime
+
+
+class DatasetMemberItem(Answer):
+    """A sequence of a version: where and when it was driven, and how much of it there is."""
+
+    model_config = example(split="train", **MEMBER_EXAMPLE)
+
+    split: str
+    name: str
+    environment: str
+    illumination: str
+    daylight: str
+    region: str
+    frames: int
+    duration_s: float
+    distance_m: float | None
+
+
+class DatasetPartItem(Answer):
+    """A part that can be downloaded; test's labels cannot."""
+
+    model_config = example(**PART_EXAMPLE)
+
+    part: OpenPart
+    files: int
+    size_bytes: int
+    tar_bytes: int
+
+
+class DatasetDetail(DatasetItem):
+    """A version with its sequences and what can be downloaded of it."""
+
+    model_config = example(**DATASET_EXAMPLE, sequences=[{"split": "train", **MEMBER_EXAMPLE}], parts=[PART_EXAMPLE])
+
+    sequences: list[DatasetMemberItem]
+    parts: list[DatasetPartItem]
