@@ -134,6 +134,27 @@ class NoLabelsError(StoneError):
         super().__init__(f"sequence {name!r} has no labels yet; run `stone process {name} --watch`")
 
 
+class NoExportError(StoneError):
+    """The sequence has no finished export of its labels in this format."""
+
+    code: ClassVar[str] = "no_export"
+
+    def __init__(self, name: str, form: str, state: str) -> None:
+        why = f"its {form} export is {state}" if state else f"it has no {form} export of its labels"
+        super().__init__(
+            f"sequence {name!r} cannot be downloaded so: {why}; run `stone exports {name} --format {form}`"
+        )
+
+
+class DownloadUnderWayError(StoneError):
+    """Another process is downloading to the same place."""
+
+    code: ClassVar[str] = "download_under_way"
+
+    def __init__(self, output: Path) -> None:
+        super().__init__(f"another process is downloading {output}; wait for it, or choose another output path")
+
+
 class DamagedDownloadError(StoneError):
     """What arrived is not what the server said it would send."""
 

@@ -12,6 +12,7 @@ import typer
 from client.commands.demo import demo
 from client.commands.download import download
 from client.commands.export import export
+from client.commands.exports import exports
 from client.commands.inspect import inspect
 from client.commands.label import label
 from client.commands.login import login
@@ -36,7 +37,7 @@ app = typer.Typer(
 )
 COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
     "On this machine": (simulate, inspect, recover, label, export, validate, score, demo),
-    "With a server": (serve, login, upload, process, watch, status, download),
+    "With a server": (serve, login, upload, process, watch, status, exports, download),
 }
 for panel, commands in COMMANDS.items():
     for command in commands:

@@ -8,7 +8,7 @@ from typer.testing import CliRunner, Result
 from client.main import app
 
 LOCAL = ["simulate", "inspect", "label", "validate", "score", "demo"]
-ON_A_SERVER = ["serve", "login", "upload", "process", "watch", "status", "download"]
+ON_A_SERVER = ["serve", "login", "upload", "process", "watch", "status", "exports", "download"]
 COMMANDS = [*LOCAL, *ON_A_SERVER]
 LATER = ["export", "submit", "results", "leaderboard"]
 
@@ -55,6 +55,10 @@ def test_commands_that_are_promised_are_absent_not_stubbed(command: str) -> None
         ["process"],
         ["watch"],
         ["download", "run"],
+        ["download", "run", "--format", "nuscenes", "-o", "folder"],
+        ["download", "run", "--format", "obj", "-o", "run.tar"],
+        ["exports"],
+        ["exports", "run", "--format", "obj"],
         ["serve", "--port", "65536"],
         ["serve", "--workers", "0"],
     ],
