@@ -31,8 +31,8 @@ def chip(image: Image.Image, corner: tuple[int, int], text: str, size_px: int) -
     pen.text((at[0], (top + corner[1]) / 2), text, INK, font(size_px), anchor="lm")
 
 
-def legend(image: Image.Image, place: tuple[float, float], size_px: int) -> float:
-    """The classes and the track from `place` (x, y of the middle line) to the right; returns where it ends, x."""
+def legend(image: Image.Image, place: tuple[float, float], size_px: int, *, with_unseen: bool = True) -> None:
+    """The classes, the track and the unseen from `place` (x, y of the middle line) to the right."""
     pen = ImageDraw.Draw(image)
     x, y = place
     half = size_px * 0.45
@@ -41,8 +41,9 @@ def legend(image: Image.Image, place: tuple[float, float], size_px: int) -> floa
         x = _word(pen, (x + 2 * half, y), name, size_px)
     pen.line((x, y, x + 2 * half, y), fill=TRACK, width=max(2, size_px // 4))
     x = _word(pen, (x + 2 * half, y), "track", size_px)
-    pen.rectangle((x, y - half, x + 2 * half, y + half), fill=UNSEEN)
-    return _word(pen, (x + 2 * half, y), "never seen", size_px)
+    if with_unseen:
+        pen.rectangle((x, y - half, x + 2 * half, y + half), fill=UNSEEN)
+        _word(pen, (x + 2 * half, y), "never seen", size_px)
 
 
 def _word(pen: ImageDraw.ImageDraw, place: tuple[float, float], text: str, size_px: int) -> float:
