@@ -12,12 +12,18 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from stone.lattice import EMPTY, Keys, indices_of, keys_from_indices, pack, slot_of
+from stone.lattice import EMPTY, Keys, check_reach, indices_of, keys_from_indices, pack, slot_of
 from stone.se3 import SE3
 from stone.voxels import VOXEL_M
 
 BRICK = 4
+BLOCK = 256  # rays; a multiple of 8, so that a ray's place in its block says how it is thinned
 LOAD_RATIO = 0.5
+
+# Along a ray time is counted in 2^-44 voxels, finer than doubles are added up along it; the lowest bits are a row.
+TICKS = 2.0**44
+ROW_BITS = 3
+NEVER = 2.0**14  # voxels; further than any ray is followed
 
 
 @dataclass(frozen=True)
@@ -60,25 +66,41 @@ def union(parts: Sequence[Observed]) -> Observed:
 
 
 class Carver:
-    """Follows the rays of sweep after sweep, then `finish`."""
+    """Follows the rays of sweep after sweep, then `finish`.
+
+    A sweep is carved into a dense window of bricks around the sensor, whose bits are then joined to what is known: a
+    step costs no look-up. The window is 9 MB at 40 m, and grows with the cube of the range.
+    """
 
     def __init__(self, parameters: CarveParameters, slots: int = 1 << 16) -> None:
         self._parameters = parameters
         self._used = 0
         self._keys = np.full(slots, EMPTY, np.int64)
         self._words = np.zeros(slots, np.uint64)
+        self._side = 2 * _window_radius(parameters) + 1
+        self._window = np.zeros(self._side**3, np.uint64)
+        self._touched = np.empty(self._side**3 + 1, np.int32)
+        self._steps = _steps(self._side)
+        self._rays = np.zeros((4, BLOCK))
 
     def carve(self, points_ego: NDArray[np.float32], map_from_ego: SE3, sensor_ego: NDArray[np.float64]) -> None:
-        """Mark every voxel on the way from `sensor_ego` (3,) to each of the points (N, 3), both ends included."""
+        """Mark every voxel on the way from `sensor_ego` (3,) to each of the points (N, 3), both ends included.
+
+        Raises `OffLatticeError` for a pose that is not finite or off the lattice.
+        """
         p = self._parameters
+        sensor = map_from_ego @ sensor_ego
+        check_reach(np.abs(sensor) + p.max_range_m, VOXEL_M)
         thin_m = p.thin_m if len(points_ego) > p.sparse_rays else 0.0
         reach = (p.max_range_m / VOXEL_M, thin_m / VOXEL_M)
-        view = (map_from_ego.as_matrix(), (map_from_ego @ sensor_ego) / VOXEL_M)
-        done = 0
-        while done < len(points_ego):
-            done, self._used = _carve(points_ego, done, view, reach, (self._keys, self._words), self._used)
-            if done < len(points_ego):
-                self._grow()
+        origin = sensor / VOXEL_M
+        corner = np.floor(origin).astype(np.int64) // BRICK - _window_radius(p)
+        view = (map_from_ego.as_matrix(), origin, corner * BRICK)
+        touched = _carve(points_ego, view, reach, (self._window, self._touched, self._steps, self._rays))
+        while self._used + touched > int(len(self._keys) * LOAD_RATIO):
+            self._grow()
+        window = (self._window, self._touched[:touched], self._side)
+        self._used += _join(window, corner, self._keys, self._words)
 
     def _grow(self) -> None:
         old = (self._keys, self._words)
@@ -92,67 +114,118 @@ class Carver:
         return Observed(self._keys[order], self._words[order])
 
 
-@njit(cache=True, nogil=True)
-def _carve(points, begin, view, reach, table, used):  # type: ignore[no-untyped-def]
-    """Follow rays from `begin` until all are done or the table is too full; (rays done, slots used)."""
-    keys, words = table
-    limit = int(keys.size * LOAD_RATIO) - 512  # one ray adds fewer bricks than this
-    for p in range(begin, points.shape[0]):
-        if used >= limit:
-            return p, used
-        level = 0 if p % 8 == 0 else 1 if p % 8 == 4 else 2 if p % 4 == 2 else 3
-        used = _follow(points[p], view, (level * reach[1], reach[0]), keys, words, used)
-    return points.shape[0], used
+def _window_radius(parameters: CarveParameters) -> int:
+    """How many bricks a ray may come away from that of the sensor, and one for rounding."""
+    return math.ceil(parameters.max_range_m / (VOXEL_M * BRICK)) + 1
 
 
-@njit(cache=True, nogil=True)
-def _follow(point, view, span, keys, words, used):  # type: ignore[no-untyped-def]
-    """Amanatides & Woo (1987) through the voxel lattice; marks each voxel of the ray from span[0] to its end."""
-    m, origin = view
-    x, y, z = np.float64(point[0]), np.float64(point[1]), np.float64(point[2])
-    dx = (m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]) / VOXEL_M - origin[0]
-    dy = (m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]) / VOXEL_M - origin[1]
-    dz = (m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]) / VOXEL_M - origin[2]
-    length = math.sqrt(dx * dx + dy * dy + dz * dz)
-    end = min(length, span[1])
-    if not span[0] < end:
-        return used
-    dx, dy, dz = dx / length, dy / length, dz / length
-    ox, oy, oz = origin[0] + dx * span[0], origin[1] + dy * span[0], origin[2] + dz * span[0]
-    i, j, k = math.floor(ox), math.floor(oy), math.floor(oz)
-    si, sj, sk = (1 if dx > 0 else -1), (1 if dy > 0 else -1), (1 if dz > 0 else -1)
-    ax = abs(1.0 / dx) if abs(dx) > 1e-12 else 1e18
-    ay = abs(1.0 / dy) if abs(dy) > 1e-12 else 1e18
-    az = abs(1.0 / dz) if abs(dz) > 1e-12 else 1e18
-    tx = ((i + 1 - ox) if si > 0 else (ox - i)) * ax
-    ty = ((j + 1 - oy) if sj > 0 else (oy - j)) * ay
-    tz = ((k + 1 - oz) if sk > 0 else (oz - k)) * az
-    end -= span[0]
-    last, slot = np.int64(EMPTY), np.int64(0)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _carve(points, view, reach, window):  # type: ignore[no-untyped-def]
+    """Follow all rays through the window; how many of its bricks were touched."""
+    words, touched, steps, rays = window
+    count = 0
+    for begin in range(0, points.shape[0], BLOCK):
+        block = points[begin : begin + BLOCK]
+        _aim(block, view[0], view[1], rays)
+        for p in range(block.shape[0]):
+            level = 0 if p % 8 == 0 else 1 if p % 8 == 4 else 2 if p % 4 == 2 else 3
+            start, end = level * reach[1], min(rays[3, p], reach[0])
+            if start < end:
+                ray = rays[0, p], rays[1, p], rays[2, p], start, end
+                count = _follow(ray, _begin(ray, view[1], view[2]), words, touched, steps, count)
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _aim(block, pose, origin, rays):  # type: ignore[no-untyped-def]
+    """Unit direction and length, in voxels, of the ray to each point."""
+    m00, m01, m02, m03 = pose[0]
+    m10, m11, m12, m13 = pose[1]
+    m20, m21, m22, m23 = pose[2]
+    o0, o1, o2 = origin
+    for p in range(block.shape[0]):
+        x, y, z = np.float64(block[p, 0]), np.float64(block[p, 1]), np.float64(block[p, 2])
+        dx = (m00 * x + m01 * y + m02 * z + m03) / VOXEL_M - o0
+        dy = (m10 * x + m11 * y + m12 * z + m13) / VOXEL_M - o1
+        dz = (m20 * x + m21 * y + m22 * z + m23) / VOXEL_M - o2
+        length = math.sqrt(dx * dx + dy * dy + dz * dz)
+        rays[0, p], rays[1, p], rays[2, p], rays[3, p] = dx / length, dy / length, dz / length, length
+
+
+@njit(inline="always")
+def _begin(ray, origin, corner):  # type: ignore[no-untyped-def]
+    """Where the ray enters the lattice: the voxel, counted from the window's corner, and how far in it."""
+    dx, dy, dz, start, _end = ray
+    x, y, z = origin[0] + dx * start, origin[1] + dy * start, origin[2] + dz * start
+    i, j, k = math.floor(x), math.floor(y), math.floor(z)
+    return i - corner[0], j - corner[1], k - corner[2], x - i, y - j, z - k
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _follow(ray, begin, words, touched, steps, count):  # type: ignore[no-untyped-def]
+    """Amanatides & Woo (1987) through the voxel lattice; marks each voxel of the ray from its start to its end.
+
+    Which axis is next is not foreseeable, so that a branch would be guessed wrong every other step. Crossings are whole
+    numbers of `TICKS` that end in their row of `_steps`: the least of three is the next, and says where it leads.
+    """
+    tx, ax = _crossings(ray[0], begin[3], 0)
+    ty, ay = _crossings(ray[1], begin[4], 2)
+    tz, az = _crossings(ray[2], begin[5], 4)
+    last = int((ray[4] - ray[3]) * TICKS) << ROW_BITS | (1 << ROW_BITS) - 1
+    i, j, k = begin[0], begin[1], begin[2]
+    side = steps[7, 0]
+    brick = ((i >> 2) * side + (j >> 2)) * side + (k >> 2)
+    place = np.uint64(brick * 64 + ((i & 3) * 4 + (j & 3)) * 4 + (k & 3))
     while True:
-        key = pack(i >> 2, j >> 2, k >> 2)
-        if key != last:
-            slot = slot_of(keys, key)
-            if keys[slot] == EMPTY:
-                keys[slot] = key
-                used += 1
-            last = key
-        words[slot] |= np.uint64(1) << np.uint64(((i & 3) * 4 + (j & 3)) * 4 + (k & 3))
-        if tx <= ty and tx <= tz:
-            if tx > end:
-                return used
-            tx += ax
-            i += si
-        elif ty <= tz:
-            if ty > end:
-                return used
-            ty += ay
-            j += sj
-        else:
-            if tz > end:
-                return used
-            tz += az
-            k += sk
+        at = place >> np.uint64(6)
+        touched[count] = at
+        count += words[at] == 0
+        words[at] |= np.uint64(1) << (place & np.uint64(63))
+        following = min(tx, min(ty, tz))
+        if following > last:
+            return count
+        place += np.uint64(steps[following & ((1 << ROW_BITS) - 1), place & np.uint64(63)])
+        tx += ax if tx == following else 0
+        ty += ay if ty == following else 0
+        tz += az if tz == following else 0
+
+
+@njit(inline="always")
+def _crossings(slope, offset, row):  # type: ignore[no-untyped-def]
+    """When a ray that begins at `offset` in its voxel leaves it along this axis, and how long a voxel takes it."""
+    is_up = slope > 0
+    each = abs(1.0 / slope) if abs(slope) > 1e-12 else NEVER
+    first = (1.0 - offset if is_up else offset) * each
+    ticks = int(min(each, NEVER) * TICKS) << ROW_BITS
+    return (int(min(first, NEVER) * TICKS) << ROW_BITS) + row + is_up, ticks
+
+
+def _steps(side: int) -> NDArray[np.int64]:
+    """What a step down (even rows) or up along x, y, z adds to each of 64 places in a brick: (8, 64), last `side`."""
+    steps = np.zeros((1 << ROW_BITS, 64), np.int64)
+    for axis, row in ((0, 0), (1, 2), (2, 4)):
+        bit, brick = 4 ** (2 - axis), 64 * side ** (2 - axis)
+        local = np.arange(64) // bit % BRICK
+        steps[row] = np.where(local == 0, (BRICK - 1) * bit - brick, -bit)
+        steps[row + 1] = np.where(local == BRICK - 1, brick - (BRICK - 1) * bit, bit)
+    steps[-1] = side
+    return steps
+
+
+@njit(cache=True, nogil=True)
+def _join(window, corner, keys, known):  # type: ignore[no-untyped-def]
+    """Join the touched bricks to what is known and clear the window; how many of them are new."""
+    words, touched, side = window
+    new = 0
+    for brick in touched:
+        i, j, k = brick // (side * side), brick // side % side, brick % side
+        key = pack(i + corner[0], j + corner[1], k + corner[2])
+        slot = slot_of(keys, key)
+        new += keys[slot] == EMPTY
+        keys[slot] = key
+        known[slot] |= words[brick]
+        words[brick] = 0
+    return new
 
 
 @njit(cache=True, nogil=True)

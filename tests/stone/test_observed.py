@@ -1,11 +1,14 @@
 """Rays against dense sampling: every voxel on the way is marked, and none off it."""
 
+import math
+from fractions import Fraction
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stone.lattice import centres_of, indices_of, keys_from_indices, keys_of
+from stone.lattice import OffLatticeError, centres_of, indices_of, keys_from_indices, keys_of
 from stone.observed import BRICK, CarveParameters, Carver, Observed, union
 from stone.se3 import SE3
 from stone.voxels import VOXEL_M
@@ -56,6 +59,46 @@ def test_nothing_is_marked_off_the_rays(seed):
     nearest = sensor + np.clip(along, 0, 1)[..., None] * way
     off_m = np.linalg.norm(centres[:, None] - nearest, axis=2).min(axis=1)
     assert off_m.max() <= VOXEL_M * np.sqrt(3) / 2 + 1e-6
+
+
+def walked(start, end):
+    """The voxels a segment passes, one after the other: always over the face that it meets first (in exact numbers)."""
+    start, end = [Fraction(c) for c in start], [Fraction(c) for c in end]
+    voxel, last = [math.floor(c) for c in start], [math.floor(c) for c in end]
+    way = [b - a for a, b in zip(start, end, strict=True)]
+    passed = [tuple(voxel)]
+    while voxel != last:
+        faces = [(v + (w > 0) - s) / w if w else Fraction(9) for v, w, s in zip(voxel, way, start, strict=True)]
+        axis = faces.index(min(faces))
+        voxel[axis] += 1 if way[axis] > 0 else -1
+        passed.append(tuple(voxel))
+    return passed
+
+
+@settings(max_examples=15, deadline=None)
+@given(SEEDS)
+def test_each_ray_marks_just_the_voxels_that_exact_numbers_walk_through(seed):
+    points = rays(seed, count=8, reach_m=25.0)
+    sensor, ends = POSE @ SENSOR_EGO / VOXEL_M, POSE @ points.astype(np.float64) / VOXEL_M
+    expected = {voxel for end in ends.tolist() for voxel in walked(sensor.tolist(), end)}
+    assert {tuple(row) for row in indices_of(carved(points).voxel_keys()).tolist()} == expected
+
+
+@pytest.mark.parametrize("pose", [[1, 0, 0, 0, math.nan, 0, 0], [1, 0, 0, 0, 1e7, 0, 0]])
+def test_a_broken_pose_is_refused(pose):
+    carver = Carver(CarveParameters())
+    with pytest.raises(OffLatticeError, match="is a pose broken or given in global"):
+        carver.carve(rays(1), SE3(np.array(pose, np.float64)), SENSOR_EGO)
+
+
+def test_sweep_after_sweep_joins_what_each_observes():
+    poses = [SE3.from_parts(np.array([1.0, 0, 0, 0.1 * i]), np.array([9.0 * i, -4.0 * i, i])) for i in range(4)]
+    carver = Carver(CarveParameters(), slots=16)
+    for i, pose in enumerate(poses):
+        carver.carve(rays(i), pose, SENSOR_EGO)
+    joined = union([carved(rays(i), pose=pose) for i, pose in enumerate(poses)])
+    assert carver.finish().keys.tolist() == joined.keys.tolist()
+    assert carver.finish().words.tolist() == joined.words.tolist()
 
 
 def test_both_ends_of_a_ray_are_marked():
