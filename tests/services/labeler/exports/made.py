@@ -1,0 +1,60 @@
+"""A short drive of the simulated full rig and its labels, made once and exported by many tests."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from services.ingest.opening import open_sequence
+from services.ingest.samples import checked_samples
+from services.labeler.exports.source import LabelledSequence, folder_source
+from services.labeler.parameters import parameters_for
+from services.labeler.pipeline import LabelOptions, label
+from simulator.options import SimulateOptions
+from simulator.pipeline import simulate
+
+OPTIONS = SimulateOptions(seconds=1.2, seed=3, channels=16, columns=240, camera_width_px=96, world_width_m=60.0)
+
+
+@dataclass(frozen=True)
+class Labelled:
+    """`folder` is what `stone label` leaves of the recording `bag`."""
+
+    bag: Path
+    folder: Path
+
+    @property
+    def report(self) -> dict[str, Any]:
+        report: dict[str, Any] = json.loads((self.folder / "report.json").read_text())
+        return report
+
+    def source(self) -> LabelledSequence:
+        return folder_source(self.folder, checked_samples)
+
+
+def made_labels(root: Path) -> Labelled:
+    """Twelve sweeps, six cameras and three radars."""
+    bag = root / "drive.mcap"
+    simulate(bag, OPTIONS)
+    return labelled(bag, root / "drive.calibration.yaml", root / "labels", "drive")
+
+
+def labelled(bag: Path, calibration: Path, folder: Path, name: str) -> Labelled:
+    sequence, sweeps = open_sequence(bag, calibration, name)
+    source = {"recording": str(bag), "calibration": str(calibration)}
+    label(sequence, sweeps, folder, LabelOptions(parameters_for("local"), 1, source))
+    return Labelled(bag, folder)
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    """Every file below a folder by its name there."""
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in _files(folder)}
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    return (path for path in sorted(folder.rglob("*")) if path.is_file())
+
+
+def unheard(_done: int, _total: int) -> None:
+    """Nobody asks how far an export is."""

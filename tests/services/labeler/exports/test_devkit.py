@@ -1,0 +1,177 @@
+"""The export opens in nuscenes-devkit, which knows nothing of us, without a warning; every row and file of it."""
+
+import json
+import os
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from services.ingest.opening import open_sequence
+from services.labeler.exports.folder import ExportRequest, export
+from services.labeler.exports.nuscenes import write_nuscenes
+from services.labeler.parameters import parameters_for
+from services.labeler.picture import CLASS_RGB
+from services.labeler.pipeline import LabelOptions, label
+from stone.samples import ego_at
+from stone.sequence import Association, Sequence
+from stone.voxels import VOXEL_M
+from tests.services.labeler.exports.made import Labelled, unheard
+
+ROOT = Path(__file__).resolve().parents[4]
+INSTALL = "deploy/install-devkit.sh"
+PYTHON = ROOT / ".venv" / "nuscenes-devkit" / "bin" / "python"
+WALK = ROOT / "tests" / "clients" / "devkit" / "walk.py"
+CAMERAS = 6
+KITTI_FRAMES = 20
+
+
+@pytest.fixture(scope="module")
+def devkit() -> Path:
+    if not (PYTHON.parents[1] / "installed").exists():
+        pytest.skip(f"nuscenes-devkit is not installed: run {INSTALL}")
+    return PYTHON
+
+
+def walked(devkit: Path, dataroot: Path, scratch: Path, places: tuple[Path, ...] = ()) -> dict[str, Any]:
+    environment = {**os.environ, "MPLBACKEND": "Agg", "MPLCONFIGDIR": str(scratch), "OMP_NUM_THREADS": "1"}
+    command = [devkit, "-W", "error", "-I", WALK, dataroot, *places]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
+    assert (done.returncode, done.stderr) == (0, "")
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+@pytest.fixture(scope="module")
+def out(drive: Labelled, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("nuscenes")
+    write_nuscenes(drive.source(), folder, unheard)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def found(devkit: Path, drive: Labelled, out: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    scratch = tmp_path_factory.mktemp("walk")
+    (scratch / "places.json").write_text(json.dumps([places.tolist() for places in columns(drive, out)]))
+    return walked(devkit, out, scratch, (scratch / "places.json",))
+
+
+def columns(drive: Labelled, out: Path) -> tuple[Any, Any]:
+    """Middles of the 0.2 m columns whose surface is all or in part drivable, and of those where none is, in global."""
+    mesh = trimesh.load(drive.folder / "mesh.ply", process=False)
+    indices = np.floor(mesh.vertices[:, :2] / VOXEL_M).astype(int)
+    colours = np.asarray(mesh.visual.vertex_colors)[:, :3]
+    is_drivable = (colours == CLASS_RGB[1]).all(axis=1) | (colours == CLASS_RGB[2]).all(axis=1)
+    drivable = {tuple(index) for index in indices[is_drivable].tolist()}
+    other = {tuple(index) for index in indices.tolist()} - drivable
+    log = json.loads((out / "v1.0-trainval" / "log.json").read_text())[0]
+    shift_m = np.array(log["global_from_map_m"][:2])
+    return tuple((np.array(sorted(places)) + 0.5) * VOXEL_M + shift_m for places in (drivable, other))  # type: ignore[return-value]
+
+
+def pinhole_pixels(sequence: Sequence, points_lidar: Any, channel: str, index: int) -> Any:
+    """(M, 2) pixels and depth of a sweep in one camera, from our own poses, without any table."""
+    mount = sequence.calibration.mount(channel)
+    assert mount is not None
+    lens = mount.intrinsics
+    assert lens is not None
+    stamp_ns = int(sequence.frames.stamps_ns[index]) + int(sequence.frames.associations[channel].dt_ns[index])
+    map_from_ego = ego_at(sequence, index, stamp_ns)
+    assert map_from_ego is not None
+    ego_from_lidar = sequence.calibration.ego_from_lidar
+    points_map = sequence.frames.map_from_ego[index] @ (ego_from_lidar @ points_lidar.astype(np.float64))
+    seen = (map_from_ego @ ego_from_lidar @ mount.lidar_from_sensor).inverse() @ points_map
+    x, y, z = seen[seen[:, 2] > 1.0].T
+    pixels = np.column_stack([lens.fx_px * x / z + lens.cx_px, lens.fy_px * y / z + lens.cy_px, z])
+    inside = (pixels[:, :2] > 1).all(axis=1)
+    return pixels[inside & (pixels[:, 0] < lens.width_px - 1) & (pixels[:, 1] < lens.height_px - 1)]
+
+
+def test_the_devkit_walks_all_of_a_full_rig(drive: Labelled, found: dict[str, Any]) -> None:
+    source = drive.source()
+    frames = source.sequence.frames
+    assert found["rows"]["sample"] == len(frames)
+    assert found["rows"]["sensor"] == found["rows"]["calibrated_sensor"] == 1 + CAMERAS + 3
+    assert found["rows"]["sample_data"] == found["rows"]["ego_pose"] == sum(found["chains"].values())
+    assert found["chains"]["LIDAR_TOP"] == len(frames)
+    assert len(found["files"]) == 14
+    assert found["scenes"] == ["drive"]
+    assert found["boxes"] == 0
+    assert "drive" in found["said"]
+    assert found["held"]["LIDAR_TOP"] == sum(
+        len(source.samples.lidar(index).points_lidar) for index in range(len(frames))
+    )
+    assert found["held"]["RADAR_FRONT"] > 0
+
+
+def test_the_devkit_projects_points_where_we_do(drive: Labelled, found: dict[str, Any]) -> None:
+    source = drive.source()
+    middle = len(source.sequence.frames) // 2
+    points_lidar = source.samples.lidar(middle).points_lidar
+    assert len(found["projected"]) == CAMERAS
+    for channel, pixels in found["projected"].items():
+        ours = pinhole_pixels(source.sequence, points_lidar, channel, middle)
+        assert len(ours) > 0
+        assert len(pixels) == len(ours)
+        # the devkit moves float32 points through a global frame tens of metres away
+        np.testing.assert_allclose(np.array(pixels), ours, atol=0.02)
+
+
+def test_the_map_mask_is_white_where_the_robot_could_drive(found: dict[str, Any]) -> None:
+    on_drivable, on_other = found["on_mask"]
+    assert len(on_drivable) > 50
+    assert all(on_drivable)
+    assert len(on_other) > 50
+    assert not any(on_other)
+
+
+def test_a_frame_may_lack_a_camera(devkit: Path, drive: Labelled, tmp_path: Path) -> None:
+    source = drive.source()
+    taken = source.sequence.frames.associations["CAM_FRONT"]
+    index = taken.message_index.copy()
+    index[3:5] = -1
+    gone = Association(taken.topic, index, taken.dt_ns, taken.phase_ns)
+    frames = replace(source.sequence.frames, associations={**source.sequence.frames.associations, "CAM_FRONT": gone})
+    sequence = replace(source.sequence, frames=frames)
+    (tmp_path / "out").mkdir()
+    write_nuscenes(replace(source, sequence=sequence), tmp_path / "out", unheard)
+    found = walked(devkit, tmp_path / "out", tmp_path)
+    assert found["chains"]["CAM_FRONT"] == len(frames) - 2
+    assert found["chains"]["CAM_BACK"] == len(frames)
+
+
+def test_the_devkit_opens_a_real_recording_of_others(devkit: Path, field_data: Path, tmp_path: Path) -> None:
+    bag = field_data / "kitti0005_ros2_mcap" / "kitti0005_lidar_odom.mcap"
+    sequence, sweeps = open_sequence(bag, ROOT / "examples" / "kitti0005.calibration.yaml", "kitti0005")
+    options = LabelOptions(parameters_for("local"), 1, {"recording": str(bag)})
+    label(first_frames(sequence, KITTI_FRAMES), sweeps, tmp_path / "labels", options)
+    made = Labelled(bag, tmp_path / "labels")
+    export(ExportRequest("nuscenes", tmp_path / "out", made.report), made.source, unheard)
+    found = walked(devkit, tmp_path / "out", tmp_path)
+    assert found["chains"] == {"LIDAR_TOP": KITTI_FRAMES}
+    assert found["held"]["LIDAR_TOP"] > 20_000 * KITTI_FRAMES
+    assert found["projected"] == {}
+
+
+def first_frames(sequence: Sequence, count: int) -> Sequence:
+    """The sequence as if it had ended there."""
+    frames = sequence.frames
+    assert frames.sweeps is not None
+    sweeps = replace(
+        frames.sweeps, message_index=frames.sweeps.message_index[:count], dt_ns=frames.sweeps.dt_ns[:count]
+    )
+    short = replace(
+        frames,
+        stamps_ns=frames.stamps_ns[:count],
+        tokens=frames.tokens[:count],
+        map_from_ego=frames.map_from_ego[:count],
+        associations={},
+        slices={},
+        quality=None,
+        sweeps=sweeps,
+    )
+    return replace(sequence, frames=short)
