@@ -55,13 +55,24 @@ def plane_fits(cells: Cells, k: int) -> PlaneFits:
     The plane is the total least-squares one: the mean square is the smallest eigenvalue of the neighbours'
     covariance, the normal (sign arbitrary, zero where there is no plane) its eigenvector.
     """
-    mean_square = np.empty(len(cells.points))
-    normals = np.zeros((len(cells.points), 3))
-    table = (cells.table.keys, cells.table.rows)
-    _fit(cells.points, (cells.keys, cells.start, cells.size_m), table, k, (mean_square, normals))
+    fits = _fits(cells, (cells.points, cells.start), k)
     back = np.empty(len(cells.order), np.int64)
     back[cells.order] = np.arange(len(cells.order))
-    return PlaneFits(mean_square[back], normals[back])
+    return PlaneFits(fits.mean_square_m2[back], fits.normals[back])
+
+
+def plane_fits_at(cells: Cells, places: NDArray[np.float64], k: int) -> PlaneFits:
+    """The same around one place in each cell (C, 3) instead of around every point."""
+    return _fits(cells, (np.ascontiguousarray(places), np.arange(len(cells.keys) + 1)), k)
+
+
+def _fits(cells: Cells, asked: tuple[NDArray[np.float64], NDArray[np.int64]], k: int) -> PlaneFits:
+    """Around the places asked (Q, 3), those of cell c being asked[1][c] to asked[1][c + 1]."""
+    mean_square = np.empty(len(asked[0]))
+    normals = np.zeros((len(asked[0]), 3))
+    table = (cells.table.keys, cells.table.rows)
+    _fit((cells.points, *asked), (cells.keys, cells.start, cells.size_m), table, k, (mean_square, normals))
+    return PlaneFits(mean_square, normals)
 
 
 def is_near(queries: NDArray[np.float64], points: NDArray[np.float64], radius_m: float) -> NDArray[np.bool_]:
@@ -170,7 +181,8 @@ def _plane(points, at, best, count):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _fit(points, cells, table, k, out):  # type: ignore[no-untyped-def]
+def _fit(asked, cells, table, k, out):  # type: ignore[no-untyped-def]
+    points, places, first = asked
     keys, start, size_m = cells
     mean_square, normals = out
     best = (np.empty(k), np.empty(k, np.int64))
@@ -179,8 +191,8 @@ def _fit(points, cells, table, k, out):  # type: ignore[no-untyped-def]
         cell = ((keys[c] >> 42) - BIAS, ((keys[c] >> 21) & MASK) - BIAS, (keys[c] & MASK) - BIAS)
         near = _collect(cell, 1, start, table, spans, _collect(cell, 0, start, table, spans, 0))
         wide = -1
-        for a in range(start[c], start[c + 1]):
-            at = (points[a, 0], points[a, 1], points[a, 2])
+        for a in range(first[c], first[c + 1]):
+            at = (places[a, 0], places[a, 1], places[a, 2])
             count = 0
             for s in range(near):
                 for b in range(spans[s, 0], spans[s, 1]):

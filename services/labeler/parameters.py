@@ -8,6 +8,7 @@ from services.runtime.label_choices import check_choices
 from stone.dynamic import DynamicParameters
 from stone.footprint import BAND_M
 from stone.observed import CarveParameters
+from stone.screened import PoissonParameters
 from stone.selection import SelectionParameters
 from stone.terrain import TerrainParameters
 from stone.traversability import ReferenceParameters
@@ -19,9 +20,9 @@ Profile = Literal["paper", "local"]
 class SurfaceParameters:
     """Point map and Poisson reconstruction.
 
-    `width_m` is the finest octree cell: given as a width, never as a depth, whose cell grows with the extent. Vertices
-    farther than `trim_m` from any point are not surface but the solver's guess (19 % of them; a density quantile
-    would leave 11 %).
+    `width_m` is the cell of the lattice the surface is solved on: given as a width, never as an octree's depth, whose
+    cell grows with the extent. Vertices farther than `trim_m` from any point are not surface but the solver's guess
+    (a density quantile would leave many of them); the lattice reaches no farther than a cell beyond the points.
     """
 
     point_voxel_m: float = 0.1
@@ -29,14 +30,15 @@ class SurfaceParameters:
     normal_neighbours: int = 20
     width_m: float = 0.2
     trim_m: float = 0.2
+    poisson: PoissonParameters = field(default_factory=PoissonParameters)
 
 
 @dataclass(frozen=True)
 class TilingParameters:
-    """The map is reconstructed in cubes of `cube_cells` octree cells, of which `halo_m` on each side in plan overlaps.
+    """The map is reconstructed in squares of `cube_cells` cells, of which `halo_m` on each side in plan overlaps.
 
-    A power of two, so that the cube is the octree's root and its cells lie on one lattice in every cube; 256 cells of
-    0.2 m are the design's 51.2 m. `frames_per_part` frames are read or cropped by one task.
+    256 cells of 0.2 m are the design's 51.2 m. The surface at a place follows from the points within about a metre, so
+    the halo makes it the same in every tile. `frames_per_part` frames are read or cropped by one task.
     """
 
     cube_cells: int = 256

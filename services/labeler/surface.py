@@ -1,6 +1,7 @@
 """Stage 2, per tile: from the fused points to the surface and what it is like in every voxel.
 
-merge → vote out what moved → normals → Poisson → trim → terrain (Eq. 1–3) → voxel features (Eq. 4–5) → T.
+merge → vote out what moved → patches with normals → screened Poisson → trim → terrain (Eq. 1–3)
+      → voxel features (Eq. 4–5) → T.
 """
 
 from dataclasses import dataclass
@@ -9,16 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.labeler.parameters import LabelParameters, Profile, other_profile_of
-from services.labeler.poisson import reconstruct
 from services.labeler.run import Run, Step, Tile, in_core, neighbourhood, silent
 from services.labeler.scratch import Arrays, images_near, load_observed, load_points, save, surface_path
+from stone.band import band_of
+from stone.contour import zero_surface
 from stone.dynamic import is_moving, vote
 from stone.footprint import swept
 from stone.lattice import centres_of
 from stone.mesh import Mesh, vertex_normals
-from stone.neighbours import cells_of, is_near, plane_fits
+from stone.neighbours import is_near
 from stone.observed import Observed
+from stone.patches import patches_of
 from stone.pointmap import PointMap, merge
+from stone.screened import solve_field
 from stone.terrain import ELEVATION, terrain_features, with_elevation
 from stone.traversability import FeatureSums, sums_of
 from stone.voxels import VOXEL_M, VoxelFeatures, height_above_local_ground, voxel_features
@@ -53,7 +57,7 @@ def surface(run: Run, tile: Tile, step: Step = silent) -> TileSummary:
     moving = _moving(run, points)
     points = points.where(~moving).where_seen(run.parameters.surface.min_frames)
     step(2, STEPS)
-    mesh, normals = _mesh(run.parameters, points, low)
+    mesh, normals = _mesh(run.parameters, points)
     step(3, STEPS)
     voxels, other_height_m = _features(run.parameters, mesh, normals)
     mine = in_core(centres_of(voxels.keys, VOXEL_M), tile, run.parameters.core_m)
@@ -95,30 +99,16 @@ def _moving(run: Run, points: PointMap) -> NDArray[np.bool_]:
     return is_moving(votes)
 
 
-def _mesh(parameters: LabelParameters, points: PointMap, low: NDArray[np.float64]) -> tuple[Mesh, NDArray[np.float64]]:
+def _mesh(parameters: LabelParameters, points: PointMap) -> tuple[Mesh, NDArray[np.float64]]:
     """The trimmed mesh and its vertex normals; empty where there are too few points for a surface."""
-    centroids, views = points.centroids_map(), points.views_map()
-    fits = plane_fits(cells_of(centroids, parameters.surface.width_m), parameters.surface.normal_neighbours)
-    towards = np.einsum("ni,ni->n", fits.normals, views)
-    normals = np.where(towards[:, None] < 0, -fits.normals, fits.normals)
-    has_plane = np.isfinite(fits.mean_square_m2)
-    if has_plane.sum() < FEWEST_POINTS:
+    surface, centroids = parameters.surface, points.centroids_map()
+    patches, is_in_patch = patches_of(centroids, points.views_map(), surface.width_m, surface.normal_neighbours)
+    if is_in_patch.sum() < FEWEST_POINTS:
         return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32)), np.zeros((0, 3))
-    centroids, normals = centroids[has_plane], normals[has_plane]
-    extent, bottom = _upright(centroids, parameters)
-    whole = reconstruct(centroids, normals, np.append(low, bottom), extent)
-    keep = is_near(whole.vertices_map, centroids, parameters.surface.trim_m)
+    band = band_of(patches.cells, surface.width_m)
+    whole = zero_surface(band, solve_field(patches, band, surface.poisson))
+    keep = is_near(whole.vertices_map, centroids[is_in_patch], surface.trim_m)
     return whole.where(keep), vertex_normals(whole)[keep]
-
-
-def _upright(points_map: NDArray[np.float64], parameters: LabelParameters) -> tuple[tuple[int, float], float]:
-    """(cells, width) of a cube tall enough for the relief, and its bottom on the lattice of cell corners."""
-    width_m, cells = parameters.surface.width_m, parameters.tiling.cube_cells
-    z = points_map[:, 2]
-    bottom = (np.floor(z.min() / width_m) - 2.5) * width_m
-    while z.max() >= bottom + (cells - 2) * width_m:
-        cells *= 2
-    return (cells, width_m), float(bottom)
 
 
 def _features(
