@@ -1,4 +1,4 @@
-"""What labels of a simulated run are held against, beside the verdict: slope, footprint, evidence, seams.
+"""What labels of a simulated run are held against, beside the verdict: footprint, evidence, the walker, seams.
 
 **Conventions.** A label grid is placed by the exact pose of its frame, never by the estimated one, so the origin and
 the drift of the map do not matter. Counts add over frames; ratios are read once, where they are shown.
@@ -12,20 +12,22 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from services.labeler.ply import FACE, VERTEX
+from benchmarks.truth_surface import near_obstacles, read_mesh
+from simulator.rig import SWEEP_NS
 from simulator.truth import Truth
+from simulator.walker import HEIGHT_M, RADIUS_M, Walker
 from stone.grid import GRID_MIN_M, GRID_SHAPE, Grid
 from stone.lattice import centres_of, keys_of
-from stone.mesh import Mesh
-from stone.se3 import SE3, Array, rotate
+from stone.se3 import SE3, Array
 from stone.selection import SelectionParameters, world_points
 from stone.sequence import Sequence, SweepSource
 from stone.voxels import VOXEL_M
 
-GROUND_BAND_M, OBJECT_MARGIN_M = 0.2, 0.5
 FOOTPRINT_BAND_M = 0.15
 EVIDENCE_M, THINNED_M = 0.4, 0.05
-EVIDENCE_EVERY, SEAM_EVERY = 15, 10
+EVIDENCE_EVERY, WALKER_EVERY, SEAM_EVERY = 15, 15, 10
+# Below, grass stands and the ground's own voxels lie; beside an obstacle, its own surface.
+WALKER_ABOVE_M, OBSTACLE_CLEAR_M = 0.5, 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,61 +54,6 @@ class Drive:
 def grid_centres(index: NDArray[np.int64]) -> Array:
     """Voxel centres (N, 3) in the ego frame."""
     return np.asarray((index + 0.5) * VOXEL_M + np.asarray(GRID_MIN_M))
-
-
-def slope_errors_deg(drive: Drive, mesh_path: Path) -> tuple[Array, Array]:
-    """|slope of the mesh − slope of the truth| at the vertices that are ground, against two truths.
-
-    The first is the true ground seen through the same triangles, so at the mesh's own scale; the second the true ground
-    smoothed over 0.4 m, the robot's scale, where relief that the mesh rightly resolves counts as error.
-
-    Ground: within `GROUND_BAND_M` of the true height and at least `OBJECT_MARGIN_M` in plan from every obstacle (rock,
-    bush, trunk, wall; grass stays in). The slope of a vertex is that of the area-weighted mean of its faces' normals.
-    A vertex goes from the map into the world through the ego frame of the nearest frame in plan.
-    """
-    mesh = read_mesh(mesh_path)
-    map_from_ego, world_from_ego = drive.sequence.frames.map_from_ego, drive.world_from_ego()
-    _, nearest = cKDTree(map_from_ego.translation_m[:, :2]).query(mesh.vertices_map[:, :2])
-    world_from_map = (world_from_ego @ map_from_ego.inverse())[nearest]
-    vertices, normals = world_from_map @ mesh.vertices_map, rotate(world_from_map.wxyz, area_normals(mesh))
-    xy = vertices[:, :2]
-    is_ground = np.abs(vertices[:, 2] - drive.truth.elevation_m(xy)) <= GROUND_BAND_M
-    is_ground &= ~_near_objects(xy, drive.truth.obstacles) & (np.linalg.norm(normals, axis=1) > 0)
-    slope_rad = np.arccos(np.clip(normals[is_ground, 2], -1.0, 1.0))
-    true_mesh = Mesh(np.column_stack([xy, drive.truth.elevation_m(xy)]), mesh.triangles)
-    true_rad = np.arccos(np.clip(area_normals(true_mesh)[is_ground, 2], -1.0, 1.0))
-    smooth_rad = drive.truth.slope_rad(xy[is_ground])
-    return np.rad2deg(np.abs(slope_rad - true_rad)), np.rad2deg(np.abs(slope_rad - smooth_rad))
-
-
-def read_mesh(path: Path) -> Mesh:
-    """The mesh that `services.labeler.ply` wrote."""
-    content = path.read_bytes()
-    head, mark = content.partition(b"end_header\n")[:2]
-    counts = [int(line.split()[2]) for line in head.decode().splitlines() if line.startswith("element")]
-    begin = len(head) + len(mark)
-    vertices = np.frombuffer(content, VERTEX, counts[0], begin)["xyz"]
-    faces = np.frombuffer(content, FACE, counts[1], begin + counts[0] * VERTEX.itemsize)["indices"]
-    return Mesh(vertices.astype(np.float64), faces.astype(np.int32))
-
-
-def area_normals(mesh: Mesh) -> Array:
-    """Unit normals (V, 3), faces weighted by their area (the labels weight them equally); zero without a face."""
-    a, b, c = (mesh.vertices_map[mesh.triangles[:, corner]] for corner in range(3))
-    doubled = np.cross(b - a, c - a)
-    rows = mesh.triangles.T.ravel()
-    sums = [np.bincount(rows, np.tile(doubled[:, axis], 3), len(mesh.vertices_map)) for axis in range(3)]
-    normals = np.stack(sums, axis=1)
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.asarray(np.divide(normals, length, out=np.zeros_like(normals), where=length > 0))
-
-
-def _near_objects(xy: Array, obstacles: NDArray[np.void]) -> NDArray[np.bool_]:
-    near = np.zeros(len(xy), np.bool_)
-    tree = cKDTree(xy)
-    for obstacle in obstacles:
-        near[tree.query_ball_point((obstacle["x"], obstacle["y"]), obstacle["radius"] + OBJECT_MARGIN_M)] = True
-    return near
 
 
 @dataclass(frozen=True)
@@ -209,6 +156,40 @@ def _is_passed(centres, sensor, points):  # type: ignore[no-untyped-def]
                 passed[c] = True
                 break
     return passed
+
+
+@dataclass(frozen=True)
+class WalkerCounts:
+    """Labelled voxels where the walker was and nothing else stands, by class T, P, N; and how many voxels that is."""
+
+    voxels: int
+    labelled: tuple[int, int, int]
+
+
+def walker_counts(drive: Drive, labels: Path) -> WalkerCounts:
+    """Over every `WALKER_EVERY`-th frame, in the space the walker swept through in the whole run.
+
+    A voxel is counted when its centre comes within half a voxel of the walker at the middle of a sweep, more than
+    `WALKER_ABOVE_M` above the true ground and farther than `OBSTACLE_CLEAR_M` from every obstacle.
+    """
+    truth, stamps_ns = drive.truth, drive.sequence.frames.stamps_ns
+    walker = Walker(truth.trajectory, truth)
+    feet = np.stack([walker.foot_m(int(stamp_ns) + SWEEP_NS // 2) for stamp_ns in stamps_ns])
+    tree, poses = cKDTree(feet[:, :2]), drive.world_from_ego()
+    index = np.argwhere(np.ones(GRID_SHAPE, np.bool_))
+    total = np.zeros(4, np.int64)
+    for frame in range(0, len(stamps_ns), WALKER_EVERY):
+        world_from_ego = poses[frame]
+        plan = (world_from_ego @ grid_centres(index[:: GRID_SHAPE[2]]))[:, :2]
+        near = np.isfinite(tree.query(plan, distance_upper_bound=2.0)[0])
+        mine = index.reshape(-1, GRID_SHAPE[2], 3)[near].reshape(-1, 3)
+        centres = world_from_ego @ grid_centres(mine)
+        is_walker = np.isfinite(tree.query(centres[:, :2], distance_upper_bound=RADIUS_M + VOXEL_M / 2)[0])
+        above_m = centres[:, 2] - truth.elevation_m(centres[:, :2])
+        is_walker &= (above_m > WALKER_ABOVE_M) & (above_m < HEIGHT_M)
+        is_walker[is_walker] &= ~near_obstacles(centres[is_walker, :2], truth.obstacles, OBSTACLE_CLEAR_M)
+        total += np.bincount(drive.semantics(labels, frame)[tuple(mine[is_walker].T)], minlength=4)
+    return WalkerCounts(int(total.sum()), (int(total[1]), int(total[2]), int(total[3])))
 
 
 @dataclass(frozen=True)

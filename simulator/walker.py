@@ -4,12 +4,12 @@
 """
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simulator.path import Trajectory
-from simulator.terrain import Terrain
 from stone.se3 import Array
 
 RADIUS_M = 0.25
@@ -19,12 +19,18 @@ SWAY_M = 2.5
 SWAY_PERIOD_NS = 8_000_000_000
 
 
+class Ground(Protocol):
+    """What is walked on: the terrain of a simulation, or the truth about it."""
+
+    def elevation_m(self, xy: Array) -> Array: ...
+
+
 @dataclass(frozen=True, eq=False)
 class Walker:
     """Walks where the robot will be in five seconds, swaying across its track."""
 
     trajectory: Trajectory
-    terrain: Terrain
+    terrain: Ground
 
     def foot_m(self, stamp_ns: int) -> Array:
         """Centre of the soles (3,) on the ground."""
