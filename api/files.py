@@ -47,17 +47,13 @@ class StoredFile:
 
 @dataclass(frozen=True)
 class Served:
-    """Bytes to answer with, of which `read(start, stop)` gives any range in pieces, and how they are called outside.
-
-    Where `sha256` is not theirs but of what fixes them (`is_digest` false), it is the ETag and no digest is sent.
-    """
+    """Bytes to answer with, of which `read(start, stop)` gives any range in pieces, and how they are called outside."""
 
     size_bytes: int
     sha256: str
     media_type: str
     filename: str
     read: Callable[[int, int], Iterator[bytes]]
-    is_digest: bool = True
 
 
 def file_responses(*media_types: str) -> Responses:
@@ -87,9 +83,9 @@ def answer_bytes(request: Request, file: Served) -> Response:
         return Response(headers={**headers, "Content-Length": str(file.size_bytes)}, media_type=file.media_type)
     start, stop = 0, file.size_bytes
     asked = _range(request, file)
-    if asked is None and file.is_digest:
+    if asked is None:
         headers["Content-Digest"] = headers["Repr-Digest"]
-    elif asked is not None:
+    else:
         start, stop = asked
         headers["Content-Range"] = f"bytes {start}-{stop - 1}/{file.size_bytes}"
     headers["Content-Length"] = str(stop - start)
@@ -105,10 +101,9 @@ def safe_name(name: str) -> str:
 def _headers(file: Served) -> dict[str, str]:
     shown = "inline" if file.media_type in INLINE else "attachment"
     spelled = quote(file.filename[:150], safe="")
-    digest = f"sha-256=:{b64encode(bytes.fromhex(file.sha256)).decode()}:"
     return {
         "ETag": etag(file.sha256),
-        **({"Repr-Digest": digest} if file.is_digest else {}),
+        "Repr-Digest": f"sha-256=:{b64encode(bytes.fromhex(file.sha256)).decode()}:",
         "Accept-Ranges": "bytes",
         "Cache-Control": "private, no-cache",
         "Content-Disposition": f"{shown}; filename=\"{safe_name(file.filename)}\"; filename*=UTF-8''{spelled}",

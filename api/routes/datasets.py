@@ -106,11 +106,10 @@ def download_part(
     archive, read = archive_of(stored.files, "tar"), stored.reader(platform.store)
     served = Served(
         size_bytes=archive.size_bytes,
-        sha256=row.index_sha256,
+        sha256=row.tar_sha256,
         media_type=MEDIA_TYPES["tar"],
         filename=f"{dataset_name}-{part}.tar",
         read=lambda start, stop: archive_pieces(stored.files, archive, (start, stop), read),
-        is_digest=False,
     )
     return answer_bytes(request, served)
 
@@ -152,4 +151,10 @@ def _item(session: Session, row: Dataset) -> DatasetItem:
 
 def _part(row: DatasetPart) -> DatasetPartItem:
     part: OpenPart = "train" if row.part == "train" else "val"
-    return DatasetPartItem(part=part, files=row.files, size_bytes=row.size_bytes, tar_bytes=row.tar_bytes)
+    return DatasetPartItem(
+        part=part,
+        files=row.files,
+        size_bytes=row.size_bytes,
+        tar_bytes=row.tar_bytes,
+        tar_sha256=row.tar_sha256,
+    )

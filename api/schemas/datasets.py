@@ -10,7 +10,13 @@ from api.schemas.splits import ENTRY_EXAMPLE, Sizes
 
 VERSION_PATTERN = "^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 OpenPart = Literal["train", "val"]
-PART_EXAMPLE: dict[str, Any] = {"part": "train", "files": 41203, "size_bytes": 1500223311, "tar_bytes": 1531002880}
+PART_EXAMPLE: dict[str, Any] = {
+    "part": "train",
+    "files": 41203,
+    "size_bytes": 1500223311,
+    "tar_bytes": 1531002880,
+    "tar_sha256": SHA256_EXAMPLE,
+}
 MEMBER_EXAMPLE = {key: value for key, value in ENTRY_EXAMPLE.items() if key not in ("sequence_id", "voxels")}
 DATASET_EXAMPLE: dict[str, Any] = {
     "name": "stone-1.0",
@@ -72,6 +78,7 @@ class DatasetPartItem(Answer):
     files: int
     size_bytes: int
     tar_bytes: int
+    tar_sha256: str
 
 
 class DatasetDetail(DatasetItem):

@@ -13,15 +13,15 @@ from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from services.runtime.access.errors import NameTakenError
-from services.runtime.archives import layout
 from services.runtime.blobs import PreparedBlob, link_all, prepare
 from services.runtime.catalogue import labelled_sequences
 from services.runtime.dataset_errors import BrokenSplitsError, NoSplitsError, SplitsChangedError
 from services.runtime.dataset_files import DatasetFile, files_of, packed, sums_file, sums_of
 from services.runtime.dataset_manifest import OPEN, Members, NewDataset, manifest_bytes
-from services.runtime.orm import Dataset, DatasetMember, DatasetPack, DatasetPart, new_id
+from services.runtime.orm import Blob, Dataset, DatasetMember, DatasetPack, DatasetPart, new_id
 from services.runtime.orm.base import now_ns
-from services.runtime.packs import index_bytes
+from services.runtime.packed_reading import StoredFiles, archive_sha256
+from services.runtime.packs import PackedFiles, index_bytes
 from services.runtime.platform import Platform
 from services.runtime.recipes import CODE_VERSION
 from services.runtime.splits import Current, current_splits, errors_of, judged, lock_splits
@@ -30,12 +30,13 @@ from stone.splits import PARTS
 
 @dataclass(frozen=True, eq=False)
 class PreparedPart:
-    """A part whose index is stored: the files it lists, the blobs they lie in."""
+    """A part whose index and sums are stored: its files, the blobs they lie in, size and sha256 of its tar, if open."""
 
     files: tuple[DatasetFile, ...]
     index: PreparedBlob
+    sums: PreparedBlob
     packs: tuple[str, ...]
-    tar_bytes: int
+    tar: tuple[int, str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +49,6 @@ class PreparedDataset:
     members: Members
     manifest: PreparedBlob
     parts: Mapping[str, PreparedPart]
-    sums: tuple[PreparedBlob, ...]
 
 
 def prepare_dataset(platform: Platform, asked: NewDataset, folder: Path) -> PreparedDataset:
@@ -56,19 +56,22 @@ def prepare_dataset(platform: Platform, asked: NewDataset, folder: Path) -> Prep
 
     Raises `NoSplitsError`, `BrokenSplitsError`, `BadMemberError`, `NameTakenError`, `StoreFullError`.
     """
-    created_ns = now_ns()
     with platform.database.reading() as session:
         if session.scalar(select(Dataset.id).where(Dataset.name == asked.name)) is not None:
             raise NameTakenError("dataset version", asked.name)
         current, members = _members(session)
+    return assembled(platform, asked, folder, (current.revision, members))
+
+
+def assembled(platform: Platform, asked: NewDataset, folder: Path, found: tuple[int, Members]) -> PreparedDataset:
+    """A version of these members of the splits at that revision. Raises `BadMemberError`, `StoreFullError`."""
+    created_ns, (revision, members) = now_ns(), found
+    with platform.database.reading() as session:
         files = {part: files_of(session, labelled) for part, labelled in members.items()}
-    sums = {part: sums_of(of_part) for part, of_part in files.items()}
-    listed = {part: (*of_part, sums_file(sums[part])) for part, of_part in files.items()}
-    stored = tuple(_stored(platform, folder / f"{part}.txt", content) for part, content in sums.items())
-    parts = {part: _prepared_part(platform, folder, part, of_part) for part, of_part in listed.items()}
-    manifest = manifest_bytes(asked, created_ns, members, {part: listed[part] for part in OPEN if part in listed})
+    parts: dict[str, PreparedPart] = {part: _prepared_part(platform, folder, part, files[part]) for part in PARTS}
+    manifest = manifest_bytes(asked, created_ns, members, {part: parts[part].files for part in OPEN})
     blob = _stored(platform, folder / "manifest.json", manifest)
-    return PreparedDataset(asked, current.revision, created_ns, members, blob, parts, stored)
+    return PreparedDataset(asked, revision, created_ns, members, blob, parts)
 
 
 def write_dataset(session: Session, prepared: PreparedDataset) -> Dataset:
@@ -77,7 +80,8 @@ def write_dataset(session: Session, prepared: PreparedDataset) -> Dataset:
     if row.revision != prepared.revision:
         raise SplitsChangedError(prepared.revision, row.revision)
     parts = prepared.parts.items()
-    link_all(session, (prepared.manifest, *prepared.sums, *(part.index for _, part in parts)))
+    own = (blob for _, part in parts for blob in (part.index, part.sums))
+    link_all(session, (prepared.manifest, *own))
     dataset = Dataset(
         id=new_id(),
         name=prepared.asked.name,
@@ -112,9 +116,22 @@ def _members(session: Session) -> tuple[Current, Members]:
 
 
 def _prepared_part(platform: Platform, folder: Path, part: str, files: tuple[DatasetFile, ...]) -> PreparedPart:
-    index, packs = packed(files)
-    blob = _stored(platform, folder / f"{part}.npz", index_bytes(index))
-    return PreparedPart(files, blob, packs, layout(index.members, "tar").size_bytes)
+    """The part with its sums. Raises `ObjectMissingError` where a file was deleted meanwhile."""
+    content = sums_of(files)
+    sums = _stored(platform, folder / f"{part}.txt", content)
+    listed = (*files, sums_file(content))
+    index, packs = packed(listed)
+    tar = _tar(platform, index, packs, sums) if part in OPEN else (0, "")
+    return PreparedPart(listed, _stored(platform, folder / f"{part}.npz", index_bytes(index)), sums, packs, tar)
+
+
+def _tar(platform: Platform, index: PackedFiles, packs: tuple[str, ...], sums: PreparedBlob) -> tuple[int, str]:
+    """Size and sha256 of the tar, which is read through once; the sums may have no row yet."""
+    with platform.database.reading() as session:
+        rows = (session.get(Blob, blob) for blob in packs)
+        keys = tuple(row.object_key if row is not None else sums.object_key for row in rows)
+    stored = StoredFiles(index, keys)
+    return archive_sha256(index, "tar", stored.reader(platform.store), lambda _done, _total: None)
 
 
 def _stored(platform: Platform, path: Path, content: bytes) -> PreparedBlob:
@@ -138,7 +155,8 @@ def _write_members(session: Session, dataset_id: str, members: Members) -> None:
 def _write_part(session: Session, dataset_id: str, part: str, made: PreparedPart) -> None:
     size_bytes = sum(file.size_bytes for file in made.files)
     row = DatasetPart(dataset_id=dataset_id, part=part, files=len(made.files), size_bytes=size_bytes)
-    row.index_sha256, row.tar_bytes = made.index.sha256, made.tar_bytes
+    row.index_sha256 = made.index.sha256
+    row.tar_bytes, row.tar_sha256 = made.tar
     session.add(row)
     session.flush()
     held = [

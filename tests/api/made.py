@@ -78,6 +78,8 @@ def labels(platform: Platform, made: Mapping[str, Any], frames: int = 3, seed: b
         run.state, run.arguments = "succeeded", {"recipe": seed.hex()}
         row = LabelSet(sequence_id=made["id"], job_id=run.id, recipe=new_id() * 2, parameters={"profile": "paper"})
         row.code_version, row.frames = "1", frames
+        row.duration_ns, row.distance_m = 25 * 10**9, 30.5
+        row.free_voxels, row.t_voxels, row.p_voxels, row.n_voxels = 9000, 100, 200, 700
         session.add(row)
         session.flush()
         artefacts = {name: _artefact(session, platform, row.id, name, content) for name, content in files.items()}

@@ -67,7 +67,10 @@ class DatasetMember(Base):
 
 
 class DatasetPart(Base):
-    """The files of one part of a version: an index that says where each lies in which pack. Test's is never served."""
+    """The files of one part of a version: an index that says where each lies in which pack, and the tar of them all.
+
+    Test's is never served, and no tar of it is described.
+    """
 
     __tablename__ = "dataset_parts"
     dataset_id: Mapped[Id] = mapped_column(ForeignKey("datasets.id", ondelete="CASCADE"), primary_key=True)
@@ -76,6 +79,7 @@ class DatasetPart(Base):
     files: Mapped[int]
     size_bytes: Mapped[Bytes]
     tar_bytes: Mapped[Bytes]
+    tar_sha256: Mapped[str] = mapped_column(String(64), default="")
 
 
 class DatasetPack(Base):

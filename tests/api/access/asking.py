@@ -91,6 +91,7 @@ def _filled(example: Mapping[str, Any], named: Mapping[str, str], user_name: str
         return {"name": user_name, "password": PASSWORD}
     if set(example) == {"current", "new"}:
         return dict.fromkeys(example, PASSWORD)
-    real = {"upload_id": named["complete_upload"], "calibration_id": named["calibration_id"]}
+    real: dict[str, Any] = {"upload_id": named["complete_upload"], "calibration_id": named["calibration_id"]}
+    real["train"] = [named["sequence_id"]]
     filled = {key: real.get(key, value) for key, value in example.items()}
     return filled | ({"name": f"{example['name']}-{next(NUMBERS)}"} if "name" in example else {})

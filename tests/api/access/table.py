@@ -86,6 +86,16 @@ HEAD   /api/v1/sequences/{sequence_id}/exports/{export_id}/archive    401 404 20
 GET    /api/v1/sequences/{sequence_id}/sequence.npz           401  404  200   404   200  404 403  401  401  200 200
 GET    /api/v1/frames/{token}                                 401  404  200   404   200  404 403  401  401  200 200
 GET    /api/v1/frames/{token}/labels.npz                      401  404  200   404   200  404 403  401  401  200 200
+GET    /api/v1/splits                                         401  200  200   200   200  200 403  401  401  200 200
+PUT    /api/v1/splits                                         401  403  403   403   200  403 403  401  401  403 403
+POST   /api/v1/splits/proposal                                401  403  403   403   200  403 403  401  401  403 403
+GET    /api/v1/statistics                                     401  200  200   200   200  200 403  401  401  200 200
+GET    /api/v1/statistics/composition.png                     401  200  200   200   200  200 403  401  401  200 200
+POST   /api/v1/datasets                                       401  403  403   403   201  403 403  401  401  403 403
+GET    /api/v1/datasets                                       401  200  200   200   200  200 403  401  401  200 200
+GET    /api/v1/datasets/{dataset_name}                        401  200  200   200   200  200 403  401  401  200 200
+GET    /api/v1/datasets/{dataset_name}/manifest               401  200  200   200   200  200 403  401  401  200 200
+GET    /api/v1/datasets/{dataset_name}/archives/{part}        401  200  200   200   200  200 403  401  401  200 200
 GET    /api/v1/jobs                                           401  200  200   200   200  200 403  401  401  200 200
 GET    /api/v1/jobs/{job_id}                                  401  404  200   404   200  404 403  401  401  200 200
 GET    /api/v1/jobs/{job_id}/logs                             401  404  200   404   200  404 403  401  401  200 200

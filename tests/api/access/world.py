@@ -14,6 +14,7 @@ from services.runtime.orm import Calibration, JobLine, Preview, Profile, Sequenc
 from services.runtime.platform import Platform
 from services.runtime.profiles import profile_of
 from tests.api import made
+from tests.api.published import dataset, published_sequence
 from tests.api.serving import Person
 from tests.rows import recording_of
 
@@ -30,6 +31,7 @@ IDS = (
     "export_id",
 )
 UNKNOWN = {name: f"{number:032x}" for number, name in enumerate(IDS, 1)} | {"complete_upload": f"{99:032x}"}
+UNKNOWN["dataset_name"] = "never-published"
 WORDS = {
     "name": "bev.png",
     "code": "not_found",
@@ -37,7 +39,9 @@ WORDS = {
     "queue": "labeler",
     "platform_name": "warthog",
     "path": "mesh.ply",
+    "part": "train",
 }
+PUBLIC = ("dataset_name",)
 
 
 @dataclass(frozen=True)
@@ -65,11 +69,18 @@ def make_world(platform: Platform, user: User) -> World:
         "token_id": _token(platform, user),
         "user_id": user.id,
         "token": next(iter(labels.frames)),
+        "dataset_name": _dataset(platform, user.id),
         "export_id": made.export(platform, sequence_id, {"mesh.ply": b"ply\n"}),
         **WORDS,
     }
-    known = {value for key, value in named.items() if key not in WORDS}
+    known = {value for key, value in named.items() if key not in (*WORDS, *PUBLIC)}
     return World(named, frozenset(known | {labels.id, _name(platform, sequence_id), *labels.frames}))
+
+
+def _dataset(platform: Platform, owner_id: str) -> str:
+    """A version of sequences that nothing else names: who publishes them tells of them."""
+    train, test = (published_sequence(platform, owner_id) for _ in range(2))
+    return dataset(platform, owner_id, {"train": [train], "test": [test]})
 
 
 def _calibration(platform: Platform, owner_id: str) -> str:

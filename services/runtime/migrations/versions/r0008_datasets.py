@@ -122,6 +122,7 @@ def _parts() -> None:
         sa.Column("files", sa.Integer(), nullable=False),
         sa.Column("size_bytes", sa.BigInteger(), nullable=False),
         sa.Column("tar_bytes", sa.BigInteger(), nullable=False),
+        sa.Column("tar_sha256", sa.String(length=64), nullable=False),
         _of_dataset("dataset_parts"),
         sa.ForeignKeyConstraint(["index_sha256"], ["blobs.sha256"], name=op.f("fk_dataset_parts_index_sha256")),
         sa.PrimaryKeyConstraint("dataset_id", "part", name=op.f("pk_dataset_parts")),
