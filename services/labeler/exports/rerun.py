@@ -34,6 +34,8 @@ APPLICATION = "stone"
 MAP, EGO, LIDAR = "/map", "/map/ego", "/map/ego/LIDAR"
 LABELS, TRACK, MESH = "/map/ego/labels", "/map/track", "/map/mesh"
 ROW_ID, CHUNK_ID = "rerun.controls.RowId", b"rerun:id"
+RING = ("CAM_FRONT_LEFT", "CAM_FRONT", "CAM_FRONT_RIGHT", "CAM_BACK_LEFT", "CAM_BACK", "CAM_BACK_RIGHT")
+USUAL_RATE_HZ = 10.0
 EYE_EGO_M, LOOK_EGO_M = (-16.0, 6.0, 11.0), (3.0, 0.0, 0.0)
 
 
@@ -56,7 +58,7 @@ def write_rerun(source: LabelledSequence, out: Path, step: Step = silent) -> Non
 
 
 def default_view(sequence: Sequence) -> rrb.Blueprint:
-    """The world beside the cameras that the calibration has."""
+    """The world between the cameras that look ahead and those that look back, playing as fast as it was recorded."""
     world = rrb.Spatial3DView(
         origin=EGO,
         contents=f"{MAP}/**",
@@ -64,18 +66,29 @@ def default_view(sequence: Sequence) -> rrb.Blueprint:
         overrides={MESH: rrb.EntityBehavior(visible=False)},
         eye_controls=rrb.EyeControls3D(position=EYE_EGO_M, look_target=LOOK_EGO_M, eye_up=(0.0, 0.0, 1.0)),
     )
+    mounts = sequence.calibration.of_kind("camera")
     cameras = [
-        rrb.Spatial2DView(origin=f"{LIDAR}/{mount.name}", contents="$origin", name=mount.name)
-        for mount in sequence.calibration.of_kind("camera")
+        rrb.Spatial2DView(origin=f"{LIDAR}/{name}", contents="$origin", name=name)
+        for name in sorted((mount.name for mount in mounts), key=_place_in_ring)
     ]
-    shown = rrb.Horizontal(world, rrb.Grid(*cameras, grid_columns=2), column_shares=[3, 2]) if cameras else world
+    rows = [rrb.Horizontal(*cameras[:3]), world, rrb.Horizontal(*cameras[3:])]
     return rrb.Blueprint(
-        shown,
-        rrb.TimePanel(state="collapsed", timeline="frame"),
+        rrb.Vertical(*rows, row_shares=[1, 2.2, 1]) if cameras else world,
+        rrb.TimePanel(state="collapsed", timeline="frame", fps=_rate_hz(sequence)),
         rrb.SelectionPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
         auto_views=False,
     )
+
+
+def _place_in_ring(name: str) -> tuple[int, str]:
+    return (RING.index(name) if name in RING else len(RING), name)
+
+
+def _rate_hz(sequence: Sequence) -> float:
+    """How many frames a second the recording has, as a rule."""
+    steps_ns = np.diff(sequence.frames.stamps_ns)
+    return float(1e9 / np.median(steps_ns)) if len(steps_ns) else USUAL_RATE_HZ
 
 
 def _once(source: LabelledSequence) -> Iterator[Chunk]:

@@ -64,7 +64,8 @@ def voxels(semantics: Grid) -> Columns:
     indices = np.argwhere(semantics)
     centres = ((indices + 0.5) * VOXEL_M + GRID_MIN_M).astype(np.float32)
     boxes = rr.Boxes3D.columns(centers=centres, class_ids=semantics[tuple(indices.T)].astype(np.uint16))
-    shape = rr.Boxes3D.columns(half_sizes=[[VOXEL_M / 2] * 3], fill_mode=["solid"])
+    # Without `show_labels` a viewer writes the name of its class on every one of few boxes.
+    shape = rr.Boxes3D.columns(half_sizes=[[VOXEL_M / 2] * 3], fill_mode=["solid"], show_labels=[False])
     return [*boxes.partition([len(indices)]), *shape]
 
 
