@@ -12,6 +12,7 @@ from sqlalchemy.orm import Session
 
 from services.runtime import quota
 from services.runtime.bag_files import BadBagFilesError, check_bag_files, whole_sha256
+from services.runtime.exports import EXPORT
 from services.runtime.jobs.errors import JobStateError
 from services.runtime.jobs.specs import TERMINAL
 from services.runtime.jobs.steering import cancel
@@ -75,6 +76,8 @@ def remove_recording(session: Session, recording: Recording) -> None:
     lock_sequence(session, recording.sequence_id)
     for run in _alive(session, recording.sequence_id):
         if run.kind == PROCESS and run.arguments["recording_id"] == recording.id:
+            raise RecordingInUseError(recording.id, run.id)
+        if run.kind == EXPORT and recording.state == "registered":
             raise RecordingInUseError(recording.id, run.id)
         if run.kind == REGISTER and run.arguments["recording_id"] == recording.id:
             with suppress(JobStateError):  # it ended while we waited for its row

@@ -246,7 +246,8 @@ def test_a_list_shows_the_newest_run_and_labels_of_each(
     assert shown["job"]["kind"] == "ingest.register", "the newest"
     assert shown["job"]["id"] > run_id
     detail = api.get(f"{URL}/{forest['id']}", headers=curator.headers).json()
-    assert [file["name"] for file in detail["artefacts"]] == ["bev.png", "frames.parquet", "mesh.ply", "report.json"]
+    names = ["bev.png", "frames.parquet", "mesh.ply", "report.json", "sequence.npz"]
+    assert [file["name"] for file in detail["artefacts"]] == names
 
 
 def test_a_deleted_sequence_is_gone_with_all_that_hangs_on_it(api_on: httpx.Client, platform_on: Platform) -> None:
