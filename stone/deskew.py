@@ -17,6 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from stone.errors import ShapeError, StoneError
+from stone.quaternions import conjugate, product, slerped, turned, unit
 from stone.se3 import SE3
 from stone.trajectory import DEFAULT_MAX_GAP_NS, Trajectory
 
@@ -66,15 +67,16 @@ def sweep_motion(mount: SweepMount, stamp_ns: int, span_ns: tuple[int, int]) -> 
         raise PointOffsetError(*span_ns)
     first_bin, last_bin = _bin_of(span_ns[0]), _bin_of(span_ns[1])
     times_ns = stamp_ns + np.arange(first_bin, last_bin + 1, dtype=np.int64) * BIN_NS
-    found = mount.trajectory.at(np.concatenate([np.array([stamp_ns], np.int64), times_ns]), mount.max_gap_ns)
-    map_from_lidar = found.map_from_ego @ mount.ego_from_lidar
-    stamp_from_bin = map_from_lidar[0].inverse() @ map_from_lidar[1:]
-    return SweepMotion(
-        first_bin,
-        stamp_from_bin.rotation().astype(np.float32),
-        stamp_from_bin.translation_m.astype(np.float32),
-        (found.is_ok & (found.segment == found.segment[0]))[1:] & found.is_ok[0],
+    bins = last_bin - first_bin + 1
+    motion = SweepMotion(
+        first_bin, np.empty((bins, 3, 3), np.float32), np.empty((bins, 3), np.float32), np.zeros(bins, np.bool_)
     )
+    path = mount.trajectory
+    segment = np.zeros(len(path), np.int64) if path.segment is None else path.segment
+    track = (path.stamps_ns, path.map_from_ego.wxyz_xyz, segment, mount.max_gap_ns)
+    made = (motion.rotation, motion.translation_m, motion.has_pose)
+    _fill_motion((stamp_ns, times_ns), track, mount.ego_from_lidar.wxyz_xyz, made)
+    return motion
 
 
 def deskew(
@@ -97,22 +99,82 @@ def deskew(
     return np.asarray(moved[:kept], dtype=np.float32)
 
 
+@njit(inline="always")
 def _bin_of(offset_ns: int) -> int:
     return (offset_ns + BIN_NS // 2) // BIN_NS
 
 
 @njit(cache=True, nogil=True)
+def _fill_motion(times, track, ego_from_lidar, made):  # type: ignore[no-untyped-def]
+    """`stamp_from_bin` at each of the times (B,), none across a break of the track."""
+    stamp_ns, times_ns = times
+    rotation, translation, has_pose = made
+    (q, t), is_ok, segment = _lidar_at(stamp_ns, track, ego_from_lidar)
+    if not is_ok:
+        return
+    back = unit(conjugate(q))
+    x, y, z = turned(conjugate(q), t)
+    for b in range(times_ns.shape[0]):
+        (q, t), is_ok, own_segment = _lidar_at(times_ns[b], track, ego_from_lidar)
+        has_pose[b] = is_ok and own_segment == segment
+        u, v, w = turned(back, t)
+        translation[b, 0], translation[b, 1], translation[b, 2] = u - x, v - y, w - z
+        _write_rotation(unit(product(back, q)), rotation[b])
+
+
+@njit(cache=True, nogil=True)
+def _lidar_at(time_ns, track, ego_from_lidar):  # type: ignore[no-untyped-def]
+    """`map_from_lidar` at a time as rotation and place, whether it has one, and its segment (`Trajectory.at`)."""
+    stamps_ns, poses, segment, max_gap_ns = track
+    left = max(np.searchsorted(stamps_ns, time_ns, side="right") - 1, 0)
+    is_alone = stamps_ns[left] == time_ns or left + 1 == stamps_ns.shape[0]
+    right = left if is_alone else left + 1
+    gap_ns = stamps_ns[right] - stamps_ns[left]
+    is_ok = stamps_ns[0] <= time_ns <= stamps_ns[-1] and gap_ns <= max_gap_ns and segment[left] == segment[right]
+    ratio = (time_ns - stamps_ns[left]) / max(gap_ns, 1)
+    a, b, mount = poses[left], poses[right], ego_from_lidar
+    q = unit(slerped((a[0], a[1], a[2], a[3]), (b[0], b[1], b[2], b[3]), ratio))
+    lever = turned(q, (mount[4], mount[5], mount[6]))
+    x = lever[0] + ((1 - ratio) * a[4] + ratio * b[4])
+    y = lever[1] + ((1 - ratio) * a[5] + ratio * b[5])
+    z = lever[2] + ((1 - ratio) * a[6] + ratio * b[6])
+    return (unit(product(q, (mount[0], mount[1], mount[2], mount[3]))), (x, y, z)), is_ok, segment[left]
+
+
+@njit(inline="always")
+def _write_rotation(q, matrix):  # type: ignore[no-untyped-def]
+    w, x, y, z = q
+    matrix[0, 0], matrix[0, 1], matrix[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
+    matrix[1, 0], matrix[1, 1], matrix[1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
+    matrix[2, 0], matrix[2, 1], matrix[2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+
+
+@njit(cache=True, nogil=True)
 def _moved(points, offset_ns, first_bin, rotation, translation, has_pose):  # type: ignore[no-untyped-def]
+    """Points come in the order of time, or nearly: neighbours share a bin and are moved together."""
     moved = np.empty_like(points)
-    kept = 0
-    for i in range(points.shape[0]):
-        b = (offset_ns[i] + BIN_NS // 2) // BIN_NS - first_bin
-        if not has_pose[b]:
-            continue
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        for row in range(3):
-            moved[kept, row] = (
-                rotation[b, row, 0] * x + rotation[b, row, 1] * y + rotation[b, row, 2] * z + translation[b, row]
-            )
-        kept += 1
+    kept, begin = 0, 0
+    while begin < points.shape[0]:
+        b = _bin_of(offset_ns[begin])
+        first_ns, end = b * BIN_NS - BIN_NS // 2, begin + 1
+        while end < points.shape[0] and first_ns <= offset_ns[end] < first_ns + BIN_NS:
+            end += 1
+        if has_pose[b - first_bin]:
+            out = moved[kept : kept + end - begin]
+            _move(points[begin:end], rotation[b - first_bin], translation[b - first_bin], out)
+            kept += end - begin
+        begin = end
     return moved, kept
+
+
+@njit(cache=True, nogil=True)
+def _move(points, rotation, translation, moved):  # type: ignore[no-untyped-def]
+    r00, r01, r02 = rotation[0]
+    r10, r11, r12 = rotation[1]
+    r20, r21, r22 = rotation[2]
+    t0, t1, t2 = translation
+    for p in range(points.shape[0]):
+        x, y, z = points[p, 0], points[p, 1], points[p, 2]
+        moved[p, 0] = r00 * x + r01 * y + r02 * z + t0
+        moved[p, 1] = r10 * x + r11 * y + r12 * z + t1
+        moved[p, 2] = r20 * x + r21 * y + r22 * z + t2

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
-from stone.deskew import PointOffsetError, SweepMount, deskew
+from stone.deskew import BIN_NS, PointOffsetError, SweepMount, deskew, sweep_motion
 from stone.errors import ShapeError
 from stone.se3 import SE3
 from stone.trajectory import Trajectory
@@ -52,6 +52,52 @@ def deskewed_slowly(points, offset_ns, mount):
         in_ego = turn(0.0).inv().apply(in_map - position(0.0))
         moved.append(mounted.inv().apply(in_ego - lever))
     return np.array(moved)
+
+
+def motion_slowly(mount, stamp_ns, span_ns):
+    """`stamp_from_bin` of each bin by the trajectory and transforms themselves, one after the other."""
+    first, last = ((offset + BIN_NS // 2) // BIN_NS for offset in span_ns)
+    whole = []
+    for time_ns in [stamp_ns, *(stamp_ns + b * BIN_NS for b in range(first, last + 1))]:
+        found = mount.trajectory.at(np.array([time_ns]), mount.max_gap_ns)
+        whole.append((found.map_from_ego[0] @ mount.ego_from_lidar, bool(found.is_ok[0]), int(found.segment[0])))
+    stamp, *bins = whole
+    has_pose = [stamp[1] and is_ok and segment == stamp[2] for _, is_ok, segment in bins]
+    return first, [stamp[0].inverse() @ at if ok else None for (at, _, _), ok in zip(bins, has_pose, strict=True)]
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32), st.sampled_from([4_000_000, 40_000_000, 250_000_000]), st.booleans())
+def test_the_motion_of_a_sweep_is_what_the_trajectory_says_bin_by_bin(seed, max_gap_ns, is_split):
+    rng = np.random.default_rng(seed)
+    stamps_ns = STAMP_NS + np.cumsum(rng.choice([1_000_000, 3_000_000, 5_000_000, 60_000_000], 12)) - 60_000_000
+    poses = SE3.from_parts(rng.normal(size=(12, 4)), rng.uniform(-300, 300, (12, 3)))
+    track = Trajectory(stamps_ns, poses, np.arange(12) // 5 if is_split else None)
+    mount = SweepMount(track, EGO_FROM_LIDAR, max_gap_ns)
+    stamp_ns = int(rng.choice(stamps_ns[2:])) + int(rng.choice([0, 7]))
+    span_ns = -int(rng.integers(0, 9_000_000)), int(rng.integers(0, 9_000_000))
+    made = sweep_motion(mount, stamp_ns, span_ns)
+    first, expected = motion_slowly(mount, stamp_ns, span_ns)
+    assert made.first_bin == first
+    assert made.has_pose.tolist() == [at is not None for at in expected]
+    for b, at in enumerate(expected):
+        if at is not None:
+            np.testing.assert_allclose(made.rotation[b], at.rotation(), atol=1e-7)
+            np.testing.assert_allclose(made.translation_m[b], at.translation_m, rtol=2e-7, atol=1e-10)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32))
+def test_the_order_of_points_in_a_sweep_does_not_matter(seed):
+    """Neighbours of one bin are moved together, wherever they stand."""
+    points, offset_ns = scattered(500, seed)
+    shuffled = np.random.default_rng(seed).permutation(500)
+    mount = driven(first_ns=-10_000_000, last_ns=60_000_000)
+    in_order = np.argsort(offset_ns, kind="stable")
+    sorted_first = deskew(points[in_order], offset_ns[in_order], mount, STAMP_NS)
+    moved = deskew(points[shuffled], offset_ns[shuffled], mount, STAMP_NS)
+    assert 0 < len(moved) < 500
+    assert sorted(map(tuple, moved.tolist())) == sorted(map(tuple, sorted_first.tolist()))
 
 
 @settings(max_examples=5, deadline=None)
