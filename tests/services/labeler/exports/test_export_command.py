@@ -1,0 +1,96 @@
+"""`stone export` on labels of this machine: what it prints, and what it refuses by code."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from client.main import app
+from tests.services.labeler.exports.made import Labelled
+
+
+def run(*words: str | Path) -> Result:
+    return CliRunner().invoke(app, ["export", *(str(word) for word in words)])
+
+
+def refusal(result: Result) -> dict[str, Any]:
+    """The one finding of a refusal, said on stderr and on stdout alike."""
+    assert result.exit_code == 1, result.output
+    (finding,) = json.loads(result.stdout)["findings"]
+    assert result.stderr.startswith(f"{finding['code']}: ")
+    return dict(finding)
+
+
+@pytest.fixture
+def copy(drive: Labelled, tmp_path: Path) -> Path:
+    """The labels, to be damaged; their recording stays where it is."""
+    return Path(shutil.copytree(drive.folder, tmp_path / "labels"))
+
+
+def test_people_are_told_what_was_written_and_that_nothing_changed(copy: Path) -> None:
+    first, again = run(copy, "--format", "mesh"), run(copy, "--format", "mesh")
+    assert (first.exit_code, again.exit_code) == (0, 0)
+    assert first.stdout.startswith("written: drive, ")
+    assert again.stdout.startswith("unchanged: drive, ")
+    assert (copy.parent / "labels-mesh" / "drive" / "mesh.glb").is_file()
+    assert "export 2/2" in first.stderr
+
+
+def test_programs_are_told_the_same(copy: Path, tmp_path: Path) -> None:
+    result = run(copy, "--format", "mesh", "-o", tmp_path / "new" / "out", "--json")
+    record = json.loads(result.stdout)
+    assert (record["status"], record["format"], record["sequences"]) == ("written", "mesh", ["drive"])
+    assert record["output"] == str(tmp_path / "new" / "out")
+    held = [path for path in (tmp_path / "new" / "out" / "drive").iterdir()]
+    assert record["files"] == len(held)
+    assert record["size_bytes"] == sum(path.stat().st_size for path in held)
+
+
+def test_a_folder_that_holds_no_labels_is_refused(tmp_path: Path) -> None:
+    found = refusal(run(tmp_path, "--format", "mesh", "--json"))
+    assert found["code"] == "not_labels"
+    assert "stone label" in found["message"]
+
+
+def test_a_format_nobody_knows_is_refused(copy: Path) -> None:
+    found = refusal(run(copy, "--format", "waymo", "--json"))
+    assert found["code"] == "unknown_format"
+    assert "nuscenes, kitti, mesh, mcap, rrd" in found["message"]
+
+
+def test_a_recording_that_is_gone_is_refused_and_found_again(copy: Path, drive: Labelled, tmp_path: Path) -> None:
+    (copy / "source.json").write_text(json.dumps({"recording": str(tmp_path / "gone.mcap")}))
+    found = refusal(run(copy, "--format", "mesh", "--json"))
+    assert found["code"] == "recording_gone"
+    assert "--bag" in found["message"]
+    assert run(copy, "--format", "mesh", "--bag", drive.bag).exit_code == 0
+
+
+def test_labels_that_name_no_recording_are_refused(copy: Path) -> None:
+    (copy / "source.json").unlink()
+    assert refusal(run(copy, "--format", "mesh", "--json"))["code"] == "recording_gone"
+
+
+def test_a_recording_that_is_another_is_refused(copy: Path, drive: Labelled, tmp_path: Path) -> None:
+    content = bytearray(drive.bag.read_bytes())
+    content[len(content) // 2] ^= 1
+    (tmp_path / "drive.mcap").write_bytes(content)
+    found = refusal(run(copy, "--format", "mesh", "--bag", tmp_path / "drive.mcap", "--json"))
+    assert found["code"] == "recording_changed"
+    assert not (tmp_path / "labels-mesh").exists()
+
+
+@pytest.mark.parametrize("name", ["report.json", "sequence.npz", "source.json"])
+@pytest.mark.parametrize("content", [b"", b"{", b"PK\3\4 not a zip", b"[1]", b"\xff\xfe"])
+def test_damaged_labels_are_refused(copy: Path, name: str, content: bytes) -> None:
+    (copy / name).write_bytes(content)
+    assert refusal(run(copy, "--format", "mesh", "--json"))["code"] == "damaged_labels"
+
+
+def test_a_damaged_frame_is_refused_and_leaves_no_folder(copy: Path) -> None:
+    next((copy / "gts" / "drive").iterdir()).joinpath("labels.npz").write_bytes(b"PK\3\4")
+    assert refusal(run(copy, "--format", "kitti", "--json"))["code"] == "damaged_labels"
+    assert [path.name for path in copy.parent.iterdir()] == ["labels"]
