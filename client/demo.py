@@ -1,4 +1,4 @@
-"""The whole way once, as a user goes it: simulate → upload → process → download → predict → validate → score.
+"""The whole way once, as a user goes it: simulate → upload → process → download → export → predict → validate → score.
 
 **Conventions.** The way to the labels is through a server's API, as in the field. Everything lands in one folder, which
 appears whole or not at all; `demo.json` marks it as ours, so that the next demo may replace it.
@@ -18,6 +18,7 @@ from client.api import Api
 from client.bags import LocalBag, hashed_bag
 from client.credentials import Server
 from client.downloading import download_labels
+from client.exports import download_archive, make_export
 from client.following import follow
 from client.progress import Report
 from client.remote import (
@@ -41,6 +42,7 @@ from stone.baseline import predict_from_sweep
 from stone.sequence import Sequence, SweepSource
 
 MARK = "demo.json"
+EXPORTED = "nuscenes"
 SEQUENCE = "demo"
 
 
@@ -74,9 +76,16 @@ def run_demo(folder: Path, plan: DemoPlan, progress: Report) -> dict[str, Any]:
     running.wait_until_ready()
     with Api(Server(running.url, running.keys.token)) as api:
         sequence = label_on_server(api, recorded, progress)
+        exported = export_on_server(api, sequence, folder, progress)
     scores = score_baseline(recorded, sequence["name"], progress)
     labels = json.loads((folder / "labels" / "report.json").read_text("utf-8"))
-    record = {"url": running.url, "sequence": sequence["name"], "labels": labels, "baseline": scores}
+    record = {
+        "url": running.url,
+        "sequence": sequence["name"],
+        "labels": labels,
+        "export": exported,
+        "baseline": scores,
+    }
     (folder / MARK).write_text(json.dumps(record, indent=1, allow_nan=False) + "\n")
     return record
 
@@ -91,6 +100,13 @@ def label_on_server(api: Api, recorded: Recorded, progress: Report) -> Item:
     labelled = find_sequence(api, sequence["id"])
     download_labels(api, labelled, recorded.folder / "labels", progress)
     return labelled
+
+
+def export_on_server(api: Api, sequence: Item, folder: Path, progress: Report) -> dict[str, Any]:
+    """The release layout of the sequence as `nuscenes.tar`; what came."""
+    export = make_export(api, sequence, EXPORTED, progress)
+    arrived = download_archive(api, export, folder / f"{EXPORTED}.tar", progress)
+    return {"format": EXPORTED, "files": export["files"], **{key: arrived[key] for key in ("size_bytes", "sha256")}}
 
 
 def score_baseline(recorded: Recorded, name: str, progress: Report) -> dict[str, Any]:

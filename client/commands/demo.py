@@ -54,4 +54,6 @@ def _show(record: Mapping[str, Any], output: Path, data: Path) -> None:
     show(class_table(f"{labels['frames']} frames labelled: occupied voxels", labels["class_share_of_occupied"]))
     show(score_table(record["baseline"], "Prediction from single sweeps against these labels"))
     typer.echo(f"Everything: {output}\nPicture: {output / 'labels' / 'bev.png'}")
+    exported = record["export"]
+    typer.echo(f"{exported['format']}: {output / exported['format']}.tar ({exported['files']:,} files)")
     typer.echo(f"Platform: {record['url']} (its data: {data}; `stone serve` brings it up)")

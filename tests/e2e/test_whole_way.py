@@ -4,7 +4,9 @@ import json
 import re
 import subprocess
 import sys
+import tarfile
 from collections.abc import Callable
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -79,7 +81,7 @@ def test_the_command_ends_with_a_url_that_stays_up_when_asked_to(tmp_path: Path)
 
 def test_the_demo_leaves_everything_it_promises(demo: Path) -> None:
     names = {entry.name for entry in demo.iterdir()}
-    assert names >= {"run.mcap", "truth", "labels", "manifest.json", "baseline.zip", "demo.json"}
+    assert names >= {"run.mcap", "truth", "labels", "nuscenes.tar", "manifest.json", "baseline.zip", "demo.json"}
     assert (demo / "labels" / "bev.png").read_bytes().startswith(b"\x89PNG")
     assert not [name for name in names if name.endswith(".partial")]
 
@@ -98,6 +100,19 @@ def test_every_frame_has_labels_as_the_design_fixes_them(demo: Path) -> None:
             assert labels[key].dtype == np.uint8
         assert labels["semantics"].max() <= 3
         assert (labels["semantics"][126:130, 127:129] == 1).any(), "the robot stands on what it drove over"
+
+
+def test_the_export_of_the_demo_is_the_release_layout_with_the_same_labels(demo: Path) -> None:
+    said = json.loads((demo / "demo.json").read_text())["export"]
+    with tarfile.open(demo / "nuscenes.tar") as archive:
+        files = {member.name: archive.extractfile(member).read() for member in archive}  # type: ignore[union-attr]
+    assert (len(files), (demo / "nuscenes.tar").stat().st_size) == (said["files"], said["size_bytes"])
+    for line in files.pop("sha256sum.txt").decode().splitlines():
+        digest, _, name = line.partition("  ")
+        assert sha256(files[name]).hexdigest() == digest
+    for path in demo.glob("labels/gts/demo/*/labels.npz"):
+        assert files[path.relative_to(demo / "labels").as_posix()] == path.read_bytes()
+    assert len([name for name in files if name.startswith("v1.0-trainval/")]) >= 14
 
 
 def test_the_baseline_is_scored_between_nothing_and_perfect(demo: Path) -> None:
