@@ -42,7 +42,7 @@ class BagSweeps:
         """
         stamp_ns = int(self.stamps_ns[index])
         message = opened(self.path).message(self.topic, int(self.message_index[index]))
-        found = lidar_points(decode_cloud(message.payload))
+        found = lidar_points(decode_cloud(message.payload), with_ring=False)
         if self.mount is None or found.offset_ns is None:
             return Sweep(stamp_ns, found.points_lidar)
         return Sweep(stamp_ns, deskew(found.points_lidar, found.offset_ns, self.mount, stamp_ns))

@@ -43,7 +43,7 @@ class LidarPoints:
     rows: NDArray[np.int32]
 
 
-def resolve_points(points: NDArray[np.void], stamp_ns: int) -> LidarPoints:
+def resolve_points(points: NDArray[np.void], stamp_ns: int, *, with_ring: bool = True) -> LidarPoints:
     """Raises: CloudLayoutError when there are no x, y, z of one floating type."""
     names = points.dtype.names or ()
     codes = {points.dtype[name].str for name in "xyz" if name in names}
@@ -51,7 +51,7 @@ def resolve_points(points: NDArray[np.void], stamp_ns: int) -> LidarPoints:
         raise CloudLayoutError(f"x, y and z must be floats of one size, its fields are {', '.join(names)}"[:200])
     xyz, kept = _packed(points)
     offset_ns, meaning = _offsets(points, kept, stamp_ns)
-    return LidarPoints(xyz, offset_ns, _rings(points, kept), meaning, kept)
+    return LidarPoints(xyz, offset_ns, _rings(points, kept) if with_ring else None, meaning, kept)
 
 
 def _packed(points: NDArray[np.void]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:

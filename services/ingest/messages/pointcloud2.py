@@ -65,9 +65,9 @@ def decode_cloud(payload: memoryview) -> Cloud:
     return Cloud(stamp_ns, frame_id, view.reshape(height * width))
 
 
-def lidar_points(cloud: Cloud) -> LidarPoints:
-    """Finite, non-zero points with their time and ring; see `services.ingest.messages.lidar`."""
-    return resolve_points(cloud.points, cloud.stamp_ns)
+def lidar_points(cloud: Cloud, *, with_ring: bool = True) -> LidarPoints:
+    """Finite, non-zero points with their time and, unless spared, ring; see `services.ingest.messages.lidar`."""
+    return resolve_points(cloud.points, cloud.stamp_ns, with_ring=with_ring)
 
 
 @lru_cache(maxsize=64)
