@@ -15,13 +15,14 @@ from hashlib import file_digest
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from services.labeler.exports.errors import ExportClashError, NotAnExportError
+from services.labeler.exports.errors import DamagedLabelsError, ExportClashError, NotAnExportError
 from services.labeler.exports.joining import join, rearrange
 from services.labeler.exports.registry import exporter_of
 from services.labeler.exports.source import LabelledSequence
 from services.labeler.run import Step
 from services.runtime.atomic import atomic_directory
 from services.runtime.recipes import recipe_of
+from stone.sequence import NAME
 
 MANIFEST, CHECKSUMS, FRESH = "export.json", "checksums", ".fresh"
 # What of a report decides an export's bytes; seconds and memory do not.
@@ -62,20 +63,20 @@ class ExportRequest:
 def export(request: ExportRequest, open_source: Callable[[], LabelledSequence], step: Step) -> ExportOutcome:
     """Export a sequence into the folder, where further sequences may be already; opens it only when it must.
 
-    Raises `UnknownFormatError`, `NotAnExportError`, `ExportClashError`, `OutputExistsError`, and what opening and
-    exporting raise.
+    Raises `UnknownFormatError`, `NotAnExportError`, `DamagedLabelsError`, `ExportClashError`, `OutputExistsError`, and
+    what opening and exporting raise.
     """
-    exporter = exporter_of(request.format)
-    known, name = read_manifest(request.out, request.format), str(request.report["sequence"])
+    exporter, (name, frames) = exporter_of(request.format), _described(request.report)
+    known = read_manifest(request.out, request.format)
     recipe = recipe_of({"format": request.format} | {key: request.report.get(key) for key in DECIDING})
     if name in known and known[name].recipe == recipe:
         return ExportOutcome(request.format, name, "unchanged", known[name].frames, tuple(sorted(known)))
-    entry = Entry(recipe, int(request.report["frames"]), _number(known, name))
+    entry = Entry(recipe, frames, _number(known, name))
     entries = {**known, name: entry}
     with atomic_directory(request.out, replaces=MANIFEST) as staging:
         fresh = staging / FRESH
         fresh.mkdir()
-        exporter(open_source(), fresh, step)
+        exporter(_opened(open_source, name), fresh, step)
         rearrange(request.format, fresh, name, entry.number)
         for other in sorted(set(known) - {name}):
             _link_kept(request.out, staging, other)
@@ -87,6 +88,23 @@ def export(request: ExportRequest, open_source: Callable[[], LabelledSequence], 
     return ExportOutcome(request.format, name, status, entry.frames, tuple(sorted(entries)), files, size_bytes)
 
 
+def _described(report: Mapping[str, Any]) -> tuple[str, int]:
+    """The sequence that a report is of, and its frames."""
+    name, frames = report.get("sequence"), report.get("frames")
+    if not isinstance(name, str) or not NAME.fullmatch(name) or not isinstance(frames, int):
+        raise DamagedLabelsError(Path("report.json"), "it names no sequence, or not how many frames there are")
+    return name, frames
+
+
+def _opened(open_source: Callable[[], LabelledSequence], name: str) -> LabelledSequence:
+    source = open_source()
+    if source.sequence.name != name:
+        raise DamagedLabelsError(
+            Path("sequence.npz"), f"it is of sequence {source.sequence.name}, the report of {name}"
+        )
+    return source
+
+
 def read_manifest(out: Path, format_name: str) -> dict[str, Entry]:
     """The sequences in a folder by name; none where there is no export yet. Raises `NotAnExportError`."""
     path = out / MANIFEST
@@ -96,8 +114,11 @@ def read_manifest(out: Path, format_name: str) -> dict[str, Entry]:
         content = json.loads(path.read_text("utf-8"))
         entries = {str(name): Entry(**entry) for name, entry in content["sequences"].items()}
         found = str(content["format"])
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        is_ours = all(NAME.fullmatch(name) and isinstance(entry.number, int) for name, entry in entries.items())
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise NotAnExportError(out, f"{MANIFEST} cannot be read ({error})"[:200]) from error
+    if not is_ours:
+        raise NotAnExportError(out, f"{MANIFEST} cannot be read (a sequence has no plain name or no number)")
     if found != format_name:
         raise NotAnExportError(out, f"it holds an export in format {found}, not {format_name}")
     return entries

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from services.labeler.exports.errors import DamagedLabelsError, NotLabelsError, RecordingGoneError
 from services.runtime.sequence_file import read_sequence
+from stone.grid import GRID_SHAPE
 from stone.samples import SampleSource
 from stone.sequence import Sequence
 
@@ -44,7 +45,9 @@ class LabelledSequence:
         payload = self.labels(index)
         try:
             with np.load(io.BytesIO(payload), allow_pickle=False) as arrays:
-                return dict(arrays)
+                grids = dict(arrays)
+                _check_grids(grids)
+                return grids
         except (ValueError, OSError, KeyError, EOFError, zipfile.BadZipFile) as error:
             token = self.sequence.frames.tokens[index]
             raise DamagedLabelsError(Path(token) / "labels.npz", str(error)) from error
@@ -63,6 +66,12 @@ class _FrameFiles:
             return path.read_bytes()
         except FileNotFoundError as error:
             raise DamagedLabelsError(path, "it is missing") from error
+
+
+def _check_grids(grids: Mapping[str, NDArray[Any]]) -> None:
+    for key in ("semantics", "mask_lidar", "mask_camera"):
+        if grids[key].shape != GRID_SHAPE or grids[key].dtype != np.uint8:
+            raise ValueError(f"{key} is {grids[key].dtype} {grids[key].shape}")
 
 
 def folder_source(directory: Path, open_samples: OpenSamples, bag: Path | None = None) -> LabelledSequence:

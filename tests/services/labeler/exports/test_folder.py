@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from services.labeler.exports.errors import ExportClashError, NotAnExportError, UnknownFormatError
+from services.labeler.exports.errors import DamagedLabelsError, ExportClashError, NotAnExportError, UnknownFormatError
 from services.labeler.exports.folder import ExportOutcome, ExportRequest, export
 from services.labeler.exports.source import LabelledSequence
 from services.runtime.errors import OutputExistsError
@@ -167,6 +167,25 @@ def test_a_damaged_manifest_is_refused(drive: Labelled, tmp_path: Path, manifest
     (tmp_path / "out" / "export.json").write_text(manifest)
     with pytest.raises(NotAnExportError, match="cannot be read"):
         exported(drive, tmp_path / "out", format_name="mesh")
+
+
+@pytest.mark.parametrize(
+    "entry", ['{"../x": {"recipe": "", "frames": 1, "number": 0}}', '{"x": {"recipe": "", "frames": 1, "number": "/"}}']
+)
+def test_a_manifest_that_leads_elsewhere_is_refused(drive: Labelled, tmp_path: Path, entry: str) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "export.json").write_text('{"format": "mesh", "sequences": ' + entry + "}")
+    with pytest.raises(NotAnExportError, match="no plain name or no number"):
+        exported(drive, tmp_path / "out", format_name="mesh")
+
+
+@pytest.mark.parametrize("name", ["../elsewhere", "", None])
+def test_a_report_that_names_no_plain_sequence_is_refused(drive: Labelled, tmp_path: Path, name: object) -> None:
+    with pytest.raises(DamagedLabelsError, match="names no sequence"):
+        export(ExportRequest("mesh", tmp_path / "out", {**drive.report, "sequence": name}), drive.source, unheard)
+    with pytest.raises(DamagedLabelsError, match="it is of sequence drive, the report of other"):
+        export(ExportRequest("mesh", tmp_path / "out", {**drive.report, "sequence": "other"}), drive.source, unheard)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("line", ["0" * 64 + "  ../secret\n", "0" * 64 + "  /etc/passwd\n", "0" * 64 + "  gone\n"])
