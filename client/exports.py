@@ -55,11 +55,20 @@ def finished_export(api: Api, sequence: Item, form: str) -> Item:
 def download_archive(api: Api, export: Item, output: Path, progress: Report) -> dict[str, Any]:
     """Fetch all files of an export as the archive that `output` is called by (`.tar` or `.zip`); what came.
 
-    Raises `DamagedDownloadError`, `DownloadUnderWayError`, `OutputExistsError`, and what `fetch` raises.
+    Raises what `download_file` raises.
     """
     kind = output.suffix[1:]
     wanted = next(one for one in export["archives"] if one["format"] == kind)
     path = f"/sequences/{export['sequence_id']}/exports/{export['id']}/archive?format={kind}"
+    begun_bytes = download_file(api, path, wanted, output, progress)
+    return {**wanted, "output": str(output), "export": export["id"], "resumed_at_bytes": begun_bytes}
+
+
+def download_file(api: Api, path: str, wanted: Item, output: Path, progress: Report) -> int:
+    """Fetch what is at `path`, whose `size_bytes` and `sha256` are known; how much of it was there already.
+
+    Raises `DamagedDownloadError`, `DownloadUnderWayError`, `OutputExistsError`, and what `fetch` raises.
+    """
     if output.exists() and not output.is_file():
         raise OutputExistsError(output, "a folder")
     with _partial(output, wanted["sha256"]) as partial:
@@ -71,7 +80,7 @@ def download_archive(api: Api, export: Item, output: Path, progress: Report) -> 
         flush(partial)
         os.replace(partial, output)
     flush(output.parent)
-    return {**wanted, "output": str(output), "export": export["id"], "resumed_at_bytes": begun_bytes}
+    return begun_bytes
 
 
 def exports_table(name: str, exports: list[Item]) -> Table:

@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 import typer
 
+from client.commands.datasets import datasets
 from client.commands.demo import demo
 from client.commands.download import download
 from client.commands.export import export
@@ -21,6 +22,8 @@ from client.commands.recover import recover
 from client.commands.score import score
 from client.commands.serve import serve
 from client.commands.simulate import simulate
+from client.commands.splits import splits
+from client.commands.statistics import statistics
 from client.commands.status import status
 from client.commands.upload import upload
 from client.commands.validate import validate
@@ -38,6 +41,7 @@ app = typer.Typer(
 COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
     "On this machine": (simulate, inspect, recover, label, export, validate, score, demo),
     "With a server": (serve, login, upload, process, watch, status, exports, download),
+    "The dataset": (statistics, splits, datasets),
 }
 for panel, commands in COMMANDS.items():
     for command in commands:
