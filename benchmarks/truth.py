@@ -1,7 +1,8 @@
 """Labels against five worlds whose truth is known: `python -m benchmarks.truth [--seconds 30] [--seeds 1 2 3 4 5]`.
 
 Per seed a world of 64 × 900 rays is simulated and labelled with both profiles, as `stone label` does, and once more
-with profile `paper` in one cube without a seam. The labels do not see the truth. Worlds, labels and figures are kept in
+with profile `paper` in one cube without a seam. What no profile changes (the mesh, the occupied voxels, T) is measured
+once. The labels do not see the truth. Worlds, labels and figures are kept in
 `--folder`; `--table` prints the figures that are there once more.
 """
 
@@ -13,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.truth_checks import Drive, evidence_counts, footprint_counts, seam_counts, walker_counts
+from benchmarks.truth_checks import Drive, evidence_counts, footprint_counts, judged, seam_counts, walker_counts
 from benchmarks.truth_surface import read_mesh, surface_errors
 from benchmarks.truth_table import Figures, show
 from services.ingest.opening import open_sequence
@@ -22,7 +23,6 @@ from services.labeler.pipeline import LabelOptions, label
 from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate
 from simulator.truth import read_truth
-from simulator.verdict import judge_labels
 from stone.se3 import SE3
 
 SEEDS = (1, 2, 3, 4, 5)
@@ -57,11 +57,12 @@ def _figures(folder: Path, seed: int, seconds: float) -> dict[str, Figures]:
     for profile in profiles:
         folders[profile] = folder / f"labels-{seed}-{profile}"
         record = _labelled(drive, folders[profile], parameters_for(profile))
-        figures[profile] = record | _measured(drive, folders[profile])
+        figures[profile] = record | _labels_measured(drive, folders[profile])
+    figures["paper"] |= _map_measured(drive, folders["paper"])
     untiled = folder / f"labels-{seed}-untiled"
     moved = _amid_cube(drive)
     record = _labelled(moved, untiled, replace(parameters_for("paper"), tiling=UNTILED))
-    seam, iou = seam_counts(drive, folders["paper"], untiled), judge_labels(untiled / "gts", drive.truth).iou or 0.0
+    seam, iou = seam_counts(drive, folders["paper"], untiled), judged(drive, untiled).iou or 0.0
     figures["paper"] |= {
         "untiled_tiles": record["tiles"],
         "untiled_class_differs": seam.class_differs / seam.occupied,
@@ -98,14 +99,22 @@ def _labelled(drive: Drive, folder: Path, parameters: LabelParameters) -> Figure
     return {"frames": record["frames"], "tiles": record["map"]["tiles"], "profiles_differ": differing}
 
 
-def _measured(drive: Drive, labels: Path) -> Figures:
-    verdict, mesh = judge_labels(labels / "gts", drive.truth), read_mesh(labels / "mesh.ply")
-    errors = surface_errors(mesh, (drive.sequence.frames.map_from_ego, drive.world_from_ego()), drive.truth)
-    footprint, evidence = footprint_counts(drive, labels), evidence_counts(drive, labels)
-    walker = walker_counts(drive, labels)
-    named = ("iou", "precision", "recall", "everything_iou")
+def _labels_measured(drive: Drive, labels: Path) -> Figures:
+    """What depends on the classes, and so on the profile."""
+    verdict, walker = judged(drive, labels), walker_counts(drive, labels)
     return {
-        **{name: getattr(verdict, name) for name in named},
+        **{name: getattr(verdict, name) for name in ("iou", "precision", "recall", "everything_iou")},
+        "walker_voxels": walker.voxels,
+        **dict(zip(("walker_t", "walker_p", "walker_n"), walker.labelled, strict=True)),
+    }
+
+
+def _map_measured(drive: Drive, labels: Path) -> Figures:
+    """What does not: the mesh, which voxels are occupied, and T."""
+    mesh, poses = read_mesh(labels / "mesh.ply"), (drive.sequence.frames.map_from_ego, drive.world_from_ego())
+    errors = surface_errors(mesh, poses, drive.truth)
+    footprint, evidence = footprint_counts(drive, labels), evidence_counts(drive, labels)
+    return {
         "slope_median_deg": float(np.median(errors.slope_deg)),
         "slope_p95_deg": float(np.percentile(errors.slope_deg, 95)),
         "roughness_median_log_m2": float(np.median(errors.roughness_log_m2)),
@@ -115,8 +124,6 @@ def _measured(drive: Drive, labels: Path) -> Figures:
         "labelled": evidence.labelled,
         "without_point": evidence.without_point / evidence.labelled,
         "unobserved": evidence.without_ray,
-        "walker_voxels": walker.voxels,
-        **dict(zip(("walker_t", "walker_p", "walker_n"), walker.labelled, strict=True)),
     }
 
 

@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 from benchmarks.truth_surface import near_obstacles, read_mesh
 from simulator.rig import SWEEP_NS
 from simulator.truth import Truth
+from simulator.verdict import Verdict, judge_semantics
 from simulator.walker import HEIGHT_M, RADIUS_M, Walker
 from stone.grid import GRID_MIN_M, GRID_SHAPE, Grid
 from stone.lattice import centres_of, keys_of
@@ -25,7 +26,7 @@ from stone.voxels import VOXEL_M
 
 FOOTPRINT_BAND_M = 0.15
 EVIDENCE_M, THINNED_M = 0.4, 0.05
-EVIDENCE_EVERY, WALKER_EVERY, SEAM_EVERY = 15, 15, 10
+JUDGED_EVERY, EVIDENCE_EVERY, WALKER_EVERY, SEAM_EVERY = 5, 15, 15, 10
 # Below, grass stands and the ground's own voxels lie; beside an obstacle, its own surface.
 WALKER_ABOVE_M, OBSTACLE_CLEAR_M = 0.5, 0.3
 
@@ -51,6 +52,13 @@ class Drive:
         return grid
 
 
+def judged(drive: Drive, labels: Path) -> Verdict:
+    """What `simulator.verdict` says of every `JUDGED_EVERY`-th frame."""
+    poses, frames = drive.world_from_ego().as_matrix(), range(0, len(drive.sequence.frames), JUDGED_EVERY)
+    counts = [judge_semantics(drive.semantics(labels, frame), drive.truth.judge, poses[frame]) for frame in frames]
+    return Verdict(len(counts), *np.sum(counts, axis=0).tolist())
+
+
 def grid_centres(index: NDArray[np.int64]) -> Array:
     """Voxel centres (N, 3) in the ego frame."""
     return np.asarray((index + 0.5) * VOXEL_M + np.asarray(GRID_MIN_M))
@@ -73,14 +81,14 @@ class FootprintCounts:
 
 
 def footprint_counts(drive: Drive, labels: Path) -> FootprintCounts:
-    """Over all frames, each at its own pose."""
+    """Over every `JUDGED_EVERY`-th frame, each at its own pose."""
     footprint = drive.sequence.calibration.footprint
     half = np.array([footprint.length_m / 2, footprint.width_m / 2, FOOTPRINT_BAND_M])
     index = np.argwhere(np.ones(GRID_SHAPE, np.bool_))
     index = index[(np.abs(grid_centres(index)) <= half).all(axis=1)]
     surface = np.unique(keys_of(read_mesh(labels / "mesh.ply").vertices_map, VOXEL_M))
     total = np.zeros(4, np.int64)
-    for frame in range(len(drive.sequence.frames)):
+    for frame in range(0, len(drive.sequence.frames), JUDGED_EVERY):
         classes = drive.semantics(labels, frame)[tuple(index.T)]
         map_from_ego = drive.sequence.frames.map_from_ego[frame]
         keys = keys_of(map_from_ego @ grid_centres(index), VOXEL_M)

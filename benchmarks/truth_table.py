@@ -5,14 +5,14 @@ from collections.abc import Mapping
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.truth_checks import EVIDENCE_EVERY, EVIDENCE_M, SEAM_EVERY, WALKER_EVERY
+from benchmarks.truth_checks import EVIDENCE_EVERY, EVIDENCE_M, JUDGED_EVERY, SEAM_EVERY, WALKER_EVERY
 
 Figures = dict[str, float]
 
 # key, what it is, how it prints, what is expected of `paper` and `local`
 ROWS = (
     ("frames", "frames", ".0f", ""),
-    ("iou", "IoU of T ∪ P with drivable ground", ".3f", "≥ 0.80 | ≥ 0.84"),
+    ("iou", f"IoU of T ∪ P with drivable ground, every {JUDGED_EVERY}th frame", ".3f", "≥ 0.80 | ≥ 0.84"),
     ("precision", "precision", ".3f", ""),
     ("recall", "recall", ".3f", ""),
     ("everything_iou", "IoU of calling everything traversable", ".3f", ""),
@@ -50,5 +50,5 @@ def show(worlds: Mapping[int, Mapping[str, Figures]], title: str) -> None:
 
 
 def _cell(world: Mapping[str, Figures], key: str, form: str) -> str:
-    cells = [format(figures[key], form) if figures.get(key) is not None else "–" for figures in world.values()]
-    return cells[0] if len(set(cells)) == 1 else " | ".join(cells)
+    cells = [format(figures[key], form) for figures in world.values() if figures.get(key) is not None]
+    return (cells[0] if len(set(cells)) == 1 else " | ".join(cells)) if cells else "no support"
