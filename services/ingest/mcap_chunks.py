@@ -3,7 +3,8 @@
 **Conventions.** A chunk may declare at most `CHUNK_LIMIT_BYTES`. One that claims to grow both large and manyfold is
 first inflated piece by piece into nothing, so a bomb costs time, never memory. The CRC-32 is checked whenever one was
 written and the whole chunk is about to be touched anyway: compressed chunks when they are inflated, plain chunks when
-their first message is read, never on a header-only scan (which would turn milliseconds into a read of the file).
+their first message is read, never on a header-only scan (which would turn milliseconds into a read of the file) nor
+where such a scan needs the head of a chunk alone (a cloud of megabytes is mostly the last message of its chunk).
 """
 
 from collections.abc import Iterator
@@ -46,6 +47,25 @@ def inflate(view: memoryview, chunk: Chunk) -> memoryview:
     records = _inflated(packed, chunk)
     check_crc32(records, chunk)
     return records
+
+
+def inflate_head(view: memoryview, chunk: Chunk, stop: int) -> memoryview:
+    """The first `stop` bytes of a compressed chunk's records, without its checksum, which is of them all.
+
+    Raises: ChunkTooLargeError, CompressionRefusedError, MalformedBagError (fewer bytes, or no such data).
+    """
+    packed = view[chunk.start : chunk.stop]
+    _check_size(chunk, len(packed))
+    pieces = _lz4_pieces(packed, stop) if chunk.compression == "lz4" else _zstd_pieces(packed, stop)
+    found = bytearray()
+    try:
+        while len(found) < stop and (piece := next(pieces, b"")):
+            found += piece
+    except _DAMAGED as error:
+        raise MalformedBagError(chunk.where, _problem(chunk, str(error))) from None
+    if len(found) < stop:
+        raise MalformedBagError(chunk.where, _problem(chunk, f"only {len(found)} came out"))
+    return memoryview(found).toreadonly()[:stop]
 
 
 def pieces_of(packed: memoryview, compression: str, piece_bytes: int = PIECE_BYTES) -> Iterator[bytes | memoryview]:
