@@ -71,9 +71,9 @@ def default_view(sequence: Sequence) -> rrb.Blueprint:
         rrb.Spatial2DView(origin=f"{LIDAR}/{name}", contents="$origin", name=name)
         for name in sorted((mount.name for mount in mounts), key=_place_in_ring)
     ]
-    rows = [rrb.Horizontal(*cameras[:3]), world, rrb.Horizontal(*cameras[3:])]
+    ahead, back = rrb.Horizontal(*cameras[:3]), rrb.Horizontal(*cameras[3:])
     return rrb.Blueprint(
-        rrb.Vertical(*rows, row_shares=[1, 2.2, 1]) if cameras else world,
+        rrb.Vertical(ahead, world, back, row_shares=[1, 2.2, 1]) if cameras else world,
         rrb.TimePanel(state="collapsed", timeline="frame", fps=_rate_hz(sequence)),
         rrb.SelectionPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),

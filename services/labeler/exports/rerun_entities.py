@@ -27,7 +27,7 @@ POINT_RADIUS_M, DETECTION_RADIUS_M, TRACK_RADIUS_M = 0.02, 0.12, 0.06
 # Intensities beyond this share of a sweep's points are as bright as can be: a retroreflector must not darken the rest.
 BRIGHT_QUANTILE = 0.98
 RATE_LIMIT_M_S = 3.0
-DARK, BRIGHT = np.array([38, 46, 72.0]), np.array([252, 244, 214.0])
+DARK, BRIGHT = np.array([52, 58, 120.0]), np.array([240, 160, 60.0])  # legible on a dark and on a light ground
 AWAY, STILL, TOWARDS = np.array([214, 96, 77.0]), np.array([225, 225, 225.0]), np.array([67, 147, 195.0])
 
 
@@ -49,7 +49,7 @@ def pinhole(lens: CameraIntrinsics) -> Columns:
     """The lens without its distortion, which Rerun does not know."""
     matrix = np.array([[lens.fx_px, 0, lens.cx_px], [0, lens.fy_px, lens.cy_px], [0, 0, 1.0]])
     return rr.Pinhole.columns(
-        image_from_camera=[matrix.T.reshape(-1)],
+        image_from_camera=[matrix],
         resolution=[[lens.width_px, lens.height_px]],
         camera_xyz=[rr.components.ViewCoordinates.RDF],
     )

@@ -169,7 +169,7 @@ def test_a_cloud_holds_every_return_with_its_intensity_and_ring(written):
 
 def test_a_radar_scan_holds_both_rates_and_the_cross_section(written):
     scan = written.source.samples.radar("RADAR_LEFT", FRAME)
-    message = [m for topic, _, time, m in written.logged if (topic, time) == ("/RADAR_LEFT", scan.stamp_ns)][0]
+    message = next(m for topic, _, time, m in written.logged if (topic, time) == ("/RADAR_LEFT", scan.stamp_ns))
     cloud = records_of(message)
     assert message["frame_id"] == "RADAR_LEFT"
     assert len(cloud) == len(scan.points_radar) > 0
@@ -198,7 +198,7 @@ def test_transforms_compose_to_where_each_sensor_was(written):
 def test_pictures_are_the_recorded_ones_and_come_with_their_lens(written):
     sample = written.source.samples.camera("CAM_BACK", FRAME)
     lens = written.source.sequence.calibration.mount("CAM_BACK").intrinsics
-    shown = [m for topic, _, time, m in written.logged if (topic, time) == ("/CAM_BACK/image", sample.stamp_ns)][0]
+    shown = next(m for topic, _, time, m in written.logged if (topic, time) == ("/CAM_BACK/image", sample.stamp_ns))
     assert (shown["data"], shown["format"], shown["frame_id"]) == (sample.content, "jpeg", "CAM_BACK")
     calibration = written.of("/CAM_BACK/calibration", 0)
     assert (calibration["width"], calibration["height"]) == (lens.width_px, lens.height_px)
