@@ -8,71 +8,77 @@ import numpy as np
 from numba import njit
 
 from stone.grid import BELOW, HIGH, LOW, OCCUPIED
-from stone.lanes import lowest
+from stone.lanes import differs, lowest
 
 FRACTION_BITS = 20
+ONE = 1 << FRACTION_BITS
 NOT_ASKED = np.zeros((0, 0, 0, 3), np.int32)  # nobody wants to know which voxel closed a gap
-ALL = np.uint32(0xFFFFFFFF)
+
+
+@njit(inline="always")
+def parted(position, back, slope):  # type: ignore[no-untyped-def]
+    """Bit n: the n-th voxel of a column from `position` on is in another voxel of the map than what lies `back`."""
+    return differs(np.int32(position & (ONE - 1)), np.int32(back), np.int32(slope), np.int32(FRACTION_BITS))
 
 
 @njit(cache=True, nogil=True)
 def close_row(planes, place, row, out):  # type: ignore[no-untyped-def]
     """Write the classes of row `a`, closing what they and the row before step over.
 
-    `row` is (a, cells, breaks) as `stone.crops` fetched them; `out` is (ones, twos, taken).
+    `row` is (a, cells), the latter as `stone.crops` fetches them; `out` is (ones, twos, taken).
     """
-    (start, step), (a, cells, breaks), (ones, twos, _) = place, row, out
+    (start, step), (a, cells), (ones, twos, _) = place, row, out
     for b in range(cells.shape[1]):
         occupied = cells[a, b, OCCUPIED]
         ones[a, b], twos[a, b] = cells[a, b, LOW] & occupied, cells[a, b, HIGH] & occupied
         near, beside = cells[a, b, LOW] & ~occupied, cells[a, b, HIGH] & ~occupied
         if near == 0:
             continue
-        u = start[0] + a * step[0, 0] + b * step[0, 1]
-        v = start[1] + a * step[1, 0] + b * step[1, 1]
-        w = start[2] + a * step[2, 0] + b * step[2, 1]
+        line = (
+            start[0] + a * step[0, 0] + b * step[0, 1],
+            start[1] + a * step[1, 0] + b * step[1, 1],
+            start[2] + a * step[2, 0] + b * step[2, 1],
+        )
         back_x = back_y = np.uint32(0)
         if a > 0:
-            back_x = near & ~cells[a - 1, b, OCCUPIED] & (beside | _rises(w, step[2, 0], step[2, 2]))
+            back_x = near & ~cells[a - 1, b, OCCUPIED] & _slants(line, (step, 0), beside)
         if b > 0:
-            back_y = near & ~cells[a, b - 1, OCCUPIED] & (beside | _rises(w, step[2, 1], step[2, 2]))
-        back_z = near & ~(occupied << np.uint32(1)) & breaks[a, b]
+            back_y = near & ~cells[a, b - 1, OCCUPIED] & _slants(line, (step, 1), beside)
+        back_z = near & (~occupied << np.uint32(1)) & _slants(line, (step, 2), beside)
         left = back_x | back_y | back_z
         while left:
             c = lowest(left)
             left &= left - np.uint32(1)
-            at = (u + c * step[0, 2], v + c * step[1, 2], w + c * step[2, 2])
+            at = (line[0] + c * step[0, 2], line[1] + c * step[1, 2], line[2] + c * step[2, 2])
             bit = np.uint32(1) << np.uint32(c)
             for axis in range(3):
                 back = back_x if axis == 0 else back_y if axis == 1 else back_z
-                if back & bit and _steps_over(planes, at, (step, axis), beside & bit):
+                if back & bit and _steps_over(planes, at, (step, axis)):
                     _fill(planes, at, (step, axis), (a, b, c), out)
 
 
 @njit(inline="always")
-def _rises(w, across, along):  # type: ignore[no-untyped-def]
-    """Whether some voxel of the column at height `w` may lie higher or lower in the map than the one `across` back."""
-    slope = along - (1 << FRACTION_BITS)
-    here, there = w >> FRACTION_BITS, (w - across) >> FRACTION_BITS
-    is_even = here == there
-    is_even &= here == (w + 31 * slope) >> FRACTION_BITS
-    is_even &= here == (w - across + 31 * slope) >> FRACTION_BITS
-    return np.uint32(0) if is_even else ALL
+def _slants(line, back, beside):  # type: ignore[no-untyped-def]
+    """From which voxels of a column the way back along an axis enters more than one voxel of the map.
+
+    When it stays at one height, only a labelled voxel `beside` can be in the way.
+    """
+    step, axis = back
+    in_x = parted(line[0], step[0, axis], step[0, 2])
+    in_y = parted(line[1], step[1, axis], step[1, 2])
+    in_z = parted(line[2], step[2, axis], step[2, 2])
+    return (in_x & in_y & beside) | ((in_x | in_y) & in_z)
 
 
 @njit(inline="always")
-def _steps_over(planes, at, back, beside):  # type: ignore[no-untyped-def]
+def _steps_over(planes, at, back):  # type: ignore[no-untyped-def]
     """Whether the way back along an axis may cross a labelled voxel that neither of its ends is in."""
     step, axis = back
     i, j, k = at[0] >> FRACTION_BITS, at[1] >> FRACTION_BITS, at[2] >> FRACTION_BITS
     bi, bj = (at[0] - step[0, axis]) >> FRACTION_BITS, (at[1] - step[1, axis]) >> FRACTION_BITS
     bk = (at[2] - step[2, axis]) >> FRACTION_BITS
     if bk == k:
-        if bi == i or bj == j or beside == 0:
-            return False
         return _is_labelled(planes, bi, j, k) or _is_labelled(planes, i, bj, k)
-    if bi == i and bj == j:
-        return False
     if _is_labelled(planes, i, j, bk) or _is_labelled(planes, bi, bj, k):
         return True
     if bi == i or bj == j:

@@ -14,14 +14,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from stone.closing import FRACTION_BITS, NOT_ASKED, close_row
+from stone.closing import FRACTION_BITS, NOT_ASKED, ONE, close_row, parted
 from stone.columns import Columns
 from stone.grid import BELOW, GRID_MIN_M, GRID_SHAPE, OBSERVED, Grid, Window
-from stone.lanes import fetch, lowest, prefetch, steps
+from stone.lanes import fetch, lowest, prefetch
 from stone.se3 import SE3
 from stone.voxels import VOXEL_M
 
-ONE = 1 << FRACTION_BITS
 AHEAD = 8  # columns
 ALL = np.uint32(0xFFFFFFFF)
 
@@ -52,8 +51,8 @@ def cut(window: Window, map_from_ego: SE3, taken: NDArray[np.int32] = NOT_ASKED)
     """
     placing = placing_of(window, map_from_ego)
     cells = np.zeros((*GRID_SHAPE[:2], 4), np.uint32)
-    breaks, ones, twos = (np.empty(GRID_SHAPE[:2], np.uint32) for _ in range(3))
-    _cut(window.planes, window.height, (placing.start, placing.step), (cells, breaks, ones, twos, taken))
+    ones, twos = (np.empty(GRID_SHAPE[:2], np.uint32) for _ in range(2))
+    _cut(window.planes, window.height, (placing.start, placing.step), (cells, ones, twos, taken))
     return Columns(ones, twos, np.ascontiguousarray(cells[..., OBSERVED]))
 
 
@@ -66,16 +65,16 @@ def crop(window: Window, map_from_ego: SE3) -> tuple[Grid, Grid]:
 @njit(cache=True, nogil=True)
 def _cut(planes, height, place, out):  # type: ignore[no-untyped-def]
     """A row of columns is closed as soon as it is fetched, while the map around it is near."""
-    cells, breaks = out[0], out[1]
+    cells = out[0]
     for a in range(cells.shape[0]):
-        _fetch_row(planes, height, place, (a, cells, breaks))
-        close_row(planes, place, (a, cells, breaks), out[2:])
+        _fetch_row(planes, height, place, (a, cells))
+        close_row(planes, place, (a, cells), out[1:])
 
 
 @njit(cache=True, nogil=True)
 def _fetch_row(planes, height, place, row):  # type: ignore[no-untyped-def]
-    """Fill row `a` of `cells` (256, 256, 4), the planes of the window, and of `breaks`, where new stretches begin."""
-    (start, step), (a, cells, breaks) = place, row
+    """Fill row `a` of `cells` (256, 256, 4), the planes of the window."""
+    (start, step), (a, cells) = place, row
     su, sv, sw = step[0, 2], step[1, 2], step[2, 2] - ONE
     flat, to, words = planes.reshape(-1), cells.reshape(-1), planes.shape[2]
     for b in range(cells.shape[1]):
@@ -83,8 +82,8 @@ def _fetch_row(planes, height, place, row):  # type: ignore[no-untyped-def]
         v = start[1] + a * step[1, 0] + b * step[1, 1]
         w = start[2] + a * step[2, 0] + b * step[2, 1]
         _prefetch(flat, planes.shape, (u + AHEAD * step[0, 1], v + AHEAD * step[1, 1], w + AHEAD * step[2, 1]))
-        breaks[a, b] = _breaks(u, su) | _breaks(v, sv) | _breaks(w, sw)
-        left = breaks[a, b] | np.uint32(1)
+        breaks = parted(u, su, su) | parted(v, sv, sv) | parted(w, sw, sw)
+        left = breaks | np.uint32(1)
         while left:
             c = lowest(left)
             stretch = ALL << np.uint32(c)
@@ -105,8 +104,3 @@ def _prefetch(flat, shape, at):  # type: ignore[no-untyped-def]
     begin = ((i * shape[1] + j) * shape[2] + (k >> 5)) * 4
     prefetch(flat, begin)
     prefetch(flat, begin + 7)
-
-
-@njit(inline="always")
-def _breaks(position, slope):  # type: ignore[no-untyped-def]
-    return steps(np.int32(position & (ONE - 1)), np.int32(slope), np.int32(FRACTION_BITS))

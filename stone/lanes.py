@@ -45,17 +45,17 @@ def _spread(typing_context: Any, ones: Any, twos: Any, out: Any, at: Any) -> Any
     return types.void(types.uint32, types.uint32, out, types.int64), emit
 
 
-def _steps(typing_context: Any, fraction: Any, slope: Any, bits: Any) -> Any:
-    """Bit n of the result: floor((fraction + n · slope) / 2^bits) is another than for n − 1; bit 0 is 0. All int32."""
+def _differs(typing_context: Any, fraction: Any, back: Any, slope: Any, bits: Any) -> Any:
+    """Bit n: p = fraction + n · slope and p − back have different floors when divided by 2^bits; all int32."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         lanes = ir.VectorType(I32, COLUMN)
-        fraction, slope, bits = (splat(builder, value, lanes) for value in arguments)
-        here, before = (ir.Constant(lanes, [max(n - back, 0) for n in range(COLUMN)]) for back in (0, 1))
-        ends = [builder.ashr(builder.add(fraction, builder.mul(slope, n)), bits) for n in (here, before)]
+        fraction, back, slope, bits = (splat(builder, value, lanes) for value in arguments)
+        here = builder.add(fraction, builder.mul(slope, ir.Constant(lanes, list(range(COLUMN)))))
+        ends = (builder.ashr(end, bits) for end in (here, builder.sub(here, back)))
         return builder.bitcast(builder.icmp_signed("!=", *ends), I32)
 
-    return types.uint32(types.int32, types.int32, types.int32), emit
+    return types.uint32(types.int32, types.int32, types.int32, types.int32), emit
 
 
 def _fetch(typing_context: Any, source: Any, at: Any, shift: Any, mask: Any, out: Any, to: Any) -> Any:
@@ -115,7 +115,7 @@ def pointer(context: Any, builder: Any, array: tuple[Any, Any], at: Any, lanes: 
 popcount: Any = intrinsic(_popcount)
 lowest: Any = intrinsic(_lowest)
 spread: Any = intrinsic(_spread)
-steps: Any = intrinsic(_steps)
+differs: Any = intrinsic(_differs)
 fetch: Any = intrinsic(_fetch)
 transpose: Any = intrinsic(_transpose)
 

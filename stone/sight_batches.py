@@ -14,7 +14,7 @@ from numba.extending import intrinsic
 
 from stone.columns import Words
 from stone.lanes import I8, I32, bits_of, pointer, splat, transpose
-from stone.visibility import AT_SOURCE, FRAMED, IN_IMAGE, OPEN, VOXEL_BITS, SightLines, ways
+from stone.visibility import AT_SOURCE, FRAMED, IN_IMAGE, OPEN, SIDE_BIT, VOXEL_BITS, SightLines, ways
 
 LANES = 32
 VOXEL_MASK, WAY_MASK = np.uint32((1 << VOXEL_BITS) - 1), np.uint32(31)
@@ -41,6 +41,7 @@ class SightBatch:
         self._seen[:] = 0
         for lines in self._cameras:
             _look((lines.place, lines.weight), self._ways, (self._free, self._open, self._seen))
+            _look_at_sides(lines.place, self._ways, (self._free, self._open, self._seen))
         _by_frame(self._seen, batch)
         return batch[:frames].reshape(occupied.shape)
 
@@ -72,7 +73,19 @@ def _reach_of(typing_context: Any, ways: Any, places: Any, weights: Any, free: A
     return types.uint32(ways, places, weights, types.uint32), emit
 
 
+def _half_open_of(typing_context: Any, ways: Any, place: Any) -> Any:
+    """Bit n: the way that goes on from ways[place] is at least half open in lane n."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        lanes = ir.VectorType(I8, LANES)
+        row = builder.load(pointer(context, builder, (signature.args[0], arguments[0]), arguments[1], lanes), align=1)
+        return builder.bitcast(builder.icmp_unsigned(">=", row, ir.Constant(lanes, [OPEN // 2] * LANES)), I32)
+
+    return types.uint32(ways, types.int64), emit
+
+
 _reach: Any = intrinsic(_reach_of)
+_half_open: Any = intrinsic(_half_open_of)
 
 
 @njit(cache=True, nogil=True)
@@ -94,6 +107,21 @@ def _look(lines, ways, state):  # type: ignore[no-untyped-def]
             reached = _reach(way, places, weights, free[voxel])
         if place[s] & IN_IMAGE:
             seen[voxel] |= reached
+
+
+@njit(cache=True, nogil=True)
+def _look_at_sides(place, ways, state):  # type: ignore[no-untyped-def]
+    """Labelled voxels are seen where a line ends on their side; the ways have been followed."""
+    free, way, seen = state
+    for s in range(place.size):
+        voxel = np.int64(place[s] & VOXEL_MASK)
+        labelled = ~free[voxel]
+        if labelled == 0 or not place[s] & IN_IMAGE:
+            continue
+        code = (place[s] >> np.uint32(VOXEL_BITS)) & WAY_MASK
+        for axis in range(3):
+            if (place[s] >> np.uint32(SIDE_BIT + axis)) & np.uint32(1):
+                seen[voxel] |= labelled & _half_open(way, (voxel + ways[code, 3 + axis]) * LANES)
 
 
 @njit(cache=True, nogil=True)

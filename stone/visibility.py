@@ -2,9 +2,11 @@
 
 **Conventions.** Grid as in `stone.grid`. Line of sight is decided voxel by voxel outwards: how open the way to a voxel
 is, is how open it is at the point one step nearer to the camera, interpolated between the four voxels around that
-point (XDraw: Franklin & Ray, 1994); a voxel is seen when its way is at least half open. One neighbour instead of four
-would bend every line towards the grid's axes. The steps depend on the calibration alone, so they are laid out once
-per robot; `stone.sight_batches` follows them for many frames at once.
+point (XDraw: Franklin & Ray, 1994). A free voxel is seen when its way is at least half open; a labelled one also when
+that holds for a free voxel before one of its sides that face the camera, for there the line ends (at a grazing angle
+the way to its middle leads through other ground). One neighbour instead of four would bend every line towards the
+grid's axes. The steps depend on the calibration alone, so they are laid out once per robot; `stone.sight_batches`
+follows them for many frames at once.
 
 The grid is framed by one voxel on every side, so that what is nearer than its border has a place; there all is open.
 """
@@ -26,7 +28,7 @@ RIM_M = 2 * VOXEL_M  # lines are followed so far around the image, else they wou
 
 FRAMED = (GRID_SHAPE[0] + 2, GRID_SHAPE[1] + 2, GRID_SHAPE[2] + 2)
 STRIDES = (FRAMED[1] * FRAMED[2], FRAMED[2], 1)
-VOXEL_BITS, WAY_BITS = 22, 5
+VOXEL_BITS, SIDE_BIT = 22, 27
 AT_SOURCE = 0  # the way of a voxel beside the camera, or of one that lines come from but that is out of sight itself
 IN_IMAGE = np.uint32(1 << 31)
 
@@ -36,8 +38,9 @@ class SightLines:
     """Voxels in and around the image, each after all that lie before it.
 
     `place` (S,) uint32: bits 0–21 the voxel in the framed grid, flat; bits 22–26 the way to the four voxels around the
-    point one step nearer, a row of `ways()`; bit 31 whether it is in the image. `weight` (S, 4) uint8: what each of
-    the four counts; together `OPEN`.
+    point one step nearer, a row of `ways()`; bits 27–29 whether it turns a side on x, y, z to the camera and what lies
+    before that is in view; bit 31 whether it is in the image. `weight` (S, 4) uint8: what each of the four counts;
+    together `OPEN`.
     """
 
     place: NDArray[np.uint32]
@@ -45,13 +48,17 @@ class SightLines:
 
 
 def ways() -> NDArray[np.int64]:
-    """(25, 3) framed flat steps by way: to the first of the four, from there to the second, and to the third."""
-    table = [(0, 0, 0)]
-    for code in range(1, 25):
+    """(25, 6) framed flat steps by way: to the first of the four, from there to the second, from the first to the
+    third; towards the camera along x, y and z."""
+    table = np.zeros((25, 6), np.int64)
+    for code in range(1, len(table)):
         main, step, below_one, below_other = _way_of(code)
-        one, other = STRIDES[(main + 1) % 3], STRIDES[(main + 2) % 3]
-        table.append((STRIDES[main] * step - one * below_one - other * below_other, one, other))
-    return np.array(table, np.int64)
+        one, other = (main + 1) % 3, (main + 2) % 3
+        first = STRIDES[main] * step - STRIDES[one] * below_one - STRIDES[other] * below_other
+        table[code, :3] = first, STRIDES[one], STRIDES[other]
+        for axis, sign in ((main, step), (one, 1 - 2 * below_one), (other, 1 - 2 * below_other)):
+            table[code, 3 + axis] = STRIDES[axis] * sign
+    return table
 
 
 def _way_of(code: int) -> tuple[int, int, int, int]:
@@ -195,5 +202,19 @@ def _lay_out(places, camera, kinds, out):  # type: ignore[no-untyped-def]
             continue
         way, _, weights = _nearer((a, b, c), camera)
         place[s] = framed | np.uint32(way << VOXEL_BITS) | (IN_IMAGE if kinds[a, b, c] == INSIDE else np.uint32(0))
+        for axis in range(3):
+            place[s] |= np.uint32(_shows(kinds, (a, b, c), camera, axis)) << np.uint32(SIDE_BIT + axis)
         for corner in range(4):
             weight[s, corner] = weights[corner]
+
+
+@njit(inline="always")
+def _shows(kinds, at, camera, axis):  # type: ignore[no-untyped-def]
+    """Whether a voxel turns a side of this axis to the camera, and the voxel before that side is in view."""
+    gap = camera[axis] - (at[axis] + 0.5)
+    if abs(gap) <= 0.5:
+        return False
+    step = 1 if gap > 0 else -1
+    i, j, k = at[0] + (step if axis == 0 else 0), at[1] + (step if axis == 1 else 0), at[2] + (step if axis == 2 else 0)
+    inside = 0 <= i < kinds.shape[0] and 0 <= j < kinds.shape[1] and 0 <= k < kinds.shape[2]
+    return inside and kinds[i, j, k] >= RIM

@@ -1,0 +1,58 @@
+"""Rays through a grid of voxels, followed the slow way; what sight and observation are held against."""
+
+import numpy as np
+
+from stone.grid import GRID_MIN_M
+from stone.voxels import VOXEL_M
+
+
+def in_voxels(points_ego):
+    """Ego points (N, 3) in voxels of the grid, from its lowest corner."""
+    return (np.asarray(points_ego) - np.array(GRID_MIN_M)) / VOXEL_M
+
+
+def cast(occupied, begin, end):
+    """(voxel (R, 3) in which each straight way begin → end (R, 3) stops, every voxel of the grid that any was in).
+
+    A way stops in the first occupied voxel, else where it ends. Amanatides & Woo (1987), all ways a step at a time.
+    """
+    begin = np.broadcast_to(begin, end.shape).astype(np.float64)
+    way, at, last = end - begin, np.floor(begin).astype(np.int64), np.floor(end).astype(np.int64)
+    step = np.sign(way).astype(np.int64)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.where(step != 0, (at + (step > 0) - begin) / way, np.inf)
+        growth = np.where(step != 0, np.abs(1 / way), np.inf)
+    stops, passed, ray = at.copy(), np.zeros(occupied.shape, np.bool_), np.arange(len(end))
+    while len(ray):
+        inside = ((at >= 0) & (at < occupied.shape)).all(axis=1)
+        place = tuple(np.where(inside[:, None], at, 0).T)
+        passed[tuple(at[inside].T)] = True
+        stops[ray] = at
+        going = ~(inside & occupied[place]) & (at != last).any(axis=1) & (ratio.min(axis=1) <= 1)
+        ray, at, last, step, ratio, growth = (rows[going] for rows in (ray, at, last, step, ratio, growth))
+        row, axis = np.arange(len(ray)), np.argmin(ratio, axis=1) if len(ray) else np.zeros(0, np.int64)
+        at[row, axis] += step[row, axis]
+        ratio[row, axis] += growth[row, axis]
+    return stops, passed
+
+
+def open_share(occupied, camera, voxels, rays, seed):
+    """The share of `rays` rays from the camera to random places in each voxel (N, 3) that reach it, (N,)."""
+    targets = np.repeat(voxels, rays, axis=0)
+    return _reaching(occupied, camera, targets + np.random.default_rng(seed).uniform(0, 1, targets.shape), rays)
+
+
+def lit_share(occupied, camera, voxels, rays, seed):
+    """As `open_share`, to random places on those sides of the voxels that face the camera."""
+    rng = np.random.default_rng(seed)
+    targets = np.repeat(voxels, rays, axis=0)
+    gap = camera - (targets + 0.5)
+    axis = np.argmax(np.where(np.abs(gap) > 0.5, rng.uniform(0.1, 1, gap.shape), 0), axis=1)
+    places, row = rng.uniform(0, 1, gap.shape), np.arange(len(gap))
+    places[row, axis] = np.where(gap[row, axis] > 0, 1 - 1e-9, 1e-9)
+    return _reaching(occupied, camera, targets + places, rays)
+
+
+def _reaching(occupied, camera, targets, rays):
+    stops, _ = cast(occupied, camera, targets)
+    return (stops == np.floor(targets)).all(axis=1).reshape(-1, rays).mean(axis=1)
