@@ -12,6 +12,7 @@ from stone.dynamic import (
     MAX_RING_GAP_PX,
     MAX_SPREAD_PX,
     DynamicParameters,
+    RangeImage,
     is_moving,
     range_image,
     ring_spread_px,
@@ -101,6 +102,36 @@ def test_points_out_of_reach_are_not_judged():
     votes = np.zeros((4, 2), np.int32)
     vote(np.array([[reach + 0.1, 0, 0], [0.9, 0, 0], [reach - 0.1, 0, 0], [1.1, 0, 0]]), image, PARAMETERS, votes)
     assert votes.tolist() == [[0, 0], [0, 0], [0, 1], [0, 1]]
+
+
+def vote_slowly(point_view, ranges_m):
+    """(hits, misses) of one point seen from the image's own place, and how near a border of pixels it is (pixels)."""
+    (x, y, z), r = point_view, math.dist(point_view, (0, 0, 0))
+    row = (PARAMETERS.max_elevation_deg - math.degrees(math.asin(z / r))) / PARAMETERS.row_deg
+    column = (180 - math.degrees(math.atan2(y, x))) / PARAMETERS.column_deg
+    (rows, columns), border_px = ranges_m.shape, min(abs(row - round(row)), abs(column - round(column)))
+    i, j = math.floor(row), math.floor(column) % columns
+    if not PARAMETERS.min_range_m <= r < PARAMETERS.max_range_m or not 1 <= i < rows - 1:
+        return (0, 0), border_px
+    around = [ranges_m[i + di, (j + dj) % columns] for di in (-1, 0, 1) for dj in (-1, 0, 1)]
+    if min(around) > r + PARAMETERS.margin_m:
+        return (0, 1), border_px
+    return (int(abs(ranges_m[i, j] - r) < PARAMETERS.margin_m), 0), border_px
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_votes_are_those_of_each_point_on_its_own(seed):
+    rng = np.random.default_rng(seed)
+    ranges_m = rng.choice([0.0, 8.0, 18.0, 25.0], (10, 15)).repeat(13, axis=0).repeat(60, axis=1).astype(np.float32)
+    points = rng.normal(size=(3000, 3)) * [10, 10, 3]
+    view = SE3.from_parts(rng.normal(size=4), rng.normal(size=3))
+    votes = np.zeros((len(points), 2), np.int32)
+    vote(view @ points, RangeImage(view, ranges_m), PARAMETERS, votes)
+    slow = [vote_slowly(point, ranges_m) for point in points.tolist()]
+    clear = np.array([border_px > 1e-4 for _, border_px in slow])
+    assert clear.mean() > 0.99
+    np.testing.assert_array_equal(votes[clear], np.array([voted for voted, _ in slow])[clear])
+    assert (votes.sum(axis=0) > 100).all()
 
 
 def image_slowly(points):
