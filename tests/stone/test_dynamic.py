@@ -122,7 +122,7 @@ def vote_slowly(point_view, ranges_m):
 @pytest.mark.parametrize("seed", range(3))
 def test_votes_are_those_of_each_point_on_its_own(seed):
     rng = np.random.default_rng(seed)
-    ranges_m = rng.choice([0.0, 8.0, 18.0, 25.0], (10, 15)).repeat(13, axis=0).repeat(60, axis=1).astype(np.float32)
+    ranges_m = rng.choice([0.0, 5.0, 8.0, 11.0, 14.0, 17.0, 25.0], (10, 15)).repeat(13, axis=0).repeat(60, axis=1).astype(np.float32)
     points = rng.normal(size=(3000, 3)) * [10, 10, 3]
     view = SE3.from_parts(rng.normal(size=4), rng.normal(size=3))
     votes = np.zeros((len(points), 2), np.int32)
@@ -131,7 +131,7 @@ def test_votes_are_those_of_each_point_on_its_own(seed):
     clear = np.array([border_px > 1e-4 for _, border_px in slow])
     assert clear.mean() > 0.99
     np.testing.assert_array_equal(votes[clear], np.array([voted for voted, _ in slow])[clear])
-    assert (votes.sum(axis=0) > 100).all()
+    assert (votes.sum(axis=0) > 20).all()
 
 
 def image_slowly(points):
