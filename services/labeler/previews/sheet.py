@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageOps
 
 from services.labeler.exports.source import LabelledSequence
 from services.labeler.picture import INK, PAPER
@@ -84,7 +84,7 @@ def _place_camera(sheet: Image.Image, place: _Place, channel: str, sample: Camer
     picture = _opened(sample, (place.width, place.height))
     cell = Image.new("RGB", (place.width, place.height), BLANK)
     if isinstance(picture, Image.Image):
-        picture.thumbnail(cell.size, Image.Resampling.BILINEAR)
+        picture = ImageOps.contain(picture, cell.size, Image.Resampling.BILINEAR)
         cell.paste(picture, ((cell.width - picture.width) // 2, (cell.height - picture.height) // 2))
     else:
         pen = ImageDraw.Draw(cell)
