@@ -17,7 +17,7 @@ from services.runtime.packs import PackedFiles, read_index
 from services.runtime.store import Store
 from stone.errors import StoneError
 
-HELD = 8
+HELD = 4
 
 
 class ExportUnfinishedError(StoneError):
