@@ -15,7 +15,7 @@ from services.ingest.bag import Bag, open_bag
 from services.ingest.clocks.triggers import trigger_findings
 from services.ingest.ego_track import PoseInputs, ego_track, recorded_rig
 from services.ingest.extrinsics import cross_check
-from services.ingest.fingerprint import recording_sha256
+from services.ingest.fingerprint import hashed_meanwhile
 from services.ingest.kiss_odometry import Progress
 from services.ingest.lidar_clock import lidar_clock
 from services.ingest.pose_quality import quality_findings
@@ -59,11 +59,12 @@ def synchronise(
     Raises what opening and decoding raise (BAG-*, MSG-*), the leaves of `services.ingest.synchronisation_errors`
     (no LiDAR, no pose source, no usable pose, no frame), and MissingSensorError when an INS has no mount.
     """
-    with open_bag(bag_path) as bag:
+    with open_bag(bag_path) as bag, hashed_meanwhile(bag_path, options.recording_sha256) as sha256:
         sequence, sweeps = _synchronised(bag, calibration, options, name)
         seen = projection_findings(bag, sequence, sweeps)
         seen += trigger_findings(bag, _without_refuted(sequence, seen), sweeps)
-    return replace(sequence, findings=(*sequence.findings, *seen)), sweeps
+        inputs = {bag_path.name: sha256()}
+    return replace(sequence, inputs=inputs, findings=(*sequence.findings, *seen)), sweeps
 
 
 def _without_refuted(sequence: Sequence, seen: tuple[Finding, ...]) -> Sequence:
@@ -76,7 +77,7 @@ def _without_refuted(sequence: Sequence, seen: tuple[Finding, ...]) -> Sequence:
 def _synchronised(
     bag: Bag, calibration: Calibration, options: SynchroniseOptions, name: str
 ) -> tuple[Sequence, BagSweeps]:
-    """All but the cameras' checks, which look at frames."""
+    """All but the cameras' checks, which look at frames, and the hash of the recording."""
     lidar_topic = options.lidar_topic or options.topics.get("lidar")
     sources = choose_sources(bag, lidar_topic, options.odometry_topic or options.topics.get("pose"))
     recorded = read_recorded(bag, sources.scanned, sources.whole)
@@ -95,7 +96,6 @@ def _synchronised(
         calibration=calibration,
         pose_source=track.source,
         map_origin_deg_m=track.map_origin_deg_m,
-        inputs={bag.path.name: options.recording_sha256 or recording_sha256(bag.path)},
         findings=bag.findings + mounts + clock.findings + track.findings + doubts + unmatched + usable_finding(posed),
         track=posed.path,
         max_pose_gap_ns=options.max_pose_gap_ns,
