@@ -1,8 +1,9 @@
 """Ground truth on disk: `gts/<sequence>/<frame_token>/labels.npz`, as the labeler writes it.
 
-**Conventions.** `labels.npz` holds `semantics`, and may hold `mask_lidar` and `mask_camera`: uint8 (256, 256, 32). The
-folder may be the one that holds `gts` or `gts` itself. Evaluated voxels by mask: `all` — every voxel, as the paper's
-tables, whose 0 mixes free and unknown; `lidar`, `camera` — where that mask is not 0.
+**Conventions.** `labels.npz` holds `semantics`, and may hold `mask_lidar` and `mask_camera`: uint8 (256, 256, 32); the
+`distance_squared` of labels made with their confidence is not read. The folder may be the one that holds `gts` or `gts`
+itself. Evaluated voxels by mask: `all` — every voxel, as the paper's tables, whose 0 mixes free and unknown; `lidar`,
+`camera` — where that mask is not 0.
 """
 
 from dataclasses import dataclass
@@ -21,7 +22,7 @@ from stone.grid import GRID_SHAPE
 
 Mask = Literal["all", "lidar", "camera"]
 MASKS: tuple[Mask, ...] = get_args(Mask)
-KEYS = frozenset({"semantics", "mask_lidar", "mask_camera"})
+KEYS = frozenset({"semantics", "mask_lidar", "mask_camera", "distance_squared"})
 MAX_LABELS_BYTES = 8 * 2**20
 
 

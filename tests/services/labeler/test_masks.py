@@ -1,0 +1,116 @@
+"""What labels say beside the classes, on a world ray-cast in closed form: both masks against rays, and confidence."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from services.eval.ground_truth import MASKS, read_truth, truth_hash
+from services.labeler.parameters import LabelParameters
+from services.labeler.pipeline import LabelOptions, label
+from stone.calibration import Box
+from stone.grid import GRID_MIN_M, GRID_SHAPE, frame_bounds
+from stone.sight_batches import SightBatch
+from stone.traversability import NON_TRAVERSABLE, POTENTIAL, threshold
+from stone.visibility import sight_lines
+from stone.voxels import VOXEL_M
+from tests.services.labeler.worlds import CALIBRATION, CAMERA, EGO_FROM_LIDAR, RayCast, World, sequence_of
+from tests.stone.rays import cast, in_voxels, lit_share, open_share
+
+# a tile's corner lies in the middle of it, and part of the second box is behind the first
+WORLD = World(
+    grade=(0.05, 0.02), boxes=(Box((2.4, -0.9, 0.0), (3.2, 0.3, 0.9)), Box((4.6, -1.8, 0.0), (5.6, 1.4, 1.6)))
+)
+SEQUENCE = sequence_of(WORLD)
+EGO_FROM_CAMERA = CALIBRATION.ego_from_lidar @ CAMERA.lidar_from_sensor
+
+
+def labelled(folder, **parameters):
+    """The files of the labels of each frame."""
+    label(SEQUENCE, RayCast(WORLD), folder, LabelOptions(replace(LabelParameters(), **parameters)))
+    return [folder / "gts" / "small" / token / "labels.npz" for token in SEQUENCE.frames.tokens]
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    return labelled(tmp_path_factory.mktemp("plain") / "out")
+
+
+@pytest.fixture(scope="module")
+def confident(tmp_path_factory):
+    return labelled(tmp_path_factory.mktemp("confident") / "out", confidence=True)
+
+
+def centres_ego():
+    index = np.stack(np.meshgrid(*[np.arange(n) for n in GRID_SHAPE], indexing="ij"), axis=-1)
+    return (index + 0.5) * VOXEL_M + np.array(GRID_MIN_M)
+
+
+def test_mask_lidar_is_every_voxel_that_a_ray_of_the_run_reached_or_passed(plain):
+    low, high = frame_bounds(SEQUENCE.frames.map_from_ego)
+    passed = np.zeros(tuple(high - low), np.bool_)
+    for index in range(0, WORLD.frames, LabelParameters().carve.every_frame):
+        map_from_lidar = SEQUENCE.frames.map_from_ego[index] @ EGO_FROM_LIDAR
+        points_map = map_from_lidar @ RayCast(WORLD).sweep(index).points_lidar.astype(np.float64)
+        nothing = np.zeros_like(passed)
+        passed |= cast(nothing, map_from_lidar.translation_m / VOXEL_M - low, points_map / VOXEL_M - low)[1]
+    for index in (0, 7):
+        grids = np.load(plain[index])
+        at = np.floor(SEQUENCE.frames.map_from_ego[index] @ centres_ego() / VOXEL_M).astype(np.int64) - low
+        expected = passed[tuple(np.moveaxis(at, -1, 0))] | (grids["semantics"] > 0)
+        assert expected.sum() > 10_000
+        assert (grids["mask_lidar"] != expected).sum() < 0.002 * expected.sum()  # points in float32, at voxel borders
+
+
+@pytest.mark.parametrize("index", [0, 7])
+def test_mask_camera_is_where_half_of_many_rays_come_through_or_any_ends_on_a_side(plain, index):
+    grids = np.load(plain[index])
+    classes, seen = grids["semantics"], grids["mask_camera"] > 0
+    depth_m = (EGO_FROM_CAMERA.inverse() @ centres_ego())[..., 2]
+    ahead = (grids["mask_lidar"] > 0) & in_image() & (depth_m < 9)
+    camera = in_voxels(EGO_FROM_CAMERA.translation_m)
+    free, held = np.argwhere(ahead & (classes == 0)), np.argwhere(ahead & (classes > 0))
+    rng = np.random.default_rng(index)
+    free = free[rng.choice(len(free), 1500, replace=False)]
+    is_open = open_share(classes > 0, camera, free, 16, index) >= 0.5
+    is_lit = lit_share(classes > 0, camera, held, 16, index) > 0
+    assert 0.3 < is_open.mean() < 0.99
+    assert (seen[tuple(free.T)] == is_open).mean() > 0.96
+    assert 0.1 < is_lit.mean() < 0.9
+    assert (seen[tuple(held.T)] == is_lit).mean() > 0.85
+    assert seen[tuple(held.T)][is_lit].mean() > 0.8
+    assert not seen[~in_image()].any()
+
+
+def in_image():
+    """Which voxels the camera has in its image when nothing is in the way."""
+    assert CAMERA.intrinsics is not None
+    nothing = np.zeros((1, *GRID_SHAPE[:2]), np.uint32)
+    (words,) = SightBatch([sight_lines(CAMERA.intrinsics, EGO_FROM_CAMERA)]).visible(nothing)
+    return np.unpackbits(words.view(np.uint8), bitorder="little").reshape(GRID_SHAPE).astype(bool)
+
+
+def test_confidence_is_an_array_more_and_changes_nothing_else(plain, confident):
+    for one, other in zip(plain, confident, strict=True):
+        with np.load(one) as without, np.load(other) as having:
+            assert having.files == [*without.files, "distance_squared"]
+            assert all((without[name] == having[name]).all() for name in without.files)
+
+
+def test_the_distance_of_every_voxel_explains_its_class(confident):
+    limit = threshold(LabelParameters().reference.alpha)
+    for path in confident[::5]:
+        grids = np.load(path)
+        classes, squared = grids["semantics"], grids["distance_squared"]
+        assert (squared.dtype, squared.shape) == (np.float16, GRID_SHAPE)
+        assert np.isfinite(squared).all()
+        assert ((squared == -1) == (classes == 0)).all()
+        assert (squared[classes > 0] >= 0).all()
+        assert squared[classes == POTENTIAL].max() <= limit * 1.001  # float16 rounds
+        assert squared[classes == NON_TRAVERSABLE].min() >= limit * 0.999
+        assert len(np.unique(squared)) > 100
+
+
+def test_labels_with_confidence_are_the_same_ground_truth(plain, confident):
+    for mask in MASKS:
+        assert truth_hash(read_truth(plain[3], mask)) == truth_hash(read_truth(confident[3], mask))
