@@ -39,7 +39,7 @@ class PoissonParameters:
 
     screening: float = 8.0
     blur_ratio: float = 0.75
-    tolerance_ratio: float = 1e-6
+    tolerance_ratio: float = 1e-5
 
 
 def solve_field(patches: Patches, band: Band, parameters: PoissonParameters) -> NDArray[np.float64]:

@@ -15,6 +15,7 @@ from stone.observed import Observed
 from stone.pointmap import COUNT, FRAMES, OFFSET, VIEW, PointMap
 
 Columns = Mapping[str, NDArray[np.generic]]
+Plan = tuple[NDArray[np.int64], NDArray[np.int64]]  # from these voxel indices (2,) along x and y to before those
 
 WIDTHS = (np.uint8, np.int8, np.uint16, np.int16, np.uint32, np.int32)
 
@@ -34,12 +35,15 @@ def fused_columns(points: PointMap, observed: Observed) -> dict[str, NDArray[np.
     }
 
 
-def fused_points(columns: Columns, voxel_m: float) -> PointMap:
-    """The point map whose columns these are; one without voxels stays empty."""
-    keys = _keys_in(columns["box"], columns["cells"])
+def fused_points(columns: Columns, voxel_m: float, plan: Plan | None = None) -> PointMap:
+    """The point map whose columns these are, or its part in `plan`; one without voxels stays empty."""
+    box, cells = columns["box"], columns["cells"]
+    rows = slice(None) if plan is None else _rows_in(plan, box, cells)
+    keys = _keys_in(box, cells[rows])
     moments = np.empty((len(keys), 8), np.int64)
-    moments[:, COUNT], moments[:, FRAMES] = columns["counts"], columns["frames"]
-    moments[:, OFFSET], moments[:, VIEW] = columns["offsets"], columns["views"]
+    if len(keys):  # else the other columns need not even be read
+        moments[:, COUNT], moments[:, FRAMES] = columns["counts"][rows], columns["frames"][rows]
+        moments[:, OFFSET], moments[:, VIEW] = columns["offsets"][rows], columns["views"][rows]
     return PointMap(voxel_m, keys, moments)
 
 
@@ -66,6 +70,17 @@ def _keys_in(box: NDArray[np.generic], cells: NDArray[np.generic]) -> Keys:
     rows, k = np.divmod(cells.astype(np.int64), extent[2])
     i, j = np.divmod(rows, extent[1])
     return keys_from_indices(np.stack([i, j, k], axis=1) + low)
+
+
+def _rows_in(plan: Plan, box: NDArray[np.generic], cells: NDArray[np.generic]) -> slice | NDArray[np.intp]:
+    """Which cells lie in the rectangle: by their order along x, by their index along y."""
+    low, extent = box.astype(np.int64)
+    first, end = (np.clip(bound - low[:2], 0, extent[:2]) for bound in plan)
+    rows = slice(*np.searchsorted(cells, np.array([first[0], end[0]]) * extent[1] * extent[2]))
+    if first[1] == 0 and end[1] == extent[1]:
+        return rows
+    j = cells[rows].astype(np.int64) // extent[2] % extent[1]
+    return np.asarray(rows.start + np.flatnonzero((first[1] <= j) & (j < end[1])))
 
 
 def _narrowed(values: NDArray[np.int64]) -> NDArray[np.generic]:

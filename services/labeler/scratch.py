@@ -74,13 +74,13 @@ def tile_named(name: str) -> Tile:
 
 
 def load_points(run: Run, tile: Tile, low: NDArray[np.float64], high: NDArray[np.float64]) -> list[PointMap]:
-    """The point maps of this tile, part by part, cut in plan to [low, high) (2,) as they come."""
+    """The point maps of this tile, part by part: the voxels whose centres lie in [low, high) (2,) in plan."""
+    voxel_m = run.parameters.surface.point_voxel_m
+    first, end = (np.ceil(bound / voxel_m - 0.5).astype(np.int64) for bound in (low, high))
     found = []
     for path in _fused_parts(run, tile):
         with np.load(path, allow_pickle=False) as archive:
-            points = fused_points(archive, run.parameters.surface.point_voxel_m)
-        xy = points.centroids_map()[:, :2]
-        found.append(points.where(np.asarray(((xy >= low) & (xy < high)).all(axis=1))))
+            found.append(fused_points(archive, voxel_m, (first, end)))
     return found
 
 

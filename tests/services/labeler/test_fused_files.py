@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.labeler.fused_files import fused_columns, fused_observed, fused_points
-from stone.lattice import keys_from_indices
+from stone.lattice import indices_of, keys_from_indices
 from stone.observed import Observed
 from stone.pointmap import PointMap
 
@@ -28,6 +28,18 @@ def test_a_point_map_comes_back_bit_for_bit(seed, count, reach, largest):
     read = fused_points(fused_columns(points, NOTHING_SEEN), 0.1)
     assert read.keys.tobytes() == points.keys.tobytes()
     assert read.moments.tobytes() == points.moments.tobytes()
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32), st.integers(0, 200), st.sampled_from([3, 9, 2**20 - 2]), st.data())
+def test_a_rectangle_of_a_point_map_is_its_voxels_there(seed, count, reach, data):
+    points, index = map_of(seed, count, reach, 1000), st.integers(-reach - 2, reach + 2)
+    low, high = np.sort([data.draw(st.tuples(index, index)) for _ in range(2)], axis=0)
+    read = fused_points(fused_columns(points, NOTHING_SEEN), 0.1, (low, high))
+    places = indices_of(points.keys)[:, :2]
+    inside = points.where(((low <= places) & (places < high)).all(axis=1))
+    assert read.keys.tobytes() == inside.keys.tobytes()
+    assert read.moments.tobytes() == inside.moments.tobytes()
 
 
 @given(st.sets(st.integers(0, 2**62), max_size=40))
