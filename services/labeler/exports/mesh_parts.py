@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from services.labeler.exports.ply_file import open_mesh
 
-MOST_TRIANGLES = 1 << 16
+MOST_TRIANGLES = 1 << 17
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from PIL import Image
 from services.labeler.exports.source import LabelledSequence
 from services.labeler.picture import CLASS_RGB, INK, PAPER, TRACK
 from services.labeler.previews.lettering import UNSEEN
-from services.labeler.previews.sheet import ABOVE, BELOW, cell_ratio, frame_sheet
+from services.labeler.previews.sheet import ABOVE, BELOW, cell_ratio, frame_sheet, sheet_size
 from services.labeler.previews.video import Mp4, gif_palette, write_gif
 from services.labeler.run import Step, silent
 from services.runtime.atomic import atomic_file
@@ -65,8 +65,7 @@ def _spread(source: LabelledSequence, reel: _Reel) -> Iterator[Image.Image]:
 
 def _filmed(source: LabelledSequence, reel: _Reel, path: Path, step: Step) -> Iterator[Image.Image]:
     """Film into `path`; yields the small pictures that the GIF shows as they come."""
-    size_px = frame_sheet(source, reel.indices[0], reel.ratio).size
-    with Mp4(path, size_px, RATE_HZ) as film:
+    with Mp4(path, sheet_size(reel.ratio), RATE_HZ) as film:
         for number, index in enumerate(reel.indices):
             picture = frame_sheet(source, index, reel.ratio)
             film.add(picture)

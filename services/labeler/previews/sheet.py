@@ -59,9 +59,10 @@ def frame_pictures(source: LabelledSequence, index: int) -> FramePictures:
 def frame_sheet(source: LabelledSequence, index: int, ratio: float | None = None) -> Image.Image:
     """The sheet alone; `ratio` is the height to width of the cameras' cells, else that of the frame's first picture."""
     samples = {channel: source.samples.camera(channel, index) for channel in (*ABOVE, *BELOW)}
-    high_px = round(CAMERA_PX * (ratio or cell_ratio(samples.values()))) // 2 * 2
+    ratio = ratio or cell_ratio(samples.values())
+    high_px = _camera_height_px(ratio)
     top_px, low_px = 2 * GAP_PX + high_px, 3 * GAP_PX + high_px + PLAN_PX
-    sheet = Image.new("RGB", (WIDTH_PX, low_px + high_px + BAR_PX), PAPER)
+    sheet = Image.new("RGB", sheet_size(ratio), PAPER)
     for row, channels in ((GAP_PX, ABOVE), (low_px, BELOW)):
         for column, channel in enumerate(channels):
             place = _Place(GAP_PX + column * (CAMERA_PX + GAP_PX), row, CAMERA_PX, high_px)
@@ -72,6 +73,15 @@ def frame_sheet(source: LabelledSequence, index: int, ratio: float | None = None
     sheet.paste(oblique(grids, around, size_px), (2 * GAP_PX + PLAN_PX, top_px))
     _write_bar(sheet, source, index)
     return sheet
+
+
+def sheet_size(ratio: float) -> tuple[int, int]:
+    """Width and height of a sheet whose cameras' cells have this height to width; both even, as films ask."""
+    return WIDTH_PX, 3 * GAP_PX + 2 * _camera_height_px(ratio) + PLAN_PX + BAR_PX
+
+
+def _camera_height_px(ratio: float) -> int:
+    return round(CAMERA_PX * ratio) // 2 * 2
 
 
 def cell_ratio(samples: Iterable[CameraSample | None]) -> float:
