@@ -20,6 +20,8 @@ from stone.voxels import VOXEL_M
 PIXELS_A_VOXEL = 2
 VERTICES_AT_ONCE = 1 << 20
 MARGIN_M = 1
+# The devkit draws 40 m around the robot at any yaw, and cuts that out of the mask without looking for its border.
+VIEW_M = 60
 MOST_SIDE_M = 6000
 
 
@@ -32,8 +34,8 @@ class Mask:
 
 
 def mask_of(mesh: MeshFile, places_m: NDArray[np.float64]) -> Mask:
-    """The mask of a mesh, as large as it and all `places_m` (N, 2) together. Raises `MapTooLargeError`."""
-    corners = [places_m.min(axis=0), places_m.max(axis=0)]
+    """The mask of a mesh, as large as it and what is seen from `places_m` (N, 2). Raises `MapTooLargeError`."""
+    corners = [places_m.min(axis=0) - VIEW_M, places_m.max(axis=0) + VIEW_M]
     for rows in _parts(mesh):
         xy = mesh.vertices["xyz"][rows, :2]
         corners += [xy.min(axis=0), xy.max(axis=0)]

@@ -9,8 +9,10 @@ import contextlib
 import io
 import json
 import sys
+import warnings
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 from nuscenes.nuscenes import NuScenes
 from nuscenes.utils.data_classes import LidarPointCloud, RadarPointCloud
@@ -109,6 +111,21 @@ def on_mask(nusc, lists):
     return [mask.is_on_mask(*np.array(places).T).tolist() for places in lists]
 
 
+def drawn_map(nusc):
+    """Shares of the picture around the robot, in the first and last sample, that are map and not background."""
+    shares = []
+    for sample in (nusc.sample[0], nusc.sample[-1]):
+        figure, axes = plt.subplots()
+        with warnings.catch_warnings():  # the devkit makes an int of an array of one, whatever the data
+            warnings.simplefilter("ignore", DeprecationWarning)
+            nusc.explorer.render_ego_centric_map(sample["data"]["LIDAR_TOP"], axes_limit=40, ax=axes)
+        picture = np.asarray(axes.images[0].get_array())
+        assert picture.shape == (800, 800)
+        shares.append(float((picture == 125).mean()))
+        plt.close(figure)
+    return shares
+
+
 def main(dataroot, places=None):
     nusc = NuScenes(version="v1.0-trainval", dataroot=dataroot, verbose=False)
     lidar = nusc.sample[-1]["data"]["LIDAR_TOP"]
@@ -123,6 +140,7 @@ def main(dataroot, places=None):
         "swept": swept.nbr_points(),
         "boxes": len(nusc.get_boxes(lidar)),
         "on_mask": on_mask(nusc, json.loads(Path(places).read_text()) if places else []),
+        "drawn_map": drawn_map(nusc),
         "scenes": get_scenes_of_split("all", nusc),
         "said": said(nusc),
     }

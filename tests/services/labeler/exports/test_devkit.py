@@ -127,6 +127,7 @@ def test_the_map_mask_is_white_where_the_robot_could_drive(found: dict[str, Any]
     assert all(on_drivable)
     assert len(on_other) > 50
     assert not any(on_other)
+    assert min(found["drawn_map"]) > 0.001
 
 
 def test_a_frame_may_lack_a_camera(devkit: Path, drive: Labelled, tmp_path: Path) -> None:
