@@ -1,6 +1,8 @@
 """Statistics: sums of rows, of those the caller may see, as JSON and as a figure of the same record."""
 
 import io
+import subprocess
+import sys
 
 import httpx
 import numpy as np
@@ -126,3 +128,9 @@ def test_equal_records_give_equal_figures_and_no_word_is_a_formula() -> None:
 
 def test_an_empty_dataset_has_a_figure() -> None:
     assert figure_of(()).startswith(b"\x89PNG")
+
+
+def test_the_api_loads_neither_solver_nor_plots_before_they_are_asked_for() -> None:
+    program = "import sys, api.main; print([n for n in ('scipy', 'matplotlib', 'numba', 'open3d') if n in sys.modules])"
+    said = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True, timeout=120)
+    assert said.stdout == "[]\n"
