@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from stone.errors import ShapeError, StoneError
 from stone.grid import GRID_SHAPE, Grid
+from stone.lanes import popcount
 from stone.voxels import VOXEL_M
 
 RING_EDGES_M = (10.0, 20.0)
@@ -84,16 +85,6 @@ def _schedule() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 _RUNS, _CHUNKS = _schedule()
 
 
-def _popcount_of(typing_context: Any, word: Any) -> Any:
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.ctpop(arguments[0])
-
-    return types.uint64(types.uint64), emit
-
-
-_popcount: Any = intrinsic(_popcount_of)
-
-
 def _bits_of_column(typing_context: Any, voxels: Any, start: Any, mask: Any) -> Any:
     """Bit n of the result: voxel `start` + n has a bit of `mask`. One vector test, for LLVM to fit to the machine."""
 
@@ -136,10 +127,10 @@ def _count_truth(planes: Planes, bounds: NDArray[np.int64], counts: NDArray[np.i
     for ring in range(bounds.size - 1):
         for i in range(bounds[ring] // 2, bounds[ring + 1] // 2):
             low, high = planes[0, i], planes[1, i]
-            counts[ring, 0] += _popcount(planes[2, i])
-            counts[ring, 1] += _popcount(low)
-            counts[ring, 2] += _popcount(high)
-            counts[ring, 3] += _popcount(low & high)
+            counts[ring, 0] += popcount(planes[2, i])
+            counts[ring, 1] += popcount(low)
+            counts[ring, 2] += popcount(high)
+            counts[ring, 3] += popcount(low & high)
 
 
 @njit(cache=True, nogil=True)
@@ -152,18 +143,18 @@ def _joint(
         valid = evaluated[i]
         p1, p2, g1, g2 = low[i] & valid, high[i] & valid, truth_low[i], truth_high[i]
         p3, g3 = p1 & p2, g1 & g2
-        s1 += _popcount(p1)
-        s2 += _popcount(p2)
-        s3 += _popcount(p3)
-        s11 += _popcount(g1 & p1)
-        s12 += _popcount(g1 & p2)
-        s13 += _popcount(g1 & p3)
-        s21 += _popcount(g2 & p1)
-        s22 += _popcount(g2 & p2)
-        s23 += _popcount(g2 & p3)
-        s31 += _popcount(g3 & p1)
-        s32 += _popcount(g3 & p2)
-        s33 += _popcount(g3 & p3)
+        s1 += popcount(p1)
+        s2 += popcount(p2)
+        s3 += popcount(p3)
+        s11 += popcount(g1 & p1)
+        s12 += popcount(g1 & p2)
+        s13 += popcount(g1 & p3)
+        s21 += popcount(g2 & p1)
+        s22 += popcount(g2 & p2)
+        s23 += popcount(g2 & p3)
+        s31 += popcount(g3 & p1)
+        s32 += popcount(g3 & p2)
+        s33 += popcount(g3 & p3)
     joint[0, 1] += s1
     joint[0, 2] += s2
     joint[0, 3] += s3
