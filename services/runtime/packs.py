@@ -52,7 +52,7 @@ class PackedFiles:
 
     def digest(self, ordinal: int) -> str:
         """The sha256 of a file's content, in hex."""
-        return self.sha256[ordinal].tobytes().hex()
+        return bytes(self.sha256[ordinal]).hex()
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ Sizes = TypeVar("Sizes", np.int64, NDArray[np.int64])
 
 def padding_bytes(sizes_bytes: Sizes) -> Sizes:
     """How many zeros follow contents of these sizes."""
-    return -sizes_bytes % BLOCK_BYTES  # type: ignore[return-value]
+    return -sizes_bytes % BLOCK_BYTES
 
 
 def tar_head_bytes(name: str, size_bytes: int) -> int:

@@ -32,7 +32,7 @@ class Entry:
 
 def local_bytes(names: NDArray[np.int64], sizes_bytes: NDArray[np.int64]) -> NDArray[np.int64]:
     """The lengths of local headers, for names of these lengths."""
-    return LOCAL.size + names + 20 * (sizes_bytes >= FULL32)
+    return np.asarray(LOCAL.size + names + 20 * (sizes_bytes >= FULL32), np.int64)
 
 
 def central_bytes(
@@ -40,7 +40,7 @@ def central_bytes(
 ) -> NDArray[np.int64]:
     """The lengths of entries of the central directory."""
     is_large, is_far = sizes_bytes >= FULL32, offsets >= FULL32
-    return CENTRAL.size + names + 4 * (is_large | is_far) + 16 * is_large + 8 * is_far
+    return np.asarray(CENTRAL.size + names + 4 * (is_large | is_far) + 16 * is_large + 8 * is_far, np.int64)
 
 
 def end_bytes(count: int, begin: int, length: int) -> int:

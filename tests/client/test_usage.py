@@ -8,7 +8,19 @@ from typer.testing import CliRunner, Result
 from client.main import app
 
 LOCAL = ["simulate", "inspect", "label", "validate", "score", "demo"]
-ON_A_SERVER = ["serve", "login", "upload", "process", "watch", "status", "exports", "download", "statistics", "splits", "datasets"]
+ON_A_SERVER = [
+    "serve",
+    "login",
+    "upload",
+    "process",
+    "watch",
+    "status",
+    "exports",
+    "download",
+    "statistics",
+    "splits",
+    "datasets",
+]
 COMMANDS = [*LOCAL, *ON_A_SERVER]
 LATER = ["export", "submit", "results", "leaderboard"]
 
