@@ -76,7 +76,7 @@ class PointMapBuilder:
     until they are used.
     """
 
-    def __init__(self, voxel_m: float, slots: int = 1 << 19) -> None:
+    def __init__(self, voxel_m: float, slots: int = 1 << 20) -> None:
         self._voxel_m = voxel_m
         self._rows = free_rows(slots)
         self._work = workspace()
