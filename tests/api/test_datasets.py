@@ -44,17 +44,26 @@ class Release:
 
 
 @pytest.fixture
-def release(api_on: httpx.Client, platform_on: Platform) -> Release:
-    owner, administrator = person(platform_on, "curator"), person(platform_on, "administrator")
+def release(api: httpx.Client, platform: Platform) -> Release:
+    return released(api, platform)
+
+
+@pytest.fixture
+def release_on(api_on: httpx.Client, platform_on: Platform) -> Release:
+    return released(api_on, platform_on)
+
+
+def released(api: httpx.Client, platform: Platform) -> Release:
+    owner, administrator = person(platform, "curator"), person(platform, "administrator")
     said = {"environment": "lake", "illumination": "dusk"}
     parts = ("train", "val", "test")
-    ids = {part: published_sequence(platform_on, owner.user_id, region=f"of-{part}", **said) for part in parts}
+    ids = {part: published_sequence(platform, owner.user_id, region=f"of-{part}", **said) for part in parts}
     body = {part: [one] for part, one in ids.items()} | {"reason": "why"}
-    put = api_on.put("/api/v1/splits", json=body, headers={**administrator.headers, "If-Match": "*"})
+    put = api.put("/api/v1/splits", json=body, headers={**administrator.headers, "If-Match": "*"})
     assert put.status_code == 200, put.text
-    made = publish(api_on, administrator, "stone-1.0", licence="CC-BY-4.0")
+    made = publish(api, administrator, "stone-1.0", licence="CC-BY-4.0")
     assert made.status_code == 201, made.text
-    return Release("stone-1.0", made.json(), ids, owner, administrator, person(platform_on, "participant"))
+    return Release("stone-1.0", made.json(), ids, owner, administrator, person(platform, "participant"))
 
 
 def publish(api: httpx.Client, who: Person, name: str, **more: str) -> httpx.Response:
@@ -89,31 +98,29 @@ def contents_of(platform: Platform, sequence_id: str) -> dict[str, bytes]:
 
 
 def test_the_manifest_says_what_the_version_is_made_of(
-    api_on: httpx.Client, platform_on: Platform, release: Release
+    api_on: httpx.Client, platform_on: Platform, release_on: Release
 ) -> None:
-    manifest = manifest_of(api_on, release)
+    manifest = manifest_of(api_on, release_on)
     with platform_on.database.reading() as session:
         entries = {one.entry.id: one for one in labelled_sequences(session)}
-    names = {part: entries[one].entry.name for part, one in release.ids.items()}
+    names = {part: entries[one].entry.name for part, one in release_on.ids.items()}
     assert (manifest["stone_dataset"], manifest["version"], manifest["licence"]) == (1, "stone-1.0", "CC-BY-4.0")
     assert manifest["splits"] == {part: [name] for part, name in names.items()}
     assert [one["split"] for one in manifest["sequences"]] == ["train", "val", "test"]
     train = manifest["sequences"][0]
-    assert train["label_set"]["recipe"] == entries[release.ids["train"]].labels.recipe
+    assert train["label_set"]["recipe"] == entries[release_on.ids["train"]].labels.recipe
     assert (train["frames"], train["duration_s"], train["distance_m"]) == (3, 25.0, 30.5)
     assert manifest["statistics"]["total"]["sequences"] == 3
     for part in ("train", "val"):
-        expected = contents_of(platform_on, release.ids[part])
+        expected = contents_of(platform_on, release_on.ids[part])
         listed = {file["name"]: (file["size_bytes"], file["sha256"]) for file in manifest["files"][part]}
         sums = listed.pop("sha256sum.txt")
         assert listed == {name: (len(c), hashlib.sha256(c).hexdigest()) for name, c in expected.items()}
         assert sums[0] > 0
 
 
-def test_a_part_is_a_tar_of_what_the_manifest_lists(
-    api_on: httpx.Client, platform_on: Platform, release: Release
-) -> None:
-    answer = api_on.get(f"{release.path}/archives/train", headers=release.reader.headers)
+def test_a_part_is_a_tar_of_what_the_manifest_lists(api: httpx.Client, platform: Platform, release: Release) -> None:
+    answer = api.get(f"{release.path}/archives/train", headers=release.reader.headers)
     assert answer.status_code == 200
     assert answer.headers["content-type"] == "application/x-tar"
     (shown,) = (part for part in release.shown["parts"] if part["part"] == "train")
@@ -123,30 +130,28 @@ def test_a_part_is_a_tar_of_what_the_manifest_lists(
     with tarfile.open(fileobj=io.BytesIO(answer.content)) as tar:
         found = {member.name: tar.extractfile(member).read() for member in tar}  # type: ignore[union-attr]
     sums = found.pop("sha256sum.txt").decode()
-    assert found == contents_of(platform_on, release.ids["train"])
+    assert found == contents_of(platform, release.ids["train"])
     assert sums == "".join(f"{hashlib.sha256(c).hexdigest()}  {name}\n" for name, c in found.items())
 
 
-def test_a_part_comes_in_ranges_too(api_on: httpx.Client, release: Release) -> None:
+def test_a_part_comes_in_ranges_too(api: httpx.Client, release: Release) -> None:
     path = f"{release.path}/archives/val"
-    whole = api_on.get(path, headers=release.reader.headers)
+    whole = api.get(path, headers=release.reader.headers)
     size = len(whole.content)
     cuts = [0, 1, 511, 513, 1300, size // 2, size - 1, size]
     pieces = []
     for start, stop in pairwise(cuts):
         ranged = {"Range": f"bytes={start}-{stop - 1}", "If-Range": whole.headers["etag"]}
-        answer = api_on.get(path, headers={**release.reader.headers, **ranged})
+        answer = api.get(path, headers={**release.reader.headers, **ranged})
         assert answer.status_code == 206
         pieces.append(answer.content)
     assert b"".join(pieces) == whole.content
 
 
-def test_of_tests_labels_nothing_is_told_to_anybody(
-    api_on: httpx.Client, platform_on: Platform, release: Release
-) -> None:
+def test_of_tests_labels_nothing_is_told_to_anybody(api: httpx.Client, platform: Platform, release: Release) -> None:
     """Of every answer about versions, to a participant and to an administrator: no content, digest, token or count."""
-    hidden = contents_of(platform_on, release.ids["test"])
-    with platform_on.database.reading() as session:
+    hidden = contents_of(platform, release.ids["test"])
+    with platform.database.reading() as session:
         row = session.scalars(select(LabelSet).where(LabelSet.sequence_id == release.ids["test"])).one()
         tokens = list(session.scalars(select(LabelledFrame.token).where(LabelledFrame.label_set_id == row.id)))
         blobs = list(session.scalars(select(Artefact.blob_sha256).where(Artefact.label_set_id == row.id)))
@@ -155,14 +160,15 @@ def test_of_tests_labels_nothing_is_told_to_anybody(
     secrets += [*tokens, *blobs, row.id, row.recipe, index.index_sha256]
     paths = ["", f"/{release.name}", f"/{release.name}/manifest"]
     paths += [f"/{release.name}/archives/{part}" for part in ("train", "val", "test")]
-    statistics = [f"/api/v1/statistics{path}?dataset={release.name}" for path in ("", "/composition.png")]
+    figure = f"/api/v1/statistics/composition.png?dataset={release.name}"
     for reader in (release.reader, release.administrator, release.owner):
-        for path in [*(URL + path for path in paths), *statistics]:
-            answer = api_on.get(path, headers=reader.headers)
+        drawn = [figure] if reader is release.reader else []
+        for path in [*(URL + path for path in paths), f"/api/v1/statistics?dataset={release.name}", *drawn]:
+            answer = api.get(path, headers=reader.headers)
             told = answer.content + repr(sorted(answer.headers.items())).encode()
             assert [one for one in secrets if one.encode() in told] == [], path
             assert [name for name, content in hidden.items() if content in told] == [], path
-    manifest = manifest_of(api_on, release)
+    manifest = manifest_of(api, release)
     assert set(manifest["files"]) == {"train", "val"}
     test = manifest["sequences"][2]
     assert set(test) == {
@@ -172,24 +178,24 @@ def test_of_tests_labels_nothing_is_told_to_anybody(
 
 
 @pytest.mark.parametrize("part", ["test", "all", "TEST", "train%2F..%2Ftest"])
-def test_there_is_no_route_to_the_files_of_test(api_on: httpx.Client, release: Release, part: str) -> None:
-    answer = api_on.get(f"{release.path}/archives/{part}", headers=release.administrator.headers)
+def test_there_is_no_route_to_the_files_of_test(api: httpx.Client, release: Release, part: str) -> None:
+    answer = api.get(f"{release.path}/archives/{part}", headers=release.administrator.headers)
     assert answer.status_code in (404, 422)
 
 
 def test_a_version_stays_as_it_is_whatever_becomes_of_its_sequences(
-    api_on: httpx.Client, platform_on: Platform, release: Release
+    api_on: httpx.Client, platform_on: Platform, release_on: Release
 ) -> None:
     """Renamed words, labels made anew, sequences deleted, splits emptied, the store collected without mercy."""
-    path = f"{release.path}/archives/train"
-    before = [api_on.get(one, headers=release.reader.headers) for one in (release.path, path)]
-    train, sequences = release.ids["train"], "/api/v1/sequences"
-    match = {**release.owner.headers, "If-Match": "*"}
+    path = f"{release_on.path}/archives/train"
+    before = [api_on.get(one, headers=release_on.reader.headers) for one in (release_on.path, path)]
+    train, sequences = release_on.ids["train"], "/api/v1/sequences"
+    match = {**release_on.owner.headers, "If-Match": "*"}
     assert api_on.patch(f"{sequences}/{train}", json={"illumination": "night"}, headers=match).status_code == 200
     with platform_on.database.reading() as session:
-        facts = {"id": train, "name": session.get_one(Sequence, train).name, "owner_id": release.owner.user_id}
+        facts = {"id": train, "name": session.get_one(Sequence, train).name, "owner_id": release_on.owner.user_id}
     labels(platform_on, facts, seed=b"anew")
-    for one in release.ids.values():
+    for one in release_on.ids.values():
         assert api_on.delete(f"{sequences}/{one}", headers=match).status_code == 204
     hasty = Settings(
         data_folder=platform_on.settings.data_folder,
@@ -197,23 +203,23 @@ def test_a_version_stays_as_it_is_whatever_becomes_of_its_sequences(
         store=StoreSettings(grace_s=0.0),
     )
     assert collect(Platform(hasty, platform_on.database, open_store(hasty))).rows > 0, "the labels made anew went"
-    after = [api_on.get(one, headers=release.reader.headers) for one in (release.path, path)]
+    after = [api_on.get(one, headers=release_on.reader.headers) for one in (release_on.path, path)]
     assert [answer.content for answer in after] == [answer.content for answer in before]
-    manifest_of(api_on, release)
+    manifest_of(api_on, release_on)
     with platform_on.database.reading() as session:
         held = session.scalars(select(DatasetMember.part).order_by(DatasetMember.part)).all()
         assert list(held) == ["test", "train", "val"]
 
 
 @pytest.mark.parametrize("table", ["datasets", "dataset_members", "dataset_parts", "dataset_packs"])
-def test_the_database_refuses_to_change_a_version(platform_on: Platform, release: Release, table: str) -> None:
+def test_the_database_refuses_to_change_a_version(platform_on: Platform, release_on: Release, table: str) -> None:
     column = {"datasets": "licence", "dataset_members": "region", "dataset_parts": "files"}.get(table, "ordinal")
     with pytest.raises(DatabaseError, match="does not change"):  # noqa: SIM117
         with platform_on.database.transaction() as session:
             session.execute(text(f"UPDATE {table} SET {column} = {column}"))
 
 
-def test_what_a_version_names_cannot_be_deleted_while_it_stands(platform_on: Platform, release: Release) -> None:
+def test_what_a_version_names_cannot_be_deleted_while_it_stands(platform_on: Platform, release_on: Release) -> None:
     with platform_on.database.reading() as session:
         held = session.scalars(select(Artefact.blob_sha256)).all()
     with platform_on.database.transaction() as session:
@@ -225,26 +231,26 @@ def test_what_a_version_names_cannot_be_deleted_while_it_stands(platform_on: Pla
                 session.execute(delete(Blob).where(Blob.sha256 == sha256))
 
 
-def test_a_name_is_given_once(api_on: httpx.Client, release: Release) -> None:
-    again = publish(api_on, release.administrator, release.name)
+def test_a_name_is_given_once(api_on: httpx.Client, release_on: Release) -> None:
+    again = publish(api_on, release_on.administrator, release_on.name)
     assert (again.status_code, again.json()["code"]) == (409, "name_taken")
-    assert publish(api_on, release.administrator, "stone-1.1").status_code == 201
-    listed = api_on.get(URL, headers=release.reader.headers).json()["items"]
+    assert publish(api_on, release_on.administrator, "stone-1.1").status_code == 201
+    listed = api_on.get(URL, headers=release_on.reader.headers).json()["items"]
     assert [one["name"] for one in listed] == ["stone-1.1", "stone-1.0"]
     assert listed[0]["sizes"] == {"train": 1, "val": 1, "test": 1}
 
 
 def test_nothing_can_be_published_without_splits_that_keep_the_rules(
-    api_on: httpx.Client, platform_on: Platform, release: Release
+    api: httpx.Client, platform: Platform, release: Release
 ) -> None:
     gone = release.ids["val"]
-    api_on.delete(f"/api/v1/sequences/{gone}", headers={**release.owner.headers, "If-Match": "*"})
-    broken = publish(api_on, release.administrator, "stone-2.0")
+    api.delete(f"/api/v1/sequences/{gone}", headers={**release.owner.headers, "If-Match": "*"})
+    broken = publish(api, release.administrator, "stone-2.0")
     assert (broken.status_code, broken.json()["code"]) == (409, "splits_broken")
     assert gone in broken.json()["detail"]
     body = {"train": [], "val": [], "test": [], "reason": "anew"}
-    api_on.put("/api/v1/splits", json=body, headers={**release.administrator.headers, "If-Match": "*"})
-    assert publish(api_on, release.administrator, "stone-2.0").json()["code"] == "no_splits"
+    api.put("/api/v1/splits", json=body, headers={**release.administrator.headers, "If-Match": "*"})
+    assert publish(api, release.administrator, "stone-2.0").json()["code"] == "no_splits"
 
 
 @pytest.mark.parametrize("name", ["", "../x", "a b", "x" * 65, ".hidden"])
@@ -252,14 +258,14 @@ def test_a_version_has_a_plain_name(api: httpx.Client, administrator: Person, na
     assert publish(api, administrator, name).status_code == 422
 
 
-def test_publishing_is_in_the_audit_log(api_on: httpx.Client, release: Release) -> None:
-    log = api_on.get("/api/v1/admin/audit-log", headers=release.administrator.headers).json()["items"]
+def test_publishing_is_in_the_audit_log(api: httpx.Client, release: Release) -> None:
+    log = api.get("/api/v1/admin/audit-log", headers=release.administrator.headers).json()["items"]
     (line,) = (line for line in log if line["act"] == "dataset.create")
     assert line["facts"] == {"name": "stone-1.0", "manifest_sha256": release.shown["manifest_sha256"]}
     assert line["reason"] == "release"
 
 
-def test_the_manifest_is_json_that_others_can_read(api_on: httpx.Client, release: Release) -> None:
-    answer = api_on.get(f"{release.path}/manifest", headers=release.reader.headers)
+def test_the_manifest_is_json_that_others_can_read(api: httpx.Client, release: Release) -> None:
+    answer = api.get(f"{release.path}/manifest", headers=release.reader.headers)
     assert answer.headers["content-type"] == "application/json"
     assert json.loads(answer.content)["splits"].keys() == {"train", "val", "test"}

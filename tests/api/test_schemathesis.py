@@ -18,12 +18,16 @@ from hypothesis.strategies import SearchStrategy, one_of
 from schemathesis import APIOperation, Case, GenerationMode
 from schemathesis.core.result import Ok
 from schemathesis.specs.openapi import checks
+from sqlalchemy import delete
 
 from api.main import make_api
 from api.routes import events
+from services.runtime.composition_figure import composition_png
 from services.runtime.migrate import upgrade
+from services.runtime.orm import Queue
 from services.runtime.platform import Platform
 from services.runtime.settings import ApiSettings, BrokerSettings
+from services.runtime.statistics import statistics_record
 from tests.api.access.cast import Cast, make_cast
 from tests.api.access.world import make_world
 from tests.api.serving import serving
@@ -70,6 +74,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory, redis_url: str) -> Iterator[
     platform = opened(make_settings(tmp_path_factory.mktemp("schemathesis"), **groups), [])
     upgrade(platform.settings)
     application = make_api(platform)
+    composition_png(statistics_record({}), "")  # loading what draws takes longer than a client waits
     with pytest.MonkeyPatch.context() as patch, serving(platform, application) as url:
         patch.setattr(events, "LONGEST_S", STREAMED_S)
         yield Scene(platform, url, application.openapi(), make_cast(platform))
@@ -98,6 +103,8 @@ class Answered:
 
     def ask(self, scene: Scene, session: requests.Session, operation: Operation) -> None:
         """Requests of this operation until one is answered wrongly, or as many as there are to be."""
+        with scene.platform.database.transaction() as database:
+            database.execute(delete(Queue))  # whatever an earlier request drained is open again
         real = make_world(scene.platform, scene.cast.users["owner"]).named if operation.path_parameters else {}
 
         @seed(20260503)

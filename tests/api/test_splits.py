@@ -17,22 +17,26 @@ Put = Callable[..., httpx.Response]
 
 
 @pytest.fixture
-def put(api_on: httpx.Client, platform_on: Platform) -> Put:
+def put(api: httpx.Client, platform: Platform) -> Put:
+    return putting(api, platform)
+
+
+@pytest.fixture
+def put_on(api_on: httpx.Client, platform_on: Platform) -> Put:
+    return putting(api_on, platform_on)
+
+
+def putting(api: httpx.Client, platform: Platform) -> Put:
     """PUT of splits by an administrator: the three lists of ids; `match` is the If-Match."""
-    headers = person(platform_on, "administrator").headers
+    headers = person(platform, "administrator").headers
 
     def asked(
         train: list[str], val: list[str], test: list[str], match: str = "*", reason: str = "why"
     ) -> httpx.Response:
         body = {"train": train, "val": val, "test": test, "reason": reason}
-        return api_on.put(URL, json=body, headers={**headers, "If-Match": match})
+        return api.put(URL, json=body, headers={**headers, "If-Match": match})
 
     return asked
-
-
-@pytest.fixture
-def owner(platform_on: Platform) -> Person:
-    return person(platform_on, "curator")
 
 
 def driven(platform: Platform, owner: Person, **said: str) -> str:
@@ -44,9 +48,10 @@ def codes(answer: httpx.Response) -> list[str]:
     return [error["code"] for error in answer.json()["errors"]]
 
 
-def test_what_is_put_is_what_is_read(put: Put, api_on: httpx.Client, platform_on: Platform, owner: Person) -> None:
+def test_what_is_put_is_what_is_read(put_on: Put, api_on: httpx.Client, platform_on: Platform) -> None:
+    owner = person(platform_on, "curator")
     a, b, c, d = (driven(platform_on, owner, region=f"r{n}") for n in range(4))
-    answer = put([a], [b], [c])
+    answer = put_on([a], [b], [c])
     assert answer.status_code == 200
     assert answer.headers["etag"] == '"1"'
     administrator = person(platform_on, "administrator")
@@ -63,27 +68,25 @@ def test_what_is_put_is_what_is_read(put: Put, api_on: httpx.Client, platform_on
     }  # fmt: skip
 
 
-def test_a_change_names_the_revision_it_means(put: Put, platform_on: Platform, owner: Person) -> None:
-    a = driven(platform_on, owner)
+def test_a_change_names_the_revision_it_means(put: Put, platform: Platform, curator: Person) -> None:
+    a = driven(platform, curator)
     assert put([a], [], [], match='"0"').status_code == 200
     stale = put([], [], [], match='"0"')
     assert (stale.status_code, stale.json()["code"]) == (412, "precondition_failed")
     assert put([], [], [], match='"1"').json()["sizes"] == {"train": 0, "val": 0, "test": 0}
 
 
-def test_a_change_without_a_revision_or_a_reason_is_refused(
-    put: Put, api_on: httpx.Client, platform_on: Platform
-) -> None:
-    headers = person(platform_on, "administrator").headers
+def test_a_change_without_a_revision_or_a_reason_is_refused(put: Put, api: httpx.Client, platform: Platform) -> None:
+    headers = person(platform, "administrator").headers
     body = {"train": [], "val": [], "test": [], "reason": "why"}
-    assert api_on.put(URL, json=body, headers=headers).status_code == 428
+    assert api.put(URL, json=body, headers=headers).status_code == 428
     assert put([], [], [], reason=" ").status_code == 422
 
 
-def test_every_broken_rule_is_named_and_nothing_is_put(put: Put, platform_on: Platform, owner: Person) -> None:
-    a, b, c = (driven(platform_on, owner, region="Seoul") for _ in range(3))
-    short = driven(platform_on, owner, region="Busan")
-    with platform_on.database.transaction() as session:
+def test_every_broken_rule_is_named_and_nothing_is_put(put: Put, platform: Platform, curator: Person) -> None:
+    a, b, c = (driven(platform, curator, region="Seoul") for _ in range(3))
+    short = driven(platform, curator, region="Busan")
+    with platform.database.transaction() as session:
         labels = session.query(LabelSet).where(LabelSet.sequence_id == short).one()
         labels.duration_ns = 19 * 10**9
         name = session.get_one(Sequence, short).name
@@ -95,15 +98,15 @@ def test_every_broken_rule_is_named_and_nothing_is_put(put: Put, platform_on: Pl
     assert length["where"] == name
     assert "19.0 s; the least is 20 s" in length["expected"]
     assert "'Seoul' is in test" in regions["expected"]
-    with platform_on.database.reading() as session:
+    with platform.database.reading() as session:
         assert session.query(SplitMember).count() == 0
 
 
 def test_day_and_night_and_environments_are_asked_for_where_the_data_allow(
-    put: Put, platform_on: Platform, owner: Person
+    put: Put, platform: Platform, curator: Person
 ) -> None:
-    nights = [driven(platform_on, owner, illumination="moonlit", region=f"n{n}") for n in range(3)]
-    days = [driven(platform_on, owner, region=f"d{n}") for n in range(3)]
+    nights = [driven(platform, curator, illumination="moonlit", region=f"n{n}") for n in range(3)]
+    days = [driven(platform, curator, region=f"d{n}") for n in range(3)]
     answer = put([*nights, days[0]], [days[1]], [days[2]])
     assert codes(answer) == ["day_and_night"]
     assert answer.json()["errors"][0]["expected"] == "night is not in val and test, though 3 sequences have it"
@@ -116,22 +119,21 @@ def test_day_and_night_and_environments_are_asked_for_where_the_data_allow(
 
 @pytest.mark.parametrize("role", ["participant", "curator"])
 def test_others_see_the_sizes_and_where_their_own_are(
-    put: Put, api_on: httpx.Client, platform_on: Platform, owner: Person, role: str
+    put: Put, api: httpx.Client, platform: Platform, curator: Person, role: str
 ) -> None:
-    mine = driven(platform_on, owner, region="a")
-    other = person(platform_on, role)
-    put([mine], [driven(platform_on, owner, region="b")], [])
-    shown = api_on.get(URL, headers=other.headers).json()
+    mine = driven(platform, curator, region="a")
+    other = person(platform, role)
+    put([mine], [driven(platform, curator, region="b")], [])
+    shown = api.get(URL, headers=other.headers).json()
     assert shown["sizes"] == {"train": 1, "val": 1, "test": 0}
     assert (shown["train"], shown["unassigned"], shown["findings"]) == ([], [], None)
-    assert [one["sequence_id"] for one in api_on.get(URL, headers=owner.headers).json()["train"]] == [mine]
+    assert [one["sequence_id"] for one in api.get(URL, headers=curator.headers).json()["train"]] == [mine]
 
 
-def test_a_sequence_that_is_deleted_leaves_a_finding(
-    put: Put, api_on: httpx.Client, platform_on: Platform, owner: Person
-) -> None:
+def test_a_sequence_that_is_deleted_leaves_a_finding(put_on: Put, api_on: httpx.Client, platform_on: Platform) -> None:
+    owner = person(platform_on, "curator")
     mine = driven(platform_on, owner)
-    put([mine], [], [])
+    put_on([mine], [], [])
     assert api_on.delete(f"/api/v1/sequences/{mine}", headers={**owner.headers, "If-Match": "*"}).status_code == 204
     shown = api_on.get(URL, headers=person(platform_on, "administrator").headers).json()
     (finding, *_) = shown["findings"]

@@ -27,10 +27,10 @@ from stone.surroundings import ENVIRONMENTS
 from tests.stone.catalogues import catalogue, entry, shuffled
 
 PAPER = (31, 7, 5)
-QUICK = SolverLimits(likeness_nodes=20)
+QUICK = SolverLimits(likeness_nodes=5)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_43_sequences_are_split_31_7_5_by_every_rule(seed: int) -> None:
     entries = catalogue(43, seed)
     proposal = propose(entries, PAPER, QUICK)
@@ -54,7 +54,7 @@ def unlikeness(entries: tuple[CatalogueEntry, ...], parts: list[tuple[str, ...]]
     return told
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", range(1))
 def test_the_parts_are_more_alike_than_a_hundred_splits_by_lot(seed: int) -> None:
     """Though the lots need not keep any rule."""
     entries = catalogue(43, seed)
@@ -62,13 +62,16 @@ def test_the_parts_are_more_alike_than_a_hundred_splits_by_lot(seed: int) -> Non
     for number in range(100):
         ids = tuple(one.id for one in shuffled(entries, number))
         by_lot.append(unlikeness(entries, [ids[:31], ids[31:38], ids[38:]]))
-    assert unlikeness(entries, list(propose(entries, PAPER, QUICK).split.parts.values())) < sorted(by_lot)[0]
+    assert (
+        unlikeness(entries, list(propose(entries, PAPER, SolverLimits(likeness_nodes=20)).split.parts.values()))
+        < sorted(by_lot)[0]
+    )
 
 
 def test_the_order_of_the_catalogue_changes_nothing() -> None:
     entries = catalogue(43, 7)
     first = propose(entries, PAPER, QUICK)
-    assert all(propose(shuffled(entries, seed), PAPER, QUICK) == first for seed in range(2))
+    assert all(propose(shuffled(entries, seed), PAPER, QUICK) == first for seed in range(1))
 
 
 def test_what_is_left_over_is_in_no_split() -> None:
@@ -170,7 +173,7 @@ def splits_that_pass(entries: tuple[CatalogueEntry, ...], sizes: tuple[int, int,
     return False
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(st.integers(0, 10**6), st.integers(3, 6), st.tuples(*[st.integers(0, 2)] * 3).filter(any))
 def test_a_proposal_is_feasible_exactly_where_some_split_is(
     seed: int, sequences: int, sizes: tuple[int, int, int]
@@ -182,7 +185,7 @@ def test_a_proposal_is_feasible_exactly_where_some_split_is(
     assert proposal.is_feasible == (errors == [])
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(st.integers(0, 10**6), st.integers(8, 16))
 def test_what_is_claimed_feasible_passes_the_checks_and_what_is_not_breaks_a_rule(seed: int, sequences: int) -> None:
     entries = catalogue(sequences, seed, regions=2 + seed % 5)
