@@ -31,6 +31,18 @@ ConfidenceOption = Annotated[
 ]
 
 
+class Solver(StrEnum):
+    """How the surface is reconstructed: near the data, or over whole cubes by Open3D."""
+
+    LATTICE = "lattice"
+    OCTREE = "octree"
+
+
+SolverOption = Annotated[
+    Solver, typer.Option(help="Of the screened Poisson equation; octree is Open3D's, four times as slow.")
+]
+
+
 class Refine(StrEnum):
     """How poses are refined before anything is labelled."""
 
@@ -52,6 +64,7 @@ def label(
     topics: TopicsOption = None,
     topic: TopicOption = [],  # noqa: B006
     workers: WorkersOption = None,
+    solver: SolverOption = Solver.LATTICE,
     refine: RefineOption = None,
     confidence: ConfidenceOption = False,
     as_json: JsonOption = False,
@@ -70,6 +83,7 @@ def label(
         source = {"recording": str(bag.resolve()), "calibration": str(calibration.resolve())}
         refinement = RefinementParameters(refine.value) if refine else None
         parameters = replace(parameters_for(profile.value), confidence=confidence, refinement=refinement)
+        parameters = replace(parameters, surface=replace(parameters.surface, solver=solver.value))
         options = LabelOptions(parameters, workers or cores(), source)
         record = label_sequence(sequence, sweeps, output, options, progress).as_record()
     if as_json:

@@ -14,11 +14,12 @@ from stone.terrain import TerrainParameters
 from stone.traversability import ReferenceParameters
 
 Profile = Literal["paper", "local"]
+Solver = Literal["lattice", "octree"]
 
 
 @dataclass(frozen=True)
 class SurfaceParameters:
-    """Point map and Poisson reconstruction.
+    """Point map and Poisson reconstruction, by the solver of `stone/screened.py` or by Open3D's octree.
 
     `width_m` is the cell of the lattice the surface is solved on: given as a width, never as an octree's depth, whose
     cell grows with the extent. Vertices farther than `trim_m` from any point are not surface but the solver's guess
@@ -30,6 +31,7 @@ class SurfaceParameters:
     normal_neighbours: int = 20
     width_m: float = 0.2
     trim_m: float = 0.2
+    solver: Solver = "lattice"
     poisson: PoissonParameters = field(default_factory=PoissonParameters)
 
 

@@ -9,12 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from services.labeler.octree import octree_surface
 from services.labeler.parameters import LabelParameters, Profile, other_profile_of
 from services.labeler.run import Run, Step, Tile, in_core, neighbourhood, silent
 from services.labeler.scratch import Arrays, images_near, load_observed, load_points, save, surface_path
 from stone.band import band_of
 from stone.contour import zero_surface
-from stone.dynamic import is_moving, vote
+from stone.dynamic import carried_along, is_moving, vote
 from stone.footprint import swept
 from stone.lattice import centres_of
 from stone.mesh import Mesh, vertex_normals
@@ -57,7 +58,7 @@ def surface(run: Run, tile: Tile, step: Step = silent) -> TileSummary:
     moving = _moving(run, points)
     points = points.where(~moving).where_seen(run.parameters.surface.min_frames)
     step(2, STEPS)
-    mesh, normals = _mesh(run.parameters, points)
+    mesh, normals = _mesh(run.parameters, points, low)
     step(3, STEPS)
     voxels, other_height_m = _features(run.parameters, mesh, normals)
     mine = in_core(centres_of(voxels.keys, VOXEL_M), tile, run.parameters.core_m)
@@ -96,17 +97,20 @@ def _moving(run: Run, points: PointMap) -> NDArray[np.bool_]:
     centroids = points.centroids_map()
     for image in images_near(run, centroids.min(axis=0), centroids.max(axis=0)):
         vote(centroids, image, run.parameters.dynamic, votes)
-    return is_moving(votes)
+    return carried_along(centroids, points.frames_seen(), votes, is_moving(votes))
 
 
-def _mesh(parameters: LabelParameters, points: PointMap) -> tuple[Mesh, NDArray[np.float64]]:
+def _mesh(parameters: LabelParameters, points: PointMap, low: NDArray[np.float64]) -> tuple[Mesh, NDArray[np.float64]]:
     """The trimmed mesh and its vertex normals; empty where there are too few points for a surface."""
     surface, centroids = parameters.surface, points.centroids_map()
     patches, is_in_patch = patches_of(centroids, points.views_map(), surface.width_m, surface.normal_neighbours)
     if is_in_patch.sum() < FEWEST_POINTS:
         return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32)), np.zeros((0, 3))
-    band = band_of(patches.cells, surface.width_m)
-    whole = zero_surface(band, solve_field(patches, band, surface.poisson))
+    if surface.solver == "octree":
+        whole = octree_surface(centroids, points.views_map(), low, (parameters.tiling.cube_cells, surface.width_m))
+    else:
+        band = band_of(patches.cells, surface.width_m)
+        whole = zero_surface(band, solve_field(patches, band, surface.poisson))
     keep = is_near(whole.vertices_map, centroids[is_in_patch], surface.trim_m)
     return whole.where(keep), vertex_normals(whole)[keep]
 

@@ -1,6 +1,6 @@
 """Runs tasks in other processes: those of one stage, or of several whose tasks wait for each other.
 
-**Conventions.** Workers come from a fork server that has imported the kernels and Open3D but used neither, each
+**Conventions.** Workers come from a fork server that has imported the kernels but used none, each
 with one thread for every library: the parallelism is over tasks, and the caller's own process stays small. Processes
 and not threads, because half of a stage is numpy and Python under the interpreter's lock.
 `ProcessPoolExecutor`, not `multiprocessing.Pool`, which once wrote all its results and never returned.
@@ -18,7 +18,7 @@ from typing import Any, Generic, TypeVar
 from services.runtime.usage import peak_bytes, used_cpu_s
 
 T = TypeVar("T")
-PRELOAD = ["open3d", "services.labeler.fuse", "services.labeler.surface", "services.labeler.frames"]
+PRELOAD = ["services.labeler.fuse", "services.labeler.surface", "services.labeler.frames"]
 
 
 @dataclass(frozen=True)
