@@ -14,6 +14,7 @@ $(INSTALLED): requirements.lock pyproject.toml deploy/create-venv.sh deploy/inst
 
 test-clients: install
 	deploy/install-test-clients.sh
+	deploy/install-devkit.sh
 
 demo: install
 	$(BIN)/stone demo
