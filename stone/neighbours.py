@@ -1,7 +1,7 @@
 """The k nearest neighbours of every point, as the plane that fits them best.
 
 **Conventions.** Points are sorted into cubic cells, and the search is exact: it widens ring by ring until the k-th
-neighbour is nearer than the border of what was searched, up to `RINGS` rings (so at least 2 cell sizes away). A point
+neighbour is nearer than the border of what was searched, up to the second ring (so at least 2 cell sizes away). A point
 counts as its own neighbour, at distance 0. Ties are broken by the order of the sorted points.
 """
 
@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from stone.lattice import BIAS, MASK, Table, check_reach, find, keys_of, pack, table_of
 
-RINGS = 2
-WIDEST = (2 * RINGS + 1) ** 3
+AROUND = 27  # a cell and those around it
 FEWEST = 4  # three points always lie on a plane and say nothing
 
 
@@ -70,8 +69,7 @@ def _fits(cells: Cells, asked: tuple[NDArray[np.float64], NDArray[np.int64]], k:
     """Around the places asked (Q, 3), those of cell c being asked[1][c] to asked[1][c + 1]."""
     mean_square = np.empty(len(asked[0]))
     normals = np.zeros((len(asked[0]), 3))
-    table = (cells.table.keys, cells.table.rows)
-    _fit((cells.points, *asked), (cells.keys, cells.start, cells.size_m), table, k, (mean_square, normals))
+    _fit((cells.points, *asked), (cells.keys, cells.start, cells.size_m), k, (mean_square, normals))
     return PlaneFits(mean_square, normals)
 
 
@@ -180,33 +178,76 @@ def _plane(points, at, best, count):  # type: ignore[no-untyped-def]
     return max(value, 0.0), n0, n1, n2
 
 
+@njit(inline="always")
+def _advance(keys, target, row):  # type: ignore[no-untyped-def]
+    """The first row from `row` on whose key is not below `target`."""
+    while row < keys.size and keys[row] < target:
+        row += 1
+    return row
+
+
 @njit(cache=True, nogil=True)
-def _fit(asked, cells, table, k, out):  # type: ignore[no-untyped-def]
+def _open_columns(keys, key, reach, columns):  # type: ignore[no-untyped-def]
+    """Move the row ranges of the square of columns around a cell, each `reach` cells up and down, on to this cell.
+
+    Cells come in the order of their keys and neighbours are a fixed step away, so every range only ever moves forward.
+    """
+    at = 0
+    for di in range(-reach, reach + 1):
+        for dj in range(-reach, reach + 1):
+            target = key + (np.int64(di) << 42) + (np.int64(dj) << 21)
+            columns[at, 0] = _advance(keys, target - reach, columns[at, 0])
+            columns[at, 1] = _advance(keys, target + reach + 1, max(columns[at, 0], columns[at, 1]))
+            at += 1
+
+
+@njit(inline="always")
+def _offer_rows(points, start, rows, at, best, count):  # type: ignore[no-untyped-def]
+    for b in range(start[rows[0]], start[rows[1]]):
+        count = _offer(points, b, at, best, count)
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _offer_ring(points, start, columns, at, best, count):  # type: ignore[no-untyped-def]
+    """Offer what lies two cells away: all of the outer columns, and the ends of those that were searched before."""
+    near, wide = columns
+    for column in range(wide.shape[0]):
+        i, j = column // 5 - 1, column % 5 - 1
+        first, end = wide[column, 0], wide[column, 1]
+        if not (0 <= i < 3 and 0 <= j < 3):
+            count = _offer_rows(points, start, (first, end), at, best, count)
+            continue
+        count = _offer_rows(points, start, (first, near[3 * i + j, 0]), at, best, count)
+        count = _offer_rows(points, start, (near[3 * i + j, 1], end), at, best, count)
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _fit(asked, cells, k, out):  # type: ignore[no-untyped-def]
     points, places, first = asked
     keys, start, size_m = cells
     mean_square, normals = out
     best = (np.empty(k), np.empty(k, np.int64))
-    spans = np.empty((WIDEST, 2), np.int64)
+    near, wide = np.zeros((9, 2), np.int64), np.zeros((25, 2), np.int64)
     for c in range(keys.size):
         cell = ((keys[c] >> 42) - BIAS, ((keys[c] >> 21) & MASK) - BIAS, (keys[c] & MASK) - BIAS)
-        near = _collect(cell, 1, start, table, spans, _collect(cell, 0, start, table, spans, 0))
-        wide = -1
+        _open_columns(keys, keys[c], 1, near)
+        is_wide_open = False
         for a in range(first[c], first[c + 1]):
             at = (places[a, 0], places[a, 1], places[a, 2])
             count = 0
-            for s in range(near):
-                for b in range(spans[s, 0], spans[s, 1]):
-                    count = _offer(points, b, at, best, count)
+            for column in range(9):
+                count = _offer_rows(points, start, near[column], at, best, count)
             border = size_m * 2.0
             for axis in range(3):
                 inside = at[axis] - cell[axis] * size_m
                 border = min(border, size_m + min(inside, size_m - inside))
             if count < k or best[0][k - 1] > border * border:
-                if wide < 0:
-                    wide = _collect(cell, 2, start, table, spans, near)
-                for s in range(near, wide):
-                    for b in range(spans[s, 0], spans[s, 1]):
-                        count = _offer(points, b, at, best, count)
+                if not is_wide_open:
+                    _open_columns(keys, keys[c], 2, wide)
+                    is_wide_open = True
+                count = _offer_ring(points, start, (near, wide), at, best, count)
             if count < FEWEST:
                 mean_square[a] = np.nan
                 continue
@@ -215,7 +256,7 @@ def _fit(asked, cells, table, k, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _near(queries, points, start, table, radius_m, near):  # type: ignore[no-untyped-def]
-    spans = np.empty((WIDEST, 2), np.int64)
+    spans = np.empty((AROUND, 2), np.int64)
     for q in range(queries.shape[0]):
         x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
         cell = (math.floor(x / radius_m), math.floor(y / radius_m), math.floor(z / radius_m))
