@@ -13,10 +13,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from stone.neighbours import is_near
 from stone.se3 import SE3
 
 MISSES_PER_HIT = 2
 FEWEST_MISSES = 3
+FEW_FRAMES, FEW_HITS, TOUCH_M, TOUCHES = 6, 2, 0.2, 2
 
 # A spinning LiDAR covers about 360° × 27°: so many pixels of 0.4° hold its rays.
 FIELD_PX, RAYS_PER_PIXEL, MAX_SPREAD_PX = 60_000, 2.0, 3
@@ -106,6 +108,21 @@ def is_moving(votes: NDArray[np.int32]) -> NDArray[np.bool_]:
     """Which points (N,) moved, by their votes (N, 2)."""
     hits, misses = votes[:, 0], votes[:, 1]
     return (misses > MISSES_PER_HIT * hits) & (misses >= FEWEST_MISSES)
+
+
+def carried_along(
+    points_map: NDArray[np.float64], frames_seen: NDArray[np.int64], votes: NDArray[np.int32], moving: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """`moving` (N,), and what was hardly ever seen and touches it: a walker's head before the sky, which no ray passes.
+
+    Such a point was met in at most `FEW_FRAMES` frames and `FEW_HITS` votes, and lies within `TOUCH_M` of what moved,
+    or of what touches it. Ground and walls beside a walker's way are seen often, so they stay.
+    """
+    moved = moving.copy()
+    for _ in range(TOUCHES):
+        doubtful = np.flatnonzero(~moved & (frames_seen <= FEW_FRAMES) & (votes[:, 0] <= FEW_HITS))
+        moved[doubtful[is_near(points_map[doubtful], points_map[moved], TOUCH_M)]] = True
+    return moved
 
 
 def _spread(nearest_m: NDArray[np.float32], up_px: int, sideways_px: int) -> NDArray[np.float32]:

@@ -13,6 +13,7 @@ from stone.dynamic import (
     MAX_SPREAD_PX,
     DynamicParameters,
     RangeImage,
+    carried_along,
     is_moving,
     range_image,
     ring_spread_px,
@@ -122,7 +123,12 @@ def vote_slowly(point_view, ranges_m):
 @pytest.mark.parametrize("seed", range(3))
 def test_votes_are_those_of_each_point_on_its_own(seed):
     rng = np.random.default_rng(seed)
-    ranges_m = rng.choice([0.0, 5.0, 8.0, 11.0, 14.0, 17.0, 25.0], (10, 15)).repeat(13, axis=0).repeat(60, axis=1).astype(np.float32)
+    ranges_m = (
+        rng.choice([0.0, 5.0, 8.0, 11.0, 14.0, 17.0, 25.0], (10, 15))
+        .repeat(13, axis=0)
+        .repeat(60, axis=1)
+        .astype(np.float32)
+    )
     points = rng.normal(size=(3000, 3)) * [10, 10, 3]
     view = SE3.from_parts(rng.normal(size=4), rng.normal(size=3))
     votes = np.zeros((len(points), 2), np.int32)
@@ -230,3 +236,22 @@ def test_who_left_is_voted_out_and_the_ground_is_not_however_few_rings_look(ring
     x, y = np.meshgrid(np.arange(3.0, 14.0, 0.1), np.arange(-1.5, 1.51, 0.1))
     ground = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
     assert not is_moving(votes_on_the_plain(ground, rings)).any()
+
+
+def test_what_was_hardly_seen_and_touches_what_moved_moved_too():
+    """A column of points 0.09 m apart whose lower half was voted out: the head goes with it, a wall's top would not."""
+    points = np.column_stack([np.zeros(12), np.zeros(12), 0.09 * np.arange(12)])
+    moving, votes = np.arange(12) < 6, np.zeros((12, 2), np.int32)
+    seldom = carried_along(points, np.full(12, 3), votes, moving)
+    np.testing.assert_array_equal(seldom, np.arange(12) < 10)  # two touches of 0.2 m, and no farther
+    often = carried_along(points, np.full(12, 40), votes, moving)
+    np.testing.assert_array_equal(often, moving)
+    vouched = carried_along(points, np.full(12, 3), votes + np.array([3, 0], np.int32), moving)
+    np.testing.assert_array_equal(vouched, moving)
+
+
+def test_where_nothing_moved_nothing_is_carried_along():
+    points = np.random.default_rng(0).uniform(size=(50, 3))
+    none = np.zeros(50, np.bool_)
+    assert not carried_along(points, np.ones(50, np.int64), np.zeros((50, 2), np.int32), none).any()
+    assert len(carried_along(points[:0], np.ones(0, np.int64), np.zeros((0, 2), np.int32), none[:0])) == 0
