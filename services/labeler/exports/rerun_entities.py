@@ -23,7 +23,7 @@ from stone.voxels import VOXEL_M
 
 Columns = Iterable[rr.ComponentColumn]
 
-POINT_RADIUS_M, DETECTION_RADIUS_M, TRACK_RADIUS_M = 0.02, 0.12, 0.06
+POINT_RADIUS_M, DETECTION_RADIUS_M, TRACK_RADIUS_M = 0.02, 0.12, 0.18
 # Intensities beyond this share of a sweep's points are as bright as can be: a retroreflector must not darken the rest.
 BRIGHT_QUANTILE = 0.98
 RATE_LIMIT_M_S = 3.0

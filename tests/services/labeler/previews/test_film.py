@@ -1,5 +1,6 @@
 """Films and sheets, opened again by PyAV and Pillow."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import av
@@ -110,3 +111,17 @@ def test_all_previews_of_a_sequence_open_as_what_they_are_said_to_be(tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {
         "film.mp4", "film.gif", "sheet.jpg", "plan.png", "oblique.png",
     }  # fmt: skip
+
+
+@pytest.mark.parametrize("broken", [0, 1])  # while the colours are chosen, while it is filmed
+def test_a_film_that_breaks_off_leaves_nothing(tmp_path, broken):
+    source = source_of(9)
+
+    def labels(index: int) -> bytes:
+        if index == broken:
+            raise RuntimeError("the labels are gone")
+        return source.labels(index)
+
+    with pytest.raises(RuntimeError, match="the labels are gone"):
+        write_film(replace(source, labels=labels), tmp_path)
+    assert list(tmp_path.iterdir()) == []
