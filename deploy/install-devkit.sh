@@ -19,7 +19,7 @@ else
     .venv/bin/python -m venv "$folder"
     install="$folder/bin/pip install --quiet --disable-pip-version-check"
 fi
-if ! $install --no-deps -r "$wanted"; then
+if ! $install --no-deps --require-hashes -r "$wanted"; then
     rm -rf "$folder"
     echo "nuscenes-devkit was not installed: tests of nuScenes exports by the devkit will be skipped" >&2
     exit 0
