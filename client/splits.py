@@ -93,7 +93,7 @@ def _read(path: Path) -> dict[str, Any]:
         raise BadSplitsFileError(path, "it is no JSON") from None
     if not isinstance(found, dict) or not all(isinstance(found.get(part), list) for part in PARTS):
         raise BadSplitsFileError(path, "a list is missing")
-    named = {part: [_named(path, one) for one in found[part]] for part in PARTS}
+    named: dict[str, Any] = {part: [_named(path, one) for one in found[part]] for part in PARTS}
     revision = found.get("revision")
     return {**named, "revision": revision} if isinstance(revision, int) else named
 

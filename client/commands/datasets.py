@@ -1,7 +1,7 @@
 """`stone datasets`: versions of the dataset, listed, published, downloaded."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -36,7 +36,7 @@ def datasets(
         raise typer.BadParameter("which version?", param_hint="VERSION")
     with connected(server) as api:
         if version is None:
-            record = {"datasets": read_datasets(api)}
+            record: dict[str, Any] = {"datasets": read_datasets(api)}
         else:
             record = publish_dataset(api, version, licence, reason) if create else read_dataset(api, version)
             if download is not None:

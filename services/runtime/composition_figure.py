@@ -115,10 +115,11 @@ def _draw_parts(axes: "Axes", record: Record) -> None:
     for place, key in enumerate(keys):
         row = rows[key]
         said = f"{row['sequences']} sequences, {row['duration_s'] / 60:.1f} min"
-        axes.text(row["frames"] + 0.015 * most, place, said, va="center", color=SOFT, backgroundcolor="white")
+        axes.text(row["frames"] + 0.015 * most, place, said, va="center", color=SOFT)
     axes.set_xlim(0, 1.6 * most)
     _rows(axes, [key or "in no split" for key in keys])
     _finished(axes, "d  Splits", "frames")
+    axes.xaxis.grid(False)  # it would run through the words
 
 
 def _stacked(

@@ -12,7 +12,7 @@ down_revision = "0007"
 branch_labels = None
 depends_on = None
 
-SUMS = (
+SUMS: tuple[tuple[str, sa.types.TypeEngine[int] | sa.types.TypeEngine[float]], ...] = (
     ("duration_ns", sa.BigInteger()),
     ("distance_m", sa.Double()),
     ("free_voxels", sa.BigInteger()),
