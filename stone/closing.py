@@ -7,7 +7,7 @@ order of the grid, each back along x, y and z.
 import numpy as np
 from numba import njit
 
-from stone.grid import BELOW, HIGH, LOW, OCCUPIED
+from stone.grid import BELOW, HIGH, LOW, OBSERVED, OCCUPIED
 from stone.lanes import differs, lowest
 
 FRACTION_BITS = 20
@@ -25,12 +25,13 @@ def parted(position, back, slope):  # type: ignore[no-untyped-def]
 def close_row(planes, place, row, out):  # type: ignore[no-untyped-def]
     """Write the classes of row `a`, closing what they and the row before step over.
 
-    `row` is (a, cells), the latter as `stone.crops` fetches them; `out` is (ones, twos, taken).
+    `row` is (a, cells), the latter as `stone.crops` fetches them; `out` is (ones, twos, observed, taken).
     """
-    (start, step), (a, cells), (ones, twos, _) = place, row, out
+    (start, step), (a, cells), (ones, twos, observed, _) = place, row, out
     for b in range(cells.shape[1]):
         occupied = cells[a, b, OCCUPIED]
         ones[a, b], twos[a, b] = cells[a, b, LOW] & occupied, cells[a, b, HIGH] & occupied
+        observed[a, b] = cells[a, b, OBSERVED]
         near, beside = cells[a, b, LOW] & ~occupied, cells[a, b, HIGH] & ~occupied
         if near == 0:
             continue
@@ -99,7 +100,7 @@ def _is_labelled(planes, i, j, k):  # type: ignore[no-untyped-def]
     return (found >> np.uint32((k + BELOW) & 31)) & np.uint32(1) != 0
 
 
-@njit(cache=True, nogil=True)
+@njit(inline="always")
 def _fill(planes, at, back, index, out):  # type: ignore[no-untyped-def]
     """Give the class stepped over on the way back between two free centres to the nearer one."""
     step, axis = back
@@ -110,7 +111,7 @@ def _fill(planes, at, back, index, out):  # type: ignore[no-untyped-def]
     a, b, c = index
     if ratio < 0.5:
         a, b, c = a - (axis == 0), b - (axis == 1), c - (axis == 2)
-    ones, twos, taken = out
+    ones, twos, _, taken = out
     bit = np.uint32(1) << np.uint32(c)
     ones[a, b] = (ones[a, b] & ~bit) | (bit if kind & 1 else np.uint32(0))
     twos[a, b] = (twos[a, b] & ~bit) | (bit if kind & 2 else np.uint32(0))

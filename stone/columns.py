@@ -43,9 +43,9 @@ def gathered(grid: Grid) -> Words:
     return np.packbits(grid != 0, axis=-1, bitorder="little").view("<u4")[..., 0]
 
 
-def spread_out(ones: Words, twos: Words = NOTHING) -> Grid:
-    """The grid, of `GRID_SHAPE`, whose voxels are their bit of `ones` plus twice their bit of `twos`."""
-    grid = np.empty(GRID_SHAPE, np.uint8)
+def spread_out(ones: Words, twos: Words = NOTHING, out: Grid | None = None) -> Grid:
+    """The grid (`out` if given), of `GRID_SHAPE`, whose voxels are their bit of `ones` plus twice that of `twos`."""
+    grid = np.empty(GRID_SHAPE, np.uint8) if out is None else out
     _spread(ones.reshape(-1), twos.reshape(-1), grid.reshape(-1))
     return grid
 
@@ -71,21 +71,21 @@ class Masks:
 
 def reconcile(columns: Columns, visible: Words) -> Masks:
     """Make the masks agree: what is labelled was observed, and cameras vouch for no voxel that no ray reached."""
-    observed = columns.observed | columns.occupied
-    visible = visible & observed
-    kinds = [columns.ones & ~columns.twos, columns.twos & ~columns.ones, columns.ones & columns.twos]
-    labelled = [_count(words) for words in kinds]
-    by_class = np.array([32 * observed.size - sum(labelled), *labelled])
-    return Masks(observed, visible, by_class, np.array([_count(observed), _count(visible)]))
-
-
-def _count(words: Words) -> int:
-    return int(_popcount(words.reshape(-1)))
+    masks = Masks(np.empty(SHAPE, np.uint32), np.empty(SHAPE, np.uint32), np.zeros(4, np.int64), np.zeros(2, np.int64))
+    words = [each.reshape(-1) for each in (columns.ones, columns.twos, columns.observed, visible)]
+    _reconcile(tuple(words), (masks.observed.reshape(-1), masks.visible.reshape(-1)), (masks.by_class, masks.by_mask))
+    return masks
 
 
 @njit(cache=True, nogil=True)
-def _popcount(words):  # type: ignore[no-untyped-def]
-    total = np.int64(0)
-    for word in words:
-        total += np.int64(popcount(np.uint64(word)))
-    return total
+def _reconcile(words, masks, counts):  # type: ignore[no-untyped-def]
+    (ones, twos, observed, visible), (by_class, by_mask) = words, counts
+    for column in range(ones.size):
+        one, two = ones[column], twos[column]
+        seen = observed[column] | one | two
+        masks[0][column], masks[1][column] = seen, seen & visible[column]
+        for kind, word in enumerate((one & ~two, two & ~one, one & two)):
+            by_class[kind + 1] += np.int64(popcount(np.uint64(word)))
+        by_mask[0] += np.int64(popcount(np.uint64(seen)))
+        by_mask[1] += np.int64(popcount(np.uint64(seen & visible[column])))
+    by_class[0] = 32 * ones.size - by_class[1:].sum()

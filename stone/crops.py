@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from stone.closing import FRACTION_BITS, NOT_ASKED, ONE, close_row, parted
 from stone.columns import Columns
-from stone.grid import BELOW, GRID_MIN_M, GRID_SHAPE, OBSERVED, Grid, Window
+from stone.grid import BELOW, GRID_MIN_M, GRID_SHAPE, Grid, Window
 from stone.lanes import fetch, lowest, prefetch
 from stone.se3 import SE3
 from stone.voxels import VOXEL_M
@@ -51,9 +51,9 @@ def cut(window: Window, map_from_ego: SE3, taken: NDArray[np.int32] = NOT_ASKED)
     """
     placing = placing_of(window, map_from_ego)
     cells = np.zeros((*GRID_SHAPE[:2], 4), np.uint32)
-    ones, twos = (np.empty(GRID_SHAPE[:2], np.uint32) for _ in range(2))
-    _cut(window.planes, window.height, (placing.start, placing.step), (cells, ones, twos, taken))
-    return Columns(ones, twos, np.ascontiguousarray(cells[..., OBSERVED]))
+    ones, twos, observed = (np.empty(GRID_SHAPE[:2], np.uint32) for _ in range(3))
+    _cut(window.planes, window.height, (placing.start, placing.step), (cells, ones, twos, observed, taken))
+    return Columns(ones, twos, observed)
 
 
 def crop(window: Window, map_from_ego: SE3) -> tuple[Grid, Grid]:

@@ -14,7 +14,7 @@ from services.runtime.npz import npz_bytes
 from stone.columns import Columns, reconcile, spread_out
 from stone.confidence import MapDistances, cut_with_distances, map_distances
 from stone.crops import cut
-from stone.grid import Bounds, Window, frame_bounds, window_bytes, window_of
+from stone.grid import GRID_SHAPE, Bounds, Window, frame_bounds, window_bytes, window_of
 from stone.observed import Observed, union
 from stone.se3 import SE3
 from stone.sight_batches import LANES, SightBatch
@@ -23,6 +23,7 @@ from stone.visibility import SightLines, sight_lines
 from stone.voxels import VOXEL_M
 
 MAX_WINDOW_BYTES = 192 * 2**20
+GRIDS = ("semantics", "mask_lidar", "mask_camera")
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,11 +79,14 @@ def counts_of(frames: Sequence[LabelledFrame]) -> FrameCounts:
 def _labelled(run: Run, batch: Part, labelled_map: "_LabelledMap", sight: SightBatch) -> Iterator[LabelledFrame]:
     poses = run.sequence.frames.map_from_ego
     cuts = [labelled_map.cut(poses[index]) for index in range(*batch)]
+    grids = np.empty((len(GRIDS), *GRID_SHAPE), np.uint8)  # the same memory for every frame: fresh pages cost more
     seen = sight.visible(np.stack([columns.occupied for columns, _ in cuts]))
     for token, (columns, extra), visible in zip(run.sequence.frames.tokens[slice(*batch)], cuts, seen, strict=True):
         masks = reconcile(columns, visible)
-        grids = {"mask_lidar": spread_out(masks.observed), "mask_camera": spread_out(masks.visible)}
-        payload = npz_bytes({"semantics": columns.classes(), **grids, **extra})
+        spread_out(columns.ones, columns.twos, grids[0])
+        spread_out(masks.observed, out=grids[1])
+        spread_out(masks.visible, out=grids[2])
+        payload = npz_bytes({**dict(zip(GRIDS, grids, strict=True)), **extra})
         yield LabelledFrame(token, payload, masks.by_class, masks.by_mask)
 
 

@@ -43,9 +43,15 @@ def npz_bytes(arrays: Mapping[str, NDArray[Any]], level: int = LEVEL) -> bytes:
     Raises:
         UnwritableArrayError: a dtype that would need pickle, or an array of 4 GiB and more.
     """
-    body, directory = bytearray(), bytearray()
+    body, directory, buffer = bytearray(), bytearray(), np.empty(0, np.uint8)
     for key, array in arrays.items():
-        npy = npy_bytes(key, array)
+        header, data = npy_parts(key, array)
+        size = len(header) + len(data)
+        buffer = (
+            buffer if buffer.size >= size else np.empty(size, np.uint8)
+        )  # fresh pages would cost more than the copy
+        npy = buffer[:size]
+        npy[: len(header)], npy[len(header) :] = np.frombuffer(header, np.uint8), data
         payload = igzip_lib.compress(npy, level, igzip_lib.COMP_DEFLATE)
         _add_member(body, directory, f"{key}.npy".encode(), npy, payload)
     count = len(arrays)
@@ -53,19 +59,17 @@ def npz_bytes(arrays: Mapping[str, NDArray[Any]], level: int = LEVEL) -> bytes:
     return bytes(body + directory + end)
 
 
-def npy_bytes(key: str, array: NDArray[Any]) -> bytearray:
-    """One array as a npy 1.0 file in C order; `key` only names it in the refusal."""
+def npy_parts(key: str, array: NDArray[Any]) -> tuple[bytes, NDArray[np.uint8]]:
+    """Header and data of one array as a npy 1.0 file in C order; `key` only names it in the refusal."""
     if array.dtype.hasobject or array.nbytes > MAX_MEMBER_BYTES:
         raise UnwritableArrayError(key, array)
     header = io.BytesIO()
     contiguous = np.ascontiguousarray(array).reshape(array.shape)
     np.lib.format.write_array_header_1_0(header, np.lib.format.header_data_from_array_1_0(contiguous))
-    npy = bytearray(header.getvalue())
-    npy += contiguous.reshape(-1).view(np.uint8).data
-    return npy
+    return header.getvalue(), contiguous.reshape(-1).view(np.uint8)
 
 
-def _add_member(body: bytearray, directory: bytearray, name: bytes, npy: bytearray, payload: bytes) -> None:
+def _add_member(body: bytearray, directory: bytearray, name: bytes, npy: NDArray[np.uint8], payload: bytes) -> None:
     facts = (isal_zlib.crc32(npy), len(payload), len(npy), len(name), 0)
     shared = struct.pack("<5H3I2H", VERSION, 0, DEFLATED, 0, DOS_1980_01_01, *facts)
     offset = len(body)
