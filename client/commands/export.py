@@ -17,7 +17,8 @@ FormatOption = Annotated[
     typer.Option(
         "--format",
         metavar="FORMAT",
-        help="nuscenes (release layout), kitti (SemanticKITTI voxels), mesh (PLY, GLB), mcap (Foxglove), rrd (Rerun).",
+        help="nuscenes (release layout), kitti (SemanticKITTI voxels), mesh (PLY, GLB), mcap (Foxglove), rrd (Rerun), "
+        "previews (films, pictures).",
     ),
 ]
 OutputOption = Annotated[

@@ -12,13 +12,14 @@ from client.tables import show
 
 
 class Format(StrEnum):
-    """What an export is opened with: nuScenes' devkit, SemanticKITTI's tools, a mesh viewer, Foxglove, Rerun."""
+    """What an export is opened with: the nuScenes devkit, SemanticKITTI tools, a mesh viewer, Foxglove, Rerun, or eyes."""
 
     NUSCENES = "nuscenes"
     KITTI = "kitti"
     MESH = "mesh"
     MCAP = "mcap"
     RRD = "rrd"
+    PREVIEWS = "previews"
 
 
 FormatOption = Annotated[Format | None, typer.Option("--format", help="Have this one made, and stay until it is.")]

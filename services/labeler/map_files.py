@@ -1,4 +1,4 @@
-"""`bev.png` and `mesh.ply`: the whole labelled map, tile by tile, so that memory holds one tile at a time."""
+"""The whole labelled map as pictures and mesh, tile by tile, so that memory holds one tile at a time."""
 
 from functools import partial
 from pathlib import Path
@@ -10,6 +10,8 @@ from services.labeler.comparison import Tally, save_comparison
 from services.labeler.frames import labelled_tile
 from services.labeler.picture import TopView, write_top_view
 from services.labeler.ply import Piece, class_at, write_mesh
+from services.labeler.previews.map_pieces import MapPiece
+from services.labeler.previews.writing import write_map_previews
 from services.labeler.run import Run, Step, Tile, silent
 from services.labeler.scratch import whole
 from services.labeler.surface import TileSummary
@@ -19,24 +21,33 @@ TOP_VIEW, MESH = "bev.png", "mesh.ply"
 
 
 def write_map(run: Run, tiles: list[TileSummary], reference: Reference, out: Path, step: Step = silent) -> None:
-    """Write both into the folder `out`, in the order of the tiles, and leave in scratch how the profiles compare."""
+    """Write `bev.png`, `mesh.ply` and the map's previews into the folder `out`, in the order of the tiles, and leave in
+    scratch how the profiles compare."""
     view, tally = TopView({}), Tally(run, tiles)
     for number, summary in enumerate(tiles):
-        step(number, len(tiles) + 1)
+        step(number, len(tiles) + 2)
         arrays, classes = labelled_tile(run, summary.tile, reference)
         view.add(summary.tile, arrays["keys"], classes)  # type: ignore[arg-type]
         tally.add(arrays, classes)
     save_comparison(run, tally.comparison)
     with whole(out / TOP_VIEW) as staging:
         write_top_view(staging, view, run.sequence.frames.map_from_ego)
-    step(len(tiles), len(tiles) + 1)
+    step(len(tiles), len(tiles) + 2)
     totals = (sum(tile.vertices for tile in tiles), sum(tile.triangles for tile in tiles))
     with whole(out / MESH) as staging:
         write_mesh(staging, totals, [partial(_piece, run, tile.tile, reference) for tile in tiles])
-    step(len(tiles) + 1, len(tiles) + 1)
+    step(len(tiles) + 1, len(tiles) + 2)
+    pieces = [partial(_map_piece, run, tile.tile, reference) for tile in tiles]
+    write_map_previews(pieces, run.sequence.frames.map_from_ego, out, run.parameters.profile)
+    step(len(tiles) + 2, len(tiles) + 2)
 
 
 def _piece(run: Run, tile: Tile, reference: Reference) -> Piece:
     arrays, classes = labelled_tile(run, tile, reference)
     vertices: NDArray[np.float32] = arrays["vertices"]  # type: ignore[assignment]
     return vertices, arrays["triangles"], class_at(vertices, arrays["keys"], classes)  # type: ignore[return-value,arg-type]
+
+
+def _map_piece(run: Run, tile: Tile, reference: Reference) -> MapPiece:
+    arrays, classes = labelled_tile(run, tile, reference)
+    return MapPiece(arrays["keys"], arrays["features"], classes)  # type: ignore[arg-type]

@@ -22,7 +22,7 @@ ON_A_SERVER = [
     "datasets",
 ]
 COMMANDS = [*LOCAL, *ON_A_SERVER]
-LATER = ["export", "submit", "results", "leaderboard"]
+LATER = ["submit", "results", "leaderboard"]
 
 
 def stone(*arguments: str | Path) -> Result:

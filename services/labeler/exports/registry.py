@@ -26,17 +26,16 @@ class _Late:
     function: str
 
     def __call__(self, source: LabelledSequence, out: Path, step: Step) -> None:
-        cast("Exporter", getattr(import_module(f"services.labeler.exports.{self.module}"), self.function))(
-            source, out, step
-        )
+        cast("Exporter", getattr(import_module(f"services.labeler.{self.module}"), self.function))(source, out, step)
 
 
 EXPORTERS: Mapping[str, Exporter] = {
-    "nuscenes": _Late("nuscenes", "write_nuscenes"),
-    "kitti": _Late("kitti", "write_kitti"),
-    "mesh": _Late("meshes", "write_meshes"),
-    "mcap": _Late("foxglove", "write_foxglove"),
-    "rrd": _Late("rerun", "write_rerun"),
+    "nuscenes": _Late("exports.nuscenes", "write_nuscenes"),
+    "kitti": _Late("exports.kitti", "write_kitti"),
+    "mesh": _Late("exports.meshes", "write_meshes"),
+    "mcap": _Late("exports.foxglove", "write_foxglove"),
+    "rrd": _Late("exports.rerun", "write_rerun"),
+    "previews": _Late("previews.writing", "write_previews"),
 }
 
 
