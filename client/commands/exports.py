@@ -12,7 +12,7 @@ from client.tables import show
 
 
 class Format(StrEnum):
-    """What an export is opened with: the nuScenes devkit, SemanticKITTI tools, a mesh viewer, Foxglove, Rerun, or eyes."""
+    """What an export is opened with: the nuScenes devkit, SemanticKITTI tools, mesh viewers, Foxglove, Rerun, eyes."""
 
     NUSCENES = "nuscenes"
     KITTI = "kitti"
