@@ -51,6 +51,7 @@ class McapStore:
         self._view = memoryview(self._map)
         self._name = path.name
         self._catalogue = read_catalogue(self._view, self._name)
+        self._forget(0, len(self._map))  # the indexes lie all over the file, and each brought its neighbours
         self._chunks: OrderedDict[int, memoryview] = OrderedDict()
         self._checked: set[int] = set()
         self._head = (-1, memoryview(b""))
