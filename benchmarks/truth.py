@@ -123,7 +123,8 @@ def _map_measured(drive: Drive, labels: Path) -> Figures:
         "footprint_map_t": footprint.in_map_t / footprint.in_map,
         "labelled": evidence.labelled,
         "without_point": evidence.without_point / evidence.labelled,
-        "unobserved": evidence.without_ray,
+        "without_ray": evidence.without_ray,
+        "unobserved": evidence.beyond_reach,
     }
 
 

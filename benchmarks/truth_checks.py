@@ -26,6 +26,9 @@ from stone.voxels import VOXEL_M
 
 FOOTPRINT_BAND_M = 0.15
 EVIDENCE_M, THINNED_M = 0.4, 0.05
+# A vertex lies within the trim (0.2 m) of a point, a map voxel's centre within half a diagonal (0.173 m) of its vertex,
+# a grid voxel's centre within another of the map's: what is farther from all points is surface nobody measured.
+REACH_M = 0.55
 JUDGED_EVERY, EVIDENCE_EVERY, WALKER_EVERY, SEAM_EVERY = 5, 15, 15, 10
 # Below, grass stands and the ground's own voxels lie; beside an obstacle, its own surface.
 WALKER_ABOVE_M, OBSTACLE_CLEAR_M = 0.5, 0.3
@@ -101,9 +104,11 @@ def footprint_counts(drive: Drive, labels: Path) -> FootprintCounts:
 
 @dataclass(frozen=True)
 class EvidenceCounts:
-    """Labelled voxels of the sampled frames, those without a measured point near, those without even a ray near."""
+    """Labelled voxels of the sampled frames: without a measured point within `REACH_M`, and `EVIDENCE_M`; without even
+    a ray within `EVIDENCE_M`."""
 
     labelled: int
+    beyond_reach: int
     without_point: int
     without_ray: int
 
@@ -121,10 +126,11 @@ def evidence_counts(drive: Drive, labels: Path) -> EvidenceCounts:
         index = np.argwhere(drive.semantics(labels, frame) > 0)
         centres.append(world_from_ego[frame] @ grid_centres(index))
     labelled = np.concatenate(centres)
-    reach_m = EVIDENCE_M - THINNED_M * np.sqrt(3) / 2
-    distance, _ = cKDTree(_thinned_points(drive)).query(labelled, distance_upper_bound=reach_m)
-    doubtful = labelled[np.isinf(distance)]
-    return EvidenceCounts(len(labelled), len(doubtful), _without_ray(drive, doubtful))
+    moved_m = THINNED_M * np.sqrt(3) / 2
+    distance, _ = cKDTree(_thinned_points(drive)).query(labelled, distance_upper_bound=REACH_M - moved_m)
+    doubtful = labelled[distance > EVIDENCE_M - moved_m]
+    beyond = int(np.isinf(distance).sum())
+    return EvidenceCounts(len(labelled), beyond, len(doubtful), _without_ray(drive, doubtful))
 
 
 def _points_world(drive: Drive, frame: int, world_from_ego: SE3) -> Array:

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.truth_checks import EVIDENCE_EVERY, EVIDENCE_M, JUDGED_EVERY, SEAM_EVERY, WALKER_EVERY
+from benchmarks.truth_checks import EVIDENCE_EVERY, EVIDENCE_M, JUDGED_EVERY, REACH_M, SEAM_EVERY, WALKER_EVERY
 
 Figures = dict[str, float]
 
@@ -25,7 +25,8 @@ ROWS = (
     ("footprint_map_t", "T under the footprint, and the map's, with surface", ".3%", "100 %"),
     ("labelled", f"labelled voxels of every {EVIDENCE_EVERY}th frame", ".0f", ""),
     ("without_point", f"… with no point within {EVIDENCE_M} m", ".3%", ""),
-    ("unobserved", f"… with no ray within {EVIDENCE_M} m: unobserved", ".0f", "0"),
+    ("without_ray", f"… with no ray within {EVIDENCE_M} m", ".0f", ""),
+    ("unobserved", f"… with no point within {REACH_M} m: unobserved", ".0f", "0"),
     ("walker_voxels", f"voxels the walker went through, every {WALKER_EVERY}th frame", ".0f", ""),
     ("walker_t", "… labelled T", ".0f", "0"),
     ("walker_p", "… labelled P", ".0f", "0"),
