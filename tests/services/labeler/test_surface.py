@@ -1,15 +1,18 @@
 """The surface of a tile against that of another solver: Open3D's screened Poisson, on an octree of the same cells."""
 
-import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from services.labeler.apart import apart
+from services.labeler.octree import reconstruct
+from services.labeler.parameters import parameters_for
+from services.labeler.pipeline import LabelOptions, label
 from stone.band import band_of
 from stone.contour import zero_surface
 from stone.patches import patches_of
 from stone.screened import PoissonParameters, solve_field
+from tests.services.labeler.worlds import RayCast, World, sequence_of
 
 W, SIZE_M = 0.2, 6.0
 LOW = np.array([-0.9, -0.9, -2.9])
@@ -24,22 +27,6 @@ def sheet():
     rng = np.random.default_rng(0)
     xy = rng.uniform(0, SIZE_M, (6000, 2))
     return np.column_stack([xy, height_m(xy) + rng.normal(0, 0.01, len(xy))])
-
-
-def octree_vertices(points, normals):
-    """In a child: the solver must not be used before a fork, and warns past every log level of its two corner points,
-    which are there to fix the octree's cube."""
-    import open3d
-
-    for stream in (1, 2):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
-    corners = np.stack([LOW, LOW + 64 * W - 1e-6])
-    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(np.concatenate([points, corners])))
-    cloud.normals = open3d.utility.Vector3dVector(np.concatenate([normals, np.zeros((2, 3))]))
-    mesh, _ = open3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
-        cloud, width=W, scale=1.0, linear_fit=False, n_threads=1
-    )
-    return np.array(mesh.vertices)
 
 
 def heights_on_lines(vertices):
@@ -58,7 +45,7 @@ def heights():
     patches, _ = patches_of(points, np.tile([0.0, 0.0, 1.0], (len(points), 1)), W, 20)
     band = band_of(patches.cells, W)
     ours = heights_on_lines(zero_surface(band, solve_field(patches, band, PoissonParameters())).vertices_map)
-    theirs = heights_on_lines(apart(octree_vertices, patches.points_map, patches.normals))
+    theirs = heights_on_lines(reconstruct(patches.points_map, patches.normals, LOW, (64, W)).vertices_map)
     lines = sorted(ours.keys() & theirs.keys())
     assert len(lines) > 0.95 * ((SIZE_M - 1.2) / W) ** 2
     true = height_m((np.array(lines) + 0.5) * W)
@@ -74,3 +61,16 @@ def test_the_ground_is_as_near_to_the_truth_as_an_octree_solver_brings_it(height
     ours, theirs, true = heights
     assert np.sqrt(np.mean((ours - true) ** 2)) < max(0.005, 1.1 * np.sqrt(np.mean((theirs - true) ** 2)))
     assert abs(np.mean(ours - true)) < 0.002
+
+
+@pytest.mark.parametrize("solver", ["lattice", "octree"])
+def test_either_solver_labels_a_driven_plane_without_a_hole(solver, tmp_path):
+    world = World(frames=4)
+    parameters = parameters_for("paper")
+    parameters = replace(parameters, surface=replace(parameters.surface, solver=solver))
+    report = label(sequence_of(world), RayCast(world), tmp_path / "out", LabelOptions(parameters))
+    assert report.as_record()["parameters"]["surface"]["solver"] == solver
+    for path in (tmp_path / "out" / "gts").rglob("labels.npz"):
+        with np.load(path) as arrays:
+            columns = (arrays["semantics"][118:139, 118:139] > 0).any(axis=2)
+        assert columns.all()
