@@ -129,8 +129,8 @@ class _Aligner:
             max_correspondence_distance=options.correspondence_m,
             num_threads=1,
             max_iterations=options.iterations,
-            rotation_epsilon=1e-5,
-            translation_epsilon=1e-4,
+            rotation_epsilon=1e-4,
+            translation_epsilon=5e-4,
         )
         if found.num_inliers < options.least_overlap_ratio * cloud.size():
             return given, "too_little_seen"
@@ -180,5 +180,7 @@ def _findings(done: Refinement, options: RefinementParameters) -> tuple[Finding,
     reasons = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in done.kept.items() if count)
     limits = f"{options.max_correction_m:g} m and {np.rad2deg(options.max_correction_rad):.1f} degrees"
     kept = f"{sum(done.kept.values())} of {done.frames} poses stayed as given ({reasons}; limits {limits}): "
+    if not done.kept["beyond_limit"]:
+        return (said, Finding("LAB-612", "info", "", f"{kept}they lie where the pose source put them"))
     advice = "poses that far apart are not noise; is the pose source the right one?"
     return (said, Finding("LAB-612", "warning", "", kept + advice))
