@@ -75,7 +75,9 @@ def label(
     from services.labeler.parameters import RefinementParameters, parameters_for
     from services.labeler.pipeline import LabelOptions
     from services.labeler.pipeline import label as label_sequence
+    from services.labeler.workers import begin_loading
 
+    begin_loading()
     with reported() as progress:
         chosen = chosen_topics(topics, topic).topics
         sources = SynchroniseOptions(odometry, lidar, topics=chosen, progress=progress)

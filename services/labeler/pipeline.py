@@ -1,6 +1,6 @@
 """From a synchronised sequence to its labels: the page to read first.
 
-fuse → surface → reference → frames → pictures, before them poses are refined where that is asked for. Each stage is
+fuse → surface → reference → frames, pictures; before them poses are refined where that is asked for. Each stage is
 one function of a `Run` and a part of the work; each leaves its result in scratch for the next, so the same stages run
 here on a few processes or as queue tasks. Parts are fused in the order of recording, and a tile is reconstructed as
 soon as the last part that can reach it is fused (`services/labeler/plan.py`); the reference waits for all tiles, and
@@ -23,7 +23,7 @@ from typing import TypeVar
 from services.labeler.costs import Meter
 from services.labeler.errors import NoFramesError
 from services.labeler.exports.source import SOURCE
-from services.labeler.frames import frames, lay_sight_lines
+from services.labeler.frames import FrameCounts, frames, lay_sight_lines
 from services.labeler.fuse import fuse
 from services.labeler.map_files import write_map
 from services.labeler.parameters import LabelParameters
@@ -119,9 +119,10 @@ def _labelled(run: Run, out: Path, stages: _Stages) -> LabelReport:
     done: dict[tuple[object, ...], TileSummary | None] = stages.run_all(_map_tasks(run, plan))
     tiles = [tile for tile in (done[("surface", tile)] for tile in sorted(plan.needs)) if tile is not None]
     reference = reference_from(tiles, run.parameters)
-    counts = stages.run("frames", frames, [(run, part, reference, labels_root) for part in plan.parts])
-    stages.run("pictures", write_map, [(run, tiles, reference, out)])
-    report = report_of(run, tiles, counts)
+    pictures = Task(("pictures",), write_map, (run, tiles, reference, out))
+    cut = [Task(("frames", part), frames, (run, part, reference, labels_root)) for part in plan.parts]
+    counts: dict[tuple[object, ...], FrameCounts] = stages.run_all([pictures, *cut])
+    report = report_of(run, tiles, [counts[task.key] for task in cut])
     write_frames(out / "frames.parquet", run.sequence, report.counts)
     (out / SEQUENCE_FILE).write_bytes(sequence_bytes(run.sequence))
     return replace(report, costs=stages.meter.as_record())

@@ -11,14 +11,15 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
-from multiprocessing import connection, get_context, parent_process
+from multiprocessing import connection, forkserver, get_context, parent_process
+from multiprocessing.context import ForkServerContext
 from threading import Thread
 from typing import Any, Generic, TypeVar
 
 from services.runtime.usage import peak_bytes, used_cpu_s
 
 T = TypeVar("T")
-PRELOAD = ["services.labeler.fuse", "services.labeler.surface", "services.labeler.frames"]
+PRELOAD = ["services.labeler.warm"]
 
 
 @dataclass(frozen=True)
@@ -42,14 +43,24 @@ class Task:
     needs: frozenset[tuple[object, ...]] = frozenset()
 
 
+def begin_loading() -> None:
+    """Have the fork server started, which loads what workers need while the caller goes on; workers do it otherwise."""
+    _context()
+    forkserver.ensure_running()
+
+
+def _context() -> ForkServerContext:
+    context = get_context("forkserver")
+    context.set_forkserver_preload(PRELOAD)
+    return context
+
+
 class Workers:
     """`with Workers(n) as workers: for done in workers.run(task, arguments): …`."""
 
     def __init__(self, processes: int) -> None:
-        context = get_context("forkserver")
-        context.set_forkserver_preload(PRELOAD)
         self._processes = processes
-        self._pool = ProcessPoolExecutor(processes, mp_context=context, initializer=_prepare)
+        self._pool = ProcessPoolExecutor(processes, mp_context=_context(), initializer=_prepare)
 
     def __enter__(self) -> "Workers":
         return self

@@ -217,7 +217,7 @@ def test_progress_goes_from_none_to_all_in_every_stage(tmp_path):
     sequence = sequence_of(world)
     label(sequence, RayCast(world), tmp_path / "out", LabelOptions(parameters_for("local")), lambda *s: seen.append(s))
     stages = list(dict.fromkeys(stage for stage, _, _ in seen))
-    assert stages == ["fuse", "surface", "sight lines", "frames", "pictures"]
+    assert stages == ["fuse", "surface", "sight lines", "pictures", "frames"]
     for stage in stages:
         steps = [(done, total) for name, done, total in seen if name == stage]
         assert steps == [(done, steps[-1][1]) for done in range(steps[-1][1] + 1)]
