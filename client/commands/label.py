@@ -70,7 +70,7 @@ def label(
     as_json: JsonOption = False,
 ) -> None:
     """Label every frame of a recording: free, traversable, potentially traversable or not, in 0.2 m voxels."""
-    from services.ingest.opening import open_sequence
+    from services.ingest.opening import opened_sequence
     from services.ingest.pipeline import SynchroniseOptions
     from services.labeler.parameters import RefinementParameters, parameters_for
     from services.labeler.pipeline import LabelOptions
@@ -81,13 +81,13 @@ def label(
     with reported() as progress:
         chosen = chosen_topics(topics, topic).topics
         sources = SynchroniseOptions(odometry, lidar, topics=chosen, progress=progress)
-        sequence, sweeps = open_sequence(bag, calibration, bag.stem, sources)
         source = {"recording": str(bag.resolve()), "calibration": str(calibration.resolve())}
         refinement = RefinementParameters(refine.value) if refine else None
         parameters = replace(parameters_for(profile.value), confidence=confidence, refinement=refinement)
         parameters = replace(parameters, surface=replace(parameters.surface, solver=solver.value))
-        options = LabelOptions(parameters, workers or cores(), source)
-        record = label_sequence(sequence, sweeps, output, options, progress).as_record()
+        with opened_sequence(bag, calibration, bag.stem, sources) as opened:
+            options = LabelOptions(parameters, workers or cores(), source, opened.recording_inputs)
+            record = label_sequence(opened.sequence, opened.sweeps, output, options, progress).as_record()
     if as_json:
         echo_json(record)
     else:

@@ -40,13 +40,15 @@ class SynchroniseOptions:
     """Topics by name where the recording's roles are not meant; poses more than `max_pose_gap_ns` apart are a gap.
 
     `odometry_topic` may be "kiss-icp". `topics` names the topic of a role (lidar, pose) or of a channel (CAM_FRONT).
-    `recording_sha256` spares reading the whole recording again where it is known.
+    `recording_sha256` spares reading the whole recording again where it is known; with `is_hashed` false nobody hashes
+    it here, and `inputs` of the sequence lack it.
     """
 
     odometry_topic: str | None = None
     lidar_topic: str | None = None
     max_pose_gap_ns: int = DEFAULT_MAX_GAP_NS
     recording_sha256: str | None = None
+    is_hashed: bool = True
     topics: Mapping[str, str] = field(default_factory=dict)
     progress: Progress = silent
 
@@ -59,12 +61,20 @@ def synchronise(
     Raises what opening and decoding raise (BAG-*, MSG-*), the leaves of `services.ingest.synchronisation_errors`
     (no LiDAR, no pose source, no usable pose, no frame), and MissingSensorError when an INS has no mount.
     """
+    if not options.is_hashed:
+        with open_bag(bag_path) as bag:
+            return _checked(bag, calibration, options, name)
     with open_bag(bag_path) as bag, hashed_meanwhile(bag_path, options.recording_sha256) as sha256:
-        sequence, sweeps = _synchronised(bag, calibration, options, name)
-        seen = projection_findings(bag, sequence, sweeps)
-        seen += trigger_findings(bag, _without_refuted(sequence, seen), sweeps)
-        inputs = {bag_path.name: sha256()}
-    return replace(sequence, inputs=inputs, findings=(*sequence.findings, *seen)), sweeps
+        sequence, sweeps = _checked(bag, calibration, options, name)
+        return replace(sequence, inputs={bag_path.name: sha256()}), sweeps
+
+
+def _checked(bag: Bag, calibration: Calibration, options: SynchroniseOptions, name: str) -> tuple[Sequence, BagSweeps]:
+    """All but the hash of the recording."""
+    sequence, sweeps = _synchronised(bag, calibration, options, name)
+    seen = projection_findings(bag, sequence, sweeps)
+    seen += trigger_findings(bag, _without_refuted(sequence, seen), sweeps)
+    return replace(sequence, findings=(*sequence.findings, *seen)), sweeps
 
 
 def _without_refuted(sequence: Sequence, seen: tuple[Finding, ...]) -> Sequence:
@@ -77,7 +87,7 @@ def _without_refuted(sequence: Sequence, seen: tuple[Finding, ...]) -> Sequence:
 def _synchronised(
     bag: Bag, calibration: Calibration, options: SynchroniseOptions, name: str
 ) -> tuple[Sequence, BagSweeps]:
-    """All but the cameras' checks, which look at frames, and the hash of the recording."""
+    """All but the cameras' checks, which look at frames."""
     lidar_topic = options.lidar_topic or options.topics.get("lidar")
     sources = choose_sources(bag, lidar_topic, options.odometry_topic or options.topics.get("pose"))
     recorded = read_recorded(bag, sources.scanned, sources.whole)

@@ -49,12 +49,14 @@ class LabelOptions:
     """How to run, as opposed to what to compute: `workers` never changes a label.
 
     `source` says where the inputs lay (`recording`, `calibration`: absolute paths), for exports made later on this
-    machine; it is written beside the labels as `source.json`.
+    machine; it is written beside the labels as `source.json`. `late_inputs` are hashes that the sequence's `inputs`
+    lack, asked for at the end.
     """
 
     parameters: LabelParameters = field(default_factory=LabelParameters)
     workers: int = 1
     source: Mapping[str, str] = field(default_factory=dict)
+    late_inputs: Callable[[], Mapping[str, str]] = dict
 
 
 def label(
@@ -77,7 +79,7 @@ def label(
             (found,) = stages.run("refine poses", refined, [(sequence, sweeps, options.parameters)])
             sequence, refinement = found[0], found[1].as_record()
         run = Run(sequence, sweeps, options.parameters, staging / ".scratch")
-        report = replace(_labelled(run, staging, stages), refinement=refinement)
+        report = replace(_labelled(run, staging, stages, options.late_inputs), refinement=refinement)
         shutil.rmtree(run.scratch)
         if options.source:
             (staging / SOURCE).write_text(json.dumps(dict(options.source)) + "\n")
@@ -114,7 +116,7 @@ class _Stages:
         return results
 
 
-def _labelled(run: Run, out: Path, stages: _Stages) -> LabelReport:
+def _labelled(run: Run, out: Path, stages: _Stages, late_inputs: Callable[[], Mapping[str, str]]) -> LabelReport:
     plan, labels_root = plan_of(run), out / "gts" / run.sequence.name
     done: dict[tuple[object, ...], TileSummary | None] = stages.run_all(_map_tasks(run, plan))
     tiles = [tile for tile in (done[("surface", tile)] for tile in sorted(plan.needs)) if tile is not None]
@@ -122,9 +124,11 @@ def _labelled(run: Run, out: Path, stages: _Stages) -> LabelReport:
     pictures = Task(("pictures",), write_map, (run, tiles, reference, out))
     cut = [Task(("frames", part), frames, (run, part, reference, labels_root)) for part in plan.parts]
     counts: dict[tuple[object, ...], FrameCounts] = stages.run_all([pictures, *cut])
+    sequence = replace(run.sequence, inputs={**late_inputs(), **run.sequence.inputs})
+    run = replace(run, sequence=sequence)
     report = report_of(run, tiles, [counts[task.key] for task in cut])
-    write_frames(out / "frames.parquet", run.sequence, report.counts)
-    (out / SEQUENCE_FILE).write_bytes(sequence_bytes(run.sequence))
+    write_frames(out / "frames.parquet", sequence, report.counts)
+    (out / SEQUENCE_FILE).write_bytes(sequence_bytes(sequence))
     return replace(report, costs=stages.meter.as_record())
 
 

@@ -14,7 +14,8 @@ import pyarrow.parquet as pq
 import pytest
 from sqlalchemy import delete, select, update
 
-from services.ingest.opening import open_sequence
+from services.ingest.opening import opened_sequence
+from services.ingest.pipeline import SynchroniseOptions
 from services.labeler import stages
 from services.labeler.pipeline import LabelOptions, label
 from services.runtime.jobs.specs import Attempt, Handler, Outcome
@@ -53,7 +54,9 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def expected(bag: Path) -> dict[str, bytes]:
     """What `stone label` makes of the same recording."""
     folder = bag.parent / "labels"
-    label(*open_sequence(bag, calibration_path(bag), NAME), folder, LabelOptions(workers=2))
+    with opened_sequence(bag, calibration_path(bag), NAME, SynchroniseOptions()) as opened:
+        options = LabelOptions(workers=2, late_inputs=opened.recording_inputs)
+        label(opened.sequence, opened.sweeps, folder, options)
     return files_of_label(folder)
 
 
