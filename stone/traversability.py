@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from stone.errors import StoneError
 
@@ -104,7 +104,7 @@ def distance_squared(features: Array, reference: Reference) -> Array:
 
 def threshold(alpha: float) -> float:
     """χ²(3, 1−α): the D² that a share α of the driven ground itself exceeds, were it Gaussian."""
-    return float(chi2.ppf(1.0 - alpha, 3))
+    return float(chdtri(3, alpha))
 
 
 def classify(features: Array, is_driven: NDArray[np.bool_], reference: Reference, alpha: float) -> NDArray[np.uint8]:

@@ -11,7 +11,6 @@ from services.labeler.frames import labelled_tile
 from services.labeler.picture import TopView, write_top_view
 from services.labeler.ply import Piece, class_at, write_mesh
 from services.labeler.previews.map_pieces import MapPiece
-from services.labeler.previews.writing import write_map_previews
 from services.labeler.run import Run, Step, Tile, silent
 from services.labeler.scratch import whole
 from services.labeler.surface import TileSummary
@@ -37,6 +36,8 @@ def write_map(run: Run, tiles: list[TileSummary], reference: Reference, out: Pat
     with whole(out / MESH) as staging:
         write_mesh(staging, totals, [partial(_piece, run, tile.tile, reference) for tile in tiles])
     step(len(tiles) + 1, len(tiles) + 2)
+    from services.labeler.previews.writing import write_map_previews  # it plots and films: half a second of imports
+
     pieces = [partial(_map_piece, run, tile.tile, reference) for tile in tiles]
     write_map_previews(pieces, run.sequence.frames.map_from_ego, out, run.parameters.profile)
     step(len(tiles) + 2, len(tiles) + 2)
