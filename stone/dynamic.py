@@ -1,9 +1,9 @@
 """What moved: map voxels that later (or earlier) sweeps looked straight through.
 
-**Conventions.** A range image holds, for each direction from the sensor in the ego frame, the nearest return (m), 0
-where none came back. A map point votes *missed* when all nine pixels around it saw something clearly farther, and
-*hit* when its own pixel saw it. It moved when it was missed `MISSES_PER_HIT` times as often as hit, and at least
-`FEWEST_MISSES` times.
+**Conventions.** A range image holds, for each direction from the sensor in the ego frame, the nearest return (m),
+`NOTHING_M` where rays went and none came back, as from the sky, and 0 where none went. A map point votes
+*missed* when all nine pixels around it saw something clearly farther, and *hit* when its own pixel saw it. It moved
+when it was missed `MISSES_PER_HIT` times as often as hit, and at least `FEWEST_MISSES` times.
 """
 
 import math
@@ -26,6 +26,9 @@ FIELD_PX, RAYS_PER_PIXEL, MAX_SPREAD_PX = 60_000, 2.0, 3
 MAX_RING_GAP_PX = 7
 MARGIN_PX = MAX_RING_GAP_PX - 1
 
+NOTHING_M = np.float32(1e6)
+FEWEST_RAYS = math.ceil(RAYS_PER_PIXEL * FIELD_PX / (2 * MAX_SPREAD_PX + 1) ** 2)  # fewer leave holes between them
+
 AT_ONCE = 1024  # points: what is computed of them stays in the cache
 
 
@@ -38,7 +41,7 @@ class DynamicParameters:
     max_elevation_deg: float = 22.0
     row_deg: float = 0.4
     column_deg: float = 0.4
-    max_range_m: float = 30.0
+    max_range_m: float = 40.0
     min_range_m: float = 1.0
     margin_m: float = 0.3
 
@@ -60,13 +63,19 @@ class RangeImage:
 def range_image(
     points_ego: NDArray[np.float32], map_from_ego: SE3, sensor_ego: NDArray[np.float64], parameters: DynamicParameters
 ) -> RangeImage:
-    """The nearest return in each direction from `sensor_ego` (3,) of the points (N, 3)."""
+    """The nearest return in each direction from `sensor_ego` (3,) of the points (N, 3), the robot's own among them.
+
+    Without those, what the robot's body hides would look like open sky.
+    """
     rows, columns = parameters.shape
     nearest_m = np.full((rows + 2 * MARGIN_PX, columns), np.inf, np.float32)
     _project(points_ego, sensor_ego, _lens(parameters), nearest_m)
-    sideways = spread_px(len(points_ego))
-    nearest_m = _spread(nearest_m, max(sideways, ring_spread_px(nearest_m)), sideways)[MARGIN_PX:-MARGIN_PX]
-    return RangeImage(view_of(map_from_ego, sensor_ego), np.where(np.isfinite(nearest_m), nearest_m, np.float32(0)))
+    sideways, between_rings = spread_px(len(points_ego)), ring_spread_px(nearest_m)
+    nearest_m = _spread(nearest_m, max(sideways, between_rings), sideways)[MARGIN_PX:-MARGIN_PX]
+    ranges_m = np.where(np.isfinite(nearest_m), nearest_m, np.float32(0))
+    if len(points_ego) >= FEWEST_RAYS:
+        _open_up(ranges_m)
+    return RangeImage(view_of(map_from_ego, sensor_ego), ranges_m)
 
 
 def view_of(map_from_ego: SE3, sensor_ego: NDArray[np.float64]) -> SE3:
@@ -100,7 +109,7 @@ def vote(
     """Add this image's verdict on the points (N, 3) to `votes` (N, 2) int32: hits, misses."""
     p = parameters
     limits = (p.min_range_m**2, p.max_range_m**2, p.margin_m)
-    around_m = _spread(image.ranges_m, 1, 1)  # 0 where any of the nine saw nothing
+    around_m = _spread(image.ranges_m, 1, 1)  # 0 where no ray went to any of the nine
     _vote(points_map, image.map_from_view.inverse().as_matrix(), (image.ranges_m, around_m, _lens(p)), limits, votes)
 
 
@@ -203,6 +212,28 @@ def _project(points, sensor, lens, nearest):  # type: ignore[no-untyped-def]
         row, column = row + MARGIN_PX, column % nearest.shape[1]
         if 0 <= row < nearest.shape[0]:
             nearest[row, column] = min(nearest[row, column], r)
+
+
+@njit(cache=True, nogil=True)
+def _open_up(ranges):  # type: ignore[no-untyped-def]
+    """Put `NOTHING_M` for 0 where rays went and none came back: in rows between the highest and the lowest return, in
+    columns that have one (a sensor that looks to one side knows nothing of the other), and where more rows are empty
+    than any two rings leave between them."""
+    rows, columns = ranges.shape
+    top, bottom = rows, 0
+    for row in range(rows):
+        if ranges[row].any():
+            top, bottom = min(top, row), row + 1
+    for column in range(columns):
+        if not ranges[top:bottom, column].any():
+            continue
+        begin = top
+        for row in range(top, bottom + 1):
+            if row < bottom and ranges[row, column] == 0:
+                continue
+            if row - begin > MAX_RING_GAP_PX:
+                ranges[begin:row, column] = NOTHING_M
+            begin = row + 1
 
 
 @njit(cache=True, nogil=True)

@@ -36,7 +36,8 @@ def fuse(run: Run, part: Part, step: Step = silent) -> int:
         if index % parameters.carve.every_frame == 0:
             carver.carve(points_ego, pose, run.sensor_ego)
         if index % parameters.dynamic.every_frame == 0:
-            image = range_image(points_ego, pose, run.sensor_ego, parameters.dynamic)
+            all_ego = world_points(sweep.points_lidar, calibration.ego_from_lidar, (), 0.0)
+            image = range_image(all_ego, pose, run.sensor_ego, parameters.dynamic)
             images[image_name(index)] = image.ranges_m
         step(index + 1 - part[0], part[1] - part[0])
     _leave(run, part, builder.finish(), carver.finish())

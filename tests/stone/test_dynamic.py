@@ -89,6 +89,32 @@ def test_a_wall_is_kept_though_a_box_hid_it_at_times():
     assert not votes[:, 1].any()
 
 
+def seen_under_sky(pose, has_box):
+    """One sweep of a low wall, and of the box before it and before the sky above the wall."""
+    points = seen(pose, has_box)
+    return points[((pose @ points.astype(np.float64))[:, 2] < 0.5) | (points[:, 0] < WALL_X_M - 3)]
+
+
+def votes_under_sky(points_map, visits):
+    votes = np.zeros((len(points_map), 2), np.int32)
+    for x, has_box in visits:
+        pose = robot_at(x)
+        above = pose.inverse() @ np.array([[WALL_X_M, 0.0, 4.0]])  # a branch: rays do go up there
+        points = np.concatenate([seen_under_sky(pose, has_box), above.astype(np.float32)])
+        vote(points_map, range_image(points, pose, SENSOR_EGO, PARAMETERS), PARAMETERS, votes)
+    return votes
+
+
+def test_what_stood_before_the_sky_and_went_is_voted_out():
+    votes = votes_under_sky(box_points(), [(0.0, True), *((0.3 * i, False) for i in range(1, 7))])
+    assert is_moving(votes).all()
+
+
+def test_what_stands_before_the_sky_is_kept():
+    votes = votes_under_sky(box_points(), [(0.3 * i, True) for i in range(7)])
+    assert not is_moving(votes).any()
+
+
 def test_where_no_ray_went_nothing_is_voted():
     behind = wall_points() * [-1, 1, 1]
     above = wall_points() + np.array([0, 0, 30])
