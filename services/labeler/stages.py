@@ -16,7 +16,7 @@ from services.labeler.errors import NoFramesError
 from services.labeler.exporting import export
 from services.labeler.frames import labelled_frames, lay_sight_lines
 from services.labeler.fuse import fuse
-from services.labeler.map_files import MESH, TOP_VIEW, write_map
+from services.labeler.map_files import write_map
 from services.labeler.plan import plan_of, surface_where_reached, tiles_around
 from services.labeler.publishing import publish
 from services.labeler.report import reference_from
@@ -140,11 +140,11 @@ def label_part(desk: Desk) -> Outcome:
 
 
 def draw_map(desk: Desk) -> Outcome:
-    """The labelled map → its picture and its mesh."""
+    """The labelled map → its pictures and its mesh."""
     desk.pull(reference_path(desk.run).name, "surface", "sums")
     out = desk.run.scratch / "map"
     write_map(desk.run, load_summaries(desk.run), load_reference(desk.run), out, desk.step("map"))
-    desk.push(out / TOP_VIEW, out / MESH, comparison_path(desk.run))
+    desk.push(out, comparison_path(desk.run))
     return Outcome()
 
 

@@ -135,7 +135,8 @@ def test_every_frame_has_its_labels(done: Done) -> None:
 def test_files_are_those_the_sequence_names(done: Done) -> None:
     shown = accepted(done.read(done.path()), 200)
     paths = {"report.json": "/report", "mesh.ply": "/mesh", "bev.png": "/previews/bev.png",
-             "frames.parquet": "/frames.parquet"}  # fmt: skip
+             "map.png": "/previews/map.png", "features.png": "/previews/features.png",
+             "frames.parquet": "/frames.parquet", "sequence.npz": "/sequence.npz"}  # fmt: skip
     assert {file["name"] for file in shown["artefacts"]} == set(paths)
     for file in shown["artefacts"]:
         answer = done.read(done.path(paths[file["name"]]))

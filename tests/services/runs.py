@@ -211,6 +211,14 @@ class Said:
             self.heard_by.log(event, level, **facts)
 
 
+class Listening(Said):
+    """An attempt whose word lasts until it has heard of the cancellation: the platform asks about twice a second."""
+
+    def progress(self, stage: str, done: int, total: int) -> None:
+        for _ in range(200):
+            super().progress(stage, done, total)
+
+
 @dataclass
 class Interrupted:
     """An attempt whose second word, or else whose end, is an interruption."""

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from services.labeler.apart import ChildEndedError, apart
-from services.labeler.poisson import reconstruct
+from services.labeler.octree import reconstruct
 from tests.signals import hear_signals
 
 PATIENCE_S = 20.0

@@ -34,7 +34,7 @@ from services.runtime.settings import Settings, UploadSettings
 from simulator.options import SimulateOptions
 from simulator.pipeline import simulate
 from tests.servers.fixtures import make_settings, opened
-from tests.services.runs import Brought, Said, bring_ready, run_all
+from tests.services.runs import Brought, Listening, Said, bring_ready, run_all
 from tests.stone_serve import until
 
 RUN = SimulateOptions(seconds=2.0, seed=3, channels=16, columns=180, cameras=False)
@@ -230,8 +230,7 @@ def test_a_cancelled_export_stops_at_its_next_word_and_leaves_nothing(brought: B
         def run(attempt: Attempt) -> Outcome:
             with brought.platform.database.transaction() as session:
                 cancel(session, job_id, "the field engineer changed her mind")
-            attempt.log("cancelled from outside")
-            return handler(attempt)
+            return handler(Listening(brought.job(job_id), heard_by=attempt))
 
         return run
 
