@@ -28,6 +28,7 @@ from stone.se3 import SE3
 from stone.voxels import VOXEL_M
 
 NEIGHBOURS, DEPTH, LEAST_DENSE = 20, 10, 0.1
+EVERYWHERE_M = 1e5  # the map's lattice ends there
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ def per_frame_poisson(bag: Path, calibration: Path, frames: int, folder: Path) -
 
 def _aggregated(run: Run) -> NDArray[np.float64]:
     """All points of the run in the map frame, one for each voxel of 0.1 m."""
-    everywhere = (np.full(2, -np.inf), np.full(2, np.inf))
+    everywhere = (np.full(2, -EVERYWHERE_M), np.full(2, EVERYWHERE_M))
     tiles = [tile_named(folder.name) for folder in sorted((run.scratch / "fused").iterdir())]
     return merge([part for tile in tiles for part in load_points(run, tile, *everywhere)]).centroids_map()
 
