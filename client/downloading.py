@@ -18,6 +18,8 @@ MARK = "report.json"
 FILES = {
     "report.json": "report",
     "bev.png": "previews/bev.png",
+    "map.png": "previews/map.png",
+    "features.png": "previews/features.png",
     "mesh.ply": "mesh",
     "frames.parquet": "frames.parquet",
     "sequence.npz": "sequence.npz",

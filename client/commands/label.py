@@ -39,7 +39,7 @@ class Solver(StrEnum):
 
 
 SolverOption = Annotated[
-    Solver, typer.Option(help="Of the screened Poisson equation; octree is Open3D's, four times as slow.")
+    Solver, typer.Option(help="Of the screened Poisson equation; octree is Open3D's, several times as slow.")
 ]
 
 
