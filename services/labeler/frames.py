@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from services.labeler.run import Part, Run, Tile, core_cells
+from services.labeler.run import Part, Run, Tile, tiles_across
 from services.labeler.scratch import Arrays, load, save, sight_path, surface_path
 from services.runtime.npz import npz_bytes
 from stone.columns import Columns, reconcile, spread_out
@@ -20,7 +20,6 @@ from stone.se3 import SE3
 from stone.sight_batches import LANES, SightBatch
 from stone.traversability import Reference, classify, distance_squared
 from stone.visibility import SightLines, sight_lines
-from stone.voxels import VOXEL_M
 
 MAX_WINDOW_BYTES = 192 * 2**20
 GRIDS = ("semantics", "mask_lidar", "mask_camera")
@@ -150,10 +149,7 @@ def _map_around(run: Run, bounds: Bounds, reference: Reference) -> _LabelledMap:
 
 def tiles_between(run: Run, low: NDArray[np.int64], high: NDArray[np.int64]) -> list[Tile]:
     """The reconstructed tiles that reach into a range of voxel indices."""
-    cells = core_cells(run.parameters, VOXEL_M)
-    first, last = low[:2] // cells, (high[:2] - 1) // cells
-    around = [(int(i), int(j)) for i in range(first[0], last[0] + 1) for j in range(first[1], last[1] + 1)]
-    return [tile for tile in around if surface_path(run, tile).exists()]
+    return [tile for tile in tiles_across(run.parameters, low, high) if surface_path(run, tile).exists()]
 
 
 def _write(path: Path, payload: bytes) -> None:

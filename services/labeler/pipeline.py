@@ -107,7 +107,7 @@ class _Stages:
         counts = Counter[str]()
         for stage, total in totals.items():
             self.progress(stage, 0, total)
-        for task, done in self.workers.run_all(tasks):
+        for task, done in self.workers.run(tasks):
             stage = str(task.key[0])
             self.meter.note(stage, done)
             results[task.key] = done.value

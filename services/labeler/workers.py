@@ -1,4 +1,4 @@
-"""Runs tasks in other processes: those of one stage, or of several whose tasks wait for each other.
+"""Runs tasks in other processes, each when those it waits for are done.
 
 **Conventions.** Workers come from a fork server that has imported the kernels but used none, each
 with one thread for every library: the parallelism is over tasks, and the caller's own process stays small. Processes
@@ -56,7 +56,7 @@ def _context() -> ForkServerContext:
 
 
 class Workers:
-    """`with Workers(n) as workers: for done in workers.run(task, arguments): …`."""
+    """`with Workers(n) as workers: for task, done in workers.run(tasks): …`."""
 
     def __init__(self, processes: int) -> None:
         self._processes = processes
@@ -72,12 +72,7 @@ class Workers:
                 process.terminate()
         self._pool.shutdown(wait=True, cancel_futures=True)
 
-    def run(self, task: Callable[..., T], arguments: Sequence[tuple[object, ...]]) -> Iterator[Done[T]]:
-        """The result of `task(*arguments[i])` for every i, in order; the first that raises ends the stage."""
-        futures = [self._pool.submit(_measured, task, one) for one in arguments]
-        return (future.result() for future in futures)
-
-    def run_all(self, tasks: Sequence[Task]) -> Iterator[tuple[Task, Done[Any]]]:
+    def run(self, tasks: Sequence[Task]) -> Iterator[tuple[Task, Done[Any]]]:
         """Every task when it is done, the first of those that can begin going first; the first that raises ends all.
 
         No more are handed out than the processes and one waiting for each, so that what becomes ready goes first.

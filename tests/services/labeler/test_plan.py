@@ -106,7 +106,7 @@ def test_tasks_that_wait_for_each_other_are_done_in_order_of_their_needs() -> No
         Task(("free", 1), add, (5, 5)),
     ]
     with Workers(2) as workers:
-        done = [(task.key, result.value) for task, result in workers.run_all(tasks)]
+        done = [(task.key, result.value) for task, result in workers.run(tasks)]
     order = [key for key, _ in done]
     assert dict(done) == {("a", 1): 2, ("b", 1): 4, ("last",): 7, ("free", 1): 10}
     assert order.index(("a", 1)) < order.index(("b", 1)) < order.index(("last",))
@@ -115,4 +115,4 @@ def test_tasks_that_wait_for_each_other_are_done_in_order_of_their_needs() -> No
 def test_a_task_that_waits_for_nobody_is_refused() -> None:
     tasks = [Task(("orphan",), add, (1, 1), frozenset({("nobody",)}))]
     with Workers(1) as workers, pytest.raises(ValueError, match=r"1 tasks wait for what nobody does.*orphan"):
-        list(workers.run_all(tasks))
+        list(workers.run(tasks))

@@ -1,4 +1,4 @@
-"""Workers give results in order, pass errors on, and do not outlive who asked for them."""
+"""Workers do every task, pass errors on, and do not outlive who asked for them."""
 
 import os
 import signal
@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from services.labeler.errors import NoFramesError
-from services.labeler.workers import Workers
+from services.labeler.workers import Task, Workers
 from stone.calibration import Calibration
 from stone.se3 import SE3
 from stone.sequence import Frames, Sequence
@@ -19,11 +19,12 @@ from tests.signals import hear_signals
 ROOT = Path(__file__).resolve().parents[3]
 ENDLESS = """
 import os, time
-from services.labeler.workers import Workers
+from services.labeler.workers import Task, Workers
 from tests.services.labeler.test_workers import pid_then_sleep
 if __name__ == "__main__":
     with Workers(2) as workers:
-        for done in workers.run(pid_then_sleep, [(0.0,), (0.0,), (600.0,), (600.0,)]):
+        tasks = [Task((n,), pid_then_sleep, (s,)) for n, s in enumerate((0.0, 0.0, 600.0, 600.0))]
+        for _, done in workers.run(tasks):
             print(done.pid, flush=True)
 """
 
@@ -45,20 +46,22 @@ def refuse(name: str) -> None:
     raise NoFramesError(Sequence(name, frames, (), Calibration("rig", SE3.identity()), "none"))
 
 
-def test_results_come_in_the_order_of_the_tasks() -> None:
+def test_every_task_is_done_and_says_what_it_came_to() -> None:
     with Workers(2) as workers:
-        assert [done.value for done in workers.run(square, [(0,), (1,), (2,)])] == [0, 1, 4]
+        done = {task.key: result.value for task, result in workers.run([Task((n,), square, (n,)) for n in range(3)])}
+    assert done == {(0,): 0, (1,): 1, (2,): 4}
 
 
 def test_a_refusal_in_a_worker_reaches_the_caller_as_it_was() -> None:
     with Workers(1) as workers, pytest.raises(NoFramesError, match=r"sequence run has no usable frame"):
-        list(workers.run(refuse, [("run",)]))
+        list(workers.run([Task(("refused",), refuse, ("run",))]))
 
 
 def test_a_failure_does_not_wait_for_the_other_tasks() -> None:
     begin = time.monotonic()
+    tasks = [Task((seconds,), _refuse_or_sleep, (seconds,)) for seconds in (0.0, 600.0)]
     with pytest.raises(NoFramesError), Workers(2) as workers:
-        list(workers.run(_refuse_or_sleep, [(0.0,), (600.0,)]))
+        list(workers.run(tasks))
     assert time.monotonic() - begin < 60
 
 
