@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from api.schemas.base import SHA256_EXAMPLE, Answer, Body, Line, Reason, example
-from api.schemas.splits import ENTRY_EXAMPLE, Sizes
+from api.schemas.splits import DRIVEN_EXAMPLE, DrivenItem, Sizes
 
 VERSION_PATTERN = "^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 OpenPart = Literal["train", "val"]
@@ -17,7 +17,6 @@ PART_EXAMPLE: dict[str, Any] = {
     "tar_bytes": 1531002880,
     "tar_sha256": SHA256_EXAMPLE,
 }
-MEMBER_EXAMPLE = {key: value for key, value in ENTRY_EXAMPLE.items() if key not in ("sequence_id", "voxels")}
 DATASET_EXAMPLE: dict[str, Any] = {
     "name": "stone-1.0",
     "licence": "CC-BY-NC-SA-4.0",
@@ -53,20 +52,12 @@ class DatasetItem(Answer):
     created_at: datetime
 
 
-class DatasetMemberItem(Answer):
-    """A sequence of a version: where and when it was driven, and how much of it there is."""
+class DatasetMemberItem(DrivenItem):
+    """A sequence of a version, and the part it is in."""
 
-    model_config = example(split="train", **MEMBER_EXAMPLE)
+    model_config = example(split="train", **DRIVEN_EXAMPLE)
 
     split: str
-    name: str
-    environment: str
-    illumination: str
-    daylight: str
-    region: str
-    frames: int
-    duration_s: float
-    distance_m: float | None
 
 
 class DatasetPartItem(Answer):
@@ -84,7 +75,7 @@ class DatasetPartItem(Answer):
 class DatasetDetail(DatasetItem):
     """A version with its sequences and what can be downloaded of it."""
 
-    model_config = example(**DATASET_EXAMPLE, sequences=[{"split": "train", **MEMBER_EXAMPLE}], parts=[PART_EXAMPLE])
+    model_config = example(**DATASET_EXAMPLE, sequences=[{"split": "train", **DRIVEN_EXAMPLE}], parts=[PART_EXAMPLE])
 
     sequences: list[DatasetMemberItem]
     parts: list[DatasetPartItem]

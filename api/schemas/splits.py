@@ -8,8 +8,7 @@ from api.schemas.base import ID_EXAMPLE, Answer, Body, IdText, Reason, example
 from api.schemas.statistics import VOXELS_EXAMPLE, VoxelRatios, VoxelsItem
 from stone.splits import MOST_SEQUENCES
 
-ENTRY_EXAMPLE: dict[str, Any] = {
-    "sequence_id": ID_EXAMPLE,
+DRIVEN_EXAMPLE: dict[str, Any] = {
     "name": "lake-2026-05-03",
     "environment": "lake",
     "illumination": "dusk",
@@ -18,8 +17,8 @@ ENTRY_EXAMPLE: dict[str, Any] = {
     "frames": 1200,
     "duration_s": 120.0,
     "distance_m": 148.2,
-    "voxels": VOXELS_EXAMPLE,
 }
+ENTRY_EXAMPLE: dict[str, Any] = {**DRIVEN_EXAMPLE, "sequence_id": ID_EXAMPLE, "voxels": VOXELS_EXAMPLE}
 FINDING_EXAMPLE = {
     "code": "day_and_night",
     "severity": "warning",
@@ -97,12 +96,11 @@ class RuleItem(Answer):
     sequence_ids: list[str]
 
 
-class SplitEntry(Answer):
-    """A labelled sequence as the dataset sees it; null is what an earlier version did not count."""
+class DrivenItem(Answer):
+    """Where and when a sequence was driven, and how much of it there is; null is what nobody counted."""
 
-    model_config = example(**ENTRY_EXAMPLE)
+    model_config = example(**DRIVEN_EXAMPLE)
 
-    sequence_id: str
     name: str
     environment: str
     illumination: str
@@ -111,6 +109,14 @@ class SplitEntry(Answer):
     frames: int
     duration_s: float
     distance_m: float | None
+
+
+class SplitEntry(DrivenItem):
+    """A labelled sequence as the dataset sees it."""
+
+    model_config = example(**ENTRY_EXAMPLE)
+
+    sequence_id: str
     voxels: VoxelsItem | None
 
 
