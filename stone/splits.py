@@ -31,7 +31,6 @@ LIGHT = "day_and_night"
 PLACES = "every_environment"
 SIZES = "split_sizes"
 UNSAID = "not_said"
-RULES = (WHOLE, LENGTH, REGIONS, LIGHT, PLACES, SIZES)
 
 
 class BadSizesError(StoneError):

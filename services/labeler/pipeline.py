@@ -28,7 +28,7 @@ from services.labeler.fuse import fuse
 from services.labeler.map_files import write_map
 from services.labeler.parameters import LabelParameters
 from services.labeler.plan import Plan, plan_of, surface_where_reached
-from services.labeler.refining import refined
+from services.labeler.refining import Refinement, refined
 from services.labeler.report import LabelReport, reference_from, report_of
 from services.labeler.run import Run
 from services.labeler.surface import TileSummary
@@ -76,8 +76,9 @@ def label(
     with atomic_directory(directory, replaces=REPORT) as staging, Workers(options.workers) as workers:
         stages, refinement = _Stages(workers, progress, Meter()), None
         if options.parameters.refinement is not None:
-            (found,) = stages.run("refine poses", refined, [(sequence, sweeps, options.parameters)])
-            sequence, refinement = found[0], found[1].as_record()
+            refine = Task(("refine poses",), refined, (sequence, sweeps, options.parameters))
+            found: dict[tuple[object, ...], tuple[Sequence, Refinement]] = stages.run([refine])
+            sequence, refinement = found[refine.key][0], found[refine.key][1].as_record()
         run = Run(sequence, sweeps, options.parameters, staging / ".scratch")
         report = replace(_labelled(run, staging, stages, options.late_inputs), refinement=refinement)
         shutil.rmtree(run.scratch)
@@ -95,13 +96,7 @@ class _Stages:
     progress: Progress
     meter: Meter
 
-    def run(self, name: str, task: Callable[..., T], arguments: Listing[tuple[object, ...]]) -> list[T]:
-        """All results of one stage, in order."""
-        tasks = [Task((name, number), task, one) for number, one in enumerate(arguments)]
-        results: dict[tuple[object, ...], T] = self.run_all(tasks)
-        return [results[one.key] for one in tasks]
-
-    def run_all(self, tasks: Listing[Task]) -> dict[tuple[object, ...], T]:
+    def run(self, tasks: Listing[Task]) -> dict[tuple[object, ...], T]:
         """The result of every task by its key, whose first word is the stage."""
         totals, results = Counter(str(task.key[0]) for task in tasks), dict[tuple[object, ...], T]()
         counts = Counter[str]()
@@ -118,12 +113,12 @@ class _Stages:
 
 def _labelled(run: Run, out: Path, stages: _Stages, late_inputs: Callable[[], Mapping[str, str]]) -> LabelReport:
     plan, labels_root = plan_of(run), out / "gts" / run.sequence.name
-    done: dict[tuple[object, ...], TileSummary | None] = stages.run_all(_map_tasks(run, plan))
+    done: dict[tuple[object, ...], TileSummary | None] = stages.run(_map_tasks(run, plan))
     tiles = [tile for tile in (done[("surface", tile)] for tile in sorted(plan.needs)) if tile is not None]
     reference = reference_from(tiles, run.parameters)
     pictures = Task(("pictures",), write_map, (run, tiles, reference, out))
     cut = [Task(("frames", part), frames, (run, part, reference, labels_root)) for part in plan.parts]
-    counts: dict[tuple[object, ...], FrameCounts] = stages.run_all([pictures, *cut])
+    counts: dict[tuple[object, ...], FrameCounts] = stages.run([pictures, *cut])
     sequence = replace(run.sequence, inputs={**late_inputs(), **run.sequence.inputs})
     run = replace(run, sequence=sequence)
     report = report_of(run, tiles, [counts[task.key] for task in cut])

@@ -1,8 +1,8 @@
 """Runs tasks in other processes, each when those it waits for are done.
 
-**Conventions.** Workers come from a fork server that has imported the kernels but used none, each
-with one thread for every library: the parallelism is over tasks, and the caller's own process stays small. Processes
-and not threads, because half of a stage is numpy and Python under the interpreter's lock.
+**Conventions.** Workers come from a fork server that has loaded what all need (`services/labeler/warm.py`), each with
+one thread for every library: the parallelism is over tasks, and the caller's own process stays small. Processes and not
+threads, because half of a stage is numpy and Python under the interpreter's lock.
 `ProcessPoolExecutor`, not `multiprocessing.Pool`, which once wrote all its results and never returned.
 """
 
