@@ -2,18 +2,32 @@
 
 from services.runtime.orm.artefacts import Artefact, Blob, LabelledFrame, LabelSet, LooseObject
 from services.runtime.orm.base import Base, new_id
+from services.runtime.orm.benchmarks import (
+    Activation,
+    Benchmark,
+    GroundTruth,
+    Phase,
+    PhaseInput,
+    PhaseInputPack,
+    Reported,
+    Rescore,
+)
 from services.runtime.orm.books import AuditEntry, IdempotentReply, QuotaEntry
 from services.runtime.orm.datasets import Dataset, DatasetMember, DatasetPack, DatasetPart, SplitMember, Splits
 from services.runtime.orm.exports import Export, ExportPack
 from services.runtime.orm.jobs import Job, JobAttempt, JobLine, JobNeed, Queue
-from services.runtime.orm.people import Team, TeamMember, Token, User, WebSession
+from services.runtime.orm.people import Team, TeamInvitation, TeamMember, Token, User, WebSession
 from services.runtime.orm.recordings import Preview, Recording, RecordingFile
 from services.runtime.orm.sequences import Calibration, Profile, Sequence, Upload
+from services.runtime.orm.submissions import Alarm, PhaseTeam, Score, ScorePart, ScoringEntry, Submission
 
 __all__ = [
+    "Activation",
+    "Alarm",
     "Artefact",
     "AuditEntry",
     "Base",
+    "Benchmark",
     "Blob",
     "Calibration",
     "Dataset",
@@ -22,6 +36,7 @@ __all__ = [
     "DatasetPart",
     "Export",
     "ExportPack",
+    "GroundTruth",
     "IdempotentReply",
     "Job",
     "JobAttempt",
@@ -30,16 +45,27 @@ __all__ = [
     "LabelSet",
     "LabelledFrame",
     "LooseObject",
+    "Phase",
+    "PhaseInput",
+    "PhaseInputPack",
+    "PhaseTeam",
     "Preview",
     "Profile",
     "Queue",
     "QuotaEntry",
     "Recording",
     "RecordingFile",
+    "Reported",
+    "Rescore",
+    "Score",
+    "ScorePart",
+    "ScoringEntry",
     "Sequence",
     "SplitMember",
     "Splits",
+    "Submission",
     "Team",
+    "TeamInvitation",
     "TeamMember",
     "Token",
     "Upload",

@@ -58,3 +58,17 @@ class TeamMember(Base):
     team_id: Mapped[Id] = mapped_column(ForeignKey("teams.id", ondelete="CASCADE"), primary_key=True)
     user_id: Mapped[Id] = mapped_column(ForeignKey("users.id", ondelete="CASCADE"), primary_key=True)
     is_owner: Mapped[bool] = mapped_column(default=False)
+
+
+class TeamInvitation(Base):
+    """A way into a team, once, for whoever shows the secret, of which the sha256 is kept."""
+
+    __tablename__ = "team_invitations"
+    id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
+    team_id: Mapped[Id] = mapped_column(ForeignKey("teams.id", ondelete="CASCADE"), index=True)
+    secret_hash: Mapped[str] = mapped_column(String(64), unique=True)
+    created_by: Mapped[Id] = mapped_column(ForeignKey("users.id"))
+    created_ns: Mapped[Ns] = mapped_column(default=now_ns)
+    expires_ns: Mapped[Ns]
+    used_by: Mapped[Id | None] = mapped_column(ForeignKey("users.id"))
+    used_ns: Mapped[Ns | None]

@@ -1,0 +1,155 @@
+"""Benchmarks: what is to be predicted, under which rules, and against which ground truth it is scored.
+
+**Conventions.** A ground truth is immutable once it is ready: what it is made of is held by foreign keys to blobs. The
+board of a phase shows one pair of ground truth and metric at a time: that of its newest activation.
+"""
+
+from sqlalchemy import JSON, ForeignKey, Index, String, Text
+from sqlalchemy.orm import Mapped, mapped_column
+
+from services.runtime.orm.base import Base, Bytes, Id, Ns, Record, new_id, now_ns
+
+
+class Benchmark(Base):
+    """`name` is what URLs call it; `title` and `description` are plain text."""
+
+    __tablename__ = "benchmarks"
+    id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
+    name: Mapped[str] = mapped_column(String(64), unique=True)
+    title: Mapped[str] = mapped_column(String(200), default="")
+    description: Mapped[str] = mapped_column(Text, default="")
+    created_by: Mapped[Id] = mapped_column(ForeignKey("users.id"))
+    created_ns: Mapped[Ns] = mapped_column(default=now_ns)
+
+
+class Phase(Base):
+    """One part of a dataset version to predict, and the rules of doing so.
+
+    `mask` says which voxels are evaluated (all, lidar, camera). While `is_hidden`, nothing of its ground truth is told
+    but rounded totals, until `closes_ns`. `scorings_per_window` and `scorings_total` bound what a team may have scored,
+    null for as many as it likes. Team names are shown from `named_from_ns` on. `revision` counts changes (ETag).
+    """
+
+    __tablename__ = "phases"
+    id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
+    benchmark_id: Mapped[Id] = mapped_column(ForeignKey("benchmarks.id", ondelete="CASCADE"))
+    name: Mapped[str] = mapped_column(String(32))
+    title: Mapped[str] = mapped_column(String(200), default="")
+    dataset_id: Mapped[Id] = mapped_column(ForeignKey("datasets.id"), index=True)
+    part: Mapped[str] = mapped_column(String(8))
+    mask: Mapped[str] = mapped_column(String(8), default="all")
+    is_hidden: Mapped[bool]
+    opens_ns: Mapped[Ns | None]
+    closes_ns: Mapped[Ns | None]
+    named_from_ns: Mapped[Ns | None]
+    scorings_per_window: Mapped[int | None]
+    window_ns: Mapped[Ns] = mapped_column(default=7 * 86_400 * 10**9)
+    scorings_total: Mapped[int | None]
+    validations_per_day: Mapped[int] = mapped_column(default=20)
+    team_members: Mapped[int] = mapped_column(default=10)
+    revision: Mapped[int] = mapped_column(default=1)
+    created_ns: Mapped[Ns] = mapped_column(default=now_ns)
+
+    __table_args__ = (Index("uq_phases_benchmark_name", "benchmark_id", "name", unique=True),)
+
+
+class GroundTruth(Base):
+    """A version of what a phase is scored against; `ready_ns` is null until the job has made it.
+
+    `sha256` is that of every evaluated voxel in the signature of a score. `facts` tell each sequence's frames,
+    environment, illumination and region, in the order of the manifest.
+    """
+
+    __tablename__ = "ground_truths"
+    id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
+    phase_id: Mapped[Id] = mapped_column(ForeignKey("phases.id", ondelete="CASCADE"))
+    number: Mapped[int]
+    dataset_id: Mapped[Id] = mapped_column(ForeignKey("datasets.id"), index=True)
+    part: Mapped[str] = mapped_column(String(8))
+    mask: Mapped[str] = mapped_column(String(8))
+    job_id: Mapped[Id | None] = mapped_column(ForeignKey("jobs.id"))
+    sha256: Mapped[str] = mapped_column(String(64), default="")
+    frames: Mapped[int] = mapped_column(default=0)
+    manifest_sha256: Mapped[str | None] = mapped_column(ForeignKey("blobs.sha256"), index=True)
+    pack_sha256: Mapped[str | None] = mapped_column(ForeignKey("blobs.sha256"), index=True)
+    facts: Mapped[Record] = mapped_column(JSON, default=dict)
+    created_by: Mapped[Id] = mapped_column(ForeignKey("users.id"))
+    created_ns: Mapped[Ns] = mapped_column(default=now_ns)
+    ready_ns: Mapped[Ns | None]
+
+    __table_args__ = (Index("uq_ground_truths_phase_number", "phase_id", "number", unique=True),)
+
+
+class Activation(Base):
+    """From `activated_ns` on the board of a phase shows this pair; the newest counts. Only added to."""
+
+    __tablename__ = "activations"
+    id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
+    phase_id: Mapped[Id] = mapped_column(ForeignKey("phases.id", ondelete="CASCADE"), index=True)
+    truth_id: Mapped[Id] = mapped_column(ForeignKey("ground_truths.id"), index=True)
+    metric: Mapped[str] = mapped_column(String(32))
+    rescore_id: Mapped[Id | None] = mapped_column(ForeignKey("rescores.id"))
+    activated_by: Mapped[Id] = mapped_column(ForeignKey("users.id"))
+    activated_ns: Mapped[Ns] = mapped_column(default=now_ns)
+
+
+class Rescore(Base):
+    """All standing entries of a phase scored for another pair; its jobs are those of the run `job_id`."""
+
+    __tablename__ = "rescores"
+    id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
+    phase_id: Mapped[Id] = mapped_column(ForeignKey("phases.id", ondelete="CASCADE"), index=True)
+    truth_id: Mapped[Id] = mapped_column(ForeignKey("ground_truths.id"), index=True)
+    metric: Mapped[str] = mapped_column(String(32))
+    job_id: Mapped[Id | None] = mapped_column(ForeignKey("jobs.id"))
+    reason: Mapped[str] = mapped_column(String(512), default="")
+    created_by: Mapped[Id] = mapped_column(ForeignKey("users.id"))
+    created_ns: Mapped[Ns] = mapped_column(default=now_ns)
+    activated_ns: Mapped[Ns | None]
+    abandoned_ns: Mapped[Ns | None]
+
+
+class Reported(Base):
+    """A result that somebody else published: on the board, marked as not scored here, and never ranked."""
+
+    __tablename__ = "reported"
+    id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
+    phase_id: Mapped[Id] = mapped_column(ForeignKey("phases.id", ondelete="CASCADE"))
+    method: Mapped[str] = mapped_column(String(100))
+    modality: Mapped[str] = mapped_column(String(8))
+    source: Mapped[str] = mapped_column(String(300))
+    iou_occ: Mapped[float | None]
+    iou_t: Mapped[float | None]
+    iou_p: Mapped[float | None]
+    iou_n: Mapped[float | None]
+    miou: Mapped[float | None]
+    created_ns: Mapped[Ns] = mapped_column(default=now_ns)
+
+    __table_args__ = (Index("uq_reported_phase_method", "phase_id", "method", "modality", unique=True),)
+
+
+class PhaseInput(Base):
+    """What a sequence of a phase looked like to the sensors, without any label, for participants to predict from.
+
+    `name` is the sequence's; files lie in packs as those of an export do.
+    """
+
+    __tablename__ = "phase_inputs"
+    phase_id: Mapped[Id] = mapped_column(ForeignKey("phases.id", ondelete="CASCADE"), primary_key=True)
+    name: Mapped[str] = mapped_column(String(100), primary_key=True)
+    index_sha256: Mapped[str] = mapped_column(ForeignKey("blobs.sha256"), index=True)
+    files: Mapped[int]
+    size_bytes: Mapped[Bytes]
+    tar_bytes: Mapped[Bytes]
+    tar_sha256: Mapped[str] = mapped_column(String(64))
+    created_ns: Mapped[Ns] = mapped_column(default=now_ns)
+
+
+class PhaseInputPack(Base):
+    """A blob in which files of an input lie, as its index numbers them."""
+
+    __tablename__ = "phase_input_packs"
+    phase_id: Mapped[Id] = mapped_column(ForeignKey("phases.id", ondelete="CASCADE"), primary_key=True)
+    name: Mapped[str] = mapped_column(String(100), primary_key=True)
+    ordinal: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    blob_sha256: Mapped[str] = mapped_column(ForeignKey("blobs.sha256"), index=True)
