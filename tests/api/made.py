@@ -5,6 +5,7 @@ make, as rows and blobs of the real store.
 """
 
 from collections.abc import Mapping
+from collections.abc import Sequence as Listing
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -62,9 +63,20 @@ def upload(platform: Platform, owner: Person, content: bytes = b"bag", **columns
     return row.id
 
 
-def labels(platform: Platform, made: Mapping[str, Any], frames: int = 3, seed: bytes = b"") -> Labels:
-    """A label set of the sequence, as the labeler publishes it; the contents are told apart by `seed`."""
-    of_frames = {frame_token(made["name"], START_NS + i): seed + b"labels of %d " % i * (i + 1) for i in range(frames)}
+def labels(
+    platform: Platform,
+    made: Mapping[str, Any],
+    frames: int = 3,
+    seed: bytes = b"",
+    contents: Listing[bytes] = (),
+) -> Labels:
+    """A label set of the sequence, as the labeler publishes it; the contents are told apart by `seed`.
+
+    With `contents` the frames' label files are these.
+    """
+    contents = contents or [seed + b"labels of %d " % i * (i + 1) for i in range(frames)]
+    frames = len(contents)
+    of_frames = {frame_token(made["name"], START_NS + i): content for i, content in enumerate(contents)}
     files = {
         "report.json": b'{"frames": %d, "seed": "%s"}' % (frames, seed),
         "mesh.ply": b"ply\n" + seed + bytes(range(256)) * 40,
