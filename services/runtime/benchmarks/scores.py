@@ -1,0 +1,77 @@
+"""Scores and counted parts come to be, each once, in the caller's transaction.
+
+**Conventions.** Their bytes are prepared before the transaction and linked in it. A job delivered twice writes the same
+row again, which changes nothing.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import delete, select
+from sqlalchemy.orm import Session
+
+from services.runtime.benchmarks.pairs import Pair
+from services.runtime.blobs import PreparedBlob, link_all
+from services.runtime.inserting import insert_new
+from services.runtime.orm import Score, ScorePart, new_id
+from services.runtime.orm.base import now_ns
+
+COLUMNS = ("iou_occ", "iou_t", "iou_p", "iou_n", "miou")
+
+
+@dataclass(frozen=True)
+class NewScore:
+    """What the join of a submission by a pair found; `record` as the board reads it, `total` of it by `COLUMNS`."""
+
+    submission_id: str
+    pair: Pair
+    signature: str
+    record: Mapping[str, Any]
+    confusions: PreparedBlob
+    draws: PreparedBlob
+    content_sha256: str
+
+
+@dataclass(frozen=True)
+class CountedPart:
+    """Frames [start, stop) of a submission against a truth; `counts` as `services/eval/counts.py` packs them."""
+
+    submission_id: str
+    truth_id: str
+    start: int
+    stop: int
+    counts: bytes
+    problems: Mapping[str, Any]
+
+
+def write_score(session: Session, new: NewScore) -> Score:
+    """The score with its blobs; the one that stands already where there is one. Its parts are gone afterwards."""
+    link_all(session, (new.confusions, new.draws))
+    facts = {
+        "id": new_id(),
+        "submission_id": new.submission_id,
+        "truth_id": new.pair.truth_id,
+        "metric": new.pair.metric,
+        "signature": new.signature,
+        "record": dict(new.record),
+        "confusions_sha256": new.confusions.sha256,
+        "draws_sha256": new.draws.sha256,
+        "content_sha256": new.content_sha256,
+        "created_ns": now_ns(),
+    }
+    insert_new(session, Score, [{**facts, **{name: new.record["total"][name] for name in COLUMNS}}])
+    drop_parts(session, new.submission_id, new.pair.truth_id)
+    same = (Score.submission_id == new.submission_id, Score.truth_id == new.pair.truth_id)
+    return session.scalars(select(Score).where(*same, Score.metric == new.pair.metric)).one()
+
+
+def write_part(session: Session, part: CountedPart) -> None:
+    """Keep a counted part until the join, unless it is kept already."""
+    insert_new(session, ScorePart, [{**vars(part), "problems": dict(part.problems)}])
+
+
+def drop_parts(session: Session, submission_id: str, truth_id: str) -> None:
+    """What was counted is joined, or will never be."""
+    of_both = (ScorePart.submission_id == submission_id, ScorePart.truth_id == truth_id)
+    session.execute(delete(ScorePart).where(*of_both))

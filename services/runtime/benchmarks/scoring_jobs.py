@@ -1,0 +1,71 @@
+"""Which jobs score a submission, score one again, and build a ground truth.
+
+    eval.open → eval.part (each range of frames) → eval.join (each pair; the active pair first)
+
+**Conventions.** Arguments hold ids and numbers only. `start`, `stop` count frames in the order of the truth's manifest.
+A join counts by itself what no part has counted, so a small submission needs no parts; and it reads the kept counts
+where the submission was scored against the same truth before, so another metric needs no zip. Keys are unique within a
+run of several submissions.
+"""
+
+from collections.abc import Iterable, Iterator
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from services.runtime.benchmarks.pairs import Pair
+from services.runtime.jobs.specs import JobSpec
+from services.runtime.orm import GroundTruth, Score, Submission
+
+OPEN, PART, JOIN, TRUTH = "eval.open", "eval.part", "eval.join", "eval.truth"
+PART_FRAMES = 500
+
+
+def submission_specs(submission: Submission) -> tuple[JobSpec, ...]:
+    """What a run begins with that checks and, unless its kind is validation, scores a submission."""
+    return (JobSpec(OPEN, {"submission_id": submission.id}, key=f"open {submission.id}"),)
+
+
+def truth_spec(truth: GroundTruth) -> JobSpec:
+    """The job that builds a ground truth."""
+    return JobSpec(TRUTH, {"truth_id": truth.id})
+
+
+def rescore_specs(session: Session, submission_ids: Iterable[str], pair: Pair) -> tuple[JobSpec, ...]:
+    """The jobs that score these submissions by `pair`, in their order; none for those that have that score."""
+    ids = tuple(submission_ids)
+    frames = session.get_one(GroundTruth, pair.truth_id).frames
+    metrics: dict[str, set[str]] = {}
+    scored = select(Score.submission_id, Score.metric).where(Score.truth_id == pair.truth_id)
+    for submission_id, metric in session.execute(scored):
+        metrics.setdefault(submission_id, set()).add(metric)
+    return tuple(
+        spec
+        for submission_id in ids
+        if pair.metric not in metrics.get(submission_id, ())
+        for spec in scoring_specs(submission_id, pair, 0 if submission_id in metrics else frames)
+    )
+
+
+def scoring_specs(submission_id: str, pair: Pair, frames: int, after: str = "") -> tuple[JobSpec, ...]:
+    """Parts of `frames` frames still to be counted (none for one part's worth), then the join; all wait for `after`."""
+    needs = (after,) if after else ()
+    whose = {"submission_id": submission_id, "truth_id": pair.truth_id}
+    parts = tuple(
+        JobSpec(PART, {**whose, "start": start, "stop": stop}, f"part {submission_id} {pair.truth_id} {start}", needs)
+        for start, stop in parts_of(frames)
+    )
+    waits = tuple(part.key for part in parts) or needs
+    return (*parts, JobSpec(JOIN, {**whose, "metric": pair.metric}, join_key(submission_id, pair), waits))
+
+
+def join_key(submission_id: str, pair: Pair) -> str:
+    """By which other jobs of the same batch wait for the join of this pair."""
+    return f"join {submission_id} {pair.truth_id} {pair.metric}"
+
+
+def parts_of(frames: int) -> Iterator[tuple[int, int]]:
+    """[start, stop) of each part; none where one join can count them all."""
+    if frames > PART_FRAMES:
+        for start in range(0, frames, PART_FRAMES):
+            yield start, min(start + PART_FRAMES, frames)
