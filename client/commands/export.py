@@ -17,8 +17,8 @@ FormatOption = Annotated[
     typer.Option(
         "--format",
         metavar="FORMAT",
-        help="nuscenes (release layout), kitti (SemanticKITTI voxels), mesh (PLY, GLB), mcap (Foxglove), rrd (Rerun), "
-        "previews (films, pictures).",
+        help="nuscenes (release layout), inputs (the same without labels), kitti (SemanticKITTI voxels), mesh (PLY, "
+        "GLB), mcap (Foxglove), rrd (Rerun), previews (films, pictures).",
     ),
 ]
 OutputOption = Annotated[

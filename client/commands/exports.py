@@ -12,9 +12,11 @@ from client.tables import show
 
 
 class Format(StrEnum):
-    """What an export is opened with: the nuScenes devkit, SemanticKITTI tools, mesh viewers, Foxglove, Rerun, eyes."""
+    """What an export is opened with: the nuScenes devkit (inputs: without labels), SemanticKITTI tools, mesh viewers,
+    Foxglove, Rerun, eyes."""
 
     NUSCENES = "nuscenes"
+    INPUTS = "inputs"
     KITTI = "kitti"
     MESH = "mesh"
     MCAP = "mcap"

@@ -25,8 +25,9 @@ from services.runtime.recipes import recipe_of
 from stone.sequence import NAME
 
 MANIFEST, CHECKSUMS, FRESH = "export.json", "checksums", ".fresh"
-# What of a report decides an export's bytes; seconds and memory do not.
-DECIDING = ("sequence", "inputs", "parameters", "code_version", "frames", "class_share_of_occupied", "reference", "map")
+# What of a report decides an export's bytes; seconds and memory do not. The first are known without labels.
+SENSED = ("sequence", "inputs", "parameters", "code_version", "frames")
+DECIDING = (*SENSED, "class_share_of_occupied", "reference", "map")
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ def export(request: ExportRequest, open_source: Callable[[], LabelledSequence], 
     """
     exporter, (name, frames) = exporter_of(request.format), _described(request.report)
     known = read_manifest(request.out, request.format)
-    recipe = recipe_of({"format": request.format} | {key: request.report.get(key) for key in DECIDING})
+    recipe = recipe_of({"format": request.format} | {key: request.report.get(key) for key in _deciding(request.format)})
     if name in known and known[name].recipe == recipe:
         return ExportOutcome(request.format, name, "unchanged", known[name].frames, tuple(sorted(known)))
     entry = Entry(recipe, frames, _number(known, name))
@@ -86,6 +87,10 @@ def export(request: ExportRequest, open_source: Callable[[], LabelledSequence], 
         (staging / MANIFEST).write_text(_manifest(request.format, entries), "utf-8")
     status = "replaced" if name in known else "added" if known else "written"
     return ExportOutcome(request.format, name, status, entry.frames, tuple(sorted(entries)), files, size_bytes)
+
+
+def _deciding(format_name: str) -> tuple[str, ...]:
+    return SENSED if format_name == "inputs" else DECIDING
 
 
 def _described(report: Mapping[str, Any]) -> tuple[str, int]:

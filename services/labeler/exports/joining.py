@@ -1,8 +1,9 @@
 """What the sequences of one exported folder share, made of what each brought.
 
-**Conventions.** nuScenes: each sequence's own tables lie in `tables/<sequence>/`, the dataset's in `v1.0-trainval/` are
-theirs one after the other, a row that several bring (a sensor, a class) once. SemanticKITTI: a sequence is a number.
-Other formats share nothing. The result does not depend on the order in which nuScenes sequences were added.
+**Conventions.** nuScenes, with labels or without: each sequence's own tables lie in `tables/<sequence>/`, the dataset's
+in `v1.0-trainval/` are theirs one after the other, a row that several bring (a sensor, a class) once. SemanticKITTI: a
+sequence is a number. Other formats share nothing. The result does not depend on the order in which nuScenes sequences
+were added.
 """
 
 import json
@@ -13,12 +14,13 @@ from services.labeler.exports.kitti import SEQUENCES, write_config
 from services.labeler.exports.tables import SPLITS, TABLES, VERSION, Rows, lines_of, write_splits
 
 OWN_TABLES = "tables"
+TABLED = ("nuscenes", "inputs")
 SHARED_TABLES = frozenset({"attribute", "category", "sensor", "visibility"})
 
 
 def rearrange(format_name: str, fresh: Path, sequence: str, number: int) -> None:
     """Move what an exporter wrote for a sequence alone to where it does not meet other sequences' files."""
-    if format_name == "nuscenes":
+    if format_name in TABLED:
         (fresh / OWN_TABLES).mkdir()
         (fresh / VERSION).rename(fresh / OWN_TABLES / sequence)
         (fresh / OWN_TABLES / sequence / SPLITS).unlink()
@@ -30,7 +32,7 @@ def rearrange(format_name: str, fresh: Path, sequence: str, number: int) -> None
 
 def join(format_name: str, folder: Path, numbers: Mapping[str, int]) -> None:
     """Write what these sequences (name → number) share."""
-    if format_name == "nuscenes":
+    if format_name in TABLED:
         (folder / VERSION).mkdir()
         for table in TABLES:
             _join_table(folder, table, numbers)

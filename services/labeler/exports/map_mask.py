@@ -35,21 +35,32 @@ class Mask:
 
 def mask_of(mesh: MeshFile, places_m: NDArray[np.float64]) -> Mask:
     """The mask of a mesh, as large as it and what is seen from `places_m` (N, 2). Raises `MapTooLargeError`."""
-    corners = [places_m.min(axis=0) - VIEW_M, places_m.max(axis=0) + VIEW_M]
+    corners = list(places_m)
     for rows in _parts(mesh):
         xy = mesh.vertices["xyz"][rows, :2]
         corners += [xy.min(axis=0), xy.max(axis=0)]
-    low = np.floor(np.min(corners, axis=0)).astype(np.int64) - MARGIN_M
-    high = np.ceil(np.max(corners, axis=0)).astype(np.int64) + MARGIN_M
+    mask = _blank(places_m, np.array(corners))
+    for rows in _parts(mesh):
+        xy = mesh.vertices["xyz"][rows, :2][np.isin(mesh.classes(rows), (1, 2))]
+        x, y = np.floor((xy.astype(np.float64) - mask.low_m) / VOXEL_M).astype(np.int64).T
+        mask.is_drivable[x, y] = True
+    return mask
+
+
+def blank_mask(places_m: NDArray[np.float64]) -> Mask:
+    """A mask that says of nothing seen from `places_m` (N, 2) whether one can drive. Raises `MapTooLargeError`."""
+    return _blank(places_m, places_m)
+
+
+def _blank(places_m: NDArray[np.float64], corners_m: NDArray[np.float64]) -> Mask:
+    """All black, as large as what is seen from `places_m` (N, 2) and what lies between `corners_m` (M, 2)."""
+    low_m = np.minimum(places_m.min(axis=0) - VIEW_M, corners_m.min(axis=0))
+    high_m = np.maximum(places_m.max(axis=0) + VIEW_M, corners_m.max(axis=0))
+    low, high = np.floor(low_m).astype(np.int64) - MARGIN_M, np.ceil(high_m).astype(np.int64) + MARGIN_M
     if (high - low > MOST_SIDE_M).any():
         raise MapTooLargeError(float(high[0] - low[0]), float(high[1] - low[1]), MOST_SIDE_M)
     size = np.round((high - low) / VOXEL_M).astype(np.int64)
-    is_drivable = np.zeros((int(size[0]), int(size[1])), np.bool_)
-    for rows in _parts(mesh):
-        xy = mesh.vertices["xyz"][rows, :2][np.isin(mesh.classes(rows), (1, 2))]
-        x, y = np.floor((xy.astype(np.float64) - low) / VOXEL_M).astype(np.int64).T
-        is_drivable[x, y] = True
-    return Mask((int(low[0]), int(low[1])), is_drivable)
+    return Mask((int(low[0]), int(low[1])), np.zeros((int(size[0]), int(size[1])), np.bool_))
 
 
 def write_mask(path: Path, mask: Mask) -> None:

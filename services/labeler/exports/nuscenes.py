@@ -3,111 +3,35 @@
     v1.0-trainval/<table>.json   samples/<CHANNEL>/n001-<UTC>__<CHANNEL>__<µs>.{jpg,pcd.bin,pcd}
     gts/<sequence>/<frame_token>/labels.npz   maps/<token>.png
 
-**Conventions.** Every frame is a key frame, so there are no `sweeps/`. Pictures are as recorded: the devkit projects
-with `camera_intrinsic` alone, so where a lens bends (`camera_distortion` of `calibrated_sensor` is not all zero) it
-errs towards the corners, and so does whoever does not undistort first. There are no boxes: `instance` and
-`sample_annotation` are empty, `category` names the classes of the voxels. Memory holds one frame.
+**Conventions.** As in `services/labeler/exports/nuscenes_samples.py`; the map is shifted by whole metres until all of
+it has positive coordinates, and the mask of it says where one could drive.
 """
 
-from collections.abc import Mapping
 from pathlib import Path
 
-from services.labeler.exports.clouds import lidar_bytes, radar_bytes
 from services.labeler.exports.map_mask import mask_of, write_mask
-from services.labeler.exports.nuscenes_plan import NS_PER_US, Channel, Plan, channels_of
-from services.labeler.exports.nuscenes_rows import add_fixed_rows, add_rig_rows, pose_row
+from services.labeler.exports.nuscenes_plan import Plan, channels_of
+from services.labeler.exports.nuscenes_samples import write_samples
 from services.labeler.exports.ply_file import open_mesh
 from services.labeler.exports.source import LabelledSequence
-from services.labeler.exports.tables import SPLITS, VERSION, Rows, write_splits, written_tables
 from services.labeler.run import Step
-from stone.errors import StoneError
-
-
-class SampleGoneError(StoneError):
-    """A message that the frame table names is not in the recording."""
-
-    code = "sample_gone"
-
-    def __init__(self, channel: str, frame: int) -> None:
-        super().__init__(f"frame {frame} takes a message of {channel} that the recording does not have")
 
 
 def write_nuscenes(source: LabelledSequence, out: Path, step: Step) -> None:
     """Write the sequence into the empty folder `out`.
 
-    Raises what reading samples raises (BAG-*, MSG-*), `DamagedLabelsError`, `MapTooLargeError`.
+    Raises what `write_samples` raises, `DamagedLabelsError`, `MapTooLargeError`.
     """
-    sequence = source.sequence
-    mask = mask_of(open_mesh(source.mesh), sequence.frames.map_from_ego.translation_m[:, :2])
+    sequence, frames = source.sequence, source.sequence.frames
+    mask = mask_of(open_mesh(source.mesh), frames.map_from_ego.translation_m[:, :2])
     plan = Plan(sequence, channels_of(sequence), mask.low_m)
-    for folder in ("maps", *(f"samples/{channel.name}" for channel in plan.channels)):
-        (out / folder).mkdir(parents=True)
+    (out / "maps").mkdir()
     write_mask(out / plan.mask_filename, mask)
-    with written_tables(out / VERSION) as tables:
-        add_fixed_rows(tables)
-        add_rig_rows(tables, plan)
-        for index in range(len(sequence.frames)):
-            _write_frame(source, plan, index, (out, tables))
-            step(index + 1, len(sequence.frames))
-    write_splits(out / VERSION / SPLITS, {"all": [sequence.name]})
 
+    def label(index: int) -> None:
+        labels = out / "gts" / sequence.name / frames.tokens[index] / "labels.npz"
+        labels.parent.mkdir(parents=True)
+        labels.write_bytes(source.labels(index))
+        step(index + 1, len(frames))
 
-def _write_frame(source: LabelledSequence, plan: Plan, index: int, to: tuple[Path, Mapping[str, Rows]]) -> None:
-    out, tables = to
-    frames = plan.sequence.frames
-    token = frames.tokens[index]
-    tables["sample"].add(
-        {
-            "token": token,
-            "timestamp": int(frames.stamps_ns[index]) // NS_PER_US,
-            "prev": frames.tokens[index - 1] if index else "",
-            "next": frames.tokens[index + 1] if index + 1 < len(frames) else "",
-            "scene_token": plan.scene_token,
-        }
-    )
-    labels = out / "gts" / plan.sequence.name / token / "labels.npz"
-    labels.parent.mkdir(parents=True)
-    labels.write_bytes(source.labels(index))
-    for channel in plan.channels:
-        place = channel.place(index)
-        if place is not None:
-            size_px = _write_sample(source, plan, (channel, place), out)
-            tables["ego_pose"].add(pose_row(plan, channel, place))
-            tables["sample_data"].add(_datum_row(plan, channel, place, size_px))
-
-
-def _write_sample(source: LabelledSequence, plan: Plan, datum: tuple[Channel, int], out: Path) -> tuple[int, int]:
-    """Write one file; gives the size of a picture, (0, 0) of anything else."""
-    channel, place = datum
-    index, size_px = int(channel.frames[place]), (0, 0)
-    if channel.modality == "lidar":
-        content = lidar_bytes(source.samples.lidar(index))
-    elif channel.modality == "radar":
-        scan = source.samples.radar(channel.name, index)
-        content = b"" if scan is None else radar_bytes(scan)
-    else:
-        picture = source.samples.camera(channel.name, index)
-        content = b"" if picture is None else picture.content
-        size_px = (0, 0) if picture is None else (picture.width_px, picture.height_px)
-    if not content and channel.modality != "lidar":
-        raise SampleGoneError(channel.name, index)
-    (out / plan.filename(channel, place)).write_bytes(content)
-    return size_px
-
-
-def _datum_row(plan: Plan, channel: Channel, place: int, size_px: tuple[int, int]) -> Mapping[str, object]:
-    token = plan.datum_token(channel, place)
-    return {
-        "token": token,
-        "sample_token": plan.sequence.frames.tokens[channel.frames[place]],
-        "ego_pose_token": token,
-        "calibrated_sensor_token": plan.calibrated_token(channel),
-        "timestamp": int(channel.stamps_ns[place]) // NS_PER_US,
-        "fileformat": "jpg" if channel.modality == "camera" else "pcd",
-        "is_key_frame": True,
-        "height": size_px[1],
-        "width": size_px[0],
-        "filename": plan.filename(channel, place),
-        "prev": plan.datum_token(channel, place - 1),
-        "next": plan.datum_token(channel, place + 1),
-    }
+    write_samples(source.samples, plan, out, label)

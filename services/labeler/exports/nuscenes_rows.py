@@ -103,5 +103,5 @@ def _scene_row(plan: Plan) -> Row:
         "first_sample_token": frames.tokens[0],
         "last_sample_token": frames.tokens[-1],
         "name": plan.sequence.name,
-        "description": f"{len(frames)} frames labelled from {', '.join(sorted(plan.sequence.inputs))}",
+        "description": f"{len(frames)} frames of {', '.join(sorted(plan.sequence.inputs))}",
     }

@@ -31,6 +31,7 @@ class _Late:
 
 EXPORTERS: Mapping[str, Exporter] = {
     "nuscenes": _Late("exports.nuscenes", "write_nuscenes"),
+    "inputs": _Late("exports.inputs", "write_inputs"),
     "kitti": _Late("exports.kitti", "write_kitti"),
     "mesh": _Late("exports.meshes", "write_meshes"),
     "mcap": _Late("exports.foxglove", "write_foxglove"),

@@ -58,7 +58,7 @@ def test_a_folder_that_holds_no_labels_is_refused(tmp_path: Path) -> None:
 def test_a_format_nobody_knows_is_refused(copy: Path) -> None:
     found = refusal(run(copy, "--format", "waymo", "--json"))
     assert found["code"] == "unknown_format"
-    assert "nuscenes, kitti, mesh, mcap, rrd, previews" in found["message"]
+    assert "nuscenes, inputs, kitti, mesh, mcap, rrd, previews" in found["message"]
 
 
 def test_a_recording_that_is_gone_is_refused_and_found_again(copy: Path, drive: Labelled, tmp_path: Path) -> None:

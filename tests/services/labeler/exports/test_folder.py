@@ -155,7 +155,7 @@ def test_other_peoples_folders_and_formats_are_left_alone(drive: Labelled, tmp_p
     exported(drive, tmp_path / "mesh", format_name="mesh")
     with pytest.raises(NotAnExportError, match="in format mesh, not kitti"):
         exported(drive, tmp_path / "mesh", format_name="kitti")
-    with pytest.raises(UnknownFormatError, match="known are nuscenes, kitti, mesh"):
+    with pytest.raises(UnknownFormatError, match="known are nuscenes, inputs, kitti, mesh"):
         exported(drive, tmp_path / "new", format_name="waymo")
 
 
