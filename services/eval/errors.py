@@ -8,6 +8,7 @@ those fits.
 from pathlib import Path
 from typing import ClassVar
 
+from services.runtime.errors import PlatformFaultError
 from stone.errors import StoneError
 
 
@@ -131,3 +132,21 @@ class UnreadableInputError(StoneError):
 
     def __init__(self, path: Path, reason: str) -> None:
         super().__init__(f"{path} cannot be read: {reason}; is the path right?")
+
+
+class ScoringCrashedError(StoneError):
+    """Reading or counting a submission broke its process or its limits; the same bytes would do so again."""
+
+    code = "scoring_crashed"
+
+    def __init__(self, fate: str) -> None:
+        super().__init__(f"the process that read the submission {fate}; was it written by numpy.savez_compressed?")
+
+
+class ScoringInterruptedError(PlatformFaultError):
+    """Reading or counting a submission was cut short by the machine; perhaps no fault of the input."""
+
+    code = "scoring_interrupted"
+
+    def __init__(self, fate: str) -> None:
+        super().__init__(f"the process that read the submission {fate}; it is tried again")
