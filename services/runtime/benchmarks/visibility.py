@@ -110,7 +110,7 @@ def policy_of(viewer: Viewer, phase: Phase, team_id: str, now_ns: int) -> Policy
     return Policy(viewer.relation(team_id), secrecy_of(phase, now_ns), is_named)
 
 
-def submissions_seen(viewer: Viewer) -> Select[tuple[Submission]]:
+def submissions_seen(viewer: Viewer) -> Select[Submission]:
     """The submissions that the viewer may know of: all, or those of their teams and whatever stands on a board."""
     return select(Submission).where(_is_seen(viewer))
 
