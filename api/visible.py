@@ -11,9 +11,23 @@ from sqlalchemy.orm import InstrumentedAttribute, Session, aliased
 
 from api.deps import Caller
 from api.errors import NotFoundError
+from services.runtime.benchmarks.phases import benchmark_named, phase_named
 from services.runtime.dataset_reading import dataset_named
 from services.runtime.exports import counting_labels
-from services.runtime.orm import Calibration, Dataset, Export, Job, LabelledFrame, LabelSet, Recording, Sequence
+from services.runtime.orm import (
+    Benchmark,
+    Calibration,
+    Dataset,
+    Export,
+    Job,
+    LabelledFrame,
+    LabelSet,
+    Phase,
+    Recording,
+    Sequence,
+    Team,
+    TeamMember,
+)
 
 Row = TypeVar("Row")
 
@@ -101,6 +115,32 @@ def frame_of(session: Session, caller: Caller, token: str) -> tuple[LabelledFram
 def dataset_of(session: Session, name: str) -> Dataset:
     """A version of the dataset, which is everybody's. Raises `NotFoundError`."""
     return _known(dataset_named(session, name), "dataset version", name)
+
+
+def benchmark_of(session: Session, name: str) -> Benchmark:
+    """A benchmark, which is everybody's. Raises `NotFoundError`."""
+    return _known(benchmark_named(session, name), "benchmark", name)
+
+
+def phase_at(session: Session, benchmark: str, phase: str) -> Phase:
+    """A phase by its names; phases are everybody's. Raises `NotFoundError`."""
+    return _known(phase_named(session, benchmark, phase), "phase", f"{benchmark}/{phase}")
+
+
+def phase_of(session: Session, phase_id: str) -> Phase:
+    """Raises `NotFoundError`."""
+    return _known(session.get(Phase, phase_id), "phase", phase_id)
+
+
+def teams_of(caller: Caller) -> Select[Team]:
+    """The teams that the caller is a member of; for administrators all."""
+    own = select(TeamMember.team_id).where(TeamMember.user_id == caller.user_id)
+    return select(Team) if caller.is_administrator else select(Team).where(Team.id.in_(own))
+
+
+def team_of(session: Session, caller: Caller, team_id: str) -> Team:
+    """Raises `NotFoundError`."""
+    return _known(session.scalars(teams_of(caller).where(Team.id == team_id)).one_or_none(), "team", team_id)
 
 
 def _known(found: Row | None, kind: str, subject_id: str) -> Row:
