@@ -30,6 +30,8 @@ from services.eval.confined_words import ANSWER, FLOODED, MACHINE, MEMORY, REFUS
 from services.eval.errors import ScoringCrashedError, ScoringInterruptedError
 from stone.errors import StoneError
 
+__all__ = ["LIMITS", "UNWATCHED", "Limits", "Progress", "Watch", "confined", "confined_telling"]
+
 GLANCE_MS = 200
 
 log = structlog.get_logger(__name__)
@@ -79,6 +81,7 @@ class _Child:
             os.close(writing)
             raise
         if self._pid == 0:
+            os.close(self._reading)
             live(Answer(work, limits, writing), parent)
         os.close(writing)
         os.set_blocking(self._reading, False)

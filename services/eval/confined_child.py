@@ -95,7 +95,7 @@ def _limit(limits: Limits) -> None:
     """No core is written: it would hold the ground truth. One arena: others reserve 64 MiB of the allowance each."""
     ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)
     taken = {int(name) for name in os.listdir(DESCRIPTORS)}
-    free = islice((number for number in count() if number not in taken), limits.descriptors + 1)
+    free = islice((number for number in count() if number not in taken), limits.descriptors)
     held_bytes = int(STATM.read_text().split()[0]) * resource.getpagesize()
     _lower(resource.RLIMIT_NOFILE, max(free))  # it bounds the number of the next one, not how many there are
     _lower(resource.RLIMIT_FSIZE, 0)
