@@ -3,18 +3,16 @@
     start_rescore → (its run) → rescore_progress, the difference → activate, or abandon
 
 **Conventions.** A re-score is pending until it is activated or abandoned; meanwhile new submissions are scored by its
-pair too (`pairs.py`). Standing are scored entries and baselines that were not withdrawn; hidden ones stand, since they
-may be shown again. Gone are those of them that can have no new score because their zip was purged: they keep their old
-one and leave the board. Whoever starts, activates or abandons locks the phase's row first.
+pair too (`pairs.py`). Whoever starts, activates or abandons locks the phase's row first.
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
-from sqlalchemy import ColumnElement, Select, and_, exists, func, or_, select
-from sqlalchemy.orm import Session, aliased
+from sqlalchemy import select
+from sqlalchemy.orm import Session
 
 from services.runtime.benchmarks.pairs import Pair, active, in_force
+from services.runtime.benchmarks.phases import lock_phase
 from services.runtime.benchmarks.rescore_errors import (
     AlreadyActiveError,
     BoardMovedError,
@@ -23,70 +21,52 @@ from services.runtime.benchmarks.rescore_errors import (
     RescoreStateError,
     TruthNotReadyError,
 )
-from services.runtime.benchmarks.scoring_jobs import JOIN, rescore_specs
+from services.runtime.benchmarks.rescore_progress import lacking_ids, rescore_progress
+from services.runtime.benchmarks.scoring_jobs import rescore_specs
 from services.runtime.jobs import steering
 from services.runtime.jobs.queueing import enqueue_run
 from services.runtime.jobs.specs import TERMINAL, Context
-from services.runtime.orm import Activation, GroundTruth, Job, Phase, Rescore, Score, Submission, User
+from services.runtime.orm import Activation, GroundTruth, Job, Phase, Rescore
 from services.runtime.orm.base import now_ns
 from stone.metric import metric_of
 
 RUN = "phase.rescore"
 PRIORITY = -10  # new submissions first
-RANKED_KINDS = ("entry", "baseline")
 
 
 @dataclass(frozen=True)
-class RescoreProgress:
-    """Of `total` standing submissions `scored` have their new score, `missing` can still get it, `gone` cannot.
+class NewRescore:
+    """What an administrator asks for, and why."""
 
-    `in_flight` were being scored when the re-score began, and will lack the new score when they are done.
-    """
-
-    total: int
-    scored: int
-    missing: int
-    gone: int
-    in_flight: int
-
-    @property
-    def is_complete(self) -> bool:
-        return not self.missing and not self.in_flight
+    pair: Pair
+    user_id: str
+    reason: str
 
 
-def start_rescore(session: Session, phase: Phase, pair: Pair, user: User, reason: str) -> tuple[Rescore, Job | None]:
-    """The re-score of the phase by `pair`, and the run that scores what lacks it; None where nothing does.
+def start_rescore(session: Session, phase: Phase, asked: NewRescore) -> tuple[Rescore, Job | None]:
+    """The re-score of the phase by the pair, and the run that scores what lacks it; None where nothing does.
 
     Where one by this pair is pending, it is that one: its run goes on, or, has that ended, another takes up what is
     missing. Raises `UnknownMetricError`, `ForeignTruthError`, `TruthNotReadyError`, `AlreadyActiveError`,
     `QueueDrainingError`.
     """
     lock_phase(session, phase.id)
+    pair = asked.pair
     _check(session, phase, pair)
-    rescore = _pending(session, phase, pair) or _new(session, phase, pair, user, reason)
+    rescore = _pending(session, phase, pair) or _new(session, phase, asked)
     run = session.get(Job, rescore.job_id) if rescore.job_id else None
     if run is not None and run.state not in TERMINAL:
         return rescore, run
-    specs = rescore_specs(session, session.scalars(_lacking(phase.id, pair)).all(), pair)
+    specs = rescore_specs(session, lacking_ids(session, phase.id, pair), pair)
     if not specs:
         return rescore, None
-    run = enqueue_run(session, RUN, specs, Context(user.id, priority=PRIORITY))
+    run = enqueue_run(session, RUN, specs, Context(asked.user_id, priority=PRIORITY))
     rescore.job_id = run.id
     session.flush()
     return rescore, run
 
 
-def rescore_progress(session: Session, rescore: Rescore) -> RescoreProgress:
-    """How far it is, judged by the scores there are and not by its run."""
-    pair = Pair(rescore.truth_id, rescore.metric)
-    of_phase = _standing(rescore.phase_id)
-    total, scored = _count(session, of_phase), _count(session, of_phase.where(_has_score(pair)))
-    missing = _count(session, _lacking(rescore.phase_id, pair))
-    in_flight = len(_uncovered(session, rescore.phase_id, pair))
-    return RescoreProgress(total, scored, missing, total - scored - missing, in_flight)
-
-
-def activate(session: Session, rescore: Rescore, expected_activation_id: str | None, user: User) -> Activation:
+def activate(session: Session, rescore: Rescore, expected_activation_id: str | None, user_id: str) -> Activation:
     """Switch the board to the pair of `rescore`, at once and as a whole; the old pair stays readable.
 
     Raises `RescoreStateError`, `TruthNotReadyError`, `RescoreIncompleteError`, and `BoardMovedError` where another
@@ -103,7 +83,7 @@ def activate(session: Session, rescore: Rescore, expected_activation_id: str | N
         raise RescoreIncompleteError(progress.missing, progress.in_flight)
     moment_ns = max(now_ns(), now_there.activated_ns + 1 if now_there else 0)
     row = Activation(phase_id=rescore.phase_id, truth_id=rescore.truth_id, metric=rescore.metric)
-    row.rescore_id, row.activated_by, row.activated_ns = rescore.id, user.id, moment_ns
+    row.rescore_id, row.activated_by, row.activated_ns = rescore.id, user_id, moment_ns
     session.add(row)
     rescore.activated_ns = moment_ns
     session.flush()
@@ -128,16 +108,6 @@ def old_pair(session: Session, rescore: Rescore) -> Pair | None:
     """What the re-score is held against: the pair on the board now, or before its own activation."""
     until_ns = None if rescore.activated_ns is None else rescore.activated_ns - 1
     return active(session, rescore.phase_id, until_ns)
-
-
-def lock_phase(session: Session, phase_id: str) -> None:
-    """Until the end of the transaction; on SQLite that is the lock itself."""
-    session.execute(select(Phase.id).where(Phase.id == phase_id).with_for_update(key_share=True))
-
-
-def standing_ids(session: Session, phase_id: str) -> list[str]:
-    """The submissions of the phase that stand, oldest first."""
-    return list(session.scalars(_standing(phase_id).order_by(Submission.id)))
 
 
 def _check(session: Session, phase: Phase, pair: Pair) -> None:
@@ -168,44 +138,9 @@ def _pending(session: Session, phase: Phase, pair: Pair) -> Rescore | None:
     return session.scalars(open_ones.order_by(Rescore.id).limit(1)).first()
 
 
-def _new(session: Session, phase: Phase, pair: Pair, user: User, reason: str) -> Rescore:
-    row = Rescore(phase_id=phase.id, truth_id=pair.truth_id, metric=pair.metric, reason=reason, created_by=user.id)
+def _new(session: Session, phase: Phase, asked: NewRescore) -> Rescore:
+    row = Rescore(phase_id=phase.id, truth_id=asked.pair.truth_id, metric=asked.pair.metric, reason=asked.reason)
+    row.created_by = asked.user_id
     session.add(row)
     session.flush()
     return row
-
-
-def _standing(phase_id: str) -> Select[str]:
-    of_phase = (Submission.phase_id == phase_id, Submission.kind.in_(RANKED_KINDS), Submission.state == "scored")
-    return select(Submission.id).where(*of_phase, Submission.withdrawn_ns.is_(None))
-
-
-def _has_score(pair: Pair) -> ColumnElement[bool]:
-    by_pair = (Score.truth_id == pair.truth_id, Score.metric == pair.metric)
-    return exists().where(Score.submission_id == Submission.id, *by_pair)
-
-
-def _lacking(phase_id: str, pair: Pair) -> Select[str]:
-    """Standing submissions without the score that can have it: from their zip, or from counts that are kept."""
-    counted = aliased(Score)
-    has_counts = exists().where(counted.submission_id == Submission.id, counted.truth_id == pair.truth_id)
-    can_be_scored = or_(Submission.blob_sha256.is_not(None), has_counts)
-    return _standing(phase_id).where(and_(~_has_score(pair), can_be_scored)).order_by(Submission.id)
-
-
-def _uncovered(session: Session, phase_id: str, pair: Pair) -> list[str]:
-    """Submissions being scored whose run was made before the pair was pending, so that it has no join for it."""
-    kinds = (Submission.phase_id == phase_id, Submission.kind.in_(RANKED_KINDS), Submission.state == "scoring")
-    scoring = dict(session.execute(select(Submission.id, Submission.job_id).where(*kinds, ~_has_score(pair))).all())
-    return sorted(scoring.keys() - _joined_by(session, scoring.values(), pair))
-
-
-def _joined_by(session: Session, run_ids: Iterable[str | None], pair: Pair) -> set[str]:
-    """The submissions that a join of these runs scores by the pair."""
-    joins = select(Job.arguments).where(Job.root_id.in_([one for one in run_ids if one]), Job.kind == JOIN)
-    asked = [arguments for arguments in session.scalars(joins) if arguments]
-    return {one["submission_id"] for one in asked if Pair(one["truth_id"], one["metric"]) == pair}
-
-
-def _count(session: Session, ids: Select[str]) -> int:
-    return session.scalar(select(func.count()).select_from(ids.order_by(None).subquery())) or 0

@@ -1,0 +1,91 @@
+"""How far a re-score is: which submissions stand, have their new score, can still get it, or cannot.
+
+**Conventions.** Standing are scored entries and baselines that were not withdrawn; hidden ones stand, since they may be
+shown again. Gone are those of them that can have no new score because their zip was purged: they keep their old one and
+leave the board.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from sqlalchemy import ColumnElement, Select, and_, exists, func, or_, select
+from sqlalchemy.orm import Session, aliased
+
+from services.runtime.benchmarks.pairs import Pair
+from services.runtime.benchmarks.scoring_jobs import JOIN
+from services.runtime.benchmarks.visibility import ON_BOARDS
+from services.runtime.orm import Job, Rescore, Score, Submission
+
+
+@dataclass(frozen=True)
+class RescoreProgress:
+    """Of `total` standing submissions `scored` have their new score, `missing` can still get it, `gone` cannot.
+
+    `in_flight` were being scored when the re-score began, and will lack the new score when they are done.
+    """
+
+    total: int
+    scored: int
+    missing: int
+    gone: int
+    in_flight: int
+
+    @property
+    def is_complete(self) -> bool:
+        return not self.missing and not self.in_flight
+
+
+def rescore_progress(session: Session, rescore: Rescore) -> RescoreProgress:
+    """How far it is, judged by the scores there are and not by its run."""
+    pair = Pair(rescore.truth_id, rescore.metric)
+    of_phase = _standing(rescore.phase_id)
+    total, scored = _count(session, of_phase), _count(session, of_phase.where(_has_score(pair)))
+    missing = _count(session, _lacking(rescore.phase_id, pair))
+    in_flight = len(_uncovered(session, rescore.phase_id, pair))
+    return RescoreProgress(total, scored, missing, total - scored - missing, in_flight)
+
+
+def lacking_ids(session: Session, phase_id: str, pair: Pair) -> list[str]:
+    """Standing submissions that have no score by the pair and can get one, oldest first."""
+    return list(session.scalars(_lacking(phase_id, pair)))
+
+
+def standing_ids(session: Session, phase_id: str) -> list[str]:
+    """The submissions of the phase that stand, oldest first."""
+    return list(session.scalars(_standing(phase_id).order_by(Submission.id)))
+
+
+def _standing(phase_id: str) -> Select[str]:
+    of_phase = (Submission.phase_id == phase_id, Submission.kind.in_(ON_BOARDS), Submission.state == "scored")
+    return select(Submission.id).where(*of_phase, Submission.withdrawn_ns.is_(None))
+
+
+def _has_score(pair: Pair) -> ColumnElement[bool]:
+    by_pair = (Score.truth_id == pair.truth_id, Score.metric == pair.metric)
+    return exists().where(Score.submission_id == Submission.id, *by_pair)
+
+
+def _lacking(phase_id: str, pair: Pair) -> Select[str]:
+    """Standing submissions without the score that can have it: from their zip, or from counts that are kept."""
+    counted = aliased(Score)
+    has_counts = exists().where(counted.submission_id == Submission.id, counted.truth_id == pair.truth_id)
+    can_be_scored = or_(Submission.blob_sha256.is_not(None), has_counts)
+    return _standing(phase_id).where(and_(~_has_score(pair), can_be_scored)).order_by(Submission.id)
+
+
+def _uncovered(session: Session, phase_id: str, pair: Pair) -> list[str]:
+    """Submissions being scored whose run was made before the pair was pending, so that it has no join for it."""
+    kinds = (Submission.phase_id == phase_id, Submission.kind.in_(ON_BOARDS), Submission.state == "scoring")
+    scoring = dict(session.execute(select(Submission.id, Submission.job_id).where(*kinds, ~_has_score(pair))).all())
+    return sorted(scoring.keys() - _joined_by(session, scoring.values(), pair))
+
+
+def _joined_by(session: Session, run_ids: Iterable[str | None], pair: Pair) -> set[str]:
+    """The submissions that a join of these runs scores by the pair."""
+    joins = select(Job.arguments).where(Job.root_id.in_([one for one in run_ids if one]), Job.kind == JOIN)
+    asked = [arguments for arguments in session.scalars(joins) if arguments]
+    return {one["submission_id"] for one in asked if Pair(one["truth_id"], one["metric"]) == pair}
+
+
+def _count(session: Session, ids: Select[str]) -> int:
+    return session.scalar(select(func.count()).select_from(ids.order_by(None).subquery())) or 0
