@@ -14,7 +14,8 @@ from sqlalchemy import ColumnElement, Row, case, func, select
 from sqlalchemy.orm import Session
 
 from services.runtime.benchmarks.submission_errors import ScoringsExhaustedError
-from services.runtime.orm import Phase, ScoringEntry, Team
+from services.runtime.benchmarks.teams import lock_team
+from services.runtime.orm import Phase, ScoringEntry
 from services.runtime.orm.base import now_ns
 
 RESERVED, CONSUMED, GRANTED = "reserved", "consumed", "granted"
@@ -34,11 +35,6 @@ class Standing:
     total_left: int | None
     next_slot_ns: int | None
     window_ns: int
-
-
-def lock_team(session: Session, team_id: str) -> None:
-    """Hold the team's row until the transaction ends. On SQLite the transaction itself is the lock."""
-    session.execute(select(Team.id).where(Team.id == team_id).with_for_update(key_share=True))
 
 
 def reserve(session: Session, phase: Phase, team_id: str, submission_id: str) -> None:

@@ -2,9 +2,8 @@
 
 from datetime import UTC, datetime
 
+from services.runtime.benchmarks.phases import DAY_NS
 from stone.errors import StoneError
-
-DAY_NS = 86_400 * 10**9
 
 
 class ExhaustedError(StoneError):
@@ -45,15 +44,6 @@ class PhaseClosedError(StoneError):
             super().__init__(f"phase {name!r} opens at {_moment(opens_ns)}; it is {_moment(now_ns)} now")
         else:
             super().__init__(f"phase {name!r} closed at {_moment(closes_ns or now_ns)} and takes no submissions")
-
-
-class PhaseUnreadyError(StoneError):
-    """Nothing can be scored in the phase yet."""
-
-    code = "phase_unready"
-
-    def __init__(self, name: str) -> None:
-        super().__init__(f"the ground truth of phase {name!r} is not ready yet; try again once its manifest is there")
 
 
 class SubmissionStateError(StoneError):
