@@ -73,6 +73,19 @@ class UploadSettings:
 
 
 @dataclass(frozen=True)
+class SubmissionSettings:
+    """`participant_bytes` is what a participant may have stored or under way, whose uploads are submissions only.
+
+    A draft for which nothing was sent goes after `draft_s`, the file of a submission that counts for nothing after
+    `purged_after_s`.
+    """
+
+    participant_bytes: int = 60 * GIB
+    draft_s: float = 7 * 86400.0
+    purged_after_s: float = 30 * 86400.0
+
+
+@dataclass(frozen=True)
 class ApiSettings:
     """`url` is where browsers and commands reach the API; it also decides whether cookies are `Secure`.
 
@@ -108,6 +121,7 @@ class Settings(BaseSettings):
     broker: BrokerSettings = BrokerSettings()
     jobs: JobSettings = JobSettings()
     uploads: UploadSettings = UploadSettings()
+    submissions: SubmissionSettings = SubmissionSettings()
     api: ApiSettings = ApiSettings()
 
     @cached_property
