@@ -4,6 +4,8 @@
 of one bit a voxel; a column (32 voxels along z) is one uint32. Columns are sorted by ring — the horizontal distance of
 the column's centre from the ego origin, half-open: 0–10, 10–20, from 20 m — so that each ring is one contiguous run of
 words. Truth planes are ANDed with the plane of evaluated voxels beforehand. Confusions are [ring, truth, prediction].
+Seen from above, a column is drivable where its evaluated voxels hold a T or P and no N; columns drivable in both, in
+the truth only and in the prediction only are counted [ring, 3].
 
 Source: counts of unions from counts of intersections by inclusion–exclusion; the planes are a bitmap index (O'Neil and
 Quass, 1997).
@@ -22,17 +24,18 @@ from numpy.typing import NDArray
 from stone.errors import ShapeError, StoneError
 from stone.grid import GRID_SHAPE, Grid
 from stone.lanes import popcount
+from stone.metric import CLASSES
 from stone.voxels import VOXEL_M
 
 RING_EDGES_M = (10.0, 20.0)
 RINGS = len(RING_EDGES_M) + 1
-CLASSES = 4
 VOXELS = GRID_SHAPE[0] * GRID_SHAPE[1] * GRID_SHAPE[2]
 COLUMNS = VOXELS // 32
 WORDS = VOXELS // 64
 
 Planes = NDArray[np.uint64]
 Confusion = NDArray[np.int32]
+Drivable = NDArray[np.int32]
 
 
 class LabelRangeError(StoneError):
@@ -56,6 +59,14 @@ class TruthPlanes:
 
     planes: Planes
     counts: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class FrameCounts:
+    """What is kept of a frame: `confusion` (3, 4, 4) [ring, truth, prediction] in voxels, `bev` (3, 3) in columns."""
+
+    confusion: Confusion
+    bev: Drivable
 
 
 def column_rings() -> NDArray[np.int64]:
@@ -170,6 +181,24 @@ def _joint(
 
 
 @njit(cache=True, nogil=True)
+def _drivable(truth: Any, evaluated: Any, low: Any, high: Any, bev: NDArray[np.int64]) -> None:
+    """Columns drivable in (both, truth, prediction) added; one uint32 a column."""
+    truth_low, truth_high = truth
+    both = in_truth = in_prediction = np.int64(0)
+    for i in range(low.size):
+        p1, p2 = low[i] & evaluated[i], high[i] & evaluated[i]
+        g1, g2 = truth_low[i], truth_high[i]
+        p = ((p1 & p2) == 0) & ((p1 | p2) != 0)
+        g = ((g1 & g2) == 0) & ((g1 | g2) != 0)
+        both += p & g
+        in_truth += g
+        in_prediction += p
+    bev[0] += both
+    bev[1] += in_truth
+    bev[2] += in_prediction
+
+
+@njit(cache=True, nogil=True)
 def _exact(joint: NDArray[np.int64]) -> None:
     """Inclusion–exclusion in place: counts of (any, low, high, both) become counts of classes 0–3, on both axes."""
     for k in range(4):
@@ -183,21 +212,26 @@ def _exact(joint: NDArray[np.int64]) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _confuse(voxels: Grid, truth: Planes, counts: NDArray[np.int64], schedule: Any, out: Confusion) -> np.uint32:
-    """The confusion of each ring; returns not 0 if a voxel is above 3."""
+def _count(voxels: Grid, truth: Planes, counts: NDArray[np.int64], schedule: Any, outs: Any) -> np.uint32:
+    """The counts of each ring; returns not 0 if a voxel is above 3."""
     runs, chunks = schedule
     low, high, beyond = np.empty(_CHUNK, np.uint32), np.empty(_CHUNK, np.uint32), np.uint32(0)
-    joint = np.zeros((counts.shape[0], 4, 4), np.int64)
+    joint, bev = np.zeros((counts.shape[0], 4, 4), np.int64), np.zeros((counts.shape[0], 3), np.int64)
+    columns = truth.view(np.uint32)
     for c in range(chunks.shape[0]):
         ring, start, stop, first, last = chunks[c]
         beyond |= _pack(voxels, runs[first:last], start, low, high)
         a, b, words = start // 2, stop // 2, (stop - start) // 2
         packed_low, packed_high = low.view(np.uint64)[:words], high.view(np.uint64)[:words]
         _joint(truth[0, a:b], truth[1, a:b], truth[2, a:b], packed_low, packed_high, joint[ring])
+        truth_columns = (columns[0, start:stop], columns[1, start:stop])
+        _drivable(truth_columns, columns[2, start:stop], low[: stop - start], high[: stop - start], bev[ring])
     for ring in range(counts.shape[0]):
         joint[ring, :, 0] = counts[ring]
         _exact(joint[ring])
-        out[ring] = joint[ring]
+        outs[0][ring] = joint[ring]
+        bev[ring, 1:] -= bev[ring, 0]
+        outs[1][ring] = bev[ring]
     return beyond
 
 
@@ -216,15 +250,21 @@ def truth_planes(grid: Grid, is_evaluated: NDArray[np.bool_]) -> TruthPlanes:
     return TruthPlanes(planes, counts)
 
 
-def confusion_by_ring(prediction: Grid, truth: TruthPlanes) -> Confusion:
-    """[ring, truth, prediction] (3, 4, 4) int32 of one frame, over the evaluated voxels.
+def count_by_ring(prediction: Grid, truth: TruthPlanes, confusion_out: Confusion, bev_out: Drivable) -> None:
+    """Write the confusion (3, 4, 4) and the drivable columns (3, 3) of one frame, over the evaluated voxels.
 
-    Raises `ShapeError` for other shapes than (256, 256, 32) and `LabelRangeError` for values above 3, evaluated or not.
+    Raises `ShapeError` for other shapes than (256, 256, 32) and `LabelRangeError` for values above 3, evaluated or not;
+    then what was written means nothing.
     """
-    out = np.empty((RINGS, CLASSES, CLASSES), np.int32)
-    if _confuse(_voxels(prediction), truth.planes, truth.counts, (_RUNS, _CHUNKS), out):
+    if _count(_voxels(prediction), truth.planes, truth.counts, (_RUNS, _CHUNKS), (confusion_out, bev_out)):
         raise LabelRangeError(int(prediction.max()))
-    return out
+
+
+def frame_counts(prediction: Grid, truth: TruthPlanes) -> FrameCounts:
+    """What `count_by_ring` writes, as a value. Raises what it raises."""
+    counts = FrameCounts(np.empty((RINGS, CLASSES, CLASSES), np.int32), np.empty((RINGS, 3), np.int32))
+    count_by_ring(prediction, truth, counts.confusion, counts.bev)
+    return counts
 
 
 def _sorted_planes(grid: Grid) -> tuple[Planes, Planes]:

@@ -2,17 +2,12 @@
 
 **Conventions.** Classes: 0 free, 1 traversable (T), 2 potentially traversable (P), 3 non-traversable (N). Rows are the
 ground truth, columns the prediction; counts of voxels, int64 in totals (int32 per frame and ring). Leading axes are
-batch axes.
+batch axes. Ratios are in the order of `stone.metric.RATIOS`; what they mean is written in `stone.metric`.
 
-    IoU_occ = |truth occupied ∧ predicted occupied| / |truth occupied ∨ predicted occupied|
-    IoU_c   = |truth c ∧ predicted c| / |truth c ∨ predicted c|,  c ∈ {T, P, N},  over all evaluated voxels
-    mIoU    = (IoU_T + IoU_P + IoU_N) / 3
-    within occupied: the same IoU_c with only the voxels that the ground truth calls occupied.
-
-A ratio over an empty union (the class is in neither) is undefined: NaN in arrays, None in `Ious`; never 0, never 1. A
+A ratio over an empty union (the class is in neither) is undefined: NaN in arrays, None in records; never 0, never 1. A
 mean over an undefined part is undefined too: a mean of two classes is not comparable with a mean of three.
 
-Source: Jaccard (1912); the two variants of IoU_c are the two readings of the STONE paper's "within occupied voxels".
+Source: Jaccard (1912); the two metrics are the two readings of the STONE paper's "within occupied voxels".
 """
 
 from collections.abc import Mapping
@@ -23,43 +18,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stone.bitplanes import CLASSES
 from stone.errors import ShapeError
-from stone.grid import GRID_SHAPE
-from stone.voxels import VOXEL_M
+from stone.metric import CLASS_NAMES, CLASSES, METRIC_VERSION, OCCUPIED_VERSION, RATIOS, metric_of
 
-METRIC_VERSION = "stone-iou-1"
-CLASS_NAMES = ("free", "T", "P", "N")
 OCCUPIED = slice(1, None)
+T, N = CLASS_NAMES.index("T"), CLASS_NAMES.index("N")
 
 Counts = NDArray[np.integer[Any]]
 Ratios = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Ious:
-    """The ratios of one confusion, each in [0, 1] or None where undefined."""
+class Extras:
+    """What an off-road user asks beside the ranking; each in [0, 1] or None where undefined."""
 
-    iou_occ: float | None
-    iou_t: float | None
-    iou_p: float | None
-    iou_n: float | None
-    miou: float | None
-
-
-@dataclass(frozen=True)
-class Signature:
-    """What makes two scores comparable; a board never mixes signatures (after sacrebleu)."""
-
-    ground_truth: str
-    mask: str
-    metric: str = METRIC_VERSION
-
-    def __str__(self) -> str:
-        """`truth` is the first 16 hex digits of the hash of everything that was evaluated."""
-        grid = "x".join(map(str, GRID_SHAPE)) + f"@{VOXEL_M}m"
-        classes = ",".join(f"{index}={name}" for index, name in enumerate(CLASS_NAMES))
-        return f"metric:{self.metric}|truth:{self.ground_truth[:16]}|mask:{self.mask}|grid:{grid}|classes:{classes}"
+    n_predicted_t_ratio: float | None
+    t_predicted_n_ratio: float | None
+    bev_drivable_iou: float | None
 
 
 def confusion_matrix(truth: Counts, prediction: Counts, is_evaluated: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -71,6 +46,33 @@ def confusion_matrix(truth: Counts, prediction: Counts, is_evaluated: NDArray[np
         raise ShapeError("prediction", prediction.shape, f"the shape {truth.shape} of truth and of the mask")
     pairs = truth[is_evaluated].astype(np.int64) * CLASSES + prediction[is_evaluated]
     return np.bincount(pairs, minlength=CLASSES**2).reshape(CLASSES, CLASSES).astype(np.int64)
+
+
+def ratios(confusions: Counts, metric: str = METRIC_VERSION) -> Ratios:
+    """(..., 5) of confusions (..., 4, 4), NaN where undefined.
+
+    Raises `ShapeError` for other shapes and `UnknownMetricError`.
+    """
+    counts = _checked(confusions)
+    of_classes = iou_classes(within_occupied(counts) if metric_of(metric).version == OCCUPIED_VERSION else counts)
+    parts = (iou_occupied(counts)[..., None], of_classes, of_classes.mean(axis=-1, keepdims=True))
+    return np.concatenate(parts, axis=-1)
+
+
+def named_ratios(confusion: Counts, metric: str = METRIC_VERSION) -> dict[str, float | None]:
+    """The ratios of one confusion (4, 4) by name, None where undefined. Raises as `ratios` does."""
+    return dict(zip(RATIOS, map(_or_none, ratios(confusion, metric).tolist()), strict=True))
+
+
+def extras(confusion: Counts, bev: Counts) -> Extras:
+    """Of one confusion (4, 4) and of columns drivable in (both, truth only, prediction only) (3,)."""
+    counts = _checked(confusion)
+    of_truth = counts.sum(axis=-1)
+    return Extras(
+        n_predicted_t_ratio=_or_none(float(_ratio(counts[N, T], of_truth[N]))),
+        t_predicted_n_ratio=_or_none(float(_ratio(counts[T, N], of_truth[T]))),
+        bev_drivable_iou=_or_none(float(_ratio(bev[0].astype(np.int64), bev.sum(dtype=np.int64)))),
+    )
 
 
 def iou_occupied(confusion: Counts) -> Ratios:
@@ -101,12 +103,6 @@ def within_occupied(confusion: Counts) -> NDArray[np.int64]:
     return counts
 
 
-def ious(confusion: Counts) -> Ious:
-    """All ratios of one confusion (4, 4)."""
-    parts = [float(iou_occupied(confusion)), *map(float, iou_classes(confusion)), float(mean_iou(confusion))]
-    return Ious(*(None if isnan(part) else part for part in parts))
-
-
 def supports(confusion: Counts) -> Mapping[str, int]:
     """Voxels of each class in the ground truth of one confusion (4, 4)."""
     return dict(zip(CLASS_NAMES, _checked(confusion).sum(axis=-1).tolist(), strict=True))
@@ -118,6 +114,10 @@ def _checked(confusion: Counts) -> NDArray[np.int64]:
     return confusion.astype(np.int64)
 
 
-def _ratio(part: NDArray[np.int64], whole: NDArray[np.int64]) -> Ratios:
+def _ratio(part: Counts, whole: Counts) -> Ratios:
     undefined = np.full(np.shape(whole), np.nan)
     return np.asarray(np.divide(part, whole, out=undefined, where=np.asarray(whole) > 0), dtype=np.float64)
+
+
+def _or_none(ratio: float) -> float | None:
+    return None if isnan(ratio) else ratio

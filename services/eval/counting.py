@@ -1,11 +1,13 @@
 """Frames of a submission, a thread each block: read, checked, counted; whatever is wrong is collected.
 
-**Conventions.** `deflate` and the numba kernels release the interpreter, so threads share cores. Progress is called
-from the calling thread only. At any time each thread holds one frame.
+**Conventions.** Counts are in the order of the tokens asked for. A frame that is missing or refused counts zero and has
+its problem; nothing stops at the first. `deflate` and the numba kernels release the interpreter, so threads share
+cores. Progress is called from the calling thread only. At any time each thread holds one frame.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -14,14 +16,26 @@ from services.eval.errors import LabelOutOfRangeError, SubmissionError
 from services.eval.npz_frame import prediction_grid
 from services.eval.submission_zip import Submission
 from services.eval.validation import Problem, problem_of
-from stone.bitplanes import CLASSES, Confusion, LabelRangeError, TruthPlanes, confusion_by_ring
+from stone.bitplanes import RINGS, Confusion, Drivable, LabelRangeError, TruthPlanes, count_by_ring
 from stone.grid import Grid
+from stone.metric import CLASSES
 
 Progress = Callable[[str, int, int], None]
+TruthOf = Callable[[str], TruthPlanes]
 T = TypeVar("T")
 
+THREADS = 2
 BLOCK = 32
 HIGHEST_LABEL = CLASSES - 1
+
+
+@dataclass(frozen=True, eq=False)
+class Counted:
+    """Of F frames: `confusions` [F, ring, truth, prediction] and `bev` [F, ring, 3] int32, and what was refused."""
+
+    confusions: Confusion
+    bev: Drivable
+    problems: tuple[Problem, ...]
 
 
 def silent(stage: str, done: int, total: int) -> None:
@@ -31,6 +45,46 @@ def silent(stage: str, done: int, total: int) -> None:
 def frame_grid(submission: Submission, token: str) -> Grid:
     """The grid of one frame, its values not yet looked at. Raises leaves of `SubmissionError`."""
     return prediction_grid(submission.read(token))
+
+
+def count_range(
+    submission: Submission,
+    tokens: Sequence[str],
+    truth_of: TruthOf,
+    *,
+    threads: int = THREADS,
+    progress: Progress = silent,
+) -> Counted:
+    """The counts of these frames, every check on. What is wrong with the archive as a whole is not told again.
+
+    Raises what `truth_of` raises.
+    """
+    counted = Counted(
+        np.zeros((len(tokens), RINGS, CLASSES, CLASSES), np.int32), np.zeros((len(tokens), RINGS, 3), np.int32), ()
+    )
+
+    def one(index: int) -> Problem | None:
+        if tokens[index] not in submission.frames:
+            return None
+        truth = truth_of(tokens[index])
+        problem = count_frame(submission, tokens[index], truth, (counted.confusions[index], counted.bev[index]))
+        if problem is not None:
+            counted.confusions[index], counted.bev[index] = 0, 0
+        return problem
+
+    found = in_threads(one, len(tokens), threads, progress=progress, stage="score")
+    return replace(counted, problems=tuple(problem for problem in found if problem is not None))
+
+
+def check_range(
+    submission: Submission, tokens: Sequence[str], *, threads: int = THREADS, progress: Progress = silent
+) -> tuple[Problem, ...]:
+    """What is wrong with these frames, short of what only the ground truth knows."""
+    here = [token for token in tokens if token in submission.frames]
+    found = in_threads(
+        lambda index: validate_frame(submission, here[index]), len(here), threads, progress=progress, stage="validate"
+    )
+    return tuple(problem for problem in found if problem is not None)
 
 
 def validate_frame(submission: Submission, token: str) -> Problem | None:
@@ -44,12 +98,14 @@ def validate_frame(submission: Submission, token: str) -> Problem | None:
     return _refusal(submission, token, look)
 
 
-def count_frame(submission: Submission, token: str, truth: TruthPlanes, out: Confusion) -> Problem | None:
-    """Write the confusion (3, 4, 4) of one frame to `out`, or say why it is refused."""
+def count_frame(
+    submission: Submission, token: str, truth: TruthPlanes, outs: tuple[Confusion, Drivable]
+) -> Problem | None:
+    """Write the confusion (3, 4, 4) and the drivable columns (3, 3) of one frame, or say why it is refused."""
 
     def count() -> None:
         try:
-            out[:] = confusion_by_ring(frame_grid(submission, token), truth)
+            count_by_ring(frame_grid(submission, token), truth, *outs)
         except LabelRangeError as error:
             raise LabelOutOfRangeError("labels 0 to 3", str(error.value)) from error
 
@@ -71,11 +127,6 @@ def in_threads(
             done += len(results)
             progress(stage, done, count)
             yield from results
-
-
-def empty_confusions(frames: int) -> Confusion:
-    """Zeros [frame, ring, truth, prediction]."""
-    return np.zeros((frames, 3, CLASSES, CLASSES), np.int32)
 
 
 def _refusal(submission: Submission, token: str, work: Callable[[], None]) -> Problem | None:

@@ -6,6 +6,7 @@ itself. Evaluated voxels by mask: `all` — every voxel, as the paper's tables, 
 `camera` — where that mask is not 0.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from hashlib import sha256
 from itertools import islice
@@ -14,6 +15,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from services.eval.bounded_file import read_bounded
 from services.eval.errors import GroundTruthError, SubmissionError, UnreadableInputError
 from services.eval.manifest import MAX_FRAMES, SEQUENCE_NAME, Manifest, is_token
 from services.eval.npz_frame import npz_members, read_grid
@@ -70,13 +72,7 @@ def read_truth(path: Path, mask: Mask) -> TruthPlanes:
 
     Raises `UnreadableInputError`, and `GroundTruthError` for anything but a label file of the labeler.
     """
-    try:
-        with path.open("rb") as file:
-            npz = file.read(MAX_LABELS_BYTES + 1)
-    except OSError as error:
-        raise UnreadableInputError(path, error.strerror or "unknown reason") from error
-    if len(npz) > MAX_LABELS_BYTES:
-        raise GroundTruthError(path, f"larger than {MAX_LABELS_BYTES} bytes")
+    npz = read_bounded(path, MAX_LABELS_BYTES, GroundTruthError)
     try:
         return _planes(npz, mask)
     except (SubmissionError, LabelRangeError, KeyError) as error:
@@ -98,3 +94,8 @@ def _planes(npz: bytes, mask: Mask) -> TruthPlanes:
 def truth_hash(truth: TruthPlanes) -> bytes:
     """Of all that a score depends on in one frame: the labels where they are evaluated, and where that is."""
     return sha256(truth.planes.data).digest()
+
+
+def whole_hash(hashes: Mapping[str, bytes]) -> str:
+    """Of a whole ground truth, from `truth_hash` by token; the order of frames makes no difference."""
+    return sha256(b"".join(token.encode() + hashes[token] for token in sorted(hashes))).hexdigest()

@@ -10,7 +10,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from services.eval.errors import ManifestError, UnreadableInputError
+from services.eval.bounded_file import read_bounded
+from services.eval.errors import ManifestError
 from services.runtime.atomic import atomic_file
 
 VERSION = 1
@@ -39,13 +40,7 @@ def read_manifest(path: Path) -> Manifest:
 
     Raises `UnreadableInputError` where it cannot be opened and `ManifestError` where it is not as described above.
     """
-    try:
-        with path.open("rb") as file:
-            raw = file.read(MAX_MANIFEST_BYTES + 1)
-    except OSError as error:
-        raise UnreadableInputError(path, error.strerror or "unknown reason") from error
-    if len(raw) > MAX_MANIFEST_BYTES:
-        raise ManifestError(path, f"larger than {MAX_MANIFEST_BYTES} bytes")
+    raw = read_bounded(path, MAX_MANIFEST_BYTES, ManifestError)
     try:
         record = json.loads(raw)
     except (ValueError, RecursionError) as error:

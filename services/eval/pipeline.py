@@ -4,23 +4,17 @@
 limits. Peak memory does not grow with the submission, but for 192 bytes a frame.
 """
 
-from collections.abc import Callable
-from hashlib import sha256
-from itertools import accumulate
+from collections.abc import Sequence
 from pathlib import Path
 
-from services.eval.counting import Progress, count_frame, empty_confusions, in_threads, silent, validate_frame
-from services.eval.ground_truth import GroundTruth, Mask, find_ground_truth, read_truth, truth_hash
-from services.eval.manifest import Manifest, read_manifest
-from services.eval.scores import Scores
+from services.eval.counting import THREADS, Counted, Progress, TruthOf, check_range, count_range, silent
+from services.eval.ground_truth import Mask, find_ground_truth, read_truth, truth_hash, whole_hash
+from services.eval.manifest import read_manifest
+from services.eval.scores import Scores, SequenceFacts, Tally
 from services.eval.submission_zip import Submission, open_submission
-from services.eval.validation import Problem, SubmissionRefusedError, Validation, verdict
-from stone.bitplanes import Confusion, TruthPlanes
-from stone.confusion import Signature
-
-THREADS = 2
-
-TruthOf = Callable[[str], TruthPlanes]
+from services.eval.validation import SubmissionRefusedError, Validation, verdict
+from stone.bitplanes import TruthPlanes
+from stone.signature import Signature
 
 
 def validate(zip_path: Path, manifest_path: Path, *, threads: int = THREADS, progress: Progress = silent) -> Validation:
@@ -30,15 +24,8 @@ def validate(zip_path: Path, manifest_path: Path, *, threads: int = THREADS, pro
     """
     manifest = read_manifest(manifest_path)
     with open_submission(zip_path, manifest.tokens) as submission:
-        tokens = _in_manifest_order(submission, manifest)
-        found = in_threads(
-            lambda index: validate_frame(submission, tokens[index]),
-            len(tokens),
-            threads,
-            progress=progress,
-            stage="validate",
-        )
-        return verdict([*submission.problems, *(problem for problem in found if problem is not None)])
+        found = check_range(submission, manifest.tokens, threads=threads, progress=progress)
+        return verdict([*submission.problems, *found])
 
 
 def score(
@@ -62,45 +49,26 @@ def score(
         return planes
 
     with open_submission(zip_path, truth.manifest.tokens) as submission:
-        confusions = count(submission, truth.manifest, truth_of, threads=threads, progress=progress)
-    return Scores(truth.manifest.tokens, _runs(truth.manifest), confusions, _signature(truth, hashes))
+        counted = count(submission, truth.manifest.tokens, truth_of, threads=threads, progress=progress)
+    sequences = tuple(SequenceFacts(name, len(tokens)) for name, tokens in truth.manifest.sequences.items())
+    return Scores(Tally(counted.confusions, counted.bev, sequences), Signature(whole_hash(hashes), truth.mask))
 
 
 def count(
     submission: Submission,
-    manifest: Manifest,
+    tokens: Sequence[str],
     truth_of: TruthOf,
     *,
     threads: int = THREADS,
     progress: Progress = silent,
-) -> Confusion:
-    """Confusions [frame, ring, 4, 4] in the order of the manifest, every check on.
+) -> Counted:
+    """The counts of these frames of a submission that is valid.
 
     Raises `SubmissionRefusedError`; an archive whose names are wrong is refused before any frame is counted.
     """
     if submission.problems:
         raise SubmissionRefusedError(verdict(submission.problems))
-    tokens, confusions = manifest.tokens, empty_confusions(len(manifest.tokens))
-
-    def one(index: int) -> Problem | None:
-        return count_frame(submission, tokens[index], truth_of(tokens[index]), confusions[index])
-
-    found = verdict(p for p in in_threads(one, len(tokens), threads, progress=progress, stage="score") if p is not None)
-    if not found.ok:
-        raise SubmissionRefusedError(found)
-    return confusions
-
-
-def _in_manifest_order(submission: Submission, manifest: Manifest) -> tuple[str, ...]:
-    return tuple(token for token in manifest.tokens if token in submission.frames)
-
-
-def _runs(manifest: Manifest) -> dict[str, slice]:
-    stops = list(accumulate(len(tokens) for tokens in manifest.sequences.values()))
-    starts = [0, *stops[:-1]]
-    return dict(zip(manifest.sequences, map(slice, starts, stops), strict=True))
-
-
-def _signature(truth: GroundTruth, hashes: dict[str, bytes]) -> Signature:
-    whole = sha256(b"".join(token.encode() + hashes[token] for token in sorted(hashes)))
-    return Signature(ground_truth=whole.hexdigest(), mask=truth.mask)
+    counted = count_range(submission, tokens, truth_of, threads=threads, progress=progress)
+    if counted.problems:
+        raise SubmissionRefusedError(verdict(counted.problems))
+    return counted

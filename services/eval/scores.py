@@ -1,64 +1,115 @@
-"""The scores of a submission: per-frame confusions are kept, everything else is read from them.
+"""The record of a score: every table is read from the counts that are kept by frame and ring.
 
-**Conventions.** Frames follow `tokens`, sequences are contiguous runs of them. Rows truth, columns prediction.
+**Conventions.** Frames are in the order of the ground truth's manifest, sequences contiguous runs of them. Ratios are
+in [0, 1] or None where undefined. The record is exact: who may see which part of it is decided by who serves it.
 """
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from itertools import accumulate, pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stone.bitplanes import RING_EDGES_M, Confusion
-from stone.confusion import Signature, ious, supports, within_occupied
+from services.eval.draws import Draws, ratio_draws
+from stone.bitplanes import RING_EDGES_M, Confusion, Drivable
+from stone.confusion import extras, named_ratios, supports
+from stone.metric import METRIC_VERSION, OCCUPIED_VERSION
+from stone.signature import Signature
 
+Record = dict[str, Any]
 RING_NAMES = tuple(
     f"{low:g}-{high:g}m" if high else f"from-{low:g}m"
     for low, high in zip((0.0, *RING_EDGES_M), (*RING_EDGES_M, None), strict=True)
 )
 
 
-@dataclass(frozen=True, eq=False)
-class Scores:
-    """One submission against one ground truth: `confusions` [frame, ring, 4, 4] int32, `sequences` name → frames."""
+@dataclass(frozen=True)
+class SequenceFacts:
+    """What is known of a sequence; None where nobody said it."""
 
-    tokens: tuple[str, ...]
-    sequences: dict[str, slice]
+    name: str
+    frames: int
+    environment: str | None = None
+    illumination: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Tally:
+    """All counts of one submission: `confusions` [F, 3, 4, 4] and `bev` [F, 3, 3] int32, the frames of `sequences`."""
+
     confusions: Confusion
-    signature: Signature
+    bev: Drivable
+    sequences: tuple[SequenceFacts, ...]
 
     @property
-    def total(self) -> NDArray[np.int64]:
-        """The confusion (4, 4) of everything."""
-        return _added(self.confusions, (0, 1))
+    def frames_of_sequence(self) -> tuple[int, ...]:
+        return tuple(sequence.frames for sequence in self.sequences)
 
-    def as_record(self) -> dict[str, object]:
-        """What `stone score --json` prints; ratios in [0, 1] or None where undefined."""
-        return {
-            "frames": len(self.tokens),
-            **asdict(ious(self.total)),
-            "iou_within_occupied": _within(self.total),
-            "confusion": self.total.tolist(),
-            "signature": str(self.signature),
-            "support": supports(self.total),
-            "rings": dict(zip(RING_NAMES, map(_part, self._by_ring()), strict=True)),
-            "sequences": {name: _part(self._of_sequence(frames)) for name, frames in self.sequences.items()},
-        }
-
-    def _by_ring(self) -> NDArray[np.int64]:
-        return _added(self.confusions, 0)
-
-    def _of_sequence(self, frames: slice) -> NDArray[np.int64]:
-        return _added(self.confusions[frames], (0, 1))
+    def cells(self) -> NDArray[np.int64]:
+        """The confusions of each sequence [sequence, ring, truth, prediction]."""
+        runs = pairwise(accumulate(self.frames_of_sequence, initial=0))
+        return np.stack([self.confusions[start:stop].sum(axis=0, dtype=np.int64) for start, stop in runs])
 
 
-def _added(confusions: Confusion, axes: int | tuple[int, ...]) -> NDArray[np.int64]:
-    return np.asarray(confusions.sum(axis=axes, dtype=np.int64))
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """One submission against one ground truth."""
+
+    tally: Tally
+    signature: Signature
+
+    def as_record(self) -> Record:
+        """What `stone score --json` prints."""
+        tally, metric = self.tally, self.signature.metric
+        draws = ratio_draws(tally.confusions, tally.frames_of_sequence, metric)
+        return {**record_of(tally, draws, metric), "signature": str(self.signature)}
 
 
-def _part(confusion: NDArray[np.int64]) -> dict[str, object]:
-    return {**asdict(ious(confusion)), "support": supports(confusion)}
+def record_of(tally: Tally, draws: Draws, metric: str = METRIC_VERSION) -> Record:
+    """All that is said of a score; `draws` are those of the same counts and metric.
+
+    Raises `UnknownMetricError`, and `ShapeError` where frames and sequences disagree.
+    """
+    cells = tally.cells()
+    total = cells.sum(axis=(0, 1))
+    return {
+        "frames": len(tally.confusions),
+        "total": named_ratios(total, metric),
+        "within_occupied": named_ratios(total, OCCUPIED_VERSION),
+        "support": supports(total),
+        "confusion": total.tolist(),
+        "extras": asdict(extras(total, tally.bev.sum(axis=(0, 1), dtype=np.int64))),
+        "intervals": draws.intervals(),
+        "by": dict(_breakdowns(tally, cells, metric)),
+        "cells": {s.name: cell.tolist() for s, cell in zip(tally.sequences, cells, strict=True)},
+    }
 
 
-def _within(confusion: NDArray[np.int64]) -> dict[str, float | None]:
-    """Over voxels occupied in truth; there IoU_occ is the share of them that the prediction found."""
-    return asdict(ious(within_occupied(confusion)))
+def _breakdowns(tally: Tally, cells: NDArray[np.int64], metric: str) -> Iterator[tuple[str, Record]]:
+    """(what by, name → part); what no sequence is known by is left out."""
+    rings = zip(RING_NAMES, cells.sum(axis=0), strict=True)
+    yield "distance", {name: _part(ring, len(tally.confusions), metric) for name, ring in rings}
+    of_sequence = cells.sum(axis=1)
+    grouped: tuple[tuple[str, Callable[[SequenceFacts], str | None]], ...] = (
+        ("sequence", lambda facts: facts.name),
+        ("environment", lambda facts: facts.environment),
+        ("illumination", lambda facts: facts.illumination),
+    )
+    for what, name_of in grouped:
+        names = [name_of(facts) for facts in tally.sequences]
+        if any(names):
+            yield what, _by_name(names, tally.frames_of_sequence, of_sequence, metric)
+
+
+def _by_name(names: Sequence[str | None], frames: Sequence[int], confusions: NDArray[np.int64], metric: str) -> Record:
+    parts = {}
+    for name in dict.fromkeys(name for name in names if name):
+        rows = [row for row, other in enumerate(names) if other == name]
+        parts[name] = _part(confusions[rows].sum(axis=0), sum(frames[row] for row in rows), metric)
+    return parts
+
+
+def _part(confusion: NDArray[np.int64], frames: int, metric: str) -> Record:
+    return {**named_ratios(confusion, metric), "support": supports(confusion), "frames": frames}

@@ -1,0 +1,67 @@
+"""Resampled ratios of a submission: what every interval, paired comparison and rank interval is read from.
+
+**Conventions.** Draws are float32 [draw, 5], columns `stone.metric.RATIOS`, NaN where undefined: `block` from blocks of
+frames inside sequences, `sequence` from whole sequences. The random numbers depend on the sequences' lengths alone, so
+row k of two submissions to one ground truth is the same resampling: their differences are paired.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.runtime.npz import npz_bytes
+from stone.bootstrap import BootstrapOptions, block_draws, sequence_draws
+from stone.confusion import Counts, ratios
+from stone.metric import METRIC_VERSION, RATIOS
+
+OPTIONS = BootstrapOptions(draws=4000, block_frames=200, seed=0)
+
+Drawn = NDArray[np.float32]
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Draws:
+    """`block` [4000, 5]; `sequence` [E, 5], every combination of sequences where there are at most 4000."""
+
+    block: Drawn
+    sequence: Drawn
+
+    def npz(self) -> bytes:
+        """The same draws, the same bytes."""
+        return npz_bytes({"block": self.block, "sequence": self.sequence})
+
+    def intervals(self) -> dict[str, dict[str, Interval | None]]:
+        """Central percentile intervals by kind and ratio; None where a draw leaves the ratio undefined."""
+        return {"block": _intervals(self.block), "sequence": _intervals(self.sequence)}
+
+
+def draws_of(confusions: Counts, frames_of_sequence: Sequence[int], metric: str = METRIC_VERSION) -> bytes:
+    """The npz file of `ratio_draws`."""
+    return ratio_draws(confusions, frames_of_sequence, metric).npz()
+
+
+def ratio_draws(confusions: Counts, frames_of_sequence: Sequence[int], metric: str = METRIC_VERSION) -> Draws:
+    """Of confusions [F, ring, 4, 4] in time order inside each sequence.
+
+    Raises `ShapeError` where lengths and frames disagree or there are none, and `UnknownMetricError`.
+    """
+    by_frame = confusions.sum(axis=1, dtype=np.int64)
+    return Draws(
+        ratios(block_draws(by_frame, frames_of_sequence, OPTIONS), metric).astype(np.float32),
+        ratios(sequence_draws(by_frame, frames_of_sequence, OPTIONS), metric).astype(np.float32),
+    )
+
+
+def _intervals(drawn: Drawn) -> dict[str, Interval | None]:
+    return dict(zip(RATIOS, map(_interval, drawn.T), strict=True))
+
+
+def _interval(values: Drawn) -> Interval | None:
+    if not np.all(np.isfinite(values)):
+        return None
+    tail = (1 - OPTIONS.level) / 2
+    low, high = np.quantile(values.astype(np.float64), [tail, 1 - tail]).tolist()
+    return low, high

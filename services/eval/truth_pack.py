@@ -1,0 +1,173 @@
+"""A whole ground truth in one file: its bit planes frame by frame, so that any part of it is read alone.
+
+**Conventions.** Magic, the packed planes of each frame in the order of the manifest, an index (an npz of `tokens`,
+`offsets`, `counts`, `crc32`), then where the index starts and the magic again; little-endian. The planes of a frame
+are those of `stone.bitplanes.truth_planes`, packed by LZ4 as one block. The same ground truth makes the same bytes. A
+pack is ours, never a stranger's; its checks are against decay.
+"""
+
+import os
+import struct
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+from io import BytesIO
+from pathlib import Path
+from typing import Any, Self
+
+import cramjam
+import deflate
+import numpy as np
+from numpy.typing import NDArray
+
+from services.eval.counting import THREADS, Progress, silent
+from services.eval.errors import UnreadableInputError
+from services.eval.ground_truth import truth_hash, whole_hash
+from services.eval.manifest import Manifest
+from services.runtime.atomic import atomic_file
+from services.runtime.npz import npz_bytes
+from stone.bitplanes import RINGS, WORDS, TruthPlanes
+from stone.errors import StoneError
+
+MAGIC = b"STONEGT1"
+TRAILER = struct.Struct("<Q8s")
+PLANES_SHAPE = (3, WORDS)
+BATCH = 32  # frames in memory at a time
+
+
+class TruthPackError(StoneError):
+    """A kept ground truth is not what was written."""
+
+    code = "bad_truth_pack"
+
+    def __init__(self, path: Path, fault: str) -> None:
+        super().__init__(f"ground truth {path.name}: {fault}; was the file damaged, or written by another version?")
+
+
+@dataclass(frozen=True)
+class PackSummary:
+    """`sha256` is that of everything evaluated, as in the signature of a score; not that of the file."""
+
+    sha256: str
+    frames: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Packed:
+    payload: bytes
+    counts: NDArray[np.int64]
+    hash: bytes
+
+
+def write_truth_pack(
+    path: Path,
+    manifest: Manifest,
+    truth_of: Callable[[str], TruthPlanes],
+    *,
+    threads: int = THREADS,
+    progress: Progress = silent,
+) -> PackSummary:
+    """The ground truth of every frame of the manifest, whole or absent; memory does not grow with it.
+
+    `truth_of` is called from several threads; what it raises is raised.
+    """
+    tokens, index = manifest.tokens, _Index()
+    with atomic_file(path) as staging, staging.open("wb") as file, ThreadPoolExecutor(threads) as pool:
+        file.write(MAGIC)
+        for start in range(0, len(tokens), BATCH):
+            batch = tokens[start : start + BATCH]
+            for token, packed in zip(batch, pool.map(lambda token: _packed(truth_of(token)), batch), strict=True):
+                file.write(packed.payload)
+                index.add(token, packed)
+            progress("truth", start + len(batch), len(tokens))
+        file.write(index.npz() + TRAILER.pack(index.offsets[-1], MAGIC))
+    return PackSummary(whole_hash(index.hashes), len(tokens))
+
+
+class TruthPack:
+    """A pack that is open until it is closed: any thread may read any frame, each holds one at a time.
+
+    Raises `UnreadableInputError` where the file cannot be opened and `TruthPackError` where it is no pack.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        try:
+            self._descriptor = os.open(path, os.O_RDONLY)
+        except OSError as error:
+            raise UnreadableInputError(path, error.strerror or "unknown reason") from error
+        try:
+            index = self._read_index()
+        except BaseException:
+            self.close()
+            raise
+        self.tokens: tuple[str, ...] = tuple(token.tobytes().hex() for token in index["tokens"])
+        self._offsets, self._counts, self._crc32 = (index[key] for key in ("offsets", "counts", "crc32"))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        os.close(self._descriptor)
+
+    def planes(self, index: int) -> TruthPlanes:
+        """The ground truth of frame `index`. Raises `TruthPackError` where its bytes changed."""
+        start, stop = self._offsets[index : index + 2].tolist()
+        packed = os.pread(self._descriptor, stop - start, start)
+        if deflate.crc32(packed) != self._crc32[index]:
+            raise TruthPackError(self._path, f"frame {index} fails its checksum")
+        planes = np.empty(PLANES_SHAPE, np.uint64)
+        cramjam.lz4.decompress_block_into(packed, planes.data.cast("B"))
+        return TruthPlanes(planes, self._counts[index])
+
+    def planes_of(self, token: str) -> TruthPlanes:
+        """The ground truth of this frame, which must be in `tokens`."""
+        return self.planes(self._index_of[token])
+
+    @cached_property
+    def _index_of(self) -> dict[str, int]:
+        return {token: index for index, token in enumerate(self.tokens)}
+
+    def _read_index(self) -> dict[str, NDArray[Any]]:
+        size_bytes = os.fstat(self._descriptor).st_size
+        trailer = os.pread(self._descriptor, TRAILER.size, max(size_bytes - TRAILER.size, 0))
+        if len(trailer) < TRAILER.size or trailer[8:] != MAGIC:
+            raise TruthPackError(self._path, "it does not end as a pack does")
+        start, _ = TRAILER.unpack(trailer)
+        raw = os.pread(self._descriptor, max(size_bytes - TRAILER.size - start, 0), start)
+        try:
+            with np.load(BytesIO(raw), allow_pickle=False) as arrays:
+                return {key: arrays[key] for key in ("tokens", "offsets", "counts", "crc32")}
+        except (ValueError, OSError, KeyError, EOFError) as error:
+            raise TruthPackError(self._path, "its index is no npz") from error
+
+
+class _Index:
+    """What was written so far."""
+
+    def __init__(self) -> None:
+        self.hashes: dict[str, bytes] = {}
+        self.offsets = [len(MAGIC)]
+        self._counts: list[NDArray[np.int64]] = []
+        self._crc32: list[int] = []
+
+    def add(self, token: str, packed: _Packed) -> None:
+        self.hashes[token] = packed.hash
+        self.offsets.append(self.offsets[-1] + len(packed.payload))
+        self._counts.append(packed.counts)
+        self._crc32.append(deflate.crc32(packed.payload))
+
+    def npz(self) -> bytes:
+        tokens = np.frombuffer(bytes.fromhex("".join(self.hashes)), np.uint8).reshape(-1, 16)
+        counts = np.array(self._counts, np.int64).reshape(-1, RINGS, 4)
+        offsets, crc32 = np.array(self.offsets, np.uint64), np.array(self._crc32, np.uint32)
+        return npz_bytes({"tokens": tokens, "offsets": offsets, "counts": counts, "crc32": crc32})
+
+
+def _packed(truth: TruthPlanes) -> _Packed:
+    payload = bytes(cramjam.lz4.compress_block(truth.planes.data.cast("B"), store_size=False))
+    return _Packed(payload, truth.counts, truth_hash(truth))
