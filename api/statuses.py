@@ -16,6 +16,7 @@ from services.runtime import dataset_errors as datasets
 from services.runtime import label_choices as choices
 from services.runtime import processing_errors as processing
 from services.runtime.access import errors as access
+from services.runtime.benchmarks import inputs
 from services.runtime.jobs import errors as jobs
 from services.runtime.uploads import errors as uploads
 from stone import splits as splitting
@@ -55,6 +56,8 @@ STATUS_OF: dict[type[StoneError], int] = {
     exports.UnknownExportFormatError: 422,
     files.CalibrationRefusedError: 422,
     files.RangeError: 416,
+    inputs.InputsImpossibleError: 409,
+    inputs.InputsStandError: 409,
     jobs.JobStateError: 409,
     jobs.QueueDrainingError: 409,
     processing.AlreadyProcessingError: 409,

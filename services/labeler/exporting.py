@@ -113,9 +113,9 @@ def export(platform: Platform, attempt: Attempt) -> Outcome:
     with platform.database.reading() as session:
         standing_sequence(session, attempt)
         row = exported_by(session, attempt)
-    with _folder(platform, attempt) as folder:
+    with attempt_folder(platform, attempt) as folder:
         files = _packed(platform, attempt, row, folder)
-        made = _stored(platform, attempt, folder, files)
+        made = _made(platform, attempt, folder, files)
     attempt.log("exported", format=row.format, files=len(files), size_bytes=made.size_bytes)
     limit_bytes = platform.settings.uploads.owner_bytes
     result = {"export_id": row.id, "format": row.format, "files": len(files), "size_bytes": made.size_bytes}
@@ -159,12 +159,12 @@ def _ranges(session: Session, label_set_id: str) -> tuple[_Range, ...]:
 
 
 @contextmanager
-def _folder(platform: Platform, attempt: Attempt) -> Iterator[Path]:
+def attempt_folder(platform: Platform, attempt: Attempt) -> Iterator[Path]:
     """A fresh folder of this attempt; it stays when all went well, since what is stored is linked to it."""
     work = Workspace(platform.store, platform.settings, attempt.root_id).folder
-    for earlier in work.glob("export-*"):
+    for earlier in work.glob(f"export-{attempt.job_id}-*"):
         shutil.rmtree(earlier, ignore_errors=True)
-    folder = work / f"export-{token_hex(8)}"
+    folder = work / f"export-{attempt.job_id}-{token_hex(8)}"
     try:
         with refusing_full(work):
             folder.mkdir()
@@ -174,25 +174,36 @@ def _folder(platform: Platform, attempt: Attempt) -> Iterator[Path]:
         raise
 
 
-def _packed(platform: Platform, attempt: Attempt, row: Export, folder: Path) -> PackedFiles:
-    """Have the files written, then move them into packs."""
-    source = platform_source(platform, row.label_set_id, folder / "inputs")
-    (folder / "files").mkdir()
-    exporter_of(row.format)(source, folder / "files", partial(attempt.progress, row.format))
+def pack_files(attempt: Attempt, folder: Path) -> PackedFiles:
+    """Move what lies in `files` of the attempt's folder into packs, and write their index."""
     files = pack_folder(folder / "files", folder / "packs", partial(attempt.progress, "pack"))
     (folder / INDEX).write_bytes(index_bytes(files))
     return files
 
 
-def _stored(platform: Platform, attempt: Attempt, folder: Path, files: PackedFiles) -> Made:
-    """Hash what the archives will be, and store packs and index."""
-    read = local_reader(folder / "packs")
-    tar = archive_sha256(files, "tar", read, partial(attempt.progress, "tar"))
-    zipped = archive_sha256(files, "zip", read, partial(attempt.progress, "zip"))
+def stored_packs(platform: Platform, attempt: Attempt, folder: Path, files: PackedFiles) -> list[PreparedBlob]:
+    """The index and the packs, in the store."""
     paths = [folder / INDEX, *(pack_path(folder / "packs", number) for number in range(pack_count(files)))]
     prepared = list[PreparedBlob]()
     for path in paths:
         attempt.progress("store", len(prepared), len(paths))
         prepared.append(prepare(platform.store, platform.database, path, adopt=True))
     attempt.progress("store", len(paths), len(paths))
-    return Made(files, prepared[0], prepared[1:], tar, zipped)
+    return prepared
+
+
+def _packed(platform: Platform, attempt: Attempt, row: Export, folder: Path) -> PackedFiles:
+    """Have the files written, then move them into packs."""
+    source = platform_source(platform, row.label_set_id, folder / "inputs")
+    (folder / "files").mkdir()
+    exporter_of(row.format)(source, folder / "files", partial(attempt.progress, row.format))
+    return pack_files(attempt, folder)
+
+
+def _made(platform: Platform, attempt: Attempt, folder: Path, files: PackedFiles) -> Made:
+    """Hash what the archives will be, and store packs and index."""
+    read = local_reader(folder / "packs")
+    tar = archive_sha256(files, "tar", read, partial(attempt.progress, "tar"))
+    zipped = archive_sha256(files, "zip", read, partial(attempt.progress, "zip"))
+    index, *packs = stored_packs(platform, attempt, folder, files)
+    return Made(files, index, packs, tar, zipped)

@@ -17,6 +17,7 @@ from services.labeler.exporting import export
 from services.labeler.frames import labelled_frames, lay_sight_lines
 from services.labeler.fuse import fuse
 from services.labeler.map_files import write_map
+from services.labeler.phase_inputs import make_input
 from services.labeler.plan import plan_of, surface_where_reached, tiles_around
 from services.labeler.publishing import publish
 from services.labeler.report import reference_from
@@ -33,6 +34,7 @@ from services.labeler.results import (
 )
 from services.labeler.run import Part, Tile, neighbourhood
 from services.labeler.scratch import images_path, sight_path, surface_path, tile_name
+from services.runtime.benchmarks.inputs import INPUTS
 from services.runtime.exports import EXPORT
 from services.runtime.jobs.specs import Attempt, Handlers, JobSpec, Outcome
 from services.runtime.platform import Platform
@@ -54,7 +56,7 @@ def handlers(platform: Platform) -> Handlers:
         "labeler.publish": publish,
     }
     made = {kind: partial(_at_a_desk, platform, stage) for kind, stage in stages.items()}
-    return {**made, EXPORT: partial(export, platform)}
+    return {**made, EXPORT: partial(export, platform), INPUTS: partial(make_input, platform)}
 
 
 def list_parts(desk: Desk) -> Outcome:

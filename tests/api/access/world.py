@@ -10,10 +10,13 @@ from pathlib import Path
 
 from services.runtime import blobs
 from services.runtime.access import tokens
+from services.runtime.benchmarks.phases import NewBenchmark, NewPhase, create_benchmark, create_phase
+from services.runtime.dataset_reading import dataset_named
 from services.runtime.orm import Calibration, JobLine, Preview, Profile, Sequence, Upload, User, new_id
 from services.runtime.platform import Platform
 from services.runtime.profiles import profile_of
 from tests.api import made
+from tests.api.inputs_made import made_input
 from tests.api.published import dataset, published_sequence
 from tests.api.serving import Person
 from tests.rows import recording_of
@@ -29,6 +32,7 @@ IDS = (
     "user_id",
     "token",
     "export_id",
+    "phase_id",
 )
 UNKNOWN = {name: f"{number:032x}" for number, name in enumerate(IDS, 1)} | {"complete_upload": f"{99:032x}"}
 UNKNOWN["dataset_name"] = "never-published"
@@ -40,8 +44,9 @@ WORDS = {
     "platform_name": "warthog",
     "path": "mesh.ply",
     "part": "train",
+    "sequence_name": "n-forest-07",
 }
-PUBLIC = ("dataset_name",)
+PUBLIC = ("dataset_name", "phase_id")
 
 
 @dataclass(frozen=True)
@@ -69,7 +74,8 @@ def make_world(platform: Platform, user: User) -> World:
         "token_id": _token(platform, user),
         "user_id": user.id,
         "token": next(iter(labels.frames)),
-        "dataset_name": _dataset(platform, user.id),
+        "dataset_name": (dataset_name := _dataset(platform, owner)),
+        "phase_id": _phase(platform, user.id, dataset_name),
         "export_id": made.export(platform, sequence_id, {"mesh.ply": b"ply\n"}),
         **WORDS,
     }
@@ -77,10 +83,23 @@ def make_world(platform: Platform, user: User) -> World:
     return World(named, frozenset(known | {labels.id, _name(platform, sequence_id), *labels.frames}))
 
 
-def _dataset(platform: Platform, owner_id: str) -> str:
-    """A version of sequences that nothing else names: who publishes them tells of them."""
-    train, test = (published_sequence(platform, owner_id) for _ in range(2))
-    return dataset(platform, owner_id, {"train": [train], "test": [test]})
+def _dataset(platform: Platform, owner: Person) -> str:
+    """A version of sequences that nothing else names: who publishes them tells of them. Test's has a recording."""
+    train, test = (published_sequence(platform, owner.user_id) for _ in range(2))
+    _recording(platform, owner, test)
+    return dataset(platform, owner.user_id, {"train": [train], "test": [test]})
+
+
+def _phase(platform: Platform, owner_id: str, dataset_name: str) -> str:
+    """A hidden phase over test; inputs are there of another sequence, so that those of test's can be asked for."""
+    name = f"stone-{new_id()[-8:]}"
+    with platform.database.transaction() as session:
+        version = dataset_named(session, dataset_name)
+        assert version is not None
+        benchmark = create_benchmark(session, NewBenchmark(name, "STONE", "", owner_id))
+        phase = create_phase(session, benchmark, version, NewPhase("test", "test", is_hidden=True))
+    made_input(platform, phase.id, WORDS["sequence_name"], {"samples/LIDAR_TOP/sweep.pcd.bin": b"points"})
+    return phase.id
 
 
 def _calibration(platform: Platform, owner_id: str) -> str:

@@ -1,0 +1,87 @@
+"""Inputs of a phase: made for an administrator, listed and downloaded by everybody who is signed in.
+
+**Conventions.** An input is the nuScenes layout of one sequence without anything that was made from labels, and never
+changes. Its tar is laid out, never built: any range of it is served, so that a download goes on where it broke off.
+"""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Request, Response
+
+from api import audit
+from api.answers import refusals
+from api.callers import Administrator, Reader
+from api.deps import PlatformDep
+from api.errors import NotFoundError
+from api.export_views import served_archive
+from api.files import answer_bytes, file_responses
+from api.job_views import job_detail
+from api.paging import Page, PageDep, page
+from api.schemas.admin import ReasonBody
+from api.schemas.base import IdPath, instant
+from api.schemas.jobs import JobDetail
+from api.schemas.phase_inputs import PhaseInputItem
+from api.visible import phase_of
+from services.runtime.archives import MEDIA_TYPES
+from services.runtime.benchmarks.inputs import inputs_of, locate_input, start_inputs
+from services.runtime.exported import stored_files
+from services.runtime.orm import PhaseInput
+from stone.sequence import NAME
+
+router = APIRouter(tags=["phase inputs"])
+SequenceName = Annotated[str, Path(pattern=f"^{NAME.pattern}$", examples=["n-forest-07"])]
+TAR = file_responses(MEDIA_TYPES["tar"])
+
+
+@router.post("/admin/phases/{phase_id}/inputs", status_code=202, responses=refusals(404, 409))
+def create_inputs(
+    phase_id: IdPath, body: ReasonBody, caller: Administrator, platform: PlatformDep, response: Response
+) -> JobDetail:
+    """Have the inputs made of every sequence of the phase that has none yet; the job at `Location` says how far."""
+    with platform.database.transaction() as session:
+        run = start_inputs(session, phase_of(session, phase_id), caller.user_id)
+        audit.record_admin_act(session, caller, "phase.inputs", phase_id, body.reason, {"job_id": run.id})
+        shown = job_detail(session, run)
+    response.headers["Location"] = f"/api/v1/jobs/{shown.id}"
+    return shown
+
+
+@router.get("/phases/{phase_id}/inputs", responses=refusals(404))
+def list_inputs(phase_id: IdPath, _caller: Reader, platform: PlatformDep, query: PageDep) -> Page[PhaseInputItem]:
+    """The sequences of the phase whose inputs are there, by name."""
+    with platform.database.reading() as session:
+        phase = phase_of(session, phase_id)
+        return page(session, inputs_of(phase.id), PhaseInput.name, query).shown(_item)
+
+
+@router.get("/phases/{phase_id}/inputs/{sequence_name}.tar", response_class=Response, responses=TAR)
+def download_input(
+    phase_id: IdPath, sequence_name: SequenceName, _caller: Reader, platform: PlatformDep, request: Request
+) -> Response:
+    """The inputs of a sequence as a tar, whole or a range of it; `sha256sum.txt` in it checks every other file."""
+    with platform.database.reading() as session:
+        row = session.get(PhaseInput, (phase_of(session, phase_id).id, sequence_name))
+        if row is None:
+            raise NotFoundError("input of this phase", sequence_name)
+        located = locate_input(session, row)
+    stored = stored_files(platform.store, located)
+    return answer_bytes(request, served_archive(platform.store, stored, "tar", (row.name, row.tar_sha256)))
+
+
+@router.head("/phases/{phase_id}/inputs/{sequence_name}.tar", response_class=Response, responses=TAR)
+def describe_input(
+    phase_id: IdPath, sequence_name: SequenceName, caller: Reader, platform: PlatformDep, request: Request
+) -> Response:
+    """Size and checksum of the tar."""
+    return download_input(phase_id, sequence_name, caller, platform, request)
+
+
+def _item(row: PhaseInput) -> PhaseInputItem:
+    return PhaseInputItem(
+        name=row.name,
+        files=row.files,
+        size_bytes=row.size_bytes,
+        tar_bytes=row.tar_bytes,
+        tar_sha256=row.tar_sha256,
+        created_at=instant(row.created_ns),
+    )
