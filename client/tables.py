@@ -97,10 +97,10 @@ def _offset(offset_ns: int | None, constant: str) -> str:
 
 def score_table(record: Mapping[str, Any], title: str) -> Table:
     """The IoUs over all voxels and within occupied ground truth (the record of `stone score --json`)."""
-    within = record["iou_within_occupied"]
+    total, within = record["total"], record["within_occupied"]
     table = plain_table(title, "IoU", "all voxels", "within occupied")
     for name, key in (("occupied", "iou_occ"), ("T", "iou_t"), ("P", "iou_p"), ("N", "iou_n"), ("mean T P N", "miou")):
-        table.add_row(name, _percent(record[key]), _percent(within.get(key)))
+        table.add_row(name, _percent(total[key]), _percent(within[key]))
     return table
 
 

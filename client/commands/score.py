@@ -32,5 +32,5 @@ def score(submission: SubmissionArgument, ground_truth: GroundTruthOption, as_js
         echo_json(record)
         return
     show(score_table(record, f"{record['frames']} frames"))
-    show(confusion_table(scores.total.tolist()))
+    show(confusion_table(record["confusion"]))
     typer.echo(f"Signature: {record['signature']}")

@@ -19,7 +19,7 @@ from stone.metric import METRIC_VERSION, RATIOS
 OPTIONS = BootstrapOptions(draws=4000, block_frames=200, seed=0)
 
 Drawn = NDArray[np.float32]
-Interval = tuple[float, float]
+Interval = list[float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,10 +32,6 @@ class Draws:
     def npz(self) -> bytes:
         """The same draws, the same bytes."""
         return npz_bytes({"block": self.block, "sequence": self.sequence})
-
-    def intervals(self) -> dict[str, dict[str, Interval | None]]:
-        """Central percentile intervals by kind and ratio; None where a draw leaves the ratio undefined."""
-        return {"block": _intervals(self.block), "sequence": _intervals(self.sequence)}
 
 
 def draws_of(confusions: Counts, frames_of_sequence: Sequence[int], metric: str = METRIC_VERSION) -> bytes:
@@ -55,13 +51,22 @@ def ratio_draws(confusions: Counts, frames_of_sequence: Sequence[int], metric: s
     )
 
 
-def _intervals(drawn: Drawn) -> dict[str, Interval | None]:
-    return dict(zip(RATIOS, map(_interval, drawn.T), strict=True))
+def intervals_of(draws: Draws, frames_of_sequence: Sequence[int]) -> dict[str, dict[str, Interval | None]]:
+    """Central percentile intervals [low, high] by kind and ratio.
+
+    None where a draw leaves the ratio undefined, and where resampling can change nothing, which is no certainty: one
+    sequence only, or none longer than a block.
+    """
+    has_blocks, has_sequences = max(frames_of_sequence) > OPTIONS.block_frames, len(frames_of_sequence) > 1
+    kinds = {"block": (draws.block, has_blocks), "sequence": (draws.sequence, has_sequences)}
+    return {
+        kind: {name: _interval(values) if is_known else None for name, values in zip(RATIOS, drawn.T, strict=True)}
+        for kind, (drawn, is_known) in kinds.items()
+    }
 
 
 def _interval(values: Drawn) -> Interval | None:
     if not np.all(np.isfinite(values)):
         return None
     tail = (1 - OPTIONS.level) / 2
-    low, high = np.quantile(values.astype(np.float64), [tail, 1 - tail]).tolist()
-    return low, high
+    return [float(bound) for bound in np.quantile(values.astype(np.float64), [tail, 1 - tail])]

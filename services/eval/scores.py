@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from services.eval.draws import Draws, ratio_draws
+from services.eval.draws import Draws, intervals_of, ratio_draws
 from stone.bitplanes import RING_EDGES_M, Confusion, Drivable
 from stone.confusion import extras, named_ratios, supports
 from stone.metric import METRIC_VERSION, OCCUPIED_VERSION
@@ -81,7 +81,7 @@ def record_of(tally: Tally, draws: Draws, metric: str = METRIC_VERSION) -> Recor
         "support": supports(total),
         "confusion": total.tolist(),
         "extras": asdict(extras(total, tally.bev.sum(axis=(0, 1), dtype=np.int64))),
-        "intervals": draws.intervals(),
+        "intervals": intervals_of(draws, tally.frames_of_sequence),
         "by": dict(_breakdowns(tally, cells, metric)),
         "cells": {s.name: cell.tolist() for s, cell in zip(tally.sequences, cells, strict=True)},
     }

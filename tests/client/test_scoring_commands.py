@@ -56,7 +56,7 @@ def test_a_perfect_prediction_is_valid_and_scores_one(tmp_path: Path, truth: Pat
     assert result.exit_code == 0
     record = json.loads(result.stdout)
     assert record["frames"] == 2
-    assert [record[key] for key in ("iou_occ", "iou_t", "iou_p", "iou_n", "miou")] == [1.0] * 5
+    assert record["total"] == dict.fromkeys(("iou_occ", "iou_t", "iou_p", "iou_n", "miou"), 1.0)
     assert np.trace(record["confusion"]) == 2 * world().size
     assert record["signature"]
 
@@ -76,7 +76,7 @@ def test_an_undefined_score_is_null_and_a_dash(tmp_path: Path, truth: Path) -> N
         np.savez_compressed(labels, semantics=free)
     submission = write_zip(tmp_path / "sub.zip", dict.fromkeys(TOKENS, free))
     record = json.loads(stone("score", submission, "--ground-truth", truth, "--json").stdout)
-    assert (record["iou_occ"], record["miou"]) == (None, None)
+    assert (record["total"]["iou_occ"], record["total"]["miou"]) == (None, None)
     assert "–" in stone("score", submission, "--ground-truth", truth).stdout
 
 

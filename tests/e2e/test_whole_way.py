@@ -119,7 +119,7 @@ def test_the_baseline_is_scored_between_nothing_and_perfect(demo: Path) -> None:
     score = stone("score", demo / "baseline.zip", "--ground-truth", demo / "labels", "--json")
     assert score.returncode == 0, score.stderr
     record = json.loads(score.stdout)
-    assert 0.02 < record["iou_occ"] < 0.98
+    assert 0.02 < record["total"]["iou_occ"] < 0.98
     assert record == json.loads((demo / "demo.json").read_text())["baseline"]
     valid = stone("validate", demo / "baseline.zip", "--manifest", demo / "manifest.json")
     assert (valid.returncode, valid.stdout) == (0, "valid\n")
@@ -129,7 +129,7 @@ def test_the_labels_themselves_score_one(demo: Path, tmp_path: Path) -> None:
     files = sorted(demo.glob("labels/gts/demo/*/labels.npz"))
     write_submission(tmp_path / "perfect.zip", ((path.parent.name, np.load(path)["semantics"]) for path in files))
     record = json.loads(stone("score", tmp_path / "perfect.zip", "--ground-truth", demo / "labels", "--json").stdout)
-    assert (record["iou_occ"], record["miou"]) == (1.0, 1.0)
+    assert (record["total"]["iou_occ"], record["total"]["miou"]) == (1.0, 1.0)
 
 
 def test_a_second_demo_replaces_the_first_but_nothing_else(tmp_path: Path) -> None:

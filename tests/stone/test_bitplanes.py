@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from stone.bitplanes import COLUMNS, RINGS, LabelRangeError, column_rings, confusion_by_ring, truth_planes
+from stone.bitplanes import COLUMNS, RINGS, LabelRangeError, column_rings, frame_counts, truth_planes
 from stone.confusion import confusion_matrix
 from stone.errors import ShapeError
 from stone.grid import GRID_SHAPE
@@ -25,7 +25,7 @@ def random_grid(seed: int, occupied_ratio: float) -> Grid:
 def test_each_ring_counts_as_a_histogram_does(seed: int, occupied_ratio: float, evaluated_ratio: float) -> None:
     truth, prediction = random_grid(seed, occupied_ratio), random_grid(seed + 1, 1 - occupied_ratio)
     is_evaluated = np.random.default_rng(seed + 2).random(GRID_SHAPE, dtype=np.float32) < evaluated_ratio
-    counted = confusion_by_ring(prediction, truth_planes(truth, is_evaluated))
+    counted = frame_counts(prediction, truth_planes(truth, is_evaluated)).confusion
     assert counted.dtype == np.int32
     rings = column_rings().reshape(*GRID_SHAPE[:2], 1)
     for ring in range(RINGS):
@@ -48,7 +48,7 @@ def test_a_value_above_three_is_refused_even_where_nothing_is_evaluated() -> Non
         grid = np.zeros(GRID_SHAPE, np.uint8)
         grid[200, 17, 31] = value
         with pytest.raises(LabelRangeError, match=f"a voxel holds {value}; classes are 0 to 3"):
-            confusion_by_ring(grid, nothing)
+            frame_counts(grid, nothing)
 
 
 def test_other_shapes_and_types_are_refused() -> None:
@@ -64,5 +64,6 @@ def test_other_shapes_and_types_are_refused() -> None:
 def test_memory_order_does_not_matter() -> None:
     truth, prediction = random_grid(1, 0.3), random_grid(2, 0.3)
     planes = truth_planes(truth, np.ones(GRID_SHAPE, np.bool_))
-    same = confusion_by_ring(np.asfortranarray(prediction), planes)
-    np.testing.assert_array_equal(same, confusion_by_ring(prediction, planes))
+    same = frame_counts(np.asfortranarray(prediction), planes)
+    np.testing.assert_array_equal(same.confusion, frame_counts(prediction, planes).confusion)
+    np.testing.assert_array_equal(same.bev, frame_counts(prediction, planes).bev)

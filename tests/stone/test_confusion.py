@@ -8,16 +8,16 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
 from stone.confusion import (
-    Signature,
     confusion_matrix,
     iou_classes,
     iou_occupied,
-    ious,
     mean_iou,
+    named_ratios,
     supports,
     within_occupied,
 )
 from stone.errors import ShapeError
+from stone.signature import Signature
 
 Labels = NDArray[np.uint8]
 PAIRS = hnp.arrays(np.uint8, (2, 40), elements=st.integers(0, 3))
@@ -37,21 +37,21 @@ def voxels(labels: Labels, *classes: int) -> set[int]:
 @given(PAIRS)
 def test_the_ratios_are_those_of_sets_of_voxels(pair: Labels) -> None:
     truth, prediction = pair
-    found = ious(confusion_matrix(truth, prediction, EVERYWHERE))
-    assert found.iou_occ == iou_of_sets(voxels(truth, 1, 2, 3), voxels(prediction, 1, 2, 3))
+    found = named_ratios(confusion_matrix(truth, prediction, EVERYWHERE))
+    assert found["iou_occ"] == iou_of_sets(voxels(truth, 1, 2, 3), voxels(prediction, 1, 2, 3))
     parts = [iou_of_sets(voxels(truth, c), voxels(prediction, c)) for c in (1, 2, 3)]
-    assert [found.iou_t, found.iou_p, found.iou_n] == parts
+    assert [found["iou_t"], found["iou_p"], found["iou_n"]] == parts
     defined = [part for part in parts if part is not None]
-    assert found.miou == (pytest.approx(sum(defined) / 3) if len(defined) == 3 else None)
+    assert found["miou"] == (pytest.approx(sum(defined) / 3) if len(defined) == 3 else None)
 
 
 @given(PAIRS)
 def test_within_occupied_forgets_voxels_that_are_free_in_truth(pair: Labels) -> None:
     truth, prediction = pair
-    found = ious(within_occupied(confusion_matrix(truth, prediction, EVERYWHERE)))
+    found = named_ratios(within_occupied(confusion_matrix(truth, prediction, EVERYWHERE)))
     inside = voxels(truth, 1, 2, 3)
     parts = [iou_of_sets(voxels(truth, c), voxels(prediction, c) & inside) for c in (1, 2, 3)]
-    assert [found.iou_t, found.iou_p, found.iou_n] == parts
+    assert [found["iou_t"], found["iou_p"], found["iou_n"]] == parts
 
 
 @given(PAIRS, st.integers(0, 40))
@@ -67,58 +67,58 @@ def test_swapping_truth_and_prediction_transposes_and_keeps_every_ratio(pair: La
     truth, prediction = pair
     forth = confusion_matrix(truth, prediction, EVERYWHERE)
     np.testing.assert_array_equal(forth.T, confusion_matrix(prediction, truth, EVERYWHERE))
-    assert ious(forth) == ious(forth.T)
+    assert named_ratios(forth) == named_ratios(forth.T)
 
 
 def test_a_perfect_prediction_scores_one() -> None:
     truth = np.tile(np.arange(4, dtype=np.uint8), 10)
     perfect = confusion_matrix(truth, truth, EVERYWHERE)
-    assert set(vars(ious(perfect)).values()) == {1.0}
-    assert set(vars(ious(within_occupied(perfect))).values()) == {1.0}
+    assert set(named_ratios(perfect).values()) == {1.0}
+    assert set(named_ratios(within_occupied(perfect)).values()) == {1.0}
 
 
 def test_a_disjoint_prediction_scores_zero() -> None:
     truth = np.tile(np.array([0, 1, 0, 2, 0, 3], np.uint8), 7)[:40]
     prediction = np.tile(np.array([1, 0, 2, 0, 3, 0], np.uint8), 7)[:40]
-    assert set(vars(ious(confusion_matrix(truth, prediction, EVERYWHERE))).values()) == {0.0}
+    assert set(named_ratios(confusion_matrix(truth, prediction, EVERYWHERE)).values()) == {0.0}
 
 
 def test_a_class_absent_from_both_is_undefined_and_so_is_the_mean() -> None:
     truth = np.tile(np.array([0, 1, 2], np.uint8), 14)[:40]
     confusion = confusion_matrix(truth, truth, EVERYWHERE)
-    found = ious(confusion)
-    assert (found.iou_t, found.iou_p, found.iou_n, found.miou) == (1.0, 1.0, None, None)
+    found = named_ratios(confusion)
+    assert (found["iou_t"], found["iou_p"], found["iou_n"], found["miou"]) == (1.0, 1.0, None, None)
     assert supports(confusion) == {"free": 14, "T": 13, "P": 13, "N": 0}
 
 
 def test_a_class_only_ever_invented_scores_zero_not_null() -> None:
     truth, prediction = np.zeros(40, np.uint8), np.full(40, 3, np.uint8)
-    found = ious(confusion_matrix(truth, prediction, EVERYWHERE))
-    assert (found.iou_n, found.iou_occ, found.iou_t) == (0.0, 0.0, None)
+    found = named_ratios(confusion_matrix(truth, prediction, EVERYWHERE))
+    assert (found["iou_n"], found["iou_occ"], found["iou_t"]) == (0.0, 0.0, None)
 
 
 def test_nothing_evaluated_leaves_everything_undefined() -> None:
     empty = confusion_matrix(np.zeros(40, np.uint8), np.zeros(40, np.uint8), ~EVERYWHERE)
-    assert set(vars(ious(empty)).values()) == {None}
+    assert set(named_ratios(empty).values()) == {None}
 
 
 def test_batches_are_read_like_single_confusions() -> None:
     batch = np.random.default_rng(0).integers(0, 9, (3, 5, 4, 4))
     for index in np.ndindex(3, 5):
-        single = ious(batch[index])
-        assert float(iou_occupied(batch)[index]) == single.iou_occ
-        assert list(iou_classes(batch)[index]) == [single.iou_t, single.iou_p, single.iou_n]
-        assert float(mean_iou(batch)[index]) == single.miou
+        single = named_ratios(batch[index])
+        assert float(iou_occupied(batch)[index]) == single["iou_occ"]
+        assert list(iou_classes(batch)[index]) == [single["iou_t"], single["iou_p"], single["iou_n"]]
+        assert float(mean_iou(batch)[index]) == single["miou"]
 
 
 def test_int32_counts_do_not_overflow_in_a_union() -> None:
     full = np.full((4, 4), 2**31 - 1, np.int32)
-    assert ious(full).iou_occ == pytest.approx(9 / 15)
+    assert named_ratios(full)["iou_occ"] == pytest.approx(9 / 15)
 
 
 def test_shapes_that_are_no_confusion_are_refused() -> None:
     with pytest.raises(ShapeError, match=r"confusion has shape \(3, 3\)"):
-        ious(np.zeros((3, 3), np.int64))
+        named_ratios(np.zeros((3, 3), np.int64))
     with pytest.raises(ShapeError, match="prediction has shape"):
         confusion_matrix(np.zeros(4, np.uint8), np.zeros(5, np.uint8), np.ones(4, np.bool_))
 
