@@ -1,0 +1,89 @@
+"""A submission held against a ground truth, as the rows have both when a stage begins.
+
+**Conventions.** A stage may run twice, and long after its submission has ended: it looks at the state first. Queued and
+scoring submissions are under way; a scored one is only scored again, by another pair.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from services.eval.manifest import Manifest, read_manifest
+from services.eval.scoring_errors import PurgedError, TruthUnreadyError
+from services.runtime.jobs.errors import JobCancelledError
+from services.runtime.orm import Blob, GroundTruth, Submission
+from services.runtime.platform import Platform
+
+UNDER_WAY = ("queued", "scoring")
+VALIDATION = "validation"
+
+
+@dataclass(frozen=True)
+class Truth:
+    """A ground truth that is ready, and the objects it lies in."""
+
+    id: str
+    sha256: str
+    mask: str
+    frames: int
+    facts: Mapping[str, Any]
+    manifest_key: str
+    pack_key: str
+
+    def manifest(self, platform: Platform) -> Manifest:
+        return read_manifest(platform.store.local(self.manifest_key))
+
+
+@dataclass(frozen=True)
+class Case:
+    """`zip_key` is the object of the file; empty while it is not kept, or not any more."""
+
+    submission_id: str
+    phase_id: str
+    is_validation: bool
+    state: str
+    zip_key: str
+    truth: Truth
+
+    @property
+    def is_under_way(self) -> bool:
+        return self.state in UNDER_WAY
+
+    @property
+    def is_over(self) -> bool:
+        """Whether nothing is to be counted for it any more."""
+        return self.state not in (*UNDER_WAY, "scored")
+
+    def kept_key(self) -> str:
+        """Raises `PurgedError`."""
+        if not self.zip_key:
+            raise PurgedError(self.submission_id)
+        return self.zip_key
+
+
+def standing_submission(session: Session, submission_id: str) -> Submission:
+    """The row as it is now. Raises `JobCancelledError` when it was deleted."""
+    found = session.get(Submission, submission_id, populate_existing=True)
+    if found is None:
+        raise JobCancelledError("its submission was deleted")
+    return found
+
+
+def case_of(session: Session, submission_id: str, truth_id: str) -> Case:
+    """Raises `JobCancelledError`, `TruthUnreadyError`."""
+    row = standing_submission(session, submission_id)
+    zip_key = session.scalar(select(Blob.object_key).where(Blob.sha256 == row.blob_sha256)) or ""
+    truth = truth_of(session, truth_id)
+    return Case(row.id, row.phase_id, row.kind == VALIDATION, row.state, zip_key, truth)
+
+
+def truth_of(session: Session, truth_id: str) -> Truth:
+    """Raises `TruthUnreadyError`."""
+    row = session.get(GroundTruth, truth_id)
+    if row is None or row.ready_ns is None:
+        raise TruthUnreadyError(f"ground truth {truth_id}")
+    manifest, pack = (session.get_one(Blob, sha256).object_key for sha256 in (row.manifest_sha256, row.pack_sha256))
+    return Truth(row.id, row.sha256, row.mask, row.frames, row.facts, manifest, pack)

@@ -1,0 +1,48 @@
+"""The file of a submission, from where it came in to where it stays.
+
+**Conventions.** It is kept under its own transaction, not with the job's success: the file that came in can then go,
+and an attempt that is killed afterwards finds it kept.
+"""
+
+from sqlalchemy import update
+from sqlalchemy.orm import Session
+
+from services.eval.scoring_errors import UploadDamagedError
+from services.runtime.benchmarks.submissions import mark_scoring
+from services.runtime.blobs import PreparedBlob, link, prepare
+from services.runtime.orm import Submission
+from services.runtime.platform import Platform
+from services.runtime.uploads.files import remove_file, upload_file
+
+
+def keep_file(platform: Platform, submission: Submission) -> None:
+    """Have the file as a blob, and the submission in scoring; nothing happens where that is so.
+
+    Raises `UploadDamagedError`, `JobCancelledError` where it ended meanwhile, and what the store raises.
+    """
+    if submission.blob_sha256 is None:
+        _keep(platform, submission)
+    elif submission.state == "queued":  # an administrator has it tried again
+        with platform.database.transaction() as session:
+            mark_scoring(session, submission.id)
+    if submission.upload_id:
+        remove_file(upload_file(platform.settings, submission.upload_id))
+
+
+def _keep(platform: Platform, submission: Submission) -> None:
+    declared = submission.declared_sha256
+    path = upload_file(platform.settings, submission.upload_id or "")
+    if not path.is_file():
+        raise UploadDamagedError("", declared)
+    prepared = prepare(platform.store, platform.database, path, adopt=True)
+    if prepared.sha256 != declared:
+        raise UploadDamagedError(prepared.sha256, declared)
+    with platform.database.transaction() as session:
+        _write(session, submission.id, prepared)
+
+
+def _write(session: Session, submission_id: str, prepared: PreparedBlob) -> None:
+    mark_scoring(session, submission_id)
+    blob = link(session, prepared)
+    unkept = update(Submission).where(Submission.id == submission_id, Submission.blob_sha256.is_(None))
+    session.execute(unkept.values(blob_sha256=blob.sha256), execution_options={"synchronize_session": False})
