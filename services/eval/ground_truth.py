@@ -72,7 +72,11 @@ def read_truth(path: Path, mask: Mask) -> TruthPlanes:
 
     Raises `UnreadableInputError`, and `GroundTruthError` for anything but a label file of the labeler.
     """
-    npz = read_bounded(path, MAX_LABELS_BYTES, GroundTruthError)
+    return truth_in(read_bounded(path, MAX_LABELS_BYTES, GroundTruthError), mask, path)
+
+
+def truth_in(npz: bytes, mask: Mask, path: Path) -> TruthPlanes:
+    """The ground truth in the bytes of a label file, which `path` only names. Raises `GroundTruthError`."""
     try:
         return _planes(npz, mask)
     except (SubmissionError, LabelRangeError, KeyError) as error:
