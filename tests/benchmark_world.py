@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import select
 
-from services.eval.tasks import handlers
+from services.eval.stages import handlers
 from services.runtime.benchmarks.phases import NewBenchmark, NewPhase, create_benchmark, create_phase
 from services.runtime.benchmarks.teams import invite, join
 from services.runtime.benchmarks.truths import start_truth
