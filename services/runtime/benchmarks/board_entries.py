@@ -21,7 +21,7 @@ from services.runtime.orm import Phase, Score, Submission, Team
 from stone.metric import RATIOS
 from stone.ranking import in_order, shared_ranks
 
-Track = Literal["all", "C", "L", "R", "C+L", "C+R", "L+R", "C+L+R"]
+Track = Literal["all", "C", "L", "R", "C+L", "C+R", "L+R", "C+L+R"]  # `modalities.Modality`, and all
 Which = Literal["best", "all"]
 Standing = Literal["ranked", "baseline", "undefined", "reported"]
 
