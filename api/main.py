@@ -16,7 +16,9 @@ from api.metrics import Meters
 from api.openapi import PREFIX, documented, operation_id
 from api.probes import Probes
 from api.routes import (
+    admin_alarms,
     admin_jobs,
+    admin_rescores,
     audit,
     calibrations,
     datasets,
@@ -66,6 +68,8 @@ ROUTERS: tuple[APIRouter, ...] = (
     phase_inputs.router,
     jobs.router,
     admin_jobs.router,
+    admin_rescores.router,
+    admin_alarms.router,
     events.router,
 )
 

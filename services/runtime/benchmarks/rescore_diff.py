@@ -1,27 +1,21 @@
-"""What a re-score would change, or has changed: every standing submission by both pairs, with its moves.
+"""What a re-score would change, or has changed: every entry and baseline on the board by both pairs, with its moves.
 
-**Conventions.** Ranks are of all entries of the phase in the order of its board (every entry by itself, not the best of
-its team), so that every move is seen; baselines and hidden entries have none. A move in rank is old − new: positive
-moves up. A move in value is new − old of mIoU. For administrators only: values are exact.
+**Conventions.** Ranks are those of the board with all entries, not the best of each team, so that every move is seen. A
+move in rank is old − new: positive moves up. A move in value is new − old of mIoU. For administrators only: values are
+exact.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from sqlalchemy import select
 from sqlalchemy.orm import Session
 
+from services.runtime.benchmarks.board_entries import BoardQuery, Entry, ordered, standing_entries
 from services.runtime.benchmarks.pairs import Pair
-from services.runtime.benchmarks.rescore_progress import standing_ids
 from services.runtime.benchmarks.rescoring import old_pair
-from services.runtime.benchmarks.visibility import is_on_board, rounded, secrecy_of
-from services.runtime.orm import GroundTruth, Phase, Rescore, Score, Submission, Team
-from services.runtime.orm.base import now_ns
-from stone.metric import RATIOS
-from stone.ranking import in_order, shared_ranks
+from services.runtime.orm import GroundTruth, Phase, Rescore
 
 Ratios = Mapping[str, float | None]
-RANKED_BY = ("miou", "iou_occ", "iou_n")
 
 
 @dataclass(frozen=True)
@@ -42,7 +36,6 @@ class Moved:
     method: str
     modality: str
     kind: str
-    is_hidden: bool
     old: Ratios | None
     new: Ratios | None
     old_rank: int | None
@@ -97,50 +90,31 @@ def rescore_diff(session: Session, rescore: Rescore) -> RescoreDiff:
     """The difference as it stands now, complete or not; of an activated re-score against the pair before it."""
     before, after = old_pair(session, rescore), Pair(rescore.truth_id, rescore.metric)
     phase = session.get_one(Phase, rescore.phase_id)
-    ids = standing_ids(session, phase.id)
-    old, new = (_ratios(session, pair) if pair else {} for pair in (before, after))
-    ranked = _ranked_ids(session, phase.id)
-    old_ranks, new_ranks = (_ranks(ranked, ratios, phase) for ratios in (old, new))
-    facts = select(Submission, Team.name).join(Team, Team.id == Submission.team_id).where(Submission.id.in_(ids))
+    old, new = (_entries(session, phase, pair) for pair in (before, after))
+    old_ranks, new_ranks = _ranks(old), _ranks(new)
     rows = [
-        _moved(one, team, (old.get(one.id), new.get(one.id)), (old_ranks.get(one.id), new_ranks.get(one.id)))
-        for one, team in session.execute(facts).all()
+        _moved(shown, (old.get(key), new.get(key)), (old_ranks.get(key), new_ranks.get(key)))
+        for key, shown in {**old, **new}.items()
     ]
-    rows.sort(key=lambda row: (row.new_rank or len(rows) + 1, row.old_rank or len(rows) + 1, row.submission_id))
+    last = len(rows) + 1
+    rows.sort(key=lambda row: (row.new_rank or last, row.old_rank or last, row.submission_id))
     return RescoreDiff(_side(session, before) if before else None, _side(session, after), tuple(rows))
 
 
-def _ratios(session: Session, pair: Pair) -> dict[str, Ratios]:
-    """The scores of the phase by this pair, by submission."""
-    columns = [getattr(Score, name) for name in RATIOS]
-    by_pair = select(Score.submission_id, *columns).where(Score.truth_id == pair.truth_id, Score.metric == pair.metric)
-    return {row[0]: dict(zip(RATIOS, row[1:], strict=True)) for row in session.execute(by_pair)}
+def _entries(session: Session, phase: Phase, pair: Pair | None) -> dict[str, Entry]:
+    """What stands on the board by the pair, by submission."""
+    found = standing_entries(session, phase, pair, BoardQuery(entries="all")) if pair else ()
+    return {entry.submission_id: entry for entry in found}
 
 
-def _ranked_ids(session: Session, phase_id: str) -> list[str]:
-    """The entries that may be ranked, the earlier first."""
-    ranked = select(Submission.id).where(Submission.phase_id == phase_id, is_on_board(), Submission.kind == "entry")
-    return list(session.scalars(ranked.order_by(Submission.finalized_ns, Submission.id)))
+def _ranks(entries: Mapping[str, Entry]) -> dict[str, int]:
+    board = ordered(entries.values(), "all")
+    return {entry.submission_id: rank for entry, rank in zip(board.ranked, board.ranks, strict=True)}
 
 
-def _ranks(ids: Sequence[str], ratios: Mapping[str, Ratios], phase: Phase) -> dict[str, int]:
-    """The rank of each of `ids` that has all ratios of the order; rounded where the board is."""
-    is_rounded = secrecy_of(phase, now_ns()) == "running"
-    found = {one: [ratios[one][name] for name in RANKED_BY] for one in ids if one in ratios}
-    known = {one: [value for value in values if value is not None] for one, values in found.items()}
-    keys = {one: values for one, values in known.items() if len(values) == len(RANKED_BY)}
-    shown = [[rounded(value) if is_rounded else value for value in values] for values in keys.values()]
-    order = in_order(shown)
-    ranks = shared_ranks([shown[place] for place in order])
-    named = list(keys)
-    return {named[place]: rank for place, rank in zip(order, ranks, strict=True)}
-
-
-def _moved(
-    submission: Submission, team: str, sides: tuple[Ratios | None, Ratios | None], ranks: tuple[int | None, int | None]
-) -> Moved:
-    facts = (submission.id, team, submission.method, submission.modality, submission.kind)
-    return Moved(*facts, submission.hidden_ns is not None, *sides, *ranks)
+def _moved(shown: Entry, sides: tuple[Entry | None, Entry | None], ranks: tuple[int | None, int | None]) -> Moved:
+    old, new = (side.ratios if side else None for side in sides)
+    return Moved(shown.submission_id, shown.team, shown.method, shown.modality, shown.kind, old, new, *ranks)
 
 
 def _side(session: Session, pair: Pair) -> Side:

@@ -21,12 +21,14 @@ from services.runtime.orm import Job, Rescore, Score, Submission
 class RescoreProgress:
     """Of `total` standing submissions `scored` have their new score, `missing` can still get it, `gone` cannot.
 
-    `in_flight` were being scored when the re-score began, and will lack the new score when they are done.
+    `hidden` can get it too, but are hidden, so that nobody misses them on the board. `in_flight` were being scored when
+    the re-score began, and will lack the new score when they are done.
     """
 
     total: int
     scored: int
     missing: int
+    hidden: int
     gone: int
     in_flight: int
 
@@ -38,11 +40,12 @@ class RescoreProgress:
 def rescore_progress(session: Session, rescore: Rescore) -> RescoreProgress:
     """How far it is, judged by the scores there are and not by its run."""
     pair = Pair(rescore.truth_id, rescore.metric)
-    of_phase = _standing(rescore.phase_id)
+    of_phase, lacking = _standing(rescore.phase_id), _lacking(rescore.phase_id, pair)
     total, scored = _count(session, of_phase), _count(session, of_phase.where(_has_score(pair)))
-    missing = _count(session, _lacking(rescore.phase_id, pair))
+    missing = _count(session, lacking.where(Submission.hidden_ns.is_(None)))
+    hidden = _count(session, lacking.where(Submission.hidden_ns.is_not(None)))
     in_flight = len(_uncovered(session, rescore.phase_id, pair))
-    return RescoreProgress(total, scored, missing, total - scored - missing, in_flight)
+    return RescoreProgress(total, scored, missing, hidden, total - scored - missing - hidden, in_flight)
 
 
 def lacking_ids(session: Session, phase_id: str, pair: Pair) -> list[str]:
@@ -50,9 +53,10 @@ def lacking_ids(session: Session, phase_id: str, pair: Pair) -> list[str]:
     return list(session.scalars(_lacking(phase_id, pair)))
 
 
-def standing_ids(session: Session, phase_id: str) -> list[str]:
-    """The submissions of the phase that stand, oldest first."""
-    return list(session.scalars(_standing(phase_id).order_by(Submission.id)))
+def failed_ids(session: Session, run_id: str | None) -> set[str]:
+    """The submissions that a job of this run failed for."""
+    failed = select(Job.arguments).where(Job.root_id == run_id, Job.id != run_id, Job.state == "failed")
+    return {arguments["submission_id"] for arguments in session.scalars(failed) if arguments}
 
 
 def _standing(phase_id: str) -> Select[str]:

@@ -21,7 +21,7 @@ from services.runtime.benchmarks.rescore_errors import (
     RescoreStateError,
     TruthNotReadyError,
 )
-from services.runtime.benchmarks.rescore_progress import lacking_ids, rescore_progress
+from services.runtime.benchmarks.rescore_progress import failed_ids, lacking_ids, rescore_progress
 from services.runtime.benchmarks.scoring_jobs import rescore_specs
 from services.runtime.jobs import steering
 from services.runtime.jobs.queueing import enqueue_run
@@ -46,6 +46,7 @@ class NewRescore:
 def start_rescore(session: Session, phase: Phase, asked: NewRescore) -> tuple[Rescore, Job | None]:
     """The re-score of the phase by the pair, and the run that scores what lacks it; None where nothing does.
 
+    By the pair of the board it is refused, unless an entry lacks that (one that was hidden, say, and is shown again).
     Where one by this pair is pending, it is that one: its run goes on, or, has that ended, another takes up what is
     missing. Raises `UnknownMetricError`, `ForeignTruthError`, `TruthNotReadyError`, `AlreadyActiveError`,
     `QueueDrainingError`.
@@ -57,9 +58,12 @@ def start_rescore(session: Session, phase: Phase, asked: NewRescore) -> tuple[Re
     run = session.get(Job, rescore.job_id) if rescore.job_id else None
     if run is not None and run.state not in TERMINAL:
         return rescore, run
-    specs = rescore_specs(session, lacking_ids(session, phase.id, pair), pair)
-    if not specs:
+    failed = failed_ids(session, rescore.job_id)
+    # A run ends with its first failure, so what failed before is tried after all others.
+    lacking = sorted(lacking_ids(session, phase.id, pair), key=lambda one: (one in failed, one))
+    if not lacking:
         return rescore, None
+    specs = rescore_specs(session, lacking, pair)
     run = enqueue_run(session, RUN, specs, Context(asked.user_id, priority=PRIORITY))
     rescore.job_id = run.id
     session.flush()
@@ -116,7 +120,7 @@ def _check(session: Session, phase: Phase, pair: Pair) -> None:
     if truth is None or truth.phase_id != phase.id:
         raise ForeignTruthError(pair.truth_id)
     _ready(session, pair.truth_id)
-    if active(session, phase.id) == pair:
+    if active(session, phase.id) == pair and not lacking_ids(session, phase.id, pair):
         raise AlreadyActiveError(truth.number, pair.metric)
 
 

@@ -1,0 +1,158 @@
+"""Re-scores over the wire: what is asked for, how far it is, what it would change."""
+
+from datetime import datetime
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from api.schemas.base import ID_EXAMPLE, PLAIN, Answer, Body, IdText, Reason, example
+from api.schemas.jobs import FailureItem
+
+RescoreState = Literal["running", "incomplete", "complete", "activated", "abandoned"]
+SIDE_EXAMPLE: dict[str, Any] = {"truth_id": ID_EXAMPLE, "truth_number": 2, "metric": "stone-iou-1"}
+RATIOS_EXAMPLE = {"iou_occ": 0.512, "iou_t": 0.431, "iou_p": 0.207, "iou_n": 0.388, "miou": 0.342}
+RESCORE_EXAMPLE: dict[str, Any] = {
+    "id": ID_EXAMPLE,
+    "phase_id": ID_EXAMPLE,
+    "truth_id": ID_EXAMPLE,
+    "metric": "stone-iou-1",
+    "reason": "labels of the quarry corrected",
+    "state": "running",
+    "total": 600,
+    "scored": 412,
+    "missing": 188,
+    "hidden": 0,
+    "gone": 0,
+    "in_flight": 0,
+    "job_id": ID_EXAMPLE,
+    "failure": None,
+    "created_at": "2026-05-03T09:12:44.120000Z",
+    "activated_at": None,
+    "abandoned_at": None,
+}
+MOVED_EXAMPLE: dict[str, Any] = {
+    "submission_id": ID_EXAMPLE,
+    "team": "Forest",
+    "method": "VoxelNet",
+    "modality": "C+L",
+    "kind": "entry",
+    "old": RATIOS_EXAMPLE,
+    "new": RATIOS_EXAMPLE,
+    "old_rank": 4,
+    "new_rank": 2,
+    "rank_move": 2,
+    "value_move": 0.011,
+}
+
+
+class NewRescoreBody(Body):
+    """By which pair all standing entries are to be scored; what is not said stays as the board has it."""
+
+    model_config = example(truth_id=ID_EXAMPLE, metric="stone-iou-1", reason="labels of the quarry corrected")
+
+    truth_id: IdText | None = None
+    metric: Annotated[str, Field(pattern=PLAIN, max_length=32)] | None = None
+    reason: Reason
+
+
+class RescoreItem(Answer):
+    """A re-score and how far it is.
+
+    Of `total` standing submissions `scored` have their new score; `missing` can still get it, `hidden` too but nobody
+    misses them; the files of `gone` were purged. `in_flight` are being scored without the new pair. `state` is running,
+    incomplete (its run has ended and something is missing: start it again), complete, activated or abandoned.
+    """
+
+    model_config = example(**RESCORE_EXAMPLE)
+
+    id: str
+    phase_id: str
+    truth_id: str
+    metric: str
+    reason: str
+    state: RescoreState
+    total: int
+    scored: int
+    missing: int
+    hidden: int
+    gone: int
+    in_flight: int
+    job_id: str | None
+    failure: FailureItem | None
+    created_at: datetime
+    activated_at: datetime | None
+    abandoned_at: datetime | None
+
+
+class SideItem(Answer):
+    """One of the two pairs that are compared."""
+
+    model_config = example(**SIDE_EXAMPLE)
+
+    truth_id: str
+    truth_number: int
+    metric: str
+
+
+class MovedItem(Answer):
+    """An entry or baseline by both pairs; null where it has no score, or no rank."""
+
+    model_config = example(**MOVED_EXAMPLE)
+
+    submission_id: str
+    team: str
+    method: str
+    modality: str
+    kind: str
+    old: dict[str, float | None] | None
+    new: dict[str, float | None] | None
+    old_rank: int | None
+    new_rank: int | None
+    rank_move: int | None
+    value_move: float | None
+
+
+class RescoreDiffAnswer(Answer):
+    """What the switch would change, or has changed. The ETag names the activation in force: If-Match of `activate`."""
+
+    model_config = example(
+        rescore=RESCORE_EXAMPLE,
+        old=SIDE_EXAMPLE,
+        new=SIDE_EXAMPLE,
+        is_order_changed=True,
+        is_new_leader=False,
+        largest_rank_move=2,
+        largest_value_move=0.011,
+        without_new_score=0,
+        rows=[MOVED_EXAMPLE],
+    )
+
+    rescore: RescoreItem
+    old: SideItem | None
+    new: SideItem
+    is_order_changed: bool
+    is_new_leader: bool
+    largest_rank_move: int
+    largest_value_move: float
+    without_new_score: int
+    rows: list[MovedItem]
+
+
+class ActivationItem(Answer):
+    """From `activated_at` on the board shows this pair."""
+
+    model_config = example(
+        id=ID_EXAMPLE,
+        phase_id=ID_EXAMPLE,
+        truth_id=ID_EXAMPLE,
+        metric="stone-iou-1",
+        rescore_id=ID_EXAMPLE,
+        activated_at="2026-05-03T09:12:44.120000Z",
+    )
+
+    id: str
+    phase_id: str
+    truth_id: str
+    metric: str
+    rescore_id: str | None
+    activated_at: datetime
