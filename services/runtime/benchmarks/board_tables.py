@@ -1,7 +1,8 @@
 """A board as a file: CSV and Parquet for programs, Markdown and LaTeX for papers.
 
 **Conventions.** Ratios are ratios in CSV and Parquet, per cent with two digits in Markdown and LaTeX. What is null is
-an empty cell, or a dash. Each says by which pair its scores were made; the LaTeX table needs `booktabs`. Texts of strangers are texts in each (`plain_text.py`).
+an empty cell, or a dash. Each says by which pair its scores were made; the LaTeX table needs `booktabs`. Texts of
+strangers are texts in each (`plain_text.py`).
 """
 
 import csv
