@@ -215,7 +215,7 @@ class Pausing(Said):
 
 def test_what_a_killed_attempt_left_is_removed_by_the_next(brought: Brought) -> None:
     _, job_id = asked(brought)
-    left = brought.platform.settings.root / "store" / "work" / job_id / "export-0123456789abcdef" / "files"
+    left = brought.platform.settings.root / "store" / "work" / job_id / f"export-{job_id}-01234567" / "files"
     left.mkdir(parents=True)
     (left / "half.bin").write_bytes(b"half")
     run_all(brought.platform)

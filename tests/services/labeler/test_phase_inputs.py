@@ -1,0 +1,199 @@
+"""Inputs of a phase made by the queue from a labelled sequence: once, without a byte of a label, there for good."""
+
+import json
+import shutil
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from sqlalchemy import select
+
+from services.ingest.stages import open_recording
+from services.runtime.benchmarks.inputs import (
+    RUN,
+    InputsImpossibleError,
+    InputsStandError,
+    inputs_of,
+    locate_input,
+    start_inputs,
+)
+from services.runtime.benchmarks.phases import NewBenchmark, NewPhase, create_benchmark, create_phase
+from services.runtime.collection import collect
+from services.runtime.dataset_reading import dataset_named
+from services.runtime.exported import stored_files
+from services.runtime.jobs.steering import cancel
+from services.runtime.migrate import upgrade
+from services.runtime.orm import Artefact, Blob, Job, LabelledFrame, Phase, PhaseInput
+from services.runtime.packed_reading import file_pieces
+from services.runtime.platform import Platform
+from services.runtime.processing import delete_sequence
+from services.runtime.recordings import remove_recording
+from services.runtime.sample_sources import provide_samples
+from services.runtime.settings import StoreSettings
+from simulator.options import SimulateOptions
+from simulator.pipeline import simulate
+from tests.api.published import dataset
+from tests.servers.fixtures import make_settings, opened
+from tests.services.runs import Brought, bring_ready, run_all
+
+RUN_OPTIONS = SimulateOptions(seconds=2.0, seed=3, channels=16, columns=180, cameras=False)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A platform with a labelled sequence in the hidden part of a version, and a phase over it."""
+
+    brought: Brought
+    phase_id: str
+
+    @property
+    def platform(self) -> Platform:
+        return self.brought.platform
+
+    def start(self) -> str:
+        with self.platform.database.transaction() as session:
+            return start_inputs(session, session.get_one(Phase, self.phase_id), self.brought.owner_id).id
+
+    def job(self, job_id: str) -> Job:
+        return self.brought.job(job_id)
+
+    def rows(self) -> list[PhaseInput]:
+        with self.platform.database.reading() as session:
+            return list(session.scalars(inputs_of(self.phase_id)))
+
+    def files(self) -> dict[str, bytes]:
+        (row,) = self.rows()
+        with self.platform.database.reading() as session:
+            located = locate_input(session, row)
+        stored = stored_files(self.platform.store, located)
+        files, read = stored.files, stored.reader(self.platform.store)
+        return {
+            name: b"".join(file_pieces(files, ordinal, (0, int(files.sizes_bytes[ordinal])), read))
+            for ordinal, name in enumerate(files.names)
+        }
+
+
+@pytest.fixture(scope="module")
+def labelled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The data folder of that platform."""
+    bag = tmp_path_factory.mktemp("field") / "run.mcap"
+    simulate(bag, RUN_OPTIONS)
+    root = tmp_path_factory.mktemp("labelled")
+    platform = opened(make_settings(root), [])
+    upgrade(platform.settings)
+    brought = bring_ready(platform, bag)
+    brought.process()
+    run_all(platform)
+    name = dataset(platform, brought.owner_id, {"test": [brought.sequence_id]})
+    with platform.database.transaction() as session:
+        version = dataset_named(session, name)
+        assert version is not None
+        benchmark = create_benchmark(session, NewBenchmark("stone", "STONE", "", brought.owner_id))
+        phase = create_phase(session, benchmark, version, NewPhase("test", "test", is_hidden=True))
+    platform.database.close()
+    ids = [brought.owner_id, brought.sequence_id, brought.recording_ids, phase.id]
+    (root / "ids.json").write_text(json.dumps(ids))
+    return root
+
+
+@pytest.fixture
+def asked(labelled: Path, tmp_path: Path) -> Iterator[Asked]:
+    """A copy of it; what nobody needs may be collected at once."""
+    provide_samples(open_recording)
+    shutil.copytree(labelled, tmp_path / "platform")
+    platform = opened(make_settings(tmp_path / "platform", store=StoreSettings(grace_s=0.0)), [])
+    owner_id, sequence_id, recording_ids, phase_id = json.loads((tmp_path / "platform" / "ids.json").read_text())
+    yield Asked(Brought(platform, owner_id, sequence_id, recording_ids), phase_id)
+    platform.database.close()
+
+
+def tokens(platform: Platform) -> tuple[str, ...]:
+    with platform.database.reading() as session:
+        return tuple(session.scalars(select(LabelledFrame.token).order_by(LabelledFrame.ordinal)))
+
+
+def label_bytes(asked: Asked) -> dict[str, bytes]:
+    """Everything that labelling made: label files, mesh, pictures, report, frame table."""
+    return {name: content for name, content in asked.brought.files().items() if name != "sequence.npz"}
+
+
+def table(files: Mapping[str, bytes], name: str) -> Any:
+    return json.loads(files[f"v1.0-trainval/{name}.json"])
+
+
+def test_inputs_hold_the_frames_of_the_labels_and_no_label(asked: Asked) -> None:
+    run_id = asked.start()
+    assert run_all(asked.platform) == 1
+    assert (asked.job(run_id).state, asked.job(run_id).kind) == ("succeeded", RUN)
+    files = asked.files()
+    assert tuple(row["token"] for row in table(files, "sample")) == tokens(asked.platform)
+    assert {name.split("/")[0] for name in files} == {"samples", "v1.0-trainval", "maps", "sha256sum.txt"}
+    made = label_bytes(asked)
+    assert len(made) > len(tokens(asked.platform))
+    contents = set(files.values())
+    for name, content in made.items():
+        assert content not in contents, name
+        assert not any(content in other for other in contents), name
+    sweep = next(content for name, content in files.items() if "LIDAR_TOP" in name)
+    assert len(np.frombuffer(sweep, "<f4").reshape(-1, 5)) > 500
+
+
+def test_labels_are_not_even_opened(asked: Asked) -> None:
+    """Where every blob of the labels is gone from the store, the inputs come all the same."""
+    with asked.platform.database.reading() as session:
+        named = select(Blob.object_key).join(Artefact, Artefact.blob_sha256 == Blob.sha256)
+        keys = session.scalars(named.where(Artefact.name != "sequence.npz")).all()
+    for key in keys:
+        asked.platform.store.delete(key)
+    run_id = asked.start()
+    run_all(asked.platform)
+    assert asked.job(run_id).state == "succeeded"
+    assert len(table(asked.files(), "sample")) == len(tokens(asked.platform))
+
+
+def test_inputs_are_made_once(asked: Asked) -> None:
+    assert asked.start() == asked.start(), "the run that is at it answers"
+    run_all(asked.platform)
+    with pytest.raises(InputsStandError, match="all 1 sequences of phase 'test'"):
+        asked.start()
+
+
+def test_a_run_that_was_cancelled_can_be_asked_for_again(asked: Asked) -> None:
+    first = asked.start()
+    with asked.platform.database.transaction() as session:
+        cancel(session, first, "no")
+    run_all(asked.platform)
+    assert asked.rows() == []
+    second = asked.start()
+    run_all(asked.platform)
+    assert (first != second, asked.job(second).state) == (True, "succeeded")
+
+
+def test_inputs_outlive_the_sequence(asked: Asked) -> None:
+    asked.start()
+    run_all(asked.platform)
+    before = asked.files()
+    with asked.platform.database.transaction() as session:
+        delete_sequence(session, asked.brought.sequence())
+    assert collect(asked.platform).objects > 0
+    assert asked.files() == before
+
+
+def test_without_a_recording_there_are_no_inputs(asked: Asked) -> None:
+    with asked.platform.database.transaction() as session:
+        remove_recording(session, asked.brought.recording())
+    with pytest.raises(InputsImpossibleError, match="1 sequences have lost their recording or were deleted: field"):
+        asked.start()
+
+
+def test_a_recording_that_goes_meanwhile_fails_the_job_and_leaves_no_row(asked: Asked) -> None:
+    run_id = asked.start()
+    with asked.platform.database.transaction() as session:
+        remove_recording(session, asked.brought.recording())
+    run_all(asked.platform)
+    (job,) = (job for job in asked.brought.jobs(run_id) if job.queue)
+    assert (asked.job(run_id).state, job.failure_code) == ("failed", "recording_deleted")
+    assert asked.rows() == []
