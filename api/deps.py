@@ -92,7 +92,12 @@ def identify(request: Request) -> Caller | None:
 
 def require(scope: str, *accepted: str) -> Callable[..., Caller]:
     """A dependency that gives the caller, if they hold `scope` and at least one of the `accepted` roles."""
-    asked = [scope, *accepted]  # for the document only
+    return require_one((scope,), *accepted)
+
+
+def require_one(scopes: tuple[str, ...], *accepted: str) -> Callable[..., Caller]:
+    """As `require`, of somebody who holds any of `scopes`; the document names the first."""
+    asked = [scopes[0], *accepted]  # for the document only
 
     def caller_who_may(
         request: Request,
@@ -104,8 +109,9 @@ def require(scope: str, *accepted: str) -> Callable[..., Caller]:
             raise UnauthenticatedError()
         if caller.is_session and request.method not in SAFE:
             _check_csrf(request, caller)
-        if scope not in caller.scopes:
-            raise ForbiddenError(f"this needs the scope {scope!r}; yours are {sorted(caller.scopes)}")
+        if not caller.scopes & set(scopes):
+            wanted = " or ".join(map(repr, scopes))
+            raise ForbiddenError(f"this needs the scope {wanted}; yours are {sorted(caller.scopes)}")
         if not roles.allows(caller.role, accepted):
             raise ForbiddenError(f"this needs the role {' or '.join(accepted)}; yours is {caller.role}")
         return caller

@@ -13,6 +13,7 @@ from starlette.datastructures import FormData, UploadFile
 from starlette.formparsers import MultiPartException, MultiPartParser
 
 from api.deps import Caller
+from api.tus_creation import owner_of, refuse_unscoped
 from api.tus_errors import FormError, UnsupportedMediaTypeError
 from api.uploading import BLOCK_BYTES, in_thread
 from services.runtime.orm import Upload
@@ -43,7 +44,8 @@ async def accept_form(request: Request, platform: Platform, caller: Caller) -> U
         declared = _declared(files[0], fields)
         if declared.length_bytes > platform.settings.uploads.form_bytes:
             raise UploadTooLargeError(declared.length_bytes, platform.settings.uploads.form_bytes)
-        return await in_thread(_keep, platform, Owner(caller.user_id, caller.is_administrator), declared, files[0].file)
+        refuse_unscoped(caller, declared)
+        return await in_thread(_keep, platform, owner_of(caller), declared, files[0].file)
     finally:
         await form.close()
 

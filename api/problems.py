@@ -7,6 +7,7 @@ insides.
 
 import errno
 from collections.abc import Callable, Mapping, Sequence
+from datetime import datetime
 from typing import Any
 
 import structlog
@@ -21,8 +22,11 @@ from starlette.exceptions import HTTPException
 from api.context import request_id
 from api.errors import ApiError, BodyTooLargeError, InvalidRequestError
 from api.methods import allowed
+from api.schemas.base import instant
 from api.statuses import phrase_of, status_of
 from api.tus_errors import UnsupportedMediaTypeError
+from services.runtime.benchmarks.submission_errors import ExhaustedError
+from services.runtime.orm.base import now_ns
 from stone.errors import StoneError
 
 MEDIA_TYPE = "application/problem+json"
@@ -56,6 +60,9 @@ class Problem(BaseModel):
     request_id: str
     errors: list[Finding] = []
     errors_total: int = 0
+    next_slot_at: datetime | None = Field(
+        default=None, description="when it may be asked for again, where that is known"
+    )
 
 
 def problem(status: int, code: str, detail: str, title: str = "") -> Problem:
@@ -66,7 +73,7 @@ def problem(status: int, code: str, detail: str, title: str = "") -> Problem:
 
 def answer(body: Problem, headers: Mapping[str, str] | None = None) -> JSONResponse:
     """The problem as an answer, never kept by anybody on the way."""
-    content = body.model_dump(exclude_none=True)
+    content = body.model_dump(mode="json", exclude_none=True)
     kept = {"Cache-Control": "no-store", **({"Retry-After": BUSY_S} if body.status == 503 else {}), **(headers or {})}
     return JSONResponse(content, body.status, headers=kept, media_type=MEDIA_TYPE)
 
@@ -78,11 +85,21 @@ def answer_to(error: StoneError) -> JSONResponse:
         log.error("refusal without a status", code=error.code, sentence=str(error))
         return internal_error()
     body = problem(status, error.code, str(error), title_of(type(error)))
+    if isinstance(error, ExhaustedError):
+        return _exhausted(body, error)
     if not isinstance(error, ApiError):
         return answer(body)
     body.errors = [Finding.model_validate(finding) for finding in error.findings[:MOST_FINDINGS]]
     body.errors_total = getattr(error, "total", len(error.findings))
     return answer(body, error.headers)
+
+
+def _exhausted(body: Problem, error: ExhaustedError) -> JSONResponse:
+    """When there will be something left; without a time where there never will."""
+    if error.next_ns is None:
+        return answer(body)
+    body.next_slot_at = instant(error.next_ns)
+    return answer(body, {"Retry-After": str(max(1, -(-(error.next_ns - now_ns()) // 10**9)))})
 
 
 def internal_error() -> JSONResponse:

@@ -16,9 +16,14 @@ from services.runtime import dataset_errors as datasets
 from services.runtime import label_choices as choices
 from services.runtime import processing_errors as processing
 from services.runtime.access import errors as access
-from services.runtime.benchmarks import inputs
+from services.runtime.benchmarks import inputs, reported
+from services.runtime.benchmarks import phase_errors as phases
+from services.runtime.benchmarks import rescore_errors as rescores
+from services.runtime.benchmarks import submission_errors as submissions
+from services.runtime.benchmarks import team_errors as teams
 from services.runtime.jobs import errors as jobs
 from services.runtime.uploads import errors as uploads
+from stone import metric
 from stone import splits as splitting
 from stone.errors import StoneError
 
@@ -60,6 +65,15 @@ STATUS_OF: dict[type[StoneError], int] = {
     inputs.InputsStandError: 409,
     jobs.JobStateError: 409,
     jobs.QueueDrainingError: 409,
+    phases.BadPhaseError: 422,
+    phases.EmptyPartError: 409,
+    phases.FramesUncomparedError: 409,
+    phases.NoGroundTruthError: 409,
+    phases.OpenTestError: 409,
+    phases.OtherFramesError: 409,
+    phases.PhaseEndedError: 409,
+    phases.PhaseFixedError: 409,
+    phases.TruthInMakingError: 409,
     processing.AlreadyProcessingError: 409,
     processing.NoCalibrationError: 409,
     processing.NoRecordingError: 409,
@@ -69,14 +83,38 @@ STATUS_OF: dict[type[StoneError], int] = {
     processing.UnknownStagesError: 422,
     profiles.BadProfileError: 422,
     recordings.ForeignTargetError: 409,
+    reported.ReportedTwiceError: 422,
     recordings.RecordingInUseError: 409,
+    rescores.AlarmDismissedError: 409,
+    rescores.AlarmMissingError: 404,
+    rescores.AlreadyActiveError: 409,
+    rescores.BoardMovedError: 412,
+    rescores.ForeignTruthError: 404,
+    rescores.RescoreIncompleteError: 409,
+    rescores.RescoreStateError: 409,
+    rescores.TruthNotReadyError: 409,
     quota.QuotaExceededError: 413,
+    submissions.ExhaustedError: 429,
+    submissions.HashMismatchError: 409,
+    submissions.PhaseClosedError: 409,
+    submissions.SubmissionStateError: 409,
+    submissions.SubmissionTooLargeError: 413,
+    submissions.TooManyOpenError: 409,
     splits.SplitRefusedError: 422,
+    metric.UnknownMetricError: 422,
     splitting.BadSizesError: 422,
     splitting.CatalogueTooLargeError: 422,
     splitting.EmptyCatalogueError: 409,
     store_keys.StoreAwayError: 503,
     store_keys.StoreFullError: 507,
+    teams.AlreadyInTeamError: 409,
+    teams.AlreadyMemberError: 409,
+    teams.CaptainStaysError: 409,
+    teams.InvitationError: 404,
+    teams.NotCaptainError: 403,
+    teams.NotMemberError: 404,
+    teams.TeamFullError: 409,
+    teams.TooManyError: 409,
     tus.ExtensionError: 400,
     tus.FormError: 422,
     tus.LengthDeferredError: 400,
@@ -90,6 +128,7 @@ STATUS_OF: dict[type[StoneError], int] = {
     uploads.FileMismatchError: 460,
     uploads.OffsetMismatchError: 409,
     uploads.OverLengthError: 413,
+    uploads.UndeclaredUploadError: 409,
     uploads.UploadGoneError: 410,
     uploads.UploadLockedError: 423,
     uploads.UploadMissingError: 404,

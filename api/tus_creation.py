@@ -7,16 +7,19 @@ name; only a full disk leaves it open, for what fitted counts.
 from fastapi import Request
 
 from api.deps import Caller
+from api.errors import ForbiddenError
 from api.tus_errors import ExtensionError, LengthDeferredError
 from api.tus_headers import count_of, declared_by, piece_of
 from api.uploading import in_thread, receive_body
 from services.runtime.orm import Upload
 from services.runtime.platform import Platform
 from services.runtime.uploads.creating import create
+from services.runtime.uploads.declared import Declared
 from services.runtime.uploads.errors import DiskFullError
 from services.runtime.uploads.finishing import end, settle_if_whole
 from services.runtime.uploads.receiving import Piece
-from services.runtime.uploads.rows import Owner, find
+from services.runtime.uploads.rows import Owner, find, find_alive
+from services.runtime.uploads.targets import SUBMISSION
 from stone.errors import StoneError
 
 
@@ -28,13 +31,33 @@ async def accept_creation(request: Request, platform: Platform, caller: Caller) 
         raise ExtensionError("Upload-Concat")
     declared = declared_by(request, count_of(request, "Upload-Length"))
     first = piece_of(request, 0) if _brings_bytes(request) else None
-    owner = Owner(caller.user_id, caller.is_administrator)
-    upload = await in_thread(create, platform, owner, declared)
+    refuse_unscoped(caller, declared)
+    upload = await in_thread(create, platform, owner_of(caller), declared)
     if upload.state == "complete":
         return upload
     if first is None:
         return await in_thread(settle_if_whole, platform, upload)  # a file of no bytes
     return await _receive_first(request, platform, upload, first)
+
+
+def owner_of(caller: Caller) -> Owner:
+    """The caller as the owner of an upload."""
+    return Owner(caller.user_id, caller.is_administrator, caller.role == "participant")
+
+
+def find_own(platform: Platform, upload_id: str, caller: Caller) -> Upload:
+    """The caller's upload, alive. Raises `UploadMissingError`, `UploadGoneError`, `ForbiddenError`."""
+    upload = find_alive(platform.database, upload_id, caller.user_id)
+    if upload.purpose != SUBMISSION and "upload" not in caller.scopes:
+        raise ForbiddenError(f"a {upload.purpose} needs the scope 'upload'; yours are {sorted(caller.scopes)}")
+    return upload
+
+
+def refuse_unscoped(caller: Caller, declared: Declared) -> None:
+    """A submission needs the scope `submit`, everything else `upload`. Raises `ForbiddenError`."""
+    scope = "submit" if declared.purpose == SUBMISSION else "upload"
+    if scope not in caller.scopes:
+        raise ForbiddenError(f"a {declared.purpose} needs the scope {scope!r}; yours are {sorted(caller.scopes)}")
 
 
 async def _receive_first(request: Request, platform: Platform, upload: Upload, first: Piece) -> Upload:

@@ -1,7 +1,8 @@
 """Uploads by tus 1.0: create, ask, send, give up; and their state as JSON.
 
-**Conventions.** tus answers carry no body, refusals are problems. Other people's uploads do not exist (404). A route
-that takes bytes is asynchronous and leaves disk and database to threads (`api/uploading.py`).
+**Conventions.** tus answers carry no body, refusals are problems. Other people's uploads do not exist (404). A
+submission needs the scope `submit`, anything else `upload`; who has either goes on with a submission. A route that
+takes bytes is asynchronous and leaves disk and database to threads (`api/uploading.py`).
 """
 
 from typing import Annotated
@@ -9,12 +10,12 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Header, Request, Response
 from sqlalchemy import select
 
-from api.deps import Caller, PlatformDep, require
+from api.deps import Caller, PlatformDep, require, require_one
 from api.form_reading import accept_form
 from api.paging import Page, PageDep, page
 from api.schemas.base import IdPath, LineQuery
 from api.schemas.uploads import UploadItem, upload_item
-from api.tus_creation import accept_creation
+from api.tus_creation import accept_creation, find_own
 from api.tus_documents import CREATED, FORM, FORMED, GOT, HEAD_SAYS, OPTIONS_SAY, PATCHED, STREAM, TERMINATED
 from api.tus_errors import VERSION, TusHeaderError
 from api.tus_headers import EXTENSIONS, count_of, piece_of, speak_tus, upload_headers
@@ -23,11 +24,12 @@ from api.uploading import in_thread, receive_body
 from services.runtime.orm import Upload
 from services.runtime.uploads.finishing import bytes_here, settle_if_whole, terminate
 from services.runtime.uploads.receiving import ALGORITHMS
-from services.runtime.uploads.rows import find, find_alive
+from services.runtime.uploads.rows import find
 
 router = APIRouter(prefix="/uploads", tags=["uploads"], route_class=TusRoute)
 
-Uploader = Annotated[Caller, Depends(require("upload"))]
+Uploader = Annotated[Caller, Depends(require_one(("upload", "submit")))]
+Former = Annotated[Caller, Depends(require("upload"))]
 Reader = Annotated[Caller, Depends(require("read"))]
 SpeakTus = Depends(speak_tus)
 
@@ -58,8 +60,9 @@ async def create_upload(
 ) -> Response:
     """Create an upload; bytes in the body are taken at once (creation-with-upload).
 
-    Metadata: `filename`, `purpose` (recording, calibration, submission, ground_truth), `target_id`, `sha256`. Where you
-    have the declared bytes here already, the answer's `Upload-Offset` is the length and nothing is to be sent.
+    Metadata: `filename`, `purpose` (recording, calibration, submission, ground_truth), `target_id`, `sha256`; of a
+    submission they are what its draft announces. Where you have the declared bytes here already, the answer's
+    `Upload-Offset` is the length and nothing is to be sent.
     """
     upload = await accept_creation(request, platform, caller)
     offset_bytes = await in_thread(bytes_here, platform, upload)
@@ -68,7 +71,7 @@ async def create_upload(
 
 
 @router.post("/form", status_code=201, responses=FORMED, openapi_extra=FORM)
-async def create_by_form(request: Request, platform: PlatformDep, caller: Uploader, response: Response) -> UploadItem:
+async def create_by_form(request: Request, platform: PlatformDep, caller: Former, response: Response) -> UploadItem:
     """A small file whole at once: `curl -F file=@run.mcap -F purpose=recording -F target_id=…`."""
     upload = await accept_form(request, platform, caller)
     response.headers["Location"] = f"{request.url.path.removesuffix('/form')}/{upload.id}"
@@ -78,8 +81,7 @@ async def create_by_form(request: Request, platform: PlatformDep, caller: Upload
 @router.head("/{upload_id}", response_class=Response, dependencies=[SpeakTus], responses=HEAD_SAYS)
 def ask_offset(upload_id: IdPath, platform: PlatformDep, caller: Uploader) -> Response:
     """Where to resume. An upload that lacked only its last step is completed by this."""
-    upload = find_alive(platform.database, upload_id, caller.user_id)
-    upload = settle_if_whole(platform, upload)
+    upload = settle_if_whole(platform, find_own(platform, upload_id, caller))
     return Response(status_code=200, headers=upload_headers(upload, bytes_here(platform, upload)))
 
 
@@ -101,6 +103,8 @@ async def send_bytes(
 ) -> Response:
     """Append the body at the offset. After a power cut ask again where to resume; a complete upload survives it."""
     piece = piece_of(request, count_of(request, "Upload-Offset"))
+    if "upload" not in caller.scopes:
+        await in_thread(find_own, platform, upload_id, caller)
     upload = await receive_body(request, platform, (upload_id, caller.user_id), piece)
     offset_bytes = await in_thread(bytes_here, platform, upload)
     return Response(status_code=204, headers=upload_headers(upload, offset_bytes))
@@ -109,7 +113,7 @@ async def send_bytes(
 @router.delete("/{upload_id}", status_code=204, response_class=Response, dependencies=[SpeakTus], responses=TERMINATED)
 def give_up(upload_id: IdPath, platform: PlatformDep, caller: Uploader) -> Response:
     """Terminate an upload that no recording uses; its bytes and its quota are free again."""
-    terminate(platform, find_alive(platform.database, upload_id, caller.user_id))
+    terminate(platform, find_own(platform, upload_id, caller))
     return Response(status_code=204)
 
 

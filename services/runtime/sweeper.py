@@ -1,4 +1,4 @@
-"""The process that takes up what died: jobs every second, expired uploads and unnamed blobs every minute.
+"""The process that takes up what died: jobs and submissions every second, uploads and blobs every minute.
 
 **Conventions.** Any number of sweepers may run. An outage of the database or the broker is waited out: the next round
 finds everything that was missed. SIGTERM ends it between two rounds.
@@ -15,6 +15,7 @@ from redis import RedisError
 from sqlalchemy.exc import SQLAlchemyError
 
 from services.runtime.bell import ring, waiting
+from services.runtime.benchmarks.submission_chores import settle_ended, tidy_submissions
 from services.runtime.collection import collect
 from services.runtime.errors import PlatformFaultError
 from services.runtime.jobs.sweeping import Sweeper
@@ -56,6 +57,8 @@ def chores_of(platform: Platform) -> tuple[Chore, ...]:
     sweeper = Sweeper(platform, waiting(settings), ring(settings))
     return (
         Chore("jobs", settings.jobs.sweep_s, sweeper.sweep),
+        Chore("submissions", settings.jobs.sweep_s, lambda: settle_ended(platform)),
+        Chore("submitted files", MINUTE_S, lambda: tidy_submissions(platform)),
         Chore("uploads", MINUTE_S, lambda: expire(platform)),
         Chore("blobs", MINUTE_S, lambda: collect(platform)),
     )

@@ -39,6 +39,18 @@ class UploadTargetMissingError(StoneError):
         super().__init__(f"there is no target {target_id[:64]!r} of yours for a {purpose}; create it first")
 
 
+class UndeclaredUploadError(StoneError):
+    """The file is not the one that the draft of the submission announces."""
+
+    code = "not_as_announced"
+
+    def __init__(self, field: str, given: object, announced: object) -> None:
+        super().__init__(
+            f"{field} is {str(given)[:80]!r}, the draft announces {str(announced)!r}; "
+            "was the zip written again meanwhile? then make a new draft"
+        )
+
+
 class UploadGoneError(StoneError):
     """The upload ended without a file: expired, terminated or failed."""
 

@@ -12,8 +12,9 @@ from pathlib import Path
 
 import structlog
 from sqlalchemy import select
+from sqlalchemy.orm import Session
 
-from services.runtime.orm import RecordingFile, Upload
+from services.runtime.orm import RecordingFile, Submission, Upload
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from services.runtime.uploads.errors import FileMismatchError, UploadLockedError
@@ -71,22 +72,26 @@ def _settle(platform: Platform) -> None:
 
 
 def _superfluous(platform: Platform) -> Iterator[Path]:
-    """Files of ended uploads, of recordings that are kept as blobs or deleted, and of uploads that never were."""
+    """Files of ended uploads, of what is kept as blobs or gone, and of uploads that never were."""
     folder = platform.settings.uploads_folder
     found = {match[1] for path in _listed(folder) if (match := OURS.fullmatch(path.name))}
     for upload_id in sorted(found):
+        path = upload_file(platform.settings, upload_id)
         with platform.database.reading() as session:
             upload = session.get(Upload, upload_id)
-            file = session.scalar(select(RecordingFile).where(RecordingFile.upload_id == upload_id))
-        path = upload_file(platform.settings, upload_id)
-        if upload is None:
-            is_superfluous = _is_old(path)
-        elif upload.state == "consumed" and upload.purpose == "recording":
-            is_superfluous = file is None or file.blob_sha256 is not None
-        else:
-            is_superfluous = upload.state in GONE
+            is_superfluous = _is_old(path) if upload is None else _is_needed_no_more(session, upload)
         if is_superfluous:
             yield path
+
+
+def _is_needed_no_more(session: Session, upload: Upload) -> bool:
+    """Whether it ended without a file, or what used it has its bytes in the store or is gone."""
+    if upload.state != "consumed" or upload.purpose not in ("recording", "submission"):
+        return upload.state in GONE
+    recorded = select(RecordingFile.blob_sha256).where(RecordingFile.upload_id == upload.id)
+    submitted = select(Submission.blob_sha256).where(Submission.upload_id == upload.id)
+    used = session.scalars(recorded if upload.purpose == "recording" else submitted).all()
+    return None not in used
 
 
 def _listed(folder: Path) -> list[Path]:

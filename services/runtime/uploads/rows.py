@@ -28,10 +28,11 @@ GONE = ("failed", "expired", "terminated")
 
 @dataclass(frozen=True)
 class Owner:
-    """For whom; administrators may also name targets of others."""
+    """For whom; administrators may also name targets of others, participants have a quota of their own."""
 
     user_id: str
     is_administrator: bool = False
+    is_participant: bool = False
 
 
 def find(database: Database, upload_id: str, owner_id: str) -> Upload:

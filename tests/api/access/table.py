@@ -42,10 +42,10 @@ OPTIONS /api/v1/uploads                                       204  204  204   20
 POST   /api/v1/uploads                                        401  403  201   201   201  201 403  401  401  201 403
 GET    /api/v1/uploads                                        401  200  200   200   200  200 403  401  401  200 200
 POST   /api/v1/uploads/form                                   401  403  201   201   201  201 403  401  401  201 403
-HEAD   /api/v1/uploads/{upload_id}                            401  403  200   404   404  404 403  401  401  200 200
-PATCH  /api/v1/uploads/{upload_id}                            401  403  204   404   404  404 403  401  401  204 403
-DELETE /api/v1/uploads/{upload_id}                            401  403  204   404   404  404 403  401  401  204 403
-POST   /api/v1/uploads/{upload_id}                            401  403  204   404   404  404 403  401  401  204 403
+HEAD   /api/v1/uploads/{upload_id}                            401  404  200   404   404  404 403  401  401  200 200
+PATCH  /api/v1/uploads/{upload_id}                            401  404  204   404   404  404 403  401  401  204 403
+DELETE /api/v1/uploads/{upload_id}                            401  404  204   404   404  404 403  401  401  204 403
+POST   /api/v1/uploads/{upload_id}                            401  404  204   404   404  404 403  401  401  204 403
 GET    /api/v1/uploads/{upload_id}                            401  404  200   404   404  404 403  401  401  200 200
 POST   /api/v1/sequences                                      401  403  201   201   201  201 403  401  401  201 403
 GET    /api/v1/sequences                                      401  200  200   200   200  200 403  401  401  200 200
