@@ -17,9 +17,12 @@ from api.openapi import PREFIX, documented, operation_id
 from api.probes import Probes
 from api.routes import (
     admin_alarms,
+    admin_benchmarks,
     admin_jobs,
     admin_rescores,
+    admin_truths,
     audit,
+    benchmarks,
     calibrations,
     datasets,
     docs,
@@ -64,6 +67,9 @@ ROUTERS: tuple[APIRouter, ...] = (
     splits.router,
     statistics.router,
     datasets.router,
+    benchmarks.router,
+    admin_benchmarks.router,
+    admin_truths.router,
     exports.router,
     phase_inputs.router,
     jobs.router,

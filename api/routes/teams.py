@@ -1,58 +1,143 @@
-"""Teams: made by anybody who may submit, seen by their members and administrators."""
+"""Teams: made by anybody who may submit, seen by their members and administrators, entered by invitation.
+
+**Conventions.** A captain invites, removes and hands over; administrators may remove and hand over too, and say why.
+The secret of an invitation is in the answer to its making and nowhere else. A member leaves by removing themselves.
+"""
 
 from typing import Annotated
 
-from fastapi import APIRouter, Depends
-from sqlalchemy import select
+from fastapi import APIRouter, Depends, Response
 from sqlalchemy.orm import Session
 
 from api import audit
 from api.answers import refusals
 from api.deps import Caller, PlatformDep, require
+from api.errors import NotFoundError
 from api.paging import Page, PageDep, page
-from api.schemas.base import instant
+from api.schemas.base import IdPath
 from api.schemas.people import TeamBody, TeamItem
-from services.runtime.access.errors import NameTakenError
-from services.runtime.orm import Team, TeamMember, User
+from api.schemas.teams import (
+    CaptainBody,
+    InvitationBody,
+    InvitationItem,
+    IssuedInvitation,
+    JoinBody,
+    MemberName,
+    ReasonQuery,
+)
+from api.team_views import invitation_item, team_items
+from api.visible import team_of, teams_of
+from services.runtime.access.users import find_user
+from services.runtime.benchmarks import teams
+from services.runtime.benchmarks.team_errors import NotMemberError
+from services.runtime.orm import Team, User
 
 router = APIRouter(prefix="/teams", tags=["people"])
+Participant = Annotated[Caller, Depends(require("submit"))]
+Reader = Annotated[Caller, Depends(require("read"))]
 
 
 @router.post("", status_code=201, summary="Found a team", responses=refusals(409))
-def found(body: TeamBody, caller: Annotated[Caller, Depends(require("submit"))], platform: PlatformDep) -> TeamItem:
+def found(body: TeamBody, caller: Participant, platform: PlatformDep) -> TeamItem:
+    """The caller is its captain. A name that only looks different from another team's is taken."""
     with platform.database.transaction() as session:
-        if session.scalar(select(Team.id).where(Team.name == body.name)) is not None:
-            raise NameTakenError("team", body.name)
-        team = Team(name=body.name)
-        session.add(team)
-        session.flush()
-        session.add(TeamMember(team_id=team.id, user_id=caller.user_id, is_owner=True))
+        team = teams.found(session, body.name, caller.user_id)
         audit.record(session, caller, "team.found", team.id, facts={"name": team.name})
-    return _shown(team, [caller.name])
+        return team_items(session, [team])[0]
 
 
 @router.get("", summary="One's teams, newest first; for administrators all")
-def listed(
-    caller: Annotated[Caller, Depends(require("read"))], query: PageDep, platform: PlatformDep
-) -> Page[TeamItem]:
-    seen = select(Team)
-    if not caller.is_administrator:
-        own = select(TeamMember.team_id).where(TeamMember.user_id == caller.user_id)
-        seen = seen.where(Team.id.in_(own))
+def listed(caller: Reader, query: PageDep, platform: PlatformDep) -> Page[TeamItem]:
     with platform.database.reading() as session:
-        rows = page(session, seen, Team.id.desc(), query)
-        names = _members(session, [team.id for team in rows.rows])
-    return rows.shown(lambda team: _shown(team, names.get(team.id, [])))
+        rows = page(session, teams_of(caller), Team.id.desc(), query)
+        return Page[TeamItem](items=team_items(session, rows.rows), next=rows.next)
 
 
-def _members(session: Session, team_ids: list[str]) -> dict[str, list[str]]:
-    """The names of the members of these teams, by team."""
-    joined = select(TeamMember.team_id, User.name).join(User, User.id == TeamMember.user_id)
-    names: dict[str, list[str]] = {}
-    for team_id, name in session.execute(joined.where(TeamMember.team_id.in_(team_ids)).order_by(User.name)):
-        names.setdefault(team_id, []).append(name)
-    return names
+@router.post("/memberships", status_code=201, summary="Join a team by invitation", responses=refusals(404))
+def join(body: JoinBody, caller: Participant, platform: PlatformDep) -> TeamItem:
+    """The caller takes part at once wherever the team does and the phase has not ended."""
+    with platform.database.transaction() as session:
+        team = teams.join(session, body.secret, session.get_one(User, caller.user_id))
+        audit.record(session, caller, "team.join", team.id)
+        return team_items(session, [team])[0]
 
 
-def _shown(row: Team, members: list[str]) -> TeamItem:
-    return TeamItem(id=row.id, name=row.name, members=members, created_at=instant(row.created_ns))
+@router.get("/{team_id}", responses=refusals(404))
+def show(team_id: IdPath, caller: Reader, platform: PlatformDep) -> TeamItem:
+    """A team of one's own; for administrators any."""
+    with platform.database.reading() as session:
+        return team_items(session, [team_of(session, caller, team_id)])[0]
+
+
+@router.post("/{team_id}/invitations", status_code=201, responses=refusals(404))
+def invite(
+    team_id: IdPath, body: InvitationBody, caller: Participant, platform: PlatformDep, response: Response
+) -> IssuedInvitation:
+    """Let one user in, whoever shows the secret first. Only the captain may."""
+    with platform.database.transaction() as session:
+        team = team_of(session, caller, team_id)
+        row, secret = teams.invite_row(session, team, caller.user_id, body.expires_s * 10**9)
+        audit.record(session, caller, "team.invite", team.id, facts={"invitation_id": row.id})
+    response.headers["Cache-Control"] = "no-store"
+    return IssuedInvitation(**dict(invitation_item(row)), secret=secret)
+
+
+@router.get("/{team_id}/invitations", responses=refusals(404))
+def list_invitations(team_id: IdPath, caller: Reader, platform: PlatformDep) -> list[InvitationItem]:
+    """The invitations that still let somebody in, oldest first."""
+    with platform.database.reading() as session:
+        return [invitation_item(row) for row in teams.open_invitations(session, team_of(session, caller, team_id).id)]
+
+
+@router.delete("/{team_id}/invitations/{invitation_id}", status_code=204, responses=refusals(404))
+def withdraw(team_id: IdPath, invitation_id: IdPath, caller: Participant, platform: PlatformDep) -> None:
+    """Make an open invitation void. Only the captain may."""
+    with platform.database.transaction() as session:
+        team = team_of(session, caller, team_id)
+        teams.refuse_others(session, team.id, caller.user_id, "withdraw an invitation")
+        if not teams.withdraw(session, team, invitation_id):
+            raise NotFoundError("open invitation", invitation_id)
+        audit.record(session, caller, "team.uninvite", team.id, facts={"invitation_id": invitation_id})
+
+
+@router.delete("/{team_id}/members/{member}", status_code=204, responses=refusals(404, 409))
+def remove(
+    team_id: IdPath, member: MemberName, caller: Participant, platform: PlatformDep, reason: ReasonQuery = ""
+) -> None:
+    """Leave, or have somebody leave. What was scored stays the team's, and so does the member for those phases."""
+    with platform.database.transaction() as session:
+        team = team_of(session, caller, team_id)
+        if member != caller.name:
+            _lead(session, caller, team, ("team.remove", reason, {"member": member}))
+        else:
+            audit.record(session, caller, "team.leave", team.id)
+        teams.leave(session, team, _member(session, member))
+
+
+@router.put("/{team_id}/captain", responses=refusals(404, 409))
+def hand_over(team_id: IdPath, body: CaptainBody, caller: Participant, platform: PlatformDep) -> TeamItem:
+    """Make another member the captain."""
+    with platform.database.transaction() as session:
+        team = team_of(session, caller, team_id)
+        _lead(session, caller, team, ("team.hand_over", body.reason or "", {"member": body.member}))
+        teams.hand_over(session, team, _member(session, body.member))
+        return team_items(session, [team])[0]
+
+
+def _lead(session: Session, caller: Caller, team: Team, act: tuple[str, str, dict[str, str]]) -> None:
+    """Note what the captain does, or an administrator with a reason. Raises `NotCaptainError`, `ReasonMissingError`."""
+    name, reason, facts = act
+    teams.lock_team(session, team.id)
+    if caller.is_administrator and teams.captain(session, team.id) != caller.user_id:
+        audit.record_admin_act(session, caller, name, team.id, reason, facts)
+        return
+    teams.refuse_others(session, team.id, caller.user_id, "remove members or hand it over")
+    audit.record(session, caller, name, team.id, reason, facts)
+
+
+def _member(session: Session, name: str) -> User:
+    """Raises `NotMemberError`, as for somebody who is known but no member."""
+    user = find_user(session, name)
+    if user is None:
+        raise NotMemberError(name)
+    return user

@@ -188,11 +188,18 @@ class TeamBody(Body):
 
 
 class TeamItem(Answer):
-    """A team of which the caller is a member."""
+    """A team of which the caller is a member; nobody leads one that everybody has left.
 
-    model_config = example(id=ID_EXAMPLE, name="Terrain Gang", members=["ada"], created_at=MADE)
+    It takes part in `phases` (ids), and whoever joins takes part in those that have not ended too.
+    """
+
+    model_config = example(
+        id=ID_EXAMPLE, name="Terrain Gang", captain="ada", members=["ada"], phases=[ID_EXAMPLE], created_at=MADE
+    )
 
     id: str
     name: str
+    captain: str | None
     members: list[str]
+    phases: list[str]
     created_at: datetime

@@ -1,0 +1,111 @@
+"""Benchmarks as the API shows them: rows of `services.runtime.orm.benchmarks` become bodies.
+
+**Conventions.** What a phase's ground truth is made of is shown by its number and hashes only.
+"""
+
+from collections.abc import Sequence
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from api.schemas.base import instant, instant_or_none
+from api.schemas.benchmarks import (
+    ActiveItem,
+    BenchmarkDetail,
+    BenchmarkItem,
+    PhaseDetail,
+    PhaseFinding,
+    PhaseItem,
+    SignatureItem,
+)
+from services.runtime.benchmarks import pairs
+from services.runtime.benchmarks.phase_findings import findings_of
+from services.runtime.benchmarks.phases import phase_standing
+from services.runtime.benchmarks.policy_words import policy_sentences
+from services.runtime.orm import Benchmark, Dataset, GroundTruth, Phase
+from services.runtime.orm.base import now_ns
+
+
+def benchmark_items(session: Session, rows: Sequence[Benchmark]) -> list[BenchmarkItem]:
+    """Benchmarks as a list shows them; the phases of all are one statement."""
+    of_these = select(Phase.benchmark_id, Phase.name).where(Phase.benchmark_id.in_([row.id for row in rows]))
+    names: dict[str, list[str]] = {}
+    for benchmark_id, name in session.execute(of_these.order_by(Phase.name)):
+        names.setdefault(benchmark_id, []).append(name)
+    return [
+        BenchmarkItem(
+            name=row.name,
+            title=row.title,
+            description=row.description,
+            phases=names.get(row.id, []),
+            created_at=instant(row.created_ns),
+        )
+        for row in rows
+    ]
+
+
+def benchmark_detail(session: Session, row: Benchmark) -> BenchmarkDetail:
+    """A benchmark with its phases, by name."""
+    return BenchmarkDetail(
+        name=row.name,
+        title=row.title,
+        description=row.description,
+        phases=[phase_item(session, phase) for phase in phases_of(session, row)],
+        created_at=instant(row.created_ns),
+    )
+
+
+def phases_of(session: Session, benchmark: Benchmark) -> Sequence[Phase]:
+    return session.scalars(select(Phase).where(Phase.benchmark_id == benchmark.id).order_by(Phase.name)).all()
+
+
+def phase_detail(session: Session, phase: Phase) -> PhaseDetail:
+    """A phase as its administrator sees it."""
+    findings = [
+        PhaseFinding(code=one.code, severity="warning", message=one.message) for one in findings_of(session, phase)
+    ]
+    return PhaseDetail(**dict(phase_item(session, phase)), findings=findings)
+
+
+def phase_item(session: Session, phase: Phase) -> PhaseItem:
+    """A phase as everybody sees it."""
+    at_ns = now_ns()
+    return PhaseItem(
+        id=phase.id,
+        benchmark=session.get_one(Benchmark, phase.benchmark_id).name,
+        name=phase.name,
+        title=phase.title,
+        dataset=session.get_one(Dataset, phase.dataset_id).name,
+        part=phase.part,
+        mask=phase.mask,
+        is_hidden=phase.is_hidden,
+        standing=phase_standing(phase, at_ns),
+        opens_at=instant_or_none(phase.opens_ns),
+        closes_at=instant_or_none(phase.closes_ns),
+        named_from_at=instant_or_none(phase.named_from_ns),
+        scorings_per_window=phase.scorings_per_window,
+        window_s=phase.window_ns // 10**9,
+        scorings_total=phase.scorings_total,
+        validations_per_day=phase.validations_per_day,
+        team_members=phase.team_members,
+        active=_active(session, phase),
+        visibility=list(policy_sentences(phase, at_ns)),
+        revision=phase.revision,
+        created_at=instant(phase.created_ns),
+    )
+
+
+def _active(session: Session, phase: Phase) -> ActiveItem | None:
+    activation = pairs.in_force(session, phase.id)
+    if activation is None:
+        return None
+    truth = session.get_one(GroundTruth, activation.truth_id)
+    return ActiveItem(
+        ground_truth=truth.number,
+        metric=activation.metric,
+        dataset=session.get_one(Dataset, truth.dataset_id).name,
+        frames=truth.frames,
+        manifest_sha256=truth.manifest_sha256 or "",
+        activated_at=instant(activation.activated_ns),
+        signature=SignatureItem(metric=activation.metric, ground_truth=truth.sha256, mask=truth.mask),
+    )

@@ -1,0 +1,102 @@
+"""Making benchmarks: phases and their rules, ground truths, rows that others reported. For administrators.
+
+**Conventions.** Every change says why, which the audit log keeps. A ground truth is made by a job; the first of a phase
+is in force as soon as it is ready, every later one once a re-score is activated.
+"""
+
+from fastapi import APIRouter, Request, Response
+from sqlalchemy.orm import Session
+
+from api import audit
+from api.answers import refusals
+from api.benchmark_views import benchmark_items, phase_detail
+from api.callers import Administrator
+from api.deps import PlatformDep
+from api.etags import etag, require_match
+from api.schemas.base import IdPath
+from api.schemas.benchmark_bodies import AddedPhaseBody, BenchmarkName, NewBenchmarkBody, NewPhaseBody, PhaseChange
+from api.schemas.benchmarks import CreatedBenchmark, PhaseDetail
+from api.visible import benchmark_of, dataset_of, phase_of
+from services.runtime.benchmarks.phases import (
+    NewBenchmark,
+    change_phase,
+    create_benchmark,
+    create_phase,
+    default_phases,
+    lock_phase,
+)
+from services.runtime.orm import Benchmark, Phase
+
+router = APIRouter(prefix="/admin", tags=["benchmarks"])
+
+
+@router.post("/benchmarks", status_code=201, responses=refusals(404, 409))
+def create(
+    body: NewBenchmarkBody, caller: Administrator, platform: PlatformDep, response: Response
+) -> CreatedBenchmark:
+    """Make a benchmark of a version of the dataset, with `val` and `test` or the phases that are named."""
+    asked = NewBenchmark(body.name, body.title, body.description, caller.user_id)
+    with platform.database.transaction() as session:
+        benchmark = create_benchmark(session, asked)
+        phases = _phases(session, benchmark, body)
+        facts = {"name": benchmark.name, "dataset": body.dataset, "phases": [phase.name for phase in phases]}
+        audit.record_admin_act(session, caller, "benchmark.create", benchmark.id, body.reason, facts)
+        shown = dict(benchmark_items(session, [benchmark])[0])
+        details = [phase_detail(session, phase) for phase in phases]
+    response.headers["Location"] = f"/api/v1/benchmarks/{benchmark.name}"
+    return CreatedBenchmark(**shown | {"phases": details})
+
+
+@router.post("/benchmarks/{benchmark_name}/phases", status_code=201, responses=refusals(404, 409))
+def add_phase(
+    benchmark_name: BenchmarkName,
+    body: AddedPhaseBody,
+    caller: Administrator,
+    platform: PlatformDep,
+    response: Response,
+) -> PhaseDetail:
+    """Add a phase; `findings` warn where its labels are not as hidden as they look."""
+    with platform.database.transaction() as session:
+        benchmark = benchmark_of(session, benchmark_name)
+        phase = _phase(session, benchmark, body, body.dataset)
+        facts = {"benchmark": benchmark.name, "name": phase.name, "dataset": body.dataset}
+        audit.record_admin_act(session, caller, "phase.create", phase.id, body.reason, facts)
+        shown = phase_detail(session, phase)
+    response.headers["Location"] = f"/api/v1/phases/{phase.id}"
+    response.headers["ETag"] = etag(phase.revision)
+    return shown
+
+
+@router.patch("/phases/{phase_id}", responses=refusals(404, 409, 412, 428))
+def change(
+    phase_id: IdPath,
+    body: PhaseChange,
+    caller: Administrator,
+    platform: PlatformDep,
+    request: Request,
+    response: Response,
+) -> PhaseDetail:
+    """Change dates and limits; what is evaluated only until there is a ground truth."""
+    with platform.database.transaction() as session:
+        phase = lock_phase(session, phase_of(session, phase_id).id)
+        require_match(request, phase.revision)
+        changes = body.columns()
+        if body.dataset is not None:
+            changes["dataset_id"] = dataset_of(session, body.dataset).id
+        facts = {name: {"from": getattr(phase, name), "to": value} for name, value in changes.items()}
+        phase = change_phase(session, phase.id, changes)
+        audit.record_admin_act(session, caller, "phase.change", phase.id, body.reason, facts)
+        shown = phase_detail(session, phase)
+    response.headers["ETag"] = etag(phase.revision)
+    return shown
+
+
+def _phases(session: Session, benchmark: Benchmark, body: NewBenchmarkBody) -> list[Phase]:
+    if body.phases is not None:
+        return [_phase(session, benchmark, phase, phase.dataset or body.dataset) for phase in body.phases]
+    dataset = dataset_of(session, body.dataset)
+    return [create_phase(session, benchmark, dataset, asked) for asked in default_phases(session, dataset)]
+
+
+def _phase(session: Session, benchmark: Benchmark, body: NewPhaseBody, dataset: str) -> Phase:
+    return create_phase(session, benchmark, dataset_of(session, dataset), body.asked())

@@ -1,0 +1,132 @@
+"""Benchmarks: what there is to predict, under which rules, by which metric; read by everybody who is signed in.
+
+**Conventions.** A phase is addressed by the names of its benchmark and itself here, by its id elsewhere. The manifest
+is that of the ground truth in force. Ground truth itself has no route.
+"""
+
+from typing import Annotated, Literal
+
+from fastapi import APIRouter, Depends, Query, Request, Response
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from api.answers import Responses, refusals
+from api.benchmark_views import benchmark_detail, benchmark_items, phase_item
+from api.callers import Reader
+from api.deps import PlatformDep
+from api.errors import NotFoundError
+from api.etags import etag
+from api.files import Served, StoredFile, answer_bytes, answer_file, file_responses
+from api.paging import Page, PageDep, page
+from api.schemas.base import IdPath
+from api.schemas.benchmark_bodies import BenchmarkName, MetricName, PhaseName
+from api.schemas.benchmarks import BenchmarkDetail, BenchmarkItem, MetricItem, PhaseItem
+from api.visible import benchmark_of, phase_at, phase_of
+from services.runtime.benchmarks import pairs
+from services.runtime.benchmarks.golden_vectors import golden_zip
+from services.runtime.benchmarks.phase_errors import NoGroundTruthError
+from services.runtime.orm import Benchmark, Blob, GroundTruth, Phase
+from stone.metric import METRICS, Metric
+
+router = APIRouter(tags=["benchmarks"])
+AT = "/benchmarks/{benchmark_name}/phases/{phase_name}"
+MANIFEST = file_responses("application/json")
+VECTORS = file_responses("application/zip")
+Form = Annotated[Literal["json", "markdown"], Query(alias="format", description="markdown is the definition alone")]
+MARKDOWN: Responses = {200: {"content": {"text/markdown": {"schema": {"type": "string"}}}}}
+
+
+class PhasePath:
+    """Which phase of which benchmark."""
+
+    def __init__(self, benchmark_name: BenchmarkName, phase_name: PhaseName) -> None:
+        self.benchmark, self.phase = benchmark_name, phase_name
+
+    def find(self, session: Session) -> Phase:
+        """Raises `NotFoundError`."""
+        return phase_at(session, self.benchmark, self.phase)
+
+
+AtPhase = Annotated[PhasePath, Depends(PhasePath)]
+
+
+@router.get("/benchmarks", responses=refusals())
+def list_benchmarks(_caller: Reader, platform: PlatformDep, query: PageDep) -> Page[BenchmarkItem]:
+    """The benchmarks, newest first."""
+    with platform.database.reading() as session:
+        found = page(session, select(Benchmark), Benchmark.id.desc(), query)
+        return Page[BenchmarkItem](items=benchmark_items(session, found.rows), next=found.next)
+
+
+@router.get("/benchmarks/{benchmark_name}", responses=refusals(404))
+def show_benchmark(benchmark_name: BenchmarkName, _caller: Reader, platform: PlatformDep) -> BenchmarkDetail:
+    """A benchmark with its phases."""
+    with platform.database.reading() as session:
+        return benchmark_detail(session, benchmark_of(session, benchmark_name))
+
+
+@router.get(AT, responses=refusals(404))
+def show_named_phase(at: AtPhase, _caller: Reader, platform: PlatformDep, response: Response) -> PhaseItem:
+    """A phase: rules, dates, what a team may, by what it is scored, what is shown to whom."""
+    with platform.database.reading() as session:
+        return _shown(session, at.find(session), response)
+
+
+@router.get("/phases/{phase_id}", responses=refusals(404))
+def show_phase(phase_id: IdPath, _caller: Reader, platform: PlatformDep, response: Response) -> PhaseItem:
+    """The same, by the phase's id."""
+    with platform.database.reading() as session:
+        return _shown(session, phase_of(session, phase_id), response)
+
+
+@router.get(f"{AT}/manifest", response_class=Response, responses=MANIFEST | refusals(409))
+def download_manifest(at: AtPhase, _caller: Reader, platform: PlatformDep, request: Request) -> Response:
+    """Which frames a submission must hold, as `stone validate --manifest` reads it."""
+    with platform.database.reading() as session:
+        phase = at.find(session)
+        pair = pairs.active(session, phase.id)
+        if pair is None:
+            raise NoGroundTruthError(phase.name)
+        blob = session.get_one(Blob, session.get_one(GroundTruth, pair.truth_id).manifest_sha256)
+    named = f"{at.benchmark}-{at.phase}.manifest.json"
+    file = StoredFile(blob.object_key, blob.size_bytes, blob.sha256, "application/json", named)
+    return answer_file(request, platform.store, file)
+
+
+@router.get(f"{AT}/metrics/{{metric}}", response_model=MetricItem, responses=MARKDOWN | refusals(404))
+def show_metric(
+    at: AtPhase, metric: MetricName, _caller: Reader, platform: PlatformDep, form: Form = "json"
+) -> MetricItem | Response:
+    """The definition of a version of the metric, and whether the phase is scored by it now."""
+    with platform.database.reading() as session:
+        pair = pairs.active(session, at.find(session).id)
+    found = _metric(metric)
+    if form == "markdown":
+        return Response(found.definition, media_type="text/markdown; charset=utf-8")
+    is_active = pair is not None and pair.metric == metric
+    return MetricItem(version=found.version, title=found.title, definition=found.definition, is_active=is_active)
+
+
+@router.get(f"{AT}/metrics/{{metric}}/vectors", response_class=Response, responses=VECTORS)
+def download_vectors(
+    at: AtPhase, metric: MetricName, _caller: Reader, platform: PlatformDep, request: Request
+) -> Response:
+    """Golden vectors: grids and what the metric says of them, to hold another implementation against."""
+    with platform.database.reading() as session:
+        at.find(session)
+    named = f"{_metric(metric).version}.vectors.zip"
+    content, sha256 = golden_zip()
+    served = Served(len(content), sha256, "application/zip", named, lambda start, stop: iter((content[start:stop],)))
+    return answer_bytes(request, served)
+
+
+def _shown(session: Session, phase: Phase, response: Response) -> PhaseItem:
+    response.headers["ETag"] = etag(phase.revision)
+    return phase_item(session, phase)
+
+
+def _metric(version: str) -> Metric:
+    """Raises `NotFoundError`."""
+    if version not in METRICS:
+        raise NotFoundError("metric", version)
+    return METRICS[version]

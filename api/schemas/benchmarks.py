@@ -1,0 +1,160 @@
+"""Benchmarks, phases and metrics over the wire: what is answered."""
+
+from datetime import datetime
+from typing import Any, Literal
+
+from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, example
+from api.schemas.benchmark_bodies import NEW_PHASE_EXAMPLE
+from services.runtime.benchmarks.phases import Standing
+
+SIGNATURE_EXAMPLE = {"metric": "stone-iou-1", "ground_truth": SHA256_EXAMPLE, "mask": "all"}
+ACTIVE_EXAMPLE: dict[str, Any] = {
+    "ground_truth": 1,
+    "metric": "stone-iou-1",
+    "dataset": "stone-1.0",
+    "frames": 7012,
+    "manifest_sha256": SHA256_EXAMPLE,
+    "activated_at": "2026-05-30T08:00:00Z",
+    "signature": SIGNATURE_EXAMPLE,
+}
+FINDING_EXAMPLE = {
+    "code": "labels_are_public",
+    "severity": "warning",
+    "message": "2 of the 2 sequences are in train or val of a published version, so anybody may have their labels",
+}
+PHASE_EXAMPLE: dict[str, Any] = {
+    "id": ID_EXAMPLE,
+    "benchmark": "stone",
+    **NEW_PHASE_EXAMPLE,
+    "standing": "open",
+    "active": ACTIVE_EXAMPLE,
+    "visibility": ["The ground truth is hidden and the phase has not ended: everybody: totals rounded to 4 digits."],
+    "revision": 1,
+    "created_at": "2026-05-29T08:00:00Z",
+}
+BENCHMARK_EXAMPLE: dict[str, Any] = {
+    "name": "stone",
+    "title": "STONE",
+    "description": "3D traversability from one sweep and six cameras.",
+    "phases": ["test", "val"],
+    "created_at": "2026-05-29T08:00:00Z",
+}
+
+
+class SignatureItem(Answer):
+    """What makes two scores comparable: a board never mixes two of them."""
+
+    model_config = example(**SIGNATURE_EXAMPLE)
+
+    metric: str
+    ground_truth: str
+    mask: str
+
+
+class ActiveItem(Answer):
+    """By what the phase is scored now; `ground_truth` is the number of the version."""
+
+    model_config = example(**ACTIVE_EXAMPLE)
+
+    ground_truth: int
+    metric: str
+    dataset: str
+    frames: int
+    manifest_sha256: str
+    activated_at: datetime
+    signature: SignatureItem
+
+
+class PhaseItem(Answer):
+    """A phase: its rules, whether it runs, by what it is scored, and what is shown to whom."""
+
+    model_config = example(**PHASE_EXAMPLE)
+
+    id: str
+    benchmark: str
+    name: str
+    title: str
+    dataset: str
+    part: str
+    mask: str
+    is_hidden: bool
+    standing: Standing
+    opens_at: datetime | None
+    closes_at: datetime | None
+    named_from_at: datetime | None
+    scorings_per_window: int | None
+    window_s: int
+    scorings_total: int | None
+    validations_per_day: int
+    team_members: int
+    active: ActiveItem | None
+    visibility: list[str]
+    revision: int
+    created_at: datetime
+
+
+class PhaseFinding(Answer):
+    """What an administrator should know of a phase."""
+
+    model_config = example(**FINDING_EXAMPLE)
+
+    code: str
+    severity: Literal["warning"]
+    message: str
+
+
+class PhaseDetail(PhaseItem):
+    """A phase as its administrator sees it, with what was noticed."""
+
+    model_config = example(**PHASE_EXAMPLE, findings=[FINDING_EXAMPLE])
+
+    findings: list[PhaseFinding]
+
+
+class BenchmarkItem(Answer):
+    """A benchmark as a list shows it, with the names of its phases."""
+
+    model_config = example(**BENCHMARK_EXAMPLE)
+
+    name: str
+    title: str
+    description: str
+    phases: list[str]
+    created_at: datetime
+
+
+class BenchmarkDetail(Answer):
+    """A benchmark with its phases."""
+
+    model_config = example(**BENCHMARK_EXAMPLE | {"phases": [PHASE_EXAMPLE]})
+
+    name: str
+    title: str
+    description: str
+    phases: list[PhaseItem]
+    created_at: datetime
+
+
+class CreatedBenchmark(Answer):
+    """A benchmark with its phases and what was noticed of them."""
+
+    model_config = example(**BENCHMARK_EXAMPLE | {"phases": [PHASE_EXAMPLE | {"findings": [FINDING_EXAMPLE]}]})
+
+    name: str
+    title: str
+    description: str
+    phases: list[PhaseDetail]
+    created_at: datetime
+
+
+class MetricItem(Answer):
+    """A version of the metric: `definition` is Markdown and never changes; golden vectors prove it."""
+
+    model_config = example(
+        version="stone-iou-1", title="IoU over all evaluated voxels", definition="# …", is_active=True
+    )
+
+    version: str
+    title: str
+    definition: str
+    is_active: bool

@@ -1,0 +1,106 @@
+"""Ground truths and reported rows over the wire."""
+
+from datetime import datetime
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, StringConstraints
+
+from api.schemas.base import ID_EXAMPLE, PLAIN, SHA256_EXAMPLE, Answer, Body, Reason, example
+from api.schemas.benchmark_bodies import Version
+from api.schemas.jobs import JOB_EXAMPLE, JobItem
+from services.runtime.benchmarks.modalities import Modality
+from services.runtime.benchmarks.reported import MOST_ROWS, ReportedRow
+
+Ratio = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+TRUTH_EXAMPLE: dict[str, Any] = {
+    "id": ID_EXAMPLE,
+    "number": 2,
+    "dataset": "stone-1.1",
+    "part": "test",
+    "mask": "all",
+    "state": "ready",
+    "is_active": False,
+    "job_id": ID_EXAMPLE,
+    "sha256": SHA256_EXAMPLE,
+    "frames": 7012,
+    "manifest_sha256": SHA256_EXAMPLE,
+    "created_at": "2026-07-01T08:00:00Z",
+    "ready_at": "2026-07-01T08:03:12Z",
+}
+REPORTED_EXAMPLE: dict[str, Any] = {
+    "method": "a method",
+    "modality": "C+L",
+    "source": "authors, year, table",
+    "iou_occ": None,
+    "iou_t": None,
+    "iou_p": None,
+    "iou_n": None,
+    "miou": None,
+}
+
+
+class NewTruthBody(Body):
+    """From which version the ground truth is to be made; without one, from the phase's own."""
+
+    model_config = Body.model_config | example(dataset="stone-1.1", reason="labels of the lake were mended")
+
+    dataset: Version | None = None
+    reason: Reason
+
+
+class TruthItem(Answer):
+    """A ground truth: never its content, only its hash, which every score by it carries in its signature."""
+
+    model_config = example(**TRUTH_EXAMPLE)
+
+    id: str
+    number: int
+    dataset: str
+    part: str
+    mask: str
+    state: Literal["making", "ready", "failed"]
+    is_active: bool
+    job_id: str | None
+    sha256: str | None
+    frames: int
+    manifest_sha256: str | None
+    created_at: datetime
+    ready_at: datetime | None
+
+
+class TruthAccepted(Answer):
+    """A ground truth to be and the job that makes it."""
+
+    model_config = example(
+        ground_truth=TRUTH_EXAMPLE | {"state": "making", "sha256": None, "ready_at": None}, job=JOB_EXAMPLE
+    )
+
+    ground_truth: TruthItem
+    job: JobItem
+
+
+class ReportedItem(Body):
+    """A result as somebody published it: `source` says who and where; ratios, not percentages; null was not given."""
+
+    model_config = Body.model_config | example(**REPORTED_EXAMPLE)
+
+    method: Annotated[str, StringConstraints(pattern=PLAIN, min_length=1, max_length=100, strip_whitespace=True)]
+    modality: Modality
+    source: Annotated[str, StringConstraints(pattern=PLAIN, min_length=1, max_length=300, strip_whitespace=True)]
+    iou_occ: Ratio | None = None
+    iou_t: Ratio | None = None
+    iou_p: Ratio | None = None
+    iou_n: Ratio | None = None
+    miou: Ratio | None = None
+
+    def row(self) -> ReportedRow:
+        return ReportedRow(**self.model_dump())
+
+
+class ReportedBody(Body):
+    """All reported rows of the phase at once; `reason` is kept in the audit log."""
+
+    model_config = Body.model_config | example(rows=[REPORTED_EXAMPLE], reason="what the paper reports")
+
+    rows: Annotated[list[ReportedItem], Field(max_length=MOST_ROWS)]
+    reason: Reason
