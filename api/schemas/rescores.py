@@ -23,7 +23,6 @@ RESCORE_EXAMPLE: dict[str, Any] = {
     "missing": 188,
     "hidden": 0,
     "gone": 0,
-    "in_flight": 0,
     "job_id": ID_EXAMPLE,
     "failure": None,
     "created_at": "2026-05-03T09:12:44.120000Z",
@@ -59,8 +58,8 @@ class RescoreItem(Answer):
     """A re-score and how far it is.
 
     Of `total` standing submissions `scored` have their new score; `missing` can still get it, `hidden` too but nobody
-    misses them; the files of `gone` were purged. `in_flight` are being scored without the new pair. `state` is running,
-    incomplete (its run has ended and something is missing: start it again), complete, activated or abandoned.
+    misses them; the files of `gone` were purged. `state` is running, incomplete (its run has ended and something is
+    missing: start it again), complete, activated or abandoned.
     """
 
     model_config = example(**RESCORE_EXAMPLE)
@@ -76,7 +75,6 @@ class RescoreItem(Answer):
     missing: int
     hidden: int
     gone: int
-    in_flight: int
     job_id: str | None
     failure: FailureItem | None
     created_at: datetime

@@ -49,11 +49,11 @@ class RescoreIncompleteError(StoneError):
 
     code: ClassVar[str] = "rescore_incomplete"
 
-    def __init__(self, missing: int, in_flight: int) -> None:
-        self.missing, self.in_flight = missing, in_flight
+    def __init__(self, missing: int) -> None:
+        self.missing = missing
         super().__init__(
-            f"{missing} entries have no score by the new pair yet, and {in_flight} are being scored without it; wait"
-            " for its run, or start the re-score again where that has ended, which scores only what is missing"
+            f"{missing} entries have no score by the new pair yet; wait for its run, or start the re-score again where"
+            " that has ended, which scores only what is missing (hide an entry that cannot be scored)"
         )
 
 

@@ -35,7 +35,6 @@ def _progress(progress: RescoreProgress) -> str:
     told = [f"{progress.scored} of {progress.total} standing submissions are scored by the new pair"]
     told += [f"{progress.missing} are still missing"] if progress.missing else []
     told += [f"{progress.hidden} hidden ones are missing"] if progress.hidden else []
-    told += [f"{progress.in_flight} are being scored without it"] if progress.in_flight else []
     told += [f"the files of {progress.gone} are gone, so they leave the board"] if progress.gone else []
     return "; ".join(told) + "."
 

@@ -5,14 +5,12 @@ shown again. Gone are those of them that can have no new score because their zip
 leave the board.
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 from sqlalchemy import ColumnElement, Select, and_, exists, func, or_, select
 from sqlalchemy.orm import Session, aliased
 
 from services.runtime.benchmarks.pairs import Pair
-from services.runtime.benchmarks.scoring_jobs import JOIN
 from services.runtime.benchmarks.visibility import ON_BOARDS
 from services.runtime.orm import Job, Rescore, Score, Submission
 
@@ -21,8 +19,8 @@ from services.runtime.orm import Job, Rescore, Score, Submission
 class RescoreProgress:
     """Of `total` standing submissions `scored` have their new score, `missing` can still get it, `gone` cannot.
 
-    `hidden` can get it too, but are hidden, so that nobody misses them on the board. `in_flight` were being scored when
-    the re-score began, and will lack the new score when they are done.
+    `hidden` can get it too, but are hidden, so that nobody misses them on the board. What is being scored for the first
+    time is not counted: once settled it is scored by every pair that is pending or in force then.
     """
 
     total: int
@@ -30,11 +28,10 @@ class RescoreProgress:
     missing: int
     hidden: int
     gone: int
-    in_flight: int
 
     @property
     def is_complete(self) -> bool:
-        return not self.missing and not self.in_flight
+        return not self.missing
 
 
 def rescore_progress(session: Session, rescore: Rescore) -> RescoreProgress:
@@ -44,8 +41,7 @@ def rescore_progress(session: Session, rescore: Rescore) -> RescoreProgress:
     total, scored = _count(session, of_phase), _count(session, of_phase.where(_has_score(pair)))
     missing = _count(session, lacking.where(Submission.hidden_ns.is_(None)))
     hidden = _count(session, lacking.where(Submission.hidden_ns.is_not(None)))
-    in_flight = len(_uncovered(session, rescore.phase_id, pair))
-    return RescoreProgress(total, scored, missing, hidden, total - scored - missing - hidden, in_flight)
+    return RescoreProgress(total, scored, missing, hidden, total - scored - missing - hidden)
 
 
 def lacking_ids(session: Session, phase_id: str, pair: Pair) -> list[str]:
@@ -75,20 +71,6 @@ def _lacking(phase_id: str, pair: Pair) -> Select[str]:
     has_counts = exists().where(counted.submission_id == Submission.id, counted.truth_id == pair.truth_id)
     can_be_scored = or_(Submission.blob_sha256.is_not(None), has_counts)
     return _standing(phase_id).where(and_(~_has_score(pair), can_be_scored)).order_by(Submission.id)
-
-
-def _uncovered(session: Session, phase_id: str, pair: Pair) -> list[str]:
-    """Submissions being scored whose run was made before the pair was pending, so that it has no join for it."""
-    kinds = (Submission.phase_id == phase_id, Submission.kind.in_(ON_BOARDS), Submission.state == "scoring")
-    scoring = dict(session.execute(select(Submission.id, Submission.job_id).where(*kinds, ~_has_score(pair))).all())
-    return sorted(scoring.keys() - _joined_by(session, scoring.values(), pair))
-
-
-def _joined_by(session: Session, run_ids: Iterable[str | None], pair: Pair) -> set[str]:
-    """The submissions that a join of these runs scores by the pair."""
-    joins = select(Job.arguments).where(Job.root_id.in_([one for one in run_ids if one]), Job.kind == JOIN)
-    asked = [arguments for arguments in session.scalars(joins) if arguments]
-    return {one["submission_id"] for one in asked if Pair(one["truth_id"], one["metric"]) == pair}
 
 
 def _count(session: Session, ids: Select[str]) -> int:

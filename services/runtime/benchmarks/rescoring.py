@@ -3,7 +3,7 @@
     start_rescore → (its run) → rescore_progress, the difference → activate, or abandon
 
 **Conventions.** A re-score is pending until it is activated or abandoned; meanwhile new submissions are scored by its
-pair too (`pairs.py`). Whoever starts, activates or abandons locks the phase's row first.
+pair too (`pairs.py`). Whoever starts, activates or abandons locks the phase's row, after a run's.
 """
 
 from dataclasses import dataclass
@@ -24,6 +24,7 @@ from services.runtime.benchmarks.rescore_errors import (
 from services.runtime.benchmarks.rescore_progress import failed_ids, lacking_ids, rescore_progress
 from services.runtime.benchmarks.scoring_jobs import rescore_specs
 from services.runtime.jobs import steering
+from services.runtime.jobs.changes import lock_run
 from services.runtime.jobs.queueing import enqueue_run
 from services.runtime.jobs.specs import TERMINAL, Context
 from services.runtime.orm import Activation, GroundTruth, Job, Phase, Rescore
@@ -84,7 +85,7 @@ def activate(session: Session, rescore: Rescore, expected_activation_id: str | N
     _ready(session, rescore.truth_id)
     progress = rescore_progress(session, rescore)
     if not progress.is_complete:
-        raise RescoreIncompleteError(progress.missing, progress.in_flight)
+        raise RescoreIncompleteError(progress.missing)
     moment_ns = max(now_ns(), now_there.activated_ns + 1 if now_there else 0)
     row = Activation(phase_id=rescore.phase_id, truth_id=rescore.truth_id, metric=rescore.metric)
     row.rescore_id, row.activated_by, row.activated_ns = rescore.id, user_id, moment_ns
@@ -99,10 +100,12 @@ def abandon(session: Session, rescore: Rescore, reason: str) -> None:
 
     Raises `RescoreStateError`.
     """
+    if rescore.job_id is not None:
+        lock_run(session, rescore.job_id)
     lock_phase(session, rescore.phase_id)
     _refuse_ended(session, rescore, "abandoned")
     rescore.abandoned_ns = now_ns()
-    run = session.get(Job, rescore.job_id, populate_existing=True) if rescore.job_id else None
+    run = session.get(Job, rescore.job_id) if rescore.job_id else None
     if run is not None and run.state not in TERMINAL:
         steering.cancel(session, run.id, f"the re-score was abandoned: {reason}")
     session.flush()
