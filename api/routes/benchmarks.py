@@ -4,6 +4,7 @@
 is that of the ground truth in force. Ground truth itself has no route.
 """
 
+from hashlib import sha256
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Depends, Query, Request, Response
@@ -23,7 +24,7 @@ from api.schemas.benchmark_bodies import BenchmarkName, MetricName, PhaseName
 from api.schemas.benchmarks import BenchmarkDetail, BenchmarkItem, MetricItem, PhaseItem
 from api.visible import benchmark_of, phase_at, phase_of
 from services.runtime.benchmarks import pairs
-from services.runtime.benchmarks.golden_vectors import golden_zip
+from services.runtime.benchmarks.golden import golden_archive
 from services.runtime.benchmarks.phase_errors import NoGroundTruthError
 from services.runtime.orm import Benchmark, Blob, GroundTruth, Phase
 from stone.metric import METRICS, Metric
@@ -115,8 +116,9 @@ def download_vectors(
     with platform.database.reading() as session:
         at.find(session)
     named = f"{_metric(metric).version}.vectors.zip"
-    content, sha256 = golden_zip()
-    served = Served(len(content), sha256, "application/zip", named, lambda start, stop: iter((content[start:stop],)))
+    content = golden_archive()
+    digest = sha256(content).hexdigest()
+    served = Served(len(content), digest, "application/zip", named, lambda start, stop: iter((content[start:stop],)))
     return answer_bytes(request, served)
 
 
