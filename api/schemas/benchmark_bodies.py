@@ -154,11 +154,11 @@ def rule_columns(body: Body, names: set[str]) -> dict[str, Any]:
 
 def _column(name: str, value: Any) -> tuple[str, Any]:
     if name.endswith("_at"):
-        return f"{name.removesuffix('_at')}_ns", None if value is None else _ns(value)
+        return f"{name.removesuffix('_at')}_ns", None if value is None else ns_of(value)
     return (f"{name.removesuffix('_s')}_ns", value * 10**9) if name == "window_s" else (name, value)
 
 
-def _ns(moment: datetime) -> int:
+def ns_of(moment: datetime) -> int:
     """Exactly: a float would lose what is below a microsecond of the sum."""
     passed = moment - EPOCH
     return ((passed.days * 86_400 + passed.seconds) * 10**6 + passed.microseconds) * 1000
