@@ -1,7 +1,8 @@
 """The manifest: which frames a submission must hold, no more and no fewer.
 
-**Conventions.** JSON: `{"stone_manifest": 1, "sequences": {"<sequence name>": ["<frame_token>", …]}}`. A frame token is
-32 lower-case hex digits and occurs once. The order of tokens carries no meaning. Nothing in it tells a label.
+**Conventions.** JSON: `{"stone_manifest": 1, "sequences": {"<sequence name>": ["<frame_token>", …]}}`. A sequence is
+named as everywhere (`stone/sequence.py`); a frame token is 32 lower-case hex digits and occurs once. The
+order of tokens carries no meaning. Nothing in it tells a label.
 """
 
 import json
@@ -13,10 +14,11 @@ from pathlib import Path
 from services.eval.bounded_file import read_bounded
 from services.eval.errors import ManifestError
 from services.runtime.atomic import atomic_file
+from stone.sequence import NAME
 
 VERSION = 1
 TOKEN = re.compile(r"[0-9a-f]{32}")
-SEQUENCE_NAME = re.compile(r"[^\x00-\x1f/\\]{1,200}")
+SEQUENCE_NAME = NAME
 MAX_MANIFEST_BYTES = 8 * 2**20
 MAX_FRAMES = 200_000
 

@@ -7,6 +7,7 @@ Source: NEP 1 (npy 1.0, 2.0, 3.0); Occ3D and SurroundOcc name the array `semanti
 """
 
 import ast
+import re
 import struct
 import zlib
 from collections.abc import Iterable
@@ -29,13 +30,17 @@ from services.eval.errors import (
     TooLargeError,
     TruncatedError,
 )
-from services.eval.zip_directory import STORED, Member, ReadAt, payload_span, read_directory
+from services.eval.zip_directory import STORED, Member, payload_span, read_directory
+from services.eval.zip_end import ReadAt
 from stone.bitplanes import VOXELS
 from stone.grid import GRID_SHAPE
 
 PREDICTION_KEYS = ("semantics", "arr_0")
 MAX_HEADER_BYTES = 4096
 MAX_ARRAYS = 64
+# Escapes, and digits that run into letters (0xF…, 1if): what Python's parser warns of or makes large numbers from.
+NOT_IN_A_HEADER = re.compile(rb"\\|\d[A-Za-z_]")
+MOST_BRACKETS = 64
 LEAST_NPY_BYTES, MOST_NPY_BYTES = VOXELS + 64, VOXELS + 12 + MAX_HEADER_BYTES
 
 Buffer = bytes | bytearray | memoryview
@@ -116,17 +121,23 @@ def parse_header(head: bytes) -> Header:
 
 @lru_cache(maxsize=64)
 def _literal_header(text: bytes, start: int) -> Header:
-    if b"\\" in text:
-        raise NotNpzError("a npy header without escapes", "a backslash")
+    odd = NOT_IN_A_HEADER.search(text)
+    if odd or sum(map(text.count, (b"(", b"[", b"{"))) > MOST_BRACKETS:
+        found = repr(odd.group()) if odd else f"more than {MOST_BRACKETS} brackets"
+        raise NotNpzError("a npy header of plain literals", found)
     try:
         facts = ast.literal_eval(text.decode("latin-1").strip())
         shape, descr, is_fortran = (facts[key] for key in ("shape", "descr", "fortran_order"))
     except (ValueError, SyntaxError, TypeError, KeyError, RecursionError, MemoryError) as error:
         raise NotNpzError("a npy header with descr, fortran_order and shape", "another text") from error
-    is_sound = isinstance(shape, tuple) and all(type(n) is int for n in shape) and isinstance(is_fortran, bool)
+    is_sound = isinstance(shape, tuple) and all(map(_is_size, shape)) and isinstance(is_fortran, bool)
     if len(facts) != 3 or not is_sound:
         raise NotNpzError("a npy header with descr, fortran_order and shape", "other values")
     return Header(str(descr)[:80], is_fortran, shape[:16], start)
+
+
+def _is_size(number: object) -> bool:
+    return type(number) is int and 0 <= number < 2**63
 
 
 def _checked(header: Header) -> Header:

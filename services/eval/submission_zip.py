@@ -1,10 +1,11 @@
 """A submission on disk: a zip of `<frame_token>.npz`, read in place, never extracted.
 
-**Conventions.** Names are those of the manifest, all behind one common folder prefix or none; the entries of such
+**Conventions.** Names are those of the manifest, all behind one common folder prefix or none; the empty entries of such
 folders themselves are let pass. Reading is by `pread`, so threads share the descriptor.
 """
 
 import os
+import stat
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -29,6 +30,7 @@ from services.eval.zip_directory import DEFLATED, Member, payload_span, read_dir
 
 MAX_FRAME_BYTES = 3 * 2**20
 SPARE_ENTRIES = 1000
+EMPTY_DEFLATED_BYTES = 2
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,7 @@ def open_submission(path: Path, tokens: Sequence[str]) -> Iterator[Submission]:
     Raises `UnreadableInputError` where the file cannot be opened.
     """
     try:
-        descriptor = os.open(path, os.O_RDONLY)
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)  # a pipe would keep us waiting
     except OSError as error:
         raise UnreadableInputError(path, error.strerror or "unknown reason") from error
     try:
@@ -77,9 +79,11 @@ def open_submission(path: Path, tokens: Sequence[str]) -> Iterator[Submission]:
 
 def _matched(path: Path, descriptor: int, tokens: Sequence[str]) -> Submission:
     try:
-        size_bytes = os.fstat(descriptor).st_size
+        facts = os.fstat(descriptor)
+        if not stat.S_ISREG(facts.st_mode):
+            raise UnreadableInputError(path, "it is no file")
         limit = len(tokens) + SPARE_ENTRIES
-        members = read_directory(lambda offset, count: os.pread(descriptor, count, offset), size_bytes, limit)
+        members = read_directory(lambda offset, count: os.pread(descriptor, count, offset), facts.st_size, limit)
     except OSError as error:
         raise UnreadableInputError(path, error.strerror or "unknown reason") from error
     except SubmissionError as error:
@@ -93,7 +97,7 @@ def _matching(name: str, descriptor: int, members: Sequence[Member], tokens: fro
     problems: list[Problem] = []
     for member in members:
         token = member.name.removeprefix(prefix).removesuffix(".npz")
-        if member.name.endswith("/") and prefix.startswith(member.name) and member.unpacked_bytes == 0:
+        if prefix.startswith(member.name) and _is_folder(member):
             continue
         is_ours = f"{prefix}{token}.npz" == member.name and token in tokens
         fault = _fault(member, is_ours, token in frames)
@@ -122,11 +126,16 @@ def _fault(member: Member, is_ours: bool, is_second: bool) -> SubmissionError | 
 
 
 def _common_prefix(members: Sequence[Member], tokens: frozenset[str]) -> str:
-    """The folder that most of the manifest's frames are in; it is not followed, so it may be any."""
+    """The folder that most of the manifest's frames are in; it is not followed, so it may be any plain one."""
     folders = Counter(
         folder + slash
         for folder, slash, file in (member.name.rpartition("/") for member in members)
         if file.removesuffix(".npz") in tokens
     )
-    likely = folders.most_common(1)
-    return likely[0][0] if likely and ".." not in likely[0][0].split("/") else ""
+    likely = next((folder for folder, _ in folders.most_common(1)), "")
+    is_plain = likely.isprintable() and not {"", ".."} & set(likely.split("/")[:-1])
+    return likely if is_plain else ""
+
+
+def _is_folder(member: Member) -> bool:
+    return member.name.endswith("/") and member.unpacked_bytes == 0 and member.packed_bytes <= EMPTY_DEFLATED_BYTES

@@ -1,13 +1,14 @@
 """What is wrong with a submission, as a value: coded, per file and frame, the first hundred and the total.
 
-**Conventions.** `ok` is true exactly when `errors_total` is 0. Texts from outside are cut to 200 characters.
+**Conventions.** `ok` is true exactly when `errors_total` is 0. Texts from outside are cut to 200 characters; what
+is not printable in them (commands to a terminal, marks that turn the writing round) is escaped.
 """
 
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 
 from services.eval.errors import SubmissionError
-from stone.errors import StoneError
+from stone.errors import StoneError, one_line
 
 SHOWN = 100
 LONGEST_TEXT = 200
@@ -55,7 +56,7 @@ class SubmissionRefusedError(StoneError):
 
 def problem_of(error: SubmissionError, file: str, frame: str | None) -> Problem:
     texts = (file, error.expected, error.actual)
-    file, expected, actual = (text[:LONGEST_TEXT] for text in texts)
+    file, expected, actual = (one_line(text[:LONGEST_TEXT])[:LONGEST_TEXT] for text in texts)
     return Problem(error.code, file, frame, expected, actual)
 
 

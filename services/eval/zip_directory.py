@@ -1,39 +1,37 @@
 """The table of contents of a zip, read with every length checked before anything is read or allocated.
 
-**Conventions.** Offsets and sizes are bytes from the start of the archive. Nothing is trusted: the end record must be
-the last thing in the file, the directory must sit right before it and hold exactly the records it announces, members
-may not share bytes. Zip64 is understood. The same reader serves a submission (a file) and a frame in it (a buffer).
+**Conventions.** Offsets and sizes are bytes from the start of the archive. Nothing is trusted: the directory holds
+exactly the records it announces, every header says the same as the directory, members share no bytes, and no bytes lie
+between or before them but data descriptors, so that no two readers can see different files. Zip64 is understood. The
+same reader serves a submission (a file) and a frame in it (a buffer).
 
-Source: PKWARE APPNOTE 6.3.10, §4.3.7, 4.3.12, 4.3.14–4.3.16, 4.5.3; overlaps: Fifield, "A better zip bomb" (WOOT 2019).
+Source: PKWARE APPNOTE 6.3.10, §4.3.7, 4.3.9, 4.3.12, 4.4.4, D; overlaps: Fifield, "A better zip bomb" (WOOT 2019).
 """
 
 import stat
 import struct
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from services.eval.errors import (
     EncryptedError,
-    NotZipError,
     OverlapError,
     SymlinkError,
     TooLargeError,
     TruncatedError,
     UnsupportedZipError,
 )
+from services.eval.zip_end import IN_EXTRA_16, End, ReadAt, read_end
+from services.eval.zip_extra import check_other_name, extra_fields, wide_values
 
 STORED, DEFLATED = 0, 8
-END, END64, LOCATOR64 = struct.Struct("<4s4H2IH"), struct.Struct("<4sQ2H2I4Q"), struct.Struct("<4sIQI")
 RECORD, LOCAL = struct.Struct("<4s6H3I5H2I"), struct.Struct("<4s5H3I2H")
-MAX_COMMENT_BYTES = 2**16 - 1
-MAX_NAME_BYTES = 512
-ZIP64_EXTRA = 1
-IN_EXTRA_32, IN_EXTRA_16 = 2**32 - 1, 2**16 - 1
+MAX_NAME_BYTES, MAX_EXTRA_BYTES = 512, 1024
 # Bit 0 encrypted, 6 strongly encrypted, 13 masked headers.
 ENCRYPTED_FLAGS = 1 << 0 | 1 << 6 | 1 << 13
-MADE_BY_UNIX = 3
-
-ReadAt = Callable[[int, int], bytes]
+DESCRIBED_BEHIND = 1 << 3  # sizes and CRC follow the data
+IN_UTF8 = 1 << 11
+LONGEST_DESCRIPTOR_BYTES = 24
+MADE_BY_UNIX, MADE_BY_MACOS = 3, 19
 
 
 @dataclass(frozen=True)
@@ -49,20 +47,13 @@ class Member:
     limit: int
 
 
-@dataclass(frozen=True)
-class _End:
-    entries: int
-    directory_bytes: int
-    directory_offset: int
-
-
 def read_directory(read_at: ReadAt, size_bytes: int, max_entries: int) -> tuple[Member, ...]:
     """The members in the order of the directory; `read_at(offset, count)` reads within [0, size_bytes).
 
     Raises `NotZipError`, `TruncatedError`, `TooLargeError` (more than `max_entries`), `EncryptedError`, `SymlinkError`,
     `UnsupportedZipError`, `OverlapError`.
     """
-    end = _read_end(read_at, size_bytes)
+    end = read_end(read_at, size_bytes)
     limit_bytes = max_entries * (RECORD.size + MAX_NAME_BYTES)
     if end.entries > max_entries:
         raise TooLargeError(f"at most {max_entries} files in the archive", f"{end.entries} files")
@@ -79,57 +70,39 @@ def payload_span(read_at: ReadAt, member: Member) -> tuple[int, int]:
 
     Raises `TruncatedError`, `UnsupportedZipError`, `OverlapError`.
     """
-    raw = read_at(member.offset, min(LOCAL.size + MAX_NAME_BYTES, member.limit - member.offset))
+    most = LOCAL.size + MAX_NAME_BYTES + MAX_EXTRA_BYTES
+    raw = read_at(member.offset, min(most, member.limit - member.offset))
     if len(raw) < LOCAL.size or raw[:4] != b"PK\3\4":
         raise TruncatedError(f"the header of {member.name!r} at byte {member.offset}", "other bytes")
-    _, _, flags, method, _, _, _, _, _, name_bytes, extra_bytes = LOCAL.unpack_from(raw)
-    name = raw[LOCAL.size : LOCAL.size + name_bytes].decode("utf-8", "replace")
+    _, _, flags, method, _, _, _, *sizes, name_bytes, extra_bytes = LOCAL.unpack_from(raw)
+    start = LOCAL.size + name_bytes + extra_bytes
+    if name_bytes > MAX_NAME_BYTES or extra_bytes > MAX_EXTRA_BYTES:
+        raise TooLargeError(f"a header of at most {most} bytes for {member.name!r}", f"{start} bytes")
+    name = _decoded(raw[LOCAL.size : LOCAL.size + name_bytes], flags)
     if name != member.name or method != member.method or flags & ENCRYPTED_FLAGS:
         raise UnsupportedZipError(f"the directory's header of {member.name!r}", f"a local header of {name!r}")
-    start = member.offset + LOCAL.size + name_bytes + extra_bytes
+    fields = extra_fields(raw[start - extra_bytes : start], name)
+    _check_sizes(member, wide_values(fields, (sizes[1], sizes[0]), name), flags)
+    return _bounded(member, member.offset + start, LONGEST_DESCRIPTOR_BYTES if flags & DESCRIBED_BEHIND else 0)
+
+
+def _check_sizes(member: Member, unpacked_packed: tuple[int, ...], flags: int) -> None:
+    """The local header's sizes are the directory's, or 0 where they follow the data."""
+    known = (member.unpacked_bytes, member.packed_bytes)
+    if unpacked_packed != known and not (flags & DESCRIBED_BEHIND and not any(unpacked_packed)):
+        raise UnsupportedZipError(f"{known[0]} bytes of {member.name!r}, as in the directory", f"{unpacked_packed[0]}")
+
+
+def _bounded(member: Member, start: int, descriptor_bytes: int) -> tuple[int, int]:
     stop = start + member.packed_bytes
     if stop > member.limit:
         raise OverlapError(f"{member.name!r} to end before byte {member.limit}", f"its end at {stop}")
+    if member.limit - stop > descriptor_bytes:
+        raise UnsupportedZipError(f"the next file after {member.name!r}", f"{member.limit - stop} bytes of no file")
     return start, stop
 
 
-def _read_end(read_at: ReadAt, size_bytes: int) -> _End:
-    tail_bytes = min(size_bytes, END.size + MAX_COMMENT_BYTES)
-    tail = read_at(size_bytes - tail_bytes, tail_bytes)
-    at = tail.rfind(b"PK\5\6")
-    if at < 0 or len(tail) - at < END.size:
-        raise NotZipError("a zip that ends in its directory", "none" if size_bytes else "an empty file")
-    _, disk, start_disk, here, entries, directory_bytes, offset, comment_bytes = END.unpack_from(tail, at)
-    if at + END.size + comment_bytes != len(tail):
-        raise NotZipError("the end record last in the file", f"{len(tail) - at - END.size - comment_bytes} bytes more")
-    position = size_bytes - tail_bytes + at
-    locator = read_at(position - LOCATOR64.size, LOCATOR64.size) if position >= LOCATOR64.size else b""
-    if locator[:4] == b"PK\6\7":
-        return _read_end64(read_at, locator, position - LOCATOR64.size)
-    if disk or start_disk or here != entries:
-        raise UnsupportedZipError("an archive in one part", f"part {disk} of several")
-    if offset + directory_bytes != position:
-        raise TruncatedError(f"the directory to end at byte {position}", f"its end at {offset + directory_bytes}")
-    return _End(entries, directory_bytes, offset)
-
-
-def _read_end64(read_at: ReadAt, locator: bytes, at: int) -> _End:
-    """The wide end record named by the locator at byte `at`."""
-    position = LOCATOR64.unpack(locator)[2]
-    if position + END64.size > at:
-        raise TruncatedError(f"a zip64 end record before byte {at}", f"one at byte {position}")
-    record = read_at(position, END64.size)
-    if record[:4] != b"PK\6\6":
-        raise TruncatedError(f"a zip64 end record at byte {position}", "other bytes")
-    _, _, _, _, disk, start_disk, here, entries, directory_bytes, offset = END64.unpack(record)
-    if disk or start_disk or here != entries:
-        raise UnsupportedZipError("an archive in one part", f"part {disk} of several")
-    if offset + directory_bytes != position:
-        raise TruncatedError(f"the directory to end at byte {position}", f"its end at {offset + directory_bytes}")
-    return _End(entries, directory_bytes, offset)
-
-
-def _parse(directory: bytes, end: _End) -> list[Member]:
+def _parse(directory: bytes, end: End) -> list[Member]:
     members: list[Member] = []
     at = 0
     for _ in range(end.entries):
@@ -151,34 +124,27 @@ def _member(fields: tuple[int, ...], variable: bytes, limit: int) -> Member:
     attributes, at = fields[15:]
     if name_bytes > MAX_NAME_BYTES:
         raise TooLargeError(f"names of at most {MAX_NAME_BYTES} bytes", f"{name_bytes} bytes")
-    name = variable[:name_bytes].decode("utf-8", "replace")
+    name = _decoded(variable[:name_bytes], flags)
     if flags & ENCRYPTED_FLAGS:
         raise EncryptedError("plain files", f"an encrypted {name!r}")
     if method not in (STORED, DEFLATED) or disk not in (0, IN_EXTRA_16):
         raise UnsupportedZipError("method 0 (store) or 8 (deflate)", f"method {method} for {name!r}")
-    if made_by >> 8 == MADE_BY_UNIX and stat.S_ISLNK(attributes >> 16):
+    if made_by >> 8 in (MADE_BY_UNIX, MADE_BY_MACOS) and stat.S_ISLNK(attributes >> 16):
         raise SymlinkError("files", f"a symbolic link {name!r}")
-    if IN_EXTRA_32 in (packed, unpacked, at):
-        extra = variable[name_bytes : name_bytes + extra_bytes]
-        unpacked, packed, at = _zip64_values(extra, (unpacked, packed, at), name)
+    extra = extra_fields(variable[name_bytes : name_bytes + extra_bytes], name)
+    check_other_name(extra, name)
+    unpacked, packed, at = wide_values(extra, (unpacked, packed, at), name)
     if method == STORED and packed != unpacked:
         raise UnsupportedZipError(f"{unpacked} stored bytes for {name!r}", f"{packed}")
     return Member(name, method, crc32, packed, unpacked, at, limit)
 
 
-def _zip64_values(extra: bytes, values: tuple[int, int, int], name: str) -> tuple[int, int, int]:
-    """The 8-byte values that stand, in this order, for those of `values` that are 0xFFFFFFFF."""
-    wide, at = b"", 0
-    while at + 4 <= len(extra):
-        tag, count = struct.unpack_from("<2H", extra, at)
-        wide = extra[at + 4 : at + 4 + count] if tag == ZIP64_EXTRA else wide
-        at += 4 + count
-    needed = sum(value == IN_EXTRA_32 for value in values)
-    if len(wide) < 8 * needed:
-        raise TruncatedError(f"{needed} zip64 values for {name!r}", f"{len(wide)} bytes")
-    found = iter(struct.unpack_from(f"<{needed}Q", wide))
-    first, second, third = (next(found) if value == IN_EXTRA_32 else value for value in values)
-    return first, second, third
+def _decoded(name: bytes, flags: int) -> str:
+    """In UTF-8 where that is announced, else in code page 437, which has a character for every byte."""
+    try:
+        return name.decode("utf-8" if flags & IN_UTF8 else "cp437")
+    except UnicodeDecodeError as error:
+        raise UnsupportedZipError("a name in UTF-8, as its header says", f"{name[:40]!r}") from error
 
 
 def _without_overlap(members: list[Member], limit: int) -> tuple[Member, ...]:
@@ -187,9 +153,11 @@ def _without_overlap(members: list[Member], limit: int) -> tuple[Member, ...]:
     bounded: list[Member] = list(members)
     for index in reversed(ordered):
         member = members[index]
-        least = LOCAL.size + len(member.name.encode()) + member.packed_bytes
+        least = LOCAL.size + member.packed_bytes
         if member.offset + least > limit:
             raise OverlapError(f"{member.name!r} to end before byte {limit}", f"its end after {member.offset + least}")
         bounded[index] = replace(member, limit=limit)
         limit = member.offset
+    if limit:
+        raise UnsupportedZipError("the first file at byte 0", f"{limit} bytes before it")
     return tuple(bounded)

@@ -10,12 +10,13 @@ from hypothesis import strategies as st
 from services.eval.errors import ManifestError, UnreadableInputError
 from services.eval.ground_truth import find_ground_truth
 from services.eval.manifest import Manifest, read_manifest, write_manifest
+from stone.sequence import NAME
 from tests.services.eval.conftest import World
 
 TOKEN = "0123456789abcdef" * 2
 
 
-@given(st.dictionaries(st.text("abc ./-é".replace("/", ""), min_size=1), st.integers(1, 3), min_size=1, max_size=4))
+@given(st.dictionaries(st.from_regex(NAME, fullmatch=True), st.integers(1, 3), min_size=1, max_size=4))
 def test_a_manifest_survives_the_disk(tmp_path_factory: pytest.TempPathFactory, sizes: dict[str, int]) -> None:
     path = tmp_path_factory.mktemp("m") / "manifest.json"
     tokens = iter(f"{index:032x}" for index in range(100))
@@ -44,6 +45,9 @@ def test_the_manifest_of_a_ground_truth_lists_its_folders(world: World) -> None:
         (json.dumps({"stone_manifest": 1, "sequences": {"s": [TOKEN.upper()]}}), "frame token"),
         (json.dumps({"stone_manifest": 1, "sequences": {"s": [{}]}}), "frame token"),
         (json.dumps({"stone_manifest": 1, "sequences": {"../s": [TOKEN]}}), "sequence name '../s'"),
+        (json.dumps({"stone_manifest": 1, "sequences": {"a b": [TOKEN]}}), "sequence name 'a b'"),
+        (json.dumps({"stone_manifest": 1, "sequences": {"\u202eevil": [TOKEN]}}), "sequence name"),
+        (json.dumps({"stone_manifest": 1, "sequences": {"s" * 101: [TOKEN]}}), "sequence name"),
         (json.dumps({"stone_manifest": 1, "sequences": {"s": []}}), "0 frames"),
         (json.dumps({"stone_manifest": 1, "sequences": {"s": [TOKEN, TOKEN]}}), "occurs twice"),
         (" " * (8 * 2**20 + 1), "larger than 8388608 bytes"),
