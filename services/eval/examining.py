@@ -10,7 +10,7 @@ import struct
 import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +25,8 @@ from services.eval.scoring_errors import TruthDamagedError
 from services.eval.submission_zip import Submission, open_submission
 from services.eval.truth_pack import TruthPack, TruthPackError
 from services.eval.validation import Validation, verdict
-from stone.bitplanes import RINGS
+from stone.bitplanes import RINGS, frame_counts, truth_planes
+from stone.grid import GRID_SHAPE
 from stone.metric import CLASSES
 
 Span = tuple[int, int]
@@ -81,6 +82,7 @@ def examine(examination: Examination, watch: Watch) -> Examined:
 
     Raises `ScoringCrashedError` where the child broke its limits, `ScoringInterruptedError`, and what `watch` raises.
     """
+    _warm()
     answer = confined_telling(partial(_looked_at, examination), examination.limits, watch)
     try:
         return _believed(answer, examination)
@@ -111,6 +113,13 @@ def joined(counts: Iterable[Counts]) -> Counts:
 def answer_bytes(frames: int) -> int:
     """How long the counts of this many frames are."""
     return frames * (CONFUSION_BYTES + BEV_BYTES)
+
+
+@cache
+def _warm() -> None:
+    """Load the kernels, or compile them, before the first child: none of them could keep what it does (0.4 s)."""
+    nothing = np.zeros(GRID_SHAPE, np.uint8)
+    frame_counts(nothing, truth_planes(nothing, nothing == 0))
 
 
 def _looked_at(examination: Examination, progress: Progress) -> bytes:

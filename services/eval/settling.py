@@ -67,9 +67,11 @@ def write(desk: Desk, case: Case, new: NewScore, session: Session) -> None:
 
 
 def _score_by_the_others(desk: Desk, case: Case, session: Session) -> None:
-    """Have the run score it by every pair that it lacks by now."""
+    """Have the run score it by every pair that it lacks by now; a run that is being stopped takes nothing new."""
     session.execute(select(Phase.id).where(Phase.id == case.phase_id).with_for_update(read=True))
     run = lock_run(session, desk.attempt.root_id)
+    if run.cancel_reason:
+        return
     for pair in pairs_to_score(session, case.phase_id):
         specs = rescore_specs(session, (case.submission_id,), pair)
         add_jobs(session, run, specs, desk.platform.settings.jobs.max_attempts)

@@ -75,3 +75,8 @@ def drop_parts(session: Session, submission_id: str, truth_id: str) -> None:
     """What was counted is joined, or will never be."""
     of_both = (ScorePart.submission_id == submission_id, ScorePart.truth_id == truth_id)
     session.execute(delete(ScorePart).where(*of_both))
+
+
+def drop_all_parts(session: Session, submission_id: str) -> None:
+    """The submission has ended: no join will ask for what was counted."""
+    session.execute(delete(ScorePart).where(ScorePart.submission_id == submission_id))

@@ -15,6 +15,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from services.runtime.benchmarks import scorings
+from services.runtime.benchmarks.scores import drop_all_parts
 from services.runtime.benchmarks.submission_errors import SubmissionStateError
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.finishing import Failure
@@ -76,7 +77,7 @@ def settle(
 
 
 def end(session: Session, submission: Submission, state: str, failure: Failure | None = None) -> None:
-    """Let a locked submission end; what it held of the team's scorings is used or given back."""
+    """Let a locked submission end; what it held of the team's scorings is used or given back, what was counted goes."""
     if state == "scored":
         scorings.consume(session, submission.id)
     else:
@@ -84,6 +85,7 @@ def end(session: Session, submission: Submission, state: str, failure: Failure |
     if failure is not None:
         columns = failure.columns()
         submission.failure_code, submission.failure = columns["failure_code"], columns["failure"]
+    drop_all_parts(session, submission.id)
     submission.state, submission.settled_ns = state, now_ns()
     submission.revision += 1
 
