@@ -1,0 +1,88 @@
+"""The metric as one would write it down from its definition: column by column, in plain integers and fractions.
+
+**Conventions.** Nothing of the platform is imported: this is what its kernels are held against, and what the golden
+vectors are made by. Grids are (256, 256, 32) uint8 or bool, axes x, y, z. A frame's counts are plain lists: `confusion`
+[ring][truth][prediction], `bev` [ring][both, truth only, prediction only].
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+Ratio = float | None
+FREE = bytes(32)
+
+
+@dataclass(frozen=True)
+class Counts:
+    confusion: list[list[list[int]]]
+    bev: list[list[int]]
+
+
+def ring_of(x: int, y: int) -> int:
+    """0 below 10 m, 1 below 20 m, 2 beyond: of the column's centre, squared in units of half a voxel."""
+    squared = (2 * x + 1 - 256) ** 2 + (2 * y + 1 - 256) ** 2
+    return (squared >= (10 * 10) ** 2) + (squared >= (20 * 10) ** 2)
+
+
+def is_drivable(labels: Sequence[int]) -> bool:
+    return (1 in labels or 2 in labels) and 3 not in labels
+
+
+def slow_counts(truth: Any, prediction: Any, is_evaluated: Any) -> Counts:
+    """What is to be counted of one frame. Raises `ValueError` where the prediction holds what is no class."""
+    if prediction.max() > 3:
+        raise ValueError("label_out_of_range")
+    confusion, bev = [[[0] * 4 for _ in range(4)] for _ in range(3)], [[0] * 3 for _ in range(3)]
+    grids = [grid.astype("uint8").tobytes() for grid in (truth, prediction, is_evaluated)]
+    for number in range(256 * 256):
+        true, predicted, seen = (grid[32 * number : 32 * number + 32] for grid in grids)
+        ring = ring_of(*divmod(number, 256))
+        if true == predicted == FREE:
+            confusion[ring][0][0] += seen.count(1)
+            continue
+        pairs = [(row, column) for row, column, counts in zip(true, predicted, seen, strict=True) if counts]
+        for (row, column), voxels in Counter(pairs).items():
+            confusion[ring][row][column] += voxels
+        there, claimed = is_drivable([row for row, _ in pairs]), is_drivable([column for _, column in pairs])
+        bev[ring][0] += there and claimed
+        bev[ring][1] += there and not claimed
+        bev[ring][2] += claimed and not there
+    return Counts(confusion, bev)
+
+
+def added(counts: Sequence[Counts]) -> tuple[list[list[int]], list[int]]:
+    """The confusion [truth][prediction] and the columns of all frames and rings."""
+    cells = [[sum(one.confusion[r][t][p] for one in counts for r in range(3)) for p in range(4)] for t in range(4)]
+    return cells, [sum(one.bev[r][k] for one in counts for r in range(3)) for k in range(3)]
+
+
+def slow_ratios(cells: Sequence[Sequence[int]], metric: str) -> dict[str, Ratio]:
+    """`metric` is stone-iou-1 or stone-iou-occupied-1."""
+    rows = {"stone-iou-1": (0, 1, 2, 3), "stone-iou-occupied-1": (1, 2, 3)}[metric]
+    occupied = [(t, p) for t in range(4) for p in range(4) if t and p]
+    either = [(t, p) for t in range(4) for p in range(4) if t or p]
+    iou_occ = quotient(sum(cells[t][p] for t, p in occupied), sum(cells[t][p] for t, p in either))
+    parts = []
+    for c in (1, 2, 3):
+        union = sum(cells[t][p] for t in rows for p in range(4) if c in (t, p))
+        parts.append(quotient(cells[c][c], union))
+    known = [part for part in parts if part is not None]
+    mean = sum(known) / 3 if len(known) == 3 else None
+    named = zip(("iou_occ", "iou_t", "iou_p", "iou_n", "miou"), (iou_occ, *parts, mean), strict=True)
+    return {name: None if value is None else float(value) for name, value in named}
+
+
+def slow_extras(cells: Sequence[Sequence[int]], columns: Sequence[int]) -> dict[str, Ratio]:
+    named = {
+        "n_predicted_t_ratio": quotient(cells[3][1], sum(cells[3])),
+        "t_predicted_n_ratio": quotient(cells[1][3], sum(cells[1])),
+        "bev_drivable_iou": quotient(columns[0], sum(columns)),
+    }
+    return {name: None if value is None else float(value) for name, value in named.items()}
+
+
+def quotient(part: int, whole: int) -> Fraction | None:
+    return Fraction(part, whole) if whole else None
