@@ -42,7 +42,7 @@ def settling(stage: Stage, desk: Desk) -> Outcome:
         if not is_refusal(error):
             raise
         desk.attempt.log("not scored", "warning", code=error.code)
-        return Outcome({"state": "failed"}, commit=partial(_fail, desk.submission_id, error))
+        return Outcome({"refused": error.code}, commit=partial(_fail, desk.submission_id, error))
 
 
 def refuse(desk: Desk, case: Case, found: Validation) -> Outcome:

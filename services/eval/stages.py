@@ -20,7 +20,7 @@ from services.eval.settling import Stage, refuse, settling
 from services.eval.truth_building import build_truth
 from services.runtime.benchmarks.pairs import active
 from services.runtime.benchmarks.scores import CountedPart, write_part
-from services.runtime.benchmarks.scoring_jobs import JOIN, OPEN, PART, PART_FRAMES, TRUTH, scoring_specs
+from services.runtime.benchmarks.scoring_jobs import JOIN, OPEN, PART, TRUTH, scoring_specs
 from services.runtime.benchmarks.submissions import mark_scoring
 from services.runtime.jobs.specs import Attempt, Handlers, Outcome
 from services.runtime.platform import Platform
@@ -51,13 +51,14 @@ def open_submission(desk: Desk) -> Outcome:
     case = desk.case(pair.truth_id)
     if not case.is_under_way:
         return Outcome({"state": case.state})
-    is_small = case.truth.frames <= PART_FRAMES
+    following = scoring_specs(case.submission_id, pair, case.truth.frames)
+    is_small = len(following) == 1  # the join alone: it would count all of it
     found = desk.examined(case, (0, case.truth.frames if is_small else 0))
     if is_small:
         return concluded(desk, case, pair, found)
     if not found.validation.ok:
         return refuse(desk, case, found.validation)
-    return Outcome({"state": case.state}, then=scoring_specs(case.submission_id, pair, case.truth.frames))
+    return Outcome({"state": case.state}, then=following)
 
 
 def count_part(desk: Desk) -> Outcome:

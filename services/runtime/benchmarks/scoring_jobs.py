@@ -1,11 +1,11 @@
 """Which jobs score a submission, score one again, and build a ground truth.
 
-    eval.open → eval.part (each range of frames) → eval.join (each pair; the active pair first)
+    eval.open → eval.part (each range of frames) → eval.join; then eval.part and eval.join by every pending pair
 
 **Conventions.** Arguments hold ids and numbers only. `start`, `stop` count frames in the order of the truth's manifest.
 A join counts by itself what no part has counted, so a small submission needs no parts; and it reads the kept counts
-where the submission was scored against the same truth before, so another metric needs no zip. Keys are unique within a
-run of several submissions.
+where the submission was scored against the same truth before, so another metric needs no zip. Keys name jobs of one
+pair, whose submissions may be many.
 """
 
 from collections.abc import Iterable, Iterator
@@ -47,21 +47,15 @@ def rescore_specs(session: Session, submission_ids: Iterable[str], pair: Pair) -
     )
 
 
-def scoring_specs(submission_id: str, pair: Pair, frames: int, after: str = "") -> tuple[JobSpec, ...]:
-    """Parts of `frames` frames still to be counted (none for one part's worth), then the join; all wait for `after`."""
-    needs = (after,) if after else ()
+def scoring_specs(submission_id: str, pair: Pair, frames: int) -> tuple[JobSpec, ...]:
+    """Parts of the `frames` frames that are to be counted, none for one part's worth; then the join."""
     whose = {"submission_id": submission_id, "truth_id": pair.truth_id}
     parts = tuple(
-        JobSpec(PART, {**whose, "start": start, "stop": stop}, f"part {submission_id} {pair.truth_id} {start}", needs)
+        JobSpec(PART, {**whose, "start": start, "stop": stop}, f"part {submission_id} {start}")
         for start, stop in parts_of(frames)
     )
-    waits = tuple(part.key for part in parts) or needs
-    return (*parts, JobSpec(JOIN, {**whose, "metric": pair.metric}, join_key(submission_id, pair), waits))
-
-
-def join_key(submission_id: str, pair: Pair) -> str:
-    """By which other jobs of the same batch wait for the join of this pair."""
-    return f"join {submission_id} {pair.truth_id} {pair.metric}"
+    waits = tuple(part.key for part in parts)
+    return (*parts, JobSpec(JOIN, {**whose, "metric": pair.metric}, f"join {submission_id}", waits))
 
 
 def parts_of(frames: int) -> Iterator[tuple[int, int]]:
