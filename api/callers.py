@@ -7,5 +7,6 @@ from fastapi import Depends
 from api.deps import Caller, require
 
 Reader = Annotated[Caller, Depends(require("read"))]
+Submitter = Annotated[Caller, Depends(require("submit"))]
 Curator = Annotated[Caller, Depends(require("upload", "curator"))]
 Administrator = Annotated[Caller, Depends(require("admin", "administrator"))]

@@ -1,8 +1,8 @@
 """Following jobs without holding anything: one poll of the database per tick serves every stream of this process.
 
 **Conventions.** A version grows with every change of what is followed: the sum of the revisions of its jobs (and of the
-sequence). Streams wait on the event loop; only the poll takes a thread and a database session, for one statement and a
-snapshot of each thing that changed. A database that is away silences the streams and ends none.
+sequence or submission). Streams wait on the event loop; only the poll takes a thread and a database session, for one
+statement and a snapshot of each thing that changed. A database that is away silences the streams and ends none.
 """
 
 import asyncio
@@ -20,7 +20,7 @@ from sqlalchemy.orm import InstrumentedAttribute, Session
 
 from api.errors import RateLimitedError
 from services.runtime.database import Database
-from services.runtime.orm import Job, Sequence
+from services.runtime.orm import Job, Sequence, Submission
 from stone.errors import StoneError
 
 TICK_S = 0.5
@@ -33,7 +33,7 @@ log = structlog.get_logger(__name__)
 
 @dataclass(frozen=True)
 class Subject:
-    """What is followed; `kind` is run (with its jobs), job (alone) or sequence (all of its jobs)."""
+    """What is followed; `kind` is run (with its jobs), job (alone), sequence or submission (with their jobs)."""
 
     kind: str
     id: str
@@ -169,4 +169,7 @@ def _versions(subjects: Mapping[Subject, object]) -> CompoundSelect[str, str, in
     of_jobs = select(func.coalesce(func.sum(Job.revision), 0)).where(Job.sequence_id == Sequence.id).scalar_subquery()
     sequences = select(literal("sequence"), Sequence.id, Sequence.revision + of_jobs)
     named = sequences.where(Sequence.id.in_(ids("sequence")))
-    return union_all(summed("run", Job.root_id), summed("job", Job.id), named)
+    of_run = select(func.coalesce(func.sum(Job.revision), 0)).where(Job.root_id == Submission.job_id).scalar_subquery()
+    submissions = select(literal("submission"), Submission.id, Submission.revision + of_run)
+    submitted = submissions.where(Submission.id.in_(ids("submission")))
+    return union_all(summed("run", Job.root_id), summed("job", Job.id), named, submitted)

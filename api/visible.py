@@ -12,6 +12,7 @@ from sqlalchemy.orm import InstrumentedAttribute, Session, aliased
 from api.deps import Caller
 from api.errors import NotFoundError
 from services.runtime.benchmarks.phases import benchmark_named, phase_named
+from services.runtime.benchmarks.teams import is_member
 from services.runtime.dataset_reading import dataset_named
 from services.runtime.exports import counting_labels
 from services.runtime.orm import (
@@ -25,6 +26,7 @@ from services.runtime.orm import (
     Phase,
     Recording,
     Sequence,
+    Submission,
     Team,
     TeamMember,
 )
@@ -141,6 +143,25 @@ def teams_of(caller: Caller) -> Select[Team]:
 def team_of(session: Session, caller: Caller, team_id: str) -> Team:
     """Raises `NotFoundError`."""
     return _known(session.scalars(teams_of(caller).where(Team.id == team_id)).one_or_none(), "team", team_id)
+
+
+def member_team_of(session: Session, caller: Caller, team_id: str) -> Team:
+    """A team that the caller may act for, which an administrator cannot for others. Raises `NotFoundError`."""
+    team = session.get(Team, team_id) if is_member(session, team_id, caller.user_id) else None
+    return _known(team, "team", team_id)
+
+
+def submissions_of(caller: Caller) -> Select[Submission]:
+    """The submissions of the caller's teams; for administrators all."""
+    own = select(TeamMember.team_id).where(TeamMember.user_id == caller.user_id)
+    found = select(Submission)
+    return found if caller.is_administrator else found.where(Submission.team_id.in_(own))
+
+
+def submission_of(session: Session, caller: Caller, submission_id: str) -> Submission:
+    """Raises `NotFoundError`."""
+    found = session.scalars(submissions_of(caller).where(Submission.id == submission_id)).one_or_none()
+    return _known(found, "submission", submission_id)
 
 
 def _known(found: Row | None, kind: str, subject_id: str) -> Row:

@@ -22,6 +22,7 @@ from api.schemas.base import IdPath, IdQuery
 from api.schemas.jobs import JobItem, LogPage
 from api.visible import job_of
 from services.runtime.bell import waiting
+from services.runtime.benchmarks.submission_states import reopen
 from services.runtime.celery_app import QUEUES
 from services.runtime.jobs import steering
 from services.runtime.orm import Job, Queue
@@ -131,7 +132,9 @@ def list_workers(_caller: Administrator, platform: PlatformDep) -> WorkersAnswer
 
 def _steered(session: Session, platform: Platform, act: JobAct, root_id: str, reason: str) -> Job:
     if act == "retry":
-        return steering.retry(session, root_id, platform.settings.jobs.max_attempts)
+        run = steering.retry(session, root_id, platform.settings.jobs.max_attempts)
+        reopen(session, run)
+        return run
     return (steering.cancel if act == "cancel" else steering.terminate)(session, root_id, reason)
 
 

@@ -1,9 +1,9 @@
-"""Events as they happen (server-sent): a job's, or those of all jobs of a sequence.
+"""Events as they happen (server-sent): a job's, those of all jobs of a sequence, or a submission's.
 
 **Conventions.** `id` is the version of what is followed; who comes back with it as Last-Event-ID is told what is new
-since, if anything. An event's data is the job (or the sequence) as its GET route shows it; `event` is `progress`, or
-`ended` for the last one. Who asks again for what has ended and was seen is answered 204, which ends a browser's
-reconnecting. A stream lasts `LONGEST_S` at most, and no longer than the token that opened it.
+since, if anything. An event's data is the job, sequence or submission as its GET route shows it; `event` is
+`progress`, or `ended` for the last one. Who asks again for what has ended and was seen is answered 204, which ends a
+browser's reconnecting. A stream lasts `LONGEST_S` at most, and no longer than the token that opened it.
 """
 
 import time
@@ -26,9 +26,11 @@ from api.following import Follower, Snapshot, Subject
 from api.job_views import job_detail
 from api.schemas.base import IdPath
 from api.sequence_views import sequence_detail
-from api.visible import job_of, sequence_of
+from api.submission_views import submission_detail
+from api.visible import job_of, sequence_of, submission_of
+from services.runtime.benchmarks.submission_states import ENDED
 from services.runtime.jobs.specs import TERMINAL
-from services.runtime.orm import Job, Sequence
+from services.runtime.orm import Job, Sequence, Submission
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 
@@ -74,6 +76,18 @@ async def follow_sequence(
 
     def subject(session: Session) -> Subject:
         return Subject("sequence", sequence_of(session, caller, sequence_id).id)
+
+    return await _streamed(request, platform, caller, subject, last_event_id)
+
+
+@router.get("/submissions/{submission_id}/events", response_class=Response, responses=STREAM)
+async def follow_submission(
+    submission_id: IdPath, caller: Reader, platform: PlatformDep, request: Request, last_event_id: LastEventId = None
+) -> Response:
+    """How far a submission is, until it has ended."""
+
+    def subject(session: Session) -> Subject:
+        return Subject("submission", submission_of(session, caller, submission_id).id)
 
     return await _streamed(request, platform, caller, subject, last_event_id)
 
@@ -148,5 +162,8 @@ def load(session: Session, subject: Subject) -> tuple[str, bool]:
         if sequence is None:
             return "{}", True
         return sequence_detail(session, sequence).model_dump_json(), sequence.deleted_ns is not None
+    if subject.kind == "submission":
+        row = session.get(Submission, subject.id)
+        return (submission_detail(session, row).model_dump_json(), row.state in ENDED) if row else ("{}", True)
     job = session.get(Job, subject.id)
     return (job_detail(session, job).model_dump_json(), job.state in TERMINAL) if job else ("{}", True)

@@ -1,0 +1,202 @@
+"""Submissions: announced, sent to be scored, followed, described, cancelled, withdrawn; and what a team may yet.
+
+**Conventions.** What is shown here is for the members of its team and for administrators; to everybody else it does not
+exist (what a board shows of it is the board's). The ETag is the submission's revision: it moves with its state and its
+page, not with its progress. The file comes by `/uploads` between announcing and finalising.
+"""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Request, Response
+from sqlalchemy import Select
+
+from api import audit
+from api.answers import refusals
+from api.callers import Administrator, Reader, Submitter
+from api.deps import Caller, PlatformDep, at_once
+from api.errors import ForbiddenError
+from api.etags import etag, require_match
+from api.paging import Page, PageDep, page
+from api.schemas.admin import CancelBody
+from api.schemas.base import IdPath, IdQuery
+from api.schemas.submissions import (
+    FinalizeBody,
+    Kind,
+    NewSubmissionBody,
+    NewValidationBody,
+    StandingAnswer,
+    State,
+    SubmissionChangesBody,
+    SubmissionDetail,
+    SubmissionItem,
+    ValidationReport,
+    VisibilityBody,
+)
+from api.submission_views import standing_answer, submission_detail, submission_items, validation_report
+from api.visible import member_team_of, phase_of, submission_of, submissions_of, team_of
+from services.runtime.benchmarks import submissions
+from services.runtime.benchmarks.submission_states import lock_submission
+from services.runtime.benchmarks.submissions import Draft
+from services.runtime.orm import Submission
+from services.runtime.platform import Platform
+
+router = APIRouter(tags=["submissions"])
+
+
+@dataclass(frozen=True)
+class Filters:
+    """Which submissions a list shows."""
+
+    phase_id: IdQuery = None
+    team_id: IdQuery = None
+    state: State | None = None
+    kind: Kind | None = None
+
+    def narrowed(self, statement: Select[Submission]) -> Select[Submission]:
+        return statement.filter_by(**{key: value for key, value in vars(self).items() if value is not None})
+
+
+@router.post("/phases/{phase_id}/submissions", status_code=201, responses=refusals(403, 404, 409))
+def create_submission(
+    phase_id: IdPath, body: NewSubmissionBody, caller: Submitter, platform: PlatformDep, response: Response
+) -> SubmissionDetail:
+    """Announce a zip of predictions: which file will be uploaded for the draft that this makes."""
+    if body.kind == "baseline" and caller.role == "participant":
+        raise ForbiddenError("a baseline is sent by curators and administrators; send an entry")
+    return _announced(platform, caller, phase_id, (body.kind, body), response)
+
+
+@router.post("/phases/{phase_id}/validations", status_code=201, responses=refusals(404, 409))
+def create_validation(
+    phase_id: IdPath, body: NewValidationBody, caller: Submitter, platform: PlatformDep, response: Response
+) -> SubmissionDetail:
+    """Announce a zip that is only to be checked: it costs no scoring and is never scored."""
+    return _announced(platform, caller, phase_id, ("validation", body), response)
+
+
+@router.post("/submissions/{submission_id}/finalize", status_code=202, responses=refusals(404, 409))
+def finalize_submission(
+    submission_id: IdPath, body: FinalizeBody, caller: Submitter, platform: PlatformDep, response: Response
+) -> SubmissionDetail:
+    """Have the uploaded file checked and, unless it is a validation, scored; the job at `Location` says how far."""
+    with platform.database.transaction() as session:
+        row = submission_of(session, caller, submission_id)
+        job = submissions.finalise(session, row, body.upload_id)
+        facts = {"phase_id": row.phase_id, "team_id": row.team_id, "kind": row.kind, "job_id": job.id}
+        audit.record(session, caller, "submission.finalize", row.id, facts=facts)
+        shown = submission_detail(session, lock_submission(session, row.id))
+    response.headers["Location"] = f"/api/v1/jobs/{job.id}"
+    response.headers["ETag"] = etag(shown.revision)
+    return shown
+
+
+@router.get("/submissions")
+def list_submissions(
+    caller: Reader, platform: PlatformDep, query: PageDep, filters: Annotated[Filters, Depends(at_once(Filters))]
+) -> Page[SubmissionItem]:
+    """The submissions of the caller's teams, newest first; an administrator sees everybody's."""
+    with platform.database.reading() as session:
+        found = page(session, filters.narrowed(submissions_of(caller)), Submission.id.desc(), query)
+        return Page[SubmissionItem](items=submission_items(session, found.rows), next=found.next)
+
+
+@router.get("/submissions/{submission_id}", responses=refusals(404))
+def show_submission(
+    submission_id: IdPath, caller: Reader, platform: PlatformDep, response: Response
+) -> SubmissionDetail:
+    """How far a submission is, and why it was not scored if it was not."""
+    with platform.database.reading() as session:
+        shown = submission_detail(session, submission_of(session, caller, submission_id))
+    response.headers["ETag"] = etag(shown.revision)
+    return shown
+
+
+@router.patch("/submissions/{submission_id}", responses=refusals(404, 409, 412, 428))
+def change_submission(
+    submission_id: IdPath,
+    body: SubmissionChangesBody,
+    caller: Submitter,
+    platform: PlatformDep,
+    request: Request,
+    response: Response,
+) -> SubmissionDetail:
+    """Change what the page of the method says."""
+    with platform.database.transaction() as session:
+        row = lock_submission(session, submission_of(session, caller, submission_id).id)
+        require_match(request, row.revision)
+        changes = {key: value for key, value in body if value is not None}
+        submissions.describe(session, row, changes)
+        audit.record(session, caller, "submission.describe", row.id, facts=changes)
+        shown = submission_detail(session, row)
+    response.headers["ETag"] = etag(shown.revision)
+    return shown
+
+
+@router.get("/submissions/{submission_id}/validation-report", responses=refusals(404))
+def show_validation_report(submission_id: IdPath, caller: Reader, platform: PlatformDep) -> ValidationReport:
+    """What is wrong with the file, problem by problem: the first hundred and how many there are."""
+    with platform.database.reading() as session:
+        return validation_report(submission_of(session, caller, submission_id))
+
+
+@router.post("/submissions/{submission_id}/cancel", responses=refusals(404, 409))
+def cancel_submission(
+    submission_id: IdPath, caller: Submitter, platform: PlatformDep, body: CancelBody | None = None
+) -> SubmissionDetail:
+    """Give up what was not settled yet; its scoring is free again."""
+    reason = body.reason if body else ""
+    with platform.database.transaction() as session:
+        row = submissions.cancel(session, submission_of(session, caller, submission_id), reason)
+        audit.record(session, caller, "submission.cancel", row.id, reason)
+        return submission_detail(session, row)
+
+
+@router.post("/submissions/{submission_id}/withdraw", responses=refusals(404, 409))
+def withdraw_submission(
+    submission_id: IdPath, caller: Submitter, platform: PlatformDep, body: CancelBody | None = None
+) -> SubmissionDetail:
+    """Take a settled submission off every board; this cannot be undone, and its scoring stays used."""
+    with platform.database.transaction() as session:
+        row = submissions.withdraw(session, submission_of(session, caller, submission_id))
+        audit.record(session, caller, "submission.withdraw", row.id, body.reason if body else "")
+        return submission_detail(session, row)
+
+
+@router.get("/phases/{phase_id}/teams/{team_id}/quota", responses=refusals(404))
+def show_quota(phase_id: IdPath, team_id: IdPath, caller: Reader, platform: PlatformDep) -> StandingAnswer:
+    """What the team has had scored, what it may yet, and from when on."""
+    with platform.database.reading() as session:
+        team = team_of(session, caller, team_id)
+        return standing_answer(session, phase_of(session, phase_id), team.id)
+
+
+@router.put("/admin/submissions/{submission_id}/visibility", responses=refusals(403, 404))
+def put_visibility(
+    submission_id: IdPath, body: VisibilityBody, caller: Administrator, platform: PlatformDep
+) -> SubmissionDetail:
+    """Leave a submission out of every board, or show it again."""
+    with platform.database.transaction() as session:
+        row = submission_of(session, caller, submission_id)
+        row = submissions.hide(session, row, body.reason) if body.hidden else submissions.unhide(session, row)
+        facts = {"phase_id": row.phase_id, "team_id": row.team_id}
+        act = "submission.hide" if body.hidden else "submission.unhide"
+        audit.record_admin_act(session, caller, act, row.id, body.reason, facts)
+        return submission_detail(session, row)
+
+
+def _announced(
+    platform: Platform, caller: Caller, phase_id: str, asked: tuple[str, NewValidationBody], response: Response
+) -> SubmissionDetail:
+    kind, body = asked
+    with platform.database.transaction() as session:
+        phase = phase_of(session, phase_id)
+        team = member_team_of(session, caller, body.team_id)
+        said = body.model_dump(exclude={"team_id", "kind"})
+        row = submissions.create_draft(session, Draft(phase.id, team.id, caller.user_id, kind, **said))
+        facts = {"phase_id": phase.id, "team_id": team.id, "kind": kind, "sha256": body.sha256}
+        audit.record(session, caller, "submission.announce", row.id, facts=facts)
+        shown = submission_detail(session, row)
+    response.headers["Location"] = f"/api/v1/submissions/{shown.id}"
+    response.headers["ETag"] = etag(shown.revision)
+    return shown

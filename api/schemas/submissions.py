@@ -1,0 +1,218 @@
+"""Submissions over the wire: announced, how far they are, what was found, what a team may yet."""
+
+from datetime import datetime
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, StringConstraints
+
+from api.schemas.base import ID_EXAMPLE, PLAIN, PROSE, SHA256_EXAMPLE, Answer, Body, IdText, Reason, example
+from api.schemas.jobs import FailureItem
+from services.runtime.benchmarks.modalities import Modality
+
+LARGEST_BYTES = 2**50
+State = Literal["draft", "queued", "scoring", "scored", "valid", "invalid", "failed", "cancelled"]
+Kind = Literal["entry", "baseline", "validation"]
+Method = Annotated[str, StringConstraints(pattern=PLAIN, min_length=1, max_length=100, strip_whitespace=True)]
+Description = Annotated[str, StringConstraints(pattern=PROSE, max_length=20_000)]
+Sha256 = Annotated[str, StringConstraints(pattern="^[0-9a-f]{64}$")]
+
+SAID: dict[str, Any] = {"method": "OccFormer-T", "description": "Trained on train only.", "modality": "C+L"}
+FILE: dict[str, Any] = {"sha256": SHA256_EXAMPLE, "size_bytes": 41_943_040}
+SUBMISSION_EXAMPLE: dict[str, Any] = {
+    "id": ID_EXAMPLE,
+    "phase_id": ID_EXAMPLE,
+    "team_id": ID_EXAMPLE,
+    "user_id": ID_EXAMPLE,
+    "kind": "entry",
+    "method": "OccFormer-T",
+    "modality": "C+L",
+    "state": "scoring",
+    "queue_position": None,
+    "progress": {"done": 4, "total": 16},
+    "problems_total": 0,
+    "failure": None,
+    **FILE,
+    "job_id": ID_EXAMPLE,
+    "revision": 3,
+    "created_at": "2026-05-03T09:12:44.120000Z",
+    "finalized_at": "2026-05-03T09:20:11.000000Z",
+    "settled_at": None,
+    "withdrawn_at": None,
+    "hidden_at": None,
+    "hidden_reason": "",
+}
+PROBLEM_EXAMPLE: dict[str, Any] = {
+    "code": "label_out_of_range",
+    "file": "run/a.npz",
+    "frame": "a",
+    "expected": "values 0 to 3",
+    "actual": "value 255",
+}
+STANDING_EXAMPLE: dict[str, Any] = {
+    "phase_id": ID_EXAMPLE,
+    "team_id": ID_EXAMPLE,
+    "limit": 3,
+    "used": 1,
+    "reserved": 1,
+    "total_left": 17,
+    "window_s": 604800.0,
+    "next_slot_at": "2026-05-03T09:20:11.000000Z",
+    "validations_per_day": 20,
+    "validations_left": 19,
+    "next_validation_at": "2026-05-03T09:20:11.000000Z",
+}
+
+
+class NewValidationBody(Body):
+    """A zip of predictions to come, as it will be: its sha256 and size, and which team sends it.
+
+    `method` is its name on a board, `modality` what it senses with: a sum of C(ameras), L(iDAR) and R(adar).
+    """
+
+    model_config = Body.model_config | example(team_id=ID_EXAMPLE, **SAID, **FILE)
+
+    team_id: IdText
+    method: Method
+    description: Description = ""
+    modality: Modality
+    sha256: Sha256
+    size_bytes: Annotated[int, Field(ge=1, le=LARGEST_BYTES)]
+
+
+class NewSubmissionBody(NewValidationBody):
+    """A zip of predictions to be scored. A `baseline` is shown and not ranked; curators and administrators send one."""
+
+    model_config = Body.model_config | example(team_id=ID_EXAMPLE, **SAID, **FILE, kind="entry")
+
+    kind: Literal["entry", "baseline"] = "entry"
+
+
+class FinalizeBody(Body):
+    """The complete upload of the announced zip."""
+
+    model_config = Body.model_config | example(upload_id=ID_EXAMPLE)
+
+    upload_id: IdText
+
+
+class SubmissionChangesBody(Body):
+    """What the page of the method says; what is left out or null stays. The modality of a draft only."""
+
+    model_config = Body.model_config | example(method="OccFormer-T v2", description="Trained on train and val.")
+
+    method: Method | None = None
+    description: Description | None = None
+    modality: Modality | None = None
+
+
+class VisibilityBody(Body):
+    """Whether boards leave it out, and why; the team is told the reason."""
+
+    model_config = Body.model_config | example(hidden=True, reason="trained on the test part")
+
+    hidden: bool
+    reason: Reason
+
+
+class SubmissionProgress(Answer):
+    """Of the jobs that are known so far."""
+
+    model_config = example(done=4, total=16)
+
+    done: int
+    total: int
+
+
+class SubmissionItem(Answer):
+    """A submission. `queue_position` is how many are before it while it is queued, `progress` how far its run is.
+
+    `state`: draft, queued, scoring, then scored, valid (only checked), invalid, failed, cancelled. `problems_total` is
+    null until its file was checked.
+    """
+
+    model_config = example(**SUBMISSION_EXAMPLE)
+
+    id: str
+    phase_id: str
+    team_id: str
+    user_id: str
+    kind: Kind
+    method: str
+    modality: str
+    state: State
+    queue_position: int | None
+    progress: SubmissionProgress | None
+    problems_total: int | None
+    failure: FailureItem | None
+    sha256: str
+    size_bytes: int
+    job_id: str | None
+    revision: int
+    created_at: datetime
+    finalized_at: datetime | None
+    settled_at: datetime | None
+    withdrawn_at: datetime | None
+    hidden_at: datetime | None
+    hidden_reason: str
+
+
+class SubmissionDetail(SubmissionItem):
+    """A submission with the text of its method's page, and the upload that was or is on its way for it."""
+
+    model_config = example(**SUBMISSION_EXAMPLE, description=SAID["description"], upload_id=ID_EXAMPLE)
+
+    description: str
+    upload_id: str | None
+
+
+class FileProblem(Answer):
+    """One thing that is wrong: in which file of the zip, of which frame."""
+
+    model_config = example(**PROBLEM_EXAMPLE)
+
+    code: str
+    file: str
+    frame: str | None
+    expected: str
+    actual: str
+
+
+class ValidationReport(Answer):
+    """What checking the file found: the first hundred problems of `errors_total`; `ok` is null until it was checked."""
+
+    model_config = example(
+        submission_id=ID_EXAMPLE,
+        state="invalid",
+        ok=False,
+        errors=[PROBLEM_EXAMPLE],
+        errors_total=1,
+        failure=None,
+    )
+
+    submission_id: str
+    state: State
+    ok: bool | None
+    errors: list[FileProblem]
+    errors_total: int
+    failure: FailureItem | None
+
+
+class StandingAnswer(Answer):
+    """What a team may in a phase; null limits are none. `limit` is that of the window of `window_s`, grants included.
+
+    `next_slot_at` is when the next submission may be finalised: now, later, or null where none ever may.
+    """
+
+    model_config = example(**STANDING_EXAMPLE)
+
+    phase_id: str
+    team_id: str
+    limit: int | None
+    used: int
+    reserved: int
+    total_left: int | None
+    window_s: float
+    next_slot_at: datetime | None
+    validations_per_day: int
+    validations_left: int
+    next_validation_at: datetime | None

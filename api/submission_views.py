@@ -1,0 +1,122 @@
+"""Submissions as the API shows them to their team and to administrators: never what they scored, which is the board's.
+
+**Conventions.** Who may see one is decided by `api/visible.py`.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+from api.job_views import job_items
+from api.schemas.base import instant, instant_or_none
+from api.schemas.jobs import FailureItem
+from api.schemas.submissions import (
+    FileProblem,
+    StandingAnswer,
+    SubmissionDetail,
+    SubmissionItem,
+    SubmissionProgress,
+    ValidationReport,
+)
+from services.runtime.benchmarks import scorings
+from services.runtime.benchmarks.submission_states import LIVE
+from services.runtime.benchmarks.submissions import validations_left
+from services.runtime.orm import Job, Phase, Submission, Upload
+
+SHOWN = 100
+
+
+def submission_items(session: Session, rows: Sequence[Submission]) -> list[SubmissionItem]:
+    """Submissions as a list shows them; the progress of all their runs is one statement."""
+    runs = [row.job_id for row in rows if row.state in LIVE and row.job_id]
+    jobs = session.scalars(select(Job).where(Job.id.in_(runs))).all() if runs else []
+    progress = {
+        item.id: SubmissionProgress(done=item.progress.done, total=item.progress.total)
+        for item in job_items(session, jobs)
+    }
+    return [SubmissionItem(**_facts(session, row, progress.get(row.job_id or ""))) for row in rows]
+
+
+def submission_detail(session: Session, row: Submission) -> SubmissionDetail:
+    """A submission with its method's page."""
+    shown = submission_items(session, [row])[0]
+    return SubmissionDetail(**dict(shown), description=row.description, upload_id=_upload_id(session, row))
+
+
+def validation_report(row: Submission) -> ValidationReport:
+    """What was wrong with the file."""
+    problems = row.problems or {}
+    is_checked = row.problems is not None or row.state in ("scored", "valid")
+    state: Any = row.state
+    return ValidationReport(
+        submission_id=row.id,
+        state=state,
+        ok=not problems.get("errors_total", 0) if is_checked else None,
+        errors=[FileProblem.model_validate(one) for one in problems.get("errors", ())[:SHOWN]],
+        errors_total=problems.get("errors_total", 0),
+        failure=_failure(row),
+    )
+
+
+def standing_answer(session: Session, phase: Phase, team_id: str) -> StandingAnswer:
+    """What the team may have scored and checked yet."""
+    standing = scorings.standing(session, phase, team_id)
+    left, next_validation_ns = validations_left(session, phase, team_id)
+    return StandingAnswer(
+        phase_id=phase.id,
+        team_id=team_id,
+        limit=standing.limit,
+        used=standing.used,
+        reserved=standing.reserved,
+        total_left=standing.total_left,
+        window_s=standing.window_ns / 1e9,
+        next_slot_at=instant_or_none(standing.next_slot_ns),
+        validations_per_day=phase.validations_per_day,
+        validations_left=left,
+        next_validation_at=instant_or_none(next_validation_ns),
+    )
+
+
+def _facts(session: Session, row: Submission, progress: SubmissionProgress | None) -> dict[str, Any]:
+    names = ("id", "phase_id", "team_id", "user_id", "kind", "method", "modality", "state", "size_bytes", "job_id")
+    return {
+        **{name: getattr(row, name) for name in (*names, "revision", "hidden_reason")},
+        "sha256": row.declared_sha256,
+        "queue_position": _queue_position(session, row),
+        "progress": progress,
+        "problems_total": _problems_total(row),
+        "failure": _failure(row),
+        "created_at": instant(row.created_ns),
+        "finalized_at": instant_or_none(row.finalized_ns),
+        "settled_at": instant_or_none(row.settled_ns),
+        "withdrawn_at": instant_or_none(row.withdrawn_ns),
+        "hidden_at": instant_or_none(row.hidden_ns),
+    }
+
+
+def _problems_total(row: Submission) -> int | None:
+    if row.problems is None:
+        return 0 if row.state in ("scored", "valid") else None
+    return int(row.problems.get("errors_total", 0))
+
+
+def _failure(row: Submission) -> FailureItem | None:
+    return FailureItem(code=row.failure_code, sentence=row.failure) if row.failure_code else None
+
+
+def _queue_position(session: Session, row: Submission) -> int | None:
+    """How many submissions that nobody has begun with were finalised before this one."""
+    if row.state != "queued":
+        return None
+    before = select(func.count()).select_from(Submission)
+    return session.scalar(before.where(Submission.state == "queued", Submission.job_id < row.job_id)) or 0
+
+
+def _upload_id(session: Session, row: Submission) -> str | None:
+    """The upload that was used up, or the newest that is on its way: where a client goes on."""
+    if row.upload_id is not None or row.state != "draft":
+        return row.upload_id
+    alive = select(Upload.id).where(Upload.target_id == row.id, Upload.purpose == "submission")
+    return session.scalar(alive.where(Upload.state.in_(("open", "complete"))).order_by(Upload.id.desc()).limit(1))
