@@ -19,6 +19,7 @@ from services.runtime.access import errors as access
 from services.runtime.benchmarks import inputs, reported
 from services.runtime.benchmarks import phase_errors as phases
 from services.runtime.benchmarks import rescore_errors as rescores
+from services.runtime.benchmarks import result_errors as results
 from services.runtime.benchmarks import submission_errors as submissions
 from services.runtime.benchmarks import team_errors as teams
 from services.runtime.jobs import errors as jobs
@@ -94,6 +95,10 @@ STATUS_OF: dict[type[StoneError], int] = {
     rescores.RescoreStateError: 409,
     rescores.TruthNotReadyError: 409,
     quota.QuotaExceededError: 413,
+    results.NotComparableError: 409,
+    results.NotScoredError: 409,
+    results.ScoreMissingError: 404,
+    results.WithheldError: 403,
     submissions.ExhaustedError: 429,
     submissions.HashMismatchError: 409,
     submissions.PhaseClosedError: 409,

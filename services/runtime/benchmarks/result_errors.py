@@ -16,13 +16,13 @@ class NotScoredError(StoneError):
     code = "not_scored"
 
     def __init__(self, submission_id: str, state: str) -> None:
-        super().__init__(f"submission {submission_id} is {state} and has no score; only scored ones have results")
+        super().__init__(f"submission {submission_id} is {state} and has no score by the pair in force, so no results")
 
 
 class ScoreMissingError(StoneError):
     """There is no such score of this submission, or it is not yours to know."""
 
-    code = "not_found"
+    code = "score_missing"
 
     def __init__(self, submission_id: str) -> None:
         super().__init__(

@@ -1,0 +1,76 @@
+"""What a submission scored: totals, breakdowns, provenance, kept counts.
+
+**Conventions.** A submission is known to its team, to administrators and, while it stands on a board, to everybody.
+What of it is shown to whom is decided where it is read; a part that is withheld as a whole is 403. Without `score` it
+is the score by the pair in force; older ones stay readable by their ids.
+"""
+
+from fastapi import APIRouter, Request, Response
+
+from api.answers import refusals
+from api.callers import Reader
+from api.deps import PlatformDep
+from api.files import StoredFile, answer_file, file_responses
+from api.result_views import (
+    breakdown_answer,
+    known_score,
+    known_submission,
+    provenance_answer,
+    results_answer,
+    viewer_for,
+)
+from api.schemas.base import IdPath
+from api.schemas.results import BreakdownAnswer, ByQuery, ProvenanceAnswer, ResultsAnswer, ScoreQuery
+from services.runtime.benchmarks.results import breakdown, kept_confusions, provenance, results
+
+router = APIRouter(prefix="/submissions/{submission_id}", tags=["submissions"])
+NPZ_TYPE = "application/octet-stream"
+NPZ = file_responses(NPZ_TYPE) | refusals(403, 409)
+PART = refusals(403, 404, 409)
+
+
+@router.get("/results", responses=refusals(404, 409))
+def show_results(
+    submission_id: IdPath, caller: Reader, platform: PlatformDep, score: ScoreQuery = None
+) -> ResultsAnswer:
+    """Totals with their intervals, supports and extra figures, as far as the caller may see them."""
+    with platform.database.reading() as session:
+        viewer = viewer_for(session, caller)
+        found = results(session, viewer, known_submission(session, viewer, submission_id), score)
+        return results_answer(session, viewer, found)
+
+
+@router.get("/results/breakdowns", responses=PART)
+def show_breakdown(
+    submission_id: IdPath, by: ByQuery, caller: Reader, platform: PlatformDep, score: ScoreQuery = None
+) -> BreakdownAnswer:
+    """The result by sequence, environment, illumination or distance; of a hidden phase once it has ended."""
+    with platform.database.reading() as session:
+        seen = known_score(session, caller, submission_id, score)
+        return breakdown_answer(seen, by, breakdown(seen, by))
+
+
+@router.get("/provenance", responses=PART)
+def show_provenance(
+    submission_id: IdPath, caller: Reader, platform: PlatformDep, score: ScoreQuery = None
+) -> ProvenanceAnswer:
+    """What the score was computed from and by what: hashes, versions, signature, times."""
+    with platform.database.reading() as session:
+        return provenance_answer(provenance(known_score(session, caller, submission_id, score)))
+
+
+@router.get("/confusions", response_class=Response, responses=NPZ)
+def download_confusions(
+    submission_id: IdPath, caller: Reader, platform: PlatformDep, request: Request, score: ScoreQuery = None
+) -> Response:
+    """The kept counts by frame, from which every figure of the result is computed, as npz.
+
+    `confusions` are [frame, ring, truth, prediction]; `bev` [frame, ring, in both, in truth only, in prediction only];
+    frames in the order of the manifest.
+    """
+    with platform.database.reading() as session:
+        blob = kept_confusions(session, known_score(session, caller, submission_id, score))
+    named = f"{submission_id}.confusions.npz"
+    return answer_file(
+        request, platform.store, StoredFile(blob.object_key, blob.size_bytes, blob.sha256, NPZ_TYPE, named)
+    )

@@ -1,0 +1,241 @@
+"""Boards and comparisons over the wire."""
+
+from datetime import datetime
+from typing import Annotated, Any, Literal
+
+from fastapi import Query
+
+from api.schemas.base import ID_EXAMPLE, ID_PATTERN, SHA256_EXAMPLE, Answer, example
+from api.schemas.benchmark_bodies import Moment
+from services.runtime.benchmarks.board_entries import Standing, Track, Which
+from services.runtime.benchmarks.visibility import Secrecy
+
+SIGNATURE_EXAMPLE = "metric:stone-iou-1|truth:9f86d081884c7d65|mask:all|grid:256x256x32@0.2m|classes:0=free,1=T,2=P,3=N"
+RATIOS_EXAMPLE = {"miou": 0.2431, "iou_occ": 0.4119, "iou_t": 0.3120, "iou_p": 0.1980, "iou_n": 0.2193}
+INTERVAL_EXAMPLE = [0.2389, 0.2474]
+PAIR_EXAMPLE = {
+    "ground_truth": 1,
+    "ground_truth_sha256": SHA256_EXAMPLE,
+    "metric": "stone-iou-1",
+    "signature": SIGNATURE_EXAMPLE,
+    "frames": 7012,
+    "sequences": 5,
+}
+BOARD_PAIR_EXAMPLE = PAIR_EXAMPLE | {"activated_at": "2026-05-30T08:00:00Z"}
+ROW_EXAMPLE: dict[str, Any] = {
+    "standing": "ranked",
+    "rank": 1,
+    "rank_interval": [1, 2],
+    "tie_group": 1,
+    "submission_id": ID_EXAMPLE,
+    "score_id": ID_EXAMPLE,
+    "team": "Terrain Gang",
+    "is_yours": False,
+    "method": "GroundNet",
+    "modality": "C+L",
+    "ratios": RATIOS_EXAMPLE,
+    "intervals": None,
+    "support": None,
+    "source": None,
+    "submitted_at": "2026-06-02T09:12:44.120000Z",
+}
+DIFFERENCE_EXAMPLE = {"interval": [0.0012, 0.0031], "share_above": 0.998, "p": 0.0045}
+FLIP_EXAMPLE = {"sequences": 5, "p": 0.0625, "smallest_p": 0.0625}
+COMPARED_EXAMPLE: dict[str, Any] = {
+    "a": 0.2431,
+    "b": 0.2410,
+    "difference": 0.0021,
+    "block": DIFFERENCE_EXAMPLE,
+    "sequence": DIFFERENCE_EXAMPLE,
+    "sign_flip": FLIP_EXAMPLE,
+}
+
+Form = Literal["json", "csv", "parquet", "md", "tex"]
+TrackQuery = Annotated[Track, Query(description="a declared modality, or all")]
+AsOfQuery = Annotated[Moment | None, Query(description="the board as it stood then; nothing for now")]
+EntriesQuery = Annotated[Which, Query(description="the best of each team, or all")]
+FormQuery = Annotated[Form, Query(alias="format", description="md and tex are tables for papers")]
+SubmissionQuery = Annotated[str, Query(pattern=ID_PATTERN, description="a submission of this phase")]
+
+Interval = tuple[float, float]
+
+
+class RatiosItem(Answer):
+    """The five ratios in [0, 1]; null where undefined."""
+
+    model_config = example(**RATIOS_EXAMPLE)
+
+    miou: float | None
+    iou_occ: float | None
+    iou_t: float | None
+    iou_p: float | None
+    iou_n: float | None
+
+
+class IntervalsItem(Answer):
+    """Of each ratio the central 95 % of draws; null where a draw leaves it undefined."""
+
+    model_config = example(**dict.fromkeys(RATIOS_EXAMPLE, INTERVAL_EXAMPLE))
+
+    miou: Interval | None
+    iou_occ: Interval | None
+    iou_t: Interval | None
+    iou_p: Interval | None
+    iou_n: Interval | None
+
+
+class SupportItem(Answer):
+    """Evaluated voxels of each class in the ground truth."""
+
+    model_config = example(free=2000000, T=40000, P=30000, N=27152)
+
+    free: int
+    T: int
+    P: int
+    N: int
+
+
+class PairItem(Answer):
+    """By what scores were made: ground truth (`ground_truth` counts those of the phase) and metric.
+
+    `signature` is null while there is no score.
+    """
+
+    model_config = example(**PAIR_EXAMPLE)
+
+    ground_truth: int
+    ground_truth_sha256: str
+    metric: str
+    signature: str | None
+    frames: int
+    sequences: int
+
+
+class BoardPairItem(PairItem):
+    """The pair in force at the time of a board."""
+
+    model_config = example(**BOARD_PAIR_EXAMPLE)
+
+    activated_at: datetime
+
+
+class BoardRow(Answer):
+    """A line of a board. Null is what is not known, does not apply, or is not shown to the caller.
+
+    `standing`: only ranked entries have a rank; a baseline is shown beside them, an undefined entry lacks a ratio, a
+    reported result was published elsewhere (`source`) and not scored here.
+    """
+
+    model_config = example(**ROW_EXAMPLE)
+
+    standing: Standing
+    rank: int | None
+    rank_interval: tuple[int, int] | None
+    tie_group: int | None
+    submission_id: str | None
+    score_id: str | None
+    team: str | None
+    is_yours: bool
+    method: str
+    modality: str
+    ratios: RatiosItem
+    intervals: IntervalsItem | None
+    support: SupportItem | None
+    source: str | None
+    submitted_at: datetime | None
+
+
+class LeaderboardAnswer(Answer):
+    """A board: one pair of ground truth and metric, its rows in order, and what a reader should know (`notes`).
+
+    The order is by `ordered_by`, each rounded to `ratio_digits`; equal values share a rank. `is_rounded` says that
+    the caller sees them rounded too, since the phase runs and hides its truth. `ranked_total` counts ranked entries, of
+    which at most 2000 are told. `pair` is null before there is a ground truth.
+    """
+
+    model_config = example(
+        benchmark="stone",
+        phase="test",
+        track="all",
+        entries="best",
+        as_of=None,
+        is_hidden=True,
+        secrecy="running",
+        is_rounded=True,
+        ratio_digits=4,
+        ordered_by=["miou", "iou_occ", "iou_n", "submitted_at"],
+        interval_level=0.95,
+        pair=BOARD_PAIR_EXAMPLE,
+        ranked_total=1,
+        rows=[ROW_EXAMPLE],
+        notes=["5 sequences are few: no difference can have a p below 0.0625."],
+    )
+
+    benchmark: str
+    phase: str
+    track: Track
+    entries: Which
+    as_of: datetime | None
+    is_hidden: bool
+    secrecy: Secrecy
+    is_rounded: bool
+    ratio_digits: int
+    ordered_by: list[str]
+    interval_level: float
+    pair: BoardPairItem | None
+    ranked_total: int
+    rows: list[BoardRow]
+    notes: list[str]
+
+
+class DifferenceItem(Answer):
+    """Of a − b over paired draws; `p` is two-sided, `share_above` the share of draws in which a > b."""
+
+    model_config = example(**DIFFERENCE_EXAMPLE)
+
+    interval: Interval | None
+    share_above: float
+    p: float
+
+
+class SignFlipItem(Answer):
+    """The exact test over sequences; no result of so few can have a p below `smallest_p`."""
+
+    model_config = example(**FLIP_EXAMPLE)
+
+    sequences: int
+    p: float
+    smallest_p: float
+
+
+class RatioDifferenceItem(Answer):
+    """One ratio of both; null is what is undefined, withheld, or where resampling tells nothing."""
+
+    model_config = example(**COMPARED_EXAMPLE)
+
+    a: float | None
+    b: float | None
+    difference: float | None
+    block: DifferenceItem | None
+    sequence: DifferenceItem | None
+    sign_flip: SignFlipItem | None
+
+
+class ComparisonAnswer(Answer):
+    """Two submissions by the same pair. `is_withheld`: only totals are told while the phase hides its truth."""
+
+    model_config = example(
+        a=ID_EXAMPLE,
+        b=ID_EXAMPLE[::-1],
+        pair=PAIR_EXAMPLE,
+        is_withheld=False,
+        interval_level=0.95,
+        ratios=dict.fromkeys(RATIOS_EXAMPLE, COMPARED_EXAMPLE),
+    )
+
+    a: str
+    b: str
+    pair: PairItem
+    is_withheld: bool
+    interval_level: float
+    ratios: dict[str, RatioDifferenceItem]

@@ -1,0 +1,184 @@
+"""Results of a submission over the wire."""
+
+from datetime import datetime
+from typing import Annotated, Any
+
+from fastapi import Query
+
+from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, IdQuery, example
+from api.schemas.leaderboard import (
+    INTERVAL_EXAMPLE,
+    PAIR_EXAMPLE,
+    RATIOS_EXAMPLE,
+    IntervalsItem,
+    PairItem,
+    RatiosItem,
+    SupportItem,
+)
+from services.runtime.benchmarks.results import By
+from services.runtime.benchmarks.visibility import Secrecy
+
+SUPPORT_EXAMPLE = {"free": 2000000, "T": 40000, "P": 30000, "N": 27152}
+EXTRAS_EXAMPLE = {"n_predicted_t_ratio": 0.031, "t_predicted_n_ratio": 0.058, "bev_drivable_iou": 0.61}
+INTERVALS_EXAMPLE = dict.fromkeys(RATIOS_EXAMPLE, INTERVAL_EXAMPLE)
+SCORED_AT = "2026-06-02T09:14:02.512000Z"
+SCORE_EXAMPLE = {
+    "score_id": ID_EXAMPLE,
+    "ground_truth": 1,
+    "metric": "stone-iou-1",
+    "is_active": True,
+    "scored_at": SCORED_AT,
+}
+WHOSE_EXAMPLE: dict[str, Any] = {"submission_id": ID_EXAMPLE, "score_id": ID_EXAMPLE, "pair": PAIR_EXAMPLE}
+PART_EXAMPLE: dict[str, Any] = {
+    "name": "forest",
+    "ratios": RATIOS_EXAMPLE,
+    "support": SUPPORT_EXAMPLE,
+    "frames": 1400,
+}
+
+ScoreQuery = Annotated[IdQuery, Query(description="an older score of the submission; nothing for that in force")]
+ByQuery = Annotated[By, Query(description="what the frames are grouped by; distance is from the robot")]
+
+
+class ExtrasItem(Answer):
+    """Not ranked: of N voxels the share predicted T (dangerous), of T voxels that predicted N (over-cautious), and the
+    IoU of drivable columns seen from above."""
+
+    model_config = example(**EXTRAS_EXAMPLE)
+
+    n_predicted_t_ratio: float | None
+    t_predicted_n_ratio: float | None
+    bev_drivable_iou: float | None
+
+
+class DrawnIntervals(Answer):
+    """By resampling blocks of frames inside the sequences there are, and whole sequences (a new place)."""
+
+    model_config = example(block=INTERVALS_EXAMPLE, sequence=INTERVALS_EXAMPLE)
+
+    block: IntervalsItem
+    sequence: IntervalsItem
+
+
+class ScoreItem(Answer):
+    """A score of the submission that may be read by its id; `is_active`: by the pair in force."""
+
+    model_config = example(**SCORE_EXAMPLE)
+
+    score_id: str
+    ground_truth: int
+    metric: str
+    is_active: bool
+    scored_at: datetime
+
+
+class ResultsAnswer(Answer):
+    """What a submission scored. Null is undefined, or not shown to the caller.
+
+    `total` is rounded to `ratio_digits` where `is_rounded`. `within_occupied` are the same ratios with only the voxels
+    that the ground truth calls occupied. Rows of `confusion` are the ground truth, columns the prediction.
+    """
+
+    model_config = example(
+        **WHOSE_EXAMPLE,
+        benchmark="stone",
+        phase="val",
+        team="Terrain Gang",
+        method="GroundNet",
+        description="Trained on train only.",
+        modality="C+L",
+        kind="entry",
+        secrecy="open",
+        is_rounded=False,
+        ratio_digits=4,
+        total=RATIOS_EXAMPLE,
+        within_occupied=RATIOS_EXAMPLE,
+        support=SUPPORT_EXAMPLE,
+        confusion=[[0] * 4] * 4,
+        extras=EXTRAS_EXAMPLE,
+        intervals={"block": INTERVALS_EXAMPLE, "sequence": INTERVALS_EXAMPLE},
+        submitted_at=SCORED_AT,
+        scored_at=SCORED_AT,
+        scores=[SCORE_EXAMPLE],
+    )
+
+    submission_id: str
+    score_id: str
+    benchmark: str
+    phase: str
+    team: str | None
+    method: str
+    description: str | None
+    modality: str
+    kind: str
+    pair: PairItem
+    secrecy: Secrecy
+    is_rounded: bool
+    ratio_digits: int
+    total: RatiosItem
+    within_occupied: RatiosItem | None
+    support: SupportItem | None
+    confusion: list[list[int]] | None
+    extras: ExtrasItem | None
+    intervals: DrawnIntervals | None
+    submitted_at: datetime
+    scored_at: datetime
+    scores: list[ScoreItem]
+
+
+class PartItem(Answer):
+    """Of one sequence, environment, illumination or ring of distance."""
+
+    model_config = example(**PART_EXAMPLE)
+
+    name: str
+    ratios: RatiosItem
+    support: SupportItem
+    frames: int
+
+
+class BreakdownAnswer(Answer):
+    """The parts of a result; none where nothing is known to group by."""
+
+    model_config = example(**WHOSE_EXAMPLE, by="environment", parts=[PART_EXAMPLE])
+
+    submission_id: str
+    score_id: str
+    pair: PairItem
+    by: By
+    parts: list[PartItem]
+
+
+class ProvenanceAnswer(Answer):
+    """What a score was computed from and by what; null is not shown to the caller.
+
+    `ground_truth_sha256` is of every evaluated voxel, `prediction_sha256` of the zip, `content_sha256` of all counts:
+    equal for equal predictions.
+    """
+
+    model_config = example(
+        **WHOSE_EXAMPLE,
+        manifest_sha256=SHA256_EXAMPLE,
+        mask="all",
+        code_version="1.0.0",
+        prediction_sha256=None,
+        size_bytes=None,
+        content_sha256=None,
+        submitted_at=SCORED_AT,
+        settled_at=SCORED_AT,
+        scored_at=SCORED_AT,
+    )
+
+    submission_id: str
+    score_id: str
+    pair: PairItem
+    manifest_sha256: str
+    mask: str
+    code_version: str
+    prediction_sha256: str | None
+    size_bytes: int | None
+    content_sha256: str | None
+    submitted_at: datetime
+    settled_at: datetime | None
+    scored_at: datetime
