@@ -92,6 +92,6 @@ def _filled(example: Mapping[str, Any], named: Mapping[str, str], user_name: str
     if set(example) == {"current", "new"}:
         return dict.fromkeys(example, PASSWORD)
     real: dict[str, Any] = {"upload_id": named["complete_upload"], "calibration_id": named["calibration_id"]}
-    real["train"] = [named["sequence_id"]]
+    real |= {"train": [named["sequence_id"]], "dataset": named["dataset_name"], "member": named["member"]}
     filled = {key: real.get(key, value) for key, value in example.items()}
     return filled | ({"name": f"{example['name']}-{next(NUMBERS)}"} if "name" in example else {})

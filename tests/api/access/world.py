@@ -10,11 +10,15 @@ from pathlib import Path
 
 from services.runtime import blobs
 from services.runtime.access import tokens
+from services.runtime.benchmarks import teams
 from services.runtime.benchmarks.phases import NewBenchmark, NewPhase, create_benchmark, create_phase
+from services.runtime.benchmarks.truths import first_activation
 from services.runtime.dataset_reading import dataset_named
-from services.runtime.orm import Calibration, JobLine, Preview, Profile, Sequence, Upload, User, new_id
+from services.runtime.orm import Calibration, GroundTruth, JobLine, Preview, Profile, Sequence, Upload, User, new_id
+from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from services.runtime.profiles import profile_of
+from stone.metric import METRIC_VERSION
 from tests.api import made
 from tests.api.inputs_made import made_input
 from tests.api.published import dataset, published_sequence
@@ -33,9 +37,11 @@ IDS = (
     "token",
     "export_id",
     "phase_id",
+    "team_id",
+    "invitation_id",
 )
 UNKNOWN = {name: f"{number:032x}" for number, name in enumerate(IDS, 1)} | {"complete_upload": f"{99:032x}"}
-UNKNOWN["dataset_name"] = "never-published"
+UNKNOWN |= {"dataset_name": "never-published", "benchmark_name": "never-made"}
 WORDS = {
     "name": "bev.png",
     "code": "not_found",
@@ -45,8 +51,11 @@ WORDS = {
     "path": "mesh.ply",
     "part": "train",
     "sequence_name": "n-forest-07",
+    "phase_name": "test",
+    "metric": METRIC_VERSION,
+    "member": "ada",
 }
-PUBLIC = ("dataset_name", "phase_id")
+PUBLIC = ("dataset_name", "benchmark_name", "phase_id")
 
 
 @dataclass(frozen=True)
@@ -75,9 +84,12 @@ def make_world(platform: Platform, user: User) -> World:
         "user_id": user.id,
         "token": next(iter(labels.frames)),
         "dataset_name": (dataset_name := _dataset(platform, owner)),
-        "phase_id": _phase(platform, user.id, dataset_name),
+        "benchmark_name": (benchmark_name := f"stone-{new_id()[-8:]}"),
+        "phase_id": _phase(platform, user.id, dataset_name, benchmark_name),
         "export_id": made.export(platform, sequence_id, {"mesh.ply": b"ply\n"}),
+        **_team(platform, user),
         **WORDS,
+        "member": user.name,
     }
     known = {value for key, value in named.items() if key not in (*WORDS, *PUBLIC)}
     return World(named, frozenset(known | {labels.id, _name(platform, sequence_id), *labels.frames}))
@@ -90,16 +102,34 @@ def _dataset(platform: Platform, owner: Person) -> str:
     return dataset(platform, owner.user_id, {"train": [train], "test": [test]})
 
 
-def _phase(platform: Platform, owner_id: str, dataset_name: str) -> str:
-    """A hidden phase over test; inputs are there of another sequence, so that those of test's can be asked for."""
-    name = f"stone-{new_id()[-8:]}"
+def _phase(platform: Platform, owner_id: str, dataset_name: str, name: str) -> str:
+    """A hidden phase over test with a ground truth in force, as far as it is told of.
+
+    Inputs are there of another sequence, so that those of test's can be asked for.
+    """
+    manifest = _written(platform, b'{"stone_manifest": 1, "sequences": {}}')
     with platform.database.transaction() as session:
         version = dataset_named(session, dataset_name)
         assert version is not None
         benchmark = create_benchmark(session, NewBenchmark(name, "STONE", "", owner_id))
         phase = create_phase(session, benchmark, version, NewPhase("test", "test", is_hidden=True))
+        truth = GroundTruth(
+            phase_id=phase.id, number=1, dataset_id=version.id, part="test", mask="all", sha256="5" * 64
+        )
+        truth.manifest_sha256, truth.created_by = blobs.keep(session, platform.store, manifest).sha256, owner_id
+        truth.ready_ns = now_ns()
+        session.add(truth)
+        session.flush()
+        first_activation(session, truth)
     made_input(platform, phase.id, WORDS["sequence_name"], {"samples/LIDAR_TOP/sweep.pcd.bin": b"points"})
     return phase.id
+
+
+def _team(platform: Platform, user: User) -> dict[str, str]:
+    """A team that the user leads, with an open invitation."""
+    with platform.database.transaction() as session:
+        team = teams.found(session, f"team-{new_id()[-12:]}", user.id)
+        return {"team_id": team.id, "invitation_id": teams.invite_row(session, team, user.id)[0].id}
 
 
 def _calibration(platform: Platform, owner_id: str) -> str:
