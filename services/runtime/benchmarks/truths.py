@@ -107,13 +107,19 @@ def _refuse_other_frames(session: Session, phase: Phase, dataset: Dataset, compa
     pair = pairs.active(session, phase.id)
     if pair is None or session.get_one(GroundTruth, pair.truth_id).dataset_id == dataset.id:
         return
-    entries = select(Submission.id).where(Submission.phase_id == phase.id, Submission.finalized_ns.is_not(None))
-    if session.scalar(entries.limit(1)) is None:
+    if not _has_entries(session, phase):
         return
     if compared is None or (compared.truth_id, compared.dataset_id) != (pair.truth_id, dataset.id):
         raise FramesUncomparedError(phase.name)
     if compared.missing or compared.extra:
         raise OtherFramesError(compared.missing, compared.extra)
+
+
+def _has_entries(session: Session, phase: Phase) -> bool:
+    """Whether anything stands, or is under way, that a board of another pair would have to show."""
+    entries = select(Submission.id).where(Submission.phase_id == phase.id, Submission.kind != "validation")
+    standing = entries.where(Submission.state.in_(("queued", "scoring", "scored")), Submission.withdrawn_ns.is_(None))
+    return session.scalar(standing.limit(1)) is not None
 
 
 def _index_key(session: Session, dataset_id: str, part: str) -> str | None:
