@@ -12,6 +12,7 @@ from services.runtime.benchmarks.pairs import Pair
 from services.runtime.benchmarks.scores import NewScore
 from services.runtime.blobs import PreparedBlob, prepare
 from services.runtime.npz import npz_bytes
+from services.runtime.recipes import CODE_VERSION
 from stone.signature import Signature
 
 
@@ -23,7 +24,7 @@ def made_score(desk: Desk, case: Case, pair: Pair, counts: Counts) -> NewScore:
         submission_id=case.submission_id,
         pair=pair,
         signature=str(Signature(case.truth.sha256, case.truth.mask, pair.metric)),
-        record=record_of(tally, draws, pair.metric),
+        record={"code_version": CODE_VERSION, **record_of(tally, draws, pair.metric)},
         confusions=_stored(desk, npz_bytes({"confusions": counts.confusions, "bev": counts.bev})),
         draws=_stored(desk, draws.npz()),
         content_sha256=sha256(counts.confusions.astype("<i4").tobytes()).hexdigest(),
