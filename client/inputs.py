@@ -16,6 +16,9 @@ BagArgument = Annotated[
 SubmissionArgument = Annotated[
     Path, typer.Argument(metavar="SUB.zip", exists=True, dir_okay=False, help="The zip of <frame_token>.npz to judge.")
 ]
+ManifestOption = Annotated[
+    Path, typer.Option("--manifest", metavar="M.json", exists=True, dir_okay=False, help="The frames to predict.")
+]
 WorkersOption = Annotated[
     int | None, typer.Option(min=1, max=256, help="Processes; as many as cores unless said.", show_default="cores")
 ]

@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 import typer
 
+from client.commands.baseline import baseline
 from client.commands.datasets import datasets
 from client.commands.demo import demo
 from client.commands.download import download
@@ -39,7 +40,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
-    "On this machine": (simulate, inspect, recover, label, export, validate, score, demo),
+    "On this machine": (simulate, inspect, recover, label, export, baseline, validate, score, demo),
     "With a server": (serve, login, upload, process, watch, status, exports, download),
     "The dataset": (statistics, splits, datasets),
 }

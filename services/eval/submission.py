@@ -18,14 +18,20 @@ Grid = NDArray[np.uint8]
 def write_submission(path: Path, frames: Iterable[tuple[str, Grid]]) -> None:
     """Frames (token, grid) as a submission, whole or absent; the same frames give the same bytes.
 
-    Frames are stored, not deflated again: they are deflated inside. Raises `BadDtypeError`, `BadShapeError`.
+    Raises `BadDtypeError`, `BadShapeError`.
     """
+    write_files(path, ((token, frame_file(grid)) for token, grid in frames))
+
+
+def write_files(path: Path, frames: Iterable[tuple[str, bytes]]) -> None:
+    """Frames (token, `frame_file`) as a submission. They are stored, not deflated again: they are deflated inside."""
     with atomic_file(path) as staging, zipfile.ZipFile(staging, "w") as archive:
-        for token, grid in frames:
-            archive.writestr(zipfile.ZipInfo(f"{token}.npz"), _frame(grid))
+        for token, content in frames:
+            archive.writestr(zipfile.ZipInfo(f"{token}.npz"), content)
 
 
-def _frame(grid: Grid) -> bytes:
+def frame_file(grid: Grid) -> bytes:
+    """The file of one frame. Raises `BadDtypeError`, `BadShapeError`."""
     if grid.dtype != np.uint8:
         raise BadDtypeError("uint8 ('|u1')", str(grid.dtype))
     if grid.shape != GRID_SHAPE:
