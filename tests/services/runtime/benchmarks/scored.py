@@ -50,8 +50,8 @@ class Laid:
     columns: dict[str, Any] = field(default_factory=dict)
 
 
-def phase_of_rows(platform: Platform) -> Place:
-    """An open phase whose board shows its first ground truth."""
+def phase_of_rows(platform: Platform, activated_ns: int | None = None) -> Place:
+    """An open phase whose board shows its first ground truth, since then or from now on."""
     path = platform.settings.root / "file"
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(b"what is kept")
@@ -69,7 +69,7 @@ def phase_of_rows(platform: Platform) -> Place:
         session.add(phase)
         session.flush()
         truth = _truth(session, phase, user.id, 1)
-        _activate(session, truth, user.id)
+        _activate(session, truth, user.id, activated_ns or now_ns())
         return Place(platform, user, phase, truth.id, dataset.id, blob.sha256)
 
 
@@ -136,6 +136,7 @@ def _truth(session: Session, phase: Phase, user_id: str, number: int, is_ready: 
     return row
 
 
-def _activate(session: Session, truth: GroundTruth, user_id: str) -> None:
+def _activate(session: Session, truth: GroundTruth, user_id: str, activated_ns: int) -> None:
     row = Activation(phase_id=truth.phase_id, truth_id=truth.id, metric=METRIC_VERSION, activated_by=user_id)
+    row.activated_ns = activated_ns
     session.add(row)
