@@ -88,9 +88,9 @@ def payload_span(read_at: ReadAt, member: Member) -> tuple[int, int]:
 
 def _check_sizes(member: Member, unpacked_packed: tuple[int, ...], flags: int) -> None:
     """The local header's sizes are the directory's, or 0 where they follow the data."""
-    known = (member.unpacked_bytes, member.packed_bytes)
-    if unpacked_packed != known and not (flags & DESCRIBED_BEHIND and not any(unpacked_packed)):
-        raise UnsupportedZipError(f"{known[0]} bytes of {member.name!r}, as in the directory", f"{unpacked_packed[0]}")
+    for said, known in zip(unpacked_packed, (member.unpacked_bytes, member.packed_bytes), strict=True):
+        if said != known and not (flags & DESCRIBED_BEHIND and said == 0):
+            raise UnsupportedZipError(f"{known} bytes of {member.name!r}, as in the directory", f"{said}")
 
 
 def _bounded(member: Member, start: int, descriptor_bytes: int) -> tuple[int, int]:

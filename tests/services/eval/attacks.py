@@ -86,9 +86,9 @@ def bomb(declared_bytes: int) -> bytes:
     honest = io.BytesIO()
     np.lib.format.write_array(honest, FREE)
     packed = bytearray(squeeze.compress(honest.getvalue()))
-    for _ in range(BOMB_BYTES // 2**20):
-        packed += squeeze.compress(bytes(2**20))
-    stream = bytes(packed) + squeeze.flush()
+    packed += squeeze.flush(zlib.Z_FULL_FLUSH)  # a block that knows nothing of those before it may be repeated
+    block = squeeze.compress(bytes(2**20)) + squeeze.flush(zlib.Z_FULL_FLUSH)
+    stream = bytes(packed) + block * (BOMB_BYTES // 2**20) + squeeze.flush()
     name = b"semantics.npy"
     shared = struct.pack("<5H3I2H", 20, 0, 8, 0, 33, zlib.crc32(b""), len(stream), declared_bytes, len(name), 0)
     local = b"PK\3\4" + shared + name + stream
