@@ -14,7 +14,7 @@ from sqlalchemy.orm import Session
 from services.eval.manifest import Manifest, read_manifest
 from services.eval.scoring_errors import PurgedError, TruthUnreadyError
 from services.runtime.jobs.errors import JobCancelledError
-from services.runtime.orm import Blob, GroundTruth, Submission
+from services.runtime.orm import Blob, GroundTruth, Score, Submission
 from services.runtime.platform import Platform
 
 UNDER_WAY = ("queued", "scoring")
@@ -39,13 +39,17 @@ class Truth:
 
 @dataclass(frozen=True)
 class Case:
-    """`zip_key` is the object of the file; empty while it is not kept, or not any more."""
+    """`zip_key` is the object of the file; empty while it is not kept, or not any more.
+
+    `confusions_key` is that of the counts which an earlier score against this ground truth stands on; else empty.
+    """
 
     submission_id: str
     phase_id: str
     is_validation: bool
     state: str
     zip_key: str
+    confusions_key: str
     truth: Truth
 
     @property
@@ -75,9 +79,17 @@ def standing_submission(session: Session, submission_id: str) -> Submission:
 def case_of(session: Session, submission_id: str, truth_id: str) -> Case:
     """Raises `JobCancelledError`, `TruthUnreadyError`."""
     row = standing_submission(session, submission_id)
-    zip_key = session.scalar(select(Blob.object_key).where(Blob.sha256 == row.blob_sha256)) or ""
-    truth = truth_of(session, truth_id)
-    return Case(row.id, row.phase_id, row.kind == VALIDATION, row.state, zip_key, truth)
+    of_both = (Score.submission_id == row.id, Score.truth_id == truth_id)
+    counted = select(Blob.object_key).join(Score, Score.confusions_sha256 == Blob.sha256).where(*of_both)
+    return Case(
+        submission_id=row.id,
+        phase_id=row.phase_id,
+        is_validation=row.kind == VALIDATION,
+        state=row.state,
+        zip_key=session.scalar(select(Blob.object_key).where(Blob.sha256 == row.blob_sha256)) or "",
+        confusions_key=session.scalar(counted.order_by(Score.id).limit(1)) or "",
+        truth=truth_of(session, truth_id),
+    )
 
 
 def truth_of(session: Session, truth_id: str) -> Truth:

@@ -5,8 +5,7 @@ parts, and where neither has them they are counted here. Slow things come first;
 and the job's success are one transaction. What a job answers tells nothing but where the submission stands.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -22,25 +21,7 @@ from services.eval.scoring import made_score
 from services.eval.settling import refuse, write, write_verdict
 from services.runtime.benchmarks.pairs import Pair
 from services.runtime.jobs.specs import Outcome
-from services.runtime.orm import Blob, Score, ScorePart
-
-
-@dataclass(frozen=True)
-class Kept:
-    """What is there of a submission's counts: the object of an earlier score's, else parts in their order."""
-
-    confusions_key: str = ""
-    parts: tuple[ScorePart, ...] = field(default=())
-
-    def gaps(self, frames: int) -> Iterator[Span]:
-        """The ranges of [0, frames) that no part has."""
-        at = 0
-        for part in self.parts:
-            if part.start > at:
-                yield at, part.start
-            at = part.stop
-        if at < frames:
-            yield at, frames
+from services.runtime.orm import Score, ScorePart
 
 
 def join(desk: Desk) -> Outcome:
@@ -50,8 +31,8 @@ def join(desk: Desk) -> Outcome:
     with desk.platform.database.reading() as session:
         if case.is_over or _is_scored(session, case, pair):
             return Outcome({"state": case.state})
-        kept = _kept(session, case)
-    return concluded(desk, case, pair, _whole(desk, case, kept))
+        parts = _parts(session, case)
+    return concluded(desk, case, pair, _whole(desk, case, parts))
 
 
 def concluded(desk: Desk, case: Case, pair: Pair, whole: Examined) -> Outcome:
@@ -64,27 +45,34 @@ def concluded(desk: Desk, case: Case, pair: Pair, whole: Examined) -> Outcome:
     return Outcome({"state": "scored"}, commit=partial(write, desk, case, new))
 
 
+def gaps(parts: Sequence[ScorePart], frames: int) -> Iterator[Span]:
+    """The ranges of [0, frames) that no part has; parts are in their order and do not overlap."""
+    at = 0
+    for part in parts:
+        if part.start > at:
+            yield at, part.start
+        at = part.stop
+    if at < frames:
+        yield at, frames
+
+
 def _is_scored(session: Session, case: Case, pair: Pair) -> bool:
     by_pair = (Score.truth_id == pair.truth_id, Score.metric == pair.metric)
     return session.scalar(select(Score.id).where(Score.submission_id == case.submission_id, *by_pair)) is not None
 
 
-def _kept(session: Session, case: Case) -> Kept:
-    of_score = (Score.submission_id == case.submission_id, Score.truth_id == case.truth.id)
-    counted = select(Blob.object_key).join(Score, Score.confusions_sha256 == Blob.sha256).where(*of_score)
-    key = session.scalar(counted.order_by(Score.id).limit(1))
-    if key is not None:
-        return Kept(key)
-    of_parts = (ScorePart.submission_id == case.submission_id, ScorePart.truth_id == case.truth.id)
-    return Kept(parts=tuple(session.scalars(select(ScorePart).where(*of_parts).order_by(ScorePart.start))))
+def _parts(session: Session, case: Case) -> Sequence[ScorePart]:
+    """Those that were counted, in their order."""
+    of_both = (ScorePart.submission_id == case.submission_id, ScorePart.truth_id == case.truth.id)
+    return session.scalars(select(ScorePart).where(*of_both).order_by(ScorePart.start)).all()
 
 
-def _whole(desk: Desk, case: Case, kept: Kept) -> Examined:
+def _whole(desk: Desk, case: Case, parts: Sequence[ScorePart]) -> Examined:
     """All frames, in their order."""
-    if kept.confusions_key:
-        return Examined(merged(()), _kept_counts(desk.platform.store.local(kept.confusions_key)))
-    counted = {gap[0]: desk.examined(case, gap) for gap in kept.gaps(case.truth.frames)}
-    counted |= {part.start: _of_part(part) for part in kept.parts}
+    if case.confusions_key:
+        return Examined(merged(()), _kept_counts(desk.platform.store.local(case.confusions_key)))
+    counted = {gap[0]: desk.examined(case, gap) for gap in gaps(parts, case.truth.frames)}
+    counted |= {part.start: _of_part(part) for part in parts}
     ranges = [examined for _, examined in sorted(counted.items())]
     counts = [one.counts for one in ranges if one.counts is not None]
     return Examined(merged(one.validation for one in ranges), joined(counts) if len(counts) == len(ranges) else None)

@@ -65,7 +65,7 @@ def count_part(desk: Desk) -> Outcome:
     """The counts of a range of frames, kept until the join. Raises as `open_submission` does, and `PurgedError`."""
     truth_id, start, stop = (desk.attempt.arguments[name] for name in ("truth_id", "start", "stop"))
     case = desk.case(truth_id)
-    if case.is_over:
+    if case.is_over or case.confusions_key:
         return Outcome({"state": case.state})
     found = desk.examined(case, (start, stop))
     counts = found.counts.packed() if found.counts else b""

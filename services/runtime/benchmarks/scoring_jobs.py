@@ -37,7 +37,7 @@ def rescore_specs(session: Session, submission_ids: Iterable[str], pair: Pair) -
     frames = session.get_one(GroundTruth, pair.truth_id).frames
     metrics: dict[str, set[str]] = {}
     scored = select(Score.submission_id, Score.metric).where(Score.truth_id == pair.truth_id)
-    for submission_id, metric in session.execute(scored):
+    for submission_id, metric in session.execute(scored.where(Score.submission_id.in_(ids))):
         metrics.setdefault(submission_id, set()).add(metric)
     return tuple(
         spec

@@ -1,0 +1,141 @@
+"""A submission that is sent in is scored as `stone score` scores it, once, whatever way its frames take."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from services.eval.pipeline import score
+from services.runtime.benchmarks import scoring_jobs
+from services.runtime.orm import Blob
+from services.runtime.platform import Platform
+from services.runtime.uploads import upload_file
+from stone.confusion import confusion_matrix
+from stone.metric import RATIOS
+from tests.benchmark_world import World, benchmark_world, labels_npz, run_eval
+from tests.services.eval.sending import (
+    counts_of,
+    guess,
+    jobs_of,
+    parts_left,
+    row_of,
+    said_of,
+    scores_of,
+    send,
+    standing_world,
+    taken,
+    zipped,
+)
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory: pytest.TempPathFactory, _sqlite_template: Path) -> Iterator[World]:
+    with standing_world(tmp_path_factory.mktemp("stages"), _sqlite_template) as made:
+        yield made
+
+
+def truth_folder(world: World, folder: Path) -> Path:
+    """The labels of val as a folder."""
+    for sequence, grids in world.grids["val"].items():
+        for token, grid in grids.items():
+            path = folder / "gts" / sequence / token / "labels.npz"
+            path.parent.mkdir(parents=True)
+            path.write_bytes(labels_npz(grid))
+    return folder
+
+
+def test_a_submission_is_scored_as_the_command_scores_it(world: World, tmp_path: Path) -> None:
+    frames = guess(world)
+    submission_id = send(world, zipped(world, frames))
+    run_eval(world.platform)
+    (row,) = scores_of(world.platform, submission_id)
+    (tmp_path / "guess.zip").write_bytes(zipped(world, frames))
+    told = score(tmp_path / "guess.zip", truth_folder(world, tmp_path)).as_record()
+    assert row.signature == told["signature"]
+    assert row.record["cells"] == told["cells"]
+    assert {name: getattr(row, name) for name in RATIOS} == told["total"]
+    assert (row_of(world.platform, submission_id).state, taken(world.platform, submission_id)) == ("scored", 1)
+
+
+def test_the_kept_counts_are_those_of_a_plain_histogram_in_the_order_of_the_manifest(world: World) -> None:
+    frames = guess(world, turn=1)
+    submission_id = send(world, zipped(world, frames))
+    run_eval(world.platform)
+    confusions, bev = counts_of(world.platform, *scores_of(world.platform, submission_id))
+    everywhere = np.ones((256, 256, 32), np.bool_)
+    expected = [confusion_matrix(grid, frames[token], everywhere) for token, grid in world.truth("val").items()]
+    assert np.array_equal(confusions.sum(axis=1), expected)
+    assert bev.shape == (len(frames), 3, 3)
+    assert (confusions.dtype, bev.dtype) == (np.int32, np.int32)
+
+
+def test_counted_in_parts_it_has_the_same_score(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    content = zipped(world, guess(world, turn=2))
+    whole = send(world, content)
+    run_eval(world.platform)
+    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", 3)
+    parted = send(world, content, team=1)
+    run_eval(world.platform)
+    kinds = [job.kind for job in jobs_of(world.platform, parted)]
+    assert kinds == ["eval.open", "eval.part", "eval.part", "eval.join"]
+    assert [job.kind for job in jobs_of(world.platform, whole)] == ["eval.open"]
+    (one,), (other,) = scores_of(world.platform, whole), scores_of(world.platform, parted)
+    assert one.record == other.record
+    assert (one.confusions_sha256, one.draws_sha256) == (other.confusions_sha256, other.draws_sha256)
+    assert one.content_sha256 == other.content_sha256
+    assert parts_left(world.platform) == 0
+
+
+def test_the_file_is_kept_by_its_content_and_the_upload_goes(world: World) -> None:
+    content = zipped(world, guess(world, turn=3))
+    submission_id = send(world, content)
+    before = row_of(world.platform, submission_id)
+    assert upload_file(world.platform.settings, before.upload_id or "").exists()
+    run_eval(world.platform)
+    row = row_of(world.platform, submission_id)
+    assert row.blob_sha256 == row.declared_sha256
+    with world.platform.database.reading() as session:
+        key = session.get_one(Blob, row.blob_sha256).object_key
+    assert b"".join(world.platform.store.read(key)) == content
+    assert not upload_file(world.platform.settings, row.upload_id or "").exists()
+
+
+def test_a_validation_is_checked_and_never_scored(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    content = zipped(world, guess(world, turn=4))
+    small = send(world, content, kind="validation")
+    run_eval(world.platform)
+    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", 3)
+    parted = send(world, content, kind="validation")
+    run_eval(world.platform)
+    for submission_id in (small, parted):
+        assert row_of(world.platform, submission_id).state == "valid"
+        assert scores_of(world.platform, submission_id) == []
+        assert taken(world.platform, submission_id) == 0
+    assert parts_left(world.platform) == 0
+
+
+def test_jobs_tell_nothing_but_where_the_submission_stands(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither a ratio nor a count of voxels is in a result, a log line or a failure."""
+    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", 3)
+    submission_id = send(world, zipped(world, guess(world, "test")), "test")
+    run_eval(world.platform)
+    (row,) = scores_of(world.platform, submission_id)
+    assert row.miou is not None
+    told = [one for one in said_of(world.platform, submission_id) if one is not None]
+    assert {name for result, *_ in told if isinstance(result, dict) for name in result} == {"state", "frames"}
+    words = json.dumps(told)
+    counts = [count for count in np.array(row.record["confusion"]).ravel().tolist() if count > 999]
+    assert not [figure for figure in (row.miou, row.iou_occ, *counts) if str(figure)[:6] in words]
+
+
+def test_it_is_scored_on_both_databases(platform_on: Platform) -> None:
+    small = benchmark_world(platform_on, frames=1)
+    submission_ids = [send(small, zipped(small, guess(small, turn=team)), team=team) for team in (0, 1)]
+    run_eval(platform_on)
+    for submission_id in submission_ids:
+        (row,) = scores_of(platform_on, submission_id)
+        assert row.record["frames"] == 2
+        assert row_of(platform_on, submission_id).state == "scored"
+        assert taken(platform_on, submission_id) == 1

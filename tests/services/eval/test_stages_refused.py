@@ -1,0 +1,156 @@
+"""A submission that cannot be scored ends with its reason, costs nothing, and its job has done its work."""
+
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from services.eval import examining
+from services.eval.stages import handlers
+from services.runtime.benchmarks import scoring_jobs
+from services.runtime.benchmarks.submissions import cancel
+from services.runtime.jobs.running import run_next
+from services.runtime.jobs.specs import Attempt, Outcome
+from services.runtime.orm import Blob, GroundTruth, Submission
+from services.runtime.uploads import upload_file
+from tests.benchmark_world import Grid, World, run_eval
+from tests.services.eval.sending import (
+    guess,
+    jobs_of,
+    pair_of,
+    parts_left,
+    row_of,
+    scores_of,
+    send,
+    standing_world,
+    taken,
+    zipped,
+)
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory: pytest.TempPathFactory, _sqlite_template: Path) -> Iterator[World]:
+    with standing_world(tmp_path_factory.mktemp("refused"), _sqlite_template) as made:
+        yield made
+
+
+def ended(world: World, submission_id: str) -> Submission:
+    """The submission after its jobs, which have all succeeded, without a score and without a cost."""
+    run_eval(world.platform)
+    assert {job.state for job in jobs_of(world.platform, submission_id)} == {"succeeded"}
+    assert scores_of(world.platform, submission_id) == []
+    assert taken(world.platform, submission_id) == 0
+    return row_of(world.platform, submission_id)
+
+
+def spoilt(frames: Mapping[str, Grid], count: int) -> dict[str, Grid]:
+    """The last frames hold a label that is none."""
+    last = list(frames)[-count:]
+    return {token: np.where(grid == 0, 255, grid).astype(np.uint8) if token in last else grid
+            for token, grid in frames.items()}  # fmt: skip
+
+
+@pytest.mark.parametrize("part_frames", [500, 3])
+def test_a_wrong_archive_is_invalid_at_once(world: World, part_frames: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", part_frames)
+    frames = guess(world, turn=10)
+    missing = next(iter(frames))
+    row = ended(world, send(world, zipped(world, {t: grid for t, grid in frames.items() if t != missing})))
+    assert row.state == "invalid"
+    assert [job.kind for job in jobs_of(world.platform, row.id)] == ["eval.open"]
+    (problem,) = (row.problems or {})["errors"]
+    assert (problem["code"], problem["frame"]) == ("missing_frame", missing)
+
+
+@pytest.mark.parametrize("part_frames", [500, 1])
+def test_all_frames_that_are_wrong_are_told(world: World, part_frames: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", part_frames)
+    frames = spoilt(guess(world, turn=11), 2)
+    row = ended(world, send(world, zipped(world, frames)))
+    problems: dict[str, Any] = row.problems or {}
+    assert (row.state, problems["ok"], problems["errors_total"]) == ("invalid", False, 2)
+    assert [one["code"] for one in problems["errors"]] == ["label_out_of_range"] * 2
+    assert [one["frame"] for one in problems["errors"]] == list(frames)[-2:]
+
+
+def test_a_validation_tells_the_same(world: World) -> None:
+    row = ended(world, send(world, zipped(world, spoilt(guess(world, turn=12), 1)), kind="validation"))
+    assert (row.state, (row.problems or {})["errors_total"]) == ("invalid", 1)
+
+
+def test_what_is_no_archive_is_told_too(world: World) -> None:
+    row = ended(world, send(world, b"PK or so" * 100))
+    assert (row.state, (row.problems or {})["errors"][0]["code"]) == ("invalid", "not_zip")
+
+
+def test_a_file_that_changed_on_the_disk_is_not_taken_for_the_declared_one(world: World) -> None:
+    submission_id = send(world, zipped(world, guess(world, turn=13)))
+    upload_file(world.platform.settings, row_of(world.platform, submission_id).upload_id or "").write_bytes(b"other")
+    row = ended(world, submission_id)
+    assert (row.state, row.failure_code, row.blob_sha256) == ("failed", "upload_damaged", None)
+    assert row.declared_sha256 in row.failure
+
+
+def test_a_file_that_is_gone_is_told(world: World) -> None:
+    submission_id = send(world, zipped(world, guess(world, turn=14)))
+    upload_file(world.platform.settings, row_of(world.platform, submission_id).upload_id or "").unlink()
+    row = ended(world, submission_id)
+    assert (row.state, row.failure_code) == ("failed", "upload_damaged")
+    assert "no file stands" in row.failure
+
+
+@pytest.mark.parametrize("part_frames", [500, 3])
+def test_a_file_that_breaks_its_reader_is_not_read_again(
+    world: World, part_frames: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", part_frames)
+    monkeypatch.setattr(examining, "count_range", lambda *given, **named: os._exit(3))
+    row = ended(world, send(world, zipped(world, guess(world, turn=15))))
+    assert (row.state, row.failure_code) == ("failed", "scoring_crashed")
+    assert {job.attempt for job in jobs_of(world.platform, row.id)} == {1}
+
+
+def test_a_child_that_answers_nonsense_is_not_believed(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    for turn, nonsense in enumerate((b"", b"\xff\xff\xff\xff", b"\2\0\0\0{}", b"\2\0\0\0[]" + bytes(100))):
+        monkeypatch.setattr(examining, "_answer", lambda *given, said=nonsense: said)
+        row = ended(world, send(world, zipped(world, guess(world, turn=16 + turn))))
+        assert (row.state, row.failure_code) == ("failed", "scoring_crashed"), nonsense
+
+
+def test_a_ground_truth_that_decayed_is_the_platforms_fault(world: World) -> None:
+    with world.platform.database.reading() as session:
+        truth_id = pair_of(world, "val").truth_id
+        pack = session.get_one(Blob, session.get_one(GroundTruth, truth_id).pack_sha256).object_key
+    path = world.platform.store.local(pack)
+    sound = path.read_bytes()
+    submission_id = send(world, zipped(world, guess(world, turn=20)))
+    path.write_bytes(sound[:40] + b"decay" + sound[45:])
+    try:
+        run_eval(world.platform)
+    finally:
+        path.write_bytes(sound)
+    (job,) = jobs_of(world.platform, submission_id)
+    assert (job.state, job.attempt, job.failure_code) == ("failed", 3, "ground_truth_damaged")
+    assert "frame" not in job.failure
+
+
+def test_one_that_is_cancelled_while_it_is_counted_keeps_nothing(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", 3)
+    submission_id = send(world, zipped(world, guess(world, turn=21)))
+    stages = handlers(world.platform)
+
+    def counted_then_cancelled(attempt: Attempt) -> Outcome:
+        outcome = stages["eval.part"](attempt)
+        with world.platform.database.transaction() as session:
+            cancel(session, session.get_one(Submission, submission_id))
+        return outcome
+
+    for stage in (stages["eval.open"], counted_then_cancelled):
+        run_next(world.platform, "eval", {**stages, "eval.open": stage, "eval.part": stage})
+    assert run_eval(world.platform) == 0
+    assert row_of(world.platform, submission_id).state == "cancelled"
+    assert [job.state for job in jobs_of(world.platform, submission_id)] == ["succeeded", *["cancelled"] * 3]
+    assert (parts_left(world.platform), taken(world.platform, submission_id)) == (0, 0)
