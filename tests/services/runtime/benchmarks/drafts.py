@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from hashlib import sha256
 from typing import Any
 
-from services.runtime.benchmarks import teams
+from services.runtime.benchmarks import scorings, teams
 from services.runtime.benchmarks.submissions import Draft, create_draft, finalise
 from services.runtime.orm import Phase, Submission, new_id
 from services.runtime.platform import Platform
@@ -86,3 +86,9 @@ def seen(desk: Desk, submission_id: str) -> Submission:
     """The row as it stands."""
     with desk.platform.database.reading() as session:
         return session.get_one(Submission, submission_id)
+
+
+def taken(desk: Desk) -> int:
+    """How many scorings the team holds."""
+    with desk.platform.database.reading() as session:
+        return scorings.balance(session, desk.phase_id, desk.team_id)
