@@ -16,11 +16,10 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from llvmlite import ir  # type: ignore[import-untyped]
-from numba import njit, types
-from numba.extending import intrinsic
+from numba import njit
 from numpy.typing import NDArray
 
+from stone.columns import drivable32, pack1, pack8
 from stone.errors import ShapeError, StoneError
 from stone.grid import GRID_SHAPE, Grid
 from stone.lanes import popcount
@@ -96,40 +95,19 @@ def _schedule() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 _RUNS, _CHUNKS = _schedule()
 
 
-def _bits_of_column(typing_context: Any, voxels: Any, start: Any, mask: Any) -> Any:
-    """Bit n of the result: voxel `start` + n has a bit of `mask`. One vector test, for LLVM to fit to the machine."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        column = ir.VectorType(ir.IntType(8), 32)
-        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
-        address = builder.bitcast(builder.gep(data, [arguments[1]]), column.as_pointer())
-        repeated = ir.Constant(column, ir.Undefined)
-        for lane in range(32):
-            repeated = builder.insert_element(repeated, arguments[2], ir.Constant(ir.IntType(32), lane))
-        tested = builder.and_(builder.load(address, align=1), repeated)
-        is_set = builder.icmp_unsigned("!=", tested, ir.Constant(column, [0] * 32))
-        return builder.bitcast(is_set, ir.IntType(32))
-
-    return types.uint32(voxels, types.int64, types.uint8), emit
-
-
-_bits: Any = intrinsic(_bits_of_column)
-
-
 @njit(cache=True, nogil=True)
 def _pack(
     voxels: Grid, runs: NDArray[np.int64], origin: int, low: NDArray[np.uint32], high: NDArray[np.uint32]
-) -> np.uint32:
+) -> np.uint64:
     """Both planes of the columns in `runs`, sorted, from target column `origin` on; not 0 if a voxel is above 3."""
-    beyond = np.uint32(0)
+    beyond = np.uint64(0)
     for r in range(runs.shape[0]):
-        start = 32 * runs[r, 0]
-        target = np.uint64(runs[r, 1] - origin)
-        for i in range(runs[r, 2]):
-            at = target + np.uint64(i)
-            low[at] = _bits(voxels, start + 32 * i, np.uint8(1))
-            high[at] = _bits(voxels, start + 32 * i, np.uint8(2))
-            beyond |= _bits(voxels, start + 32 * i, np.uint8(0xFC))
+        source, target, columns = runs[r, 0], runs[r, 1] - origin, runs[r, 2]
+        many = columns - columns % 8
+        for i in range(0, many, 8):
+            beyond |= pack8(voxels, 32 * (source + i), low, high, target + i)
+        for i in range(many, columns):
+            beyond |= pack1(voxels, 32 * (source + i), low, high, target + i)
     return beyond
 
 
@@ -182,20 +160,25 @@ def _joint(
 
 @njit(cache=True, nogil=True)
 def _drivable(truth: Any, evaluated: Any, low: Any, high: Any, bev: NDArray[np.int64]) -> None:
-    """Columns drivable in (both, truth, prediction) added; one uint32 a column."""
+    """Columns drivable in (both, truth, prediction) added; one uint32 a column, their number a multiple of 2."""
     truth_low, truth_high = truth
-    both = in_truth = in_prediction = np.int64(0)
-    for i in range(low.size):
-        p1, p2 = low[i] & evaluated[i], high[i] & evaluated[i]
-        g1, g2 = truth_low[i], truth_high[i]
-        p = ((p1 & p2) == 0) & ((p1 | p2) != 0)
-        g = ((g1 & g2) == 0) & ((g1 | g2) != 0)
-        both += p & g
-        in_truth += g
-        in_prediction += p
-    bev[0] += both
-    bev[1] += in_truth
-    bev[2] += in_prediction
+    both = in_truth = in_prediction = np.uint64(0)
+    whole = low.size - low.size % 32
+    for i in range(0, whole, 32):
+        predicted = drivable32(low, high, evaluated, i)
+        true = drivable32(truth_low, truth_high, evaluated, i)
+        both += popcount(np.uint64(predicted & true))
+        in_truth += popcount(np.uint64(true))
+        in_prediction += popcount(np.uint64(predicted))
+    for i in range(whole, low.size):
+        p1, p2, g1, g2 = low[i] & evaluated[i], high[i] & evaluated[i], truth_low[i], truth_high[i]
+        p, g = ((p1 & p2) == 0) & ((p1 | p2) != 0), ((g1 & g2) == 0) & ((g1 | g2) != 0)
+        both += np.uint64(p & g)
+        in_truth += np.uint64(g)
+        in_prediction += np.uint64(p)
+    bev[0] += np.int64(both)
+    bev[1] += np.int64(in_truth)
+    bev[2] += np.int64(in_prediction)
 
 
 @njit(cache=True, nogil=True)
@@ -212,10 +195,10 @@ def _exact(joint: NDArray[np.int64]) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _count(voxels: Grid, truth: Planes, counts: NDArray[np.int64], schedule: Any, outs: Any) -> np.uint32:
+def _count(voxels: Grid, truth: Planes, counts: NDArray[np.int64], schedule: Any, outs: Any) -> np.uint64:
     """The counts of each ring; returns not 0 if a voxel is above 3."""
     runs, chunks = schedule
-    low, high, beyond = np.empty(_CHUNK, np.uint32), np.empty(_CHUNK, np.uint32), np.uint32(0)
+    low, high, beyond = np.empty(_CHUNK, np.uint32), np.empty(_CHUNK, np.uint32), np.uint64(0)
     joint, bev = np.zeros((counts.shape[0], 4, 4), np.int64), np.zeros((counts.shape[0], 3), np.int64)
     columns = truth.view(np.uint32)
     for c in range(chunks.shape[0]):
