@@ -28,7 +28,7 @@ from services.runtime.benchmarks.results import (
     submission_seen,
 )
 from services.runtime.benchmarks.visibility import RATIO_DIGITS, Viewer, viewer_of
-from services.runtime.orm import Benchmark, Submission, Team
+from services.runtime.orm import Submission
 
 
 def viewer_for(session: Session, caller: Caller) -> Viewer:
@@ -56,11 +56,11 @@ def results_answer(session: Session, viewer: Viewer, found: Results) -> ResultsA
     return ResultsAnswer(
         submission_id=row.id,
         score_id=seen.score.id,
-        benchmark=session.get_one(Benchmark, seen.phase.benchmark_id).name,
+        benchmark=found.benchmark,
         phase=seen.phase.name,
-        team=session.get_one(Team, row.team_id).name if seen.policy.shows("team") else None,
+        team=found.team,
         method=row.method,
-        description=row.description if seen.policy.shows("description") else None,
+        description=found.description,
         modality=row.modality,
         kind=row.kind,
         pair=pair_item(seen),

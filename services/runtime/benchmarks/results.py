@@ -15,7 +15,7 @@ from sqlalchemy.orm import Session, defer, undefer
 from services.runtime.benchmarks.pairs import Pair, active
 from services.runtime.benchmarks.result_errors import NotScoredError, ScoreMissingError, WithheldError
 from services.runtime.benchmarks.visibility import Field, Policy, Viewer, policy_of, submissions_seen
-from services.runtime.orm import Activation, Blob, GroundTruth, Phase, Score, Submission
+from services.runtime.orm import Activation, Benchmark, Blob, GroundTruth, Phase, Score, Submission, Team
 from services.runtime.orm.base import now_ns
 from stone.metric import RATIOS
 
@@ -48,10 +48,13 @@ class Seen:
 @dataclass(frozen=True)
 class Results:
     """Totals, and beside them what may be seen: confusion (4, 4) and supports of all evaluated voxels, intervals by
-    kind of resampling and ratio. `is_rounded` says that the totals are.
+    kind of resampling and ratio. `is_rounded` says that the totals are. Whose it is may be unnamed as yet.
     """
 
     seen: Seen
+    benchmark: str
+    team: str | None
+    description: str | None
     total: Ratios
     is_rounded: bool
     within_occupied: Ratios | None
@@ -92,6 +95,9 @@ def results(session: Session, viewer: Viewer, submission: Submission, score_id: 
     seen = seen_score(session, viewer, submission, score_id)
     return Results(
         seen,
+        benchmark=session.get_one(Benchmark, seen.phase.benchmark_id).name,
+        team=session.get_one(Team, submission.team_id).name if seen.policy.shows("team") else None,
+        description=submission.description if seen.policy.shows("description") else None,
         total={name: seen.policy.ratio(getattr(seen.score, name)) for name in RATIOS},
         is_rounded=not seen.policy.shows("exact"),
         within_occupied=seen.unless_withheld("extras", "within_occupied"),
