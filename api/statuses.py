@@ -16,7 +16,7 @@ from services.runtime import dataset_errors as datasets
 from services.runtime import label_choices as choices
 from services.runtime import processing_errors as processing
 from services.runtime.access import errors as access
-from services.runtime.benchmarks import inputs, reported
+from services.runtime.benchmarks import inputs, reported, team_names
 from services.runtime.benchmarks import phase_errors as phases
 from services.runtime.benchmarks import rescore_errors as rescores
 from services.runtime.benchmarks import result_errors as results
@@ -112,6 +112,7 @@ STATUS_OF: dict[type[StoneError], int] = {
     splitting.EmptyCatalogueError: 409,
     store_keys.StoreAwayError: 503,
     store_keys.StoreFullError: 507,
+    team_names.UnseenNameError: 422,
     teams.AlreadyInTeamError: 409,
     teams.AlreadyMemberError: 409,
     teams.CaptainStaysError: 409,

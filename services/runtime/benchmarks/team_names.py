@@ -1,10 +1,11 @@
 """Names of teams: plain text, and none that passes for another.
 
-**Conventions.** Two names are one when they are equal after compatibility normalisation (NFKC), case folding and with
-every run of white space as one space. On PostgreSQL whoever adds a name holds a lock that all who do so take; on SQLite
-the transaction is that lock.
+**Conventions.** Two names are one when they are equal after compatibility normalisation (NFKC), case folding, without
+what is not seen, and with every run of white space as one space. Letters of other scripts that only look alike are not
+found out. On PostgreSQL whoever adds a name holds a lock that all who do so take; on SQLite the transaction is it.
 """
 
+import re
 import unicodedata
 
 from sqlalchemy import select, text
@@ -12,23 +13,40 @@ from sqlalchemy.orm import Session
 
 from services.runtime.access.errors import NameTakenError
 from services.runtime.orm import Team
+from stone.errors import StoneError
 
 LOCK = 0x5445414D  # "TEAM": the advisory lock's number, shared by every process of the platform
+# Default_Ignorable_Code_Point (Unicode 15): fillers, joiners, variation selectors, tags.
+UNSEEN = re.compile(
+    "[\u00ad\u034f\u061c\u115f\u1160\u17b4\u17b5\u180b-\u180f\u200b-\u200f\u202a-\u202e\u2060-\u206f\u3164"
+    "\ufe00-\ufe0f\ufeff\uffa0\ufff0-\ufff8\U0001bca0-\U0001bca3\U0001d173-\U0001d17a\U000e0000-\U000e0fff]"
+)
+
+
+class UnseenNameError(StoneError):
+    """The name has no character that is seen."""
+
+    code = "unseen_name"
+
+    def __init__(self) -> None:
+        super().__init__("the name has no character that is seen; choose one that can be read")
 
 
 def refuse_taken(session: Session, name: str) -> None:
-    """Hold the names until the transaction ends. Raises `NameTakenError`."""
+    """Hold the names until the transaction ends. Raises `NameTakenError`, `UnseenNameError`."""
     if session.get_bind().dialect.name == "postgresql":
         session.execute(text("SELECT pg_advisory_xact_lock(:number)"), {"number": LOCK})
     wanted = folded(name)
+    if not wanted:
+        raise UnseenNameError()
     if any(folded(other) == wanted for other in session.scalars(select(Team.name))):
         raise NameTakenError("team", name)
 
 
 def folded(name: str) -> str:
-    """What two names that look alike have in common."""
-    once = unicodedata.normalize("NFKC", name).casefold()
-    return " ".join(unicodedata.normalize("NFKC", once).split())
+    """What names that look alike have in common."""
+    once = unicodedata.normalize("NFKC", UNSEEN.sub("", name)).casefold()
+    return " ".join(unicodedata.normalize("NFKC", UNSEEN.sub("", once)).split())
 
 
 def shown(name: str) -> str:
