@@ -119,6 +119,15 @@ POST   /api/v1/admin/benchmarks/{benchmark_name}/phases       401  403  403   40
 PATCH  /api/v1/admin/phases/{phase_id}                        401  403  403   403   200  403 403  401  401  403 403
 POST   /api/v1/admin/phases/{phase_id}/ground-truths          401  403  403   403   202  403 403  401  401  403 403
 GET    /api/v1/admin/phases/{phase_id}/ground-truths          401  403  403   403   200  403 403  401  401  403 403
+POST   /api/v1/admin/phases/{phase_id}/rescores               401  403  403   403   202  403 403  401  401  403 403
+GET    /api/v1/admin/phases/{phase_id}/rescores               401  403  403   403   200  403 403  401  401  403 403
+GET    /api/v1/admin/phases/{phase_id}/rescores/{rescore_id}  401  403  403   403   200  403 403  401  401  403 403
+GET    /api/v1/admin/phases/{phase_id}/rescores/{rescore_id}/diff 401  403  403   403   200  403 403  401  401  403 403
+POST   /api/v1/admin/phases/{phase_id}/rescores/{rescore_id}/activate 401  403  403   403   200  403 403  401  401  403 403
+POST   /api/v1/admin/phases/{phase_id}/rescores/{rescore_id}/abandon 401  403  403   403   200  403 403  401  401  403 403
+GET    /api/v1/admin/phases/{phase_id}/alarms                 401  403  403   403   200  403 403  401  401  403 403
+POST   /api/v1/admin/alarms/{alarm_id}/dismiss                401  403  403   403   200  403 403  401  401  403 403
+POST   /api/v1/admin/teams/{team_id}/grants                   401  403  403   403   201  403 403  401  401  403 403
 PUT    /api/v1/admin/phases/{phase_id}/reported               401  403  403   403   200  403 403  401  401  403 403
 GET    /api/v1/admin/phases/{phase_id}/reported               401  403  403   403   200  403 403  401  401  403 403
 GET    /api/v1/jobs                                           401  200  200   200   200  200 403  401  401  200 200

@@ -20,6 +20,7 @@ from services.runtime.platform import Platform
 from services.runtime.profiles import profile_of
 from stone.metric import METRIC_VERSION
 from tests.api import made
+from tests.api.access.rescored import rescored
 from tests.api.inputs_made import made_input
 from tests.api.published import dataset, published_sequence
 from tests.api.serving import Person
@@ -39,6 +40,9 @@ IDS = (
     "phase_id",
     "team_id",
     "invitation_id",
+    "truth_id",
+    "rescore_id",
+    "alarm_id",
 )
 UNKNOWN = {name: f"{number:032x}" for number, name in enumerate(IDS, 1)} | {"complete_upload": f"{99:032x}"}
 UNKNOWN |= {"dataset_name": "never-published", "benchmark_name": "never-made"}
@@ -91,6 +95,7 @@ def make_world(platform: Platform, user: User) -> World:
         **WORDS,
         "member": user.name,
     }
+    named |= rescored(platform, named["phase_id"], user.id)
     known = {value for key, value in named.items() if key not in (*WORDS, *PUBLIC)}
     return World(named, frozenset(known | {labels.id, _name(platform, sequence_id), *labels.frames}))
 
