@@ -19,11 +19,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from stone.columns import drivable32, pack1, pack8
 from stone.errors import ShapeError, StoneError
 from stone.grid import GRID_SHAPE, Grid
 from stone.lanes import popcount
 from stone.metric import CLASSES
+from stone.packing import drivable32, pack1, pack8
 from stone.voxels import VOXEL_M
 
 RING_EDGES_M = (10.0, 20.0)

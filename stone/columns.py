@@ -1,72 +1,91 @@
-"""Single steps on upright columns of voxels, of which LLVM makes a few vector instructions; for compiled kernels only.
+"""A label grid as upright columns of bits: a frame is cut, hidden, counted and compared in words, not in voxels.
 
-**Conventions.** A column is 32 voxels: 32 bytes of labels, or one uint32 of a plane, bit n voxel n. Addresses are
-counted in elements of a C-contiguous array and are not checked.
+**Conventions.** A column is the 32 voxels over one place (x, y) of the grid of `stone.grid`; bit z of its uint32 word
+stands for voxel z. The class of a voxel is its bit of `ones` plus twice its bit of `twos`.
 """
 
-from typing import Any
+from dataclasses import dataclass
 
-from llvmlite import ir  # type: ignore[import-untyped]
-from numba import types
-from numba.extending import intrinsic
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
 
-from stone.lanes import COLUMN, I8, I32, I64, pointer
+from stone.grid import GRID_SHAPE, Grid
+from stone.lanes import popcount, spread
 
-VECTOR = 64  # bytes tested at a time
-LOW, HIGH, BEYOND = 1, 2, 0xFC
-
-
-def _pack8(typing_context: Any, voxels: Any, start: Any, low: Any, high: Any, at: Any) -> Any:
-    """Bits 0 and 1 of the 256 bytes from voxels[start] on, to low[at] and high[at] on; not 0 if any is above 3."""
-    return _packing(voxels, low, high, 8)
+Words = NDArray[np.uint32]
+SHAPE = GRID_SHAPE[:2]
+NOTHING = np.zeros(SHAPE, np.uint32)
 
 
-def _pack1(typing_context: Any, voxels: Any, start: Any, low: Any, high: Any, at: Any) -> Any:
-    """As `pack8`, of 32 bytes."""
-    return _packing(voxels, low, high, 1)
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """The label grid of one frame, each (256, 256) uint32: both bits of the classes, and what was observed."""
+
+    ones: Words
+    twos: Words
+    observed: Words
+
+    @property
+    def occupied(self) -> Words:
+        return self.ones | self.twos
+
+    def classes(self) -> Grid:
+        """The class of every voxel, of `GRID_SHAPE`."""
+        return spread_out(self.ones, self.twos)
+
+    def observed_grid(self) -> Grid:
+        return spread_out(self.observed)
 
 
-def _packing(voxels: Any, low: Any, high: Any, columns: int) -> Any:
-    size = min(VECTOR, columns * COLUMN)
-    lanes, word = ir.VectorType(I8, size), ir.IntType(size)
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        def bits(bytes_: Any, mask: int) -> Any:
-            tested = builder.and_(bytes_, ir.Constant(lanes, [mask] * size))
-            return builder.bitcast(builder.icmp_unsigned("!=", tested, ir.Constant(lanes, [0] * size)), word)
-
-        source = pointer(context, builder, (voxels, arguments[0]), arguments[1], lanes)
-        planes = [pointer(context, builder, (t, arguments[k]), arguments[4], word) for t, k in ((low, 2), (high, 3))]
-        seen = ir.Constant(lanes, [0] * size)
-        for n in range(columns * COLUMN // size):
-            place = ir.Constant(I64, n)
-            loaded = builder.load(builder.gep(source, [place]), align=1)
-            seen = builder.or_(seen, loaded)
-            for plane, mask in zip(planes, (LOW, HIGH), strict=True):
-                builder.store(bits(loaded, mask), builder.gep(plane, [place]), 4)
-        return builder.zext(bits(seen, BEYOND), I64) if size < VECTOR else bits(seen, BEYOND)
-
-    return types.uint64(voxels, types.int64, low, high, types.int64), emit
+def gathered(grid: Grid) -> Words:
+    """The columns (256, 256) in which those voxels are set that are not 0 in the grid."""
+    return np.packbits(grid != 0, axis=-1, bitorder="little").view("<u4")[..., 0]
 
 
-def _drivable32(typing_context: Any, low: Any, high: Any, evaluated: Any, at: Any) -> Any:
-    """Bit n: column at + n has an evaluated voxel of class 1 or 2 and none of class 3."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        lanes = ir.VectorType(I32, 32)
-        none = ir.Constant(lanes, [0] * 32)
-        columns = [
-            builder.load(pointer(context, builder, (kind, array), arguments[3], lanes), align=4)
-            for kind, array in zip(signature.args[:3], arguments[:3], strict=True)
-        ]
-        ones, twos = (builder.and_(plane, columns[2]) for plane in columns[:2])
-        has_any = builder.icmp_unsigned("!=", builder.or_(ones, twos), none)
-        has_no_three = builder.icmp_unsigned("==", builder.and_(ones, twos), none)
-        return builder.bitcast(builder.and_(has_any, has_no_three), I32)
-
-    return types.uint32(low, high, evaluated, types.int64), emit
+def spread_out(ones: Words, twos: Words = NOTHING, out: Grid | None = None) -> Grid:
+    """The grid (`out` if given), of `GRID_SHAPE`, whose voxels are their bit of `ones` plus twice that of `twos`."""
+    grid = np.empty(GRID_SHAPE, np.uint8) if out is None else out
+    _spread(ones.reshape(-1), twos.reshape(-1), grid.reshape(-1))
+    return grid
 
 
-pack8: Any = intrinsic(_pack8)
-pack1: Any = intrinsic(_pack1)
-drivable32: Any = intrinsic(_drivable32)
+@njit(cache=True, nogil=True)
+def _spread(ones, twos, out):  # type: ignore[no-untyped-def]
+    for column in range(ones.size):
+        spread(ones[column], twos[column], out, 32 * column)
+
+
+@dataclass(frozen=True, eq=False)
+class Masks:
+    """What was observed and what cameras see of one frame, (256, 256) uint32 each, and how much that is.
+
+    `by_class` (4,) counts the voxels of each class, `by_mask` (2,) those of each mask.
+    """
+
+    observed: Words
+    visible: Words
+    by_class: NDArray[np.int64]
+    by_mask: NDArray[np.int64]
+
+
+def reconcile(columns: Columns, visible: Words) -> Masks:
+    """Make the masks agree: what is labelled was observed, and cameras vouch for no voxel that no ray reached."""
+    masks = Masks(np.empty(SHAPE, np.uint32), np.empty(SHAPE, np.uint32), np.zeros(4, np.int64), np.zeros(2, np.int64))
+    words = [each.reshape(-1) for each in (columns.ones, columns.twos, columns.observed, visible)]
+    _reconcile(tuple(words), (masks.observed.reshape(-1), masks.visible.reshape(-1)), (masks.by_class, masks.by_mask))
+    return masks
+
+
+@njit(cache=True, nogil=True)
+def _reconcile(words, masks, counts):  # type: ignore[no-untyped-def]
+    (ones, twos, observed, visible), (by_class, by_mask) = words, counts
+    for column in range(ones.size):
+        one, two = ones[column], twos[column]
+        seen = observed[column] | one | two
+        masks[0][column], masks[1][column] = seen, seen & visible[column]
+        for kind, word in enumerate((one & ~two, two & ~one, one & two)):
+            by_class[kind + 1] += np.int64(popcount(np.uint64(word)))
+        by_mask[0] += np.int64(popcount(np.uint64(seen)))
+        by_mask[1] += np.int64(popcount(np.uint64(seen & visible[column])))
+    by_class[0] = 32 * ones.size - by_class[1:].sum()
