@@ -7,7 +7,7 @@ null in a whole, and refused (`WithheldError`) where it is all that was asked fo
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session, defer, undefer
@@ -22,6 +22,8 @@ from stone.metric import RATIOS
 By = Literal["sequence", "environment", "illumination", "distance"]
 Record = Mapping[str, Any]
 Ratios = Mapping[str, float | None]
+
+BY: tuple[By, ...] = get_args(By)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from services.runtime.benchmarks.board import Row, board
 from services.runtime.benchmarks.board_entries import BoardQuery
 from services.runtime.benchmarks.comparing import compare
 from services.runtime.benchmarks.result_errors import WithheldError
-from services.runtime.benchmarks.results import By, Results, breakdown, kept_confusions, provenance, results
+from services.runtime.benchmarks.results import BY, Results, breakdown, kept_confusions, provenance, results
 from services.runtime.benchmarks.visibility import Viewer
 from services.runtime.orm import Submission
 from tests.services.runtime.benchmarks.boards import Scene
@@ -42,7 +42,6 @@ team             amo    amo      amo     am
 """
 RELATIONS = ("a", "m", "o")
 STANDINGS = tuple(EXPECTED.split("\n")[1].split())
-BY: tuple[By, ...] = ("sequence", "environment", "illumination", "distance")
 
 
 def expected(standing: str, relation: str) -> set[str]:
