@@ -55,7 +55,8 @@ class SweepFile:
             raise self.span.damaged(f"its {len(content)} bytes are no rows of {COLUMNS} float32")
         returns = np.frombuffer(content, "<f4").reshape(-1, COLUMNS)[:, :3]
         points_lidar = returns[(np.abs(returns) < FARTHEST_RETURN_M).all(axis=1)].astype(np.float64)
-        return (self.ego_from_lidar @ points_lidar).astype(np.float32)
+        points_ego: NDArray[np.float32] = (self.ego_from_lidar @ points_lidar).astype(np.float32)
+        return points_ego
 
 
 def exports_in(path: Path) -> tuple[Files, ...]:

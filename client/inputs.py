@@ -25,6 +25,10 @@ WorkersOption = Annotated[
 ServerOption = Annotated[
     str | None, typer.Option("--server", metavar="URL", help="The server; else STONE_URL, else the last login.")
 ]
+BenchmarkArgument = Annotated[str, typer.Argument(metavar="BENCHMARK", help="A benchmark's name.")]
+PhaseArgument = Annotated[str, typer.Argument(metavar="PHASE", help="A phase of it, such as val or test.")]
+BenchmarkOption = Annotated[str, typer.Option("--benchmark", metavar="B", help="A benchmark's name.")]
+PhaseOption = Annotated[str, typer.Option("--phase", metavar="P", help="A phase of it, such as val or test.")]
 SequenceArgument = Annotated[str, typer.Argument(metavar="SEQUENCE", help="A sequence's name or id.")]
 CalibrationOption = Annotated[
     Path,
@@ -36,6 +40,18 @@ DataOption = Annotated[
     Path | None,
     typer.Option(metavar="DIR", file_okay=False, help="Everything the platform keeps.", show_default="stone-data"),
 ]
+
+
+class Modality(StrEnum):
+    """What a method senses with: cameras, LiDAR, radar, and their sums."""
+
+    C = "C"
+    L = "L"
+    R = "R"
+    CL = "C+L"
+    CR = "C+R"
+    LR = "L+R"
+    CLR = "C+L+R"
 
 
 class Profile(StrEnum):

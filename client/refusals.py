@@ -6,7 +6,7 @@ permission, no space) are faults of the program and keep their traceback.
 """
 
 import errno
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any, NoReturn
 
 import typer
@@ -54,10 +54,17 @@ def refuse(findings: Iterable[Finding], *, as_json: bool) -> NoReturn:
 
 def refuse_submission(validation: Validation, *, as_json: bool) -> NoReturn:
     """Say each problem of a submission on a line of its own and end the command with exit code 1."""
-    for problem in validation.errors:
-        typer.echo(one_line(str(problem)), err=True)
-    if validation.errors_total > len(validation.errors):
-        typer.echo(f"… and {validation.errors_total - len(validation.errors)} more", err=True)
+    refuse_report(validation.as_record(), as_json=as_json)
+
+
+def refuse_report(report: Mapping[str, Any], *, as_json: bool) -> NoReturn:
+    """The same for a record of a validation, ours or a server's."""
+    for one in report["errors"]:
+        typer.echo(
+            one_line(f"{one['code']}: {one['file']}: expected {one['expected']}, found {one['actual']}"), err=True
+        )
+    if report["errors_total"] > len(report["errors"]):
+        typer.echo(f"… and {report['errors_total'] - len(report['errors'])} more", err=True)
     if as_json:
-        echo_json(validation.as_record())
+        echo_json(report)
     raise typer.Exit(REFUSED)

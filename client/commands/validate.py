@@ -1,27 +1,59 @@
 """`stone validate`: is this submission complete and well-formed?"""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import typer
 
-from client.inputs import SubmissionArgument
+from client.inputs import ServerOption, SubmissionArgument
+from client.progress import reported
 from client.refusals import refuse_submission
 from client.streams import JsonOption, echo_json
 
 ManifestOption = Annotated[
-    Path, typer.Option("--manifest", metavar="M.json", exists=True, dir_okay=False, help="The frames to predict.")
+    Path | None,
+    typer.Option("--manifest", metavar="M.json", exists=True, dir_okay=False, help="The frames to predict."),
 ]
+BenchmarkOption = Annotated[str, typer.Option(metavar="B", help="Instead: take the manifest of this benchmark's…")]
+PhaseOption = Annotated[str, typer.Option(metavar="P", help="…phase from the server.")]
 
 
-def validate(submission: SubmissionArgument, manifest: ManifestOption, as_json: JsonOption = False) -> None:
-    """Check a submission against the manifest of its benchmark, without ground truth and without extracting it."""
+def validate(
+    submission: SubmissionArgument,
+    manifest: ManifestOption = None,
+    benchmark: BenchmarkOption = "",
+    phase: PhaseOption = "",
+    server: ServerOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Check a submission against a manifest, by the same code as the server, without ground truth or extracting it."""
     from services.eval.pipeline import validate as validate_submission
 
-    validation = validate_submission(submission, manifest)
+    if (manifest is None) != bool(benchmark and phase) or bool(benchmark) != bool(phase):
+        raise typer.BadParameter("either --manifest, or --benchmark and --phase", param_hint="--manifest")
+    with _manifest(manifest, (benchmark, phase), server) as path, reported() as progress:
+        validation = validate_submission(submission, path, progress=progress)
     if not validation.ok:
         refuse_submission(validation, as_json=as_json)
     if as_json:
         echo_json(validation.as_record())
     else:
         typer.echo("valid")
+
+
+@contextmanager
+def _manifest(given: Path | None, of: tuple[str, str], server: str | None) -> Iterator[Path]:
+    """The manifest that was given, or that of a phase as the server has it now."""
+    if given is not None:
+        yield given
+        return
+    from client.benchmarks import fetch_manifest
+    from client.connecting import connected
+
+    with TemporaryDirectory() as folder, connected(server) as api:
+        path = Path(folder) / "manifest.json"
+        fetch_manifest(api, of, path)
+        yield path

@@ -1,0 +1,28 @@
+"""`stone benchmarks`: what there is to predict, and under which rules."""
+
+from typing import Annotated, Any
+
+import typer
+
+from client.inputs import ServerOption
+from client.streams import JsonOption, echo_json
+from client.tables import show
+
+BenchmarkArgument = Annotated[str | None, typer.Argument(metavar="[BENCHMARK]", help="A benchmark's name; else all.")]
+
+
+def benchmarks(benchmark: BenchmarkArgument = None, server: ServerOption = None, as_json: JsonOption = False) -> None:
+    """List the benchmarks with their phases: whether they run, how much may be scored, what is shown to whom."""
+    from client.benchmarks import phases_table, read_benchmark, read_benchmarks
+    from client.connecting import connected
+
+    with connected(server) as api:
+        found = read_benchmarks(api) if benchmark is None else [read_benchmark(api, benchmark)]
+    record: dict[str, Any] = {"benchmarks": found}
+    if as_json:
+        echo_json(record)
+        return
+    for one in found:
+        show(phases_table(one))
+        for phase in one["phases"] if benchmark is not None else ():
+            typer.echo("\n".join(f"{phase['name']}: {line}" for line in phase["visibility"]))

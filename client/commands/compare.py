@@ -1,0 +1,28 @@
+"""`stone compare`: two submissions to one phase, side by side."""
+
+from typing import Annotated
+
+import typer
+
+from client.inputs import ServerOption
+from client.streams import JsonOption, echo_json, echo_notice
+from client.tables import show
+
+FirstArgument = Annotated[str, typer.Argument(metavar="A", help="A submission's id.")]
+SecondArgument = Annotated[str, typer.Argument(metavar="B", help="Another submission's to the same phase.")]
+
+
+def compare(a: FirstArgument, b: SecondArgument, server: ServerOption = None, as_json: JsonOption = False) -> None:
+    """Show how two submissions differ and whether that is more than chance, by paired resampling."""
+    from client.connecting import connected
+    from client.scores import compare as compare_both
+    from client.scores import comparison_table
+
+    with connected(server) as api:
+        record = compare_both(api, a, b)
+    if as_json:
+        echo_json(record)
+        return
+    show(comparison_table(record))
+    if record["is_withheld"]:
+        echo_notice("intervals and tests of a hidden phase are told once it has ended")

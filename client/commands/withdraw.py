@@ -1,0 +1,26 @@
+"""`stone withdraw`: a submission off every board."""
+
+from typing import Annotated
+
+import typer
+
+from client.inputs import ServerOption
+from client.streams import JsonOption, echo_json
+
+IdArgument = Annotated[str, typer.Argument(metavar="SUBMISSION", help="A submission's id.")]
+ReasonOption = Annotated[str, typer.Option(metavar="TEXT", help="Why; kept in the audit log.")]
+
+
+def withdraw(
+    submission: IdArgument, reason: ReasonOption = "", server: ServerOption = None, as_json: JsonOption = False
+) -> None:
+    """Take a submission off every board, for good; its scoring stays used."""
+    from client.connecting import connected
+    from client.submitting import withdraw as take_off
+
+    with connected(server) as api:
+        taken = take_off(api, submission, reason)
+    if as_json:
+        echo_json(dict(taken))
+    else:
+        typer.echo(f"submission {taken['id']} was withdrawn")
