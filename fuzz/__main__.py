@@ -1,4 +1,4 @@
-"""Fuzz the parsers: `python -m fuzz [--minutes 10] [--only mcap db3 messages definition calibration] [--folder DIR]`.
+"""Fuzz the parsers: `python -m fuzz [--minutes 10] [--only mcap db3 messages archive frame …] [--folder DIR]`.
 
 `--minutes` is of each target; two run side by side. Ends with 1 when an input crashed a parser, hung it for ten seconds
 or cost it more than 64 MiB. Such an input lies in the folder; once mended it belongs into `tests/fuzz/cases/<target>/`,

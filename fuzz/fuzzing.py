@@ -5,10 +5,11 @@ import sys
 import atheris
 
 import services.ingest.messages.point_kernel  # noqa: F401 # numba compiles bytecode and refuses the instrumented one
+import stone.bitplanes  # noqa: F401 # likewise
 
 # isort: split
 
-with atheris.instrument_imports(include=["services.ingest"]):
+with atheris.instrument_imports(include=["services.ingest", "services.eval"]):
     from fuzz.limits import check
     from fuzz.targets import TARGETS
 

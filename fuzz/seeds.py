@@ -19,6 +19,7 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 
 from fuzz.calibrations import calibrations
 from fuzz.messages import DECODERS
+from fuzz.submissions import archive_seeds, frame_seeds, header_seeds, manifest_seeds
 from services.ingest.bag import open_bag
 from services.ingest.messages.registry import message_definition, typestore
 from simulator.options import SimulateOptions
@@ -114,6 +115,10 @@ SEEDS: Mapping[str, Callable[[], Iterator[tuple[str, bytes]]]] = {
     "messages": message_seeds,
     "definition": definition_seeds,
     "calibration": calibration_seeds,
+    "archive": archive_seeds,
+    "frame": frame_seeds,
+    "header": header_seeds,
+    "manifest": manifest_seeds,
 }
 
 

@@ -1,4 +1,4 @@
-"""What is fuzzed: the readers of recordings, of messages and of calibrations, each as one function of bytes.
+"""What is fuzzed: the readers of recordings, messages, calibrations and submissions, each as one function of bytes.
 
 **Conventions.** Each target ends normally or with a `StoneError`. Of `messages` the first byte chooses the type, of
 `calibration` the ending of the file's name; the rest is the content.
@@ -10,6 +10,7 @@ from tempfile import TemporaryDirectory
 
 from fuzz.limits import Target
 from fuzz.messages import DECODERS
+from fuzz.submissions import read_archive, read_frame, read_header, read_manifest_file
 from services.ingest.bag import open_bag
 from services.ingest.calibration_file import read_calibration
 from services.ingest.inspection import inspect
@@ -81,4 +82,8 @@ TARGETS: Mapping[str, Target] = {
     "messages": read_messages,
     "definition": read_definition,
     "calibration": read_calibration_file,
+    "archive": read_archive,
+    "frame": read_frame,
+    "header": read_header,
+    "manifest": read_manifest_file,
 }
