@@ -131,7 +131,7 @@ def _read(submission: Submission, token: str) -> bytes | None:
 
 
 def _compare(content: bytes, found: dict[str, bytes | None]) -> None:
-    """Raises `DifferenceError`. What `zipfile` refuses it does not see otherwise: it knows no version above 6.3, say."""
+    """Raises `DifferenceError`. What `zipfile` refuses it does not see otherwise: versions above 6.3, say."""
     for name, ours in found.items():
         try:
             with zipfile.ZipFile(BytesIO(content)) as opened:
