@@ -1,0 +1,224 @@
+"""kill −9 while submissions are scored: `python -m chaos.scoring [--rounds 50] [--seed N] [--folder DIR]`.
+
+Each round sends a file in, strikes at some moment of its scoring (a process of the pool, the worker with its whole
+pool, or the confined child that reads the file), waits for the end and holds everything against what an undisturbed
+submission of the same file came to. Ends with 1 when anything was lost, doubled or different, or nothing was hit.
+"""
+
+import argparse
+import os
+import signal
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from random import Random, SystemRandom
+from statistics import median
+
+from rich.console import Console
+from sqlalchemy import select
+
+from chaos.places import API, JOBS, STORE, WORKERS
+from chaos.scoring_verdict import Came, came_of, judge, judge_quota
+from chaos.scoring_world import files, laid_down
+from chaos.turns import TERMINAL, await_true
+from chaos.verdict import Violation, judge_blobs
+from services.runtime.embedded.children import Child
+from services.runtime.embedded.supervisor import Running, running_platform
+from services.runtime.orm import Job, JobAttempt, Submission
+from services.runtime.platform import Platform
+from services.runtime.settings import Settings
+from tests.benchmark_world import World
+from tests.services.eval.sending import send
+
+VICTIMS = ("pool process", "worker and pool", "confined child")
+LOOK_S = 0.002
+CONSOLE = Console(highlight=False, markup=False, soft_wrap=True)
+
+
+@dataclass(frozen=True)
+class Struck:
+    """Who was killed, and in what kind of job; empty where nothing was under way."""
+
+    victim: str
+    kind: str
+    at_s: float
+
+
+@dataclass(frozen=True)
+class Round:
+    """How one ended; `recovered_s` is from the kill to the end of the run."""
+
+    struck: Struck
+    recovered_s: float
+    violations: tuple[Violation, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Arena:
+    """A platform that is up, what is sent in, and what it comes to undisturbed, with how long that takes."""
+
+    running: Running
+    world: World
+    contents: Mapping[str, bytes]
+    expected: dict[str, Came] = field(default_factory=dict)
+    run_s: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def platform(self) -> Platform:
+        return self.running.platform
+
+    @property
+    def worker(self) -> Child:
+        return next(child for child in self.running.children if child.program.name == "worker")
+
+    def state(self, submission_id: str) -> str:
+        """Of the run."""
+        with self.platform.database.reading() as session:
+            run = select(Job.state).join(Submission, Submission.job_id == Job.id)
+            return session.scalars(run.where(Submission.id == submission_id)).one()
+
+    def finish(self, submission_id: str) -> None:
+        await_true(f"the end of submission {submission_id}", lambda: self.state(submission_id) in TERMINAL)
+
+    def at_work(self, submission_id: str) -> tuple[str, int] | None:
+        """The kind of a running job of the submission and the process that has it."""
+        running = (
+            select(Job.kind, JobAttempt.worker)
+            .join(JobAttempt, (JobAttempt.job_id == Job.id) & (JobAttempt.number == Job.attempt))
+            .join(Submission, Submission.job_id == Job.root_id)
+            .where(Submission.id == submission_id, Job.state == "running", Job.queue != "")
+        )
+        with self.platform.database.reading() as session:
+            found = session.execute(running.limit(1)).first()
+        return (found[0], int(found[1].rpartition(":")[2])) if found else None
+
+    def ended_jobs(self, submission_id: str) -> int:
+        with self.platform.database.reading() as session:
+            of_run = select(Job.state).join(Submission, Submission.job_id == Job.root_id)
+            states = session.scalars(of_run.where(Submission.id == submission_id, Job.queue != "")).all()
+        return sum(state in TERMINAL for state in states)
+
+
+def rehearse(arena: Arena) -> None:
+    """What each file comes to when nobody is killed; the second time counts, when the workers are warm."""
+    for name, content in arena.contents.items():
+        for _ in range(2):
+            begun_s = time.monotonic()
+            submission_id = send(arena.world, content)
+            arena.finish(submission_id)
+            arena.run_s[name] = time.monotonic() - begun_s
+            arena.expected[name] = came_of(arena.platform, submission_id)
+    states = {name: came.state for name, came in arena.expected.items()}
+    if Counter(states.values()) != {"scored": 2, "invalid": 1}:
+        raise RuntimeError(f"undisturbed, the files came to {states}")
+
+
+def play(arena: Arena, chance: Random) -> Round:
+    """One round: send, strike, wait, judge."""
+    name, team = chance.choice(sorted(arena.contents)), chance.randrange(2)
+    submission_id = send(arena.world, arena.contents[name], team=team)
+    struck = strike(arena, submission_id, name, chance)
+    arena.finish(submission_id)
+    recovered_s = time.monotonic() - struck.at_s
+    quota = judge_quota(arena.platform, arena.world.val, arena.world.teams[team])
+    return Round(struck, recovered_s, (*judge(arena.platform, submission_id, arena.expected[name]), *quota))
+
+
+def strike(arena: Arena, submission_id: str, name: str, chance: Random) -> Struck:
+    """Kill somebody at work for the submission, some time after so many of its jobs have ended."""
+    victim, jobs = chance.choice(VICTIMS), sum(arena.expected[name].jobs.values())
+    after, pause_s = chance.randrange(jobs), chance.random() * arena.run_s[name] / jobs
+    await_true("so many jobs", lambda: arena.ended_jobs(submission_id) >= after, every_s=LOOK_S)
+    time.sleep(pause_s)
+    found = _await_work(arena, submission_id, is_reading=victim == "confined child")
+    if found is None:
+        return Struck(victim, "", time.monotonic())
+    kind, pid = found
+    if victim == "worker and pool":
+        arena.worker.forgive()
+        os.killpg(arena.worker.pid, signal.SIGKILL)
+    else:
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+    return Struck(victim, kind, time.monotonic())
+
+
+def told(number: int, rounds: int, ended: Round) -> str:
+    """A line for each round, and one for each violation."""
+    what = f"{ended.struck.victim} in {ended.struck.kind}" if ended.struck.kind else "nothing was under way"
+    said = f"{number}/{rounds}: {what}; ended {ended.recovered_s:.1f} s later"
+    return "\n".join([said, *(f"  {one.sort}: {one.sentence}" for one in ended.violations)])
+
+
+def summary(played: list[Round], blobs: list[Violation]) -> str:
+    """What was hit how often, what was violated, how long it took."""
+    hits = Counter(f"{ended.struck.victim} in {ended.struck.kind}" for ended in played if ended.struck.kind)
+    violations = [one for ended in played for one in ended.violations] + blobs
+    sorts = Counter(one.sort for one in violations)
+    seconds = sorted(ended.recovered_s for ended in played)
+    counted = ", ".join(f"{count} × {what}" for what, count in sorted(hits.items()))
+    return (
+        f"{len(played)} rounds, {hits.total()} hit work ({counted}); "
+        f"lost {sorts['lost']}, doubled {sorts['doubled']}, differing {sorts['differing']}; "
+        f"ended {median(seconds):.1f} s after the kill (median), {seconds[-1]:.1f} s at most"
+    )
+
+
+def main() -> int:
+    options = _options()
+    CONSOLE.print(f"seed {options.seed}, folder {options.folder}")
+    settings = Settings(
+        data_folder=options.folder, workers=WORKERS, jobs=replace(JOBS, rest_s=0.2), store=STORE, api=API
+    )
+    world = laid_down(settings)
+    contents, played = files(world), list[Round]()
+    with running_platform(settings, lambda line: None) as running:
+        arena = Arena(running, replace(world, platform=running.platform), contents)
+        rehearse(arena)
+        for number in range(1, options.rounds + 1):
+            played.append(play(arena, Random(f"{options.seed} {number}")))
+            CONSOLE.print(told(number, options.rounds, played[-1]))
+        blobs = list(judge_blobs(running.platform))
+    CONSOLE.print(summary(played, blobs))
+    is_proven = any(ended.struck.kind for ended in played) and not blobs
+    return 0 if is_proven and not any(ended.violations for ended in played) else 1
+
+
+def _await_work(arena: Arena, submission_id: str, *, is_reading: bool) -> tuple[str, int] | None:
+    """The kind and the process of a job at work, or, of one that reads the file, its child; None once the run is over."""
+    while arena.state(submission_id) not in TERMINAL:
+        found = arena.at_work(submission_id)
+        if found is not None and not is_reading:
+            return found
+        children = _children_of(found[1]) if found is not None else []
+        if found is not None and children:
+            return found[0], children[0]
+        time.sleep(LOOK_S)
+    return None
+
+
+def _children_of(pid: int) -> list[int]:
+    """Of all its threads; none when it has ended."""
+    with suppress(FileNotFoundError, ProcessLookupError):
+        tasks = Path(f"/proc/{pid}/task").glob("*/children")
+        return [int(child) for task in tasks for child in task.read_text().split()]
+    return []
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m chaos.scoring", description=__doc__)
+    parser.add_argument("--rounds", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=SystemRandom().randrange(2**31))
+    parser.add_argument("--folder", type=Path, help="a temporary one unless named")
+    options = parser.parse_args()
+    options.folder = (options.folder or Path(tempfile.mkdtemp(prefix="stone-scoring-"))).absolute()
+    return options
+
+
+if __name__ == "__main__":
+    sys.exit(main())

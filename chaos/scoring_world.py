@@ -1,0 +1,84 @@
+"""What is scored in every round: an open phase of two parts' worth of frames, and three files to send in.
+
+**Conventions.** Laid down before the platform starts, by the functions that routes and workers call. A few grids take
+turns in the frames, so that the world is made in seconds; two files are sound, one holds a label that is none in each
+of its parts.
+"""
+
+from collections.abc import Mapping
+from itertools import cycle, islice
+
+import numpy as np
+from sqlalchemy import select
+
+from services.runtime.benchmarks.phases import NewBenchmark, NewPhase, create_benchmark, create_phase
+from services.runtime.benchmarks.scoring_jobs import PART_FRAMES
+from services.runtime.benchmarks.truths import start_truth
+from services.runtime.database import Database
+from services.runtime.migrate import upgrade
+from services.runtime.orm import Dataset, Team, TeamMember
+from services.runtime.platform import Platform
+from services.runtime.settings import Settings
+from services.runtime.store import open_store
+from stone.sequence import frame_token
+from tests.api import made, published
+from tests.api.serving import Person, person
+from tests.benchmark_world import Grid, World, ground, labelled, run_eval
+from tests.services.eval.sending import zipped
+
+FRAMES = PART_FRAMES * 6 // 10  # of each of two sequences
+GRIDS = 6
+NAMES = ("north", "south")
+
+
+def laid_down(settings: Settings) -> World:
+    """The phase with its ground truth in force, and two teams; on a database that nobody else has open."""
+    upgrade(settings)
+    platform = Platform(settings, Database(settings), open_store(settings))
+    administrator, curator = person(platform, "administrator"), person(platform, "curator")
+    grids = list(islice(cycle([ground(seed) for seed in range(GRIDS)]), FRAMES))
+    ids = [labelled(platform, curator, name, grids, ("forest", "day")) for name in NAMES]
+    dataset = published.dataset(platform, administrator.user_id, {"val": ids})
+    phase_id = _phase(platform, administrator, dataset)
+    captains = tuple(person(platform, "participant") for _ in range(2))
+    teams = tuple(_team(platform, captain) for captain in captains)
+    run_eval(platform)
+    by_token = {name: {_token(name, i): grid for i, grid in enumerate(grids)} for name in NAMES}
+    platform.database.close()
+    people = (administrator, curator, captains, captains[0], teams)
+    return World(platform, *people, "kill", dataset, phase_id, "", {"val": by_token})
+
+
+def files(world: World) -> Mapping[str, bytes]:
+    """What is sent in, by name."""
+    truth = world.truth("val")
+    guesses = {f"shifted by {by}": {token: np.roll(grid, by, axis=0) for token, grid in truth.items()} for by in (1, 3)}
+    tokens = list(truth)
+    spoilt = dict(guesses["shifted by 1"]) | {token: _spoilt(truth[token]) for token in (tokens[7], tokens[-7])}
+    return {name: zipped(world, frames) for name, frames in {**guesses, "spoilt": spoilt}.items()}
+
+
+def _phase(platform: Platform, administrator: Person, dataset: str) -> str:
+    with platform.database.transaction() as session:
+        version = session.scalars(select(Dataset).where(Dataset.name == dataset)).one()
+        benchmark = create_benchmark(session, NewBenchmark("kill", "", "", administrator.user_id))
+        phase = create_phase(session, benchmark, version, NewPhase("val", "val", is_hidden=False))
+        start_truth(session, phase, version, administrator.user_id)
+        return phase.id
+
+
+def _team(platform: Platform, captain: Person) -> str:
+    with platform.database.transaction() as session:
+        team = Team(name=captain.name)
+        session.add(team)
+        session.flush()
+        session.add(TeamMember(team_id=team.id, user_id=captain.user_id, is_owner=True))
+        return team.id
+
+
+def _token(name: str, index: int) -> str:
+    return frame_token(name, made.START_NS + index)
+
+
+def _spoilt(grid: Grid) -> Grid:
+    return np.where(grid == 0, 255, grid).astype(np.uint8)
