@@ -18,6 +18,9 @@ from stone.errors import StoneError
 from tests.api import published
 from tests.api.serving import Person, person
 
+Act = Callable[[Any], object]
+"""What is done in a session."""
+
 VAL = NewPhase("val", "val", is_hidden=False)
 TEST = NewPhase("test", "test", is_hidden=True)
 
@@ -86,12 +89,12 @@ def ready(platform: Platform, truth_id: str) -> None:
         session.get_one(GroundTruth, truth_id).ready_ns = now_ns()
 
 
-def at_once(platform: Platform, *acts: Callable[[Any], object]) -> list[str]:
+def at_once(platform: Platform, *acts: Act) -> list[str]:
     """The codes of what each act met, in a transaction of its own, all begun at one moment ("" for success)."""
     together = Barrier(len(acts))
     codes = [""] * len(acts)
 
-    def run(number: int, act: Callable[[Any], object]) -> None:
+    def run(number: int, act: Act) -> None:
         together.wait(10.0)
         try:
             with platform.database.transaction() as session:
