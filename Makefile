@@ -1,6 +1,6 @@
-# make install | demo | serve | test | check | chaos | fuzz | bench | bench-label | bench-read | bench-platform | bench-truth
+# make install | demo | serve | test | check | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-platform | bench-truth
 # Each installs first, which costs nothing when nothing changed.
-.PHONY: install test-clients demo serve test check chaos fuzz bench bench-label bench-read bench-platform bench-truth
+.PHONY: install test-clients demo serve test check chaos fuzz bench bench-eval bench-label bench-read bench-platform bench-truth
 .DELETE_ON_ERROR:
 
 BIN := .venv/bin
@@ -43,6 +43,8 @@ bench-read: install
 
 bench: install
 	$(BIN)/python -m benchmarks.score
+
+bench-eval: bench
 
 bench-label: install
 	$(BIN)/python -m benchmarks.label

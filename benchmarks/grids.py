@@ -73,3 +73,10 @@ def frames(count: int, seed: int = 1) -> Iterator[tuple[Grid, Grid]]:
         seen = World(whole.height[cut], whole.classes[cut], whole.bushes[cut])
         floor = float(np.median(seen.height[112:144, 112:144])) - 10
         yield render(random, seen, floor, 0.35), render(random, mistaken(random, seen), floor, 0.05)
+
+
+def seen_by_lidar(truth: Grid) -> Grid:
+    """Where a ray could have come: from the lowest surface of a column up, and nowhere in columns without any."""
+    is_occupied = truth > 0
+    lowest = np.where(is_occupied.any(axis=2), is_occupied.argmax(axis=2), Z)
+    return (np.arange(Z) >= lowest[..., None]).astype(np.uint8)

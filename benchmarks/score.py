@@ -1,14 +1,16 @@
-"""Scoring a zip, every check on, beside a plain `np.load` + `np.bincount` loop: `python -m benchmarks.score`.
+"""Scoring a zip, every check on, beside how others do it and what any way must move: `python -m benchmarks.score`.
 
-Both read the same zip in the same run, taking turns, and hold the ground truth in memory. The loop sees a part of the
-frames (it is slow); figures are per frame, of processor time. The two must agree on every count.
+All read the same zip in the same run, taking turns; the slow ones see a part of the frames. Figures are milliseconds of
+processor time a frame, medians of the turns, and wall time on two threads. All must agree on every count.
 """
 
 import argparse
-import io
+import os
+import subprocess
+import sys
 import time
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,16 +21,22 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.grids import frames
-from services.eval.manifest import Manifest
-from services.eval.pipeline import count
+from benchmarks.score_material import Material, material
+from benchmarks.score_peers import ByteMoving, Plain, occ3d
+from services.eval.counting import Counted, TruthOf, count_range
+from services.eval.draws import ratio_draws
 from services.eval.submission_zip import Submission, open_submission
-from stone.bitplanes import TruthPlanes, truth_planes
-from stone.bootstrap import block_draws
-from stone.confusion import mean_iou
-from stone.grid import GRID_SHAPE, Grid
+from services.eval.truth_pack import TruthPack
 
-DISTINCT, TURNS, LOOPED = 200, 10, 20
+TURNS, LOOPED = 10, 4
+OURS, OURS_2 = "ours, 1 thread", "ours, 2 threads"
+PACKED, PACKED_2 = "ours from the kept pack, 1 thread", "ours from the kept pack, 2 threads"
+OCC3D, PLAIN, LIMIT = "(a) np.load, masked, bincount, as Occ3D", "(b) np.load + bincount", "(c) moving the bytes"
+DRAWS = "draws of all intervals, once"
+NAMES = (OURS, OURS_2, PACKED, PACKED_2, OCC3D, PLAIN, LIMIT, DRAWS)
+# (what, of which it is told, how the two are compared, bound)
+EXPECTED = ((OCC3D, "at least", 50.0), (PLAIN, "at least", 18.0), (LIMIT, "at most", 3.2))
+MOST_MEMORY_BYTES = 400e6
 
 
 @dataclass
@@ -56,107 +64,119 @@ class Clock:
 
 
 @dataclass(frozen=True, eq=False)
-class Material:
-    """The submission on disk and the ground truth in memory, both `DISTINCT` frames over and over."""
+class Opened:
+    """Everything open that is read from."""
 
-    path: Path
-    tokens: tuple[str, ...]
-    planes: list[TruthPlanes]
-    labels: list[Grid]
+    data: Material
+    submission: Submission
+    archive: zipfile.ZipFile
+    pack: TruthPack
+    plain: Plain
+    moving: ByteMoving
 
-    def planes_of(self, token: str) -> TruthPlanes:
-        return self.planes[int(token, 16) % len(self.planes)]
-
-    def labels_of(self, token: str) -> Grid:
-        return self.labels[int(token, 16) % len(self.planes)]
-
-
-def saved_by_numpy(grid: Grid) -> bytes:
-    """The file that `np.savez_compressed` writes, as most participants will."""
-    file = io.BytesIO()
-    np.savez_compressed(file, semantics=grid)
-    return file.getvalue()
+    def count(self, tokens: Sequence[str], truth_of: TruthOf, threads: int) -> Counted:
+        counted = count_range(self.submission, tokens, truth_of, threads=threads)
+        if counted.problems or self.submission.problems:
+            raise SystemExit("the submission was refused: the benchmark is void")
+        return counted
 
 
-def material(path: Path, frame_count: int) -> Material:
-    everywhere = np.ones(GRID_SHAPE, np.bool_)
-    labels: list[Grid] = []
-    files, planes = [], []
-    for truth, prediction in frames(min(DISTINCT, frame_count)):
-        labels += [truth] if len(labels) < LOOPED else []
-        planes.append(truth_planes(truth, everywhere))
-        files.append(saved_by_numpy(prediction))
-    tokens = tuple(f"{index:032x}" for index in range(frame_count))
-    with zipfile.ZipFile(path, "w") as archive:
-        for index, token in enumerate(tokens):
-            archive.writestr(f"{token}.npz", files[index % len(files)])
-    return Material(path, tokens, planes, labels)
-
-
-def plain_loop(archive: zipfile.ZipFile, data: Material, tokens: tuple[str, ...]) -> NDArray[np.int64]:
-    """What one writes first; no check but numpy's own."""
-    total = np.zeros(16, np.int64)
-    for token in tokens:
-        prediction = np.load(io.BytesIO(archive.read(f"{token}.npz")))["semantics"]
-        pairs = data.labels_of(token).astype(np.int64) * 4 + prediction
-        total += np.bincount(pairs.ravel(), minlength=16)
-    return total.reshape(4, 4)
-
-
-def compare(submission: Submission, archive: zipfile.ZipFile, data: Material, clocks: dict[str, Clock]) -> None:
-    """Take turns; in each, the loop re-counts the first frames of ours."""
-    parts = np.array_split(np.array(data.tokens), TURNS)
-    kept = []
-    for part in parts:
+def take_turns(opened: Opened, clocks: dict[str, Clock]) -> NDArray[np.int32]:
+    """The confusions of all frames."""
+    data, kept = opened.data, []
+    ours = ((OURS, data.planes_of, 1), (OURS_2, data.planes_of, 2))
+    ours += ((PACKED, opened.pack.planes_of, 1), (PACKED_2, opened.pack.planes_of, 2))
+    for part in np.array_split(np.array(data.tokens), TURNS):
         tokens = tuple(map(str, part))
-        looped = tuple(token for token in tokens if int(token, 16) % len(data.planes) < len(data.labels))[:LOOPED]
-        for name, threads in (("ours, 1 thread", 1), ("ours, 2 threads", 2)):
+        found = []
+        for name, truth_of, threads in ours:
             with clocks[name].turn(len(tokens)):
-                confusions = count(submission, Manifest({"s": tokens}), data.planes_of, threads=threads)
-        with clocks["np.load + np.bincount"].turn(len(looped)):
-            expected = plain_loop(archive, data, looped)
-        rows = [tokens.index(token) for token in looped]
-        if not np.array_equal(confusions[rows].sum(axis=(0, 1)), expected):
-            raise SystemExit("the counts of the two differ: the benchmark is void")
-        kept.append(confusions)
-    whole = np.concatenate(kept).sum(axis=1)
-    lengths = [len(rows) for rows in np.array_split(whole, 5)]
-    block_draws(whole[:10], [10])  # compiled before it is timed
-    with clocks["10,000 block-bootstrap draws of 2"].turn(1):
-        mean_iou(block_draws(np.stack([whole, whole]), lengths))
+                found.append(opened.count(tokens, truth_of, threads).confusions)
+            with clocks[LIMIT].turn(len(tokens)):
+                opened.moving(data, tokens)
+        with clocks[OCC3D].turn(LOOPED):
+            slow = occ3d(opened.archive, data, tokens[:LOOPED])
+        with clocks[PLAIN].turn(LOOPED):
+            plain = opened.plain(opened.archive, tokens[:LOOPED])
+        totals = [confusions[:LOOPED].sum(axis=(0, 1)) for confusions in found] + [plain]
+        if not all(np.array_equal(total, slow) for total in totals):
+            raise SystemExit("the counts differ: the benchmark is void")
+        kept.append(found[0])
+    return np.concatenate(kept)
+
+
+def measure(data: Material, clocks: dict[str, Clock]) -> float:
+    """Fill the clocks; seconds that opening the zip takes."""
+    looped = [str(part[k]) for part in np.array_split(np.array(data.tokens), TURNS) for k in range(LOOPED)]
+    with (
+        TruthPack(data.pack_path) as pack,
+        open_submission(data.zip_path, data.tokens) as submission,
+        zipfile.ZipFile(data.zip_path) as archive,
+    ):
+        opened = Opened(data, submission, archive, pack, Plain(data, looped), ByteMoving())
+        opened.count(data.tokens[:64], pack.planes_of, 2)  # compiled, and memory at hand, before anything is timed
+        opened.moving(data, data.tokens[:64])
+        started_s = time.process_time()
+        with open_submission(data.zip_path, data.tokens):
+            open_s = time.process_time() - started_s
+        confusions = take_turns(opened, clocks)
+    lengths = [len(rows) for rows in np.array_split(confusions, 5)]
+    ratio_draws(confusions[:10], [10])
+    with clocks[DRAWS].turn(1):
+        ratio_draws(confusions, lengths)
+    return open_s
+
+
+def peak_bytes(data: Material) -> int:
+    """The most memory that a process held which did nothing but score."""
+    command = [sys.executable, "-m", "benchmarks.score_memory", str(data.zip_path), str(data.pack_path)]
+    return int(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout)
 
 
 def table_of(clocks: dict[str, Clock]) -> Table:
     table = Table(title="Scoring (processor time, median of turns)")
-    for column in ("what", "frames", "ms/frame", "wall ms/frame", "plain loop / this"):
+    for column in ("what", "frames", "ms/frame", "wall ms/frame", "this / ours"):
         table.add_column(column, justify="left" if column == "what" else "right")
-    loop_ms = clocks["np.load + np.bincount"].median_ms
     for name, clock in clocks.items():
-        ratio = f"{loop_ms / clock.median_ms:.1f}" if clock.frames > 1 else ""
+        ratio = f"{clock.median_ms / clocks[OURS].median_ms:.2f}" if clock.frames > 1 else ""
         wall_ms = 1e3 * clock.wall_s / clock.frames
         table.add_row(name, str(clock.frames), f"{clock.median_ms:.3f}", f"{wall_ms:.3f}", ratio)
+    return table
+
+
+def verdicts(clocks: dict[str, Clock], peak: int) -> Table:
+    table = Table(title="Expected")
+    for column in ("what", "expected", "truth in memory", "", "from the pack", ""):
+        table.add_column(column)
+    for name, bound, limit in EXPECTED:
+        row = [name, f"{bound} {limit:g} x"]
+        for ours in (OURS, PACKED):
+            quick, other = clocks[ours].median_ms, clocks[name].median_ms
+            found = quick / other if name == LIMIT else other / quick
+            is_met = found <= limit if name == LIMIT else found >= limit
+            row += [f"{found:.2f} x", "met" if is_met else "NOT met"]
+        table.add_row(*row)
+    row = ["peak memory", f"at most {MOST_MEMORY_BYTES / 1e6:.0f} MB", "", "", f"{peak / 1e6:.0f} MB"]
+    table.add_row(*row, "met" if peak <= MOST_MEMORY_BYTES else "NOT met")
     return table
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=int, default=7000)
-    frame_count = max(parser.parse_args().frames, TURNS)
-    names = ("np.load + np.bincount", "ours, 1 thread", "ours, 2 threads", "10,000 block-bootstrap draws of 2")
-    clocks = {name: Clock() for name in names}
+    frame_count = max(parser.parse_args().frames, TURNS * LOOPED)
+    clocks = {name: Clock() for name in NAMES}
     with TemporaryDirectory() as folder:
-        data = material(Path(folder) / "submission.zip", frame_count)
-        with open_submission(data.path, data.tokens) as submission, zipfile.ZipFile(data.path) as archive:
-            count(submission, Manifest({"s": data.tokens[:1]}), data.planes_of)  # kernels compiled before timing
-            start_s = time.process_time()
-            open_s = 0.0
-            with open_submission(data.path, data.tokens):
-                open_s = time.process_time() - start_s
-            compare(submission, archive, data, clocks)
-        size_mb = data.path.stat().st_size / 1e6
+        data = material(Path(folder), frame_count)
+        open_s = measure(data, clocks)
+        peak = peak_bytes(data)
+        sizes = [path.stat().st_size / 1e6 for path in (data.zip_path, data.pack_path)]
     console = Console()
     console.print(table_of(clocks))
-    console.print(f"{frame_count} frames, zip of {size_mb:.0f} MB; its directory is checked in {1e3 * open_s:.0f} ms")
+    console.print(verdicts(clocks, peak))
+    facts = f"{frame_count} frames, zip of {sizes[0]:.0f} MB, pack of {sizes[1]:.0f} MB"
+    console.print(f"{facts}; the zip's directory is checked in {1e3 * open_s:.0f} ms")
+    console.print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}: wall means little where the load is above 1")
 
 
 if __name__ == "__main__":

@@ -1,9 +1,10 @@
 """A whole ground truth in one file: its bit planes frame by frame, so that any part of it is read alone.
 
 **Conventions.** Magic, the packed planes of each frame in the order of the manifest, an index (an npz of `tokens`,
-`offsets`, `counts`, `crc32`), then where the index starts and the magic again; little-endian. The planes of a frame
-are those of `stone.bitplanes.truth_planes`, packed by LZ4 as one block. The same ground truth makes the same bytes. A
-pack is ours, never a stranger's; its checks are against decay.
+`offsets`, `counts`, `crc32`), then where the index starts and the magic again; little-endian. A frame is the `changes`
+and `columns` of `stone.plane_runs`: on real labels unpacked in half the time of LZ4 and a quarter of that of zstd, for
+1.6 and 3 times the bytes. The same ground truth makes the same bytes. A pack is ours, never a stranger's; its checks
+are against decay.
 """
 
 import os
@@ -16,7 +17,6 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, Self
 
-import cramjam
 import deflate
 import numpy as np
 from numpy.typing import NDArray
@@ -27,12 +27,12 @@ from services.eval.ground_truth import truth_hash, whole_hash
 from services.eval.manifest import Manifest
 from services.runtime.atomic import atomic_file
 from services.runtime.npz import npz_bytes
-from stone.bitplanes import RINGS, WORDS, TruthPlanes
+from stone.bitplanes import RINGS, TruthPlanes
 from stone.errors import StoneError
+from stone.plane_runs import CHANGES, PlaneRuns, planes_of, runs_of
 
 MAGIC = b"STONEGT1"
 TRAILER = struct.Struct("<Q8s")
-PLANES_SHAPE = (3, WORDS)
 BATCH = 32  # frames in memory at a time
 
 
@@ -120,9 +120,10 @@ class TruthPack:
         packed = os.pread(self._descriptor, stop - start, start)
         if deflate.crc32(packed) != self._crc32[index]:
             raise TruthPackError(self._path, f"frame {index} fails its checksum")
-        planes = np.empty(PLANES_SHAPE, np.uint64)
-        cramjam.lz4.decompress_block_into(packed, planes.data.cast("B"))
-        return TruthPlanes(planes, self._counts[index])
+        runs = PlaneRuns(
+            np.frombuffer(packed, np.uint64, CHANGES), np.frombuffer(packed, np.uint32, offset=8 * CHANGES)
+        )
+        return TruthPlanes(planes_of(runs), self._counts[index])
 
     def planes_of(self, token: str) -> TruthPlanes:
         """The ground truth of this frame, which must be in `tokens`."""
@@ -169,5 +170,5 @@ class _Index:
 
 
 def _packed(truth: TruthPlanes) -> _Packed:
-    payload = bytes(cramjam.lz4.compress_block(truth.planes.data.cast("B"), store_size=False))
-    return _Packed(payload, truth.counts, truth_hash(truth))
+    runs = runs_of(truth.planes)
+    return _Packed(runs.changes.tobytes() + runs.columns.tobytes(), truth.counts, truth_hash(truth))
