@@ -1,60 +1,23 @@
 """Benchmarks over the wire: made by administrators who say why, read by everybody, changed by who has read them."""
 
-import io
-import json
-import zipfile
-from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
 from sqlalchemy import select, update
 
-from services.eval.manifest import read_manifest
-from services.runtime.benchmarks.golden import golden_names
-from services.runtime.orm import AuditEntry, GroundTruth, Job, Phase
-from services.runtime.orm.base import now_ns
+from services.runtime.orm import AuditEntry, Job
 from services.runtime.platform import Platform
-from stone.metric import METRIC_VERSION, METRICS
+from tests.api.benchmark_calls import ADMIN, PAPER, V1, WHY, change, made, make, problem
 from tests.api.made import NOBODY
 from tests.api.serving import Person
-from tests.benchmark_world import benchmark_world
 from tests.services.runtime.benchmarks import laid
-
-V1 = "/api/v1"
-ADMIN = f"{V1}/admin"
-WHY = {"reason": "a season begins"}
-PAPER = {"method": "a method", "modality": "C+L", "source": "somebody, a year, a table", "miou": 0.25}
 
 
 @pytest.fixture
 def version(platform: Platform, administrator: Person) -> str:
     """The name of a version with a sequence in val and in test."""
     return laid.bare_version(platform, administrator).name
-
-
-def make(api: httpx.Client, caller: Person, version: str, **said: Any) -> httpx.Response:
-    body = {"name": "stone", "title": "STONE", "description": "Where can it go?\nIn 3D.", "dataset": version, **WHY}
-    return api.post(f"{ADMIN}/benchmarks", json=body | said, headers=caller.headers)
-
-
-def made(api: httpx.Client, caller: Person, version: str, **said: Any) -> dict[str, Any]:
-    """The phases of a new benchmark, by name."""
-    answer = make(api, caller, version, **said)
-    assert answer.status_code == 201, answer.text
-    return {phase["name"]: phase for phase in answer.json()["phases"]}
-
-
-def change(
-    api: httpx.Client, caller: Person, phase: Mapping[str, Any], match: str = "*", **said: Any
-) -> httpx.Response:
-    headers = caller.headers | ({"If-Match": match} if match else {})
-    return api.patch(f"{ADMIN}/phases/{phase['id']}", json=WHY | said, headers=headers)
-
-
-def problem(answer: httpx.Response) -> tuple[int, str]:
-    return answer.status_code, answer.json()["code"]
 
 
 def test_a_benchmark_of_a_version_has_an_open_val_and_a_hidden_test(
@@ -198,14 +161,6 @@ def test_a_ground_truth_is_asked_for_once_at_a_time_and_fixes_what_is_evaluated(
     assert change(api, administrator, phase, mask="lidar").status_code == 200
 
 
-def test_without_a_ground_truth_there_is_no_manifest(
-    api: httpx.Client, administrator: Person, participant: Person, version: str
-) -> None:
-    made(api, administrator, version)
-    answer = api.get(f"{V1}/benchmarks/stone/phases/test/manifest", headers=participant.headers)
-    assert problem(answer) == (409, "no_ground_truth")
-
-
 def test_reported_rows_are_put_as_a_whole_and_read_as_they_are_put(
     api: httpx.Client, administrator: Person, version: str
 ) -> None:
@@ -235,68 +190,3 @@ def test_a_row_that_cannot_be_a_result_is_refused(api: httpx.Client, administrat
         answer = api.put(path, json={"rows": [PAPER, PAPER | row], **WHY}, headers=administrator.headers)
         assert problem(answer) == (422, code), row
     assert api.get(path, headers=administrator.headers).json() == []
-
-
-def test_the_metric_is_told_as_text_and_with_golden_vectors(
-    api: httpx.Client, administrator: Person, participant: Person, version: str
-) -> None:
-    made(api, administrator, version)
-    path = f"{V1}/benchmarks/stone/phases/val/metrics"
-    for name, metric in METRICS.items():
-        told = api.get(f"{path}/{name}", headers=participant.headers)
-        expected = {"version": name, "title": metric.title, "definition": metric.definition, "is_active": False}
-        assert told.json() == expected
-        text = api.get(f"{path}/{name}?format=markdown", headers=participant.headers)
-        assert (text.text, text.headers["content-type"]) == (metric.definition, "text/markdown; charset=utf-8")
-        vectors = api.get(f"{path}/{name}/vectors", headers=participant.headers)
-        with zipfile.ZipFile(io.BytesIO(vectors.content)) as archive:
-            assert archive.testzip() is None
-            assert tuple(archive.namelist()) == golden_names()
-            assert json.loads(archive.read("expected.json"))["golden"] == 1
-    for unknown in (f"{path}/stone-iou-0", f"{path}/stone-iou-0/vectors"):
-        assert problem(api.get(unknown, headers=participant.headers)) == (404, "not_found")
-
-
-def test_a_phase_that_is_scored_tells_by_what_and_which_frames(
-    api: httpx.Client, platform: Platform, tmp_path: Path
-) -> None:
-    world = benchmark_world(platform, frames=1)
-    headers = world.captains[0].headers
-    for part in ("val", "test"):
-        path = f"{V1}/benchmarks/{world.benchmark}/phases/{part}"
-        phase = api.get(path, headers=headers).json()
-        truth = laid.rows(platform, select(GroundTruth).where(GroundTruth.phase_id == phase["id"]))[0]
-        active = phase["active"]
-        assert active["signature"] == {"metric": METRIC_VERSION, "ground_truth": truth.sha256, "mask": "all"}
-        assert (active["ground_truth"], active["frames"], active["dataset"]) == (
-            1,
-            len(world.truth(part)),
-            world.dataset,
-        )
-        manifest = api.get(f"{path}/manifest", headers=headers)
-        assert manifest.headers["etag"] == f'"{active["manifest_sha256"]}"'
-        unchanged = api.get(f"{path}/manifest", headers=headers | {"If-None-Match": manifest.headers["etag"]})
-        assert unchanged.status_code == 304
-        (tmp_path / "manifest.json").write_bytes(manifest.content)
-        assert set(read_manifest(tmp_path / "manifest.json").tokens) == set(world.truth(part))
-        assert api.get(f"{path}/metrics/{METRIC_VERSION}", headers=headers).json()["is_active"]
-
-
-def test_who_may_see_what_is_told_in_words_that_follow_the_phase(
-    api: httpx.Client, platform: Platform, administrator: Person, participant: Person, version: str
-) -> None:
-    phases = made(api, administrator, version)
-
-    def told(name: str) -> list[str]:
-        shown = api.get(f"{V1}/phases/{phases[name]['id']}", headers=participant.headers).json()
-        visibility: list[str] = shown["visibility"]
-        return visibility
-
-    assert told("val")[0].startswith("The ground truth is open: everybody: totals rounded")
-    assert told("test")[0].startswith("The ground truth is hidden and the phase has not ended")
-    with platform.database.transaction() as session:
-        session.execute(update(Phase).values(closes_ns=now_ns() - 1, named_from_ns=now_ns() + 10**12))
-    assert [sentence.partition(":")[0] for sentence in told("test")[:1]] == [
-        "The ground truth is hidden and the phase has ended"
-    ]
-    assert told("test")[-1].startswith("Until named_from_at")
