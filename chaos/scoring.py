@@ -190,7 +190,7 @@ def main() -> int:
 
 
 def _await_work(arena: Arena, submission_id: str, *, is_reading: bool) -> tuple[str, int] | None:
-    """The kind and the process of a job at work, or, of one that reads the file, its child; None once the run is over."""
+    """The kind and the process of a job at work, or the child by which it reads the file; None once the run is over."""
     while arena.state(submission_id) not in TERMINAL:
         found = arena.at_work(submission_id)
         if found is not None and not is_reading:

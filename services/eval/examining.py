@@ -12,6 +12,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +21,11 @@ from services.eval.confined import Limits, Watch, confined_telling
 from services.eval.confined_child import Progress
 from services.eval.counting import Counted, check_range, count_range
 from services.eval.errors import ScoringCrashedError, UnreadableInputError
+from services.eval.manifest import Manifest
 from services.eval.problems import validation_of
 from services.eval.scoring_errors import TruthDamagedError
 from services.eval.submission_zip import Submission, open_submission
-from services.eval.truth_pack import TruthPack, TruthPackError
+from services.eval.truth_pack import TruthPack, TruthPackError, write_truth_pack
 from services.eval.validation import Validation, verdict
 from stone.bitplanes import RINGS, frame_counts, truth_planes
 from stone.grid import GRID_SHAPE
@@ -117,9 +119,17 @@ def answer_bytes(frames: int) -> int:
 
 @cache
 def _warm() -> None:
-    """Load the kernels, or compile them, before the first child: none of them could keep what it does (0.4 s)."""
-    nothing = np.zeros(GRID_SHAPE, np.uint8)
-    frame_counts(nothing, truth_planes(nothing, nothing == 0))
+    """Load the kernels, or compile them, before the first child: none of them could keep what it does (0.4 s).
+
+    By the way that a frame takes, so that none is forgotten.
+    """
+    nothing, token = np.zeros(GRID_SHAPE, np.uint8), "0" * 32
+    truth = truth_planes(nothing, nothing == 0)
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "truth.pack"
+        write_truth_pack(path, Manifest({"": (token,)}), lambda _: truth, threads=1)
+        with TruthPack(path) as pack:
+            frame_counts(nothing, pack.planes_of(token))
 
 
 def _looked_at(examination: Examination, progress: Progress) -> bytes:

@@ -1,0 +1,117 @@
+"""A worker killed with −9 in the middle of a part: what it was at ends with it, and is done once by another."""
+
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from services.eval import examining
+from services.eval.stages import handlers
+from services.runtime.benchmarks import scoring_jobs
+from services.runtime.jobs.running import run_next
+from services.runtime.jobs.sweeping import Sweeper
+from services.runtime.orm import JobAttempt
+from services.runtime.platform import Platform, open_platform
+from tests.benchmark_world import World, run_eval
+from tests.services.eval.sending import (
+    guess,
+    jobs_of,
+    parts_left,
+    row_of,
+    scores_of,
+    send,
+    standing_world,
+    taken,
+    zipped,
+)
+
+PATIENCE_S = 60.0
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory: pytest.TempPathFactory, _sqlite_template: Path) -> Iterator[World]:
+    with standing_world(tmp_path_factory.mktemp("killed"), _sqlite_template) as made:
+        yield made
+
+
+@contextmanager
+def working(platform: Platform) -> Iterator[int]:
+    """The pid of a worker process that runs one job; it is gone afterwards."""
+    pid = os.fork()
+    if pid == 0:
+        try:
+            own = open_platform(platform.settings)
+            run_next(own, "eval", handlers(own))
+        finally:
+            os._exit(0)
+    try:
+        yield pid
+    finally:
+        os.kill(pid, signal.SIGKILL)
+        os.waitpid(pid, 0)
+
+
+def until(claim: Callable[[], bool], what: str) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not claim():
+        assert time.monotonic() < deadline, f"never came: {what}"
+        time.sleep(0.01)
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        return "\nState:\tZ" not in Path(f"/proc/{pid}/status").read_text()
+    except FileNotFoundError:
+        return False
+
+
+def give_back_silent(platform: Platform) -> None:
+    """What the sweeper does when a lease has gone by without a heartbeat."""
+    clock = iter((0.0, platform.settings.jobs.lease_s + 1.0))
+    sweeper = Sweeper(platform, lambda queue: 0, lambda queue, times: None, lambda: next(clock))
+    assert sweeper.recover() == 0
+    assert sweeper.recover() == 1
+
+
+@pytest.mark.parametrize("kind", ["eval.open", "eval.part"])
+def test_a_worker_killed_in_the_middle_is_replaced_and_scores_once(
+    world: World, kind: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", 3 if kind == "eval.part" else 500)
+    submission_id = send(world, zipped(world, guess(world, turn=len(kind))))
+    if kind == "eval.part":
+        run_next(world.platform, "eval", handlers(world.platform))
+    reading = tmp_path / "reader"
+    os.mkfifo(reading)  # the confined child may write no file, but a pipe
+    with monkeypatch.context() as slowly:
+        slowly.setattr(examining, "count_range", lambda *given, **named: _say_and_sleep(reading))
+        with working(world.platform) as worker, reading.open() as said:
+            reader = int(said.readline())
+            os.kill(worker, signal.SIGKILL)
+            until(lambda: not is_alive(reader), "the child ends with its worker")
+    assert [job.state for job in jobs_of(world.platform, submission_id)].count("running") == 1
+    assert (scores_of(world.platform, submission_id), parts_left(world.platform)) == ([], 0)
+    give_back_silent(world.platform)
+    run_eval(world.platform)
+    assert row_of(world.platform, submission_id).state == "scored"
+    assert sorted(job.attempt for job in jobs_of(world.platform, submission_id))[-1] == 2
+    assert outcomes_of(world, submission_id, kind) == ["lost", "succeeded"]
+    assert len(scores_of(world.platform, submission_id)) == 1
+    assert (taken(world.platform, submission_id), parts_left(world.platform)) == (1, 0)
+
+
+def outcomes_of(world: World, submission_id: str, kind: str) -> list[str]:
+    """Of the attempts at the first job of the kind."""
+    job = next(job for job in jobs_of(world.platform, submission_id) if job.kind == kind)
+    with world.platform.database.reading() as session:
+        return [session.get_one(JobAttempt, (job.id, number)).outcome for number in range(1, job.attempt + 1)]
+
+
+def _say_and_sleep(told: Path) -> None:
+    with told.open("w") as file:
+        file.write(f"{os.getpid()}\n")
+    time.sleep(PATIENCE_S)
