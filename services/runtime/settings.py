@@ -135,7 +135,7 @@ class Settings(BaseSettings):
 
     @property
     def uploads_folder(self) -> Path:
-        """Files under way; shared between the API and the ingest workers."""
+        """Files under way; shared between the API and the workers that take them in (ingest, eval)."""
         return self.root / "uploads"
 
     @property
