@@ -113,7 +113,17 @@ def test_every_cell_is_as_the_table_says(
 def test_what_is_ones_own_is_in_ones_lists(scene: Scene) -> None:
     """Without this, an empty list would pass for one that hides what it should."""
     cast, world = scene.fresh()
-    for path in ("sequences", "calibrations", "uploads", "jobs", "tokens", "teams", "admin/jobs", "users"):
+    for path in (
+        "sequences",
+        "calibrations",
+        "uploads",
+        "jobs",
+        "tokens",
+        "teams",
+        "submissions",
+        "admin/jobs",
+        "users",
+    ):
         caller = "administrator" if path in ("admin/jobs", "users") else "owner"
         answer = scene.matrix.client.get(f"/api/v1/{path}?limit=200", headers=cast.headers[caller])
         assert any(one in answer.text for one in world.ids), path

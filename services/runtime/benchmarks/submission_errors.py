@@ -9,6 +9,8 @@ from stone.errors import StoneError
 class ExhaustedError(StoneError):
     """What a team may have done is done for now; `next_ns` is when the next may begin, null where none ever may."""
 
+    code = "exhausted"
+
     def __init__(self, sentence: str, next_ns: int | None) -> None:
         self.next_ns = next_ns
         when = f"the next one is free at {_moment(next_ns)}" if next_ns else "an administrator may grant more"
