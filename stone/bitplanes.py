@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from stone.errors import ShapeError, StoneError
 from stone.grid import GRID_SHAPE, Grid
-from stone.lanes import popcount
+from stone.lanes import popcount, prefetch
 from stone.metric import CLASSES
 from stone.packing import drivable32, pack1, pack8
 from stone.voxels import VOXEL_M
@@ -33,6 +33,7 @@ COLUMNS = VOXELS // 32
 WORDS = VOXELS // 64
 
 Planes = NDArray[np.uint64]
+Columns = NDArray[np.uint32]
 Confusion = NDArray[np.int32]
 Drivable = NDArray[np.int32]
 
@@ -96,16 +97,20 @@ _RUNS, _CHUNKS = _schedule()
 
 
 @njit(cache=True, nogil=True)
-def _pack(
-    voxels: Grid, runs: NDArray[np.int64], origin: int, low: NDArray[np.uint32], high: NDArray[np.uint32]
-) -> np.uint64:
-    """Both planes of the columns in `runs`, sorted, from target column `origin` on; not 0 if a voxel is above 3."""
+def _pack(voxels: Grid, runs: NDArray[np.int64], low: Columns, high: Columns, wanted: Columns) -> np.uint64:
+    """Both planes of the columns in `runs`, sorted, from 0 on; not 0 if a voxel is above 3.
+
+    Packing leaves the memory idle, so that the same columns of `wanted` (planes, columns) are brought near meanwhile.
+    """
+    origin = runs[0, 1]
     beyond = np.uint64(0)
     for r in range(runs.shape[0]):
         source, target, columns = runs[r, 0], runs[r, 1] - origin, runs[r, 2]
         many = columns - columns % 8
         for i in range(0, many, 8):
             beyond |= pack8(voxels, 32 * (source + i), low, high, target + i)
+            for plane in range(wanted.shape[0]):
+                prefetch(wanted, plane * wanted.shape[1] + target + origin + i)
         for i in range(many, columns):
             beyond |= pack1(voxels, 32 * (source + i), low, high, target + i)
     return beyond
@@ -203,7 +208,7 @@ def _count(voxels: Grid, truth: Planes, counts: NDArray[np.int64], schedule: Any
     columns = truth.view(np.uint32)
     for c in range(chunks.shape[0]):
         ring, start, stop, first, last = chunks[c]
-        beyond |= _pack(voxels, runs[first:last], start, low, high)
+        beyond |= _pack(voxels, runs[first:last], low, high, columns)
         a, b, words = start // 2, stop // 2, (stop - start) // 2
         packed_low, packed_high = low.view(np.uint64)[:words], high.view(np.uint64)[:words]
         _joint(truth[0, a:b], truth[1, a:b], truth[2, a:b], packed_low, packed_high, joint[ring])
@@ -252,7 +257,7 @@ def frame_counts(prediction: Grid, truth: TruthPlanes) -> FrameCounts:
 
 def _sorted_planes(grid: Grid) -> tuple[Planes, Planes]:
     planes = np.empty((2, COLUMNS), np.uint32)
-    if _pack(_voxels(grid), _RUNS, 0, planes[0], planes[1]):
+    if _pack(_voxels(grid), _RUNS, planes[0], planes[1], planes[:0]):
         raise LabelRangeError(int(grid.max()))
     low, high = planes.view(np.uint64)
     return low, high
