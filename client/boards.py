@@ -9,7 +9,7 @@ from rich.table import Table
 from client.api import Api
 from client.benchmarks import phase_path
 from client.scores import RATIOS, interval, percent
-from client.tables import DASH, plain_table, safe_text
+from client.tables import plain_table, safe_text
 
 
 @dataclass(frozen=True)
@@ -41,19 +41,27 @@ def board_file(api: Api, asked: BoardAsked, form: str) -> bytes:
 
 
 def board_table(record: Mapping[str, Any]) -> Table:
-    """A line for each row; a rank that a paired test cannot part from others shows its range."""
+    """Two lines for each row: who and which submission, what it scored and the interval of its mIoU.
+
+    A rank that a paired test cannot part from others shows its range.
+    """
     title = f"{record['benchmark']} / {record['phase']}: track {record['track']}, %"
-    table = plain_table(title, "", "method", "team", "track", *RATIOS.values(), "95 % of mIoU", "submission")
-    for column in table.columns[1:4]:
-        column.justify = "left"
+    table = plain_table(title, "", "method · team", "track", *RATIOS.values())
+    for column in table.columns[1:3]:
+        column.justify, column.overflow = "left", "fold"
     for row in record["rows"]:
-        team = "(anonymous)" if row["team"] is None and row["submission_id"] else row["team"] or DASH
-        yours = " *" if row["is_yours"] else ""
-        said = (safe_text(row["method"]), f"{safe_text(team)}{yours}", row["modality"])
-        ratios = (percent(row["ratios"][key]) for key in RATIOS)
         told = (row["intervals"] or {}).get("miou")
-        table.add_row(_rank(row), *said, *ratios, interval(told), row["submission_id"] or DASH)
+        miou, *others = (percent(row["ratios"][key]) for key in RATIOS)
+        whose = f"{safe_text(row['method'])}{_team(row)}\n{safe_text(row['submission_id'] or row['source'] or '')}"
+        table.add_row(_rank(row), whose, row["modality"], f"{miou}\n{interval(told) if told else ''}", *others)
     return table
+
+
+def _team(row: Mapping[str, Any]) -> str:
+    """An asterisk marks one's own; nobody's name is nobody's."""
+    if row["submission_id"] is None:
+        return ""
+    return f" · {'(anonymous)' if row['team'] is None else safe_text(row['team'])}{' *' if row['is_yours'] else ''}"
 
 
 def _rank(row: Mapping[str, Any]) -> str:

@@ -3,8 +3,9 @@
 **Conventions.** Ratios are shown in percent; null is a dash: undefined, or not shown to the caller yet.
 """
 
+import re
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 from rich.table import Table
 
@@ -12,13 +13,39 @@ from client.api import Api
 from client.benchmarks import phase_path
 from client.remote import Item
 from client.tables import CLASSES, DASH, confusion_table, plain_table, safe_text
+from stone.errors import StoneError
 
+ID, LATEST = re.compile("[0-9a-f]{32}"), re.compile(r"latest(?:~(\d{1,4}))?")
 RATIOS = {"miou": "mIoU", "iou_occ": "IoU occ", "iou_t": "IoU T", "iou_p": "IoU P", "iou_n": "IoU N"}
 EXTRAS = {
     "n_predicted_t_ratio": "of N predicted T (dangerous)",
     "t_predicted_n_ratio": "of T predicted N (over-cautious)",
     "bev_drivable_iou": "IoU of drivable columns from above",
 }
+
+
+class NoSubmissionError(StoneError):
+    """The caller's teams have no such submission."""
+
+    code: ClassVar[str] = "no_submission"
+
+    def __init__(self, named: str, count: int) -> None:
+        super().__init__(
+            f"{named[:80]!r} is no submission: expected is an id, or latest, latest~1, … of the {count} of your teams "
+            "(`stone results` lists them)"
+        )
+
+
+def submission_id(api: Api, named: str) -> str:
+    """The id, or that of the newest but so many of the caller's that are scored. Raises `NoSubmissionError`."""
+    if ID.fullmatch(named):
+        return named
+    found = LATEST.fullmatch(named)
+    own = [one["id"] for one in read_submissions(api) if one["kind"] != "validation"] if found else []
+    before = int(found[1] or 0) if found else 0
+    if before >= len(own):
+        raise NoSubmissionError(named, len(own))
+    return str(own[before])
 
 
 def read_results(api: Api, submission_id: str) -> dict[str, Any]:

@@ -7,6 +7,7 @@ import typer
 from client.inputs import ServerOption
 from client.streams import JsonOption, echo_json
 from client.tables import show
+from stone.errors import one_line
 
 BenchmarkArgument = Annotated[str | None, typer.Argument(metavar="[BENCHMARK]", help="A benchmark's name; else all.")]
 
@@ -25,4 +26,5 @@ def benchmarks(benchmark: BenchmarkArgument = None, server: ServerOption = None,
     for one in found:
         show(phases_table(one))
         for phase in one["phases"] if benchmark is not None else ():
-            typer.echo("\n".join(f"{phase['name']}: {line}" for line in phase["visibility"]))
+            for line in phase["visibility"]:
+                typer.echo(one_line(f"{phase['name']}: {line}"))

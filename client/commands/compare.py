@@ -8,7 +8,7 @@ from client.inputs import ServerOption
 from client.streams import JsonOption, echo_json, echo_notice
 from client.tables import show
 
-FirstArgument = Annotated[str, typer.Argument(metavar="A", help="A submission's id.")]
+FirstArgument = Annotated[str, typer.Argument(metavar="A", help="Its id, or latest, latest~1, …")]
 SecondArgument = Annotated[str, typer.Argument(metavar="B", help="Another submission's to the same phase.")]
 
 
@@ -16,10 +16,10 @@ def compare(a: FirstArgument, b: SecondArgument, server: ServerOption = None, as
     """Show how two submissions differ and whether that is more than chance, by paired resampling."""
     from client.connecting import connected
     from client.scores import compare as compare_both
-    from client.scores import comparison_table
+    from client.scores import comparison_table, submission_id
 
     with connected(server) as api:
-        record = compare_both(api, a, b)
+        record = compare_both(api, submission_id(api, a), submission_id(api, b))
     if as_json:
         echo_json(record)
         return

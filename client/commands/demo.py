@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from client.boards import board_table
 from client.inputs import DataOption, WorkersOption
 from client.progress import reported
 from client.streams import JsonOption, echo_findings, echo_json, echo_notice
@@ -29,7 +30,7 @@ def demo(
     keep_serving: KeepOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Simulate a robot, have a platform on this machine label its run, predict from single sweeps, score that."""
+    """Simulate a robot, have a platform on this machine label its run, predict from single sweeps, submit that."""
     from client.demo import MARK, DemoPlan, run_demo
     from client.serving import demo_settings, hangups_interrupt, served, wait_for_ctrl_c
     from services.runtime.atomic import atomic_directory
@@ -53,6 +54,10 @@ def _show(record: Mapping[str, Any], output: Path, data: Path) -> None:
     labels = record["labels"]
     show(class_table(f"{labels['frames']} frames labelled: occupied voxels", labels["class_share_of_occupied"]))
     show(score_table(record["baseline"], "Prediction from single sweeps against these labels"))
+    if record["benchmark"]:
+        show(board_table(record["benchmark"]["board"]))
+    else:
+        echo_notice("no board: this platform has splits of its own, or the run is shorter than a split's 20 s")
     typer.echo(f"Everything: {output}\nPicture: {output / 'labels' / 'bev.png'}")
     exported = record["export"]
     typer.echo(f"{exported['format']}: {output / exported['format']}.tar ({exported['files']:,} files)")

@@ -1,13 +1,18 @@
 """`stone results`: what a submission scored, or how far it is."""
 
 from enum import StrEnum
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from client.inputs import ServerOption
 from client.streams import JsonOption, echo_json
 from client.tables import show
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from client.api import Api
 
 
 class By(StrEnum):
@@ -20,7 +25,7 @@ class By(StrEnum):
 
 
 IdArgument = Annotated[
-    str | None, typer.Argument(metavar="[SUBMISSION]", help="A submission's id; else all of your teams.")
+    str | None, typer.Argument(metavar="[SUBMISSION]", help="Its id, latest, latest~1, …; else all of your teams.")
 ]
 ByOption = Annotated[By | None, typer.Option("--by", help="In parts; of a hidden phase once it has ended.")]
 
@@ -30,29 +35,32 @@ def results(
 ) -> None:
     """Show what a submission scored, whole or in parts, or list the submissions of your teams."""
     from client.connecting import connected
-    from client.scores import (
-        breakdown_table,
-        read_breakdown,
-        read_results,
-        read_submissions,
-        results_tables,
-        submissions_table,
-    )
+    from client.scores import submission_id
 
     if submission is None and by is not None:
         raise typer.BadParameter("which submission?", param_hint="SUBMISSION")
     with connected(server) as api:
-        if submission is None:
-            record: dict[str, Any] = {"submissions": read_submissions(api)}
-            tables = [submissions_table(record["submissions"])]
-        elif by is None:
-            record = read_results(api, submission)
-            tables = results_tables(record)
-        else:
-            record = read_breakdown(api, submission, by.value)
-            tables = [breakdown_table(record)]
+        named = None if submission is None else submission_id(api, submission)
+        record, tables = _listed(api) if named is None else _found(api, named, by)
     if as_json:
         echo_json(record)
         return
     for table in tables:
         show(table)
+
+
+def _listed(api: "Api") -> tuple[dict[str, Any], list["Table"]]:
+    from client.scores import read_submissions, submissions_table
+
+    found = read_submissions(api)
+    return {"submissions": found}, [submissions_table(found)]
+
+
+def _found(api: "Api", submission_id: str, by: By | None) -> tuple[dict[str, Any], list["Table"]]:
+    from client.scores import breakdown_table, read_breakdown, read_results, results_tables
+
+    if by is None:
+        record = read_results(api, submission_id)
+        return record, results_tables(record)
+    record = read_breakdown(api, submission_id, by.value)
+    return record, [breakdown_table(record)]

@@ -8,6 +8,7 @@ import typer
 from client.inputs import ServerOption
 from client.streams import JsonOption, echo_json
 from client.tables import plain_table, safe_text, show
+from stone.errors import one_line
 
 teams = typer.Typer(help="Found a team, invite into it, join one, list yours.", no_args_is_help=True)
 
@@ -74,4 +75,4 @@ def _say(team: Mapping[str, Any], act: str, as_json: bool) -> None:
     if as_json:
         echo_json(record)
     else:
-        typer.echo(f"{act}: {team['name']} ({', '.join(team['members'])})")
+        typer.echo(one_line(f"{act}: {team['name']} ({', '.join(team['members'])})"))

@@ -7,7 +7,7 @@ import typer
 from client.inputs import ServerOption
 from client.streams import JsonOption, echo_json
 
-IdArgument = Annotated[str, typer.Argument(metavar="SUBMISSION", help="A submission's id.")]
+IdArgument = Annotated[str, typer.Argument(metavar="SUBMISSION", help="Its id, or latest, latest~1, …")]
 ReasonOption = Annotated[str, typer.Option(metavar="TEXT", help="Why; kept in the audit log.")]
 
 
@@ -16,10 +16,11 @@ def withdraw(
 ) -> None:
     """Take a submission off every board, for good; its scoring stays used."""
     from client.connecting import connected
+    from client.scores import submission_id
     from client.submitting import withdraw as take_off
 
     with connected(server) as api:
-        taken = take_off(api, submission, reason)
+        taken = take_off(api, submission_id(api, submission), reason)
     if as_json:
         echo_json(dict(taken))
     else:
