@@ -1,0 +1,20 @@
+"""Rounds with real processes, as `python -m chaos.scoring` plays them."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from chaos import scoring
+
+
+@pytest.mark.slow
+def test_no_kill_costs_a_score_or_a_scoring(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["scoring", "--rounds", "3", "--seed", "3", "--folder", str(tmp_path / "place")])
+    code = scoring.main()
+    said = capsys.readouterr().out
+    assert code == 0, said
+    assert "3 rounds, 3 hit work" in said
+    assert "lost 0, doubled 0, differing 0" in said
