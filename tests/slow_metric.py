@@ -9,10 +9,10 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import lru_cache
 from typing import Any
 
 Ratio = float | None
-FREE = bytes(32)
 
 
 @dataclass(frozen=True)
@@ -38,19 +38,21 @@ def slow_counts(truth: Any, prediction: Any, is_evaluated: Any) -> Counts:
     confusion, bev = [[[0] * 4 for _ in range(4)] for _ in range(3)], [[0] * 3 for _ in range(3)]
     grids = [grid.astype("uint8").tobytes() for grid in (truth, prediction, is_evaluated)]
     for number in range(256 * 256):
-        true, predicted, seen = (grid[32 * number : 32 * number + 32] for grid in grids)
+        pairs, there, claimed = column_counts(*(grid[32 * number : 32 * number + 32] for grid in grids))
         ring = ring_of(*divmod(number, 256))
-        if true == predicted == FREE:
-            confusion[ring][0][0] += seen.count(1)
-            continue
-        pairs = [(row, column) for row, column, counts in zip(true, predicted, seen, strict=True) if counts]
-        for (row, column), voxels in Counter(pairs).items():
+        for (row, column), voxels in pairs.items():
             confusion[ring][row][column] += voxels
-        there, claimed = is_drivable([row for row, _ in pairs]), is_drivable([column for _, column in pairs])
         bev[ring][0] += there and claimed
         bev[ring][1] += there and not claimed
         bev[ring][2] += claimed and not there
     return Counts(confusion, bev)
+
+
+@lru_cache(maxsize=2**17)
+def column_counts(true: bytes, predicted: bytes, seen: bytes) -> tuple[Counter[tuple[int, int]], bool, bool]:
+    """Evaluated pairs (truth, prediction) of a column, and whether it is drivable in either; most columns are alike."""
+    pairs = [(row, column) for row, column, counts in zip(true, predicted, seen, strict=True) if counts]
+    return Counter(pairs), is_drivable([row for row, _ in pairs]), is_drivable([column for _, column in pairs])
 
 
 def added(counts: Sequence[Counts]) -> tuple[list[list[int]], list[int]]:

@@ -16,6 +16,7 @@ from functools import cached_property
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Self
+from zipfile import BadZipFile
 
 import deflate
 import numpy as np
@@ -138,12 +139,14 @@ class TruthPack:
         trailer = os.pread(self._descriptor, TRAILER.size, max(size_bytes - TRAILER.size, 0))
         if len(trailer) < TRAILER.size or trailer[8:] != MAGIC:
             raise TruthPackError(self._path, "it does not end as a pack does")
-        start, _ = TRAILER.unpack(trailer)
-        raw = os.pread(self._descriptor, max(size_bytes - TRAILER.size - start, 0), start)
+        start, stop = TRAILER.unpack(trailer)[0], size_bytes - TRAILER.size
+        if not len(MAGIC) <= start <= stop:
+            raise TruthPackError(self._path, f"its index should start at byte {start} of {stop}")
+        raw = os.pread(self._descriptor, stop - start, start)
         try:
             with np.load(BytesIO(raw), allow_pickle=False) as arrays:
                 return {key: arrays[key] for key in ("tokens", "offsets", "counts", "crc32")}
-        except (ValueError, OSError, KeyError, EOFError) as error:
+        except (ValueError, OSError, KeyError, EOFError, BadZipFile) as error:
             raise TruthPackError(self._path, "its index is no npz") from error
 
 
