@@ -1,0 +1,104 @@
+"""The record of a score: its parts add up, names group, and nothing that no one knows is in it."""
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from services.eval.draws import ratio_draws
+from services.eval.scores import RING_NAMES, SequenceFacts, Tally, record_of
+from stone.confusion import extras, named_ratios
+from stone.metric import METRIC_VERSION, METRICS, OCCUPIED_VERSION, RATIOS, UnknownMetricError
+
+SEQUENCES = (
+    SequenceFacts("hill", 4, "forest", "day"),
+    SequenceFacts("lake", 2, "shore", "day"),
+    SequenceFacts("pass", 3, "forest", None),
+)
+FRAMES = 9
+
+
+def tally(seed: int = 0) -> Tally:
+    random = np.random.default_rng(seed)
+    confusions = random.integers(0, 5000, (FRAMES, 3, 4, 4)).astype(np.int32)
+    return Tally(confusions, random.integers(0, 5000, (FRAMES, 3, 3)).astype(np.int32), SEQUENCES)
+
+
+def record(counts: Tally, metric: str = METRIC_VERSION) -> dict[str, Any]:
+    return record_of(counts, ratio_draws(counts.confusions, counts.frames_of_sequence, metric), metric)
+
+
+@pytest.mark.parametrize("metric", METRICS)
+def test_the_whole_is_the_sum_of_all_counts(metric: str) -> None:
+    counts = tally()
+    total = counts.confusions.sum(axis=(0, 1), dtype=np.int64)
+    said = record(counts, metric)
+    assert said["frames"] == FRAMES
+    assert said["confusion"] == total.tolist()
+    assert said["total"] == named_ratios(total, metric)
+    assert said["within_occupied"] == named_ratios(total, OCCUPIED_VERSION)
+    assert said["extras"] == vars(extras(total, counts.bev.sum(axis=(0, 1))))
+    assert set(said["intervals"]) == {"block", "sequence"}
+
+
+def test_every_breakdown_adds_up_to_what_it_breaks_down() -> None:
+    said = record(tally())
+    assert list(said["by"]) == ["distance", "sequence", "environment", "illumination"]
+    for what in ("sequence", "environment"):
+        parts = said["by"][what].values()
+        assert sum(part["frames"] for part in parts) == FRAMES
+        assert {name: sum(part["support"][name] for part in parts) for name in said["support"]} == said["support"]
+    rings = said["by"]["distance"]
+    assert tuple(rings) == RING_NAMES == ("0-10m", "10-20m", "from-20m")
+    assert [ring["frames"] for ring in rings.values()] == [FRAMES] * 3
+    assert sum(ring["support"]["N"] for ring in rings.values()) == said["support"]["N"]
+
+
+def test_a_condition_is_the_sum_of_its_sequences() -> None:
+    counts = tally()
+    forest = np.concatenate([counts.confusions[:4], counts.confusions[6:]]).sum(axis=(0, 1), dtype=np.int64)
+    part = record(counts)["by"]["environment"]["forest"]
+    assert {name: part[name] for name in RATIOS} == named_ratios(forest)
+    assert part["frames"] == 7
+
+
+def test_what_nobody_said_of_a_sequence_is_no_part() -> None:
+    assert list(record(tally())["by"]["illumination"]) == ["day"]
+    silent = tuple(replace(facts, environment=None, illumination=None) for facts in SEQUENCES)
+    assert list(record(replace(tally(), sequences=silent))["by"]) == ["distance", "sequence"]
+
+
+def test_cells_are_the_confusions_of_each_sequence_and_ring() -> None:
+    counts = tally()
+    cells = record(counts)["cells"]
+    assert list(cells) == ["hill", "lake", "pass"]
+    np.testing.assert_array_equal(cells["lake"], counts.confusions[4:6].sum(axis=0))
+
+
+def test_the_record_is_json_without_nan() -> None:
+    nothing = Tally(np.zeros((FRAMES, 3, 4, 4), np.int32), np.zeros((FRAMES, 3, 3), np.int32), SEQUENCES)
+    for counts in (tally(), nothing):
+        said = record(counts)
+        assert json.loads(json.dumps(said, allow_nan=False)) == said
+    assert set(record(nothing)["total"].values()) == set(record(nothing)["extras"].values()) == {None}
+
+
+def test_counts_beyond_32_bits_are_added_exactly() -> None:
+    many = Tally(
+        np.full((FRAMES, 3, 4, 4), 2**31 - 1, np.int32), np.full((FRAMES, 3, 3), 2**31 - 1, np.int32), SEQUENCES
+    )
+    said = record(many)
+    assert said["confusion"] == [[27 * (2**31 - 1)] * 4] * 4
+    assert said["extras"] == {
+        "n_predicted_t_ratio": 0.25,
+        "t_predicted_n_ratio": 0.25,
+        "bev_drivable_iou": pytest.approx(1 / 3),
+    }
+
+
+def test_an_unknown_metric_has_no_record() -> None:
+    draws = ratio_draws(tally().confusions, tally().frames_of_sequence)
+    with pytest.raises(UnknownMetricError, match="there is no metric 'best'"):
+        record_of(tally(), draws, "best")
