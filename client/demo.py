@@ -1,22 +1,20 @@
-"""The whole way once, as a user goes it: simulate → upload → process → download → export → predict → validate → score.
+"""The whole way once, as a user goes it: simulate → upload → process → download → export → predict → submit → board.
 
 **Conventions.** The way to the labels is through a server's API, as in the field. Everything lands in one folder, which
 appears whole or not at all; `demo.json` marks it as ours, so that the next demo may replace it.
 """
 
 import json
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from client.api import Api
 from client.bags import LocalBag, hashed_bag
+from client.baseline import BaselinePlan, write_baseline
 from client.credentials import Server
+from client.demo_benchmark import enter_benchmark
 from client.downloading import download_labels
 from client.exports import download_archive, make_export
 from client.following import follow
@@ -30,20 +28,19 @@ from client.remote import (
     pin_calibration,
     start_run,
 )
-from services.eval.manifest import Manifest, write_manifest
+from services.eval.ground_truth import find_ground_truth
+from services.eval.manifest import write_manifest
 from services.eval.pipeline import score, validate
-from services.eval.submission import write_submission
 from services.eval.validation import SubmissionRefusedError
-from services.ingest.opening import open_sequence
 from services.runtime.embedded.supervisor import Running
 from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate
-from stone.baseline import predict_from_sweep
-from stone.sequence import Sequence, SweepSource
 
 MARK = "demo.json"
 EXPORTED = "nuscenes"
 SEQUENCE = "demo"
+SUBMISSION = "baseline.zip"
+THREADS = 2
 
 
 @dataclass(frozen=True)
@@ -77,7 +74,8 @@ def run_demo(folder: Path, plan: DemoPlan, progress: Report) -> dict[str, Any]:
     with Api(Server(running.url, running.keys.token)) as api:
         sequence = label_on_server(api, recorded, progress)
         exported = export_on_server(api, sequence, folder, progress)
-    scores = score_baseline(recorded, sequence["name"], progress)
+    scores = score_baseline(folder, progress)
+    benchmark = enter_benchmark(running, sequence, folder / SUBMISSION, progress)
     labels = json.loads((folder / "labels" / "report.json").read_text("utf-8"))
     record = {
         "url": running.url,
@@ -85,6 +83,7 @@ def run_demo(folder: Path, plan: DemoPlan, progress: Report) -> dict[str, Any]:
         "labels": labels,
         "export": exported,
         "baseline": scores,
+        "benchmark": benchmark,
     }
     (folder / MARK).write_text(json.dumps(record, indent=1, allow_nan=False) + "\n")
     return record
@@ -109,16 +108,18 @@ def export_on_server(api: Api, sequence: Item, folder: Path, progress: Report) -
     return {"format": EXPORTED, "files": export["files"], **{key: arrived[key] for key in ("size_bytes", "sha256")}}
 
 
-def score_baseline(recorded: Recorded, name: str, progress: Report) -> dict[str, Any]:
-    """Predict every frame from its own sweep, validate and score that. Raises `SubmissionRefusedError`."""
-    folder = recorded.folder
-    sequence, sweeps = open_sequence(recorded.bag, recorded.calibration, name)
-    write_manifest(folder / "manifest.json", Manifest({name: sequence.frames.tokens}))
-    write_submission(folder / "baseline.zip", _predictions(sequence, sweeps, progress))
-    validation = validate(folder / "baseline.zip", folder / "manifest.json", progress=progress)
+def score_baseline(folder: Path, progress: Report) -> dict[str, Any]:
+    """Predict every frame from its own sweep in the export, validate and score that against the labels here.
+
+    Raises `SubmissionRefusedError`.
+    """
+    manifest, output = folder / "manifest.json", folder / SUBMISSION
+    write_manifest(manifest, find_ground_truth(folder / "labels").manifest)
+    write_baseline([folder / f"{EXPORTED}.tar"], BaselinePlan(manifest, output, THREADS), progress)
+    validation = validate(output, manifest, progress=progress)
     if not validation.ok:
         raise SubmissionRefusedError(validation)
-    return score(folder / "baseline.zip", folder / "labels", progress=progress).as_record()
+    return score(output, folder / "labels", progress=progress).as_record()
 
 
 def _free_sequence(api: Api, local: LocalBag) -> Item:
@@ -128,12 +129,3 @@ def _free_sequence(api: Api, local: LocalBag) -> Item:
         if not has_other_recording(api, sequence, local):
             return sequence
     raise AssertionError
-
-
-def _predictions(sequence: Sequence, sweeps: SweepSource, progress: Report) -> Iterator[tuple[str, NDArray[np.uint8]]]:
-    """What one sweep alone says about its frame: the score to beat."""
-    ego_from_lidar = sequence.calibration.ego_from_lidar
-    for index, token in enumerate(sequence.frames.tokens):
-        points_ego = ego_from_lidar @ sweeps.sweep(index).points_lidar.astype(np.float64)
-        yield token, predict_from_sweep(points_ego.astype(np.float32))
-        progress("predict", index + 1, len(sequence.frames))

@@ -1,6 +1,8 @@
 """From a name and a password, or a token, to credentials that the other commands use."""
 
 import socket
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,13 +35,31 @@ def sign_in_by_token(url: str, token: str) -> SignedIn:
 
 def sign_in_by_password(url: str, name: str, password: str, *, as_administrator: bool) -> SignedIn:
     """Have a token issued for this machine, and keep it; the password is not kept. Raises what `Api.send` raises."""
+    wanted = (*EVERYDAY, "admin") if as_administrator else EVERYDAY
+    token = _issued(url, (name, password), wanted)
+    remember(url, token["secret"], as_default=True)
+    return SignedIn(url, token["user"], token["role"], tuple(token["scopes"]))
+
+
+@contextmanager
+def administering(url: str, name: str, password: str) -> Iterator[Api]:
+    """An API with every scope that the user's role has, by a token that is revoked at the end."""
+    token = _issued(url, (name, password), (*EVERYDAY, "admin"))
+    with Api(Server(url, token["secret"])) as api:
+        try:
+            yield api
+        finally:
+            api.send("DELETE", f"/tokens/{token['id']}")
+
+
+def _issued(url: str, sign_in: tuple[str, str], wanted: Iterable[str]) -> dict[str, Any]:
+    """A new token of the user (name, password) with those of the wanted scopes that their role has."""
+    name, password = sign_in
     with Api(Server(url, "")) as api:
         session = api.send("POST", "/sessions", json={"name": name, "password": password}).json()
         own = {"X-CSRF-Token": session["csrf_token"]}
-        wanted = (*EVERYDAY, "admin") if as_administrator else EVERYDAY
         held = api.read("/me")["scopes"]
         body = {"name": f"stone on {socket.gethostname()}"[:64], "scopes": [scope for scope in wanted if scope in held]}
         token = api.send("POST", "/tokens", json=body, headers=own).json()
         api.send("DELETE", "/sessions/current", headers=own)
-    remember(url, token["secret"], as_default=True)
-    return SignedIn(url, session["name"], session["role"], tuple(token["scopes"]))
+    return {**token, "user": session["name"], "role": session["role"]}

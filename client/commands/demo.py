@@ -57,7 +57,7 @@ def _show(record: Mapping[str, Any], output: Path, data: Path) -> None:
     if record["benchmark"]:
         show(board_table(record["benchmark"]["board"]))
     else:
-        echo_notice("no board: this platform has splits of its own, or the run is shorter than a split's 20 s")
+        echo_notice("no board: the platform has splits or a password of its own, or the run is too short for a split")
     typer.echo(f"Everything: {output}\nPicture: {output / 'labels' / 'bev.png'}")
     exported = record["export"]
     typer.echo(f"{exported['format']}: {output / exported['format']}.tar ({exported['files']:,} files)")

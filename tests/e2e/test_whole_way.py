@@ -26,7 +26,7 @@ from tests.stone_serve import environment
 
 STONE = Path(sys.executable).parent / "stone"
 Spoil = Callable[[Path, Path], None]
-SMALL = SimulateOptions(seconds=4.0, seed=3, channels=32, columns=360, cameras=False)
+SMALL = SimulateOptions(seconds=20.0, seed=3, channels=32, columns=360, cameras=False)
 REFUSAL = re.compile(r"[A-Za-z]+[-_A-Za-z0-9]*: \S.*")
 
 
@@ -123,6 +123,15 @@ def test_the_baseline_is_scored_between_nothing_and_perfect(demo: Path) -> None:
     assert record == json.loads((demo / "demo.json").read_text())["baseline"]
     valid = stone("validate", demo / "baseline.zip", "--manifest", demo / "manifest.json")
     assert (valid.returncode, valid.stdout) == (0, "valid\n")
+
+
+def test_the_board_shows_the_demos_own_entry_with_the_score_that_anybody_gets(demo: Path) -> None:
+    record = json.loads((demo / "demo.json").read_text())
+    board = record["benchmark"]["board"]
+    (row,) = board["rows"]
+    assert (row["submission_id"], row["standing"], row["rank"]) == (record["benchmark"]["submission"], "baseline", None)
+    assert row["ratios"] == record["baseline"]["total"]
+    assert row["intervals"] is None or row["intervals"]["miou"] is None, "one sequence of one block says nothing of it"
 
 
 def test_the_labels_themselves_score_one(demo: Path, tmp_path: Path) -> None:

@@ -1,0 +1,113 @@
+"""The demo's benchmark: a version of the dataset, a phase over it, a submission from single sweeps, the board.
+
+**Conventions.** What stands on the platform is used again; splits that are somebody's are never touched. The phase is
+over `val`, so its ground truth is open and it may be submitted to as often as one likes.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from client.api import Api
+from client.benchmarks import phase_path
+from client.boards import BoardAsked, read_board
+from client.datasets import publish_dataset, read_dataset
+from client.errors import ServerRefusedError
+from client.following import follow
+from client.progress import Report
+from client.remote import Item
+from client.signing_in import administering
+from client.splits import current
+from client.submitting import Entry, settled, submit
+from services.runtime.embedded.first_start import PASSWORD_FILE
+from services.runtime.embedded.supervisor import Running
+from stone.splits import PARTS
+
+PHASE, TEAM, METHOD = "val", "demo", "single sweep, no training"
+LICENCE, REASON = "CC0-1.0", "demo"
+ABSENT, UNKNOWN_PASSWORD = 404, 401
+REFUSED_SPLITS = 422
+
+
+@dataclass(frozen=True)
+class Stand:
+    """Where the demo's entry goes: the benchmark's name, which is the sequence's, and the id of its phase."""
+
+    benchmark: str
+    phase_id: str
+
+
+def enter_benchmark(running: Running, sequence: Item, path: Path, progress: Report) -> dict[str, Any] | None:
+    """Submit the zip at `path` to a benchmark of this one sequence, as this machine's administrator.
+
+    None where the platform has splits of its own, where a run is too short for any, or where the password that the
+    first start wrote down is not the administrator's any more.
+    """
+    password = running.platform.settings.root / PASSWORD_FILE
+    if not password.exists():
+        return None
+    try:
+        with administering(running.url, running.keys.name, password.read_text("utf-8").strip()) as api:
+            stand = benchmark_on_server(api, sequence, progress)
+            return submit_baseline(api, stand, path, progress) if stand else None
+    except ServerRefusedError as error:
+        if error.status != UNKNOWN_PASSWORD:
+            raise
+        return None
+
+
+def benchmark_on_server(api: Api, sequence: Item, progress: Report) -> Stand | None:
+    """The benchmark of this one sequence, its ground truth ready; None where it cannot be split."""
+    name = str(sequence["name"])
+    if not _is_split(api, sequence):
+        return None
+    _standing(lambda: read_dataset(api, name), lambda: publish_dataset(api, name, LICENCE, REASON))
+    asked = {"name": name, "title": "Demo", "dataset": name, "reason": REASON}
+    own = f"/benchmarks/{quote(name, safe='')}"
+    _standing(lambda: api.read(own), lambda: api.create("/admin/benchmarks", asked))
+    phase = api.read(phase_path(name, PHASE))
+    if phase["active"] is None:
+        made = api.create(f"/admin/phases/{phase['id']}/ground-truths", {"reason": REASON})
+        follow(api, made["job"]["id"], progress)
+    return Stand(name, phase["id"])
+
+
+def submit_baseline(api: Api, stand: Stand, path: Path, progress: Report) -> dict[str, Any]:
+    """Submit the zip at `path` as a baseline, and read the board. Raises what `settled` raises."""
+    entry = Entry(stand.phase_id, _team(api), METHOD, "L", kind="baseline")
+    submission = settled(api, submit(api, path, entry, progress), progress)
+    return {"submission": submission["id"], "board": read_board(api, BoardAsked(stand.benchmark, PHASE))}
+
+
+def _is_split(api: Api, sequence: Item) -> bool:
+    """Whether val is this sequence and nothing else is split; it is made so where nothing is."""
+    splits = current(api)
+    split = {part: [one["sequence_id"] for one in splits[part]] for part in PARTS}
+    wanted = {part: [str(sequence["id"])] if part == "val" else [] for part in PARTS}
+    if split == wanted or any(split.values()):
+        return split == wanted
+    match = {"If-Match": f'"{splits["revision"]}"'}
+    try:
+        api.send("PUT", "/splits", json={**wanted, "reason": REASON}, headers=match)
+    except ServerRefusedError as error:
+        if error.status != REFUSED_SPLITS:
+            raise
+        return False
+    return True
+
+
+def _standing(read: Callable[[], Any], make: Callable[[], Any]) -> Any:
+    """What is there, else what is made."""
+    try:
+        return read()
+    except ServerRefusedError as error:
+        if error.status != ABSENT:
+            raise
+        return make()
+
+
+def _team(api: Api) -> str:
+    teams = [str(team["id"]) for team in api.pages("/teams") if team["name"] == TEAM]
+    return teams[0] if teams else str(api.create("/teams", {"name": TEAM})["id"])
