@@ -35,7 +35,7 @@ SUBMISSION_EXAMPLE: dict[str, Any] = {
     "job_id": ID_EXAMPLE,
     "revision": 3,
     "created_at": "2026-05-03T09:12:44.120000Z",
-    "finalized_at": "2026-05-03T09:20:11.000000Z",
+    "finalized_at": "2026-05-03T09:20:11Z",
     "settled_at": None,
     "withdrawn_at": None,
     "hidden_at": None,
@@ -56,10 +56,10 @@ STANDING_EXAMPLE: dict[str, Any] = {
     "reserved": 1,
     "total_left": 17,
     "window_s": 604800.0,
-    "next_slot_at": "2026-05-03T09:20:11.000000Z",
+    "next_slot_at": "2026-05-03T09:20:11Z",
     "validations_per_day": 20,
     "validations_left": 19,
-    "next_validation_at": "2026-05-03T09:20:11.000000Z",
+    "next_validation_at": "2026-05-03T09:20:11Z",
 }
 
 
