@@ -7,7 +7,6 @@ This module loads nothing, so that every process may.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 
 from stone.errors import StoneError
 
@@ -113,15 +112,14 @@ what is predicted into the ground truth's free space costs IoU_occ and no class:
 """
 
 
-def _metric(version: str, title: str, reading: str) -> tuple[str, Metric]:
-    return version, Metric(version, title, _definition(f"{version}: {title}", reading))
+def _metric(version: str, title: str, reading: str) -> Metric:
+    return Metric(version, title, _definition(f"{version}: {title}", reading))
 
 
-METRICS: Mapping[str, Metric] = MappingProxyType(
-    dict(
-        (
-            _metric(METRIC_VERSION, "IoU over all evaluated voxels", _EVERYWHERE),
-            _metric(OCCUPIED_VERSION, "IoU of classes within occupied ground truth", _OCCUPIED_ONLY),
-        )
+METRICS: Mapping[str, Metric] = {
+    metric.version: metric
+    for metric in (
+        _metric(METRIC_VERSION, "IoU over all evaluated voxels", _EVERYWHERE),
+        _metric(OCCUPIED_VERSION, "IoU of classes within occupied ground truth", _OCCUPIED_ONLY),
     )
-)
+}
