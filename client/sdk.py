@@ -2,11 +2,11 @@
 
     from client.sdk import Stone
 
-    stone = Stone("https://stone.example.org", token)
-    submission = stone.submit(
-        "sub.zip", benchmark="stone", phase="test", team="Terrain Gang", method="GroundNet", modality="L"
-    )
-    print(submission.wait().scores["miou"])
+    with Stone("https://stone.example.org", token) as stone:
+        submission = stone.submit(
+            "sub.zip", benchmark="stone", phase="test", team="Terrain Gang", method="GroundNet", modality="L"
+        )
+        print(submission.wait().scores["miou"])
 
 **Conventions.** Answers are the API's own JSON objects (`/api/v1/openapi.json`); what is refused is raised as a
 `StoneError` with its `code`. A submission that was begun is gone on with, never sent twice.
