@@ -14,7 +14,7 @@ from sqlalchemy.orm import Session
 from api.errors import BadCursorError
 from api.schemas.base import instant
 from api.schemas.jobs import LogLine, LogPage
-from services.runtime.jobs.specs import TERMINAL
+from services.runtime.jobs.specs import RETICENT, TERMINAL
 from services.runtime.orm import Job, JobLine
 from services.runtime.orm.base import now_ns
 
@@ -30,11 +30,15 @@ class LogQuery:
     limit: int
 
 
-def log_page(session: Session, job: Job, query: LogQuery) -> LogPage:
-    """The next lines of a job, or of all jobs of a run. Raises `BadCursorError`."""
+def log_page(session: Session, job: Job, query: LogQuery, *, is_administrator: bool = False) -> LogPage:
+    """The next lines of a job, or of all jobs of a run. Raises `BadCursorError`.
+
+    Tracebacks of jobs that see what their owners may not are for administrators.
+    """
     mark = _mark(query.after)
     statement = _of_run(job, mark) if not job.queue else _of_job(job, mark)
-    lines = [_line(row) for row in session.scalars(statement.limit(query.limit))]
+    reticent = set() if is_administrator else set(session.scalars(_reticent(job)))
+    lines = [_line(row, row.job_id in reticent) for row in session.scalars(statement.limit(query.limit))]
     return LogPage(items=lines, next=_named(lines[-1]) if lines else query.after)
 
 
@@ -51,6 +55,11 @@ def _of_run(job: Job, mark: tuple[int, str, int, int] | None) -> Select[JobLine]
     return statement if mark is None else statement.where(tuple_(*order) > tuple_(*mark))
 
 
+def _reticent(job: Job) -> Select[str]:
+    """The jobs of the run that have seen what is hidden."""
+    return select(Job.id).where(Job.root_id == job.root_id, Job.queue.in_(RETICENT))
+
+
 def _mark(after: str | None) -> tuple[int, str, int, int] | None:
     if after is None:
         return None
@@ -65,7 +74,8 @@ def _named(line: LogLine) -> str:
     return f"{line.logged_ns}.{line.job_id}.{line.attempt}.{line.number}"
 
 
-def _line(row: JobLine) -> LogLine:
+def _line(row: JobLine, is_reticent: bool) -> LogLine:
+    facts = {name: value for name, value in row.facts.items() if name != "traceback"} if is_reticent else row.facts
     return LogLine(
         job_id=row.job_id,
         attempt=row.attempt,
@@ -74,5 +84,5 @@ def _line(row: JobLine) -> LogLine:
         logged_at=instant(row.logged_ns),
         level=row.level,
         event=row.event,
-        facts=row.facts,
+        facts=facts,
     )

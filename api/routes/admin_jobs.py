@@ -76,7 +76,7 @@ def read_any_logs(
 ) -> LogPage:
     """What a job, or every job of a run, has said so far."""
     with platform.database.reading() as session:
-        return log_page(session, job_of(session, caller, job_id), query)
+        return log_page(session, job_of(session, caller, job_id), query, is_administrator=caller.is_administrator)
 
 
 @router.post("/jobs/{job_id}/{act}", status_code=202, responses=refusals(403, 404, 409))

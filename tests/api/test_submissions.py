@@ -1,24 +1,20 @@
 """Submissions over HTTP: whose they are, what is refused and how, and the whole way from a zip to its verdict."""
 
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
-from sqlalchemy import func, select
+from sqlalchemy import select
 
-from services.runtime.access import tokens
 from services.runtime.benchmarks.submissions import settle
-from services.runtime.orm import AuditEntry, Submission, User
+from services.runtime.orm import AuditEntry, User
 from services.runtime.platform import Platform
 from tests.api.made import NOBODY
-from tests.api.serving import Person, client_of, person
+from tests.api.serving import person
 from tests.api.submitting import URL, Submitting, answered, at_desk, refused, submitting
 from tests.api.test_events import listen
-from tests.api.tus import TUS, ask, create, patch
-from tests.benchmark_world import benchmark_world, predicted, run_eval, submission_zip
-from tests.services.runtime.benchmarks.drafts import ZIP, another_desk, desk_on
+from tests.services.runtime.benchmarks.drafts import another_desk, desk_on
 
 ACTS = ("cancel", "withdraw")
 
@@ -229,54 +225,3 @@ def test_a_submission_is_followed_until_it_ends(api: httpx.Client, platform: Pla
     assert [(name, data["state"], data["problems_total"]) for name, _, data in heard] == [("ended", "invalid", 3)]
     seen = {**team.caller.headers, "Last-Event-ID": heard[0][1]}
     assert api.get(path, headers=seen).status_code == 204
-
-
-def test_an_upload_for_a_submission_needs_the_scope_submit_and_the_draft(api: httpx.Client, platform: Platform) -> None:
-    team = submitting(api, platform)
-    draft = team.announced()
-    said = {"purpose": "submission", "target_id": draft["id"], "sha256": draft["sha256"]}
-    assert refused(create(api, team.caller, len(ZIP) + 1, **said)) == (409, "not_as_announced")
-    unsaid = {"purpose": "submission", "target_id": draft["id"]}
-    assert refused(create(api, team.caller, len(ZIP), **unsaid)) == (409, "not_as_announced")
-    assert refused(create(api, team.caller, len(ZIP), purpose="recording")) == (403, "forbidden")
-    stranger = person(platform, "participant")
-    assert refused(create(api, stranger, len(ZIP), **said)) == (404, "upload_target_missing")
-    sender = person(platform, "curator", scopes=["read", "upload"])
-    assert refused(create(api, sender, len(ZIP), **said)) == (403, "forbidden")
-    where = str(create(api, team.caller, len(ZIP), **said).headers["Location"])
-    assert patch(api, team.caller, where, 0, ZIP[:5]).headers["Upload-Offset"] == "5"
-    assert ask(api, team.caller, where).headers["Upload-Offset"] == "5"
-    assert api.delete(where, headers={**TUS, **team.caller.headers}).status_code == 204
-
-
-def test_who_may_only_submit_does_not_touch_a_recording_of_their_own(api: httpx.Client, platform: Platform) -> None:
-    curator = person(platform, "curator")
-    where = str(create(api, curator, 5).headers["Location"])
-    with platform.database.transaction() as session:
-        secret = tokens.issue(session, session.get_one(User, curator.user_id), "narrow", ["submit"], 100.0)
-    narrow = Person(curator.user_id, curator.name, secret)
-    assert ask(api, narrow, where).status_code == 403
-    assert refused(patch(api, narrow, where, 0, b"hello")) == (403, "forbidden")
-    assert refused(api.delete(where, headers={**TUS, **narrow.headers})) == (403, "forbidden")
-
-
-def test_a_zip_goes_all_the_way_to_its_verdict(platform: Platform, tmp_path: Path) -> None:
-    world = benchmark_world(platform, frames=1)
-    frames = predicted(world.truth("test"), 0.1)
-    content = submission_zip(tmp_path / "all.zip", frames).read_bytes()
-    short = submission_zip(tmp_path / "short.zip", dict(list(frames.items())[1:])).read_bytes()
-    with client_of(platform) as api:
-        team = Submitting(api, world.captains[0], world.test, world.teams[0])
-        checked = team.submitted(short, "validations")
-        entry, refused_entry = team.submitted(content), team.submitted(short)
-        run_eval(platform)
-        states = [team.shown(one["id"])["state"] for one in (checked, entry, refused_entry)]
-        assert states == ["invalid", "scored", "invalid"]
-        report = answered(team.read(f"submissions/{refused_entry['id']}/validation-report"), 200)
-        assert (report["ok"], report["errors_total"], report["errors"][0]["code"]) == (False, 1, "missing_frame")
-        assert answered(team.read(f"submissions/{entry['id']}/validation-report"), 200)["ok"] is True
-        assert (team.quota()["used"], team.quota()["reserved"]) == (1, 0)
-        answered(team.post(f"{entry['id']}/withdraw", {"reason": "a bug"}), 200)
-        assert team.quota()["used"] == 1
-    with platform.database.reading() as session:
-        assert session.scalar(select(func.count()).select_from(Submission).where(Submission.state == "scored")) == 1

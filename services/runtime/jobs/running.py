@@ -3,7 +3,8 @@
 **Conventions.** A `StoneError` is a refusal of the input: the job fails at once, with its code. Anything else, and a
 `PlatformFaultError`, is a fault of ours or of the machine: the worker rests a little longer each time, then the job is
 queued again until its attempts are used up; then it fails with that code, or as `internal_error` with the exception's
-own words. The traceback is in the attempt's log.
+own words. The traceback is in the attempt's log. Jobs of `RETICENT` queues have seen what their owners may not: of what
+raises there, administrators alone read the words.
 """
 
 import traceback
@@ -15,7 +16,7 @@ from services.runtime.jobs.claiming import Claim, claim, start_run
 from services.runtime.jobs.errors import JobCancelledError, LostAttemptError, UnknownKindError
 from services.runtime.jobs.finishing import Failure, cancelled, fail, lose, succeed
 from services.runtime.jobs.reporter import Reporter
-from services.runtime.jobs.specs import Handlers, Outcome
+from services.runtime.jobs.specs import RETICENT, Handlers, Outcome, queue_of
 from services.runtime.platform import Platform
 from stone.errors import StoneError
 
@@ -46,10 +47,10 @@ def _attempt(platform: Platform, taken: Claim, handlers: Handlers, reporter: Rep
             cancelled(session, taken)
     except Exception as error:
         if is_refusal(error):
-            _fail(platform, taken, reporter, _failure_of(error))
+            _fail(platform, taken, reporter, _failure_of(error, taken.kind))
             return
         with platform.database.transaction() as session:
-            lose(session, taken, _failure_of(error))
+            lose(session, taken, _failure_of(error, taken.kind))
 
 
 def _answer(taken: Claim, handlers: Handlers, reporter: Reporter) -> Outcome:
@@ -74,10 +75,12 @@ def is_refusal(error: Exception) -> bool:
     return isinstance(error, StoneError) and not isinstance(error, PlatformFaultError)
 
 
-def _failure_of(error: Exception) -> Failure:
+def _failure_of(error: Exception, kind: str) -> Failure:
+    """What its owner is told: the words of what raised, unless they might quote what is hidden from them."""
     if isinstance(error, StoneError):
         return Failure(error.code, str(error))
-    return Failure("internal_error", f"{type(error).__name__}: {error}")
+    words = "its words are in the log of the attempt" if queue_of(kind) in RETICENT else str(error)
+    return Failure("internal_error", f"{type(error).__name__}: {words}")
 
 
 def _succeed(platform: Platform, taken: Claim, outcome: Outcome) -> None:

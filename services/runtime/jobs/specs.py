@@ -10,6 +10,12 @@ from typing import Any, Protocol
 from sqlalchemy.orm import Session
 
 TERMINAL = ("succeeded", "failed", "cancelled")
+RETICENT = ("eval",)
+
+
+def queue_of(kind: str) -> str:
+    """The queue in which jobs of this kind wait."""
+    return kind.partition(".")[0]
 
 
 @dataclass(frozen=True)
@@ -23,7 +29,7 @@ class JobSpec:
 
     @property
     def queue(self) -> str:
-        return self.kind.partition(".")[0]
+        return queue_of(self.kind)
 
 
 @dataclass(frozen=True)
