@@ -15,6 +15,14 @@ from tests.api.access.world import CALIBRATION_FILE
 from tests.api.tus import metadata
 
 NUMBERS = count(1)
+INSTEAD = {  # of what is usually named
+    "/api/v1/submissions/{submission_id}/finalize": {"complete_upload": "submission_upload"},
+    "/api/v1/submissions/{submission_id}/withdraw": {"submission_id": "settled_submission"},
+    **{
+        f"/api/v1/submissions/{{submission_id}}/{part}": {"submission_id": "scored_submission"}
+        for part in ("results", "results/breakdowns", "provenance", "confusions")
+    },
+}
 ACT_OF = {"queues": "resume", "jobs": "cancel"}
 PIECES = "application/offset+octet-stream"
 FORM = "multipart/form-data"
@@ -49,17 +57,27 @@ def asked(document: Mapping[str, Any], operation: Operation, named: Mapping[str,
     method, template = operation
     described = document["paths"][template][method.lower()]
     values = {**named, "act": ACT_OF["queues" if "queues" in template else "jobs"]}
+    values |= {key: named[other] for key, other in INSTEAD.get(template, {}).items()}
     ids = {values[name] for name in values if f"{{{name}}}" in template}
     security = described.get("security") or [{"": [""]}]
     scope = next(iter(security[0].values()))[0]
     headers = {"if-match": "*", **_headers(described)}
-    content = _content(document, described, values, user_name)
+    query = _queries(described, values)
+    content = _content(document, described, values, user_name) | query
+    ids |= {value for value in query.get("params", {}).values() if value in named.values()}
     return Asked(operation, template.format_map(values), headers, content, frozenset(ids), scope)
 
 
 def _headers(described: Mapping[str, Any]) -> dict[str, str]:
     names = [parameter["name"] for parameter in described.get("parameters", ()) if parameter["in"] == "header"]
     return {name: HEADERS[name.lower()] for name in names if name.lower() in HEADERS}
+
+
+def _queries(described: Mapping[str, Any], named: Mapping[str, str]) -> dict[str, Any]:
+    """What the query must say: an id of the world, or the first of the words that may stand there."""
+    asked_for = [one for one in described.get("parameters", ()) if one["in"] == "query" and one.get("required")]
+    said = {one["name"]: named.get(one["name"]) or one["schema"]["enum"][0] for one in asked_for}
+    return {"params": said} if said else {}
 
 
 def _content(
@@ -93,6 +111,6 @@ def _filled(example: Mapping[str, Any], named: Mapping[str, str], user_name: str
         return dict.fromkeys(example, PASSWORD)
     real: dict[str, Any] = {"upload_id": named["complete_upload"], "calibration_id": named["calibration_id"]}
     real |= {"train": [named["sequence_id"]], "dataset": named["dataset_name"], "member": named["member"]}
-    real |= {name: named[name] for name in ("phase_id", "truth_id")}
+    real |= {name: named[name] for name in ("phase_id", "truth_id", "team_id")}
     filled = {key: real.get(key, value) for key, value in example.items()}
     return filled | ({"name": f"{example['name']}-{next(NUMBERS)}"} if "name" in example else {})

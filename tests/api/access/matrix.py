@@ -57,11 +57,13 @@ class Matrix:
             yield f"{name}: {answer.status}, not {expected}: {answer.text[:200]}"
         yield from (f"{name}: tells {shown}" for shown in told(answer, caller, request, world))
         if answer.status == 404 and caller not in SEEING_ALL:
-            yield from self._difference(name, answer, caller, cast, request)
+            yield from self._difference(name, answer, (caller, cast, world), request)
 
-    def _difference(self, name: str, answer: Answer, caller: str, cast: Cast, request: Asked) -> Iterator[str]:
-        """How the answer differs from that for something that does not exist at all."""
-        nothing = asked(self.document, request.operation, {**WORDS, **UNKNOWN}, self._name(cast, caller))
+    def _difference(self, name: str, answer: Answer, asking: tuple[str, Cast, World], request: Asked) -> Iterator[str]:
+        """How the answer differs from that for something that does not exist at all, in a benchmark that does."""
+        caller, cast, world = asking
+        unknown_things = {**WORDS, **UNKNOWN, "benchmark_name": world.named["benchmark_name"]}
+        nothing = asked(self.document, request.operation, unknown_things, self._name(cast, caller))
         unknown = self.send(nothing, cast.shown(caller, request.scope))
         theirs, none = neutral(answer, request.ids), neutral(unknown, nothing.ids)
         if theirs != none:

@@ -14,13 +14,27 @@ from services.runtime.benchmarks import teams
 from services.runtime.benchmarks.phases import NewBenchmark, NewPhase, create_benchmark, create_phase
 from services.runtime.benchmarks.truths import first_activation
 from services.runtime.dataset_reading import dataset_named
-from services.runtime.orm import Calibration, GroundTruth, JobLine, Preview, Profile, Sequence, Upload, User, new_id
+from services.runtime.orm import (
+    Calibration,
+    GroundTruth,
+    JobLine,
+    Preview,
+    Profile,
+    Sequence,
+    Team,
+    TeamMember,
+    Upload,
+    User,
+    new_id,
+)
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from services.runtime.profiles import profile_of
 from stone.metric import METRIC_VERSION
 from tests.api import made
 from tests.api.access.rescored import rescored
+from tests.api.access.scored_entry import scored_entry
+from tests.api.access.submitted import submitted
 from tests.api.inputs_made import made_input
 from tests.api.published import dataset, published_sequence
 from tests.api.serving import Person
@@ -43,8 +57,13 @@ IDS = (
     "truth_id",
     "rescore_id",
     "alarm_id",
+    "submission_id",
+    "submission_upload",
+    "settled_submission",
+    "scored_submission",
 )
 UNKNOWN = {name: f"{number:032x}" for number, name in enumerate(IDS, 1)} | {"complete_upload": f"{99:032x}"}
+UNKNOWN |= {name: UNKNOWN["scored_submission"] for name in ("a", "b")}
 UNKNOWN |= {"dataset_name": "never-published", "benchmark_name": "never-made"}
 WORDS = {
     "name": "bev.png",
@@ -96,6 +115,8 @@ def make_world(platform: Platform, user: User) -> World:
         "member": user.name,
     }
     named |= rescored(platform, named["phase_id"], user.id)
+    named |= scored_entry(platform, named["phase_id"], named["team_id"], user.id)
+    named |= submitted(platform, named["phase_id"], named["team_id"], owner)
     known = {value for key, value in named.items() if key not in (*WORDS, *PUBLIC)}
     return World(named, frozenset(known | {labels.id, _name(platform, sequence_id), *labels.frames}))
 
@@ -122,7 +143,7 @@ def _phase(platform: Platform, owner_id: str, dataset_name: str, name: str) -> s
             phase_id=phase.id, number=1, dataset_id=version.id, part="test", mask="all", sha256="5" * 64
         )
         truth.manifest_sha256, truth.created_by = blobs.keep(session, platform.store, manifest).sha256, owner_id
-        truth.ready_ns = now_ns()
+        truth.ready_ns, truth.frames = now_ns(), 100
         session.add(truth)
         session.flush()
         first_activation(session, truth)
@@ -131,9 +152,13 @@ def _phase(platform: Platform, owner_id: str, dataset_name: str, name: str) -> s
 
 
 def _team(platform: Platform, user: User) -> dict[str, str]:
-    """A team that the user leads, with an open invitation."""
+    """A team that the user leads, with an open invitation; they may lead more than one may found."""
     with platform.database.transaction() as session:
-        team = teams.found(session, f"team-{new_id()[-12:]}", user.id)
+        team = Team(name=f"team-{new_id()[-12:]}")
+        session.add(team)
+        session.flush()
+        session.add(TeamMember(team_id=team.id, user_id=user.id, is_owner=True))
+        session.flush()
         return {"team_id": team.id, "invitation_id": teams.invite_row(session, team, user.id)[0].id}
 
 

@@ -79,7 +79,7 @@ class Scene:
 
     def score(self, submission_id: str, made: Made, pair: Pair | None = None) -> str:
         """The id of the score of the submission by the pair."""
-        record, confusions, draws = _computed(made)
+        record, confusions, draws = computed(made)
         files = (self._stored(confusions), self._stored(draws))
         new = NewScore(submission_id, pair or self.pair, "metric:a|truth:b", record, files[0], files[1], "c" * 64)
         with self.platform.database.transaction() as session:
@@ -152,7 +152,8 @@ def counts(made: Made) -> Counts:
 
 
 @cache
-def _computed(made: Made) -> tuple[dict[str, Any], bytes, bytes]:
+def computed(made: Made) -> tuple[dict[str, Any], bytes, bytes]:
+    """The record of a score, the npz of its counts, the npz of its draws."""
     confusions = counts(made)
     bev = np.ones((FRAMES, 3, 3), np.int32)
     tally = Tally(confusions, bev, SEQUENCES)
