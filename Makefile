@@ -1,6 +1,6 @@
-# make install | demo | serve | test | check | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-platform | bench-truth
+# make install | demo | serve | test | check | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-platform | bench-truth | season
 # Each installs first, which costs nothing when nothing changed.
-.PHONY: install test-clients demo serve test check chaos fuzz bench bench-eval bench-label bench-read bench-platform bench-truth
+.PHONY: install test-clients demo serve test check chaos fuzz bench bench-eval bench-label bench-read bench-platform bench-truth season
 .DELETE_ON_ERROR:
 
 BIN := .venv/bin
@@ -56,3 +56,6 @@ bench-platform: install
 
 bench-truth: install
 	$(BIN)/python -m benchmarks.truth
+
+season: install
+	$(BIN)/python -m benchmarks.season
