@@ -1,4 +1,4 @@
-"""A worker killed with −9 in the middle of a part: what it was at ends with it, and is done once by another."""
+"""Real workers: killed with −9 in the middle of a part, and side by side; whatever they do is done once."""
 
 import os
 import signal
@@ -12,11 +12,13 @@ import pytest
 from services.eval import examining
 from services.eval.stages import handlers
 from services.runtime.benchmarks import scoring_jobs
+from services.runtime.database import Database
 from services.runtime.jobs.running import run_next
 from services.runtime.jobs.sweeping import Sweeper
 from services.runtime.orm import JobAttempt
-from services.runtime.platform import Platform, open_platform
-from tests.benchmark_world import World, run_eval
+from services.runtime.platform import Platform
+from services.runtime.store import open_store
+from tests.benchmark_world import World, benchmark_world, run_eval
 from tests.services.eval.sending import (
     guess,
     jobs_of,
@@ -38,16 +40,23 @@ def world(tmp_path_factory: pytest.TempPathFactory, _sqlite_template: Path) -> I
         yield made
 
 
-@contextmanager
-def working(platform: Platform) -> Iterator[int]:
-    """The pid of a worker process that runs one job; it is gone afterwards."""
+def started(platform: Platform, jobs: int) -> int:
+    """The pid of a worker process that runs so many jobs at most, with connections of its own."""
     pid = os.fork()
     if pid == 0:
         try:
-            own = open_platform(platform.settings)
-            run_next(own, "eval", handlers(own))
+            own = Platform(platform.settings, Database(platform.settings), open_store(platform.settings))
+            while jobs and run_next(own, "eval", handlers(own)):
+                jobs -= 1
         finally:
             os._exit(0)
+    return pid
+
+
+@contextmanager
+def working(platform: Platform) -> Iterator[int]:
+    """The pid of a worker process that runs one job; it is gone afterwards."""
+    pid = started(platform, 1)
     try:
         yield pid
     finally:
@@ -115,3 +124,25 @@ def _say_and_sleep(told: Path) -> None:
     with told.open("w") as file:
         file.write(f"{os.getpid()}\n")
     time.sleep(PATIENCE_S)
+
+
+def test_workers_side_by_side_score_each_submission_once(
+    platform_on: Platform, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Some send in the same, and one team's are settled at the same time as another's."""
+    world = benchmark_world(platform_on, frames=1)
+    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", 1)
+    contents = [zipped(world, guess(world, turn=turn)) for turn in range(2)]
+    sent = [send(world, contents[number % 2], team=number // 2) for number in range(4)]
+    platform_on.database.close()  # before the fork: no connection is shared
+    workers = [started(platform_on, 100) for _ in range(2)]
+    for worker in workers:
+        os.waitpid(worker, 0)
+    run_eval(platform_on)
+    for submission_id in sent:
+        assert row_of(platform_on, submission_id).state == "scored"
+        assert len(scores_of(platform_on, submission_id)) == 1
+        assert taken(platform_on, submission_id) == 1
+        assert {job.state for job in jobs_of(platform_on, submission_id)} == {"succeeded"}
+    assert len({scores_of(platform_on, one)[0].content_sha256 for one in sent}) == 2
+    assert parts_left(platform_on) == 0
