@@ -10,7 +10,7 @@ from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 from numba.extending import intrinsic
 
-from stone.lanes import COLUMN, I8, I32, I64, pointer
+from stone.lanes import COLUMN, I8, I32, I64, pointer, splat
 
 VECTOR = 64  # bytes tested at a time
 LOW, HIGH, BEYOND = 1, 2, 0xFC
@@ -67,6 +67,49 @@ def _drivable32(typing_context: Any, low: Any, high: Any, evaluated: Any, at: An
     return types.uint32(low, high, evaluated, types.int64), emit
 
 
+def _unroll8(typing_context: Any, changes: Any, runs: Any, run: Any, out: Any, at: Any) -> Any:
+    """out[at + n] = runs[run + how many of the lowest n + 1 bits of `changes` are set], n of 0 to 7.
+
+    Eight entries of `runs` from run + (changes & 1) on are read, wanted or not. Returns how many of the 8 bits are set.
+    """
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        changes, runs, run, out, at = arguments
+        lanes = ir.VectorType(I32, 8)
+        lowest = ir.Constant(lanes, [(2 << n) - 1 for n in range(8)])
+        counts = _called(builder, "llvm.ctpop.v8i32", lanes, builder.and_(splat(builder, changes, lanes), lowest))
+        first = builder.and_(changes, ir.Constant(I32, 1))
+        rank = builder.sub(counts, splat(builder, first, lanes))
+        source = builder.add(run, builder.zext(first, I64))
+        near = builder.load(pointer(context, builder, (signature.args[1], runs), source, lanes), align=4)
+        found = _permuted(context, builder, near, rank)
+        builder.store(found, pointer(context, builder, (signature.args[3], out), at, lanes), 4)
+        return builder.zext(builder.extract_element(counts, ir.Constant(I32, 7)), I64)
+
+    return types.int64(types.uint32, runs, types.int64, out, types.int64), emit
+
+
+def _permuted(context: Any, builder: Any, near: Any, rank: Any) -> Any:
+    """Lane n is lane rank[n] of `near`: one instruction with AVX2, else a lane at a time."""
+    lanes = near.type
+    if "+avx2" in str(context.codegen().magic_tuple()[2]):
+        return _called(builder, "llvm.x86.avx2.permd", lanes, near, rank)
+    found = ir.Constant(lanes, ir.Undefined)
+    for n in range(lanes.count):
+        place = ir.Constant(I32, n)
+        lane = builder.extract_element(near, builder.extract_element(rank, place))
+        found = builder.insert_element(found, lane, place)
+    return found
+
+
+def _called(builder: Any, name: str, kind: Any, *values: Any) -> Any:
+    """The intrinsic of this name, from `kind` to `kind`, on these values."""
+    known = builder.module.globals.get(name)
+    function = known or ir.Function(builder.module, ir.FunctionType(kind, [kind] * len(values)), name)
+    return builder.call(function, values)
+
+
 pack8: Any = intrinsic(_pack8)
 pack1: Any = intrinsic(_pack1)
 drivable32: Any = intrinsic(_drivable32)
+unroll8: Any = intrinsic(_unroll8)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from stone.bitplanes import COLUMNS, WORDS, Planes
 from stone.errors import ShapeError
+from stone.packing import unroll8
 
 PLANES = 3
 CHANGES = PLANES * COLUMNS // 64
@@ -58,6 +59,9 @@ def _unroll(changes: NDArray[np.uint64], columns: NDArray[np.uint32], out: NDArr
             same = columns[run]
             for n in range(64):
                 out[64 * w + n] = same
+        elif run >= 0 and run + 64 + 8 < columns.size:  # what is read in advance is there
+            for n in range(0, 64, 8):
+                run += unroll8(np.uint32((bits >> np.uint64(n)) & np.uint64(0xFF)), columns, run, out, 64 * w + n)
         else:
             for n in range(64):
                 run += np.int64((bits >> np.uint64(n)) & np.uint64(1))
