@@ -5,6 +5,7 @@ route gave a header of its own keeps it. The access log has one line a request, 
 query (cursors and names are nobody's business) and never a credential.
 """
 
+import re
 import time
 from typing import Any
 
@@ -89,6 +90,9 @@ def template_of(scope: Scope) -> str:
     """The route's path with its parameters' names, so that ids do not become labels; `unmatched` without a route."""
     if "endpoint" not in scope:
         return "unmatched"
-    name_of = {str(value): name for name, value in scope.get("path_params", {}).items()}
-    segments = scope["path"].split("/")
-    return "/".join(f"{{{name_of[part]}}}" if part in name_of else part for part in segments)
+    path, rest = str(scope["path"]), ""
+    for name, value in reversed(scope.get("path_params", {}).items()):
+        found = list(re.finditer(rf"/{re.escape(str(value))}(?=[/.]|$)", path))
+        if found:  # of several the last: what is behind it has been replaced
+            path, rest = path[: found[-1].start()], f"/{{{name}}}{path[found[-1].end() :]}{rest}"
+    return path + rest
