@@ -3,8 +3,8 @@
 **Conventions.** Magic, the packed planes of each frame in the order of the manifest, an index (an npz of `tokens`,
 `offsets`, `counts`, `crc32`), then where the index starts and the magic again; little-endian. A frame is the `changes`
 and `columns` of `stone.plane_runs`: on real labels unpacked in a quarter of the time of LZ4 and an eighth of that of
-zstd, for 1.6 and 3 times the bytes. The same ground truth makes the same bytes. A pack is ours, never a stranger's; its checks
-are against decay.
+zstd, for 1.6 and 3 times the bytes. The same ground truth makes the same bytes. A pack is ours, never a stranger's; its
+checks are against decay.
 """
 
 import os
