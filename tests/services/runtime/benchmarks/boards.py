@@ -99,10 +99,12 @@ class Scene:
         self.hide(closes_ns=now_ns() - 1)
 
     def another_pair(self, activated_ns: int | None = None) -> Pair:
-        """A second ground truth of the same frames; in force from this time on, where one is given."""
+        """Another ground truth of the same frames; in force from this time on, where one is given."""
         with self.platform.database.transaction() as session:
             old = session.get_one(GroundTruth, self.place.truth_id)
-            row = GroundTruth(phase_id=old.phase_id, number=2, dataset_id=old.dataset_id, part=old.part, mask=old.mask)
+            number = 1 + session.query(GroundTruth).filter_by(phase_id=old.phase_id).count()
+            row = GroundTruth(phase_id=old.phase_id, number=number, dataset_id=old.dataset_id, part=old.part)
+            row.mask = old.mask
             row.facts, row.frames, row.created_by, row.ready_ns = old.facts, old.frames, old.created_by, now_ns()
             row.manifest_sha256 = old.manifest_sha256
             session.add(row)

@@ -1,0 +1,201 @@
+"""The board and comparisons over HTTP: what they say, in which forms, and what is refused."""
+
+import csv
+import io
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import httpx
+import pyarrow.parquet as pq
+import pytest
+
+from api.schemas.leaderboard import LeaderboardAnswer
+from services.runtime.orm import Phase
+from services.runtime.orm.base import now_ns
+from services.runtime.platform import Platform
+from tests.api.boarding import answered, boarding, refused
+from tests.api.made import NOBODY
+from tests.api.serving import person
+from tests.services.runtime.benchmarks.boards import HOUR_NS, Made, scene
+
+FORMS = {
+    "csv": "text/csv; charset=utf-8",
+    "parquet": "application/vnd.apache.parquet",
+    "md": "text/markdown; charset=utf-8",
+    "tex": "application/x-tex; charset=utf-8",
+}
+
+
+def test_a_board_says_by_what_and_how_surely(api_on: httpx.Client, platform_on: Platform) -> None:
+    look = boarding(api_on, platform_on)
+    board = look.board(look.member)
+    LeaderboardAnswer.model_validate(board)
+    assert (board["benchmark"], board["phase"], board["track"], board["entries"]) == (
+        look.benchmark,
+        "val",
+        "all",
+        "best",
+    )
+    assert (board["is_hidden"], board["secrecy"], board["is_rounded"], board["ratio_digits"]) == (
+        False,
+        "open",
+        False,
+        4,
+    )
+    assert board["ordered_by"] == ["miou", "iou_occ", "iou_n", "submitted_at"]
+    assert (board["pair"]["metric"], board["pair"]["signature"]) == ("stone-iou-1", "metric:a|truth:b")
+    assert (board["pair"]["ground_truth"], board["pair"]["frames"], board["pair"]["sequences"]) == (1, 1350, 3)
+    assert any("3 sequences are few" in note for note in board["notes"])
+    first, second = board["rows"]
+    assert (first["submission_id"], second["submission_id"]) == (look.mine, look.theirs)
+    assert (first["rank"], first["rank_interval"], first["tie_group"]) == (1, [1, 1], 1)
+    assert (second["rank"], second["rank_interval"], second["tie_group"]) == (2, [2, 2], 2)
+    assert (first["team"], first["is_yours"], second["is_yours"]) == (look.team, True, False)
+    low, high = first["intervals"]["miou"]
+    assert low < first["ratios"]["miou"] < high
+    assert first["support"]["T"] > 0
+
+
+def test_every_form_has_the_same_rows(api: httpx.Client, platform: Platform) -> None:
+    look = boarding(api, platform)
+    replies = {form: look.read(f"{look.path}/leaderboard", format=form) for form in FORMS}
+    assert {form: reply.headers["content-type"] for form, reply in replies.items()} == FORMS
+    for form, reply in replies.items():
+        named = f'attachment; filename="{look.benchmark}-val.{form}"'
+        assert (reply.status_code, reply.headers["content-disposition"]) == (200, named)
+        assert reply.headers["x-content-type-options"] == "nosniff"
+    told = [(row["rank"], row["submission_id"], row["ratios"]["miou"]) for row in look.board()["rows"]]
+    table = pq.read_table(io.BytesIO(replies["parquet"].content)).to_pylist()
+    lines = csv.DictReader(io.StringIO(replies["csv"].text))
+    assert [(row["rank"], row["submission_id"], row["miou"]) for row in table] == told
+    assert [(int(row["rank"]), row["submission_id"], float(row["miou"])) for row in lines] == told
+    assert f"{100 * told[0][2]:.2f}" in replies["md"].text
+    assert f"{100 * told[0][2]:.2f}" in replies["tex"].text
+
+
+@pytest.mark.parametrize("form", ["json", *FORMS])
+def test_a_board_that_did_not_change_is_not_sent_again(api: httpx.Client, platform: Platform, form: str) -> None:
+    look = boarding(api, platform)
+    path = f"{look.path}/leaderboard"
+    first = look.read(path, format=form)
+    kept = {**look.other.headers, "If-None-Match": first.headers["etag"]}
+    again = api.get(path, params={"format": form}, headers=kept)
+    assert (again.status_code, again.content, again.headers["etag"]) == (304, b"", first.headers["etag"])
+    look.at.enter(look.at.team(), Made(0.3))
+    changed = api.get(path, params={"format": form}, headers=kept)
+    assert changed.status_code == 200
+    assert changed.headers["etag"] != first.headers["etag"]
+
+
+def test_a_track_and_all_entries_are_asked_for(api: httpx.Client, platform: Platform) -> None:
+    look = boarding(api, platform)
+    camera = look.at.enter(look.at.team(), Made(0.3), modality="C")
+    assert [row["submission_id"] for row in look.board(track="C")["rows"]] == [camera]
+    assert [row["rank"] for row in look.board(track="L")["rows"]] == [1, 2]
+    team_id = look.at.team()
+    worse = [look.at.enter(team_id, Made(error)) for error in (0.5, 0.6)]
+    assert worse[1] not in [row["submission_id"] for row in look.board()["rows"]]
+    assert worse[1] in [row["submission_id"] for row in look.board(entries="all")["rows"]]
+
+
+def test_a_board_of_the_past_is_asked_for_by_an_instant(api: httpx.Client, platform: Platform) -> None:
+    look = boarding(api, platform)
+    look.at.change(look.mine, settled_ns=now_ns() - 5 * HOUR_NS)
+    then = datetime.now(UTC) - timedelta(hours=2)
+    board = look.board(as_of=then.isoformat())
+    assert [row["submission_id"] for row in board["rows"]] == [look.mine]
+    assert datetime.fromisoformat(board["as_of"]) == then
+    long_ago = look.board(as_of="1999-01-01T00:00:00Z")
+    assert (long_ago["pair"], long_ago["rows"]) == (None, [])
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        {"track": "X"},
+        {"track": "L+C"},
+        {"as_of": "yesterday"},
+        {"as_of": "2026-01-01T00:00:00"},
+        {"as_of": "9999-12-31T23:59:59Z"},
+        {"entries": "worst"},
+        {"format": "html"},
+    ],
+    ids=str,
+)
+def test_what_is_not_a_board_is_refused(api: httpx.Client, platform: Platform, query: dict[str, Any]) -> None:
+    look = boarding(api, platform)
+    assert refused(look.read(f"{look.path}/leaderboard", **query)) == (422, "invalid_request")
+
+
+def test_an_unnamed_phase_names_nobody_but_oneself(api: httpx.Client, platform: Platform) -> None:
+    look = boarding(api, platform)
+    look.at.change(look.at.phase_id, Phase, named_from_ns=now_ns() + HOUR_NS)
+    assert [row["team"] for row in look.board(look.member)["rows"]] == [look.team, None]
+    assert look.board(look.other)["rows"][0]["team"] is None
+    for form in ("csv", "md", "tex"):
+        assert look.team not in look.read(f"{look.path}/leaderboard", look.other, format=form).text
+    assert None not in [row["team"] for row in look.board(look.administrator)["rows"]]
+
+
+@pytest.mark.parametrize("form", ["json", "csv", "parquet"])
+def test_a_running_hidden_phase_tells_no_form_more_than_rounded_values(
+    api: httpx.Client, platform: Platform, form: str
+) -> None:
+    look = boarding(api, platform)
+    look.at.hide()
+    exact = look.at.score_row(look.mine).miou or 0.0
+    for caller in (look.member, look.other, person(platform, "curator")):
+        content = look.read(f"{look.path}/leaderboard", caller, format=form).content
+        board = look.board(caller)
+        assert (board["is_rounded"], board["rows"][0]["ratios"]["miou"]) == (True, round(exact, 4))
+        assert (board["rows"][0]["intervals"], board["rows"][0]["support"]) == (None, None)
+        assert str(exact).encode() not in content
+    if form == "parquet":
+        row = pq.read_table(io.BytesIO(content)).to_pylist()[0]
+        assert (row["miou"], row["miou_low"]) == (round(exact, 4), None)
+    assert look.board(look.administrator)["rows"][0]["ratios"]["miou"] == exact
+
+
+def test_a_comparison_says_whether_it_is_more_than_chance(api_on: httpx.Client, platform_on: Platform) -> None:
+    look = boarding(api_on, platform_on)
+    found = answered(look.read(f"{look.path}/compare", a=look.mine, b=look.theirs))
+    assert (found["a"], found["b"], found["is_withheld"]) == (look.mine, look.theirs, False)
+    miou = found["ratios"]["miou"]
+    assert miou["difference"] == pytest.approx(miou["a"] - miou["b"])
+    assert 0 < miou["block"]["interval"][0] < miou["difference"] < miou["block"]["interval"][1]
+    assert miou["sign_flip"] == {"sequences": 3, "p": 0.25, "smallest_p": 0.25}
+    look.at.hide()
+    hidden = answered(look.read(f"{look.path}/compare", look.member, a=look.mine, b=look.theirs))
+    assert hidden["is_withheld"]
+    assert hidden["ratios"]["miou"] == {
+        "a": round(miou["a"], 4),
+        "b": round(miou["b"], 4),
+        "difference": round(round(miou["a"], 4) - round(miou["b"], 4), 4),
+        "block": None,
+        "sequence": None,
+        "sign_flip": None,
+    }
+
+
+def test_what_cannot_be_compared_is_refused(api: httpx.Client, platform: Platform) -> None:
+    look = boarding(api, platform)
+    elsewhere = scene(platform)
+    foreign = elsewhere.enter(elsewhere.team(), Made())
+    gone = look.at.enter(look.at.team(), Made(), withdrawn_ns=1)
+    compare = f"{look.path}/compare"
+    assert refused(look.read(compare, a=look.mine, b=foreign)) == (409, "not_comparable")
+    assert refused(look.read(compare, a=look.mine, b=gone)) == (404, "not_found")
+    assert refused(look.read(compare, a=NOBODY, b=look.mine)) == (404, "not_found")
+    assert refused(look.read(compare, a=look.mine)) == (422, "invalid_request")
+    assert refused(look.read(compare, a="x", b="y")) == (422, "invalid_request")
+
+
+@pytest.mark.parametrize("what", ["leaderboard", "compare"])
+def test_boards_are_of_phases_that_exist_and_for_those_who_are_signed_in(
+    api: httpx.Client, platform: Platform, what: str
+) -> None:
+    look = boarding(api, platform)
+    both: dict[str, Any] = {"a": look.mine, "b": look.theirs}
+    assert refused(look.read(f"/api/v1/benchmarks/{look.benchmark}/phases/no/{what}", **both)) == (404, "not_found")
+    assert refused(look.read(f"/api/v1/benchmarks/no/phases/val/{what}", **both)) == (404, "not_found")
+    assert api.get(f"{look.path}/{what}", params=both).status_code == 401
