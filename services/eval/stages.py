@@ -45,6 +45,7 @@ def open_submission(desk: Desk) -> Outcome:
     with desk.platform.database.reading() as session:
         submission = standing_submission(session, desk.submission_id)
         pair = active(session, submission.phase_id)
+    desk.attempt.progress("keep", 0, 1)
     keep_file(desk.platform, submission)
     if pair is None:
         raise TruthUnreadyError(f"phase {submission.phase_id}")
