@@ -9,9 +9,11 @@ from api.schemas.base import instant, instant_or_none
 from api.schemas.jobs import FailureItem
 from api.schemas.rescores import ActivationItem, MovedItem, RescoreDiffAnswer, RescoreItem, RescoreState, SideItem
 from services.runtime.benchmarks.rescore_diff import Moved, RescoreDiff
-from services.runtime.benchmarks.rescore_progress import RescoreProgress, rescore_progress
+from services.runtime.benchmarks.rescore_progress import RescoreProgress, missing_ids, rescore_progress
 from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import Activation, Job, Rescore
+
+MOST_NAMED = 20
 
 
 def rescore_item(session: Session, rescore: Rescore) -> RescoreItem:
@@ -27,6 +29,7 @@ def rescore_item(session: Session, rescore: Rescore) -> RescoreItem:
         reason=rescore.reason,
         state=_state(rescore, progress, run),
         **asdict(progress),
+        missing_submission_ids=missing_ids(session, rescore, MOST_NAMED),
         job_id=rescore.job_id,
         failure=FailureItem(code=run.failure_code, sentence=run.failure) if run and has_failed else None,
         created_at=instant(rescore.created_ns),

@@ -23,6 +23,7 @@ RESCORE_EXAMPLE: dict[str, Any] = {
     "missing": 188,
     "hidden": 0,
     "gone": 0,
+    "missing_submission_ids": [ID_EXAMPLE],
     "job_id": ID_EXAMPLE,
     "failure": None,
     "created_at": "2026-05-03T09:12:44.120000Z",
@@ -57,9 +58,9 @@ class NewRescoreBody(Body):
 class RescoreItem(Answer):
     """A re-score and how far it is.
 
-    Of `total` standing submissions `scored` have their new score; `missing` can still get it, `hidden` too but nobody
-    misses them; the files of `gone` were purged. `state` is running, incomplete (its run has ended and something is
-    missing: start it again), complete, activated or abandoned.
+    Of `total` standing submissions `scored` have their new score; `missing` can still get it, of which the first 20 are
+    named; `hidden` too but nobody misses them; the files of `gone` were purged. `state` is running, incomplete (its run
+    has ended and something is missing: start it again), complete, activated or abandoned.
     """
 
     model_config = example(**RESCORE_EXAMPLE)
@@ -75,6 +76,7 @@ class RescoreItem(Answer):
     missing: int
     hidden: int
     gone: int
+    missing_submission_ids: list[str]
     job_id: str | None
     failure: FailureItem | None
     created_at: datetime

@@ -138,8 +138,9 @@ def test_the_page_escapes_what_strangers_wrote(place: Place, admin: Administrati
 
 
 def test_a_switch_that_would_lose_an_entry_is_refused(place: Place, admin: Administrating) -> None:
-    scored_entry(place, team(place))
+    lacking = scored_entry(place, team(place))
     started = admin.start(truth_id=another_truth(place))
+    assert started["missing_submission_ids"] == [lacking]
     tag = admin.ask("GET", f"/{started['id']}/diff").headers["ETag"]
     assert refused(admin.activate(started["id"], tag)) == (409, "rescore_incomplete")
 

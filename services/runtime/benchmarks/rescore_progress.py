@@ -49,6 +49,12 @@ def lacking_ids(session: Session, phase_id: str, pair: Pair) -> list[str]:
     return list(session.scalars(_lacking(phase_id, pair)))
 
 
+def missing_ids(session: Session, rescore: Rescore, most: int) -> list[str]:
+    """The first of the submissions that an activation waits for, oldest first."""
+    lacking = _lacking(rescore.phase_id, Pair(rescore.truth_id, rescore.metric))
+    return list(session.scalars(lacking.where(Submission.hidden_ns.is_(None)).limit(most)))
+
+
 def failed_ids(session: Session, run_id: str | None) -> set[str]:
     """The submissions that a job of this run failed for."""
     failed = select(Job.arguments).where(Job.root_id == run_id, Job.id != run_id, Job.state == "failed")
