@@ -112,7 +112,7 @@ STATUS_OF: dict[type[StoneError], int] = {
     splitting.EmptyCatalogueError: 409,
     store_keys.StoreAwayError: 503,
     store_keys.StoreFullError: 507,
-    team_names.UnseenNameError: 422,
+    team_names.BadTeamNameError: 422,
     teams.AlreadyInTeamError: 409,
     teams.AlreadyMemberError: 409,
     teams.CaptainStaysError: 409,

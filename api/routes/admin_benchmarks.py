@@ -67,6 +67,15 @@ def add_phase(
     return shown
 
 
+@router.get("/phases/{phase_id}", responses=refusals(404))
+def show(phase_id: IdPath, _caller: Administrator, platform: PlatformDep, response: Response) -> PhaseDetail:
+    """A phase with what was noticed of it: labels may have become public since it was made."""
+    with platform.database.reading() as session:
+        phase = phase_of(session, phase_id)
+        response.headers["ETag"] = etag(phase.revision)
+        return phase_detail(session, phase)
+
+
 @router.patch("/phases/{phase_id}", responses=refusals(404, 409, 412, 428))
 def change(
     phase_id: IdPath,

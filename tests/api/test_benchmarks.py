@@ -80,6 +80,8 @@ def test_a_hidden_phase_over_val_is_made_with_a_warning(api: httpx.Client, admin
     added = api.post(f"{ADMIN}/benchmarks/stone/phases", json=body, headers=administrator.headers)
     assert added.status_code == 201
     assert [finding["code"] for finding in added.json()["findings"]] == ["labels_are_public"]
+    shown = api.get(f"{ADMIN}/phases/{added.json()['id']}", headers=administrator.headers)
+    assert (shown.json(), shown.headers["etag"]) == (added.json(), added.headers["etag"])
 
 
 def test_what_does_not_exist_is_404(api: httpx.Client, participant: Person, administrator: Person) -> None:

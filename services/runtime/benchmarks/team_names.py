@@ -16,6 +16,7 @@ from services.runtime.orm import Team
 from stone.errors import StoneError
 
 LOCK = 0x5445414D  # "TEAM": the advisory lock's number, shared by every process of the platform
+LONGEST = 64
 # Default_Ignorable_Code_Point (Unicode 15): fillers, joiners, variation selectors, tags.
 UNSEEN = re.compile(
     "[\u00ad\u034f\u061c\u115f\u1160\u17b4\u17b5\u180b-\u180f\u200b-\u200f\u202a-\u202e\u2060-\u206f\u3164"
@@ -23,32 +24,33 @@ UNSEEN = re.compile(
 )
 
 
-class UnseenNameError(StoneError):
-    """The name has no character that is seen."""
+class BadTeamNameError(StoneError):
+    """A team cannot be called so."""
 
-    code = "unseen_name"
+    code = "bad_team_name"
 
-    def __init__(self) -> None:
-        super().__init__("the name has no character that is seen; choose one that can be read")
+    def __init__(self, kept: int, seen: int) -> None:
+        super().__init__(
+            f"the name has {kept} characters when composed and {seen} that are seen; expected 1 to {LONGEST} of each"
+        )
 
 
-def refuse_taken(session: Session, name: str) -> None:
-    """Hold the names until the transaction ends. Raises `NameTakenError`, `UnseenNameError`."""
+def taken(session: Session, name: str) -> str:
+    """The name as it is kept, composed (NFC), and nobody's else until the transaction ends.
+
+    Raises `BadTeamNameError`, `NameTakenError`.
+    """
+    kept, wanted = unicodedata.normalize("NFC", name), folded(name)
+    if not wanted or len(kept) > LONGEST:
+        raise BadTeamNameError(len(kept), len(wanted))
     if session.get_bind().dialect.name == "postgresql":
         session.execute(text("SELECT pg_advisory_xact_lock(:number)"), {"number": LOCK})
-    wanted = folded(name)
-    if not wanted:
-        raise UnseenNameError()
     if any(folded(other) == wanted for other in session.scalars(select(Team.name))):
         raise NameTakenError("team", name)
+    return kept
 
 
 def folded(name: str) -> str:
     """What names that look alike have in common."""
     once = unicodedata.normalize("NFKC", UNSEEN.sub("", name)).casefold()
     return " ".join(unicodedata.normalize("NFKC", UNSEEN.sub("", once)).split())
-
-
-def shown(name: str) -> str:
-    """The name as it is kept: composed (NFC)."""
-    return unicodedata.normalize("NFC", name)

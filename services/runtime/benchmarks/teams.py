@@ -25,7 +25,7 @@ from services.runtime.benchmarks.team_errors import (
     TeamFullError,
     TooManyError,
 )
-from services.runtime.benchmarks.team_names import refuse_taken, shown
+from services.runtime.benchmarks.team_names import taken
 from services.runtime.inserting import insert_new
 from services.runtime.orm import Phase, PhaseTeam, ScoringEntry, Submission, Team, TeamInvitation, TeamMember, User
 from services.runtime.orm.base import now_ns
@@ -39,10 +39,9 @@ BINDING = ("queued", "scoring", "scored")
 
 
 def found(session: Session, name: str, user_id: str) -> Team:
-    """A team with this user as its captain. Raises `NameTakenError`, `TooManyError`."""
-    refuse_taken(session, name)
+    """A team with this user as its captain. Raises `BadTeamNameError`, `NameTakenError`, `TooManyError`."""
+    team = Team(name=taken(session, name))
     _refuse_many_teams(session, user_id)
-    team = Team(name=shown(name))
     session.add(team)
     session.flush()
     session.add(TeamMember(team_id=team.id, user_id=user_id, is_owner=True))

@@ -116,6 +116,7 @@ GET    /api/v1/benchmarks/{benchmark_name}/phases/{phase_name}/metrics/{metric}/
 GET    /api/v1/phases/{phase_id}                              401  200  200   200   200  200 403  401  401  200 200
 POST   /api/v1/admin/benchmarks                               401  403  403   403   201  403 403  401  401  403 403
 POST   /api/v1/admin/benchmarks/{benchmark_name}/phases       401  403  403   403   201  403 403  401  401  403 403
+GET    /api/v1/admin/phases/{phase_id}                        401  403  403   403   200  403 403  401  401  403 403
 PATCH  /api/v1/admin/phases/{phase_id}                        401  403  403   403   200  403 403  401  401  403 403
 POST   /api/v1/admin/phases/{phase_id}/ground-truths          401  403  403   403   202  403 403  401  401  403 403
 GET    /api/v1/admin/phases/{phase_id}/ground-truths          401  403  403   403   200  403 403  401  401  403 403

@@ -280,10 +280,14 @@ def test_names_are_kept_composed_and_other_names_are_free(platform: Platform) ->
     assert team_names.folded("E\u0301QUIPE") == team_names.folded("équipe")
 
 
-def test_a_name_of_nothing_that_is_seen_is_refused(platform: Platform) -> None:
+def test_a_name_of_nothing_that_is_seen_or_too_long_when_composed_is_refused(platform: Platform) -> None:
     ada = laid.user(platform)
-    with pytest.raises(team_names.UnseenNameError), platform.database.transaction() as session:
-        teams.found(session, "\u3164\ufe0f", ada.id)
+    for name, counted in (("\u3164\ufe0f", "2 .* 0 "), ("\u0958" * 33, "66 .* 66 ")):
+        with (
+            pytest.raises(team_names.BadTeamNameError, match=counted),
+            platform.database.transaction() as session,
+        ):
+            teams.found(session, name, ada.id)
 
 
 def test_of_teams_founded_at_once_with_names_that_look_alike_one_stands(platform_on: Platform, ada: User) -> None:
