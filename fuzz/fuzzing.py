@@ -9,7 +9,9 @@ import stone.bitplanes  # noqa: F401 # likewise
 
 # isort: split
 
-with atheris.instrument_imports(include=["services.ingest", "services.eval"]):
+EXPORTED = ("client.spans", "client.tar_places", "client.exported_sweeps")
+
+with atheris.instrument_imports(include=["services.ingest", "services.eval", *EXPORTED]):
     from fuzz.limits import check
     from fuzz.targets import TARGETS
 

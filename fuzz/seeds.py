@@ -18,6 +18,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 
 from fuzz.calibrations import calibrations
+from fuzz.exported import table_seeds, tar_seeds
 from fuzz.messages import DECODERS
 from fuzz.submissions import archive_seeds, frame_seeds, header_seeds, manifest_seeds
 from services.ingest.bag import open_bag
@@ -119,6 +120,8 @@ SEEDS: Mapping[str, Callable[[], Iterator[tuple[str, bytes]]]] = {
     "frame": frame_seeds,
     "header": header_seeds,
     "manifest": manifest_seeds,
+    "tar": tar_seeds,
+    "tables": table_seeds,
 }
 
 

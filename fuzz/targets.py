@@ -1,4 +1,5 @@
-"""What is fuzzed: the readers of recordings, messages, calibrations and submissions, each as one function of bytes.
+"""What is fuzzed: the readers of recordings, messages, calibrations, submissions and exports, each as one function
+of bytes.
 
 **Conventions.** Each target ends normally or with a `StoneError`. Of `messages` the first byte chooses the type, of
 `calibration` the ending of the file's name; the rest is the content.
@@ -8,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from fuzz.exported import read_tables, read_tar
 from fuzz.limits import Target
 from fuzz.messages import DECODERS
 from fuzz.submissions import read_archive, read_frame, read_header, read_manifest_file
@@ -86,4 +88,6 @@ TARGETS: Mapping[str, Target] = {
     "frame": read_frame,
     "header": read_header,
     "manifest": read_manifest_file,
+    "tar": read_tar,
+    "tables": read_tables,
 }
