@@ -29,9 +29,15 @@ REFUSAL = "what a board showed does not change"
 
 def upgrade() -> None:
     _benchmarks()
-    _truths()
-    _inputs()
-    _teams()
+    _phases()
+    _reported()
+    _ground_truths()
+    _rescores()
+    _activations()
+    _phase_inputs()
+    _phase_input_packs()
+    _team_invitations()
+    _phase_teams()
     _freeze()
 
 
@@ -55,6 +61,9 @@ def _benchmarks() -> None:
         sa.PrimaryKeyConstraint("id", name=op.f("pk_benchmarks")),
         sa.UniqueConstraint("name", name=op.f("uq_benchmarks_name")),
     )
+
+
+def _phases() -> None:
     op.create_table(
         "phases",
         sa.Column("id", sa.String(length=32), nullable=False),
@@ -83,6 +92,9 @@ def _benchmarks() -> None:
     )
     op.create_index(op.f("ix_phases_dataset_id"), "phases", ["dataset_id"], unique=False)
     op.create_index("uq_phases_benchmark_name", "phases", ["benchmark_id", "name"], unique=True)
+
+
+def _reported() -> None:
     op.create_table(
         "reported",
         sa.Column("id", sa.String(length=32), nullable=False),
@@ -102,7 +114,7 @@ def _benchmarks() -> None:
     op.create_index("uq_reported_phase_method", "reported", ["phase_id", "method", "modality"], unique=True)
 
 
-def _truths() -> None:
+def _ground_truths() -> None:
     op.create_table(
         "ground_truths",
         sa.Column("id", sa.String(length=32), nullable=False),
@@ -134,6 +146,9 @@ def _truths() -> None:
     op.create_index(op.f("ix_ground_truths_manifest_sha256"), "ground_truths", ["manifest_sha256"], unique=False)
     op.create_index(op.f("ix_ground_truths_pack_sha256"), "ground_truths", ["pack_sha256"], unique=False)
     op.create_index("uq_ground_truths_phase_number", "ground_truths", ["phase_id", "number"], unique=True)
+
+
+def _rescores() -> None:
     op.create_table(
         "rescores",
         sa.Column("id", sa.String(length=32), nullable=False),
@@ -154,6 +169,9 @@ def _truths() -> None:
     )
     op.create_index(op.f("ix_rescores_phase_id"), "rescores", ["phase_id"], unique=False)
     op.create_index(op.f("ix_rescores_truth_id"), "rescores", ["truth_id"], unique=False)
+
+
+def _activations() -> None:
     op.create_table(
         "activations",
         sa.Column("id", sa.String(length=32), nullable=False),
@@ -173,7 +191,7 @@ def _truths() -> None:
     op.create_index(op.f("ix_activations_truth_id"), "activations", ["truth_id"], unique=False)
 
 
-def _inputs() -> None:
+def _phase_inputs() -> None:
     op.create_table(
         "phase_inputs",
         sa.Column("phase_id", sa.String(length=32), nullable=False),
@@ -189,6 +207,9 @@ def _inputs() -> None:
         sa.PrimaryKeyConstraint("phase_id", "name", name=op.f("pk_phase_inputs")),
     )
     op.create_index(op.f("ix_phase_inputs_index_sha256"), "phase_inputs", ["index_sha256"], unique=False)
+
+
+def _phase_input_packs() -> None:
     op.create_table(
         "phase_input_packs",
         sa.Column("phase_id", sa.String(length=32), nullable=False),
@@ -204,7 +225,7 @@ def _inputs() -> None:
     op.create_index(op.f("ix_phase_input_packs_blob_sha256"), "phase_input_packs", ["blob_sha256"], unique=False)
 
 
-def _teams() -> None:
+def _team_invitations() -> None:
     op.create_table(
         "team_invitations",
         sa.Column("id", sa.String(length=32), nullable=False),
@@ -224,6 +245,9 @@ def _teams() -> None:
         sa.UniqueConstraint("secret_hash", name=op.f("uq_team_invitations_secret_hash")),
     )
     op.create_index(op.f("ix_team_invitations_team_id"), "team_invitations", ["team_id"], unique=False)
+
+
+def _phase_teams() -> None:
     op.create_table(
         "phase_teams",
         sa.Column("phase_id", sa.String(length=32), nullable=False),

@@ -24,8 +24,10 @@ REFUSAL = "scores and the ledger of scorings are only added to"
 
 def upgrade() -> None:
     _submissions()
+    _alarms()
     _scores()
-    _ledger()
+    _score_parts()
+    _scoring_ledger()
     _freeze()
 
 
@@ -77,6 +79,9 @@ def _submissions() -> None:
     op.create_index("ix_submissions_phase_state", "submissions", ["phase_id", "state"], unique=False)
     op.create_index(op.f("ix_submissions_team_id"), "submissions", ["team_id"], unique=False)
     op.create_index(op.f("ix_submissions_user_id"), "submissions", ["user_id"], unique=False)
+
+
+def _alarms() -> None:
     op.create_table(
         "alarms",
         sa.Column("id", sa.String(length=32), nullable=False),
@@ -131,6 +136,9 @@ def _scores() -> None:
     op.create_index(op.f("ix_scores_draws_sha256"), "scores", ["draws_sha256"], unique=False)
     op.create_index(op.f("ix_scores_truth_id"), "scores", ["truth_id"], unique=False)
     op.create_index("uq_scores_submission_truth_metric", "scores", ["submission_id", "truth_id", "metric"], unique=True)
+
+
+def _score_parts() -> None:
     op.create_table(
         "score_parts",
         sa.Column("submission_id", sa.String(length=32), nullable=False),
@@ -147,7 +155,7 @@ def _scores() -> None:
     )
 
 
-def _ledger() -> None:
+def _scoring_ledger() -> None:
     op.create_table(
         "scoring_ledger",
         sa.Column("id", sa.String(length=32), nullable=False),
