@@ -76,8 +76,8 @@ absent from the ground truth but predicted there has IoU 0. A submission whose m
 ## Ties
 
 Entries are ordered by mIoU, then IoU_occ, then IoU_N, each rounded to four digits, then by the time of finalisation,
-earlier first; equal rounded values share a rank. Ranks come with an interval from paired block resampling (blocks of 200
-frames inside sequences, circular), since neighbouring frames are no independent samples.
+earlier first; equal rounded values share a rank. Ranks come with an interval from paired block resampling (blocks of
+200 frames inside sequences, circular), since neighbouring frames are no independent samples.
 """
 
 _OTHERS = """\
