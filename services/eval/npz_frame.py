@@ -30,12 +30,14 @@ from services.eval.errors import (
     TooLargeError,
     TruncatedError,
 )
+from services.eval.plain_npz import plain_member
 from services.eval.zip_directory import STORED, Member, payload_span, read_directory
 from services.eval.zip_end import ReadAt
 from stone.bitplanes import VOXELS
 from stone.grid import GRID_SHAPE
 
 PREDICTION_KEYS = ("semantics", "arr_0")
+PLAIN_NAMES = tuple(f"{key}.npy".encode() for key in PREDICTION_KEYS)
 MAX_HEADER_BYTES = 4096
 MAX_ARRAYS = 64
 # Escapes, and digits that run into letters (0xF…, 1if): what Python's parser warns of or makes large numbers from.
@@ -61,6 +63,10 @@ def prediction_grid(npz: Buffer) -> NDArray[np.uint8]:
 
     Raises the `SubmissionError` leaf that names what is wrong; values are not looked at.
     """
+    plain = plain_member(npz, PLAIN_NAMES)
+    if plain is not None:
+        member, start = plain
+        return _grid_of(memoryview(npz)[start : member.limit], member)
     members = npz_members(npz)
     known = [key for key in PREDICTION_KEYS if key in members]
     if not known:
@@ -92,7 +98,11 @@ def read_grid(npz: Buffer, member: Member) -> NDArray[np.uint8]:
     Raises `BadDtypeError`, `BadShapeError`, `TooLargeError`, `TruncatedError`, `CorruptError`, `NotNpzError`.
     """
     start, stop = payload_span(_reader(npz), member)
-    packed = memoryview(npz)[start:stop]
+    return _grid_of(memoryview(npz)[start:stop], member)
+
+
+def _grid_of(packed: memoryview, member: Member) -> NDArray[np.uint8]:
+    """The grid in the packed bytes of `member`."""
     if not LEAST_NPY_BYTES <= member.unpacked_bytes <= MOST_NPY_BYTES:
         raise _size_refusal(packed, member)
     npy = packed if member.method == STORED else inflate_exactly(packed, member.unpacked_bytes)
