@@ -78,6 +78,6 @@ class ByteMoving:
 @njit(nogil=True)
 def _read(words: Words) -> np.uint64:
     seen = np.uint64(0)
-    for word in words:
-        seen |= word
+    for at in range(words.size):  # by index: a loop over the words themselves is no vector code, and thrice as slow
+        seen |= words[at]
     return seen
