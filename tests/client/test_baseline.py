@@ -1,4 +1,4 @@
-"""`stone baseline` from exports of every kind: the demo's predictions, the same bytes, hostile data refused."""
+"""`stone baseline` from exports of every kind: what the recording gives, the same bytes, hostile data refused."""
 
 import json
 import tarfile
@@ -10,15 +10,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from typer.testing import CliRunner, Result
 
-from client.demo import _predictions
 from client.main import app
+from client.sdk import Stone
 from services.eval.manifest import Manifest, write_manifest
 from services.eval.submission import write_submission
 from services.ingest.opening import open_sequence
 from services.labeler.exports.folder import ExportRequest, export
 from services.labeler.exports.inputs import write_inputs
+from stone.baseline import predict_from_sweep
 from tests.services.labeler.exports.conftest import drive
 from tests.services.labeler.exports.made import Labelled, unheard
 
@@ -61,13 +63,23 @@ def made(output: Path, manifest: Path, *sources: Path, workers: int = 2) -> byte
     return output.read_bytes()
 
 
-def test_it_is_the_demos_own_prediction_whatever_it_is_made_from(
+def recorded_predictions(bag: Path) -> dict[str, NDArray[np.uint8]]:
+    """Of each frame by token, from the recording itself: no export, no table, no thread."""
+    sequence, sweeps = open_sequence(bag, bag.with_suffix(".calibration.yaml"), "drive")
+    ego_from_lidar = sequence.calibration.ego_from_lidar
+    found = {}
+    for index, token in enumerate(sequence.frames.tokens):
+        points_ego = ego_from_lidar @ sweeps.sweep(index).points_lidar.astype(np.float64)
+        found[token] = predict_from_sweep(points_ego.astype(np.float32))
+    return found
+
+
+def test_it_is_what_the_recording_gives_whatever_it_is_made_from(
     drive: Labelled, inputs: Path, manifest: Path, tmp_path: Path
 ) -> None:
-    sequence, sweeps = open_sequence(drive.bag, drive.bag.with_suffix(".calibration.yaml"), "drive")
-    frames = dict(_predictions(sequence, sweeps, lambda stage, done, total: None))
-    write_submission(tmp_path / "demo.zip", ((token, frames[token]) for token in reversed(sequence.frames.tokens)))
-    wanted = (tmp_path / "demo.zip").read_bytes()
+    frames = recorded_predictions(drive.bag)
+    write_submission(tmp_path / "recorded.zip", reversed(frames.items()))
+    wanted = (tmp_path / "recorded.zip").read_bytes()
     assert len({grid.tobytes() for grid in frames.values()}) > 1
     export(ExportRequest("nuscenes", tmp_path / "release", drive.report), drive.source, unheard)
     with tarfile.open(tmp_path / "inputs.tar", "w") as tar:
@@ -77,6 +89,12 @@ def test_it_is_the_demos_own_prediction_whatever_it_is_made_from(
     for source in (inputs, tmp_path / "release", tmp_path / "inputs.tar", tmp_path / "below.tar"):
         assert made(tmp_path / "sub.zip", manifest, source) == wanted, source
     assert made(tmp_path / "sub.zip", manifest, inputs, workers=1) == wanted
+
+
+def test_python_writes_the_same(inputs: Path, manifest: Path, tmp_path: Path) -> None:
+    with Stone("http://127.0.0.1:1", "no server is asked") as api:
+        written = api.baseline([inputs], manifest, tmp_path / "python.zip")
+    assert written.read_bytes() == made(tmp_path / "sub.zip", manifest, inputs)
 
 
 def test_what_it_writes_is_valid(inputs: Path, manifest: Path, tmp_path: Path) -> None:
