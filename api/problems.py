@@ -34,6 +34,7 @@ MOST_FINDINGS = 100
 MOST_WORDS = 200
 PROBLEMS_PATH = "/api/v1/problems"
 BUSY_S = "2"
+GRANTED_WITHIN_S = 86_400
 
 log = structlog.get_logger(__name__)
 
@@ -95,11 +96,12 @@ def answer_to(error: StoneError) -> JSONResponse:
 
 
 def _exhausted(body: Problem, error: ExhaustedError) -> JSONResponse:
-    """When there will be something left; without a time where there never will."""
-    if error.next_ns is None:
-        return answer(body)
-    body.next_slot_at = instant(error.next_ns)
-    return answer(body, {"Retry-After": str(max(1, -(-(error.next_ns - now_ns()) // 10**9)))})
+    """When there will be something left; where nothing tells when, a client is to ask another day, not at once."""
+    wait_s = GRANTED_WITHIN_S
+    if error.next_ns is not None:
+        body.next_slot_at = instant(error.next_ns)
+        wait_s = max(1, -(-(error.next_ns - now_ns()) // 10**9))
+    return answer(body, {"Retry-After": str(wait_s)})
 
 
 def internal_error() -> JSONResponse:

@@ -135,7 +135,7 @@ def test_without_any_scoring_left_there_is_no_time_to_wait_for(api: httpx.Client
     draft = team.announced()
     reply = team.finalize(draft["id"], team.upload(draft))
     assert refused(reply) == (429, "scorings_exhausted")
-    assert "Retry-After" not in reply.headers
+    assert reply.headers["Retry-After"] == "86400"  # so that no client asks again and again meanwhile
     assert "next_slot_at" not in reply.json()
     assert (team.quota()["total_left"], team.quota()["next_slot_at"]) == (0, None)
 

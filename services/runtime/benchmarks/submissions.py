@@ -34,13 +34,14 @@ from services.runtime.benchmarks.submission_states import (
     reopen,
     settle,
 )
+from services.runtime.benchmarks.team_errors import AlreadyInTeamError
 from services.runtime.benchmarks.teams import enter, lock_team
 from services.runtime.jobs.changes import lock_run
 from services.runtime.jobs.errors import JobStateError
 from services.runtime.jobs.queueing import enqueue_run
 from services.runtime.jobs.specs import Context
 from services.runtime.jobs.steering import cancel as cancel_run
-from services.runtime.orm import GroundTruth, Job, Phase, Submission, Upload
+from services.runtime.orm import GroundTruth, Job, Phase, PhaseTeam, Submission, Upload
 from services.runtime.orm.base import now_ns
 from services.runtime.uploads import consume
 from services.runtime.uploads.errors import UploadMissingError
@@ -87,7 +88,7 @@ class Draft:
 
 def create_draft(session: Session, draft: Draft) -> Submission:
     """Announce a file. Raises `PhaseClosedError`, `NoGroundTruthError`, `SubmissionTooLargeError`, `TooManyOpenError`,
-    `ValidationsExhaustedError`.
+    `ValidationsExhaustedError`, and `AlreadyInTeamError` for who takes part with another team.
     """
     if draft.kind not in KINDS:
         raise ValueError(f"{draft.kind!r} is no kind of submission")
@@ -96,6 +97,9 @@ def create_draft(session: Session, draft: Draft) -> Submission:
     limit_bytes = largest_bytes(truth.frames)
     if draft.size_bytes > limit_bytes:
         raise SubmissionTooLargeError(draft.size_bytes, limit_bytes, truth.frames)
+    bound = session.get(PhaseTeam, (phase.id, draft.user_id))
+    if bound is not None and bound.team_id != draft.team_id:  # finalising would refuse it once all was sent
+        raise AlreadyInTeamError(phase.name)
     lock_team(session, draft.team_id)
     _refuse_too_many(session, draft)
     if draft.kind == "validation":

@@ -170,6 +170,8 @@ def test_who_takes_part_with_another_team_cannot_submit_with_this_one(platform_o
     submission_id = drafted(desk)
     with pytest.raises(AlreadyInTeamError):
         finalised(desk, submission_id)
+    with pytest.raises(AlreadyInTeamError):  # the one who is bound is told so before anything is sent
+        drafted(desk, user_id=other.captain.user_id)
     assert (seen(desk, submission_id).state, taken(desk)) == ("draft", 0)
 
 
