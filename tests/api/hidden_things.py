@@ -14,6 +14,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import pyarrow
@@ -52,11 +53,17 @@ class Secrets:
 
     def found_in(self, headers: str, body: bytes) -> list[str]:
         """What of it is there, for people."""
-        layers = list(unwrapped(body))
+        layers = _layers(body)
         whole = "\n".join([headers, *filter(None, map(_as_text, layers))])
         told = [f"bytes {secret[:16].hex()}…" for secret in self.blobs if any(secret in layer for layer in layers)]
         told += [text for text in self.texts if text in whole]
         return told + [str(number) for number in {float(one) for one in NUMBER.findall(whole)} & self.numbers]
+
+
+@lru_cache(maxsize=1000)
+def _layers(body: bytes) -> tuple[bytes, ...]:
+    """Most answers come more than once."""
+    return tuple(unwrapped(body))
 
 
 def unwrapped(body: bytes, depth: int = 0) -> Iterator[bytes]:
