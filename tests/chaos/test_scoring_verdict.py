@@ -16,7 +16,7 @@ from tests.services.eval.sending import guess, pair_of, row_of, send, standing_w
 
 @pytest.fixture(scope="module")
 def world(tmp_path_factory: pytest.TempPathFactory, _sqlite_template: Path) -> Iterator[World]:
-    with standing_world(tmp_path_factory.mktemp("verdict"), _sqlite_template, frames=1) as made:
+    with standing_world(tmp_path_factory.mktemp("verdict"), _sqlite_template) as made:
         yield made
 
 

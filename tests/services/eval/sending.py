@@ -25,7 +25,7 @@ from tests.servers.fixtures import make_settings, opened
 
 
 @contextmanager
-def standing_world(folder: Path, template: Path, frames: int = 2) -> Iterator[World]:
+def standing_world(folder: Path, template: Path, frames: int = 1) -> Iterator[World]:
     """A world of few frames, its database copied from the migrated `template`."""
     settings = make_settings(folder)
     settings.root.mkdir(parents=True)

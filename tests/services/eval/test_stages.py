@@ -10,11 +10,10 @@ import pytest
 from services.eval.pipeline import score
 from services.runtime.benchmarks import scoring_jobs
 from services.runtime.orm import Blob
-from services.runtime.platform import Platform
 from services.runtime.uploads import upload_file
 from stone.confusion import confusion_matrix
 from stone.metric import RATIOS
-from tests.benchmark_world import World, benchmark_world, labels_npz, run_eval
+from tests.benchmark_world import World, labels_npz, run_eval
 from tests.services.eval.sending import (
     counts_of,
     guess,
@@ -75,7 +74,7 @@ def test_counted_in_parts_it_has_the_same_score(world: World, monkeypatch: pytes
     content = zipped(world, guess(world, turn=2))
     whole = send(world, content)
     run_eval(world.platform)
-    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", 3)
+    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", 1)
     parted = send(world, content, team=1)
     run_eval(world.platform)
     kinds = [job.kind for job in jobs_of(world.platform, parted)]
@@ -106,7 +105,7 @@ def test_a_validation_is_checked_and_never_scored(world: World, monkeypatch: pyt
     content = zipped(world, guess(world, turn=4))
     small = send(world, content, kind="validation")
     run_eval(world.platform)
-    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", 3)
+    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", 1)
     parted = send(world, content, kind="validation")
     run_eval(world.platform)
     for submission_id in (small, parted):
@@ -118,7 +117,7 @@ def test_a_validation_is_checked_and_never_scored(world: World, monkeypatch: pyt
 
 def test_jobs_tell_nothing_but_where_the_submission_stands(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither a ratio nor a count of voxels is in a result, a log line or a failure."""
-    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", 3)
+    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", 1)
     submission_id = send(world, zipped(world, guess(world, "test")), "test")
     run_eval(world.platform)
     (row,) = scores_of(world.platform, submission_id)
@@ -128,14 +127,3 @@ def test_jobs_tell_nothing_but_where_the_submission_stands(world: World, monkeyp
     words = json.dumps(told)
     counts = [count for count in np.array(row.record["confusion"]).ravel().tolist() if count > 999]
     assert not [figure for figure in (row.miou, row.iou_occ, *counts) if str(figure)[:6] in words]
-
-
-def test_it_is_scored_on_both_databases(platform_on: Platform) -> None:
-    small = benchmark_world(platform_on, frames=1)
-    submission_ids = [send(small, zipped(small, guess(small, turn=team)), team=team) for team in (0, 1)]
-    run_eval(platform_on)
-    for submission_id in submission_ids:
-        (row,) = scores_of(platform_on, submission_id)
-        assert row.record["frames"] == 2
-        assert row_of(platform_on, submission_id).state == "scored"
-        assert taken(platform_on, submission_id) == 1

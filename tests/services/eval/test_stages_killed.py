@@ -90,7 +90,7 @@ def give_back_silent(platform: Platform) -> None:
 def test_a_worker_killed_in_the_middle_is_replaced_and_scores_once(
     world: World, kind: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", 3 if kind == "eval.part" else 500)
+    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", 1 if kind == "eval.part" else 500)
     submission_id = send(world, zipped(world, guess(world, turn=len(kind))))
     if kind == "eval.part":
         run_next(world.platform, "eval", handlers(world.platform))

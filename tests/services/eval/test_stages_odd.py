@@ -20,7 +20,7 @@ NOBODY = "0" * 32
 
 @pytest.fixture(scope="module")
 def world(tmp_path_factory: pytest.TempPathFactory, _sqlite_template: Path) -> Iterator[World]:
-    with standing_world(tmp_path_factory.mktemp("odd"), _sqlite_template, frames=1) as made:
+    with standing_world(tmp_path_factory.mktemp("odd"), _sqlite_template) as made:
         yield made
 
 

@@ -53,7 +53,7 @@ def spoilt(frames: Mapping[str, Grid], count: int) -> dict[str, Grid]:
             for token, grid in frames.items()}  # fmt: skip
 
 
-@pytest.mark.parametrize("part_frames", [500, 3])
+@pytest.mark.parametrize("part_frames", [500, 1])
 def test_a_wrong_archive_is_invalid_at_once(world: World, part_frames: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scoring_jobs, "PART_FRAMES", part_frames)
     frames = guess(world, turn=10)
@@ -102,7 +102,7 @@ def test_a_file_that_is_gone_is_told(world: World) -> None:
     assert "no file stands" in row.failure
 
 
-@pytest.mark.parametrize("part_frames", [500, 3])
+@pytest.mark.parametrize("part_frames", [500, 1])
 def test_a_file_that_breaks_its_reader_is_not_read_again(
     world: World, part_frames: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -138,7 +138,7 @@ def test_a_ground_truth_that_decayed_is_the_platforms_fault(world: World) -> Non
 
 
 def test_one_that_is_cancelled_while_it_is_counted_keeps_nothing(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", 3)
+    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", 1)
     submission_id = send(world, zipped(world, guess(world, turn=21)))
     stages = handlers(world.platform)
 

@@ -31,13 +31,13 @@ from services.runtime.orm import (
 from services.runtime.platform import Platform
 from tests.api import made, published
 from tests.api.serving import person
-from tests.benchmark_world import Grid, World, benchmark_world, ground, labels_npz, new_truth, run_eval
+from tests.benchmark_world import Grid, World, ground, labels_npz, new_truth, run_eval
 from tests.services.eval.sending import standing_world
 
 
 @pytest.fixture(scope="module")
 def world(tmp_path_factory: pytest.TempPathFactory, _sqlite_template: Path) -> Iterator[World]:
-    with standing_world(tmp_path_factory.mktemp("truths"), _sqlite_template) as standing:
+    with standing_world(tmp_path_factory.mktemp("truths"), _sqlite_template, frames=2) as standing:
         yield standing
 
 
@@ -120,13 +120,8 @@ def test_building_it_again_changes_nothing(world: World) -> None:
     assert (after.ready_ns, after.pack_sha256, after.facts) == (before.ready_ns, before.pack_sha256, before.facts)
 
 
-def test_it_is_built_on_both_databases(platform_on: Platform) -> None:
-    small = benchmark_world(platform_on, frames=1)
-    assert [truth.frames for truth in (*truths(small, small.val), *truths(small, small.test))] == [2, 2]
-
-
-def unfit(platform: Platform, content: bytes) -> tuple[Job, list[JobLine]]:
-    """The job that was to build a ground truth of a frame with this as label file, and what it logged."""
+def unfit(platform: Platform, content: bytes) -> tuple[str, Job, list[JobLine]]:
+    """A phase, the job that was to build its ground truth of a frame with this label file, and what it logged."""
     administrator, name = person(platform, "administrator"), f"broken-{new_id()[-6:]}"
     with platform.database.transaction() as session:
         sequence = Sequence(owner_id=administrator.user_id, name=name)
@@ -142,7 +137,8 @@ def unfit(platform: Platform, content: bytes) -> tuple[Job, list[JobLine]]:
         _, job = start_truth(session, phase, dataset, administrator.user_id)
     run_eval(platform)
     with platform.database.reading() as session:
-        return session.get_one(Job, job.id), list(session.scalars(select(JobLine).where(JobLine.job_id == job.id)))
+        lines = session.scalars(select(JobLine).where(JobLine.job_id == job.id)).all()
+        return phase.id, session.get_one(Job, job.id), list(lines)
 
 
 def beyond(grid: Grid) -> Grid:
@@ -161,14 +157,14 @@ def beyond(grid: Grid) -> Grid:
     ],
     ids=["no npz", "no mask", "a label that is none", "another shape"],
 )
-def test_labels_that_are_none_end_the_job_without_a_word_of_what_they_hold(platform: Platform, content: bytes) -> None:
-    job, lines = unfit(platform, content)
+def test_labels_that_are_none_end_the_job_without_a_word_of_what_they_hold(world: World, content: bytes) -> None:
+    phase_id, job, lines = unfit(world.platform, content)
     assert (job.state, job.failure_code, job.attempt) == ("failed", "labels_unfit", 1)
     words = job.failure + json.dumps([(line.event, line.facts) for line in lines])
     assert "217" not in re.sub(r"gts/[^ ]+", "the file", words), "the name of a frame is no secret, its labels are"
-    with platform.database.reading() as session:
-        assert session.scalars(select(GroundTruth.ready_ns)).all() == [None]
-        assert session.scalars(select(Activation.id)).all() == []
+    assert [truth.ready_ns for truth in truths(world, phase_id)] == [None]
+    with world.platform.database.reading() as session:
+        assert session.scalars(select(Activation.id).where(Activation.phase_id == phase_id)).all() == []
 
 
 def test_labels_that_changed_in_the_store_are_not_taken(world: World) -> None:
