@@ -190,8 +190,8 @@ def _announced(
 ) -> SubmissionDetail:
     kind, body = asked
     with platform.database.transaction() as session:
-        phase = phase_of(session, phase_id)
         team = member_team_of(session, caller, body.team_id)
+        phase = phase_of(session, phase_id)
         said = body.model_dump(exclude={"team_id", "kind"})
         row = submissions.create_draft(session, Draft(phase.id, team.id, caller.user_id, kind, **said))
         facts = {"phase_id": phase.id, "team_id": team.id, "kind": kind, "sha256": body.sha256}

@@ -38,7 +38,7 @@ HEADERS = {
 
 @dataclass(frozen=True)
 class Asked:
-    """A request without its credential; `ids` are those it names in its path."""
+    """A request without its credential; `ids` are those it names in its path or query, and its team."""
 
     operation: Operation
     path: str
@@ -62,9 +62,9 @@ def asked(document: Mapping[str, Any], operation: Operation, named: Mapping[str,
     security = described.get("security") or [{"": [""]}]
     scope = next(iter(security[0].values()))[0]
     headers = {"if-match": "*", **_headers(described)}
-    query = _queries(described, values)
-    content = _content(document, described, values, user_name) | query
-    ids |= {value for value in query.get("params", {}).values() if value in named.values()}
+    content = _content(document, described, values, user_name) | _queries(described, values)
+    spoken = [*content.get("params", {}).values(), content.get("json", {}).get("team_id")]
+    ids |= {value for value in spoken if value in named.values()}
     return Asked(operation, template.format_map(values), headers, content, frozenset(ids), scope)
 
 
