@@ -34,6 +34,7 @@ check: test-clients
 
 chaos: install
 	$(BIN)/python -m chaos
+	$(BIN)/python -m chaos.scoring
 
 fuzz: install
 	$(BIN)/python -m fuzz
