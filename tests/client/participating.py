@@ -1,9 +1,8 @@
 """A served platform with a benchmark and a worker that scores, and commands as one of its participants gives them."""
 
 import json
-import threading
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,13 +13,13 @@ from typer.testing import CliRunner, Result
 from client.main import app
 from services.eval.stages import handlers
 from services.runtime.benchmarks import teams
-from services.runtime.jobs.running import run_next
 from services.runtime.migrate import upgrade
 from services.runtime.orm import Phase, Submission, Upload, new_id
 from services.runtime.platform import Platform
 from tests.api.serving import Person, person, serving
 from tests.benchmark_world import World, benchmark_world, predicted, submission_zip
 from tests.servers.fixtures import make_settings, opened
+from tests.working import working
 
 
 @dataclass(frozen=True)
@@ -112,19 +111,6 @@ def zipped(served: Served, path: Path, part: str = "val", errors: float = 0.1, s
     return submission_zip(path, predicted(served.world.truth(part), errors, seed))
 
 
-@contextmanager
-def scoring(platform: Platform) -> Iterator[None]:
+def scoring(platform: Platform) -> AbstractContextManager[None]:
     """A worker of the queue `eval` in a thread."""
-    is_over = threading.Event()
-
-    def work() -> None:
-        while not is_over.wait(0.02):
-            run_next(platform, "eval", handlers(platform))
-
-    thread = threading.Thread(target=work)
-    thread.start()
-    try:
-        yield
-    finally:
-        is_over.set()
-        thread.join()
+    return working(platform, "eval", handlers)

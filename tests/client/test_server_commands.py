@@ -3,7 +3,7 @@
 import json
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from structlog.testing import capture_logs
 from typer.testing import CliRunner, Result
 
 from client.main import app
-from services.ingest.tasks import handlers
+from services.ingest.stages import handlers
 from services.runtime.access.passwords import hash_password
 from services.runtime.jobs.queueing import enqueue
 from services.runtime.jobs.running import run_next
@@ -25,6 +25,7 @@ from stone.errors import StoneError
 from tests.api import made
 from tests.api.serving import Person, client_of, person, serving
 from tests.stone_serve import until
+from tests.working import working
 
 PASSWORD = "correct horse battery staple"
 
@@ -76,26 +77,13 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@contextmanager
-def working(platform: Platform) -> Iterator[None]:
+def ingesting(platform: Platform) -> AbstractContextManager[None]:
     """A worker of the queue `ingest` in a thread."""
-    is_over = threading.Event()
-
-    def work() -> None:
-        while not is_over.wait(0.02):
-            run_next(platform, "ingest", handlers(platform))
-
-    thread = threading.Thread(target=work)
-    thread.start()
-    try:
-        yield
-    finally:
-        is_over.set()
-        thread.join()
+    return working(platform, "ingest", handlers)
 
 
 def uploaded(platform: Platform, bag: Path, *options: str) -> Result:
-    with working(platform):
+    with ingesting(platform):
         return stone("upload", bag, "--calibration", bag.with_suffix(".calibration.yaml"), *options)
 
 

@@ -22,7 +22,7 @@ from services.runtime.platform import Platform
 from simulator.options import SimulateOptions
 from simulator.pipeline import simulate
 from tests.api.serving import Person, person, serving
-from tests.client.test_server_commands import refused, stone, working
+from tests.client.test_server_commands import ingesting, refused, stone
 from tests.services.ingest.splitting import split_into
 
 TINY = SimulateOptions(seconds=1.0, channels=16, columns=120, cameras=False)
@@ -77,7 +77,7 @@ def test_a_folder_is_one_recording_of_its_files(
 ) -> None:
     monkeypatch.setenv("STONE_URL", url)
     monkeypatch.setenv("STONE_TOKEN", owner.secret)
-    with working(platform):
+    with ingesting(platform):
         sent = stone("upload", folder, "--calibration", calibration, "--name", "forest", "--json")
         again = stone("upload", folder, "--calibration", calibration, "--name", "forest", "--json")
     assert (sent.exit_code, again.exit_code) == (0, 0), sent.stderr + again.stderr
@@ -107,7 +107,7 @@ def test_a_folder_goes_on_with_the_file_at_which_it_was_interrupted(
             add_recording(api, sequence, bag, interrupt)
         before = uploads(platform)
         assert before[:2] == [("run_0.mcap", "complete"), ("run_1.mcap", "complete")]
-        with working(platform):
+        with ingesting(platform):
             made = add_recording(api, sequence, bag, quiet)
         assert made["state"] == "registered"
         assert not has_other_recording(api, sequence, bag)
