@@ -62,6 +62,8 @@ NEW_PHASE_EXAMPLE: dict[str, Any] = {**WHAT_EXAMPLE, "dataset": "stone-1.0", **R
 class RulesBody(Body):
     """When a phase runs and how much a team may; null is for as long, or as many, as one likes."""
 
+    model_config = Body.model_config | example(**RULES_EXAMPLE)
+
     title: Heading = ""
     opens_at: Moment | None = None
     closes_at: Moment | None = None

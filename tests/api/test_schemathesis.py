@@ -39,7 +39,8 @@ ROLES = ("anonymous", "participant", "owner", "administrator")
 SUCCEEDING = {"anonymous": 5, "participant": 13, "owner": 32, "administrator": 40}  # operations, of four examples each
 STREAMED_S = 0.05
 REFUSING = ["400", "401", "403", "404", "405", "409", "412", "413", "415", "416", "422", "428"]
-CONFIG = {"checks": {"negative_data_rejection": {"expected-statuses": REFUSING}}}
+PATIENCE_S = 120.0  # splits proposed for all that was made meanwhile take seconds
+CONFIG = {"request-timeout": PATIENCE_S, "checks": {"negative_data_rejection": {"expected-statuses": REFUSING}}}
 CHECKS = [
     schemathesis.checks.not_a_server_error,
     checks.status_code_conformance,
