@@ -116,13 +116,19 @@ def _matching(name: str, descriptor: int, members: Sequence[Member], tokens: fro
 
 def _fault(member: Member, is_ours: bool, is_second: bool) -> SubmissionError | None:
     if not is_ours:
-        return UnexpectedFileError("the frames of the manifest only", "another file")
+        return UnexpectedFileError("the frames of the manifest only", _stranger(member.name))
     if is_second:
         return DuplicateFrameError("each frame once", "a second file of this name")
     size_bytes = max(member.packed_bytes, member.unpacked_bytes)
     if size_bytes > MAX_FRAME_BYTES:
         return TooLargeError(f"at most {MAX_FRAME_BYTES} bytes a frame", f"{size_bytes} bytes")
     return None
+
+
+def _stranger(name: str) -> str:
+    """What a file is that is no frame, where that is likely to help."""
+    is_finders = name.startswith("__MACOSX/") or name.rpartition("/")[2] == ".DS_Store"
+    return "what macOS's Finder adds to a zip; `zip -r -X` does not" if is_finders else "another file"
 
 
 def _common_prefix(members: Sequence[Member], tokens: frozenset[str]) -> str:

@@ -100,6 +100,17 @@ def test_missing_frames_are_refused_before_any_is_counted(world: World, tmp_path
         score(tmp_path / "sub.zip", world.folder)
 
 
+@pytest.mark.parametrize("name", ["__MACOSX/._predictions", "predictions/.DS_Store"])
+def test_what_the_finder_adds_is_refused_with_the_way_to_leave_it_out(
+    name: str, world: World, submission: Path
+) -> None:
+    with zipfile.ZipFile(submission, "a") as archive:
+        archive.writestr(name, b"fork")
+    (problem,) = validate(submission, world.manifest_path).errors
+    assert (problem.code, problem.file) == ("unexpected_file", name)
+    assert "zip -r -X" in problem.actual
+
+
 def test_the_first_hundred_problems_are_told_and_all_are_counted(world: World, tmp_path: Path) -> None:
     grid = next(iter(world.labels.values()))
     write_submission(tmp_path / "sub.zip", ((f"{index:032x}", grid[:]) for index in range(120)))
