@@ -26,7 +26,7 @@ from tests.stone_serve import environment
 
 STONE = Path(sys.executable).parent / "stone"
 Spoil = Callable[[Path, Path], None]
-SMALL = SimulateOptions(seconds=20.0, seed=3, channels=32, columns=360, cameras=False)
+SMALL = SimulateOptions(seconds=20.0, seed=3, channels=24, columns=240, cameras=False)
 REFUSAL = re.compile(r"[A-Za-z]+[-_A-Za-z0-9]*: \S.*")
 
 
