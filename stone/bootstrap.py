@@ -11,15 +11,16 @@ single frames is ten times too narrow. Blocks keep the correlation; whole sequen
 Source: circular block bootstrap, Politis and Romano (1992); percentile intervals, Efron (1979).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from stone.confusion import Counts, Ratios
+from stone.confusion import Counts
 from stone.errors import ShapeError
 
 Sums = NDArray[np.int64]
@@ -79,14 +80,11 @@ def sequence_draws(confusions: Counts, frames_of_sequence: Sequence[int], option
     return _as_confusions(times_picked @ of_sequence, batch)
 
 
-def interval(
-    draws: Sums, statistic: Callable[[Counts], Ratios], options: BootstrapOptions = DEFAULTS
-) -> Interval | None:
-    """The central percentile interval of a ratio over draws (draws, 4, 4); None where a draw leaves it undefined."""
-    values = statistic(draws)
+def interval(values: NDArray[np.floating[Any]], options: BootstrapOptions = DEFAULTS) -> Interval | None:
+    """The central percentile interval of a ratio of each draw (draws,); None where a draw leaves it undefined."""
     if not np.all(np.isfinite(values)):
         return None
-    low, high = np.quantile(values, [(1 - options.level) / 2, (1 + options.level) / 2])
+    low, high = np.quantile(values.astype(np.float64), [(1 - options.level) / 2, (1 + options.level) / 2])
     return float(low), float(high)
 
 

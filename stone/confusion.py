@@ -91,11 +91,6 @@ def iou_classes(confusion: Counts) -> Ratios:
     return _ratio(both, in_truth + in_prediction - both)
 
 
-def mean_iou(confusion: Counts) -> Ratios:
-    """mIoU (...,) of confusions (..., 4, 4); NaN where one of the three is."""
-    return np.asarray(iou_classes(confusion).mean(axis=-1), dtype=np.float64)
-
-
 def within_occupied(confusion: Counts) -> NDArray[np.int64]:
     """The confusions (..., 4, 4) restricted to voxels that the ground truth calls occupied: row free emptied."""
     counts = _checked(confusion).copy()

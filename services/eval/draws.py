@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.runtime.npz import npz_bytes
-from stone.bootstrap import BootstrapOptions, block_draws, sequence_draws
+from stone.bootstrap import BootstrapOptions, block_draws, interval, sequence_draws
 from stone.confusion import Counts, ratios
 from stone.metric import METRIC_VERSION, RATIOS
 
 OPTIONS = BootstrapOptions(draws=4000, block_frames=200, seed=0)
 
 Drawn = NDArray[np.float32]
-Interval = list[float]
+Bounds = list[float]  # as JSON has it
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,11 +34,6 @@ class Draws:
         return npz_bytes({"block": self.block, "sequence": self.sequence})
 
 
-def draws_of(confusions: Counts, frames_of_sequence: Sequence[int], metric: str = METRIC_VERSION) -> bytes:
-    """The npz file of `ratio_draws`."""
-    return ratio_draws(confusions, frames_of_sequence, metric).npz()
-
-
 def ratio_draws(confusions: Counts, frames_of_sequence: Sequence[int], metric: str = METRIC_VERSION) -> Draws:
     """Of confusions [F, ring, 4, 4] in time order inside each sequence.
 
@@ -51,7 +46,7 @@ def ratio_draws(confusions: Counts, frames_of_sequence: Sequence[int], metric: s
     )
 
 
-def intervals_of(draws: Draws, frames_of_sequence: Sequence[int]) -> dict[str, dict[str, Interval | None]]:
+def intervals_of(draws: Draws, frames_of_sequence: Sequence[int]) -> dict[str, dict[str, Bounds | None]]:
     """Central percentile intervals [low, high] by kind and ratio.
 
     None where a draw leaves the ratio undefined, and where resampling can change nothing, which is no certainty: one
@@ -60,13 +55,11 @@ def intervals_of(draws: Draws, frames_of_sequence: Sequence[int]) -> dict[str, d
     has_blocks, has_sequences = max(frames_of_sequence) > OPTIONS.block_frames, len(frames_of_sequence) > 1
     kinds = {"block": (draws.block, has_blocks), "sequence": (draws.sequence, has_sequences)}
     return {
-        kind: {name: _interval(values) if is_known else None for name, values in zip(RATIOS, drawn.T, strict=True)}
+        kind: {name: _bounds(values) if is_known else None for name, values in zip(RATIOS, drawn.T, strict=True)}
         for kind, (drawn, is_known) in kinds.items()
     }
 
 
-def _interval(values: Drawn) -> Interval | None:
-    if not np.all(np.isfinite(values)):
-        return None
-    tail = (1 - OPTIONS.level) / 2
-    return [float(bound) for bound in np.quantile(values.astype(np.float64), [tail, 1 - tail])]
+def _bounds(values: Drawn) -> Bounds | None:
+    found = interval(values, OPTIONS)
+    return list(found) if found else None

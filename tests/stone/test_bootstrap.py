@@ -16,8 +16,9 @@ from stone.bootstrap import (
     interval,
     sequence_draws,
 )
-from stone.confusion import iou_occupied, mean_iou
+from stone.confusion import iou_occupied, ratios
 from stone.errors import ShapeError
+from stone.metric import RATIOS
 
 Counts = NDArray[np.int64]
 
@@ -40,6 +41,7 @@ def plain_block_draws(confusions: Counts, frames_of_sequence: list[int], options
     return draws
 
 
+MEAN = RATIOS.index("miou")
 LENGTHS = st.lists(st.integers(1, 23), min_size=1, max_size=4)
 
 
@@ -90,7 +92,7 @@ def test_correlated_frames_need_blocks_for_an_honest_width() -> None:
     widths = []
     for block_frames in (1, 100):
         options = BootstrapOptions(draws=500, block_frames=block_frames)
-        found = interval(block_draws(confusions, [2000], options), mean_iou, options)
+        found = interval(ratios(block_draws(confusions, [2000], options))[:, MEAN], options)
         assert found is not None
         widths.append(found[1] - found[0])
     assert 4 < widths[1] / widths[0] < 12
@@ -101,7 +103,7 @@ def test_the_interval_holds_the_score_and_widens_with_its_level() -> None:
     score, found = float(iou_occupied(confusions.sum(axis=0))), []
     for level in (0.5, 0.95):
         options = BootstrapOptions(draws=400, block_frames=5, level=level)
-        low, high = interval(block_draws(confusions, [400], options), iou_occupied, options) or (1.0, 0.0)
+        low, high = interval(iou_occupied(block_draws(confusions, [400], options)), options) or (1.0, 0.0)
         assert low < score < high
         found.append(high - low)
     assert found[0] < found[1]
@@ -110,7 +112,7 @@ def test_the_interval_holds_the_score_and_widens_with_its_level() -> None:
 def test_the_interval_of_an_undefined_ratio_is_none() -> None:
     confusions = np.zeros((10, 4, 4), np.int64)
     confusions[:, 0, 0] = 5
-    assert interval(block_draws(confusions, [10], BootstrapOptions(draws=3)), iou_occupied) is None
+    assert interval(iou_occupied(block_draws(confusions, [10], BootstrapOptions(draws=3)))) is None
 
 
 def test_lengths_that_do_not_add_up_are_refused() -> None:

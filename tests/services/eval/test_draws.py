@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from services.eval.draws import OPTIONS, Draws, draws_of, intervals_of, ratio_draws
+from services.eval.draws import OPTIONS, Draws, intervals_of, ratio_draws
 from stone.bootstrap import block_lengths, block_starts
 from stone.confusion import ratios
 from stone.errors import ShapeError
@@ -63,9 +63,9 @@ def test_draws_of_two_submissions_are_paired() -> None:
 
 def test_the_file_is_the_draws_and_always_the_same() -> None:
     confusions = confusions_of(4)
-    file = draws_of(confusions, LENGTHS)
-    assert file == draws_of(confusions, LENGTHS) != draws_of(confusions, LENGTHS, OCCUPIED_VERSION)
     draws = ratio_draws(confusions, LENGTHS, METRIC_VERSION)
+    file = draws.npz()
+    assert file == ratio_draws(confusions, LENGTHS).npz() != ratio_draws(confusions, LENGTHS, OCCUPIED_VERSION).npz()
     with np.load(io.BytesIO(file)) as arrays:
         assert sorted(arrays) == ["block", "sequence"]
         np.testing.assert_array_equal(arrays["block"], draws.block)
