@@ -101,13 +101,13 @@ def _parquet(board: Board) -> bytes:
 
 
 def _markdown(board: Board) -> bytes:
-    lines = [f"# {markdown_text(_title(board))}", "", markdown_text(_made_by(board)), ""]
+    lines = [f"# {_title(board)}", "", _made_by(board, "`"), ""]
     lines.append(f"| Rank | Team | Method | Modality | {' | '.join(HEADINGS)} |")
     lines.append(f"|---:|---|---|---|{'---:|' * len(HEADINGS)}")
     for row in board.rows:
         texts = [markdown_text(text) for text in (row.team or "", row.method, row.modality)]
         lines.append(f"| {' | '.join([_rank(row), *texts, *_percents(row)])} |")
-    return ("\n".join([*lines, "", markdown_text(_notes(board)), ""])).encode()
+    return ("\n".join([*lines, "", _notes(board, markdown_text), ""])).encode()
 
 
 def _latex(board: Board) -> bytes:
@@ -122,7 +122,7 @@ def _latex(board: Board) -> bytes:
     for row in board.rows:
         texts = [latex_text(text) for text in (row.team or "", row.method, row.modality)]
         lines.append(" & ".join([_rank(row), *texts, *_percents(row)]) + r" \\")
-    lines += [r"\bottomrule", r"\end{tabular}", f"% {latex_text(_notes(board))}", ""]
+    lines += [r"\bottomrule", r"\end{tabular}", f"% {latex_text(_notes(board, str))}", ""]
     return "\n".join(lines).encode()
 
 
@@ -130,19 +130,22 @@ def _title(board: Board) -> str:
     return f"{board.benchmark} / {board.phase}"
 
 
-def _made_by(board: Board) -> str:
+def _made_by(board: Board, quote: str = "") -> str:
+    """In words of ours only; the signature between two of `quote`."""
     pair = board.pair
     if pair is None:
         return "No ground truth is ready yet."
+    signature = f"{quote}{pair.signature}{quote}" if pair.signature else "no score yet"
     return (
         f"Track {board.query.track}, entries {board.query.entries}; metric {pair.metric}, ground truth "
-        f"{pair.truth_number}, {pair.frames} frames of {pair.sequences} sequences; {pair.signature or 'no score yet'}"
+        f"{pair.truth_number}, {pair.frames} frames of {pair.sequences} sequences; {signature}"
     )
 
 
-def _notes(board: Board) -> str:
+def _notes(board: Board, plain: Callable[[str], str]) -> str:
+    """`plain` makes the texts of others harmless."""
     sources = dict.fromkeys(row.source for row in board.rows if row.source is not None)
-    reported = [f"Reported: {'; '.join(sources)}."] if sources else []
+    reported = [f"Reported: {'; '.join(map(plain, sources))}."] if sources else []
     return " ".join(["Per cent. Rank with its 95 % interval.", *notes(board), *reported])
 
 
@@ -150,11 +153,13 @@ def notes(board: Board) -> Iterator[str]:
     """What a reader of the board should know."""
     yield "Entries of one tie group do not surely differ from its first (paired block bootstrap)."
     yield "Baselines are not ranked; reported rows were published elsewhere and not scored here."
-    if board.pair is not None and board.pair.sequences < FEW_SEQUENCES:
-        smallest = 2.0 ** (1 - board.pair.sequences)
+    sequences = board.pair.sequences if board.pair is not None else FEW_SEQUENCES
+    if sequences == 1:
+        yield "One sequence says nothing of how entries would do in another place."
+    elif sequences < FEW_SEQUENCES:
         yield (
-            f"{board.pair.sequences} sequences are few: over whole sequences no difference, however large, "
-            f"can have a p below {min(smallest, 1.0):g}."
+            f"{sequences} sequences are few: over whole sequences no difference, however large, "
+            f"can have a p below {2.0 ** (1 - sequences):g}."
         )
     if board.secrecy == "running":
         yield "The ground truth is hidden: values are rounded to 4 digits until the phase ends."

@@ -93,7 +93,7 @@ def test_markdown_is_a_table_for_people() -> None:
     text = table("md", ROW, REPORTED)
     assert r"| 1 [1, 2] | Gang | Net | C\+L | 43.22 | 50.00 | 25.00 | 12.50 | -- |" in text
     assert "| reported |  | Old | C | -- | -- | -- | -- | -- |" in text
-    assert "Reported&#58; a paper" in text
+    assert "Reported: a paper." in text
 
 
 def test_latex_is_a_booktabs_table() -> None:
