@@ -13,11 +13,11 @@ from sqlalchemy.orm import Session
 
 from services.eval.manifest import Manifest, read_manifest
 from services.eval.scoring_errors import PurgedError, TruthUnreadyError
+from services.runtime.benchmarks.submission_states import LIVE
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.orm import Blob, GroundTruth, Score, Submission
 from services.runtime.platform import Platform
 
-UNDER_WAY = ("queued", "scoring")
 VALIDATION = "validation"
 
 
@@ -54,12 +54,12 @@ class Case:
 
     @property
     def is_under_way(self) -> bool:
-        return self.state in UNDER_WAY
+        return self.state in LIVE
 
     @property
     def is_over(self) -> bool:
         """Whether nothing is to be counted for it any more."""
-        return self.state not in (*UNDER_WAY, "scored")
+        return self.state not in (*LIVE, "scored")
 
     def kept_key(self) -> str:
         """Raises `PurgedError`."""

@@ -16,13 +16,12 @@ from services.runtime.blobs import PreparedBlob, link_all
 from services.runtime.inserting import insert_new
 from services.runtime.orm import Score, ScorePart, new_id
 from services.runtime.orm.base import now_ns
-
-COLUMNS = ("iou_occ", "iou_t", "iou_p", "iou_n", "miou")
+from stone.metric import RATIOS
 
 
 @dataclass(frozen=True)
 class NewScore:
-    """What the join of a submission by a pair found; `record` as the board reads it, `total` of it by `COLUMNS`."""
+    """What the join of a submission by a pair found; `record` as the board reads it, `total` of it by `RATIOS`."""
 
     submission_id: str
     pair: Pair
@@ -60,7 +59,7 @@ def write_score(session: Session, new: NewScore) -> Score:
         "content_sha256": new.content_sha256,
         "created_ns": now_ns(),
     }
-    insert_new(session, Score, [{**facts, **{name: new.record["total"][name] for name in COLUMNS}}])
+    insert_new(session, Score, [{**facts, **{name: new.record["total"][name] for name in RATIOS}}])
     drop_parts(session, new.submission_id, new.pair.truth_id)
     same = (Score.submission_id == new.submission_id, Score.truth_id == new.pair.truth_id)
     return session.scalars(select(Score).where(*same, Score.metric == new.pair.metric)).one()

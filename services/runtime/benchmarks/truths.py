@@ -18,6 +18,7 @@ from services.runtime.benchmarks.phase_errors import (
 )
 from services.runtime.benchmarks.phases import lock_phase, refuse_empty
 from services.runtime.benchmarks.scoring_jobs import truth_spec
+from services.runtime.benchmarks.teams import BINDING
 from services.runtime.jobs.queueing import enqueue
 from services.runtime.jobs.specs import TERMINAL, Context
 from services.runtime.orm import (
@@ -118,7 +119,7 @@ def _refuse_other_frames(session: Session, phase: Phase, dataset: Dataset, compa
 def _has_entries(session: Session, phase: Phase) -> bool:
     """Whether anything stands, or is under way, that a board of another pair would have to show."""
     entries = select(Submission.id).where(Submission.phase_id == phase.id, Submission.kind != "validation")
-    standing = entries.where(Submission.state.in_(("queued", "scoring", "scored")), Submission.withdrawn_ns.is_(None))
+    standing = entries.where(Submission.state.in_(BINDING), Submission.withdrawn_ns.is_(None))
     return session.scalar(standing.limit(1)) is not None
 
 

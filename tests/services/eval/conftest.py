@@ -1,6 +1,6 @@
-"""A small ground truth on disk, and predictions of it."""
+"""A small ground truth on disk, and predictions of it; a benchmark on a platform, one frame a sequence."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +13,8 @@ from services.eval.manifest import write_manifest
 from services.runtime.npz import npz_bytes
 from stone.grid import GRID_SHAPE
 from stone.sequence import frame_token
+from tests import benchmark_world
+from tests.services.eval.sending import standing_world
 
 Grid = NDArray[np.uint8]
 
@@ -51,3 +53,9 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> World:
     manifest_path = folder / "manifest.json"
     write_manifest(manifest_path, find_ground_truth(folder).manifest)
     return World(folder, manifest_path, labels, masks, predictions)
+
+
+@pytest.fixture(scope="module")
+def standing(tmp_path_factory: pytest.TempPathFactory, _sqlite_template: Path) -> Iterator[benchmark_world.World]:
+    with standing_world(tmp_path_factory.mktemp("standing"), _sqlite_template) as made:
+        yield made

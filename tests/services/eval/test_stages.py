@@ -1,7 +1,6 @@
 """A submission that is sent in is scored as `stone score` scores it, once, whatever way its frames take."""
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -23,16 +22,14 @@ from tests.services.eval.sending import (
     said_of,
     scores_of,
     send,
-    standing_world,
     taken,
     zipped,
 )
 
 
 @pytest.fixture(scope="module")
-def world(tmp_path_factory: pytest.TempPathFactory, _sqlite_template: Path) -> Iterator[World]:
-    with standing_world(tmp_path_factory.mktemp("stages"), _sqlite_template) as made:
-        yield made
+def world(standing: World) -> World:
+    return standing
 
 
 def truth_folder(world: World, folder: Path) -> Path:

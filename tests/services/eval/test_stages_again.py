@@ -1,8 +1,6 @@
 """Whatever is delivered again, lost, late or scored by another pair: one score for each pair, one scoring taken."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import pytest
 from sqlalchemy import func, select, update
@@ -26,16 +24,14 @@ from tests.services.eval.sending import (
     row_of,
     scores_of,
     send,
-    standing_world,
     taken,
     zipped,
 )
 
 
 @pytest.fixture(scope="module")
-def world(tmp_path_factory: pytest.TempPathFactory, _sqlite_template: Path) -> Iterator[World]:
-    with standing_world(tmp_path_factory.mktemp("again"), _sqlite_template) as made:
-        yield made
+def world(standing: World) -> World:
+    return standing
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,6 @@ from tests.services.eval.sending import (
     row_of,
     scores_of,
     send,
-    standing_world,
     taken,
     zipped,
 )
@@ -35,9 +34,8 @@ PATIENCE_S = 60.0
 
 
 @pytest.fixture(scope="module")
-def world(tmp_path_factory: pytest.TempPathFactory, _sqlite_template: Path) -> Iterator[World]:
-    with standing_world(tmp_path_factory.mktemp("killed"), _sqlite_template) as made:
-        yield made
+def world(standing: World) -> World:
+    return standing
 
 
 def started(platform: Platform, jobs: int) -> int:

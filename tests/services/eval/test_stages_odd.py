@@ -1,8 +1,5 @@
 """Jobs about things that are gone or not there yet, and a platform whose bytes lie in a bucket."""
 
-from collections.abc import Iterator
-from pathlib import Path
-
 import pytest
 
 from services.eval.cases import truth_of
@@ -13,15 +10,14 @@ from services.runtime.orm import GroundTruth, Job
 from services.runtime.settings import Settings, StoreSettings
 from tests.benchmark_world import World, benchmark_world, run_eval
 from tests.servers.fixtures import opened
-from tests.services.eval.sending import guess, jobs_of, pair_of, row_of, scores_of, send, standing_world, taken, zipped
+from tests.services.eval.sending import guess, jobs_of, pair_of, row_of, scores_of, send, taken, zipped
 
 NOBODY = "0" * 32
 
 
 @pytest.fixture(scope="module")
-def world(tmp_path_factory: pytest.TempPathFactory, _sqlite_template: Path) -> Iterator[World]:
-    with standing_world(tmp_path_factory.mktemp("odd"), _sqlite_template) as made:
-        yield made
+def world(standing: World) -> World:
+    return standing
 
 
 def ran(world: World, kind: str, **arguments: object) -> Job:

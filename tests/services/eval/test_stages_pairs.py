@@ -1,7 +1,6 @@
 """By another ground truth or metric it is counted again only where it must be, and none under way is forgotten."""
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,16 +25,14 @@ from tests.services.eval.sending import (
     row_of,
     scores_of,
     send,
-    standing_world,
     taken,
     zipped,
 )
 
 
 @pytest.fixture(scope="module")
-def world(tmp_path_factory: pytest.TempPathFactory, _sqlite_template: Path) -> Iterator[World]:
-    with standing_world(tmp_path_factory.mktemp("pairs"), _sqlite_template) as made:
-        yield made
+def world(standing: World) -> World:
+    return standing
 
 
 @pytest.fixture

@@ -1,8 +1,7 @@
 """A submission that cannot be scored ends with its reason, costs nothing, and its job has done its work."""
 
 import os
-from collections.abc import Iterator, Mapping
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -25,16 +24,14 @@ from tests.services.eval.sending import (
     row_of,
     scores_of,
     send,
-    standing_world,
     taken,
     zipped,
 )
 
 
 @pytest.fixture(scope="module")
-def world(tmp_path_factory: pytest.TempPathFactory, _sqlite_template: Path) -> Iterator[World]:
-    with standing_world(tmp_path_factory.mktemp("refused"), _sqlite_template) as made:
-        yield made
+def world(standing: World) -> World:
+    return standing
 
 
 def ended(world: World, submission_id: str) -> Submission:
