@@ -38,6 +38,7 @@ def benchmark_items(session: Session, rows: Sequence[Benchmark]) -> list[Benchma
             title=row.title,
             description=row.description,
             phases=names.get(row.id, []),
+            is_public=row.is_public,
             created_at=instant(row.created_ns),
         )
         for row in rows
@@ -51,6 +52,7 @@ def benchmark_detail(session: Session, row: Benchmark) -> BenchmarkDetail:
         title=row.title,
         description=row.description,
         phases=[phase_item(session, phase) for phase in phases_of(session, row)],
+        is_public=row.is_public,
         created_at=instant(row.created_ns),
     )
 

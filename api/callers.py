@@ -4,8 +4,9 @@ from typing import Annotated
 
 from fastapi import Depends
 
-from api.deps import Caller, require
+from api.deps import Caller, look, require
 
+Looker = Annotated[Caller, Depends(look)]
 Reader = Annotated[Caller, Depends(require("read"))]
 Submitter = Annotated[Caller, Depends(require("submit"))]
 Curator = Annotated[Caller, Depends(require("upload", "curator"))]

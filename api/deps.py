@@ -3,6 +3,7 @@
 **Conventions.** `Depends(require(scope, *roles))` answers 401 to nobody and 403 to somebody whose scopes or role do not
 reach; a higher role always may what a lower one may. A browser's session holds the scopes of its user's role, and an
 unsafe method by session must repeat the session's CSRF token. Who is calling is found out once per request.
+`Depends(look)` lets a visitor pass, who sees what is public; what is not, a visitor is asked to sign in for (401).
 """
 
 import inspect
@@ -22,6 +23,7 @@ from services.runtime.access import roles, sessions, tokens
 from services.runtime.platform import Platform
 
 T = TypeVar("T")
+VISITING = "visitor"
 SAFE = ("GET", "HEAD", "OPTIONS")
 
 log = structlog.get_logger(__name__)
@@ -48,6 +50,14 @@ class Caller:
     @property
     def is_administrator(self) -> bool:
         return self.role == "administrator" and "admin" in self.scopes
+
+    @property
+    def is_visitor(self) -> bool:
+        """Whether nobody signed in: only what is public is shown."""
+        return self.role == VISITING
+
+
+VISITOR = Caller("", "", VISITING, frozenset({"read"}), is_session=False)
 
 
 def platform_of(request: Request) -> Platform:
@@ -117,6 +127,27 @@ def require_one(scopes: tuple[str, ...], *accepted: str) -> Callable[..., Caller
         return caller
 
     return caller_who_may
+
+
+def look(
+    request: Request,
+    _bearer: Annotated[HTTPAuthorizationCredentials | None, Security(bearer, scopes=["read"])],
+    _cookie: Annotated[str | None, Security(cookie, scopes=["read"])],
+) -> Caller:
+    """A dependency that gives a caller who holds the scope `read`, or `VISITOR` where no credential is shown.
+
+    A browser whose session has ended is a visitor too; a token that is not valid is refused, as everywhere.
+    """
+    try:
+        caller = identify(request) or VISITOR
+    except UnauthenticatedError:
+        if "authorization" in request.headers:
+            raise
+        caller = VISITOR
+    request.state.caller = caller
+    if "read" not in caller.scopes:
+        raise ForbiddenError(f"this needs the scope 'read'; yours are {sorted(caller.scopes)}")
+    return caller
 
 
 def _by_token(platform: Platform, header: str) -> Caller:

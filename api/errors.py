@@ -85,6 +85,15 @@ class ConflictError(ApiError):
         super().__init__(sentence)
 
 
+class HiddenTruthError(ConflictError):
+    """The labels of a hidden phase cannot be made public."""
+
+    code = "hidden_truth"
+
+    def __init__(self, name: str) -> None:
+        super().__init__(f"sequence {name} is in the test part of a version, or a hidden phase is scored against it")
+
+
 class PreconditionFailedError(ApiError):
     """The thing has changed since it was read."""
 

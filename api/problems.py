@@ -20,7 +20,14 @@ from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from starlette.exceptions import HTTPException
 
 from api.context import request_id
-from api.errors import ApiError, BodyTooLargeError, InvalidRequestError
+from api.errors import (
+    ApiError,
+    BodyTooLargeError,
+    ForbiddenError,
+    InvalidRequestError,
+    NotFoundError,
+    UnauthenticatedError,
+)
 from api.methods import allowed
 from api.schemas.base import instant
 from api.statuses import phrase_of, status_of
@@ -121,10 +128,16 @@ def install(app: FastAPI) -> None:
 
 
 def _answered(request: Request, error: Exception) -> JSONResponse:
-    response = respond(error)
+    response = respond(_told(request, error))
     if response.status_code == 405:
         response.headers["Allow"] = allowed(request) or response.headers.get("Allow", "")
     return response
+
+
+def _told(request: Request, error: Exception) -> Exception:
+    """The error as this caller is told of it: what a visitor does not find, they are asked to sign in for."""
+    is_visiting = getattr(getattr(request.state, "caller", None), "is_visitor", False)
+    return UnauthenticatedError() if is_visiting and isinstance(error, NotFoundError | ForbiddenError) else error
 
 
 def respond(error: Exception) -> JSONResponse:

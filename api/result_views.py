@@ -33,6 +33,8 @@ from services.runtime.orm import Submission
 
 def viewer_for(session: Session, caller: Caller) -> Viewer:
     """The caller as a viewer of submissions."""
+    if caller.is_visitor:
+        return Viewer(is_visitor=True)
     return viewer_of(session, caller.user_id, caller.is_administrator)
 
 

@@ -40,6 +40,7 @@ def _item(row: Sequence, recordings: int, job: JobGlance | None, labels: LabelSe
         illumination=row.illumination,
         region=row.region,
         platform=row.platform,
+        is_public=row.is_public,
         calibration_id=row.calibration_id,
         recordings=recordings,
         job=job,

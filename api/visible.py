@@ -1,17 +1,18 @@
 """What a caller may know of: what is theirs, and for an administrator everything.
 
 **Conventions.** What is somebody else's is looked up in the same way as what does not exist, and answered in the same
-way: 404. A deleted sequence exists for nobody.
+way: 404. A deleted sequence exists for nobody. What its owner made public is `shown_to` everybody, and theirs still;
+what a hidden phase is scored against is shown to nobody but its owner, whatever it says of itself.
 """
 
 from typing import TypeVar
 
-from sqlalchemy import Select, select
+from sqlalchemy import Select, and_, or_, select
 from sqlalchemy.orm import InstrumentedAttribute, Session, aliased
 
 from api.deps import Caller
 from api.errors import NotFoundError
-from services.runtime.benchmarks.phases import benchmark_named, phase_named
+from services.runtime.benchmarks.phases import HIDDEN_PART, phase_named
 from services.runtime.benchmarks.teams import is_member
 from services.runtime.dataset_reading import dataset_named
 from services.runtime.exports import counting_labels
@@ -19,6 +20,7 @@ from services.runtime.orm import (
     Benchmark,
     Calibration,
     Dataset,
+    DatasetMember,
     Export,
     Job,
     LabelledFrame,
@@ -49,6 +51,28 @@ def sequence_of(session: Session, caller: Caller, sequence_id: str) -> Sequence:
     """Raises `NotFoundError`."""
     found = session.scalars(sequences_of(caller).where(Sequence.id == sequence_id)).one_or_none()
     return _known(found, "sequence", sequence_id)
+
+
+def sequences_shown_to(caller: Caller) -> Select[Sequence]:
+    """The caller's own sequences and the public ones."""
+    everything = select(Sequence).where(Sequence.deleted_ns.is_(None))
+    if caller.is_administrator:
+        return everything
+    is_shown = and_(Sequence.is_public, Sequence.id.not_in(hidden_truths()))
+    return everything.where(or_(Sequence.owner_id == caller.user_id, is_shown))
+
+
+def shown_sequence(session: Session, caller: Caller, sequence_id: str) -> Sequence:
+    """A sequence that the caller may look at. Raises `NotFoundError`."""
+    found = session.scalars(sequences_shown_to(caller).where(Sequence.id == sequence_id)).one_or_none()
+    return _known(found, "sequence", sequence_id)
+
+
+def hidden_truths() -> Select[str]:
+    """The ids of the sequences that a version hides, or whose labels a hidden phase is scored against."""
+    same_part = and_(Phase.dataset_id == DatasetMember.dataset_id, Phase.part == DatasetMember.part)
+    members = select(DatasetMember.sequence_id).outerjoin(Phase, and_(same_part, Phase.is_hidden))
+    return members.where(or_(DatasetMember.part == HIDDEN_PART, Phase.id.is_not(None)))
 
 
 def calibration_of(session: Session, caller: Caller, calibration_id: str) -> Calibration:
@@ -109,8 +133,8 @@ def frame_of(session: Session, caller: Caller, token: str) -> tuple[LabelledFram
         .order_by(*_NEWEST, LabelledFrame.ordinal)
         .limit(1)
     )
-    mine = found if caller.is_administrator else found.where(Sequence.owner_id == caller.user_id)
-    row = session.execute(mine).one_or_none()
+    shown = sequences_shown_to(caller).with_only_columns(Sequence.id)
+    row = session.execute(found.where(Sequence.id.in_(shown))).one_or_none()
     return _known(row, "frame", token)
 
 
@@ -119,14 +143,21 @@ def dataset_of(session: Session, name: str) -> Dataset:
     return _known(dataset_named(session, name), "dataset version", name)
 
 
-def benchmark_of(session: Session, name: str) -> Benchmark:
-    """A benchmark, which is everybody's. Raises `NotFoundError`."""
-    return _known(benchmark_named(session, name), "benchmark", name)
+def benchmarks_of(caller: Caller) -> Select[Benchmark]:
+    """All benchmarks for whoever is signed in, the public ones for a visitor."""
+    return select(Benchmark).where(Benchmark.is_public) if caller.is_visitor else select(Benchmark)
 
 
-def phase_at(session: Session, benchmark: str, phase: str) -> Phase:
-    """A phase by its names; phases are everybody's. Raises `NotFoundError`."""
-    return _known(phase_named(session, benchmark, phase), "phase", f"{benchmark}/{phase}")
+def benchmark_of(session: Session, caller: Caller, name: str) -> Benchmark:
+    """Raises `NotFoundError`."""
+    found = session.scalars(benchmarks_of(caller).where(Benchmark.name == name)).one_or_none()
+    return _known(found, "benchmark", name)
+
+
+def phase_at(session: Session, caller: Caller, benchmark: str, phase: str) -> Phase:
+    """A phase by its names. Raises `NotFoundError`."""
+    found = phase_named(session, benchmark_of(session, caller, benchmark).name, phase)
+    return _known(found, "phase", f"{benchmark}/{phase}")
 
 
 def phase_of(session: Session, phase_id: str) -> Phase:

@@ -9,13 +9,20 @@ from sqlalchemy.orm import Session
 
 from api import audit
 from api.answers import refusals
-from api.benchmark_views import benchmark_items, phase_detail
+from api.benchmark_views import benchmark_detail, benchmark_items, phase_detail
 from api.callers import Administrator
 from api.deps import PlatformDep
 from api.etags import etag, require_match
 from api.schemas.base import IdPath
-from api.schemas.benchmark_bodies import AddedPhaseBody, BenchmarkName, NewBenchmarkBody, NewPhaseBody, PhaseChange
-from api.schemas.benchmarks import CreatedBenchmark, PhaseDetail
+from api.schemas.benchmark_bodies import (
+    AddedPhaseBody,
+    BenchmarkChange,
+    BenchmarkName,
+    NewBenchmarkBody,
+    NewPhaseBody,
+    PhaseChange,
+)
+from api.schemas.benchmarks import BenchmarkDetail, CreatedBenchmark, PhaseDetail
 from api.visible import benchmark_of, dataset_of, phase_of
 from services.runtime.benchmarks.phases import (
     NewBenchmark,
@@ -47,6 +54,21 @@ def create(
     return CreatedBenchmark(**shown | {"phases": details})
 
 
+@router.patch("/benchmarks/{benchmark_name}", responses=refusals(404))
+def change_benchmark(
+    benchmark_name: BenchmarkName, body: BenchmarkChange, caller: Administrator, platform: PlatformDep
+) -> BenchmarkDetail:
+    """Change what is said of a benchmark, and whether it is read without an account."""
+    with platform.database.transaction() as session:
+        benchmark = benchmark_of(session, caller, benchmark_name)
+        changes = {key: value for key, value in body if key != "reason" and value is not None}
+        for key, value in changes.items():
+            setattr(benchmark, key, value)
+        session.flush()
+        audit.record_admin_act(session, caller, "benchmark.change", benchmark.id, body.reason, changes)
+        return benchmark_detail(session, benchmark)
+
+
 @router.post("/benchmarks/{benchmark_name}/phases", status_code=201, responses=refusals(404, 409))
 def add_phase(
     benchmark_name: BenchmarkName,
@@ -57,7 +79,7 @@ def add_phase(
 ) -> PhaseDetail:
     """Add a phase; `findings` warn where its labels are not as hidden as they look."""
     with platform.database.transaction() as session:
-        benchmark = benchmark_of(session, benchmark_name)
+        benchmark = benchmark_of(session, caller, benchmark_name)
         phase = _phase(session, benchmark, body, body.dataset)
         facts = {"benchmark": benchmark.name, "name": phase.name, "dataset": body.dataset}
         audit.record_admin_act(session, caller, "phase.create", phase.id, body.reason, facts)

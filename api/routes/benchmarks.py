@@ -1,19 +1,19 @@
-"""Benchmarks: what there is to predict, under which rules, by which metric; read by everybody who is signed in.
+"""Benchmarks: what there is to predict, under which rules, by which metric.
 
-**Conventions.** A phase is addressed by the names of its benchmark and itself here, by its id elsewhere. The manifest
-is that of the ground truth in force. Ground truth itself has no route.
+**Conventions.** Read by whoever is signed in, the public ones by anybody. A phase is addressed by the names of its
+benchmark and itself here, by its id elsewhere. The manifest is that of the ground truth in force. Ground truth itself
+has no route.
 """
 
 from hashlib import sha256
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Depends, Query, Request, Response
-from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from api.answers import Responses, refusals
 from api.benchmark_views import benchmark_detail, benchmark_items, phase_item
-from api.callers import Reader
+from api.callers import Looker, Reader
 from api.deps import PlatformDep
 from api.errors import NotFoundError
 from api.etags import etag
@@ -22,7 +22,7 @@ from api.paging import Page, PageDep, page
 from api.schemas.base import IdPath
 from api.schemas.benchmark_bodies import BenchmarkName, MetricName, PhaseName
 from api.schemas.benchmarks import BenchmarkDetail, BenchmarkItem, MetricItem, PhaseItem
-from api.visible import benchmark_of, phase_at, phase_of
+from api.visible import benchmark_of, benchmarks_of, phase_at, phase_of
 from services.runtime.benchmarks import pairs
 from services.runtime.benchmarks.golden import golden_archive
 from services.runtime.benchmarks.phase_errors import NoGroundTruthError
@@ -40,34 +40,34 @@ MARKDOWN: Responses = {200: {"content": {"text/markdown": {"schema": {"type": "s
 class PhasePath:
     """Which phase of which benchmark."""
 
-    def __init__(self, benchmark_name: BenchmarkName, phase_name: PhaseName) -> None:
-        self.benchmark, self.phase = benchmark_name, phase_name
+    def __init__(self, benchmark_name: BenchmarkName, phase_name: PhaseName, caller: Looker) -> None:
+        self.benchmark, self.phase, self._caller = benchmark_name, phase_name, caller
 
     def find(self, session: Session) -> Phase:
         """Raises `NotFoundError`."""
-        return phase_at(session, self.benchmark, self.phase)
+        return phase_at(session, self._caller, self.benchmark, self.phase)
 
 
 AtPhase = Annotated[PhasePath, Depends(PhasePath)]
 
 
 @router.get("/benchmarks", responses=refusals())
-def list_benchmarks(_caller: Reader, platform: PlatformDep, query: PageDep) -> Page[BenchmarkItem]:
+def list_benchmarks(caller: Looker, platform: PlatformDep, query: PageDep) -> Page[BenchmarkItem]:
     """The benchmarks, newest first."""
     with platform.database.reading() as session:
-        found = page(session, select(Benchmark), Benchmark.id.desc(), query)
+        found = page(session, benchmarks_of(caller), Benchmark.id.desc(), query)
         return Page[BenchmarkItem](items=benchmark_items(session, found.rows), next=found.next)
 
 
 @router.get("/benchmarks/{benchmark_name}", responses=refusals(404))
-def show_benchmark(benchmark_name: BenchmarkName, _caller: Reader, platform: PlatformDep) -> BenchmarkDetail:
+def show_benchmark(benchmark_name: BenchmarkName, caller: Looker, platform: PlatformDep) -> BenchmarkDetail:
     """A benchmark with its phases."""
     with platform.database.reading() as session:
-        return benchmark_detail(session, benchmark_of(session, benchmark_name))
+        return benchmark_detail(session, benchmark_of(session, caller, benchmark_name))
 
 
 @router.get(AT, responses=refusals(404))
-def show_named_phase(at: AtPhase, _caller: Reader, platform: PlatformDep, response: Response) -> PhaseItem:
+def show_named_phase(at: AtPhase, platform: PlatformDep, response: Response) -> PhaseItem:
     """A phase: rules, dates, what a team may, by what it is scored, what is shown to whom."""
     with platform.database.reading() as session:
         return _shown(session, at.find(session), response)
@@ -81,7 +81,7 @@ def show_phase(phase_id: IdPath, _caller: Reader, platform: PlatformDep, respons
 
 
 @router.get(f"{AT}/manifest", response_class=Response, responses=MANIFEST | refusals(409))
-def download_manifest(at: AtPhase, _caller: Reader, platform: PlatformDep, request: Request) -> Response:
+def download_manifest(at: AtPhase, platform: PlatformDep, request: Request) -> Response:
     """Which frames a submission must hold, as `stone validate --manifest` reads it."""
     with platform.database.reading() as session:
         phase = at.find(session)
@@ -95,9 +95,7 @@ def download_manifest(at: AtPhase, _caller: Reader, platform: PlatformDep, reque
 
 
 @router.get(f"{AT}/metrics/{{metric}}", response_model=MetricItem, responses=MARKDOWN | refusals(404))
-def show_metric(
-    at: AtPhase, metric: MetricName, _caller: Reader, platform: PlatformDep, form: Form = "json"
-) -> MetricItem | Response:
+def show_metric(at: AtPhase, metric: MetricName, platform: PlatformDep, form: Form = "json") -> MetricItem | Response:
     """The definition of a version of the metric, and whether the phase is scored by it now."""
     with platform.database.reading() as session:
         pair = pairs.active(session, at.find(session).id)
@@ -109,9 +107,7 @@ def show_metric(
 
 
 @router.get(f"{AT}/metrics/{{metric}}/vectors", response_class=Response, responses=VECTORS)
-def download_vectors(
-    at: AtPhase, metric: MetricName, _caller: Reader, platform: PlatformDep, request: Request
-) -> Response:
+def download_vectors(at: AtPhase, metric: MetricName, platform: PlatformDep, request: Request) -> Response:
     """Golden vectors: grids and what the metric says of them, to hold another implementation against."""
     with platform.database.reading() as session:
         at.find(session)

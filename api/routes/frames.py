@@ -9,7 +9,7 @@ from typing import Annotated
 from fastapi import APIRouter, Path, Request, Response
 
 from api.answers import refusals
-from api.callers import Reader
+from api.callers import Looker
 from api.deps import PlatformDep
 from api.files import StoredFile, answer_file, file_responses
 from api.schemas.base import ID_EXAMPLE, ID_PATTERN
@@ -23,7 +23,7 @@ NPZ = "application/octet-stream"
 
 
 @router.get("", responses=refusals(404))
-def show_frame(token: TokenPath, caller: Reader, platform: PlatformDep) -> FrameDetail:
+def show_frame(token: TokenPath, caller: Looker, platform: PlatformDep) -> FrameDetail:
     """A labelled frame, with where it comes from."""
     with platform.database.reading() as session:
         frame, labels = frame_of(session, caller, token)
@@ -40,7 +40,7 @@ def show_frame(token: TokenPath, caller: Reader, platform: PlatformDep) -> Frame
 
 
 @router.get("/labels.npz", response_class=Response, responses=file_responses(NPZ))
-def download_labels(token: TokenPath, caller: Reader, platform: PlatformDep, request: Request) -> Response:
+def download_labels(token: TokenPath, caller: Looker, platform: PlatformDep, request: Request) -> Response:
     """`semantics`, `mask_lidar` and `mask_camera` of a frame, (256, 256, 32) uint8 each, as a NumPy npz."""
     with platform.database.reading() as session:
         frame, _labels = frame_of(session, caller, token)

@@ -1,8 +1,8 @@
 """The board of a phase, and two of its entries side by side.
 
-**Conventions.** Read by everybody who is signed in; what each may see is decided where rows are read
-(`services/runtime/benchmarks/visibility.py`). The ETag is of the very bytes, so a board that did not change is not sent
-again.
+**Conventions.** Read by whoever is signed in, of a public benchmark by anybody; what each may see is decided where
+rows are read (`services/runtime/benchmarks/visibility.py`). The ETag is of the very bytes, so a board that did not
+change is not sent again.
 """
 
 from typing import Annotated
@@ -11,7 +11,7 @@ from fastapi import APIRouter, Depends, Request, Response
 
 from api.answers import Responses, refusals
 from api.board_views import JSON_TYPE, board_response, comparison_answer
-from api.callers import Reader
+from api.callers import Looker
 from api.deps import PlatformDep
 from api.result_views import known_submission, viewer_for
 from api.routes.benchmarks import AT, AtPhase
@@ -57,7 +57,7 @@ Asked = Annotated[BoardAsked, Depends(BoardAsked)]
 
 
 @router.get("/leaderboard", response_model=LeaderboardAnswer, responses=BOARD)
-def show_leaderboard(at: AtPhase, asked: Asked, caller: Reader, platform: PlatformDep, request: Request) -> Response:
+def show_leaderboard(at: AtPhase, asked: Asked, caller: Looker, platform: PlatformDep, request: Request) -> Response:
     """The board: ranks with their intervals and ties, baselines and reported results beside them, now or as of then."""
     with platform.database.reading() as session:
         phase_id, viewer = at.find(session).id, viewer_for(session, caller)
@@ -66,7 +66,7 @@ def show_leaderboard(at: AtPhase, asked: Asked, caller: Reader, platform: Platfo
 
 @router.get("/compare", responses=refusals(404, 409))
 def compare_entries(
-    at: AtPhase, caller: Reader, platform: PlatformDep, a: SubmissionQuery, b: SubmissionQuery
+    at: AtPhase, caller: Looker, platform: PlatformDep, a: SubmissionQuery, b: SubmissionQuery
 ) -> ComparisonAnswer:
     """How two entries differ by the pair in force, and whether that is more than chance."""
     with platform.database.reading() as session:

@@ -10,7 +10,7 @@ from sqlalchemy.orm import Session
 
 from api import audit
 from api.answers import refusals
-from api.callers import Curator, Reader
+from api.callers import Curator, Looker
 from api.deps import Caller, PlatformDep
 from api.errors import NotFoundError
 from api.files import StoredFile, answer_file, file_responses
@@ -20,7 +20,7 @@ from api.preview_files import PICTURE_TYPES, PictureName, sequence_preview
 from api.schemas.base import IdPath
 from api.schemas.jobs import JobDetail
 from api.schemas.processing import FrameItem, ProcessBody
-from api.visible import labels_of, newest_label_set, sequence_of
+from api.visible import labels_of, newest_label_set, sequence_of, shown_sequence
 from services.runtime.orm import Artefact, Blob, LabelledFrame, LabelSet, Sequence
 from services.runtime.processing import start_processing
 
@@ -42,16 +42,16 @@ def process_sequence(
 
 
 @router.get("/frames", responses=refusals(404))
-def list_frames(sequence_id: IdPath, caller: Reader, platform: PlatformDep, query: PageDep) -> Page[FrameItem]:
+def list_frames(sequence_id: IdPath, caller: Looker, platform: PlatformDep, query: PageDep) -> Page[FrameItem]:
     """The labelled frames in the order of time."""
     with platform.database.reading() as session:
-        labels = newest_label_set(session, sequence_of(session, caller, sequence_id).id)
+        labels = newest_label_set(session, shown_sequence(session, caller, sequence_id).id)
         statement = select(LabelledFrame).where(LabelledFrame.label_set_id == labels.id)
         return page(session, statement, LabelledFrame.ordinal, query).shown(_frame)
 
 
 @router.get("/report", response_class=Response, responses=file_responses("application/json"))
-def download_report(sequence_id: IdPath, caller: Reader, platform: PlatformDep, request: Request) -> Response:
+def download_report(sequence_id: IdPath, caller: Looker, platform: PlatformDep, request: Request) -> Response:
     """What the labels were made of, with which parameters, how good the poses were and what was noticed."""
     with platform.database.reading() as session:
         file = _artefact(session, caller, sequence_id, "report.json")
@@ -59,7 +59,7 @@ def download_report(sequence_id: IdPath, caller: Reader, platform: PlatformDep, 
 
 
 @router.get("/frames.parquet", response_class=Response, responses=file_responses("application/vnd.apache.parquet"))
-def download_frame_table(sequence_id: IdPath, caller: Reader, platform: PlatformDep, request: Request) -> Response:
+def download_frame_table(sequence_id: IdPath, caller: Looker, platform: PlatformDep, request: Request) -> Response:
     """One row for each LiDAR stamp, usable or not: token, pose, what was associated, why it is excluded."""
     with platform.database.reading() as session:
         file = _artefact(session, caller, sequence_id, "frames.parquet")
@@ -67,7 +67,7 @@ def download_frame_table(sequence_id: IdPath, caller: Reader, platform: Platform
 
 
 @router.get("/sequence.npz", response_class=Response, responses=file_responses("application/octet-stream"))
-def download_synchronised(sequence_id: IdPath, caller: Reader, platform: PlatformDep, request: Request) -> Response:
+def download_synchronised(sequence_id: IdPath, caller: Looker, platform: PlatformDep, request: Request) -> Response:
     """The synchronised sequence itself, of which `stone export` makes other formats beside the recording."""
     with platform.database.reading() as session:
         file = _artefact(session, caller, sequence_id, "sequence.npz")
@@ -75,7 +75,7 @@ def download_synchronised(sequence_id: IdPath, caller: Reader, platform: Platfor
 
 
 @router.get("/mesh", response_class=Response, responses=file_responses("model/ply"))
-def download_mesh(sequence_id: IdPath, caller: Reader, platform: PlatformDep, request: Request) -> Response:
+def download_mesh(sequence_id: IdPath, caller: Looker, platform: PlatformDep, request: Request) -> Response:
     """The mesh of the whole sequence as binary PLY; ranges are served."""
     with platform.database.reading() as session:
         file = _artefact(session, caller, sequence_id, "mesh.ply")
@@ -84,14 +84,14 @@ def download_mesh(sequence_id: IdPath, caller: Reader, platform: PlatformDep, re
 
 @router.get("/previews/{name}", response_class=Response, responses=file_responses(*PICTURE_TYPES))
 def download_preview(
-    sequence_id: IdPath, name: PictureName, caller: Reader, platform: PlatformDep, request: Request
+    sequence_id: IdPath, name: PictureName, caller: Looker, platform: PlatformDep, request: Request
 ) -> Response:
     """A picture: `bev.png` shows the labels from above, `overlay_CAM_FRONT.jpg` the LiDAR's points on a camera's image.
 
     Overlays are those of the run that made the labels that count; before there are any, of the last run.
     """
     with platform.database.reading() as session:
-        sequence = sequence_of(session, caller, sequence_id)
+        sequence = shown_sequence(session, caller, sequence_id)
         labels = labels_of(session, sequence.id)
         file = _file_of(session, sequence, labels, name) or sequence_preview(session, sequence, labels, name)
     return answer_file(request, platform.store, file)
@@ -99,7 +99,7 @@ def download_preview(
 
 def _artefact(session: Session, caller: Caller, sequence_id: str, name: str) -> StoredFile:
     """A file of the newest labels, called after the sequence. Raises `NotFoundError`."""
-    sequence = sequence_of(session, caller, sequence_id)
+    sequence = shown_sequence(session, caller, sequence_id)
     file = _file_of(session, sequence, newest_label_set(session, sequence.id), name)
     if file is None:
         raise NotFoundError("file of this sequence", name)

@@ -8,7 +8,7 @@ is the score by the pair in force; older ones stay readable by their ids.
 from fastapi import APIRouter, Request, Response
 
 from api.answers import refusals
-from api.callers import Reader
+from api.callers import Looker
 from api.deps import PlatformDep
 from api.files import StoredFile, answer_file, file_responses
 from api.result_views import (
@@ -31,7 +31,7 @@ PART = refusals(403, 404, 409)
 
 @router.get("/results", responses=refusals(404, 409))
 def show_results(
-    submission_id: IdPath, caller: Reader, platform: PlatformDep, score: ScoreQuery = None
+    submission_id: IdPath, caller: Looker, platform: PlatformDep, score: ScoreQuery = None
 ) -> ResultsAnswer:
     """Totals with their intervals, supports and extra figures, as far as the caller may see them."""
     with platform.database.reading() as session:
@@ -42,7 +42,7 @@ def show_results(
 
 @router.get("/results/breakdowns", responses=PART)
 def show_breakdown(
-    submission_id: IdPath, by: ByQuery, caller: Reader, platform: PlatformDep, score: ScoreQuery = None
+    submission_id: IdPath, by: ByQuery, caller: Looker, platform: PlatformDep, score: ScoreQuery = None
 ) -> BreakdownAnswer:
     """The result by sequence, environment, illumination or distance; of a hidden phase once it has ended."""
     with platform.database.reading() as session:
@@ -52,7 +52,7 @@ def show_breakdown(
 
 @router.get("/provenance", responses=PART)
 def show_provenance(
-    submission_id: IdPath, caller: Reader, platform: PlatformDep, score: ScoreQuery = None
+    submission_id: IdPath, caller: Looker, platform: PlatformDep, score: ScoreQuery = None
 ) -> ProvenanceAnswer:
     """What the score was computed from and by what: hashes, versions, signature, times."""
     with platform.database.reading() as session:
@@ -61,7 +61,7 @@ def show_provenance(
 
 @router.get("/confusions", response_class=Response, responses=NPZ)
 def download_confusions(
-    submission_id: IdPath, caller: Reader, platform: PlatformDep, request: Request, score: ScoreQuery = None
+    submission_id: IdPath, caller: Looker, platform: PlatformDep, request: Request, score: ScoreQuery = None
 ) -> Response:
     """The kept counts by frame, from which every figure of the result is computed, as npz.
 

@@ -4,8 +4,9 @@
 it moves on. PATCH and DELETE ask for it; PUT of the calibration honours it.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 from sqlalchemy import Select, func, select
@@ -14,9 +15,9 @@ from sqlalchemy.orm import Session
 
 from api import audit
 from api.answers import refusals
-from api.callers import Curator, Reader
+from api.callers import Curator, Looker
 from api.deps import PlatformDep, at_once
-from api.errors import ConflictError
+from api.errors import ConflictError, HiddenTruthError
 from api.etags import etag, require_match
 from api.paging import Page, PageDep, page
 from api.schemas.base import PLAIN, IdPath, IdQuery, LineQuery
@@ -28,10 +29,10 @@ from api.schemas.sequences import (
     SequenceItem,
 )
 from api.sequence_views import sequence_detail, sequence_items
-from api.visible import calibration_of, sequence_of, sequences_of
+from api.visible import calibration_of, hidden_truths, sequence_of, sequences_shown_to, shown_sequence
 from services.runtime.access.errors import NameTakenError
 from services.runtime.jobs.specs import TERMINAL
-from services.runtime.orm import Job, LabelSet, Sequence
+from services.runtime.orm import DatasetMember, Job, LabelSet, Sequence
 from services.runtime.processing import PROCESS, delete_sequence, lock_sequence
 
 router = APIRouter(prefix="/sequences", tags=["sequences"])
@@ -77,22 +78,22 @@ def create_sequence(
 
 @router.get("", responses=refusals())
 def list_sequences(
-    caller: Reader,
+    caller: Looker,
     platform: PlatformDep,
     query: PageDep,
     filters: Annotated[Filters, Depends(at_once(Filters))],
 ) -> Page[SequenceItem]:
-    """The caller's sequences, newest first; an administrator sees everybody's."""
+    """The caller's sequences and the public ones, newest first; an administrator sees everybody's."""
     with platform.database.reading() as session:
-        found = page(session, filters.narrowed(sequences_of(caller)), Sequence.id.desc(), query)
+        found = page(session, filters.narrowed(sequences_shown_to(caller)), Sequence.id.desc(), query)
         return Page[SequenceItem](items=sequence_items(session, found.rows), next=found.next)
 
 
 @router.get("/{sequence_id}", responses=refusals(404))
-def show_sequence(sequence_id: IdPath, caller: Reader, platform: PlatformDep, response: Response) -> SequenceDetail:
+def show_sequence(sequence_id: IdPath, caller: Looker, platform: PlatformDep, response: Response) -> SequenceDetail:
     """A sequence with its newest run, its newest labels and their files."""
     with platform.database.reading() as session:
-        shown = sequence_detail(session, sequence_of(session, caller, sequence_id))
+        shown = sequence_detail(session, shown_sequence(session, caller, sequence_id))
     response.headers["ETag"] = etag(shown.revision)
     return shown
 
@@ -113,6 +114,10 @@ def change_sequence(
         changes = {key: value for key, value in body if value is not None and value != getattr(sequence, key)}
         if "name" in changes:
             _refuse_renaming(session, sequence)
+        if changes.get("is_public") and session.scalar(
+            select(hidden_truths().where(DatasetMember.sequence_id == sequence.id).exists())
+        ):
+            raise HiddenTruthError(sequence.name)
         _change(sequence, changes)
         _flush_named(session, sequence.name)
         audit.record(session, caller, "sequence.change", sequence.id, facts=changes)
@@ -155,7 +160,7 @@ def remove_sequence(sequence_id: IdPath, caller: Curator, platform: PlatformDep,
         delete_sequence(session, sequence)
 
 
-def _change(sequence: Sequence, changes: dict[str, str]) -> None:
+def _change(sequence: Sequence, changes: Mapping[str, Any]) -> None:
     for key, value in changes.items():
         setattr(sequence, key, value)
     sequence.revision += 1 if changes else 0
@@ -167,6 +172,12 @@ def _refuse_renaming(session: Session, sequence: Sequence) -> None:
     runs = select(Job.id).where(Job.sequence_id == sequence.id, Job.kind == PROCESS, Job.state.not_in(TERMINAL))
     if session.scalar(labels.limit(1)) or session.scalar(runs.limit(1)):
         raise ConflictError("the sequence has labels, or is getting them, and its frame tokens are made of its name")
+
+
+def _refuse_telling(session: Session, sequence: Sequence) -> None:
+    """Raises `HiddenTruthError`."""
+    if session.scalar(hidden_truths().where(DatasetMember.sequence_id == sequence.id).limit(1)):
+        raise HiddenTruthError(sequence.name)
 
 
 def _flush_named(session: Session, name: str) -> None:

@@ -111,6 +111,20 @@ class NewBenchmarkBody(Body):
     reason: Reason
 
 
+class BenchmarkChange(Body):
+    """What is to change; what is left out or null stays. A public benchmark is read without an account.
+
+    `reason` is kept in the audit log.
+    """
+
+    model_config = Body.model_config | example(is_public=True, reason="the season begins")
+
+    title: Heading | None = None
+    description: Prose | None = None
+    is_public: bool | None = None
+    reason: Reason
+
+
 class AddedPhaseBody(NewPhaseBody):
     """Another phase of a benchmark, of a version that it names. `reason` is kept in the audit log."""
 

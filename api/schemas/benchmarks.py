@@ -37,6 +37,7 @@ BENCHMARK_EXAMPLE: dict[str, Any] = {
     "title": "STONE",
     "description": "3D traversability from one sweep and six cameras.",
     "phases": ["test", "val"],
+    "is_public": False,
     "created_at": "2026-05-29T08:00:00Z",
 }
 
@@ -120,6 +121,7 @@ class BenchmarkItem(Answer):
     title: str
     description: str
     phases: list[str]
+    is_public: bool
     created_at: datetime
 
 
@@ -132,6 +134,7 @@ class BenchmarkDetail(Answer):
     title: str
     description: str
     phases: list[PhaseItem]
+    is_public: bool
     created_at: datetime
 
 
@@ -144,6 +147,7 @@ class CreatedBenchmark(Answer):
     title: str
     description: str
     phases: list[PhaseDetail]
+    is_public: bool
     created_at: datetime
 
 

@@ -31,6 +31,7 @@ SEQUENCE_EXAMPLE: dict[str, Any] = {
     "illumination": "day",
     "region": "Gyeonggi",
     "platform": "warthog-1",
+    "is_public": False,
     "calibration_id": ID_EXAMPLE,
     "recordings": 1,
     "job": {"id": ID_EXAMPLE, "kind": "sequence.process", "state": "succeeded"},
@@ -80,7 +81,10 @@ class NewSequenceBody(Body):
 
 
 class SequenceChangesBody(Body):
-    """What is to change; what is left out stays. With labels the name stays too: frame tokens are made of it."""
+    """What is to change; what is left out stays. With labels the name stays too: frame tokens are made of it.
+
+    What is made of a public sequence may be looked at by anybody, without an account.
+    """
 
     model_config = example(illumination="dusk")
 
@@ -89,6 +93,7 @@ class SequenceChangesBody(Body):
     illumination: Illumination | None = None
     region: Region | None = None
     platform: Line | None = None
+    is_public: bool | None = None
 
 
 class PinCalibrationBody(Body):
@@ -128,6 +133,7 @@ class SequenceItem(Answer):
     illumination: str
     region: str
     platform: str
+    is_public: bool
     calibration_id: str | None
     recordings: int
     job: JobGlance | None

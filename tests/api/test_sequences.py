@@ -34,13 +34,30 @@ def other(platform: Platform) -> Person:
 @pytest.mark.parametrize(
     ("method", "path"),
     [
-        ("POST", ""), ("GET", ""), ("GET", f"/{NOBODY}"), ("PATCH", f"/{NOBODY}"), ("DELETE", f"/{NOBODY}"),
+        ("POST", ""), ("GET", f"/{NOBODY}"), ("PATCH", f"/{NOBODY}"), ("DELETE", f"/{NOBODY}"),
         ("PUT", f"/{NOBODY}/calibration"),
     ],
 )  # fmt: skip
 def test_nobody_without_a_token_gets_anything(api: httpx.Client, method: str, path: str) -> None:
     answer = api.request(method, URL + path, json={})
     assert (answer.status_code, code_of(answer)) == (401, "unauthenticated")
+
+
+def test_a_visitor_is_shown_what_is_public_and_asked_to_sign_in_for_the_rest(
+    api: httpx.Client, owner: Person, other: Person
+) -> None:
+    made = [api.post(URL, json={"name": name}, headers=owner.headers).json() for name in ("open", "closed")]
+    shown = api.patch(
+        f"{URL}/{made[0]['id']}", json={"is_public": True}, headers={**owner.headers, "If-Match": '"1"'}
+    )
+    assert shown.json()["is_public"] is True
+    for looking in ({}, other.headers):
+        assert [item["name"] for item in api.get(URL, headers=looking).json()["items"]] == ["open"]
+        assert api.get(f"{URL}/{made[0]['id']}", headers=looking).status_code == 200
+    assert api.get(f"{URL}/{made[1]['id']}").status_code == 401
+    assert api.get(f"{URL}/{made[1]['id']}", headers=other.headers).status_code == 404
+    change = {"json": {"region": "x"}, "headers": {**other.headers, "If-Match": '"2"'}}
+    assert api.patch(f"{URL}/{made[0]['id']}", **change).status_code == 404
 
 
 def test_a_participant_may_look_but_not_make(api: httpx.Client, participant: Person) -> None:

@@ -142,10 +142,6 @@ def lock_phase(session: Session, phase_id: str) -> Phase:
     return session.scalars(locked.execution_options(populate_existing=True)).one()
 
 
-def benchmark_named(session: Session, name: str) -> Benchmark | None:
-    return session.scalars(select(Benchmark).where(Benchmark.name == name)).one_or_none()
-
-
 def phase_named(session: Session, benchmark: str, phase: str) -> Phase | None:
     """The phase of these names."""
     joined = select(Phase).join(Benchmark, Benchmark.id == Phase.benchmark_id)

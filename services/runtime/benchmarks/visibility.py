@@ -13,7 +13,7 @@ from typing import Literal
 from sqlalchemy import ColumnElement, Select, and_, or_, select, true
 from sqlalchemy.orm import Session
 
-from services.runtime.orm import Phase, Submission, TeamMember
+from services.runtime.orm import Benchmark, Phase, Submission, TeamMember
 
 Relation = Literal["administrator", "member", "other"]
 Secrecy = Literal["open", "running", "ended"]
@@ -54,10 +54,11 @@ NAMING: tuple[Field, ...] = ("team", "description")
 
 @dataclass(frozen=True)
 class Viewer:
-    """Who looks: an administrator, or a user with the teams they are in."""
+    """Who looks: an administrator, a user with the teams they are in, or a visitor, whom public benchmarks show."""
 
     is_administrator: bool = False
     team_ids: frozenset[str] = frozenset()
+    is_visitor: bool = False
 
     def relation(self, team_id: str) -> Relation:
         if self.is_administrator:
@@ -128,4 +129,7 @@ def is_on_board() -> ColumnElement[bool]:
 def _is_seen(viewer: Viewer) -> ColumnElement[bool]:
     if viewer.is_administrator:
         return true()
+    if viewer.is_visitor:
+        is_public = select(Phase.id).join(Benchmark, Benchmark.id == Phase.benchmark_id).where(Benchmark.is_public)
+        return and_(is_on_board(), Submission.phase_id.in_(is_public))
     return or_(is_on_board(), Submission.team_id.in_(sorted(viewer.team_ids)))

@@ -8,14 +8,14 @@ import sys
 
 import uvicorn
 
-API = "api.main:from_environment"
+SITE = "web.main:from_environment"
 PROTOCOL = "api.heads:BoundedHeads"
 
 
 def main(descriptor: int, replies_s: int) -> None:
     """Answer until SIGTERM; then replies under way may take `replies_s` more."""
     config = uvicorn.Config(
-        API,
+        SITE,
         factory=True,
         loop="uvloop",
         http=PROTOCOL,

@@ -4,20 +4,21 @@
 board of a phase shows one pair of ground truth and metric at a time: that of its newest activation.
 """
 
-from sqlalchemy import JSON, ForeignKey, Index, String, Text
+from sqlalchemy import JSON, ForeignKey, Index, String, Text, false
 from sqlalchemy.orm import Mapped, mapped_column
 
 from services.runtime.orm.base import Base, Bytes, Id, Ns, Record, new_id, now_ns
 
 
 class Benchmark(Base):
-    """`name` is what URLs call it; `title` and `description` are plain text."""
+    """`name` is what URLs call it; `title` and `description` are plain text. A public one needs no account."""
 
     __tablename__ = "benchmarks"
     id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
     name: Mapped[str] = mapped_column(String(64), unique=True)
     title: Mapped[str] = mapped_column(String(200), default="")
     description: Mapped[str] = mapped_column(Text, default="")
+    is_public: Mapped[bool] = mapped_column(default=False, server_default=false())
     created_by: Mapped[Id] = mapped_column(ForeignKey("users.id"))
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
 

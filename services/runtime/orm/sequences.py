@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from sqlalchemy import JSON, ForeignKey, Index, String, text
+from sqlalchemy import JSON, ForeignKey, Index, String, false, text
 from sqlalchemy.orm import Mapped, mapped_column
 
 from services.runtime.orm.base import Base, Bytes, Id, Ns, new_id, now_ns
@@ -47,7 +47,10 @@ class Profile(Base):
 
 
 class Sequence(Base):
-    """One continuous run of the robot. `revision` counts changes (ETag); deleted: the row stays."""
+    """One continuous run of the robot. `revision` counts changes (ETag); deleted: the row stays.
+
+    What is made of a public one may be looked at by anybody, signed in or not.
+    """
 
     __tablename__ = "sequences"
     id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
@@ -58,6 +61,7 @@ class Sequence(Base):
     region: Mapped[str] = mapped_column(String(64), default="")
     platform: Mapped[str] = mapped_column(String(64), default="")
     calibration_id: Mapped[Id | None] = mapped_column(ForeignKey("calibrations.id"))
+    is_public: Mapped[bool] = mapped_column(default=False, server_default=false())
     revision: Mapped[int] = mapped_column(default=1)
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
     deleted_ns: Mapped[Ns | None]

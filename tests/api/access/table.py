@@ -55,7 +55,7 @@ DELETE /api/v1/uploads/{upload_id}                            401  404  204   40
 POST   /api/v1/uploads/{upload_id}                            401  404  204   404   404  404 403  401  401  204 403
 GET    /api/v1/uploads/{upload_id}                            401  404  200   404   404  404 403  401  401  200 200
 POST   /api/v1/sequences                                      401  403  201   201   201  201 403  401  401  201 403
-GET    /api/v1/sequences                                      401  200  200   200   200  200 403  401  401  200 200
+GET    /api/v1/sequences                                      200  200  200   200   200  200 403  401  401  200 200
 GET    /api/v1/sequences/{sequence_id}                        401  404  200   404   200  404 403  401  401  200 200
 PATCH  /api/v1/sequences/{sequence_id}                        401  403  200   404   200  404 403  401  401  200 403
 DELETE /api/v1/sequences/{sequence_id}                        401  403  204   404   204  404 403  401  401  204 403
@@ -107,7 +107,7 @@ POST   /api/v1/admin/phases/{phase_id}/inputs                 401  403  403   40
 GET    /api/v1/phases/{phase_id}/inputs                       401  200  200   200   200  200 403  401  401  200 200
 GET    /api/v1/phases/{phase_id}/inputs/{sequence_name}.tar   401  200  200   200   200  200 403  401  401  200 200
 HEAD   /api/v1/phases/{phase_id}/inputs/{sequence_name}.tar   401  200  200   200   200  200 403  401  401  200 200
-GET    /api/v1/benchmarks                                     401  200  200   200   200  200 403  401  401  200 200
+GET    /api/v1/benchmarks                                     200  200  200   200   200  200 403  401  401  200 200
 GET    /api/v1/benchmarks/{benchmark_name}                    401  200  200   200   200  200 403  401  401  200 200
 GET    /api/v1/benchmarks/{benchmark_name}/phases/{phase_name}           401 200 200 200 200 200 403 401 401 200 200
 GET    /api/v1/benchmarks/{benchmark_name}/phases/{phase_name}/manifest  401 200 200 200 200 200 403 401 401 200 200
@@ -115,6 +115,7 @@ GET    /api/v1/benchmarks/{benchmark_name}/phases/{phase_name}/metrics/{metric} 
 GET    /api/v1/benchmarks/{benchmark_name}/phases/{phase_name}/metrics/{metric}/vectors 401 200 200 200 200 200 403 401 401 200 200
 GET    /api/v1/phases/{phase_id}                              401  200  200   200   200  200 403  401  401  200 200
 POST   /api/v1/admin/benchmarks                               401  403  403   403   201  403 403  401  401  403 403
+PATCH  /api/v1/admin/benchmarks/{benchmark_name}              401  403  403   403   200  403 403  401  401  403 403
 POST   /api/v1/admin/benchmarks/{benchmark_name}/phases       401  403  403   403   201  403 403  401  401  403 403
 GET    /api/v1/admin/phases/{phase_id}                        401  403  403   403   200  403 403  401  401  403 403
 PATCH  /api/v1/admin/phases/{phase_id}                        401  403  403   403   200  403 403  401  401  403 403
