@@ -5,16 +5,23 @@
 
 BIN := .venv/bin
 INSTALLED := .venv/.installed
+BUILT := web/built/app.js
+MODULES := $(shell find web/modules -name '*.ts')
 
-install: $(INSTALLED)
+install: $(INSTALLED) $(BUILT)
 
 $(INSTALLED): requirements.lock pyproject.toml deploy/create-venv.sh deploy/install-system-libraries.sh
 	deploy/create-venv.sh
 	touch $@
 
+$(BUILT): $(INSTALLED) $(MODULES) web/package-lock.json web/tsconfig.json deploy/build-pages.sh
+	deploy/build-pages.sh
+	touch $@
+
 test-clients: install
 	deploy/install-test-clients.sh
 	deploy/install-devkit.sh
+	deploy/install-browser.sh
 
 demo: install
 	$(BIN)/stone demo

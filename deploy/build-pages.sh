@@ -1,0 +1,31 @@
+#!/bin/sh
+# Build what browsers load: build-pages.sh, from the project's root, after create-venv.sh.
+#
+# The Node on PATH where it is new enough, else one from a wheel in .venv/node. Every package is checked against the
+# integrity hashes of package-lock.json; no script of a package is run.
+set -eu
+
+is_new_enough() {
+    "$1" -e 'process.exit(Number(process.versions.node.split(".")[0]) >= 20 ? 0 : 1)' 2>/dev/null
+}
+
+if ! { command -v node >/dev/null && command -v npm >/dev/null && is_new_enough node; }; then
+    if [ ! -x .venv/node/bin/npm ]; then
+        rm -rf .venv/node
+        .venv/bin/python -m venv .venv/node
+        .venv/node/bin/pip install --quiet --disable-pip-version-check --require-hashes -r deploy/node.lock
+    fi
+    PATH="$PWD/.venv/node/bin:$PATH"
+    export PATH
+fi
+
+cd web
+installed=node_modules/.package-lock.json
+if [ ! -e "$installed" ] || [ package-lock.json -nt "$installed" ]; then
+    npm ci --silent --ignore-scripts --no-audit --no-fund
+    touch "$installed"
+fi
+rm -rf built.partial
+node node_modules/typescript/bin/tsc -p . --outDir built.partial
+rm -rf built
+mv built.partial built

@@ -1,0 +1,48 @@
+"""The site and a browser: `site` on the embedded platform, in Debian's Chromium."""
+
+import os
+import shutil
+from collections.abc import Iterator
+
+import pytest
+from playwright.sync_api import Browser, sync_playwright
+
+from services.runtime.platform import Platform
+from tests.api.serving import Person, person, serving
+from tests.web.browsing import Site
+from web.main import make_site
+
+ARGUMENTS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    """Chromium, one for all tests of a process."""
+    path = os.environ.get("STONE_CHROMIUM") or shutil.which("chromium")
+    if path is None:
+        pytest.skip("no chromium on PATH; deploy/install-browser.sh installs it")
+    with sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=path, args=ARGUMENTS)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def site(platform: Platform, browser: Browser) -> Iterator[Site]:
+    with serving(platform, make_site(platform)) as url:
+        yield Site(url, platform, browser)
+
+
+@pytest.fixture
+def administrator(platform: Platform) -> Person:
+    return person(platform, "administrator")
+
+
+@pytest.fixture
+def curator(platform: Platform) -> Person:
+    return person(platform, "curator")
+
+
+@pytest.fixture
+def participant(platform: Platform) -> Person:
+    return person(platform, "participant")

@@ -1,0 +1,129 @@
+"""What browsers load beside pages: one style sheet, our modules, libraries of others, pictures.
+
+**Conventions.** Everything is read when the process starts, compressed once, and addressed below a digest of it all, so
+a browser keeps it for ever and never mixes two versions. Libraries are named in `LIBRARIES`; nothing else of
+`node_modules` is served, and nothing is loaded from another host.
+"""
+
+import gzip
+import json
+from base64 import b64encode
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from hashlib import sha256
+from pathlib import Path
+
+from fastapi import APIRouter, Request, Response
+
+from api.errors import NotFoundError
+from web.errors import PagesNotBuiltError
+
+router = APIRouter()
+FOLDER = Path(__file__).parent
+PACKAGES, BUILT, STYLES, PICTURES = (FOLDER / name for name in ("node_modules", "built", "styles", "pictures"))
+FOR_EVER = "public, max-age=31536000, immutable"
+STYLE_ORDER = ("tokens", "base", "layout", "components", "charts")
+"""Style sheets that come first, in this order; the others follow by name."""
+LIBRARIES = {
+    "htmx.org": "htmx.org/dist/htmx.esm.min.js",
+    "three": "three/build/three.module.js",
+    "fzstd": "fzstd/esm/index.mjs",
+    "tus-js-client": "tus-js-client/dist/tus.min.js",
+    "hash-wasm/sha256": "hash-wasm/dist/sha256.umd.min.js",
+}
+"""What a module imports by this name, and the file of a package it is."""
+BESIDE = ("three/build/three.core.js",)
+"""Files that libraries import themselves."""
+MEDIA_TYPES = {
+    ".css": "text/css; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".mjs": "text/javascript; charset=utf-8",
+    ".svg": "image/svg+xml",
+    ".png": "image/png",
+}
+
+
+@dataclass(frozen=True)
+class Asset:
+    """A file as it is sent."""
+
+    content: bytes
+    media_type: str
+
+    @cached_property
+    def compressed(self) -> bytes:
+        return gzip.compress(self.content, 9, mtime=0)
+
+
+@dataclass(frozen=True)
+class Assets:
+    """All files by the path below the digest."""
+
+    files: Mapping[str, Asset]
+
+    @cached_property
+    def digest(self) -> str:
+        hashed = sha256()
+        for path, asset in sorted(self.files.items()):
+            hashed.update(f"{path}\0{len(asset.content)}\0".encode() + asset.content)
+        return hashed.hexdigest()[:16]
+
+    def url(self, path: str) -> str:
+        """Where a page finds the file. Raises KeyError for one that is not there: a fault of ours."""
+        if path not in self.files:
+            raise KeyError(path)
+        return f"/assets/{self.digest}/{path}"
+
+    @cached_property
+    def import_map(self) -> str:
+        """What bare names in modules mean, as JSON for the page's head."""
+        imports = {name: self.url(f"libraries/{place}") for name, place in LIBRARIES.items()}
+        return json.dumps({"imports": imports}, separators=(",", ":"))
+
+    @cached_property
+    def import_map_hash(self) -> str:
+        """By which the page's policy lets the import map through."""
+        return f"sha256-{b64encode(sha256(self.import_map.encode()).digest()).decode()}"
+
+
+@router.get("/assets/{digest}/{path:path}")
+def send(digest: str, path: str, request: Request) -> Response:
+    """A file, compressed where the browser takes that. Raises `NotFoundError`."""
+    assets: Assets = request.app.state.pages.assets
+    asset = assets.files.get(path) if digest == assets.digest else None
+    if asset is None:
+        raise NotFoundError("asset", path)
+    headers = {"Cache-Control": FOR_EVER, "Vary": "Accept-Encoding"}
+    if "gzip" not in request.headers.get("accept-encoding", ""):
+        return Response(asset.content, media_type=asset.media_type, headers=headers)
+    return Response(asset.compressed, media_type=asset.media_type, headers=headers | {"Content-Encoding": "gzip"})
+
+
+def built_assets() -> Assets:
+    """The files of this checkout. Raises `PagesNotBuiltError`."""
+    return Assets(dict(_files()))
+
+
+def _files() -> Iterator[tuple[str, Asset]]:
+    yield "app.css", Asset(_style_sheet(), MEDIA_TYPES[".css"])
+    for folder, prefix in ((BUILT, "modules"), (PICTURES, "pictures")):
+        for path in sorted(folder.rglob("*")):
+            if path.suffix in MEDIA_TYPES:
+                yield f"{prefix}/{path.relative_to(folder).as_posix()}", _asset(path)
+    for place in (*LIBRARIES.values(), *BESIDE):
+        yield f"libraries/{place}", _asset(PACKAGES / place)
+    if not (BUILT / "app.js").exists():
+        raise PagesNotBuiltError(BUILT / "app.js")
+
+
+def _asset(path: Path) -> Asset:
+    if not path.exists():
+        raise PagesNotBuiltError(path)
+    return Asset(path.read_bytes(), MEDIA_TYPES[path.suffix])
+
+
+def _style_sheet() -> bytes:
+    names = {path.stem: path for path in sorted(STYLES.glob("*.css"))}
+    ordered = [*STYLE_ORDER, *(name for name in names if name not in STYLE_ORDER)]
+    return b"\n".join(names[name].read_bytes() for name in ordered)

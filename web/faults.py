@@ -1,0 +1,54 @@
+"""Refusals as pages: what the API answers as a problem, a person at a page reads in words, with what to do next.
+
+**Conventions.** The same table decides (`api/problems.py`): status, code and sentence are the problem's own. Somebody
+who is not signed in and is not shown a thing is asked to sign in, and comes back to it. Below `/api/` and for whoever
+asks for JSON nothing changes.
+"""
+
+import json
+
+from fastapi import FastAPI, Request
+from fastapi.responses import Response
+
+from api.problems import ANSWERS
+from web.rendering import caller_of, page
+
+NEXT = {
+    403: "Ask an administrator for the role, or sign in as somebody who has it.",
+    404: "It may have been deleted, or belong to somebody else. The lists above show what you can see.",
+    409: "Go back, look at how it stands now, and decide again.",
+    422: "Go back and correct the address or the form.",
+    429: "Wait a moment, then load the page again.",
+    503: "The platform is busy or a part of it is away. Try again in a minute.",
+    507: "The platform's disk is full; its administrator has to make room.",
+}
+
+
+def install(site: FastAPI) -> None:
+    """From now on problems of pages are pages."""
+    for kind, _ in ANSWERS:
+        answered = site.exception_handlers[kind]
+
+        def as_page(request: Request, error: Exception, answered=answered) -> Response:  # type: ignore[no-untyped-def]
+            return _shown(request, answered(request, error))
+
+        site.add_exception_handler(kind, as_page)
+
+
+def _shown(request: Request, answer: Response) -> Response:
+    if request.url.path.startswith(("/api/", "/assets/")) or not _reads_pages(request):
+        return answer
+    problem = json.loads(bytes(answer.body))
+    if problem["status"] == 401:
+        return page(request, caller_of(request), "sign_in.html", status=401, back=_here(request))
+    advice = NEXT.get(problem["status"], "Load the page again; if it stays, tell your administrator the request's id.")
+    return page(request, caller_of(request), "problem.html", status=problem["status"], problem=problem, advice=advice)
+
+
+def _here(request: Request) -> str:
+    query = request.url.query
+    return f"{request.url.path}?{query}" if query else request.url.path
+
+
+def _reads_pages(request: Request) -> bool:
+    return "text/html" in request.headers.get("accept", "")

@@ -1,0 +1,71 @@
+// The API as the pages call it: same origin, the session's CSRF token, problems as errors.
+
+/** A refusal as the API says it (RFC 9457). */
+export interface Problem {
+  title: string;
+  status: number;
+  detail: string;
+  code: string;
+  request_id: string;
+  errors?: { code: string; where?: string; file?: string; frame?: string; expected?: string; actual?: string }[];
+  errors_total?: number;
+}
+
+/** What `call` throws for every answer that is not the one asked for. */
+export class RefusedError extends Error {
+  constructor(readonly problem: Problem, readonly headers: Headers) {
+    super(problem.detail);
+  }
+}
+
+/** The method, with a body where one is given; the answer's JSON, or null where there is none. Throws `RefusedError`. */
+export async function call<T = unknown>(
+  method: string,
+  path: string,
+  body?: unknown,
+  headers: Record<string, string> = {},
+): Promise<T> {
+  const answer = await ask(method, path, {
+    headers: body === undefined ? headers : { "Content-Type": "application/json", ...headers },
+    ...(body === undefined ? {} : { body: JSON.stringify(body) }),
+  });
+  return (answer.status === 204 ? null : await answer.json()) as T;
+}
+
+/** The bytes at a path. Throws `RefusedError`. */
+export async function bytes(path: string, signal?: AbortSignal): Promise<Uint8Array> {
+  const answer = await ask("GET", path, signal ? { signal } : {});
+  return new Uint8Array(await answer.arrayBuffer());
+}
+
+export function csrfToken(): string {
+  return document.querySelector<HTMLMetaElement>('meta[name="csrf-token"]')?.content ?? "";
+}
+
+async function ask(method: string, path: string, init: RequestInit): Promise<Response> {
+  const headers = new Headers(init.headers);
+  headers.set("Accept", headers.get("Accept") ?? "application/json");
+  if (method !== "GET") headers.set("X-CSRF-Token", csrfToken());
+  let answer: Response;
+  try {
+    answer = await fetch(path, { ...init, method, headers, credentials: "same-origin" });
+  } catch (error) {
+    if (error instanceof DOMException && error.name === "AbortError") throw error;
+    throw new RefusedError(away(), new Headers());
+  }
+  if (answer.ok) return answer;
+  throw new RefusedError(await problemOf(answer), answer.headers);
+}
+
+async function problemOf(answer: Response): Promise<Problem> {
+  try {
+    return (await answer.json()) as Problem;
+  } catch {
+    return { ...away(), status: answer.status, title: answer.statusText };
+  }
+}
+
+function away(): Problem {
+  const detail = "The platform cannot be reached. Is the network there? Nothing was changed; try again.";
+  return { title: "No answer", status: 0, detail, code: "no_answer", request_id: "" };
+}

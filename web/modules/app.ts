@@ -1,0 +1,20 @@
+// What every page does: forms that act, parts that refresh, dialogs, times, the theme.
+
+import { installActs } from "./acts.js";
+import { installDialogs } from "./dialogs.js";
+import { installRefreshing } from "./refreshing.js";
+import { installTimes } from "./times.js";
+
+installActs();
+installDialogs();
+installRefreshing();
+installTimes();
+
+document.querySelector("[data-theme-switch]")?.addEventListener("click", () => {
+  const root = document.documentElement;
+  const isDark = root.dataset["theme"]
+    ? root.dataset["theme"] === "dark"
+    : matchMedia("(prefers-color-scheme: dark)").matches;
+  root.dataset["theme"] = isDark ? "light" : "dark";
+  localStorage.setItem("stone-theme", root.dataset["theme"]);
+});

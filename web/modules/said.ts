@@ -1,0 +1,43 @@
+// What is said to the reader: a refusal beside the form it belongs to, a passing word at the edge of the page.
+
+import { type Problem, RefusedError } from "./api.js";
+
+const SHOWN = 10;
+
+/** Say in `place` why it was refused: the sentence, and the first findings. */
+export function sayProblem(place: HTMLElement, problem: Problem): void {
+  const sentence = document.createElement("p");
+  sentence.textContent = problem.detail || problem.title;
+  const findings = problem.errors ?? [];
+  place.replaceChildren(sentence);
+  if (findings.length) {
+    const list = document.createElement("ul");
+    for (const one of findings.slice(0, SHOWN)) {
+      const item = document.createElement("li");
+      const where = [one.file, one.frame, one.where].filter(Boolean).join(" ");
+      const values = [one.expected && `expected ${one.expected}`, one.actual && `found ${one.actual}`].filter(Boolean);
+      item.textContent = [where, one.code.replaceAll("_", " "), values.join(", ")].filter(Boolean).join(": ");
+      list.append(item);
+    }
+    const total = problem.errors_total ?? findings.length;
+    if (total > SHOWN) list.append(Object.assign(document.createElement("li"), { textContent: `and ${total - SHOWN} more` }));
+    place.append(list);
+  }
+  if (problem.request_id) {
+    place.append(Object.assign(document.createElement("p"), { className: "hint", textContent: `Request ${problem.request_id}` }));
+  }
+  place.dataset["tone"] = "error";
+}
+
+/** Whatever was thrown, as a sentence in `place`. */
+export function sayError(place: HTMLElement, error: unknown): void {
+  if (error instanceof RefusedError) sayProblem(place, error.problem);
+  else sayProblem(place, { title: "Error", status: 0, detail: String(error), code: "error", request_id: "" });
+}
+
+/** A passing word at the edge of the page, read out by screen readers. */
+export function toast(sentence: string, lasts_ms = 6000): void {
+  const one = Object.assign(document.createElement("p"), { className: "toast", textContent: sentence });
+  document.getElementById("toasts")?.append(one);
+  setTimeout(() => one.remove(), lasts_ms);
+}

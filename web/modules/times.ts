@@ -1,0 +1,18 @@
+// Times in the reader's zone: a cookie tells the server for the next page, this page is rewritten where it was UTC.
+
+const COOKIE = "stone_zone";
+
+export function installTimes(): void {
+  const zone = Intl.DateTimeFormat().resolvedOptions().timeZone;
+  const isTold = document.cookie.split("; ").includes(`${COOKIE}=${zone}`);
+  if (isTold || !zone) return;
+  document.cookie = `${COOKIE}=${zone}; Path=/; Max-Age=31536000; SameSite=Lax`;
+  for (const time of document.querySelectorAll<HTMLTimeElement>("time[datetime]")) time.textContent = written(new Date(time.dateTime));
+}
+
+/** `2026-11-21 20:10` in the reader's zone, as the server writes it. */
+export function written(moment: Date): string {
+  const two = (value: number): string => String(value).padStart(2, "0");
+  const day = `${moment.getFullYear()}-${two(moment.getMonth() + 1)}-${two(moment.getDate())}`;
+  return `${day} ${two(moment.getHours())}:${two(moment.getMinutes())}`;
+}

@@ -1,0 +1,24 @@
+"""Signing in, out, and one's own account."""
+
+import re
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Request
+from fastapi.responses import HTMLResponse
+
+from api.callers import Looker, Reader
+from web.rendering import page
+
+router = APIRouter()
+OURS = re.compile(r"/(?![/\\])[^\\\s]*")
+"""A path of this site: never another host's address, which `//host` and `/\\host` are to a browser."""
+
+
+@router.get("/sign-in")
+def sign_in(request: Request, caller: Looker, back: Annotated[str, Query(max_length=2000)] = "/") -> HTMLResponse:
+    return page(request, caller, "sign_in.html", back=back if OURS.fullmatch(back) else "/")
+
+
+@router.get("/account")
+def account(request: Request, caller: Reader) -> HTMLResponse:
+    return page(request, caller, "account.html")

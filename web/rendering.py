@@ -1,0 +1,92 @@
+"""A page from a template: who looks, what it shows, and the policy it is sent with.
+
+**Conventions.** Templates escape everything; of all strings only the import map, which is ours, is marked safe. A page
+says nothing in `style` attributes (the policy forbids them): lengths that come from data are attributes of SVG. Times
+are written in the reader's zone, which `modules/times.ts` tells by the cookie of `web/zones.py`; without it in UTC,
+and the module rewrites them.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fastapi import Request
+from fastapi.responses import HTMLResponse
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+
+from api.deps import VISITOR, Caller
+from web import words
+from web.assets import Assets
+from web.zones import zone_of
+
+TEMPLATES = Path(__file__).parent / "templates"
+POLICY = (
+    "default-src 'none'; script-src 'self' '{import_map}'{more}; style-src 'self'; img-src 'self' data: blob:; "
+    "connect-src 'self'; worker-src 'self'; media-src 'self'; font-src 'self'; form-action 'self'; base-uri 'none'; "
+    "frame-ancestors 'none'"
+)
+WITH_WASM = " 'wasm-unsafe-eval'"
+"""Added to `script-src` where a module counts hashes by WebAssembly."""
+
+
+@dataclass(frozen=True)
+class Nav:
+    """A link of the head of every page; `begins` marks it as where one is, `roles` may see it."""
+
+    title: str
+    path: str
+    roles: tuple[str, ...] = ()
+
+
+NAVIGATION = (
+    Nav("Sequences", "/sequences"),
+    Nav("Benchmarks", "/benchmarks"),
+    Nav("Dataset", "/dataset", ("participant", "curator", "administrator")),
+    Nav("Submissions", "/submissions", ("participant", "curator", "administrator")),
+    Nav("Administration", "/admin/jobs", ("administrator",)),
+)
+
+
+class Pages:
+    """The templates of one process, and what they load."""
+
+    def __init__(self, assets: Assets) -> None:
+        self.assets = assets
+        self._templates = Environment(
+            loader=FileSystemLoader(TEMPLATES),
+            autoescape=True,
+            undefined=StrictUndefined,
+            trim_blocks=True,
+            lstrip_blocks=True,
+        )
+        self._templates.globals |= {"asset": assets.url, "import_map": Markup(assets.import_map)}
+        self._templates.filters |= words.FILTERS
+        self._templates.tests |= words.TESTS
+
+    def render(self, template: str, **values: Any) -> str:
+        return self._templates.get_template(template).render(**values)
+
+
+def page(
+    request: Request, caller: Caller, template: str, *, status: int = 200, needs_wasm: bool = False, **values: Any
+) -> HTMLResponse:
+    """The template as an answer; beside `values` it knows `me`, `path`, `query`, `zone` and `navigation`."""
+    pages: Pages = request.app.state.pages
+    known = {
+        "me": caller,
+        "path": request.url.path,
+        "query": request.query_params,
+        "zone": zone_of(request),
+        "navigation": [nav for nav in NAVIGATION if not nav.roles or caller.role in nav.roles],
+    }
+    content = pages.render(template, **known | values)
+    policy = POLICY.format(import_map=pages.assets.import_map_hash, more=WITH_WASM if needs_wasm else "")
+    headers = {"Content-Security-Policy": policy, "Cache-Control": "private, no-cache"}
+    return HTMLResponse(content, status, headers=headers)
+
+
+def caller_of(request: Request) -> Caller:
+    """Who looks at a page that anybody may see, as far as it was found out."""
+    caller: Caller | None = getattr(request.state, "caller", None)
+    return caller or VISITOR

@@ -1,0 +1,87 @@
+"""Values as people read them: the filters and tests of every template.
+
+**Conventions.** Nothing is null to a reader: what is not known is a dash. Ratios are written in percent, bytes in
+powers of 1000 as disks are sold, durations in the two largest units.
+"""
+
+from collections.abc import Callable, Mapping
+from datetime import datetime, tzinfo
+from typing import Any
+
+from web.zones import written
+
+DASH = "–"
+UNITS = ("B", "kB", "MB", "GB", "TB", "PB")
+SPANS = (("d", 86_400), ("h", 3600), ("min", 60), ("s", 1))
+
+
+def size(n_bytes: float | None) -> str:
+    """`2.5 GB`."""
+    if n_bytes is None:
+        return DASH
+    value, unit = float(n_bytes), 0
+    while abs(value) >= 999.5 and unit < len(UNITS) - 1:
+        value, unit = value / 1000, unit + 1
+    return f"{value:.0f} {UNITS[unit]}" if unit == 0 or value >= 99.5 else f"{value:.1f} {UNITS[unit]}"
+
+
+def span(seconds: float | None) -> str:
+    """`2 h 5 min`; below ten seconds with a decimal."""
+    if seconds is None:
+        return DASH
+    if seconds < 10:
+        return f"{seconds:.1f} s"
+    left, said = round(seconds), list[str]()
+    for name, length in SPANS:
+        count, rest = divmod(left, length)
+        if count or said:
+            said.append(f"{count} {name}" if count else "")
+            left = rest
+        if len(said) == 2:
+            break
+    return " ".join(part for part in said if part)
+
+
+def percent(ratio: float | None, digits: int = 1) -> str:
+    """`29.1 %`."""
+    return DASH if ratio is None else f"{100 * ratio:.{digits}f} %"
+
+
+def number(value: float | None) -> str:
+    """`12,345`."""
+    if value is None:
+        return DASH
+    return f"{value:,}" if isinstance(value, int) else f"{value:,.2f}"
+
+
+def moment(value: datetime | None, zone: tzinfo) -> str:
+    """The time in the reader's zone."""
+    return DASH if value is None else written(value, zone)
+
+
+def iso(value: datetime) -> str:
+    """The time as `datetime` of a `<time>`."""
+    return value.isoformat().replace("+00:00", "Z")
+
+
+def spoken(code: str) -> str:
+    """A code as words: `worker_lost` → `worker lost`."""
+    return code.replace("_", " ")
+
+
+def short(identity: str | None) -> str:
+    """The end of an id, which differs between things made one after the other."""
+    return DASH if not identity else identity[-8:]
+
+
+FILTERS: Mapping[str, Callable[..., Any]] = {
+    "size": size,
+    "span": span,
+    "percent": percent,
+    "number": number,
+    "moment": moment,
+    "iso": iso,
+    "spoken": spoken,
+    "short": short,
+}
+TESTS: Mapping[str, Callable[..., bool]] = {}

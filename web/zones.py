@@ -1,0 +1,29 @@
+"""The reader's time zone, as the page's module told it.
+
+**Conventions.** The cookie holds a name of the IANA database; anything else counts as none.
+"""
+
+from datetime import UTC, datetime, tzinfo
+from functools import cache
+from zoneinfo import ZoneInfo, available_timezones
+
+from fastapi import Request
+
+COOKIE = "stone_zone"
+
+
+@cache
+def _names() -> frozenset[str]:
+    return frozenset(available_timezones())
+
+
+def zone_of(request: Request) -> tzinfo:
+    """The zone that times are written in; UTC where none was told."""
+    name = request.cookies.get(COOKIE, "")
+    return ZoneInfo(name) if name in _names() else UTC
+
+
+def written(moment: datetime, zone: tzinfo) -> str:
+    """`2026-11-21 20:10` in this zone; in UTC with its name, since the reader did not tell theirs."""
+    said = moment.astimezone(zone).strftime("%Y-%m-%d %H:%M")
+    return f"{said} UTC" if zone is UTC else said
