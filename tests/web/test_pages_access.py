@@ -1,0 +1,48 @@
+"""Which page is shown to whom: a table of pages by role, and that nobody meets a page they may not see.
+
+**Conventions.** Columns: visitor, participant, curator (owner of nothing), administrator. A page of a thing that is
+somebody else's belongs into the tests of that page.
+"""
+
+import httpx
+import pytest
+
+from services.runtime.access import sessions
+from services.runtime.orm import User
+from services.runtime.platform import Platform
+from tests.api.serving import Person, person, serving
+from web.main import make_site
+
+ROLES = ("visitor", "participant", "curator", "administrator")
+PAGES = """
+/                     200 200 200 200
+/sign-in              200 200 200 200
+/account              401 200 200 200
+"""
+
+
+def rows() -> list[tuple[str, tuple[int, ...]]]:
+    return [(path, tuple(map(int, statuses))) for path, *statuses in map(str.split, PAGES.strip().splitlines())]
+
+
+def cookie(platform: Platform, who: Person) -> dict[str, str]:
+    with platform.database.transaction() as session:
+        opened = sessions.open_session(session, session.get_one(User, who.user_id), 3600.0)
+    return {"Cookie": f"stone_session={opened.secret}"}
+
+
+def test_each_page_is_shown_to_those_it_is_for(platform: Platform) -> None:
+    shown = {"visitor": dict[str, str]()} | {role: cookie(platform, person(platform, role)) for role in ROLES[1:]}
+    with serving(platform, make_site(platform)) as url, httpx.Client(base_url=url, timeout=30.0) as client:
+        for path, statuses in rows():
+            for role, status in zip(ROLES, statuses, strict=True):
+                answer = client.get(path, headers={"Accept": "text/html", **shown[role]})
+                assert answer.status_code == status, f"{role} at {path}: {answer.text[:300]}"
+                assert answer.headers["content-type"].startswith("text/html")
+                assert "default-src 'none'" in answer.headers["content-security-policy"]
+
+
+@pytest.mark.parametrize(("path", "statuses"), rows())
+def test_a_row_of_the_table_has_a_status_for_each_role(path: str, statuses: tuple[int, ...]) -> None:
+    assert path.startswith("/")
+    assert len(statuses) == len(ROLES)
