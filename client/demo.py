@@ -93,12 +93,20 @@ def label_on_server(api: Api, recorded: Recorded, progress: Report) -> Item:
     """The sequence, once its labels are in `labels/`: uploaded, processed, downloaded."""
     local = hashed_bag(recorded.bag, progress)
     sequence = _free_sequence(api, local)
+    show_to_anybody(api, sequence)
     pin_calibration(api, sequence, recorded.calibration)
     add_recording(api, sequence, local, progress)
     follow(api, start_run(api, sequence, {})["id"], progress)
     labelled = find_sequence(api, sequence["id"])
     download_labels(api, labelled, recorded.folder / "labels", progress)
     return labelled
+
+
+def show_to_anybody(api: Api, sequence: Item) -> None:
+    """Make the sequence public: the first page shows it without an account."""
+    standing = find_sequence(api, sequence["id"])
+    match = {"If-Match": f'"{standing["revision"]}"'}
+    api.send("PATCH", f"/sequences/{sequence['id']}", json={"is_public": True}, headers=match)
 
 
 def export_on_server(api: Api, sequence: Item, folder: Path, progress: Report) -> dict[str, Any]:

@@ -67,6 +67,7 @@ def benchmark_on_server(api: Api, sequence: Item, progress: Report) -> Stand | N
     asked = {"name": name, "title": "Demo", "dataset": name, "reason": REASON}
     own = f"/benchmarks/{quote(name, safe='')}"
     _standing(lambda: api.read(own), lambda: api.create("/admin/benchmarks", asked))
+    api.send("PATCH", f"/admin{own}", json={"is_public": True, "reason": REASON})
     phase = api.read(phase_path(name, PHASE))
     if phase["active"] is None:
         made = api.create(f"/admin/phases/{phase['id']}/ground-truths", {"reason": REASON})

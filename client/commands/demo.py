@@ -1,5 +1,6 @@
 """`stone demo`: the whole way once, on a simulated robot and a platform on this machine."""
 
+import sys
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
@@ -19,7 +20,12 @@ OutputOption = Annotated[
     Path, typer.Option("-o", "--output", metavar="DIR", help="New or empty, or an earlier demo to replace.")
 ]
 SecondsOption = Annotated[float, typer.Option(min=2.0, max=600.0, help="How long the simulated robot drives.")]
-KeepOption = Annotated[bool, typer.Option("--keep-serving", help="Leave the platform up until Ctrl-C.")]
+KeepOption = Annotated[
+    bool | None,
+    typer.Option(
+        "--keep-serving/--no-keep-serving", help="Leave the platform up until Ctrl-C. By default, at a terminal only."
+    ),
+]
 
 
 def demo(
@@ -27,7 +33,7 @@ def demo(
     seconds: SecondsOption = 20.0,
     workers: WorkersOption = None,
     data: DataOption = None,
-    keep_serving: KeepOption = False,
+    keep_serving: KeepOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Simulate a robot, have a platform on this machine label its run, predict from single sweeps, submit that."""
@@ -40,12 +46,14 @@ def demo(
             running = platform.enter_context(served(demo_settings(data, workers), is_awaited=False))
             with reported() as progress:
                 record = run_demo(folder, DemoPlan(SimulateOptions(seconds=seconds), running), progress)
+        stays = sys.stdout.isatty() and not as_json if keep_serving is None else keep_serving
         if as_json:
             echo_json(record)
         else:
             _show(record, output, running.platform.settings.root)
+            typer.echo(_where(record["url"], stays))
         echo_findings(Finding(**finding) for finding in record["labels"]["findings"])
-        if keep_serving:
+        if stays:
             echo_notice("serving until Ctrl-C")
             wait_for_ctrl_c()
 
@@ -61,4 +69,10 @@ def _show(record: Mapping[str, Any], output: Path, data: Path) -> None:
     typer.echo(f"Everything: {output}\nPicture: {output / 'labels' / 'bev.png'}")
     exported = record["export"]
     typer.echo(f"{exported['format']}: {output / exported['format']}.tar ({exported['files']:,} files)")
-    typer.echo(f"Platform: {record['url']} (its data: {data}; `stone serve` brings it up)")
+    typer.echo(f"Platform's data: {data}")
+
+
+def _where(url: str, stays: bool) -> str:
+    """The last line: where to look, which needs no account."""
+    looked = "the sequence, its labels in 3D and the board, without an account"
+    return f"Look at it: {url} ({looked})" if stays else f"Look at it: `stone serve`, then {url} ({looked})"
