@@ -1,0 +1,66 @@
+"""All pages that links lead to, from the first one on: what a reader with patience would find.
+
+**Conventions.** Links, forms' acts and pictures of the site itself are followed; each *shape* (ids and names replaced)
+a few times only. Nothing is changed: only GET is sent, and nothing is signed out of.
+"""
+
+import re
+from collections import Counter, deque
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from html import unescape
+from urllib.parse import urljoin, urlsplit
+
+import httpx
+
+LINK = re.compile(r'(?:href|src|hx-get|data-source)="([^"]+)"')
+ID = re.compile(r"(?<=/)[0-9a-f]{32}(?=/|$)|(?<=/)[0-9a-f]{16}(?=/)")
+EACH_SHAPE = 3
+MOST_PAGES = 400
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a link led to; `source` is the page that had it."""
+
+    path: str
+    shape: str
+    source: str
+    status: int
+    is_page: bool
+
+
+def crawled(client: httpx.Client, headers: Mapping[str, str], start: str = "/") -> Iterator[Found]:
+    """Everything that can be reached from `start` by one who sends these headers."""
+    waiting, known, shapes = deque([(start, "")]), {start}, Counter[str]()
+    while waiting and len(known) < MOST_PAGES * 5:
+        path, source = waiting.popleft()
+        shape = shape_of(path)
+        shapes[shape] += 1
+        if shapes[shape] > EACH_SHAPE:
+            continue
+        with client.stream("GET", path, headers={"Accept": "text/html, */*", **headers}) as answer:
+            is_page = answer.headers.get("content-type", "").startswith("text/html")
+            yield Found(path, shape, source, answer.status_code, is_page and answer.status_code == 200)
+            if not is_page:
+                continue
+            text = "".join(answer.iter_text())
+        for link in links(path, text):
+            if link not in known:
+                known.add(link)
+                waiting.append((link, path))
+
+
+def links(path: str, text: str) -> Iterator[str]:
+    """The paths of this site that the page names."""
+    for raw in LINK.findall(text):
+        parts = urlsplit(urljoin(f"http://site{path}", unescape(raw)))
+        if parts.netloc == "site" and parts.scheme == "http" and not parts.path.endswith("/events"):
+            yield f"{parts.path}?{parts.query}" if parts.query else parts.path
+
+
+def shape_of(path: str) -> str:
+    """The path with ids replaced, and of its query the names only."""
+    parts = urlsplit(path)
+    names = sorted({pair.partition("=")[0] for pair in parts.query.split("&") if pair})
+    return ID.sub("{id}", parts.path) + ("?" + "&".join(names) if names else "")
