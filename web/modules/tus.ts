@@ -1,0 +1,107 @@
+// A file goes to the platform by tus 1.0: created by one call, then sent, and gone on with wherever it broke off.
+//
+// Creating is ours, not the library's: the answer tells how much is there already, and that may be all of it.
+
+import "tus-js-client";
+import type { DetailedError, HttpRequest } from "tus-js-client";
+
+import { csrfToken, RefusedError, type Problem } from "./api.js";
+
+const AT = "/api/v1/uploads";
+const VERSION = "1.0.0";
+const RETRY_MS = [0, 500, 1000, 2000, 4000, 8000, 15_000, 30_000, 30_000, 30_000];
+const AGAIN = [0, 408, 423, 429, 500, 502, 503, 504];
+
+/** An upload that is open: its id, and how many bytes of it are there. */
+export interface Opened {
+  id: string;
+  offset_bytes: number;
+}
+
+/** Announce a file; `said` is purpose, target_id, sha256. Throws `RefusedError`. */
+export async function createUpload(file: File, said: Record<string, string>, key: string): Promise<Opened> {
+  const metadata = Object.entries({ filename: file.name, ...said }).map(([name, text]) => `${name} ${base64(text)}`);
+  const answer = await asked("POST", AT, {
+    "Upload-Length": String(file.size),
+    "Upload-Metadata": metadata.join(","),
+    "Idempotency-Key": key,
+  });
+  const id = (answer.headers.get("Location") ?? "").split("/").at(-1) ?? "";
+  return { id, offset_bytes: Number(answer.headers.get("Upload-Offset") ?? 0) };
+}
+
+/** The upload as it is now; null where it is gone, or somebody else's. */
+export async function findUpload(id: string): Promise<Opened | null> {
+  try {
+    const answer = await asked("HEAD", `${AT}/${encodeURIComponent(id)}`, {});
+    return { id, offset_bytes: Number(answer.headers.get("Upload-Offset") ?? 0) };
+  } catch (error) {
+    if (error instanceof RefusedError && [404, 410].includes(error.problem.status)) return null;
+    throw error;
+  }
+}
+
+/** Send what is missing; `heard` is told the bytes that are there. Throws `RefusedError`, and `AbortError`. */
+export function sendMissing(
+  file: File,
+  upload: Opened,
+  heard: (done_bytes: number) => void,
+  signal: AbortSignal,
+): Promise<void> {
+  return new Promise((resolve, reject) => {
+    const sending = new tus.Upload(file, {
+      uploadUrl: `${AT}/${encodeURIComponent(upload.id)}`,
+      retryDelays: RETRY_MS,
+      storeFingerprintForResuming: false,
+      onBeforeRequest: (request: HttpRequest) => request.setHeader("X-CSRF-Token", csrfToken()),
+      onShouldRetry: (error: DetailedError) => AGAIN.includes(error.originalResponse?.getStatus() ?? 0),
+      onProgress: (sent_bytes: number) => heard(sent_bytes),
+      onSuccess: () => resolve(),
+      onError: (error: Error | DetailedError) => reject(refusal(error)),
+    });
+    signal.addEventListener("abort", () => {
+      void sending.abort();
+      reject(signal.reason as Error);
+    });
+    sending.start();
+  });
+}
+
+async function asked(method: string, path: string, headers: Record<string, string>): Promise<Response> {
+  const own = { "Tus-Resumable": VERSION, "X-CSRF-Token": csrfToken(), Accept: "application/json" };
+  let answer: Response;
+  try {
+    answer = await fetch(path, { method, headers: { ...own, ...headers }, credentials: "same-origin" });
+  } catch {
+    throw new RefusedError(unsaid(0), new Headers());
+  }
+  if (answer.ok) return answer;
+  const text = await answer.text();
+  throw new RefusedError(problemOf(text, answer.status), answer.headers);
+}
+
+function refusal(error: Error | DetailedError): Error {
+  if (!("originalResponse" in error)) return error;
+  const answer = error.originalResponse;
+  return new RefusedError(problemOf(answer?.getBody() ?? "", answer?.getStatus() ?? 0), new Headers());
+}
+
+function problemOf(text: string, status: number): Problem {
+  try {
+    return JSON.parse(text) as Problem;
+  } catch {
+    return unsaid(status);
+  }
+}
+
+function unsaid(status: number): Problem {
+  const detail = status
+    ? `The platform answered ${status}; what was sent is kept. Try again.`
+    : "The platform cannot be reached; what was sent is kept, and sending goes on from there. Try again.";
+  return { title: "The file was not sent", status, detail, code: "not_sent", request_id: "" };
+}
+
+/** Base64 of the text's UTF-8, as tus writes metadata. */
+function base64(text: string): string {
+  return btoa(String.fromCharCode(...new TextEncoder().encode(text)));
+}
