@@ -13,18 +13,17 @@ from api.deps import PlatformDep
 from api.files import answer_file, file_responses
 from api.job_views import job_items
 from api.paging import Page, PageDep, page
-from api.preview_files import PREVIEW_TYPES, PreviewName, previews_of_recording, recording_preview
-from api.schemas.base import IdPath, instant
-from api.schemas.calibrations import FindingItem
+from api.preview_files import PREVIEW_TYPES, PreviewName, recording_preview
+from api.recording_views import recording_detail, recording_item
+from api.schemas.base import IdPath
 from api.schemas.recordings import (
     NewRecordingBody,
     RecordingAccepted,
     RecordingDetail,
-    RecordingFileItem,
     RecordingItem,
 )
 from api.visible import recording_of, sequence_of
-from services.runtime.orm import Recording, RecordingFile
+from services.runtime.orm import Recording
 from services.runtime.recordings import add_recording, remove_recording
 
 router = APIRouter(prefix="/sequences/{sequence_id}/recordings", tags=["recordings"])
@@ -69,10 +68,7 @@ def list_recordings(sequence_id: IdPath, caller: Reader, platform: PlatformDep, 
 def show_recording(sequence_id: IdPath, recording_id: IdPath, caller: Reader, platform: PlatformDep) -> RecordingDetail:
     """A recording with what its inspection said."""
     with platform.database.reading() as session:
-        recording = recording_of(session, caller, sequence_id, recording_id)
-        item = dict(recording_item(recording))
-        previews = previews_of_recording(session, recording)
-        return RecordingDetail(**item, inspection=recording.inspection, quality=recording.quality, previews=previews)
+        return recording_detail(session, recording_of(session, caller, sequence_id, recording_id))
 
 
 @router.get("/{recording_id}/previews/{name}", response_class=Response, responses=file_responses(*PREVIEW_TYPES))
@@ -93,27 +89,3 @@ def delete_recording(sequence_id: IdPath, recording_id: IdPath, caller: Curator,
         recording = recording_of(session, caller, sequence_id, recording_id)
         remove_recording(session, recording)
         audit.record(session, caller, "recording.delete", recording_id, facts={"sequence_id": sequence_id})
-
-
-def recording_item(row: Recording) -> RecordingItem:
-    return RecordingItem(
-        id=row.id,
-        sequence_id=row.sequence_id,
-        filename=row.filename,
-        size_bytes=row.size_bytes,
-        sha256=row.sha256,
-        files=[_file_item(file) for file in row.files],
-        state=row.state,
-        findings=[FindingItem(**finding) for finding in row.findings],
-        created_at=instant(row.created_ns),
-    )
-
-
-def _file_item(row: RecordingFile) -> RecordingFileItem:
-    return RecordingFileItem(
-        upload_id=row.upload_id,
-        filename=row.filename,
-        size_bytes=row.size_bytes,
-        sha256=row.sha256,
-        is_recovered=row.recovered_blob_sha256 is not None,
-    )
