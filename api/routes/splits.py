@@ -1,4 +1,4 @@
-"""The splits under discussion: read, put as a whole, proposed by a solver.
+"""The splits under discussion: read, judged, put as a whole, proposed by a solver.
 
 **Conventions.** There is one set of splits, and administrators put it; everybody sees how large it is, and where their
 own sequences are. What the rules forbid is refused with an error for each rule that is broken; what the data do not
@@ -12,9 +12,16 @@ from api.answers import refusals
 from api.callers import Administrator, Reader
 from api.deps import PlatformDep
 from api.etags import etag, require_match
-from api.schemas.splits import ProposalAnswer, ProposalBody, SplitsAnswer, SplitsBody
+from api.schemas.splits import (
+    ProposalAnswer,
+    ProposalBody,
+    SplitsAnswer,
+    SplitsBody,
+    SplitsToJudge,
+    VerdictsAnswer,
+)
 from api.split_errors import SplitRefusedError
-from api.split_views import proposal_answer, splits_answer
+from api.split_views import proposal_answer, rule_items, splits_answer
 from api.visible import sequences_of
 from services.runtime.catalogue import entries_of, labelled_sequences
 from services.runtime.splits import current_splits, errors_of, judged, lock_splits, replace_splits
@@ -53,6 +60,16 @@ def put_splits(
         current = current_splits(session)
     response.headers["ETag"] = etag(current.revision)
     return splits_answer(current, entries_of(labelled), findings)
+
+
+@router.post("/verdicts", responses=refusals())
+def judge_splits(body: SplitsToJudge, _caller: Administrator, platform: PlatformDep) -> VerdictsAnswer:
+    """What every rule says of these splits, as if they were put. Nothing is saved."""
+    split = Split(tuple(body.train), tuple(body.val), tuple(body.test))
+    with platform.database.reading() as session:
+        revision = current_splits(session).revision
+        findings = judged(split, labelled_sequences(session))
+    return VerdictsAnswer(revision=revision, can_be_put=not errors_of(findings), findings=rule_items(findings))
 
 
 @router.post("/proposal", responses=refusals(409))

@@ -15,14 +15,10 @@ from api.deps import Caller, PlatformDep
 from api.etags import etag, is_unchanged
 from api.schemas.datasets import VERSION_PATTERN
 from api.schemas.statistics import StatisticsAnswer
-from api.visible import dataset_of, sequences_of
-from services.runtime.catalogue import entries_of, labelled_sequences
+from api.statistics_views import composition_record
 from services.runtime.composition_figure import FIGURE_VERSION, composition_png, figure_title
-from services.runtime.dataset_reading import dataset_entries
 from services.runtime.platform import Platform
-from services.runtime.splits import current_splits
-from services.runtime.statistics import Record, statistics_record
-from stone.composition import CatalogueEntry
+from services.runtime.statistics import Record
 
 router = APIRouter(prefix="/statistics", tags=["dataset"])
 VersionQuery = Annotated[str | None, Query(pattern=VERSION_PATTERN, description="a version of the dataset")]
@@ -33,7 +29,7 @@ NOT_MODIFIED = {"description": "The caller has it already"}
 @router.get("", responses=refusals(404))
 def show_statistics(caller: Reader, platform: PlatformDep, dataset: VersionQuery = None) -> StatisticsAnswer:
     """The composition by environment, illumination, region, class and split."""
-    return StatisticsAnswer(dataset=dataset, **_record(platform, caller, dataset))
+    return StatisticsAnswer(dataset=dataset, **_record_of(platform, caller, dataset))
 
 
 @router.get(
@@ -43,7 +39,7 @@ def show_statistics(caller: Reader, platform: PlatformDep, dataset: VersionQuery
 )
 def show_composition(caller: Reader, platform: PlatformDep, request: Request, dataset: VersionQuery = None) -> Response:
     """The composition as a figure."""
-    record = _record(platform, caller, dataset)
+    record = _record_of(platform, caller, dataset)
     title = figure_title(record["total"], dataset or "Labelled sequences")
     tag = sha256(dumps([FIGURE_VERSION, title, record], sort_keys=True).encode()).hexdigest()
     headers = {"ETag": etag(tag), "Cache-Control": "private, no-cache"}
@@ -52,15 +48,7 @@ def show_composition(caller: Reader, platform: PlatformDep, request: Request, da
     return Response(composition_png(record, title), headers=headers, media_type="image/png")
 
 
-def _record(platform: Platform, caller: Caller, dataset: str | None) -> Record:
+def _record_of(platform: Platform, caller: Caller, dataset: str | None) -> Record:
     """Raises `NotFoundError`."""
     with platform.database.reading() as session:
-        if dataset is not None:
-            return statistics_record(dataset_entries(session, dataset_of(session, dataset)))
-        seen = entries_of(labelled_sequences(session, sequences_of(caller)))
-        split = current_splits(session).split
-    assigned: dict[str, list[CatalogueEntry]] = {
-        part: [entry for entry in seen if entry.id in ids] for part, ids in split.parts.items()
-    }
-    of_part = {entry.id for entries in assigned.values() for entry in entries}
-    return statistics_record({**assigned, "": [entry for entry in seen if entry.id not in of_part]})
+        return composition_record(session, caller, dataset)

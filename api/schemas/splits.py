@@ -56,6 +56,16 @@ class SplitsBody(Body):
     reason: Reason
 
 
+class SplitsToJudge(Body):
+    """Splits that nobody put yet, by the ids of their sequences."""
+
+    model_config = example(train=[ID_EXAMPLE], val=[], test=[])
+
+    train: Ids
+    val: Ids
+    test: Ids
+
+
 class Sizes(Answer):
     """How many sequences are in each part."""
 
@@ -94,6 +104,16 @@ class RuleItem(Answer):
     severity: Literal["error", "warning"]
     message: str
     sequence_ids: list[str]
+
+
+class VerdictsAnswer(Answer):
+    """What the rules say of splits; `revision` is that of the splits that stand meanwhile."""
+
+    model_config = example(revision=4, can_be_put=True, findings=[FINDING_EXAMPLE])
+
+    revision: int
+    can_be_put: bool
+    findings: list[RuleItem]
 
 
 class DrivenItem(Answer):
