@@ -9,34 +9,30 @@ from tempfile import TemporaryDirectory
 from typing import Annotated
 
 from fastapi import APIRouter, Path, Request, Response
-from sqlalchemy import func, select
-from sqlalchemy.orm import Session
+from sqlalchemy import select
 
 from api import audit
 from api.answers import refusals
 from api.callers import Administrator, Reader
+from api.dataset_views import dataset_detail, dataset_item
 from api.deps import PlatformDep
 from api.etags import etag
 from api.files import Served, StoredFile, answer_bytes, answer_file, file_responses
 from api.paging import Page, PageDep, page
-from api.schemas.base import instant
 from api.schemas.datasets import (
     VERSION_PATTERN,
     DatasetDetail,
     DatasetItem,
-    DatasetMemberItem,
-    DatasetPartItem,
     NewDatasetBody,
     OpenPart,
 )
-from api.schemas.splits import Sizes
 from api.visible import dataset_of
 from services.runtime.archives import MEDIA_TYPES
 from services.runtime.dataset_manifest import NewDataset
-from services.runtime.dataset_reading import dataset_entries, locate_part, open_parts
+from services.runtime.dataset_reading import locate_part
 from services.runtime.dataset_versions import prepare_dataset, write_dataset
 from services.runtime.exported import archive_of, stored_files
-from services.runtime.orm import Blob, Dataset, DatasetMember, DatasetPart
+from services.runtime.orm import Blob, Dataset
 from services.runtime.packed_reading import archive_pieces
 
 router = APIRouter(prefix="/datasets", tags=["dataset"])
@@ -58,7 +54,7 @@ def create_dataset(
             dataset = write_dataset(session, prepared)
             facts = {"name": dataset.name, "manifest_sha256": dataset.manifest_sha256}
             audit.record_admin_act(session, caller, "dataset.create", dataset.id, body.reason, facts)
-            shown = _detail(session, dataset)
+            shown = dataset_detail(session, dataset)
     response.headers["Location"] = f"/api/v1/datasets/{dataset.name}"
     response.headers["ETag"] = etag(dataset.manifest_sha256)
     return shown
@@ -69,7 +65,7 @@ def list_datasets(_caller: Reader, platform: PlatformDep, query: PageDep) -> Pag
     """The versions, newest first."""
     with platform.database.reading() as session:
         found = page(session, select(Dataset), Dataset.id.desc(), query)
-        return Page[DatasetItem](items=[_item(session, row) for row in found.rows], next=found.next)
+        return Page[DatasetItem](items=[dataset_item(session, row) for row in found.rows], next=found.next)
 
 
 @router.get("/{dataset_name}", responses=refusals(404))
@@ -79,7 +75,7 @@ def show_dataset(
     """A version with its sequences and what can be downloaded of it."""
     with platform.database.reading() as session:
         dataset = dataset_of(session, dataset_name)
-        shown = _detail(session, dataset)
+        shown = dataset_detail(session, dataset)
     response.headers["ETag"] = etag(dataset.manifest_sha256)
     return shown
 
@@ -112,49 +108,3 @@ def download_part(
         read=lambda start, stop: archive_pieces(stored.files, archive, (start, stop), read),
     )
     return answer_bytes(request, served)
-
-
-def _detail(session: Session, row: Dataset) -> DatasetDetail:
-    entries = dataset_entries(session, row)
-    members = [
-        DatasetMemberItem(
-            split=part,
-            name=one.name,
-            environment=one.environment,
-            illumination=one.illumination,
-            daylight=one.half,
-            region=one.region,
-            frames=one.frames,
-            duration_s=one.duration_s,
-            distance_m=one.distance_m,
-        )
-        for part, of_part in entries.items()
-        for one in of_part
-    ]
-    parts = [_part(one) for one in open_parts(session, row)]
-    return DatasetDetail(**dict(_item(session, row)), sequences=members, parts=parts)
-
-
-def _item(session: Session, row: Dataset) -> DatasetItem:
-    counted = select(DatasetMember.part, func.count()).where(DatasetMember.dataset_id == row.id)
-    sizes = dict(session.execute(counted.group_by(DatasetMember.part)).all())
-    return DatasetItem(
-        name=row.name,
-        licence=row.licence,
-        code_version=row.code_version,
-        manifest_sha256=row.manifest_sha256,
-        manifest_bytes=row.manifest_bytes,
-        sizes=Sizes(train=sizes.get("train", 0), val=sizes.get("val", 0), test=sizes.get("test", 0)),
-        created_at=instant(row.created_ns),
-    )
-
-
-def _part(row: DatasetPart) -> DatasetPartItem:
-    part: OpenPart = "train" if row.part == "train" else "val"
-    return DatasetPartItem(
-        part=part,
-        files=row.files,
-        size_bytes=row.size_bytes,
-        tar_bytes=row.tar_bytes,
-        tar_sha256=row.tar_sha256,
-    )

@@ -1,0 +1,56 @@
+"""Versions of the dataset as the API and the pages show them. Of test's labels nothing is told."""
+
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+from api.schemas.base import instant
+from api.schemas.datasets import DatasetDetail, DatasetItem, DatasetMemberItem, DatasetPartItem, OpenPart
+from api.schemas.splits import Sizes
+from services.runtime.dataset_reading import dataset_entries, open_parts
+from services.runtime.orm import Dataset, DatasetMember, DatasetPart
+
+
+def dataset_detail(session: Session, row: Dataset) -> DatasetDetail:
+    entries = dataset_entries(session, row)
+    members = [
+        DatasetMemberItem(
+            split=part,
+            name=one.name,
+            environment=one.environment,
+            illumination=one.illumination,
+            daylight=one.half,
+            region=one.region,
+            frames=one.frames,
+            duration_s=one.duration_s,
+            distance_m=one.distance_m,
+        )
+        for part, of_part in entries.items()
+        for one in of_part
+    ]
+    parts = [_part(one) for one in open_parts(session, row)]
+    return DatasetDetail(**dict(dataset_item(session, row)), sequences=members, parts=parts)
+
+
+def dataset_item(session: Session, row: Dataset) -> DatasetItem:
+    counted = select(DatasetMember.part, func.count()).where(DatasetMember.dataset_id == row.id)
+    sizes = dict(session.execute(counted.group_by(DatasetMember.part)).all())
+    return DatasetItem(
+        name=row.name,
+        licence=row.licence,
+        code_version=row.code_version,
+        manifest_sha256=row.manifest_sha256,
+        manifest_bytes=row.manifest_bytes,
+        sizes=Sizes(train=sizes.get("train", 0), val=sizes.get("val", 0), test=sizes.get("test", 0)),
+        created_at=instant(row.created_ns),
+    )
+
+
+def _part(row: DatasetPart) -> DatasetPartItem:
+    part: OpenPart = "train" if row.part == "train" else "val"
+    return DatasetPartItem(
+        part=part,
+        files=row.files,
+        size_bytes=row.size_bytes,
+        tar_bytes=row.tar_bytes,
+        tar_sha256=row.tar_sha256,
+    )
