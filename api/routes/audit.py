@@ -3,14 +3,13 @@
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query
-from sqlalchemy import select
 
 from api import audit
+from api.audit_views import LinesWanted, audit_page
 from api.deps import Caller, PlatformDep, require
-from api.paging import Page, PageDep, page
+from api.paging import Page, PageDep
 from api.schemas.audit import AuditLine, AuditVerification
-from api.schemas.base import PLAIN, IdQuery, LineQuery, instant
-from services.runtime.orm import AuditEntry
+from api.schemas.base import PLAIN, IdQuery, LineQuery
 
 router = APIRouter(prefix="/admin/audit-log", tags=["administration"])
 
@@ -26,11 +25,10 @@ def lines(
     act: LineQuery = None,
     actor_id: IdQuery = None,
     subject_id: Subject = None,
+    actor: LineQuery = None,
 ) -> Page[AuditLine]:
-    wanted = {AuditEntry.act: act, AuditEntry.actor_id: actor_id, AuditEntry.subject_id: subject_id}
-    found = select(AuditEntry).where(*(column == value for column, value in wanted.items() if value is not None))
     with platform.database.reading() as session:
-        return page(session, found, AuditEntry.number.desc(), query).shown(_shown)
+        return audit_page(session, query, LinesWanted(act, actor, actor_id, subject_id))
 
 
 @router.get("/verification", summary="Whether the log is whole")
@@ -38,8 +36,3 @@ def verification(_caller: Administrator, platform: PlatformDep) -> AuditVerifica
     with platform.database.reading() as session:
         broken, head = audit.verify(session), audit.head(session)
     return AuditVerification(is_whole=broken is None, first_broken=broken, lines=head.number, head_hash=head.hash)
-
-
-def _shown(row: AuditEntry) -> AuditLine:
-    names = ("number", "actor_id", "actor", "act", "subject_id", "reason", "facts", "request_id", "hash")
-    return AuditLine(**{name: getattr(row, name) for name in names}, logged_at=instant(row.logged_ns))

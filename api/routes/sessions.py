@@ -15,8 +15,9 @@ from api.answers import refusals
 from api.context import COOKIE
 from api.deps import Caller, PlatformDep, require
 from api.errors import ConflictError, WrongPasswordError
+from api.people_views import browsers_of
 from api.schemas.base import instant
-from api.schemas.people import MeItem, PasswordBody, SessionItem, SignInBody
+from api.schemas.people import BrowserItem, MeItem, PasswordBody, SessionItem, SignInBody
 from services.runtime.access import passwords, sessions, users
 from services.runtime.access.sessions import SignedIn
 from services.runtime.orm import User
@@ -59,6 +60,20 @@ def sign_out(caller: Anybody, response: Response, platform: PlatformDep) -> None
     with platform.database.transaction() as session:
         sessions.close_session(session, caller.credential_id)
     response.delete_cookie(COOKIE, path="/", httponly=True, samesite="strict", secure=_is_https(platform.settings))
+
+
+@router.get("/sessions", summary="The browsers one is signed in with, newest first")
+def browsers(caller: Anybody, platform: PlatformDep) -> list[BrowserItem]:
+    with platform.database.reading() as session:
+        return browsers_of(session, caller.user_id, caller.credential_id)
+
+
+@router.delete("/sessions/others", status_code=204, summary="Sign all one's other browsers out")
+def sign_others_out(caller: Anybody, platform: PlatformDep) -> None:
+    """All but the browser that asks; asked with a token, all of them."""
+    with platform.database.transaction() as session:
+        closed = sessions.close_others(session, caller.user_id, caller.credential_id)
+        audit.record(session, caller, "session.close_others", caller.user_id, facts={"closed": closed})
 
 
 @router.get("/me", summary="Who is calling and what they may")

@@ -7,15 +7,16 @@ longer life. The secret is in the answer to its making and nowhere else.
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Response
-from sqlalchemy import delete, select
+from sqlalchemy import delete
 from sqlalchemy.orm import Session
 
 from api import audit
 from api.answers import refusals
 from api.deps import Caller, PlatformDep, require
 from api.errors import ConflictError, ForbiddenError, NotFoundError
-from api.paging import Page, PageDep, page
-from api.schemas.base import IdPath, instant, instant_or_none
+from api.paging import Page, PageDep
+from api.people_views import token_item, tokens_page
+from api.schemas.base import IdPath
 from api.schemas.people import IssuedToken, TokenBody, TokenItem
 from services.runtime.access import tokens, users
 from services.runtime.orm import Token, User
@@ -40,14 +41,13 @@ def issue(body: TokenBody, caller: Anybody, response: Response, platform: Platfo
         row, secret = tokens.issue_until(session, owner, body.name, scopes, expires_ns)
         audit.record(session, caller, "token.issue", row.id, facts={"scopes": row.scopes, "name": row.name})
     response.headers["Cache-Control"] = "no-store"
-    return IssuedToken(**_shown(row).model_dump(), secret=secret)
+    return IssuedToken(**token_item(row).model_dump(), secret=secret)
 
 
 @router.get("", summary="One's own tokens, newest first")
 def listed(caller: Anybody, query: PageDep, platform: PlatformDep) -> Page[TokenItem]:
     with platform.database.reading() as session:
-        own = select(Token).where(Token.user_id == caller.user_id)
-        return page(session, own, Token.id.desc(), query).shown(_shown)
+        return tokens_page(session, query, caller.user_id)
 
 
 @router.delete("/{token_id}", status_code=204, summary="Revoke a token of one's own", responses=refusals(404))
@@ -82,14 +82,3 @@ def _end_ns(body: TokenBody, caller: Caller, longest_s: float) -> int:
 def _refuse_too_many(session: Session, caller: Caller) -> None:
     if users.token_count(session, caller.user_id) >= MOST_TOKENS:
         raise ConflictError(f"you have {MOST_TOKENS} tokens already; revoke those that are not used")
-
-
-def _shown(row: Token) -> TokenItem:
-    return TokenItem(
-        id=row.id,
-        name=row.name,
-        scopes=row.scopes,
-        created_at=instant(row.created_ns),
-        expires_at=instant(row.expires_ns),
-        used_at=instant_or_none(row.used_ns),
-    )

@@ -2,22 +2,27 @@
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends
-from sqlalchemy import select
+from fastapi import APIRouter, Depends, Query
+from sqlalchemy import delete
 
 from api import audit
 from api.answers import refusals
 from api.deps import Caller, PlatformDep, require
 from api.errors import NotFoundError
-from api.paging import Page, PageDep, page
-from api.schemas.base import IdPath, instant
-from api.schemas.people import Password, UserBody, UserChange, UserItem
+from api.paging import Page, PageDep
+from api.people_views import tokens_page, user_item, user_of, users_page
+from api.schemas.admin import ReasonBody
+from api.schemas.base import PLAIN, IdPath
+from api.schemas.people import Password, TokenItem, UserBody, UserChange, UserItem
 from services.runtime.access import passwords, users
-from services.runtime.orm import User
+from services.runtime.access.roles import Role
+from services.runtime.orm import Token
 
 router = APIRouter(prefix="/users", tags=["people"])
 
 Administrator = Annotated[Caller, Depends(require("admin", "administrator"))]
+NamePart = Annotated[str | None, Query(pattern=PLAIN, max_length=64, description="a part of the name")]
+RoleQuery = Annotated[Role | None, Query()]
 
 
 @router.post("", status_code=201, summary="Add a user", responses=refusals(409))
@@ -28,27 +33,49 @@ def add(body: UserBody, caller: Administrator, platform: PlatformDep) -> UserIte
         user.password_hash = password_hash or ""
         facts = {"name": user.name, "role": user.role}
         audit.record_admin_act(session, caller, "user.add", user.id, body.reason, facts)
-    return _shown(user)
+    return user_item(user)
 
 
 @router.get("", summary="All users, newest first")
-def listed(_caller: Administrator, query: PageDep, platform: PlatformDep) -> Page[UserItem]:
+def listed(
+    _caller: Administrator, query: PageDep, platform: PlatformDep, name: NamePart = None, role: RoleQuery = None
+) -> Page[UserItem]:
     with platform.database.reading() as session:
-        return page(session, select(User), User.id.desc(), query).shown(_shown)
+        return users_page(session, query, name, role)
 
 
 @router.patch("/{user_id}", summary="Change a user's role, password or access", responses=refusals(404, 409))
 def change(user_id: IdPath, body: UserChange, caller: Administrator, platform: PlatformDep) -> UserItem:
     password_hash = _hashed(body.password)
     with platform.database.transaction() as session:
-        user = session.get(User, user_id, with_for_update=True)
-        if user is None:
-            raise NotFoundError("user", user_id)
+        user = user_of(session, user_id, is_locked=True)
         users.change_user(session, user, body.role, body.is_active)
         if password_hash is not None:
             users.change_password(session, user, password_hash)
         audit.record_admin_act(session, caller, "user.change", user_id, body.reason, _changes(body))
-    return _shown(user)
+    return user_item(user)
+
+
+@router.get("/{user_id}/tokens", summary="A user's tokens, newest first", responses=refusals(404))
+def tokens_of(user_id: IdPath, _caller: Administrator, query: PageDep, platform: PlatformDep) -> Page[TokenItem]:
+    with platform.database.reading() as session:
+        return tokens_page(session, query, user_of(session, user_id).id)
+
+
+@router.post(
+    "/{user_id}/tokens/{token_id}/revoke", status_code=204, summary="Revoke a user's token", responses=refusals(404)
+)
+def revoke_token(
+    user_id: IdPath, token_id: IdPath, body: ReasonBody, caller: Administrator, platform: PlatformDep
+) -> None:
+    """Whoever holds it is answered 401 from now on."""
+    with platform.database.transaction() as session:
+        theirs = delete(Token).where(Token.id == token_id, Token.user_id == user_id).returning(Token.name)
+        name = session.scalars(theirs).one_or_none()
+        if name is None:
+            raise NotFoundError("token", token_id)
+        facts = {"token_id": token_id, "name": name}
+        audit.record_admin_act(session, caller, "user.token_revoke", user_id, body.reason, facts)
 
 
 def _hashed(password: Password | None) -> str | None:
@@ -60,8 +87,3 @@ def _changes(body: UserChange) -> dict[str, Any]:
     """What was asked for; of a password only that there was one."""
     changes = body.model_dump(include={"role", "is_active"}, exclude_none=True)
     return changes | ({"password": "changed"} if body.password is not None else {})
-
-
-def _shown(row: User) -> UserItem:
-    facts: dict[str, Any] = {"has_password": bool(row.password_hash), "created_at": instant(row.created_ns)}
-    return UserItem(id=row.id, name=row.name, role=row.role, is_active=row.is_active, **facts)

@@ -68,6 +68,17 @@ class SessionItem(Answer):
     expires_at: datetime
 
 
+class BrowserItem(Answer):
+    """A browser in which a user is signed in; `is_current` is the one that asks."""
+
+    model_config = example(id=ID_EXAMPLE, created_at=MADE, expires_at=ENDS, is_current=True)
+
+    id: str
+    created_at: datetime
+    expires_at: datetime
+    is_current: bool
+
+
 class MeItem(Answer):
     """Who is calling and what they may; `csrf_token` for browsers only."""
 

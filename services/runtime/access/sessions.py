@@ -51,3 +51,9 @@ def find_session(session: Session, secret: str) -> WebSession | None:
 
 def close_session(session: Session, session_id: str) -> None:
     session.execute(delete(WebSession).where(WebSession.id == session_id))
+
+
+def close_others(session: Session, user_id: str, kept_id: str) -> int:
+    """Sign a user out of every browser but the one whose session is `kept_id`; how many those were."""
+    others = delete(WebSession).where(WebSession.user_id == user_id, WebSession.id != kept_id)
+    return len(session.scalars(others.returning(WebSession.id)).all())

@@ -1,0 +1,43 @@
+"""The audit log as the API and the pages show it: its lines by what they are about, and whether it is whole."""
+
+from dataclasses import dataclass
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from api.paging import Page, PageQuery, page
+from api.schemas.audit import AuditLine
+from api.schemas.base import instant
+from services.runtime.orm import AuditEntry
+
+
+@dataclass(frozen=True)
+class LinesWanted:
+    """Which lines: each that is said must be met."""
+
+    act: str | None = None
+    actor: str | None = None
+    actor_id: str | None = None
+    subject_id: str | None = None
+
+
+def audit_page(session: Session, query: PageQuery, wanted: LinesWanted) -> Page[AuditLine]:
+    """The lines that are wanted, newest first."""
+    said = {
+        AuditEntry.act: wanted.act,
+        AuditEntry.actor: wanted.actor,
+        AuditEntry.actor_id: wanted.actor_id,
+        AuditEntry.subject_id: wanted.subject_id,
+    }
+    found = select(AuditEntry).where(*(column == value for column, value in said.items() if value))
+    return page(session, found, AuditEntry.number.desc(), query).shown(audit_line)
+
+
+def acts_known(session: Session) -> list[str]:
+    """The acts that the log holds, by name."""
+    return list(session.scalars(select(AuditEntry.act).distinct().order_by(AuditEntry.act)))
+
+
+def audit_line(row: AuditEntry) -> AuditLine:
+    names = ("number", "actor_id", "actor", "act", "subject_id", "reason", "facts", "request_id", "hash")
+    return AuditLine(**{name: getattr(row, name) for name in names}, logged_at=instant(row.logged_ns))
