@@ -25,6 +25,8 @@ GET    /api/v1/docs                                           200  200  200   20
 GET    /api/v1/problems                                       200  200  200   200   200  200 200  200  200  200 200
 GET    /api/v1/problems/{code}                                200  200  200   200   200  200 200  200  200  200 200
 POST   /api/v1/sessions                                       401  201  201   201   201  201 201  201  401  201 201
+GET    /api/v1/sessions                                       401  200  200   200   200  200 403  401  401  200 200
+DELETE /api/v1/sessions/others                                401  204  204   204   204  204 403  401  401  204 403
 DELETE /api/v1/sessions/current                               401  409  409   409   409  409 403  401  401  204 403
 GET    /api/v1/me                                             401  200  200   200   200  200 403  401  401  200 200
 PUT    /api/v1/me/password                                    401  204  204   204   204  204 403  401  401  204 403
@@ -34,6 +36,8 @@ DELETE /api/v1/tokens/{token_id}                              401  404  204   40
 POST   /api/v1/users                                          401  403  403   403   201  403 403  401  401  403 403
 GET    /api/v1/users                                          401  403  403   403   200  403 403  401  401  403 403
 PATCH  /api/v1/users/{user_id}                                401  403  403   403   200  403 403  401  401  403 403
+GET    /api/v1/users/{user_id}/tokens                         401  403  403   403   200  403 403  401  401  403 403
+POST   /api/v1/users/{user_id}/tokens/{token_id}/revoke       401  403  403   403   204  403 403  401  401  403 403
 POST   /api/v1/teams                                          401  201  201   201   201  201 403  401  401  201 403
 GET    /api/v1/teams                                          401  200  200   200   200  200 403  401  401  200 200
 POST   /api/v1/teams/memberships                              401  404  404   404   404  404 403  401  401  404 403
@@ -95,6 +99,7 @@ GET    /api/v1/frames/{token}                                 401  404  200   40
 GET    /api/v1/frames/{token}/labels.npz                      401  404  200   404   200  404 403  401  401  200 200
 GET    /api/v1/splits                                         401  200  200   200   200  200 403  401  401  200 200
 PUT    /api/v1/splits                                         401  403  403   403   200  403 403  401  401  403 403
+POST   /api/v1/splits/verdicts                                401  403  403   403   200  403 403  401  401  403 403
 POST   /api/v1/splits/proposal                                401  403  403   403   200  403 403  401  401  403 403
 GET    /api/v1/statistics                                     401  200  200   200   200  200 403  401  401  200 200
 GET    /api/v1/statistics/composition.png                     401  200  200   200   200  200 403  401  401  200 200
