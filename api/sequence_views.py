@@ -1,37 +1,55 @@
-"""Sequences as the API shows them, with their newest run and labels; a page of them is four statements."""
+"""Sequences as the API shows them, with their newest run and the labels that count; a page of them is five statements.
+
+**Conventions.** Without a caller they are shown as a visitor sees them.
+"""
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
+from api.deps import VISITOR, Caller
 from api.preview_files import previews_of_sequence
 from api.schemas.base import instant
-from api.schemas.sequences import ArtefactItem, JobGlance, LabelGlance, SequenceDetail, SequenceItem
+from api.schemas.sequences import ArtefactItem, ClassVoxels, JobGlance, LabelGlance, SequenceDetail, SequenceItem
 from api.visible import labels_of
-from services.runtime.orm import Artefact, Job, LabelSet, Recording, Sequence
+from services.runtime.orm import Artefact, Job, LabelSet, Recording, Sequence, SplitMember
 
 PACKS = "labels/"
 
 
-def sequence_items(session: Session, sequences: Iterable[Sequence]) -> list[SequenceItem]:
+@dataclass(frozen=True)
+class _Known:
+    """What is known of sequences beside their rows, by id."""
+
+    recordings: dict[str, int]
+    jobs: dict[str, JobGlance]
+    labels: dict[str, LabelSet]
+    splits: dict[str, str]
+
+
+def sequence_items(session: Session, sequences: Iterable[Sequence], caller: Caller = VISITOR) -> list[SequenceItem]:
     """Sequences as a list shows them."""
     rows = list(sequences)
     ids = [row.id for row in rows]
-    recordings = _recordings(session, ids)
-    jobs, labels = _newest_runs(session, ids), _newest_labels(session, ids)
-    return [_item(row, recordings.get(row.id, 0), jobs.get(row.id), labels.get(row.id)) for row in rows]
+    own = ids if caller.is_administrator else [row.id for row in rows if row.owner_id == caller.user_id]
+    known = _Known(
+        _recordings(session, ids), _newest_runs(session, ids), _counting_labels(session, ids), _splits(session, own)
+    )
+    return [_item(row, known) for row in rows]
 
 
-def sequence_detail(session: Session, sequence: Sequence) -> SequenceDetail:
-    """A sequence with the files of its newest labels."""
-    item = sequence_items(session, [sequence])[0]
+def sequence_detail(session: Session, sequence: Sequence, caller: Caller = VISITOR) -> SequenceDetail:
+    """A sequence with the files of the labels that count."""
+    item = sequence_items(session, [sequence], caller)[0]
     artefacts = _artefacts(session, item.labels.id) if item.labels else []
     previews = previews_of_sequence(session, sequence, labels_of(session, sequence.id))
     return SequenceDetail(**dict(item), artefacts=artefacts, previews=previews)
 
 
-def _item(row: Sequence, recordings: int, job: JobGlance | None, labels: LabelSet | None) -> SequenceItem:
+def _item(row: Sequence, known: _Known) -> SequenceItem:
+    labels = known.labels.get(row.id)
     return SequenceItem(
         id=row.id,
         owner_id=row.owner_id,
@@ -42,12 +60,22 @@ def _item(row: Sequence, recordings: int, job: JobGlance | None, labels: LabelSe
         platform=row.platform,
         is_public=row.is_public,
         calibration_id=row.calibration_id,
-        recordings=recordings,
-        job=job,
+        recordings=known.recordings.get(row.id, 0),
+        job=known.jobs.get(row.id),
         labels=_labels(labels) if labels else None,
+        class_voxels=_class_voxels(labels) if labels else None,
+        duration_s=labels.duration_ns / 1e9 if labels and labels.duration_ns is not None else None,
+        distance_m=labels.distance_m if labels else None,
+        split=known.splits.get(row.id),
         revision=row.revision,
         created_at=instant(row.created_ns),
     )
+
+
+def _class_voxels(row: LabelSet) -> ClassVoxels | None:
+    if row.t_voxels is None or row.p_voxels is None or row.n_voxels is None:
+        return None
+    return ClassVoxels(t=row.t_voxels, p=row.p_voxels, n=row.n_voxels)
 
 
 def _labels(row: LabelSet) -> LabelGlance:
@@ -65,9 +93,19 @@ def _newest_runs(session: Session, ids: list[str]) -> dict[str, JobGlance]:
     return {of: JobGlance(id=id, kind=kind, state=state) for of, id, kind, state in session.execute(found) if of}
 
 
-def _newest_labels(session: Session, ids: list[str]) -> dict[str, LabelSet]:
-    newest = select(func.max(LabelSet.id)).where(LabelSet.sequence_id.in_(ids)).group_by(LabelSet.sequence_id)
-    return {row.sequence_id: row for row in session.scalars(select(LabelSet).where(LabelSet.id.in_(newest)))}
+def _counting_labels(session: Session, ids: list[str]) -> dict[str, LabelSet]:
+    """Of several label sets the one that was asked for last, as `counting_labels` has it for one sequence."""
+    order = (LabelSet.chosen_ns.desc(), LabelSet.id.desc())
+    place = func.row_number().over(partition_by=LabelSet.sequence_id, order_by=order).label("place")
+    placed = select(LabelSet.id, place).where(LabelSet.sequence_id.in_(ids)).subquery()
+    first = select(placed.c.id).where(placed.c.place == 1)
+    return {row.sequence_id: row for row in session.scalars(select(LabelSet).where(LabelSet.id.in_(first)))}
+
+
+def _splits(session: Session, ids: list[str]) -> dict[str, str]:
+    """The part of the splits under discussion that each is in."""
+    members = select(SplitMember.sequence_id, SplitMember.part).where(SplitMember.sequence_id.in_(ids))
+    return dict(session.execute(members).all()) if ids else {}
 
 
 def _artefacts(session: Session, label_set_id: str) -> list[ArtefactItem]:

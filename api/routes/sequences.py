@@ -70,7 +70,7 @@ def create_sequence(
         session.add(sequence)
         _flush_named(session, body.name)
         audit.record(session, caller, "sequence.create", sequence.id, facts={"name": sequence.name})
-        shown = sequence_detail(session, sequence)
+        shown = sequence_detail(session, sequence, caller)
     response.headers["Location"] = f"/api/v1/sequences/{shown.id}"
     response.headers["ETag"] = etag(shown.revision)
     return shown
@@ -86,14 +86,14 @@ def list_sequences(
     """The caller's sequences and the public ones, newest first; an administrator sees everybody's."""
     with platform.database.reading() as session:
         found = page(session, filters.narrowed(sequences_shown_to(caller)), Sequence.id.desc(), query)
-        return Page[SequenceItem](items=sequence_items(session, found.rows), next=found.next)
+        return Page[SequenceItem](items=sequence_items(session, found.rows, caller), next=found.next)
 
 
 @router.get("/{sequence_id}", responses=refusals(404))
 def show_sequence(sequence_id: IdPath, caller: Looker, platform: PlatformDep, response: Response) -> SequenceDetail:
     """A sequence with its newest run, its newest labels and their files."""
     with platform.database.reading() as session:
-        shown = sequence_detail(session, shown_sequence(session, caller, sequence_id))
+        shown = sequence_detail(session, shown_sequence(session, caller, sequence_id), caller)
     response.headers["ETag"] = etag(shown.revision)
     return shown
 
@@ -121,7 +121,7 @@ def change_sequence(
         _change(sequence, changes)
         _flush_named(session, sequence.name)
         audit.record(session, caller, "sequence.change", sequence.id, facts=changes)
-        shown = sequence_detail(session, sequence)
+        shown = sequence_detail(session, sequence, caller)
     response.headers["ETag"] = etag(shown.revision)
     return shown
 
@@ -145,7 +145,7 @@ def pin_calibration(
             _change(sequence, {"calibration_id": calibration.id})
             audit.record(session, caller, "sequence.calibrate", sequence.id, facts={"calibration_id": calibration.id})
         session.flush()
-        shown = sequence_detail(session, sequence)
+        shown = sequence_detail(session, sequence, caller)
     response.headers["ETag"] = etag(shown.revision)
     return shown
 

@@ -36,6 +36,10 @@ SEQUENCE_EXAMPLE: dict[str, Any] = {
     "recordings": 1,
     "job": {"id": ID_EXAMPLE, "kind": "sequence.process", "state": "succeeded"},
     "labels": {"id": ID_EXAMPLE, "job_id": ID_EXAMPLE, "frames": 1200, "created_at": "2026-05-03T10:20:00Z"},
+    "class_voxels": {"t": 812345, "p": 2045312, "n": 4198273},
+    "duration_s": 120.1,
+    "distance_m": 143.7,
+    "split": "train",
     "revision": 3,
     "created_at": "2026-05-03T09:12:44.120000Z",
 }
@@ -121,8 +125,20 @@ class LabelGlance(Answer):
     created_at: datetime
 
 
+class ClassVoxels(Answer):
+    """Voxels of all frames by traversability class."""
+
+    t: int
+    p: int
+    n: int
+
+
 class SequenceItem(Answer):
-    """A sequence as a list shows it."""
+    """A sequence as a list shows it.
+
+    What its labels add up to is null without them, or where an earlier version did not write it down. `split` is train,
+    val, test or null, and told to its owner and to administrators only.
+    """
 
     model_config = example(**SEQUENCE_EXAMPLE)
 
@@ -138,6 +154,10 @@ class SequenceItem(Answer):
     recordings: int
     job: JobGlance | None
     labels: LabelGlance | None
+    class_voxels: ClassVoxels | None
+    duration_s: float | None
+    distance_m: float | None
+    split: str | None
     revision: int
     created_at: datetime
 
