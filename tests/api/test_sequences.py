@@ -44,11 +44,11 @@ def test_nobody_without_a_token_gets_anything(api: httpx.Client, method: str, pa
 
 
 def test_a_visitor_is_shown_what_is_public_and_asked_to_sign_in_for_the_rest(
-    api: httpx.Client, owner: Person, other: Person
+    api: httpx.Client, curator: Person, other: Person
 ) -> None:
-    made = [api.post(URL, json={"name": name}, headers=owner.headers).json() for name in ("open", "closed")]
+    made = [api.post(URL, json={"name": name}, headers=curator.headers).json() for name in ("open", "closed")]
     shown = api.patch(
-        f"{URL}/{made[0]['id']}", json={"is_public": True}, headers={**owner.headers, "If-Match": '"1"'}
+        f"{URL}/{made[0]['id']}", json={"is_public": True}, headers={**curator.headers, "If-Match": '"1"'}
     )
     assert shown.json()["is_public"] is True
     for looking in ({}, other.headers):
