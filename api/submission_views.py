@@ -6,7 +6,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from sqlalchemy import func, select
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from api.job_views import job_items
@@ -21,6 +21,7 @@ from api.schemas.submissions import (
     ValidationReport,
 )
 from services.runtime.benchmarks import scorings
+from services.runtime.benchmarks.expecting import expected_s, queue_position
 from services.runtime.benchmarks.submission_states import LIVE
 from services.runtime.benchmarks.submissions import validations_left
 from services.runtime.orm import Job, Phase, Submission, Upload
@@ -42,7 +43,8 @@ def submission_items(session: Session, rows: Sequence[Submission]) -> list[Submi
 def submission_detail(session: Session, row: Submission) -> SubmissionDetail:
     """A submission with its method's page."""
     shown = submission_items(session, [row])[0]
-    return SubmissionDetail(**dict(shown), description=row.description, upload_id=_upload_id(session, row))
+    more: dict[str, Any] = {"description": row.description, "upload_id": _upload_id(session, row)}
+    return SubmissionDetail(**dict(shown), **more, expected_s=expected_s(session, row))
 
 
 def validation_report(row: Submission) -> ValidationReport:
@@ -84,7 +86,7 @@ def _facts(session: Session, row: Submission, progress: SubmissionProgress | Non
     return {
         **{name: getattr(row, name) for name in (*names, "revision", "hidden_reason")},
         "sha256": row.declared_sha256,
-        "queue_position": _queue_position(session, row),
+        "queue_position": queue_position(session, row),
         "progress": progress,
         "problems_total": _problems_total(row),
         "failure": _failure(row),
@@ -104,14 +106,6 @@ def _problems_total(row: Submission) -> int | None:
 
 def _failure(row: Submission) -> FailureItem | None:
     return FailureItem(code=row.failure_code, sentence=row.failure) if row.failure_code else None
-
-
-def _queue_position(session: Session, row: Submission) -> int | None:
-    """How many submissions that nobody has begun with were finalised before this one."""
-    if row.state != "queued":
-        return None
-    before = select(func.count()).select_from(Submission)
-    return session.scalar(before.where(Submission.state == "queued", Submission.job_id < row.job_id)) or 0
 
 
 def _upload_id(session: Session, row: Submission) -> str | None:

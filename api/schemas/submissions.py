@@ -157,12 +157,16 @@ class SubmissionItem(Answer):
 
 
 class SubmissionDetail(SubmissionItem):
-    """A submission with the text of its method's page, and the upload that was or is on its way for it."""
+    """A submission with the text of its method's page, and the upload that was or is on its way for it.
 
-    model_config = example(**SUBMISSION_EXAMPLE, description=SAID["description"], upload_id=ID_EXAMPLE)
+    `expected_s` is in how many seconds it will have ended, judged by the last ones; null when that is not known.
+    """
+
+    model_config = example(**SUBMISSION_EXAMPLE, description=SAID["description"], upload_id=ID_EXAMPLE, expected_s=40)
 
     description: str
     upload_id: str | None
+    expected_s: int | None
 
 
 class FileProblem(Answer):
