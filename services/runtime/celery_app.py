@@ -12,14 +12,18 @@ parallelism is over jobs. `worker_cancel_long_running_tasks_on_connection_loss` 
 """
 
 import os
+from typing import TYPE_CHECKING
 
-from celery import Celery
-from celery.signals import setup_logging, worker_init, worker_process_init
+from celery import Celery, current_app
+from celery.signals import setup_logging, worker_init, worker_process_init, worker_process_shutdown
 from sqlalchemy.orm import configure_mappers
 
 from services.runtime.log_lines import speak_json
 from services.runtime.parent_death import die_with
 from services.runtime.settings import Settings
+
+if TYPE_CHECKING:
+    from services.runtime.jobs.presence import Presence
 
 QUEUES = ("ingest", "labeler", "eval")
 
@@ -53,12 +57,31 @@ def make_app(settings: Settings) -> Celery:
 
 
 app = make_app(Settings())
+_HERE: list["Presence"] = []
 
 
 @worker_process_init.connect
 def _end_with_the_worker(**_: object) -> None:
     """A pool process whose worker was killed would work on, and hold its job by its heartbeats, until the job ends."""
     die_with(os.getppid())
+
+
+@worker_process_init.connect
+def _say_here(**_: object) -> None:
+    """Imported here: the platform rings by this application."""
+    from services.runtime.jobs.presence import Presence
+    from services.runtime.platform import platform
+
+    queues = list(current_app.amqp.queues.consume_from)  # first: the platform's bell is an application too
+    presence = Presence(platform(), queues)
+    presence.start()
+    _HERE.append(presence)
+
+
+@worker_process_shutdown.connect
+def _say_gone(**_: object) -> None:
+    for presence in _HERE:
+        presence.leave()
 
 
 @worker_init.connect

@@ -18,6 +18,7 @@ from services.runtime.bell import ring, waiting
 from services.runtime.benchmarks.submission_chores import settle_ended, tidy_submissions
 from services.runtime.collection import collect
 from services.runtime.errors import PlatformFaultError
+from services.runtime.jobs.presence import forget_silent
 from services.runtime.jobs.sweeping import Sweeper
 from services.runtime.log_lines import speak_json
 from services.runtime.platform import Platform, platform
@@ -61,6 +62,7 @@ def chores_of(platform: Platform) -> tuple[Chore, ...]:
         Chore("submitted files", MINUTE_S, lambda: tidy_submissions(platform)),
         Chore("uploads", MINUTE_S, lambda: expire(platform)),
         Chore("blobs", MINUTE_S, lambda: collect(platform)),
+        Chore("workers", MINUTE_S, lambda: forget_silent(platform)),
     )
 
 

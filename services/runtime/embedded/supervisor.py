@@ -24,6 +24,7 @@ from services.runtime.embedded.logs import last_words
 from services.runtime.embedded.programs import api_program, sweeper_program, worker_program
 from services.runtime.embedded.redis_child import start_redis
 from services.runtime.jobs.interrupting import CRASHED, STOPPED, give_back_running
+from services.runtime.jobs.presence import forget_silent
 from services.runtime.migrate import upgrade
 from services.runtime.platform import Platform, open_platform
 from services.runtime.settings import ApiSettings, Settings
@@ -121,6 +122,7 @@ def _prepare(platform: Platform, told: Told) -> Keys:
     """
     if platform.database.is_sqlite:
         interrupted = give_back_running(platform, CRASHED, is_counted=True)
+        forget_silent(platform, older_than_s=0.0)
         if interrupted:
             told(f"{interrupted} interrupted job(s) queued again")
     return ensure_keys(platform)

@@ -1,4 +1,4 @@
-"""Work: jobs, what they wait for, their attempts and log lines, and the queues' switches.
+"""Work: jobs, what they wait for, their attempts and log lines, the queues' switches, and the processes that work.
 
 **Conventions.** `state` is queued, running, succeeded, failed or cancelled; only `services/runtime/jobs` changes it,
 always by compare-and-set. A job whose `queue` is empty is a run: it holds its children together and no worker takes it.
@@ -9,7 +9,7 @@ from typing import Any
 from sqlalchemy import JSON, ForeignKey, Index, String
 from sqlalchemy.orm import Mapped, mapped_column
 
-from services.runtime.orm.base import Base, Id, Ns, Record, new_id, now_ns
+from services.runtime.orm.base import Base, Bytes, Count, Id, Ns, Record, new_id, now_ns
 
 
 class Job(Base):
@@ -45,6 +45,8 @@ class Job(Base):
     __table_args__ = (
         Index("ix_jobs_ready", "queue", "state", "needs_left", "priority", "id"),
         Index("ix_jobs_owner_state", "owner_id", "state"),
+        Index("ix_jobs_state", "state", "id", "root_id"),
+        Index("ix_jobs_finished", "finished_ns", "queue", "state"),
     )
 
 
@@ -91,3 +93,23 @@ class Queue(Base):
     __tablename__ = "queues"
     name: Mapped[str] = mapped_column(String(16), primary_key=True)
     mode: Mapped[str] = mapped_column(String(16), default="open")
+
+
+class Worker(Base):
+    """A process that takes jobs: what it told of itself last, `beat_ns` by the database's clock.
+
+    `name` is host and pid, as attempts have it; `queues` are those it listens to. Memory and disk are those of its
+    machine (of its container, where that is less), as far as it could find out.
+    """
+
+    __tablename__ = "workers"
+    name: Mapped[str] = mapped_column(String(128), primary_key=True)
+    queues: Mapped[str] = mapped_column(String(64), default="")
+    beats: Mapped[Count] = mapped_column(default=0)
+    started_ns: Mapped[Ns]
+    beat_ns: Mapped[Ns] = mapped_column(index=True)
+    held_bytes: Mapped[Bytes | None]
+    memory_free_bytes: Mapped[Bytes | None]
+    memory_bytes: Mapped[Bytes | None]
+    disk_free_bytes: Mapped[Bytes | None]
+    disk_bytes: Mapped[Bytes | None]

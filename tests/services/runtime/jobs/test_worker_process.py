@@ -19,7 +19,7 @@ from services.runtime.bell import ring, waiting
 from services.runtime.database import Database
 from services.runtime.jobs.steering import cancel, terminate
 from services.runtime.jobs.sweeping import Sweeper
-from services.runtime.orm import JobAttempt
+from services.runtime.orm import JobAttempt, Worker
 from services.runtime.platform import Platform
 from services.runtime.settings import BrokerSettings, Settings
 from tests.services.runtime.jobs.steps import a_job, an_owner, job
@@ -190,3 +190,18 @@ def is_alive(pid: int) -> bool:
         return "\nState:\tZ" not in Path(f"/proc/{pid}/status").read_text()
     except FileNotFoundError:
         return False
+
+
+def test_idle_processes_say_that_they_are_there_and_when_they_leave(loud: Platform, start: Start) -> None:
+    worker = start()
+    until(lambda: len(present(loud)) == 2, "both processes of the pool tell")
+    assert {row.queues for row in present(loud)} == {"ingest"}
+    beats = min(row.beats for row in present(loud))
+    until(lambda: min(row.beats for row in present(loud)) > beats, "they tell again")
+    worker.terminate()
+    until(lambda: present(loud) == [], "they take their rows away")
+
+
+def present(platform: Platform) -> list[Worker]:
+    with platform.database.reading() as session:
+        return list(session.scalars(select(Worker)))
