@@ -89,12 +89,15 @@ class SubmissionSettings:
 class ApiSettings:
     """`url` is where browsers and commands reach the API; it also decides whether cookies are `Secure`.
 
+    With `pages` off there are no pages, and nothing of theirs is loaded.
+
     Whoever shows `metrics_token` may read `/metrics`; empty: administrators only.
     """
 
     host: str = "127.0.0.1"
     port: int = 8080
     url: str = "http://127.0.0.1:8080"
+    pages: bool = True
     body_bytes: int = 2 * 2**20
     requests_per_minute: int = 1200
     sign_ins_per_minute: int = 10

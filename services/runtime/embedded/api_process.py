@@ -8,14 +8,16 @@ import sys
 
 import uvicorn
 
-SITE = "web.main:from_environment"
+from services.runtime.settings import Settings
+
+SITE, API = "web.main:from_environment", "api.main:from_environment"
 PROTOCOL = "api.heads:BoundedHeads"
 
 
 def main(descriptor: int, replies_s: int) -> None:
-    """Answer until SIGTERM; then replies under way may take `replies_s` more."""
+    """Answer until SIGTERM, with pages unless the settings say otherwise; then replies may take `replies_s` more."""
     config = uvicorn.Config(
-        SITE,
+        SITE if Settings().api.pages else API,
         factory=True,
         loop="uvloop",
         http=PROTOCOL,
