@@ -1,0 +1,145 @@
+"""What the pages cost a reader: `python -m benchmarks.pages [--data DIR --url URL] [--turns 3]`.
+
+Without a URL a demo of its own is made first (simulated, labelled, submitted: half a minute), else the running platform
+whose data lie in DIR is looked at. Every page that links lead to is loaded in Chromium, each in a fresh browser with an
+empty cache, as its administrator: what came over the wire, how long the server took (`responseStart − requestStart`),
+when something meaningful stood on the page (the largest contentful paint; the first paint beside it), and how much the
+page moved while it loaded (cumulative layout shift). The median of the turns is told.
+"""
+
+import argparse
+import shutil
+import statistics
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import httpx
+from playwright.sync_api import Browser, sync_playwright
+from rich.console import Console
+from rich.table import Table
+
+from client.demo import DemoPlan, run_demo
+from services.runtime.embedded.first_start import PASSWORD_FILE
+from services.runtime.embedded.supervisor import running_platform
+from services.runtime.settings import ApiSettings, Settings
+from simulator.options import SimulateOptions
+from tests.web.browsing import DESKTOP
+from tests.web.crawling import crawled
+
+SMALL = SimulateOptions(seconds=20.0, seed=3, channels=64, columns=900, cameras=True)
+SETTLES_MS = 1500
+COLUMNS = (
+    "page",
+    "requests",
+    "kB on the wire",
+    "of it scripts",
+    "server ms",
+    "first paint ms",
+    "meaningful ms",
+    "shift",
+)
+WATCH = """
+window.shifted = 0; window.largest = 0;
+const watch = (type, note) =>
+  new PerformanceObserver(list => list.getEntries().forEach(note)).observe({ type, buffered: true });
+watch('layout-shift', one => { if (!one.hadRecentInput) window.shifted += one.value; });
+watch('largest-contentful-paint', one => { window.largest = one.startTime; });
+"""
+READ = """() => {
+  const page = performance.getEntriesByType('navigation')[0];
+  const loaded = [page, ...performance.getEntriesByType('resource')];
+  const sum = entries => entries.reduce((total, one) => total + one.transferSize, 0);
+  return {
+    requests: loaded.length,
+    wire_bytes: sum(loaded),
+    script_bytes: sum(loaded.filter(one => one.name.includes('/modules/') || one.name.includes('/libraries/'))),
+    server_ms: page.responseStart - page.requestStart,
+    first_ms: performance.getEntriesByName('first-contentful-paint')[0]?.startTime ?? NaN,
+    largest_ms: window.largest,
+    shift: window.shifted,
+  };
+}"""
+
+
+@dataclass(frozen=True)
+class Place:
+    """A platform to look at, and how to sign in there."""
+
+    url: str
+    name: str
+    password: str
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", type=Path)
+    parser.add_argument("--url")
+    parser.add_argument("--turns", type=int, default=3)
+    options = parser.parse_args()
+    table = Table(*COLUMNS, title=f"each page in a fresh browser, median of {options.turns}")
+    with standing(options.url, options.data) as place, sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(
+            executable_path=shutil.which("chromium"), args=["--no-sandbox", "--use-angle=swiftshader"]
+        )
+        cookie = signed_in(place)
+        for shape, path in pages_of(place, cookie):
+            table.add_row(shape, *told(chromium, place.url + path, cookie, options.turns))
+        chromium.close()
+    Console(width=150).print(table)
+
+
+@contextmanager
+def standing(url: str | None, data: Path | None) -> Iterator[Place]:
+    """The platform that is named, or a demo's own."""
+    if url is not None and data is not None:
+        yield Place(url, "admin", (data / PASSWORD_FILE).read_text().strip())
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        base = Path(folder)
+        (base / "demo").mkdir()
+        settings = Settings(data_folder=base / "data", workers=2, api=ApiSettings(port=0))
+        with running_platform(settings, is_awaited=False) as running:
+            run_demo(base / "demo", DemoPlan(SMALL, running), lambda *_: None)
+            yield Place(running.url, running.keys.name, (base / "data" / PASSWORD_FILE).read_text().strip())
+
+
+def signed_in(place: Place) -> dict[str, str]:
+    answer = httpx.post(f"{place.url}/api/v1/sessions", json={"name": place.name, "password": place.password})
+    answer.raise_for_status()
+    return dict(answer.cookies)
+
+
+def pages_of(place: Place, cookie: dict[str, str]) -> list[tuple[str, str]]:
+    """(shape, path) of one page of each shape, in the order of the shapes."""
+    header = {"Cookie": "; ".join(f"{name}={value}" for name, value in cookie.items())}
+    with httpx.Client(base_url=place.url, timeout=60.0) as client:
+        found = {one.shape: one.path for one in crawled(client, header) if one.is_page and "/api/" not in one.path}
+    return sorted(found.items())
+
+
+def told(chromium: Browser, url: str, cookie: dict[str, str], turns: int) -> list[str]:
+    """The row of a page."""
+    loads = [loaded(chromium, url, cookie) for _ in range(turns)]
+    median = {key: statistics.median(load[key] for load in loads) for key in loads[0]}
+    whole = (median["requests"], median["wire_bytes"] / 1e3, median["script_bytes"] / 1e3, median["server_ms"])
+    return [f"{value:.0f}" for value in (*whole, median["first_ms"], median["largest_ms"])] + [f"{median['shift']:.3f}"]
+
+
+def loaded(chromium: Browser, url: str, cookie: dict[str, str]) -> dict[str, float]:
+    """One load with an empty cache."""
+    context = chromium.new_context(viewport=DESKTOP)  # type: ignore[arg-type]
+    context.add_cookies([{"name": name, "value": value, "url": url} for name, value in cookie.items()])
+    page = context.new_page()
+    page.add_init_script(WATCH)
+    page.goto(url, wait_until="load")
+    page.wait_for_timeout(SETTLES_MS)
+    figures: dict[str, float] = page.evaluate(READ)
+    context.close()
+    return figures
+
+
+if __name__ == "__main__":
+    main()
