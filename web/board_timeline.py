@@ -1,0 +1,90 @@
+"""The history of a board as a slider's stops, with a curve of the best mIoU above them.
+
+**Conventions.** Stops are evenly apart, whatever time passed between them, so that each can be reached; the last is
+the board of now. Places are per cent of the width and of the height.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from itertools import pairwise
+
+from api.schemas.base import instant
+from services.runtime.benchmarks.board_history import Change
+from web.axes import Axis, axis_over
+from web.board_rows import ShownBoard
+
+
+@dataclass(frozen=True)
+class Stop:
+    """A change, the page of the board since then, and where on the curve it lies; `y` is null without an entry."""
+
+    at: datetime
+    link: str
+    change: Change
+    x: str
+    y: str | None
+
+
+@dataclass(frozen=True)
+class Step:
+    """A straight piece of the curve."""
+
+    x1: str
+    y1: str
+    x2: str
+    y2: str
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """`chosen` is the stop that the shown board is of."""
+
+    stops: tuple[Stop, ...]
+    steps: tuple[Step, ...]
+    chosen: int
+
+    @property
+    def is_worth_showing(self) -> bool:
+        return len(self.stops) > 1
+
+
+def timeline(shown: ShownBoard, changes: Sequence[Change]) -> Timeline:
+    axis = axis_over(change.best for change in changes)
+    last = len(changes) - 1
+    stops = tuple(
+        Stop(
+            instant(change.at_ns),
+            shown.link(as_of=None if place == last else _spelled(instant(change.at_ns))),
+            change,
+            f"{100 * place / max(last, 1):.2f}%",
+            _height(change.best, axis),
+        )
+        for place, change in enumerate(changes)
+    )
+    return Timeline(stops, _steps(stops), _chosen(stops, shown.answer.as_of))
+
+
+def _steps(stops: Sequence[Stop]) -> tuple[Step, ...]:
+    """Level until the next stop, then up or down to it."""
+    steps: list[Step] = []
+    for one, following in pairwise(stops):
+        if one.y is not None:
+            steps.append(Step(one.x, one.y, following.x, one.y))
+        if one.y is not None and following.y is not None and one.y != following.y:
+            steps.append(Step(following.x, one.y, following.x, following.y))
+    return tuple(steps)
+
+
+def _height(best: float | None, axis: Axis) -> str | None:
+    return None if best is None else f"{100 - axis.place(best):.2f}%"
+
+
+def _chosen(stops: Sequence[Stop], as_of: datetime | None) -> int:
+    if as_of is None:
+        return len(stops) - 1
+    return max(sum(stop.at <= as_of for stop in stops) - 1, 0)
+
+
+def _spelled(moment: datetime) -> str:
+    return moment.isoformat().replace("+00:00", "Z")

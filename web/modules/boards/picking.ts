@@ -1,0 +1,36 @@
+// Choosing two entries of a board to compare: a third choice replaces the first.
+
+const MOST = 2;
+
+export function installPicking(): void {
+  const picked: HTMLInputElement[] = [];
+  document.addEventListener("change", (event) => {
+    const box = event.target;
+    if (!(box instanceof HTMLInputElement) || box.name !== "entry") return;
+    if (box.checked) picked.push(box);
+    else picked.splice(picked.indexOf(box), 1);
+    while (picked.length > MOST) {
+      const first = picked.shift();
+      if (first) first.checked = false;
+    }
+    tell(picked);
+  });
+  document.addEventListener("submit", (event) => {
+    if (!(event.target instanceof HTMLFormElement) || event.target.id !== "comparing") return;
+    if (new FormData(event.target).getAll("entry").length === MOST) return;
+    event.preventDefault();
+    say("Choose two entries first, by the boxes at the left of the board.");
+  });
+}
+
+function tell(picked: readonly HTMLInputElement[]): void {
+  const names = picked.map((box) => box.closest("tr")?.querySelector(".method .row > :first-child")?.textContent ?? "");
+  if (names.length === MOST) say(`${names[0]} against ${names[1]}`);
+  else if (names.length === 1) say(`${names[0]} against …`);
+  else say("Choose two entries to see whether they differ by more than chance.");
+}
+
+function say(sentence: string): void {
+  const place = document.querySelector("[data-picked]");
+  if (place) place.textContent = sentence;
+}

@@ -1,0 +1,67 @@
+"""The board of a phase: who is where and how surely, now or as of a moment of its history."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Query, Request
+from fastapi.responses import HTMLResponse
+
+from api.benchmark_views import phase_item
+from api.callers import Looker
+from api.deps import PlatformDep
+from api.result_views import viewer_for
+from api.routes.benchmarks import PhasePath
+from api.schemas.benchmark_bodies import ns_of
+from api.schemas.leaderboard import AsOfQuery, EntriesQuery, TrackQuery
+from services.runtime.benchmarks.board_entries import TRACKS, BoardQuery
+from services.runtime.benchmarks.board_history import history, tracks_with_rows
+from services.runtime.orm import Benchmark
+from web.board_rows import Sort, shown_board
+from web.board_timeline import timeline
+from web.rendering import page
+
+router = APIRouter()
+SortQuery = Annotated[Sort, Query(description="the column by which rows stand; ranks stay as they are")]
+
+
+class BoardAsked:
+    """Which board, in which order."""
+
+    def __init__(
+        self,
+        track: TrackQuery = "all",
+        as_of: AsOfQuery = None,
+        entries: EntriesQuery = "best",
+        sort: SortQuery = "rank",
+    ) -> None:
+        self.query = BoardQuery(track, None if as_of is None else ns_of(as_of), entries)
+        self.sort: Sort = sort
+
+
+Asked = Annotated[BoardAsked, Depends(BoardAsked)]
+
+
+@router.get("/benchmarks/{benchmark_name}/{phase_name}")
+def show_board(
+    request: Request,
+    caller: Looker,
+    platform: PlatformDep,
+    at: Annotated[PhasePath, Depends(PhasePath)],
+    asked: Asked,
+) -> HTMLResponse:
+    with platform.database.reading() as session:
+        phase = at.find(session)
+        viewer, shown_phase = viewer_for(session, caller), phase_item(session, phase)
+        title = session.get_one(Benchmark, phase.benchmark_id).title or at.benchmark
+        changes = history(session, phase, asked.query.track)
+        tracks = tracks_with_rows(session, phase)
+    shown = shown_board(platform, phase.id, viewer, asked.query, asked.sort)
+    return page(
+        request,
+        caller,
+        "boards/board.html",
+        benchmark_title=title,
+        phase=shown_phase,
+        board=shown,
+        tracks=[track for track in TRACKS if track in tracks or track in ("all", asked.query.track)],
+        timeline=timeline(shown, changes),
+    )
