@@ -12,13 +12,14 @@ from services.runtime.log_lines import speak_json
 from services.runtime.platform import Platform, open_platform
 from services.runtime.settings import Settings
 from web import assets, faults
-from web.pages import home, signing_in
+from web.pages import boards, home, signing_in
 from web.rendering import Pages
 
 ROUTERS: tuple[APIRouter, ...] = (
     assets.router,
     home.router,
     signing_in.router,
+    boards.router,
 )
 
 
