@@ -6,6 +6,7 @@ import "tus-js-client";
 import type { DetailedError, HttpRequest } from "tus-js-client";
 
 import { csrfToken, RefusedError, type Problem } from "./api.js";
+import { CheckedPieces, PIECE_BYTES } from "./pieces.js";
 
 const AT = "/api/v1/uploads";
 const VERSION = "1.0.0";
@@ -41,19 +42,29 @@ export async function findUpload(id: string): Promise<Opened | null> {
   }
 }
 
-/** Send what is missing; `heard` is told the bytes that are there. Throws `RefusedError`, and `AbortError`. */
+/**
+ * Send what is missing, each piece with its checksum; `heard` is told the bytes that are there. Who is patient in a way
+ * of their own gives `retry_ms` as null. Throws `RefusedError`, and `AbortError`.
+ */
 export function sendMissing(
   file: File,
   upload: Opened,
   heard: (done_bytes: number) => void,
   signal: AbortSignal,
+  retry_ms: number[] | null = RETRY_MS,
 ): Promise<void> {
   return new Promise((resolve, reject) => {
+    const pieces = new CheckedPieces(file);
     const sending = new tus.Upload(file, {
       uploadUrl: `${AT}/${encodeURIComponent(upload.id)}`,
-      retryDelays: RETRY_MS,
+      chunkSize: PIECE_BYTES,
+      fileReader: { openFile: async () => pieces },
+      retryDelays: retry_ms,
       storeFingerprintForResuming: false,
-      onBeforeRequest: (request: HttpRequest) => request.setHeader("X-CSRF-Token", csrfToken()),
+      onBeforeRequest: (request: HttpRequest) => {
+        request.setHeader("X-CSRF-Token", csrfToken());
+        if (request.getMethod() === "PATCH") request.setHeader("Upload-Checksum", pieces.checksum);
+      },
       onShouldRetry: (error: DetailedError) => AGAIN.includes(error.originalResponse?.getStatus() ?? 0),
       onProgress: (sent_bytes: number) => heard(sent_bytes),
       onSuccess: () => resolve(),
