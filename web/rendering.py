@@ -16,6 +16,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from api.deps import VISITOR, Caller
+from services.runtime.label_choices import BOUNDS
 from web import words
 from web.assets import Assets
 from web.zones import zone_of
@@ -60,7 +61,11 @@ class Pages:
             trim_blocks=True,
             lstrip_blocks=True,
         )
-        self._templates.globals |= {"asset": assets.url, "import_map": Markup(assets.import_map)}
+        self._templates.globals |= {
+            "asset": assets.url,
+            "import_map": Markup(assets.import_map),
+            "label_bounds": BOUNDS,
+        }
         self._templates.filters |= words.FILTERS
         self._templates.tests |= words.TESTS
 
