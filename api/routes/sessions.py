@@ -1,7 +1,8 @@
 """Browsers sign in with a password; everybody may ask who they are.
 
-**Conventions.** The cookie is HttpOnly and SameSite=Strict, and Secure where the platform is reached by https. Signing
-in changes nothing that a stranger's page could want changed, so it needs no CSRF token. An unknown name costs the same
+**Conventions.** The cookie is HttpOnly and SameSite=Lax, so that a link in a mail leads to its page and not to signing
+in, and Secure where the platform is reached by https; what changes something asks for the CSRF token besides. Signing in
+changes nothing that a stranger's page could want changed, so it needs none. An unknown name costs the same
 time as a wrong password.
 """
 
@@ -59,7 +60,7 @@ def sign_out(caller: Anybody, response: Response, platform: PlatformDep) -> None
         raise ConflictError("a token is no session; revoke it by DELETE /tokens/{id}")
     with platform.database.transaction() as session:
         sessions.close_session(session, caller.credential_id)
-    response.delete_cookie(COOKIE, path="/", httponly=True, samesite="strict", secure=_is_https(platform.settings))
+    response.delete_cookie(COOKIE, path="/", httponly=True, samesite="lax", secure=_is_https(platform.settings))
 
 
 @router.get("/sessions", summary="The browsers one is signed in with, newest first")
@@ -105,7 +106,7 @@ def change_own_password(body: PasswordBody, caller: Anybody, request: Request, p
 def _give_cookie(response: Response, opened: SignedIn, settings: Settings) -> None:
     lasts_s = int(settings.api.session_s)
     secure = _is_https(settings)
-    response.set_cookie(COOKIE, opened.secret, lasts_s, path="/", secure=secure, httponly=True, samesite="strict")
+    response.set_cookie(COOKIE, opened.secret, lasts_s, path="/", secure=secure, httponly=True, samesite="lax")
     response.headers["Cache-Control"] = "no-store"
 
 
