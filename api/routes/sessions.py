@@ -1,9 +1,9 @@
 """Browsers sign in with a password; everybody may ask who they are.
 
 **Conventions.** The cookie is HttpOnly and SameSite=Lax, so that a link in a mail leads to its page and not to signing
-in, and Secure where the platform is reached by https; what changes something asks for the CSRF token besides. Signing in
-changes nothing that a stranger's page could want changed, so it needs none. An unknown name costs the same
-time as a wrong password.
+in, and Secure where the platform is reached by https; what changes anything asks for the CSRF token besides. Signing in
+changes nothing that a stranger's page could want changed, so it needs none. An unknown name costs the same time as a
+wrong password.
 """
 
 from typing import Annotated
