@@ -18,16 +18,17 @@ export class RefusedError extends Error {
   }
 }
 
-/** The method, with a body where one is given; the answer's JSON, or null where there is none. Throws `RefusedError`. */
+/** The method, with a body (a form, else JSON) where one is given; the answer's JSON, or null. Throws `RefusedError`. */
 export async function call<T = unknown>(
   method: string,
   path: string,
   body?: unknown,
   headers: Record<string, string> = {},
 ): Promise<T> {
+  const isForm = body instanceof FormData; // the browser says of it where its parts begin
   const answer = await ask(method, path, {
-    headers: body === undefined ? headers : { "Content-Type": "application/json", ...headers },
-    ...(body === undefined ? {} : { body: JSON.stringify(body) }),
+    headers: body === undefined || isForm ? headers : { "Content-Type": "application/json", ...headers },
+    ...(body === undefined ? {} : { body: isForm ? body : JSON.stringify(body) }),
   });
   return (answer.status === 204 ? null : await answer.json()) as T;
 }

@@ -1,0 +1,108 @@
+// Which of the chosen files are one bag: a rosbag2 folder, the parts of a split one, or a file by itself.
+//
+// The rules are the platform's own (`services/runtime/bag_files.py`), said here before anything is sent. Several bags in
+// one folder without a metadata.yaml stay several, unless their names count on: run_0.mcap, run_1.mcap.
+
+/** A file and where it lay: `run/run_0.mcap` in a folder that was dropped, `run.mcap` where it was chosen by itself. */
+export interface Found {
+  file: File;
+  path: string;
+}
+
+/** The files of one recording. `trouble` says why they cannot be one; it is empty where they can. */
+export interface Bag {
+  name: string;
+  files: File[];
+  trouble: string;
+}
+
+/** What was chosen: bags by name, and the files that belong to none, with the reason. */
+export interface Sorted {
+  bags: Bag[];
+  left: { name: string; why: string }[];
+}
+
+const METADATA = "metadata.yaml";
+const MOST_FILES = 512;
+const LONGEST_NAME_BYTES = 255;
+const BAG_FILE = /^.+\.(mcap|db3)(\.zstd)?$/i;
+const JOURNAL = /^(.+\.db3)-(wal|journal)$/i;
+const DEFINITION = /^[a-z][a-z0-9_]{0,99}\.[A-Z][A-Za-z0-9]{0,99}\.msg$/;
+const NUMBERED = /^(.+)_\d+\.(mcap|db3)(\.zstd)?$/i;
+const UNSEEN = /[\p{Cc}\p{Cf}\p{Cs}\p{Co}\p{Cn}\p{Zl}\p{Zp}/\\]/u;
+
+/** Whether a file so called belongs to a bag. */
+export function isBagPart(name: string): boolean {
+  return name === METADATA || [BAG_FILE, JOURNAL, DEFINITION].some((form) => form.test(name));
+}
+
+/** Why files so called are not one bag; empty where they are. */
+export function troubleOf(names: readonly string[]): string {
+  const unnameable = names.find((name) => UNSEEN.test(name) || new TextEncoder().encode(name).length > LONGEST_NAME_BYTES);
+  if (unnameable) return `The name ${JSON.stringify(unnameable.slice(0, 100))} has characters that nobody can see, or too many.`;
+  return names.length > 1 ? severalTrouble(names) : "";
+}
+
+function severalTrouble(names: readonly string[]): string {
+  if (names.length > MOST_FILES) return `These are ${names.length} files; a bag has at most ${MOST_FILES}.`;
+  const folded = new Set(names.map((name) => name.toLowerCase()));
+  if (folded.size < names.length) return `${names.length} files have only ${folded.size} names on a disk that does not tell cases apart.`;
+  const storages = new Set(names.flatMap((name) => BAG_FILE.exec(name)?.[1]?.toLowerCase() ?? []));
+  if (!storages.size) return "There is no .mcap and no .db3 file among them.";
+  if (storages.size > 1) return "Both .mcap and .db3 files are among them; a bag has one kind.";
+  const orphan = names.find((name) => folded.size && JOURNAL.test(name) && !folded.has(JOURNAL.exec(name)?.[1]?.toLowerCase() ?? ""));
+  return orphan ? `${orphan} has no ${JOURNAL.exec(orphan)?.[1]} beside it.` : "";
+}
+
+/** The bags among files. */
+export function sorted(found: readonly Found[]): Sorted {
+  const parts = found.filter(({ file }) => isBagPart(file.name) && !(JOURNAL.test(file.name) && !file.size));
+  const left = found
+    .filter(({ file }) => !isBagPart(file.name))
+    .map(({ file, path }) => ({ name: path, why: whyLeft(file.name) }));
+  const folders = new Map<string, File[]>();
+  for (const { file, path } of parts) {
+    const folder = path.slice(0, Math.max(0, path.lastIndexOf("/")));
+    folders.set(folder, [...(folders.get(folder) ?? []), file]);
+  }
+  const bags = [...folders].flatMap(([folder, files]) => bagsOf(folder, files));
+  const alone = bags.filter((bag) => !bag.files.some((file) => BAG_FILE.test(file.name)));
+  for (const bag of alone) left.push({ name: bag.name, why: "It has no .mcap and no .db3 file beside it." });
+  return { bags: bags.filter((bag) => !alone.includes(bag)).sort((a, b) => a.name.localeCompare(b.name)), left };
+}
+
+function bagsOf(folder: string, files: File[]): Bag[] {
+  const called = folder.slice(folder.lastIndexOf("/") + 1);
+  const stems = new Set(files.filter(({ name }) => BAG_FILE.test(name)).map(({ name }) => NUMBERED.exec(name)?.[1] ?? name));
+  const isOne = files.some(({ name }) => name === METADATA) || stems.size <= 1;
+  if (isOne) return [bagOf(called || [...stems][0] || METADATA, files)];
+  const bases = files.filter(({ name }) => BAG_FILE.test(name));
+  return bases.map((base) => bagOf(base.name, [base, ...files.filter((file) => belongs(file.name, base.name))]));
+}
+
+function belongs(name: string, base: string): boolean {
+  return DEFINITION.test(name) || JOURNAL.exec(name)?.[1]?.toLowerCase() === base.toLowerCase();
+}
+
+function bagOf(name: string, files: File[]): Bag {
+  const ordered = [...files].sort((a, b) => (a.name < b.name ? -1 : 1));
+  const [only] = ordered;
+  const isSeveral = ordered.length > 1;
+  return { name: isSeveral || !only ? name : only.name, files: ordered, trouble: troubleOf(ordered.map((file) => file.name)) };
+}
+
+function whyLeft(name: string): string {
+  if (/\.bag$/i.test(name)) return "A ROS 1 bag is not read; convert it first: rosbags-convert --src run.bag --dst run";
+  if (/\.(ya?ml|json)$/i.test(name)) return "It is no part of a bag. A calibration goes to the calibrations.";
+  return "It is no part of a bag.";
+}
+
+/** What a sequence of this bag is called unless its owner says otherwise: a plain name. */
+export function plainName(bag: Bag): string {
+  const stem = bag.files.length > 1 ? bag.name : bag.name.replace(/(\.(mcap|db3|zstd))+$/i, "");
+  return stem.replaceAll(/[^A-Za-z0-9._-]+/g, "-").replace(/^[^A-Za-z0-9]+/, "").slice(0, 100) || "sequence";
+}
+
+export function sizeOf(bag: Bag): number {
+  return bag.files.reduce((sum, file) => sum + file.size, 0);
+}

@@ -1,0 +1,39 @@
+// What `parts/uploading.html` needs to be alive: bags, calibrations, the processing of a sequence.
+
+import { call } from "../api.js";
+import { refresh } from "../refreshing.js";
+import { toast } from "../said.js";
+import { mountCalibrations } from "./calibrations.js";
+import { Panel } from "./panel.js";
+import { mountProcessing } from "./processing.js";
+
+const AFTER_A_RECORDING = ["#recordings", "#process"];
+
+for (const root of document.querySelectorAll<HTMLElement>("[data-uploader]")) new Panel(root);
+for (const root of document.querySelectorAll<HTMLElement>("[data-calibrations]")) mountCalibrations(root);
+for (const form of document.querySelectorAll<HTMLFormElement>("form[data-process]")) mountProcessing(form);
+
+addEventListener("registered", (event) => void registered(String((event as CustomEvent<string>).detail)));
+addEventListener("bags", (event) => countBags(Number((event as CustomEvent<number>).detail)));
+
+/** A recording is there: what the page says of it is fetched again, and where it was asked for, it is processed. */
+async function registered(sequenceId: string): Promise<void> {
+  for (const part of AFTER_A_RECORDING) if (document.querySelector(part)) await refresh(part);
+  const wish = document.querySelector<HTMLInputElement>('form[data-bags] [name="process"]');
+  const calibration = document.querySelector<HTMLSelectElement>('form[data-bags] [name="calibration_id"]');
+  if (!wish?.checked || !calibration?.value) return;
+  try {
+    await call("POST", `/api/v1/sequences/${sequenceId}/process`, {});
+    toast("It is being processed now.");
+  } catch (error) {
+    toast(String(error instanceof Error ? error.message : error));
+  }
+}
+
+/** The button that begins says how many bags it begins with. */
+function countBags(count: number): void {
+  const button = document.querySelector<HTMLButtonElement>("form[data-bags] [data-begin]");
+  if (!button) return;
+  button.disabled = !count;
+  button.textContent = count > 1 ? `Upload ${count} bags` : "Upload";
+}

@@ -1,0 +1,147 @@
+// A bag's line in the page: what it is doing in words and bars, and what can be done about it.
+
+import { size, span } from "./speed.js";
+import type { Phase, Transfer } from "./transfer.js";
+
+const SAID: Record<Phase, string> = {
+  waiting: "waiting",
+  counting: "checking",
+  sending: "sending",
+  away: "waiting for the platform",
+  paused: "paused",
+  reading: "being read",
+  registered: "registered",
+  refused: "refused",
+};
+/** The words of `data-state` whose colours `components.css` knows. */
+const LOOKS: Record<Phase, string> = {
+  waiting: "queued",
+  counting: "running",
+  sending: "uploading",
+  away: "paused",
+  paused: "paused",
+  reading: "running",
+  registered: "ready",
+  refused: "refused",
+};
+const ANIMATION_MS = 120;
+
+export class Row {
+  readonly element: HTMLLIElement;
+  #timer = 0;
+  #shown: Phase | undefined;
+
+  constructor(template: HTMLTemplateElement, readonly transfer: () => Transfer, readonly say: (sentence: string) => void) {
+    const copy = template.content.cloneNode(true) as DocumentFragment;
+    this.element = copy.querySelector("li") as HTMLLIElement;
+  }
+
+  part<T extends HTMLElement = HTMLElement>(name: string): T | null {
+    return this.element.querySelector<T>(`[data-${name}]`);
+  }
+
+  /** The act's button: pause, resume or remove. */
+  button(act: string): HTMLButtonElement | null {
+    return this.element.querySelector<HTMLButtonElement>(`[data-act-row="${act}"]`);
+  }
+
+  /** Show it as it stands; no more than a few times a second, but a change of phase at once. */
+  show(): void {
+    const { phase } = this.transfer();
+    if (phase !== this.#shown) {
+      this.#shown = phase;
+      this.#draw();
+      this.say(`${this.transfer().bag.name}: ${SAID[phase]}`);
+    } else if (!this.#timer) {
+      this.#timer = window.setTimeout(() => this.#draw(), ANIMATION_MS);
+    }
+  }
+
+  #draw(): void {
+    clearTimeout(this.#timer);
+    this.#timer = 0;
+    const transfer = this.transfer();
+    const { bag, phase } = transfer;
+    this.element.dataset["phase"] = phase;
+    fill(this.part("name"), bag.name);
+    fill(this.part("size"), [size(transfer.size_bytes), bag.files.length > 1 ? `${bag.files.length} files` : ""].filter(Boolean).join(", "));
+    const state = this.part("phase");
+    if (state) state.dataset["state"] = LOOKS[phase];
+    fill(state, SAID[phase]);
+    this.#bar("counted", transfer.counted_bytes);
+    this.#bar("sent", transfer.sent_bytes);
+    fill(this.part("line"), lineOf(transfer));
+    this.#acts(phase);
+    this.#findings(transfer);
+    if (phase === "away") this.show(); // the seconds go on
+  }
+
+  #bar(name: string, bytes: number): void {
+    const { size_bytes } = this.transfer();
+    const ratio = size_bytes ? bytes / size_bytes : Number(bytes > 0 || this.transfer().phase === "registered");
+    const bar = this.part<HTMLProgressElement>(name);
+    if (bar) bar.value = ratio;
+    fill(this.part(`${name}-part`), `${Math.floor(100 * ratio)} %`);
+  }
+
+  #acts(phase: Phase): void {
+    const { isUnderWay, bag, sequenceId } = this.transfer();
+    const resume = this.button("resume");
+    this.button("pause")?.toggleAttribute("hidden", !isUnderWay || phase === "reading");
+    resume?.toggleAttribute("hidden", !(phase === "paused" || (phase === "refused" && !bag.trouble)));
+    fill(resume, phase === "paused" ? "Resume" : "Try again");
+    this.button("remove")?.toggleAttribute("hidden", isUnderWay || phase === "registered");
+    const open = this.part<HTMLAnchorElement>("open");
+    if (!open || !sequenceId) return;
+    open.href = `/sequences/${sequenceId}`;
+    open.hidden = location.pathname === open.pathname;
+  }
+
+  #findings({ findings, problem }: Transfer): void {
+    const list = this.part("findings");
+    if (!list) return;
+    const refused = problem ? [{ code: problem.code, severity: "error", message: problem.detail }] : [];
+    const shown = [...refused, ...findings];
+    list.hidden = !shown.length;
+    list.replaceChildren(...shown.map(({ code, severity, message }) => findingOf(code, severity, message)));
+  }
+}
+
+/** A finding as `parts/components.html` writes it. */
+export function findingOf(code: string, severity: string, message: string): HTMLLIElement {
+  const item = Object.assign(document.createElement("li"), { className: "finding" });
+  item.dataset["severity"] = severity;
+  const coded = Object.assign(document.createElement("code"), { textContent: code });
+  item.append(coded, " ", Object.assign(document.createElement("span"), { textContent: message }));
+  return item;
+}
+
+function fill(place: HTMLElement | null, text: string): void {
+  if (place && place.textContent !== text) place.textContent = text;
+}
+
+function lineOf(transfer: Transfer): string {
+  const { size_bytes, step } = transfer;
+  switch (transfer.phase) {
+    case "counting":
+      return rated("Counting its sha256", size_bytes - transfer.counted_bytes, transfer.countedSpeed.per_s);
+    case "sending":
+      return rated(`${size(transfer.sent_bytes)} of ${size(size_bytes)}`, size_bytes - transfer.sent_bytes, transfer.sentSpeed.per_s);
+    case "away":
+      return `${transfer.awaySentence} Trying again in ${span((transfer.awayUntil_ms - performance.now()) / 1000)}.`;
+    case "paused":
+      return `${size(transfer.sent_bytes)} of ${size(size_bytes)} are sent; they stay on the platform.`;
+    case "reading":
+      return step.total ? `The platform reads it: step ${Math.min(step.total, step.done + 1)} of ${step.total}` : "The platform reads it";
+    case "registered":
+      return transfer.findings.length ? "Whole, read and kept. What was noticed:" : "Whole, read and kept. Nothing was noticed.";
+    case "refused":
+      return transfer.problem ? "" : "The platform read it and refuses it:";
+    default:
+      return "";
+  }
+}
+
+function rated(begun: string, rest_bytes: number, per_s: number): string {
+  return per_s > 0 ? `${begun} · ${size(per_s)}/s · ${span(rest_bytes / per_s)} left` : begun;
+}

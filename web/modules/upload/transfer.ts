@@ -1,0 +1,155 @@
+// One bag on its way: counted, sent, sealed, read. Whatever ends it early, starting again goes on where it was.
+
+import { type Problem, RefusedError } from "../api.js";
+import type { Bag } from "./bags.js";
+import { sizeOf } from "./bags.js";
+import { patiently } from "./lanes.js";
+import { type Finding, read, type Recording, sealed, standing } from "./sealing.js";
+import { type Heard, sent, summed } from "./sending.js";
+import { Speed } from "./speed.js";
+import { forgetSum } from "./sums.js";
+
+export type Phase = "waiting" | "counting" | "sending" | "away" | "paused" | "reading" | "registered" | "refused";
+
+/** Phases in which something happens by itself. */
+export const UNDER_WAY: readonly Phase[] = ["counting", "sending", "away", "reading"];
+
+/** Where a bag goes: the id of its sequence, made where there is none yet. */
+export type Target = (signal: AbortSignal) => Promise<string>;
+
+export class Transfer implements Heard {
+  phase: Phase = "waiting";
+  problem: Problem | undefined;
+  sequenceId: string | undefined;
+  findings: Finding[] = [];
+  awaySentence = "";
+  awayUntil_ms = 0;
+  step: { done: number; total: number } = { done: 0, total: 0 };
+  readonly countedSpeed = new Speed();
+  readonly sentSpeed = new Speed();
+  readonly #counted = new Map<File, number>();
+  readonly #sent = new Map<File, number>();
+  #stop: AbortController | undefined;
+
+  constructor(
+    readonly bag: Bag,
+    readonly target: Target,
+    private readonly changed: (transfer: Transfer) => void,
+  ) {
+    if (bag.trouble) this.#refuse({ title: "No bag", status: 422, detail: bag.trouble, code: "bad_recording_files", request_id: "" });
+  }
+
+  get size_bytes(): number {
+    return sizeOf(this.bag);
+  }
+
+  get counted_bytes(): number {
+    return sum(this.#counted);
+  }
+
+  get sent_bytes(): number {
+    return sum(this.#sent);
+  }
+
+  get isUnderWay(): boolean {
+    return UNDER_WAY.includes(this.phase);
+  }
+
+  pause(): void {
+    this.#stop?.abort();
+  }
+
+  /** Begin, or go on; ends when it is registered, refused or paused. */
+  async start(): Promise<void> {
+    if (this.isUnderWay || this.phase === "registered" || this.bag.trouble) return;
+    const stop = new AbortController();
+    this.#stop = stop;
+    this.problem = undefined;
+    this.#enter("counting");
+    try {
+      const recording = await this.#brought(stop.signal);
+      this.findings = recording.findings;
+      this.#enter(recording.state === "registered" ? "registered" : "refused");
+    } catch (error) {
+      const isPaused = stop.signal.aborted;
+      stop.abort(); // of several files the others stop too
+      if (isPaused) this.#enter("paused");
+      else this.#refuse(problemOf(error));
+    }
+  }
+
+  async #brought(signal: AbortSignal): Promise<Recording> {
+    const ask = <T>(task: () => Promise<T>): Promise<T> =>
+      patiently(task, signal, (problem, wait_ms) => this.away(problem.detail, wait_ms));
+    const sequenceId = await ask(() => this.target(signal));
+    this.sequenceId = sequenceId;
+    const sums = (): Promise<string[]> => Promise.all(this.bag.files.map((file) => summed(file, this, signal)));
+    const known = await ask(() => standing(this.bag, sums, sequenceId));
+    this.back();
+    if (known) {
+      for (const file of this.bag.files) this.sent(file, file.size);
+      return read(known, sequenceId, undefined, this, signal);
+    }
+    const ids = await Promise.all(
+      this.bag.files.map(async (file) => sent(file, await summed(file, this, signal), sequenceId, this, signal)),
+    );
+    this.#enter("reading");
+    const { recording, job } = await ask(() => sealed(this.bag, ids, sequenceId));
+    return read(recording, sequenceId, job.id, this, signal);
+  }
+
+  counted(file: File, bytes: number): void {
+    this.#counted.set(file, bytes);
+    this.countedSpeed.mark(this.counted_bytes);
+    this.changed(this);
+  }
+
+  sent(file: File, bytes: number): void {
+    this.#sent.set(file, bytes);
+    this.sentSpeed.mark(this.sent_bytes);
+    if (this.phase === "counting" && bytes > 0) this.#enter("sending");
+    else this.changed(this);
+  }
+
+  reading(done: number, total: number): void {
+    this.step = { done, total };
+    this.changed(this);
+  }
+
+  away(sentence: string, wait_ms: number): void {
+    this.awaySentence = sentence;
+    this.awayUntil_ms = performance.now() + wait_ms;
+    this.#enter("away");
+  }
+
+  /** The platform answers again. */
+  back(): void {
+    if (this.phase !== "away") return;
+    const isSent = this.sent_bytes >= this.size_bytes;
+    this.#enter(isSent ? "reading" : this.sent_bytes > 0 ? "sending" : "counting");
+  }
+
+  #refuse(problem: Problem): void {
+    this.problem = problem;
+    if (problem.code === "sha256_mismatch") this.bag.files.forEach(forgetSum);
+    this.#enter("refused");
+  }
+
+  #enter(phase: Phase): void {
+    this.phase = phase;
+    this.changed(this);
+  }
+}
+
+function sum(by: ReadonlyMap<File, number>): number {
+  return [...by.values()].reduce((all, one) => all + one, 0);
+}
+
+function problemOf(error: unknown): Problem {
+  if (error instanceof RefusedError) return error.problem;
+  const isUnreadable = error instanceof DOMException && ["NotReadableError", "NotFoundError"].includes(error.name);
+  const detail = isUnreadable
+    ? "The file can no longer be read: it changed, or went, since it was chosen. Choose it again."
+    : String(error);
+  return { title: "Not sent", status: 0, detail, code: isUnreadable ? "file_changed" : "error", request_id: "" };
+}

@@ -1,0 +1,74 @@
+// What was begun and is not done: the platform's open uploads, and which bag of the chosen ones goes on with which.
+
+import { call } from "../api.js";
+import { toast } from "../said.js";
+import { written } from "../times.js";
+import type { Bag } from "./bags.js";
+import { all, type UploadItem } from "./sending.js";
+import { size } from "./speed.js";
+
+export interface Unfinished {
+  upload: UploadItem;
+  sequenceId: string;
+  sequenceName: string;
+}
+
+/** The recordings' uploads that no recording was made of, with their sequences; of one sequence where it is given. */
+export async function unfinished(sequenceId: string): Promise<Unfinished[]> {
+  const some = await Promise.all(["open", "complete"].map((state) => all<UploadItem>(`/api/v1/uploads?state=${state}`)));
+  const begun = some.flat().filter((upload) => upload.purpose === "recording" && upload.target_id);
+  const mine = begun.filter((upload) => !sequenceId || upload.target_id === sequenceId);
+  const names = new Map<string, string>();
+  for (const id of new Set(mine.map((upload) => upload.target_id ?? ""))) names.set(id, await nameOf(id));
+  return mine
+    .filter((upload) => names.get(upload.target_id ?? ""))
+    .map((upload) => ({ upload, sequenceId: upload.target_id ?? "", sequenceName: names.get(upload.target_id ?? "") ?? "" }));
+}
+
+/** What of the unfinished this bag is: some file of the same name and size. */
+export function begunOf(bag: Bag, begun: readonly Unfinished[]): Unfinished | undefined {
+  return begun.find(({ upload }) => bag.files.some((file) => file.name === upload.filename && file.size === upload.length_bytes));
+}
+
+/** Show them in `place`, with a way to give each up; `again` is called when one was. */
+export function showUnfinished(place: HTMLElement, begun: readonly Unfinished[], again: () => void): void {
+  place.hidden = !begun.length;
+  const title = Object.assign(document.createElement("h3"), { textContent: "Unfinished" });
+  const advice = Object.assign(document.createElement("p"), {
+    className: "hint",
+    textContent: "Choose or drop the same files again: sending goes on where it stopped, and nothing is sent twice.",
+  });
+  const list = document.createElement("ul");
+  list.append(...begun.map((one) => itemOf(one, again)));
+  place.replaceChildren(title, advice, list);
+}
+
+function itemOf({ upload, sequenceName }: Unfinished, again: () => void): HTMLLIElement {
+  const item = document.createElement("li");
+  const words = document.createElement("span");
+  const part = upload.length_bytes ? Math.floor((100 * upload.offset_bytes) / upload.length_bytes) : 100;
+  words.append(Object.assign(document.createElement("strong"), { textContent: upload.filename }));
+  words.append(` for ${sequenceName}: ${part} % of ${size(upload.length_bytes)} are here, kept until ${written(new Date(upload.expires_at))}`);
+  const give = Object.assign(document.createElement("button"), { type: "button", className: "small quiet", textContent: "Give up" });
+  give.setAttribute("aria-label", `Give up ${upload.filename}`);
+  give.addEventListener("click", () => void giveUp(upload).then(again));
+  item.append(words, give);
+  return item;
+}
+
+async function giveUp(upload: UploadItem): Promise<void> {
+  try {
+    await call("DELETE", `/api/v1/uploads/${upload.id}`, undefined, { "Tus-Resumable": "1.0.0" });
+    toast(`${upload.filename} was given up; its room is free again.`);
+  } catch (error) {
+    toast(String(error));
+  }
+}
+
+async function nameOf(sequenceId: string): Promise<string> {
+  try {
+    return (await call<{ name: string }>("GET", `/api/v1/sequences/${sequenceId}`)).name;
+  } catch {
+    return ""; // deleted meanwhile
+  }
+}
