@@ -10,13 +10,14 @@ from sqlalchemy.orm import Session
 
 from api import audit, calibration_reading
 from api.answers import refusals
+from api.calibration_views import calibration_item
 from api.callers import Curator, Reader
 from api.deps import PlatformDep
 from api.etags import etag
 from api.files import StoredFile, answer_file, file_responses
 from api.paging import Page, PageDep, page
-from api.schemas.base import ID_PATTERN, PLAIN, IdPath, instant, instant_or_none
-from api.schemas.calibrations import CalibrationDiffItem, CalibrationItem, FindingItem, SensorItem
+from api.schemas.base import ID_PATTERN, PLAIN, IdPath
+from api.schemas.calibrations import CalibrationDiffItem, CalibrationItem
 from api.tus_errors import UnsupportedMediaTypeError
 from api.visible import calibration_of, theirs
 from services.runtime import blobs
@@ -70,7 +71,7 @@ def add_calibration_file(
             row, is_new = add_calibration(session, caller.user_id, read, prepared)
             if is_new:
                 audit.record(session, caller, "calibration.add", row.id, facts={"sha256": row.sha256})
-            shown = _item(row)
+            shown = calibration_item(row)
     response.status_code = 201 if is_new else 200
     response.headers["Location"] = f"/api/v1/calibrations/{shown.id}"
     response.headers["ETag"] = etag(shown.sha256)
@@ -85,7 +86,7 @@ def list_calibrations(
     statement = theirs(select(Calibration), caller, Calibration.owner_id)
     statement = statement if name is None else statement.where(Calibration.name == name)
     with platform.database.reading() as session:
-        return page(session, statement, Calibration.id.desc(), query).shown(_item)
+        return page(session, statement, Calibration.id.desc(), query).shown(calibration_item)
 
 
 @router.get("/{calibration_id}", responses=refusals(404))
@@ -94,7 +95,7 @@ def show_calibration(
 ) -> CalibrationItem:
     """A calibration's sensors and what was noticed about it."""
     with platform.database.reading() as session:
-        shown = _item(calibration_of(session, caller, calibration_id))
+        shown = calibration_item(calibration_of(session, caller, calibration_id))
     response.headers["ETag"] = etag(shown.sha256)
     return shown
 
@@ -132,20 +133,3 @@ def _before(session: Session, row: Calibration) -> Calibration:
     of_name = select(Calibration).where(Calibration.owner_id == row.owner_id, Calibration.name == row.name)
     earlier = of_name.where(Calibration.version < row.version).order_by(Calibration.version.desc()).limit(1)
     return session.scalars(earlier).first() or row
-
-
-def _item(row: Calibration) -> CalibrationItem:
-    return CalibrationItem(
-        id=row.id,
-        owner_id=row.owner_id,
-        name=row.name,
-        version=row.version,
-        filename=row.filename,
-        sha256=row.sha256,
-        format=row.format,
-        valid_from=instant_or_none(row.valid_from_ns),
-        valid_to=instant_or_none(row.valid_to_ns),
-        sensors=[SensorItem(**sensor) for sensor in row.sensors],
-        findings=[FindingItem(**finding) for finding in row.findings],
-        created_at=instant(row.created_ns),
-    )
