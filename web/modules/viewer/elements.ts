@@ -1,0 +1,38 @@
+// Elements of the page, made in one line.
+
+type Child = Node | string;
+
+/** An element with these attributes (true is an empty one, false none) and children. */
+export function make<Tag extends keyof HTMLElementTagNameMap>(
+  tag: Tag,
+  attributes: Record<string, string | boolean> = {},
+  ...children: Child[]
+): HTMLElementTagNameMap[Tag] {
+  const element = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) {
+    if (value !== false) element.setAttribute(name, value === true ? "" : value);
+  }
+  element.append(...children);
+  return element;
+}
+
+const SVG = "http://www.w3.org/2000/svg";
+
+/** A drawing of one path in a box of 24, in the colour of its text; read out by nobody. */
+export function icon(path: string): SVGSVGElement {
+  const drawing = document.createElementNS(SVG, "svg");
+  const shape = document.createElementNS(SVG, "path");
+  for (const [name, value] of [["viewBox", "0 0 24 24"], ["width", "18"], ["height", "18"], ["aria-hidden", "true"]] as const) {
+    drawing.setAttribute(name, value);
+  }
+  shape.setAttribute("d", path);
+  shape.setAttribute("fill", "currentColor");
+  drawing.append(shape);
+  return drawing;
+}
+
+export function button(label: string, drawn: string, act: () => void): HTMLButtonElement {
+  const element = make("button", { type: "button", class: "quiet small viewer-icon", "aria-label": label, title: label }, icon(drawn));
+  element.addEventListener("click", act);
+  return element;
+}

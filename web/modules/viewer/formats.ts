@@ -1,0 +1,139 @@
+// The binary answers of the scene's routes, once decompressed: voxels of a frame, tiles, meshes, clouds.
+//
+// All little endian behind a magic of four letters. Whatever does not have the length that its head says is refused.
+
+/** Side of a voxel in metres, and the label grid around the robot: voxels by axis, its lowest corner in the ego frame. */
+export const VOXEL_M = 0.2;
+export const SHAPE = [256, 256, 32] as const;
+export const GRID_MIN_M = [-25.6, -25.6, -2] as const;
+const VOXELS = SHAPE[0] * SHAPE[1] * SHAPE[2];
+const PLANE_BYTES = VOXELS / 8;
+const MOST = 20_000_000;
+
+/** Three bit planes over the grid, bit `index % 8` of byte `index >> 3`, index = (i · 256 + j) · 32 + k. */
+export interface Planes {
+  low: Uint8Array;
+  high: Uint8Array;
+  observed: Uint8Array;
+}
+
+/** Labelled voxels of a square of the map, sorted by index; the centre of (i, j, k) is ((i, j, k) + ½) · 0.2 m. */
+export interface Tile {
+  i: Int32Array;
+  j: Int32Array;
+  k: Int32Array;
+  classes: Uint8Array;
+  elevation_m: Float32Array;
+  slope_rad: Float32Array;
+  roughness: Float32Array;
+  d2: Float32Array;
+}
+
+/** Vertices relative to the tile's lowest corner. */
+export interface Surface {
+  vertices_m: Float32Array;
+  classes: Uint8Array;
+  triangles: Uint32Array;
+}
+
+/** Points in the ego frame, in centimetres. */
+export interface Cloud {
+  points_cm: Int16Array;
+  intensity: Uint8Array;
+}
+
+export class FormatError extends Error {}
+
+/** Reads one array after another; its views are copies, so that none is unaligned. */
+class Reader {
+  private at = 4;
+  constructor(private readonly content: Uint8Array, magic: string) {
+    const found = String.fromCharCode(...content.subarray(0, 4));
+    if (found !== magic) throw new FormatError(`The data begins with “${found}”, not with “${magic}”.`);
+  }
+  count(): number {
+    const [value = 0] = new Uint32Array(this.take(4));
+    if (value > MOST) throw new FormatError(`The data says that it holds ${value} things; ${MOST} are the most.`);
+    return value;
+  }
+  take(bytes: number): ArrayBuffer {
+    if (this.at + bytes > this.content.length) throw new FormatError("The data ends before what its head says.");
+    const part = this.content.slice(this.at, this.at + bytes).buffer;
+    this.at += bytes;
+    return part;
+  }
+  end(): void {
+    if (this.at !== this.content.length) throw new FormatError("The data goes on after what its head says.");
+  }
+}
+
+export function planesOf(content: Uint8Array): Planes {
+  const reader = new Reader(content, "STV1");
+  const planes = reader.count();
+  if (planes !== 3) throw new FormatError(`The frame has ${planes} planes, not 3.`);
+  const [low, high, observed] = [0, 1, 2].map(() => new Uint8Array(reader.take(PLANE_BYTES)));
+  reader.end();
+  return { low: low!, high: high!, observed: observed! };
+}
+
+export function tileOf(content: Uint8Array): Tile {
+  const reader = new Reader(content, "STT1");
+  const n = reader.count();
+  const tile = {
+    i: new Int32Array(reader.take(4 * n)),
+    j: new Int32Array(reader.take(4 * n)),
+    k: new Int32Array(reader.take(4 * n)),
+    classes: new Uint8Array(reader.take(n)),
+    elevation_m: new Float32Array(reader.take(4 * n)),
+    slope_rad: new Float32Array(reader.take(4 * n)),
+    roughness: new Float32Array(reader.take(4 * n)),
+    d2: new Float32Array(reader.take(4 * n)),
+  };
+  reader.end();
+  return tile;
+}
+
+export function surfaceOf(content: Uint8Array): Surface {
+  const reader = new Reader(content, "STM1");
+  const [vertices, triangles] = [reader.count(), reader.count()];
+  const surface = {
+    vertices_m: new Float32Array(reader.take(12 * vertices)),
+    classes: new Uint8Array(reader.take(vertices)),
+    triangles: new Uint32Array(reader.take(12 * triangles)),
+  };
+  reader.end();
+  if (surface.triangles.some((vertex) => vertex >= vertices)) throw new FormatError("A triangle names no vertex.");
+  return surface;
+}
+
+export function cloudOf(content: Uint8Array): Cloud {
+  const reader = new Reader(content, "STC1");
+  const n = reader.count();
+  const cloud = { points_cm: new Int16Array(reader.take(6 * n)), intensity: new Uint8Array(reader.take(n)) };
+  reader.end();
+  return cloud;
+}
+
+/** The class of the voxel, 0–3. */
+export function classAt(planes: Planes, index: number): number {
+  const byte = index >> 3;
+  const bit = index & 7;
+  return ((planes.low[byte]! >> bit) & 1) | (((planes.high[byte]! >> bit) & 1) << 1);
+}
+
+export function isObserved(planes: Planes, index: number): boolean {
+  return ((planes.observed[index >> 3]! >> (index & 7)) & 1) === 1;
+}
+
+/** The indices of all voxels that have a class, ascending. */
+export function labelled(planes: Planes): Uint32Array {
+  const found: number[] = [];
+  for (let byte = 0; byte < PLANE_BYTES; byte++) {
+    let bits = planes.low[byte]! | planes.high[byte]!;
+    while (bits) {
+      found.push(byte * 8 + 31 - Math.clz32(bits & -bits));
+      bits &= bits - 1;
+    }
+  }
+  return Uint32Array.from(found);
+}

@@ -1,0 +1,70 @@
+// How voxels are coloured: by class or by a value on a ramp, as an index into a palette of 256 colours.
+
+import type { SceneFacts } from "./scene.js";
+
+export type Mode = "class" | "d2" | "elevation" | "slope" | "roughness";
+/** What happens to labels that the frame's LiDAR did not see. */
+export type Unseen = "show" | "fade" | "hide";
+
+export interface Look {
+  mode: Mode;
+  /** Bit c is set where class c is shown. */
+  classes: number;
+  unseen: Unseen;
+}
+
+export interface Values {
+  elevation_m: number;
+  slope_rad: number;
+  roughness: number;
+  d2: number;
+}
+
+export const FADED = 3;
+export const RAMP_FIRST = 10;
+export const RAMP_LAST = 250;
+export const NO_VALUE = 255;
+const STEEPEST_RAD = Math.PI / 3;
+const ROUGHNESS = [-14, -4] as const;
+
+/** Where the value lies on the ramp, 0–1; D² has its limit in the middle and ten times the limit at the end. */
+export function shareOf(mode: Mode, values: Values, scene: SceneFacts): number {
+  const share = rawShare(mode, values, scene);
+  return Number.isFinite(share) ? Math.min(1, Math.max(0, share)) : 1;
+}
+
+function rawShare(mode: Mode, values: Values, scene: SceneFacts): number {
+  if (mode === "slope") return values.slope_rad / STEEPEST_RAD;
+  if (mode === "roughness") return (values.roughness - ROUGHNESS[0]) / (ROUGHNESS[1] - ROUGHNESS[0]);
+  if (mode === "elevation") {
+    const [low, high] = elevationRange(scene);
+    return (values.elevation_m - low) / (high - low);
+  }
+  const ratio = values.d2 / (scene.reference?.d2_limit ?? 1);
+  return ratio <= 1 ? ratio / 2 : 0.5 + Math.log10(ratio) / 2;
+}
+
+/** Metres around what the robot drove on. */
+export function elevationRange(scene: SceneFacts): [number, number] {
+  const mean = scene.reference?.mean[0] ?? 0;
+  const half = Math.max(2, 3 * Math.sqrt(scene.reference?.covariance[0][0] ?? 0));
+  return [mean - half, mean + half];
+}
+
+/** The words at the beginning, in the middle and at the end of a ramp. */
+export function ticksOf(mode: Mode, scene: SceneFacts): [string, string, string] {
+  const limit = scene.reference?.d2_limit ?? 1;
+  if (mode === "d2") return ["0", `${limit.toFixed(1)} (limit)`, `${(10 * limit).toFixed(0)} and more`];
+  if (mode === "slope") return ["0°", "30°", "60° and more"];
+  if (mode === "roughness") return ["smooth", "0.01 m²".replace("0.01", Math.exp(-9).toExponential(0)), "rough"];
+  const [low, high] = elevationRange(scene);
+  return [low, (low + high) / 2, high].map((value) => `${value.toFixed(1)} m`) as [string, string, string];
+}
+
+/** The palette's index of a voxel; 0 where it is not shown. */
+export function colourOf(look: Look, kind: number, seen: boolean, values: Values | null, scene: SceneFacts): number {
+  if (!((look.classes >> kind) & 1) || (!seen && look.unseen === "hide")) return 0;
+  if (look.mode === "class") return seen || look.unseen !== "fade" ? kind : kind + FADED;
+  if (values === null) return NO_VALUE;
+  return RAMP_FIRST + Math.round(shareOf(look.mode, values, scene) * (RAMP_LAST - RAMP_FIRST));
+}

@@ -1,0 +1,88 @@
+// Viewers of a page: `<div data-viewer data-sequence="ID" data-start="first|middle|TOKEN" data-compact data-address>`.
+//
+// What the element holds (a picture, say) is shown until the labels are. The viewer is fetched when the element comes
+// near the window. `data-state` says how it stands: loading, ready, empty, picture (no WebGL2), error. It tells the
+// frame it shows by the event `frame` {index, token} and follows `show-frame` {index} or {token}.
+
+import { RefusedError, call } from "../api.js";
+import { make } from "./elements.js";
+import type { SceneFacts } from "./scene.js";
+import type { Viewer } from "./viewer.js";
+
+const NEAR_PX = "200px";
+const viewers = new WeakMap<Element, Viewer>();
+
+/** The viewer in this element, once it is ready. */
+export function viewerOf(host: Element): Viewer | undefined {
+  return viewers.get(host);
+}
+
+export function mountAll(root: ParentNode = document): void {
+  const observer = new IntersectionObserver((entries) => {
+    for (const { isIntersecting, target } of entries) {
+      if (!isIntersecting || !(target instanceof HTMLElement)) continue;
+      observer.unobserve(target);
+      void mount(target);
+    }
+  }, { rootMargin: NEAR_PX });
+  for (const host of root.querySelectorAll("[data-viewer]")) observer.observe(host);
+}
+
+export async function mount(host: HTMLElement): Promise<void> {
+  host.classList.add("viewer");
+  state(host, "loading");
+  const poster = make("div", { class: "viewer-poster" }, ...host.childNodes);
+  host.replaceChildren(poster);
+  try {
+    const scene = await call<SceneFacts>("GET", `/api/v1/sequences/${host.dataset["sequence"]}/scene`);
+    await (scene.frames.tokens.length ? open(host, scene) : say(host, "empty", "This run has no labelled frame."));
+  } catch (error) {
+    sayRefusal(host, error);
+  }
+  if (host.dataset["state"] === "ready") poster.remove();
+}
+
+async function open(host: HTMLElement, scene: SceneFacts): Promise<void> {
+  const start = startOf(host, scene);
+  if (!hasWebGl2()) {
+    const { showPictures } = await import("./pictures.js");
+    await showPictures(host, scene, start);
+    return state(host, "picture");
+  }
+  const { Viewer } = await import("./viewer.js");
+  const isCompact = host.dataset["compact"] !== undefined;
+  const viewer = new Viewer(host, scene, { start, isCompact, isAddressed: host.dataset["address"] !== undefined });
+  viewers.set(host, viewer);
+  await viewer.open();
+  state(host, "ready");
+}
+
+function startOf(host: HTMLElement, scene: SceneFacts): number {
+  const { tokens } = scene.frames;
+  const start = host.dataset["start"] ?? "first";
+  if (start === "middle") return Math.floor(tokens.length / 2);
+  return Math.max(0, tokens.indexOf(start));
+}
+
+function hasWebGl2(): boolean {
+  return document.createElement("canvas").getContext("webgl2") !== null;
+}
+
+function sayRefusal(host: HTMLElement, error: unknown): void {
+  const problem = error instanceof RefusedError ? error.problem : null;
+  if (problem?.code === "no_scene") return say(host, "empty", problem.detail);
+  if (problem?.status === 404) return say(host, "empty", "There are no labels to look at yet. They appear here once the sequence was processed.");
+  const why = problem?.detail ?? (error instanceof Error ? error.message : String(error));
+  say(host, "error", `The labels cannot be shown: ${why}`);
+}
+
+function say(host: HTMLElement, name: "empty" | "error", sentence: string): void {
+  state(host, name);
+  host.append(make("p", { class: "viewer-message", role: name === "error" ? "alert" : "status" }, sentence));
+}
+
+function state(host: HTMLElement, name: "loading" | "ready" | "empty" | "picture" | "error"): void {
+  host.dataset["state"] = name;
+}
+
+mountAll();

@@ -1,0 +1,175 @@
+// Everything on the stage of one scene, and how it follows the robot from frame to frame.
+
+import { Matrix4, type Object3D, Quaternion, Vector3 } from "three";
+import { bytes } from "../api.js";
+import { Asking } from "./asking.js";
+import type { Choices } from "./choices.js";
+import { GRID_MIN_M } from "./formats.js";
+import { FrameStore } from "./frame_store.js";
+import { MapLayer } from "./map_layer.js";
+import type { Picked, Ray } from "./model.js";
+import { type Pose, type SceneFacts, type Vector, headingOf, toMap } from "./scene.js";
+import { CloudLayer, SurfacePaint } from "./sensed.js";
+import type { Stage } from "./stage.js";
+import { Ground, Marker, Robot, Track } from "./surroundings.js";
+import { VoxelBlock, VoxelPaint } from "./voxel_layer.js";
+
+const KNOWN_M = 45;
+const SURFACE_REACH_M = 80;
+const START_DISTANCE_M = 34;
+
+export class World {
+  readonly origin: Vector;
+  readonly map: MapLayer;
+  index = 0;
+  private readonly asking = new Asking();
+  private readonly paint = new VoxelPaint();
+  private readonly frame = new VoxelBlock(this.paint);
+  private readonly ground = new Ground();
+  private readonly robot: Robot;
+  private readonly track: Track;
+  private readonly marker = new Marker();
+  private readonly cloud: CloudLayer;
+  private readonly store: FrameStore;
+  private round = 0;
+
+  constructor(readonly scene: SceneFacts, private readonly stage: Stage, private readonly choices: Choices) {
+    const first = scene.frames.map_from_ego[0] ?? [0, 0, 0, 1, 0, 0, 0];
+    this.origin = [first[0], first[1], first[2]];
+    const surfaces = new SurfacePaint(this.paint);
+    this.map = new MapLayer(this.asking, scene, this.paint, this.origin, surfaces);
+    this.robot = new Robot(scene.footprint_m);
+    this.track = new Track(scene.frames.map_from_ego, scene.footprint_m[1], this.origin);
+    this.cloud = new CloudLayer(this.paint, () => stage.canvas.clientHeight);
+    this.store = new FrameStore(this.asking, scene.frames.tokens, scene.label_set_id, { ...choices.look });
+    for (const prop of [this.paint, surfaces, this.frame, this.map, this.ground, this.robot, this.track, this.marker, this.cloud]) {
+      stage.add(prop);
+    }
+    const standing: Object3D[] = [this.frame.group, this.map.voxels, this.map.surfaces, this.ground.mesh, this.track.group];
+    stage.scene.add(...standing, this.robot.group, this.cloud.group, this.marker.lines);
+  }
+
+  open(): Promise<unknown> {
+    return this.asking.ask({ kind: "open", scene: this.scene, fzstd: import.meta.resolve("fzstd") });
+  }
+
+  /** Counts by class of the frame once it is on the stage; null when another was asked for meanwhile. */
+  async show(index: number): Promise<readonly number[] | null> {
+    const round = ++this.round;
+    const before = this.pose(this.index);
+    const pose = this.pose(index);
+    if (this.choices.look.mode !== "class") await this.map.know(place(pose), KNOWN_M);
+    const drawn = await this.store.take(index);
+    if (round !== this.round) return null;
+    const forwards = index >= this.index ? 1 : -1;
+    this.index = index;
+    this.frame.show(drawn, [...GRID_MIN_M]);
+    this.stand(pose, before);
+    this.choose();
+    void this.store.ahead(index, forwards);
+    return drawn.counts;
+  }
+
+  /** What was chosen is seen; ends with what had to be fetched for it. */
+  async choose(): Promise<void> {
+    const { layers, scope } = this.choices;
+    this.frame.group.visible = layers.labels && scope === "frame";
+    this.map.voxels.visible = layers.labels && scope === "map";
+    this.map.surfaces.visible = layers.mesh;
+    this.track.group.visible = layers.track;
+    this.robot.group.visible = layers.robot;
+    this.ground.mesh.visible = layers.grid;
+    this.cloud.group.visible = layers.points;
+    const redraw = (): void => this.stage.ask();
+    redraw();
+    const here = place(this.pose(this.index));
+    await Promise.all([
+      scope === "map" && layers.labels ? this.map.show(here, { ...this.choices.look }, redraw) : null,
+      layers.mesh ? this.map.showSurfaces(here, SURFACE_REACH_M, redraw) : null,
+      layers.points ? this.showCloud(this.index) : null,
+    ]);
+  }
+
+  /** Colours or what is left out changed. */
+  relook(): void {
+    this.paint.paint(this.choices.look.mode);
+    this.store.looking({ ...this.choices.look });
+    this.map.forget();
+  }
+
+  /** The voxel that the ray meets; its terrain is fetched where it was not yet. */
+  async pick(ray: Ray): Promise<Picked | null> {
+    await this.map.know(place(this.pose(this.index)), KNOWN_M).catch(() => undefined);
+    const token = this.scene.frames.tokens[this.index] ?? "";
+    return this.asking.ask({ kind: "pick", ray, scope: this.choices.scope, token, look: { ...this.choices.look } });
+  }
+
+  mark(picked: Picked | null): void {
+    const centre = picked && (picked.centre_m.map((value, axis) => value - this.origin[axis]!) as Vector);
+    this.marker.mark(centre, picked?.scope === "frame" ? headingOf(this.pose(this.index)) : 0);
+    this.stage.ask();
+  }
+
+  /** Behind the robot, or from above with its heading up. */
+  look(from: "behind" | "above"): void {
+    const { orbit } = this.stage;
+    const pose = this.pose(this.index);
+    orbit.target.set(...this.local(toMap(pose, from === "behind" ? [3, 0, 0.5] : [0, 0, 0])));
+    orbit.yaw_rad = headingOf(pose) + Math.PI + (from === "behind" ? 0.42 : 0);
+    orbit.pitch_rad = from === "behind" ? 0.56 : Math.PI / 2 - 0.002;
+    orbit.distance_m = from === "behind" ? START_DISTANCE_M : 62;
+    this.stage.ask();
+  }
+
+  end(): void {
+    this.asking.end();
+    this.frame.end();
+    this.map.end();
+  }
+
+  private stand(pose: Pose, before: Pose): void {
+    const matrix = new Matrix4().compose(
+      new Vector3(...this.local(place(pose))), new Quaternion(pose[4], pose[5], pose[6], pose[3]), new Vector3(1, 1, 1),
+    );
+    for (const group of [this.frame.group, this.robot.group, this.cloud.group]) {
+      group.matrix.copy(matrix);
+      group.matrixWorldNeedsUpdate = true;
+    }
+    const [x, y, z] = this.local(place(pose));
+    this.ground.move([x, y, z + GRID_MIN_M[2]]);
+    this.marker.mark(null, 0);
+    if (this.choices.follows) this.follow(pose, before);
+  }
+
+  /** The camera keeps its place beside the robot, and turns with it. */
+  private follow(pose: Pose, before: Pose): void {
+    const { orbit } = this.stage;
+    const turned = headingOf(pose) - headingOf(before);
+    const [from, to] = [this.local(place(before)), this.local(place(pose))];
+    const aside = orbit.target.clone().sub(new Vector3(...from)).applyAxisAngle(new Vector3(0, 0, 1), turned);
+    orbit.target.copy(aside.add(new Vector3(...to)));
+    orbit.yaw_rad += turned;
+    this.paint.reach(orbit.distance_m);
+  }
+
+  private async showCloud(index: number): Promise<void> {
+    if (!this.scene.playback.has_clouds) return;
+    const content = await bytes(`/api/v1/frames/${this.scene.frames.tokens[index]}/cloud?v=${this.scene.label_set_id}`);
+    const cloud = await this.asking.ask({ kind: "cloud", content });
+    if (index !== this.index) return;
+    this.cloud.show(cloud);
+    this.stage.ask();
+  }
+
+  private pose(index: number): Pose {
+    return this.scene.frames.map_from_ego[index] ?? [0, 0, 0, 1, 0, 0, 0];
+  }
+
+  private local(point: Vector): Vector {
+    return [point[0] - this.origin[0], point[1] - this.origin[1], point[2] - this.origin[2]];
+  }
+}
+
+function place(pose: Pose): Vector {
+  return [pose[0], pose[1], pose[2]];
+}

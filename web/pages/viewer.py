@@ -1,0 +1,32 @@
+"""The 3D viewer of a sequence: `/sequences/{id}/view?frame=<token>`, a page around `modules/viewer/mount.js`.
+
+**Conventions.** The page decides who may look and what is said while there is nothing to see; what is seen comes from
+the API's routes of the scene. `frame` names where the timeline begins; the module keeps it in the address.
+"""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Request
+from fastapi.responses import HTMLResponse
+
+from api.callers import Looker
+from api.deps import PlatformDep
+from api.schemas.base import ID_PATTERN, IdPath
+from api.sequence_views import sequence_items
+from api.visible import shown_sequence
+from web.rendering import page
+
+router = APIRouter()
+
+
+@router.get("/sequences/{sequence_id}/view")
+def view(
+    sequence_id: IdPath,
+    request: Request,
+    caller: Looker,
+    platform: PlatformDep,
+    frame: Annotated[str | None, Query(pattern=ID_PATTERN)] = None,
+) -> HTMLResponse:
+    with platform.database.reading() as session:
+        sequence = sequence_items(session, [shown_sequence(session, caller, sequence_id)])[0]
+    return page(request, caller, "viewer/view.html", sequence=sequence, start=frame or "first")
