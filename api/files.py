@@ -11,6 +11,7 @@ import re
 from base64 import b64encode
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from hashlib import sha256
 from itertools import chain
 from urllib.parse import quote
 
@@ -28,6 +29,8 @@ STRUCTURED = ("application/json", "application/yaml")
 OBJECT = {"type": "object"}
 BINARY = {"type": "string", "format": "binary"}
 INLINE = ("image/png", "image/jpeg", "application/json", "text/html")
+# Whoever signs out, or in as somebody else, asks again: `Vary` names what a caller is known by.
+LASTING = "private, max-age=31536000, immutable"
 LOCKED = "default-src 'none'; sandbox"
 # Pages are ours (`quality.html`); they bring their style and pictures with them, and run and load nothing.
 POLICIES = {"text/html": "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"}
@@ -43,17 +46,31 @@ class StoredFile:
     media_type: str
     filename: str
     offset_bytes: int = 0
+    is_lasting: bool = False
 
 
 @dataclass(frozen=True)
 class Served:
-    """Bytes to answer with, of which `read(start, stop)` gives any range in pieces, and how they are called outside."""
+    """Bytes to answer with, of which `read(start, stop)` gives any range in pieces, and how they are called outside.
+
+    What `is_lasting` is at its address for good: a browser asks for it once.
+    """
 
     size_bytes: int
     sha256: str
     media_type: str
     filename: str
     read: Callable[[int, int], Iterator[bytes]]
+    is_lasting: bool = False
+
+
+@dataclass(frozen=True)
+class MadeFile:
+    """How bytes that no store holds are called outside."""
+
+    media_type: str
+    filename: str
+    is_lasting: bool = False
 
 
 def file_responses(*media_types: str) -> Responses:
@@ -71,14 +88,25 @@ def answer_file(request: Request, store: Store, file: StoredFile) -> Response:
     def read(start: int, stop: int) -> Iterator[bytes]:
         return store.read(file.object_key, begin + start, begin + stop)
 
-    return answer_bytes(request, Served(file.size_bytes, file.sha256, file.media_type, file.filename, read))
+    served = Served(file.size_bytes, file.sha256, file.media_type, file.filename, read, file.is_lasting)
+    return answer_bytes(request, served)
+
+
+def answer_made(request: Request, content: bytes, facts: MadeFile) -> Response:
+    """Bytes that were made just now, as `answer_bytes` answers. Raises `RangeError` (416)."""
+    digest = sha256(content).hexdigest()
+
+    def read(start: int, stop: int) -> Iterator[bytes]:
+        yield content[start:stop]
+
+    return answer_bytes(request, Served(len(content), digest, facts.media_type, facts.filename, read, facts.is_lasting))
 
 
 def answer_bytes(request: Request, file: Served) -> Response:
     """The bytes as 200, 206 or 304; to HEAD the same head alone. Raises `RangeError` (416), and what reading raises."""
     headers = _headers(file)
     if is_unchanged(request, file.sha256):
-        return Response(status_code=304, headers={key: headers[key] for key in ("ETag", "Cache-Control")})
+        return Response(status_code=304, headers={key: headers[key] for key in ("ETag", "Cache-Control", "Vary")})
     if request.method == "HEAD":  # to which no range applies (RFC 9110 §14.2)
         return Response(headers={**headers, "Content-Length": str(file.size_bytes)}, media_type=file.media_type)
     start, stop = 0, file.size_bytes
@@ -105,7 +133,8 @@ def _headers(file: Served) -> dict[str, str]:
         "ETag": etag(file.sha256),
         "Repr-Digest": f"sha-256=:{b64encode(bytes.fromhex(file.sha256)).decode()}:",
         "Accept-Ranges": "bytes",
-        "Cache-Control": "private, no-cache",
+        "Cache-Control": LASTING if file.is_lasting else "private, no-cache",
+        "Vary": "Authorization, Cookie",
         "Content-Disposition": f"{shown}; filename=\"{safe_name(file.filename)}\"; filename*=UTF-8''{spelled}",
         "X-Content-Type-Options": "nosniff",
         "Content-Security-Policy": POLICIES.get(file.media_type, LOCKED),

@@ -1,4 +1,4 @@
-"""Sequences as the API shows them, with their newest run and the labels that count; a page of them is five statements.
+"""Sequences as the API shows them, with their newest run and the labels that count; a page of them is six statements.
 
 **Conventions.** Without a caller they are shown as a visitor sees them.
 """
@@ -16,7 +16,8 @@ from api.schemas.sequences import ArtefactItem, ClassVoxels, JobGlance, LabelGla
 from api.visible import labels_of
 from services.runtime.orm import Artefact, Job, LabelSet, Recording, Sequence, SplitMember
 
-PACKS = "labels/"
+UNLISTED = ("labels/", "scene/")
+PICTURES = ("bev.png", "thumbnail.jpg")
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,7 @@ class _Known:
     jobs: dict[str, JobGlance]
     labels: dict[str, LabelSet]
     splits: dict[str, str]
+    pictures: dict[str, str]
 
 
 def sequence_items(session: Session, sequences: Iterable[Sequence], caller: Caller = VISITOR) -> list[SequenceItem]:
@@ -34,9 +36,9 @@ def sequence_items(session: Session, sequences: Iterable[Sequence], caller: Call
     rows = list(sequences)
     ids = [row.id for row in rows]
     own = ids if caller.is_administrator else [row.id for row in rows if row.owner_id == caller.user_id]
-    known = _Known(
-        _recordings(session, ids), _newest_runs(session, ids), _counting_labels(session, ids), _splits(session, own)
-    )
+    labels = _counting_labels(session, ids)
+    pictures = _pictures(session, [row.id for row in labels.values()])
+    known = _Known(_recordings(session, ids), _newest_runs(session, ids), labels, _splits(session, own), pictures)
     return [_item(row, known) for row in rows]
 
 
@@ -67,6 +69,7 @@ def _item(row: Sequence, known: _Known) -> SequenceItem:
         duration_s=labels.duration_ns / 1e9 if labels and labels.duration_ns is not None else None,
         distance_m=labels.distance_m if labels else None,
         split=known.splits.get(row.id),
+        picture=known.pictures.get(labels.id) if labels else None,
         revision=row.revision,
         created_at=instant(row.created_ns),
     )
@@ -108,10 +111,17 @@ def _splits(session: Session, ids: list[str]) -> dict[str, str]:
     return dict(session.execute(members).all()) if ids else {}
 
 
+def _pictures(session: Session, label_set_ids: list[str]) -> dict[str, str]:
+    """The name of the smallest picture that shows each label set from above."""
+    named = select(Artefact.label_set_id, Artefact.name).where(Artefact.label_set_id.in_(label_set_ids))
+    found = session.execute(named.where(Artefact.name.in_(PICTURES)).order_by(Artefact.name)).all()
+    return dict(found)  # thumbnail.jpg comes last and counts
+
+
 def _artefacts(session: Session, label_set_id: str) -> list[ArtefactItem]:
     files = select(Artefact).where(Artefact.label_set_id == label_set_id).order_by(Artefact.name)
     return [
         ArtefactItem(name=row.name, media_type=row.media_type, size_bytes=row.size_bytes, sha256=row.blob_sha256)
         for row in session.scalars(files)
-        if not row.name.startswith(PACKS)
+        if not row.name.startswith(UNLISTED)
     ]

@@ -15,6 +15,7 @@ from services.runtime import archives, bag_files, exported, exports, quota, reco
 from services.runtime import dataset_errors as datasets
 from services.runtime import label_choices as choices
 from services.runtime import processing_errors as processing
+from services.runtime import view_errors as views
 from services.runtime.access import errors as access
 from services.runtime.benchmarks import inputs, reported, team_names
 from services.runtime.benchmarks import phase_errors as phases
@@ -128,6 +129,8 @@ STATUS_OF: dict[type[StoneError], int] = {
     tus.TusHeaderError: 400,
     tus.TusVersionError: 412,
     tus.UnsupportedMediaTypeError: 415,
+    views.NoPlaybackError: 404,
+    views.NoSceneError: 404,
     uploads.BadMetadataError: 422,
     uploads.ChecksumMismatchError: 460,
     uploads.DiskFullError: 507,

@@ -11,15 +11,14 @@ from fastapi import APIRouter, Path, Request, Response
 from api.answers import refusals
 from api.callers import Looker
 from api.deps import PlatformDep
-from api.files import StoredFile, answer_file, file_responses
+from api.files import answer_file, file_responses
+from api.scene_views import NPZ, labels_file
 from api.schemas.base import ID_EXAMPLE, ID_PATTERN
 from api.schemas.processing import FrameDetail
 from api.visible import frame_of
-from services.runtime.orm import Artefact, Blob
 
 router = APIRouter(prefix="/frames/{token}", tags=["frames"])
 TokenPath = Annotated[str, Path(pattern=ID_PATTERN, examples=[ID_EXAMPLE])]
-NPZ = "application/octet-stream"
 
 
 @router.get("", responses=refusals(404))
@@ -43,9 +42,5 @@ def show_frame(token: TokenPath, caller: Looker, platform: PlatformDep) -> Frame
 def download_labels(token: TokenPath, caller: Looker, platform: PlatformDep, request: Request) -> Response:
     """`semantics`, `mask_lidar` and `mask_camera` of a frame, (256, 256, 32) uint8 each, as a NumPy npz."""
     with platform.database.reading() as session:
-        frame, _labels = frame_of(session, caller, token)
-        pack = session.get_one(Artefact, frame.pack_id)
-        object_key = session.get_one(Blob, pack.blob_sha256).object_key
-    name = f"{token}-labels.npz"
-    file = StoredFile(object_key, frame.length_bytes, frame.sha256, NPZ, name, frame.offset_bytes)
+        file = labels_file(session, caller, token)
     return answer_file(request, platform.store, file)

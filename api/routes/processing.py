@@ -10,6 +10,7 @@ from sqlalchemy.orm import Session
 
 from api import audit
 from api.answers import refusals
+from api.artefact_files import artefact_file
 from api.callers import Curator, Looker
 from api.deps import Caller, PlatformDep
 from api.errors import NotFoundError
@@ -21,7 +22,7 @@ from api.schemas.base import IdPath
 from api.schemas.jobs import JobDetail
 from api.schemas.processing import FrameItem, ProcessBody
 from api.visible import labels_of, newest_label_set, sequence_of, shown_sequence
-from services.runtime.orm import Artefact, Blob, LabelledFrame, LabelSet, Sequence
+from services.runtime.orm import LabelledFrame
 from services.runtime.processing import start_processing
 
 router = APIRouter(prefix="/sequences/{sequence_id}", tags=["processing"])
@@ -93,30 +94,17 @@ def download_preview(
     with platform.database.reading() as session:
         sequence = shown_sequence(session, caller, sequence_id)
         labels = labels_of(session, sequence.id)
-        file = _file_of(session, sequence, labels, name) or sequence_preview(session, sequence, labels, name)
+        file = artefact_file(session, sequence, labels, name) or sequence_preview(session, sequence, labels, name)
     return answer_file(request, platform.store, file)
 
 
 def _artefact(session: Session, caller: Caller, sequence_id: str, name: str) -> StoredFile:
     """A file of the newest labels, called after the sequence. Raises `NotFoundError`."""
     sequence = shown_sequence(session, caller, sequence_id)
-    file = _file_of(session, sequence, newest_label_set(session, sequence.id), name)
+    file = artefact_file(session, sequence, newest_label_set(session, sequence.id), name)
     if file is None:
         raise NotFoundError("file of this sequence", name)
     return file
-
-
-def _file_of(session: Session, sequence: Sequence, labels: LabelSet | None, name: str) -> StoredFile | None:
-    """A file of these labels, called after the sequence."""
-    if labels is None:
-        return None
-    named = select(Artefact, Blob).join(Blob, Blob.sha256 == Artefact.blob_sha256)
-    row = session.execute(named.where(Artefact.label_set_id == labels.id, Artefact.name == name)).one_or_none()
-    if row is None:
-        return None
-    artefact, blob = row
-    filename = f"{sequence.name}-{name}"
-    return StoredFile(blob.object_key, blob.size_bytes, blob.sha256, artefact.media_type, filename)
 
 
 def _frame(row: LabelledFrame) -> FrameItem:

@@ -6,7 +6,7 @@ from typing import Any, Literal
 from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Body, example
 from api.schemas.jobs import JOB_EXAMPLE, FailureItem, JobItem
 
-Format = Literal["nuscenes", "inputs", "kitti", "mesh", "mcap", "rrd", "previews"]
+Format = Literal["nuscenes", "inputs", "kitti", "mesh", "mcap", "rrd", "previews", "playback"]
 ArchiveKind = Literal["tar", "zip"]
 
 ARCHIVE_EXAMPLE = {"format": "tar", "size_bytes": 48210432, "sha256": SHA256_EXAMPLE}

@@ -13,7 +13,7 @@ from client.tables import show
 
 class Format(StrEnum):
     """What an export is opened with: the nuScenes devkit (inputs: without labels), SemanticKITTI tools, mesh viewers,
-    Foxglove, Rerun, eyes."""
+    Foxglove, Rerun, eyes, the viewer."""
 
     NUSCENES = "nuscenes"
     INPUTS = "inputs"
@@ -22,6 +22,7 @@ class Format(StrEnum):
     MCAP = "mcap"
     RRD = "rrd"
     PREVIEWS = "previews"
+    PLAYBACK = "playback"
 
 
 FormatOption = Annotated[Format | None, typer.Option("--format", help="Have this one made, and stay until it is.")]

@@ -1,4 +1,4 @@
-"""The whole labelled map as pictures and mesh, tile by tile, so that memory holds one tile at a time."""
+"""The whole labelled map as pictures, mesh and scene, tile by tile, so that memory holds one tile at a time."""
 
 from functools import partial
 from pathlib import Path
@@ -12,25 +12,31 @@ from services.labeler.picture import TopView, write_top_view
 from services.labeler.ply import Piece, class_at, write_mesh
 from services.labeler.previews.map_pieces import MapPiece
 from services.labeler.run import Run, Step, Tile, silent
+from services.labeler.scene_files import SceneFiles
 from services.labeler.scratch import whole
 from services.labeler.surface import TileSummary
+from services.labeler.thumbnail import write_thumbnail
 from stone.traversability import Reference
 
-TOP_VIEW, MESH = "bev.png", "mesh.ply"
+TOP_VIEW, THUMBNAIL, MESH = "bev.png", "thumbnail.jpg", "mesh.ply"
 
 
 def write_map(run: Run, tiles: list[TileSummary], reference: Reference, out: Path, step: Step = silent) -> None:
-    """Write `bev.png`, `mesh.ply` and the map's previews into the folder `out`, in the order of the tiles, and leave in
-    scratch how the profiles compare."""
-    view, tally = TopView({}), Tally(run, tiles)
+    """Write `bev.png`, `thumbnail.jpg`, `mesh.ply`, the map's previews and the viewer's scene into the folder `out`, in
+    the order of the tiles, and leave in scratch how the profiles compare."""
+    view, tally, scene = TopView({}), Tally(run, tiles), SceneFiles(run, reference, out)
     for number, summary in enumerate(tiles):
         step(number, len(tiles) + 2)
         arrays, classes = labelled_tile(run, summary.tile, reference)
         view.add(summary.tile, arrays["keys"], classes)  # type: ignore[arg-type]
         tally.add(arrays, classes)
+        scene.add(summary.tile, arrays, classes)
+    scene.finish()
     save_comparison(run, tally.comparison)
     with whole(out / TOP_VIEW) as staging:
         write_top_view(staging, view, run.sequence.frames.map_from_ego)
+    with whole(out / THUMBNAIL) as staging:
+        write_thumbnail(staging, view, run.sequence.frames.map_from_ego)
     step(len(tiles), len(tiles) + 2)
     totals = (sum(tile.vertices for tile in tiles), sum(tile.triangles for tile in tiles))
     with whole(out / MESH) as staging:

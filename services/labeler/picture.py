@@ -36,16 +36,21 @@ class TopView:
 
     def draw(self, map_from_ego: SE3) -> Image.Image:
         """The picture, at least `MIN_SIDE_PX` and at most about `MAX_SIDE_PX` a side."""
+        pixels, low = self.shaded()
+        image = Image.fromarray(pixels)
+        scale = _scale(max(image.size))
+        side = (max(1, round(image.width * scale)), max(1, round(image.height * scale)))
+        image = image.resize(side, Image.Resampling.NEAREST if scale >= 1 else Image.Resampling.BOX)
+        track = (map_from_ego.translation_m[:, :2] / VOXEL_M - low) * scale
+        return _framed(image, np.stack([track[:, 0], side[1] - track[:, 1]], axis=1), scale / VOXEL_M)
+
+    def shaded(self) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+        """A pixel a column (Y, X, 3), north up, and the lowest voxel index (2,) of x and y; there is some tile."""
         indices = np.concatenate([part[0] for part in self.columns.values()])
         classes = np.concatenate([part[1] for part in self.columns.values()])
         low = indices[:, :2].min(axis=0)
         size = indices[:, :2].max(axis=0) - low + 1
-        image = Image.fromarray(_shaded(indices - np.append(low, 0), classes, size))
-        scale = _scale(int(size.max()))
-        side = (max(1, round(size[0] * scale)), max(1, round(size[1] * scale)))
-        image = image.resize(side, Image.Resampling.NEAREST if scale >= 1 else Image.Resampling.BOX)
-        track = (map_from_ego.translation_m[:, :2] / VOXEL_M - low) * scale
-        return _framed(image, np.stack([track[:, 0], side[1] - track[:, 1]], axis=1), scale / VOXEL_M)
+        return _shaded(indices - np.append(low, 0), classes, size), low
 
 
 def write_top_view(path: Path, view: TopView, map_from_ego: SE3) -> None:

@@ -18,7 +18,7 @@ from services.runtime.catalogue import Labelled
 from services.runtime.orm import Artefact, LabelledFrame
 from services.runtime.packs import SUMS, PackedFiles
 
-PACKS = "labels/"
+ELSEWHERE = ("labels/", "scene/")
 
 
 @dataclass(frozen=True)
@@ -81,9 +81,9 @@ def _labels(session: Session, one: Labelled) -> Iterator[DatasetFile]:
 
 
 def _others(session: Session, one: Labelled) -> Iterator[DatasetFile]:
-    """Everything that was published with the labels but the packs, of which the frames' files are ranges."""
+    """What was published with the labels, but packs (the frames' files are ranges of them) and the viewer's scene."""
     artefacts = select(Artefact).where(Artefact.label_set_id == one.labels.id).order_by(Artefact.name)
     for row in session.scalars(artefacts):
-        if not row.name.startswith(PACKS):
+        if not row.name.startswith(ELSEWHERE):
             name = f"sequences/{one.sequence.name}/{row.name}"
             yield DatasetFile(name, row.size_bytes, row.blob_sha256, row.blob_sha256)

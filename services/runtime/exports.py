@@ -39,7 +39,7 @@ from services.runtime.stages import standing_sequence
 from stone.errors import StoneError
 
 EXPORT = "labeler.export"
-FORMATS = ("nuscenes", "inputs", "kitti", "mesh", "mcap", "rrd", "previews")
+FORMATS = ("nuscenes", "inputs", "kitti", "mesh", "mcap", "rrd", "previews", "playback")
 FROM_LABELS_ALONE = ("mesh",)
 
 

@@ -4,6 +4,7 @@
 make, as rows and blobs of the real store.
 """
 
+import json
 from collections.abc import Mapping
 from collections.abc import Sequence as Listing
 from dataclasses import dataclass
@@ -13,17 +14,20 @@ from types import SimpleNamespace
 from typing import Any
 
 import httpx
+import numpy as np
 
 from services.runtime import blobs
 from services.runtime.archives import KINDS
 from services.runtime.exports import Made, start_export, write_export
 from services.runtime.jobs.queueing import enqueue, enqueue_run
 from services.runtime.jobs.specs import Context, JobSpec
+from services.runtime.npz import npz_bytes
 from services.runtime.orm import Artefact, Job, LabelledFrame, LabelSet, Sequence, Upload, new_id
 from services.runtime.orm.base import now_ns
 from services.runtime.packed_reading import archive_sha256, local_reader
 from services.runtime.packs import index_bytes, pack_folder
 from services.runtime.platform import Platform
+from services.runtime.playback import INDEX, PLAYBACK, Shown, camera_file, cloud_file, index_record
 from services.runtime.uploads import upload_file
 from stone.sequence import frame_token
 from tests.api.serving import Person
@@ -84,6 +88,9 @@ def labels(
         "bev.png": b"\x89PNG\r\n" + seed,
         "sequence.npz": b"PK" + seed,
         "labels/000000.pack": b"".join(of_frames.values()),
+        "scene/scene.json": scene_json(made["name"], list(of_frames)),
+        "scene/tile_0_-1.bin": b"STT1" + seed,
+        "scene/mesh_0_-1.bin": b"STM1" + seed,
     }
     with platform.database.transaction() as session:
         run = enqueue_run(session, "sequence.process", [JobSpec("ingest.synchronise")], _context(made))
@@ -107,6 +114,45 @@ def labels(
             session.add(frame)
             offset += len(content)
     return Labels(row.id, files, of_frames)
+
+
+def frame_labels(kind: int = 1) -> bytes:
+    """The `labels.npz` of a frame in which one voxel has this class, and its column was seen."""
+    semantics, seen = (np.zeros((256, 256, 32), np.uint8) for _ in range(2))
+    semantics[128, 100, 9], seen[128, 100] = kind, 1
+    return npz_bytes({"semantics": semantics, "mask_lidar": seen, "mask_camera": seen})
+
+
+def playback(platform: Platform, sequence_id: str, tokens: Listing[str]) -> str:
+    """The id of a playback of these frames, told apart by their tokens."""
+    files = {camera_file("CAM_FRONT", token): b"\xff\xd8" + token.encode() for token in tokens}
+    files |= {cloud_file(token): b"STC1" + token.encode() for token in tokens}
+    return export(platform, sequence_id, {**files, INDEX: index_record(Shown(("CAM_FRONT",), True))}, PLAYBACK)
+
+
+def scene_json(name: str, tokens: Listing[str]) -> bytes:
+    """What the labeler tells the viewer of a sequence with these frames."""
+    frames = {
+        "tokens": list(tokens),
+        "stamps_ns": [str(START_NS + i) for i in range(len(tokens))],
+        "map_from_ego": [[float(i), 0.0, 0.3, 1.0, 0.0, 0.0, 0.0] for i in range(len(tokens))],
+    }
+    record = {
+        "name": name,
+        "profile": "paper",
+        "grid": {"shape": [256, 256, 32], "min_m": [-25.6, -25.6, -2.0], "voxel_m": 0.2},
+        "footprint_m": [1.06, 0.85],
+        "reference": {
+            "mean": [0.0, 0.1, -9.0],
+            "covariance": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            "d2_limit": 7.8147,
+            "features": ["elevation_m", "slope_rad", "roughness"],
+        },
+        "frames": frames,
+        "tiles": [{"name": "0_-1", "min_m": [0.0, -4.0, 0.0], "max_m": [4.0, 0.0, 2.0], "voxels": 9, "bytes": 4}],
+        "meshes": [{"name": "0_-1", "triangles": 3, "bytes": 4}],
+    }
+    return json.dumps(record).encode()
 
 
 def export(platform: Platform, sequence_id: str, files: Mapping[str, bytes], form: str = "mesh") -> str:

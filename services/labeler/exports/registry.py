@@ -37,6 +37,7 @@ EXPORTERS: Mapping[str, Exporter] = {
     "mcap": _Late("exports.foxglove", "write_foxglove"),
     "rrd": _Late("exports.rerun", "write_rerun"),
     "previews": _Late("previews.writing", "write_previews"),
+    "playback": _Late("exports.playback", "write_playback"),
 }
 
 

@@ -3,7 +3,6 @@
 The arrangement of the paper's Fig. 6. A camera without a picture leaves a blank that says so.
 """
 
-import io
 from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -12,6 +11,7 @@ from PIL import Image, ImageDraw, ImageOps
 
 from services.labeler.exports.source import LabelledSequence
 from services.labeler.picture import INK, PAPER
+from services.labeler.picture_opening import opened
 from services.labeler.previews.bev import bev
 from services.labeler.previews.lettering import chip, font, legend
 from services.labeler.previews.oblique import oblique
@@ -23,7 +23,6 @@ BELOW = ("CAM_BACK_LEFT", "CAM_BACK", "CAM_BACK_RIGHT")
 WIDTH_PX, GAP_PX, PLAN_PX, BAR_PX = 1280, 8, 456, 84
 CAMERA_PX = (WIDTH_PX - 4 * GAP_PX) // 3
 USUAL_RATIO, LEAST_RATIO, MOST_RATIO = 0.625, 0.4, 0.75
-MOST_PIXELS = 1 << 26
 LABEL_PX, BAR_TEXT_PX = 22, 25
 BLANK, SOFT = (214, 214, 210), (96, 102, 110)
 
@@ -91,7 +90,7 @@ def cell_ratio(samples: Iterable[CameraSample | None]) -> float:
 
 
 def _place_camera(sheet: Image.Image, place: _Place, channel: str, sample: CameraSample | None) -> None:
-    picture = _opened(sample, (place.width, place.height))
+    picture = opened(sample, (place.width, place.height))
     cell = Image.new("RGB", (place.width, place.height), BLANK)
     if isinstance(picture, Image.Image):
         picture = ImageOps.contain(picture, cell.size, Image.Resampling.BILINEAR)
@@ -101,20 +100,6 @@ def _place_camera(sheet: Image.Image, place: _Place, channel: str, sample: Camer
         pen.text((cell.width / 2, cell.height / 2), picture, SOFT, font(LABEL_PX), anchor="mm")
     chip(cell, (6, cell.height - 6), channel, LABEL_PX)
     sheet.paste(cell, (place.x, place.y))
-
-
-def _opened(sample: CameraSample | None, size_px: tuple[int, int]) -> Image.Image | str:
-    """The picture, no smaller than needed, else why there is none."""
-    if sample is None:
-        return "no picture"
-    if sample.width_px * sample.height_px > MOST_PIXELS:
-        return "picture too large"
-    try:
-        picture = Image.open(io.BytesIO(sample.content), formats=["JPEG"])
-        picture.draft("RGB", size_px)
-        return picture.convert("RGB")
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError, Image.DecompressionBombWarning):
-        return "picture cannot be read"
 
 
 def _write_bar(sheet: Image.Image, source: LabelledSequence, index: int) -> None:

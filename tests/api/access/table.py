@@ -97,6 +97,13 @@ HEAD   /api/v1/sequences/{sequence_id}/exports/{export_id}/archive    401 404 20
 GET    /api/v1/sequences/{sequence_id}/sequence.npz           401  404  200   404   200  404 403  401  401  200 200
 GET    /api/v1/frames/{token}                                 401  404  200   404   200  404 403  401  401  200 200
 GET    /api/v1/frames/{token}/labels.npz                      401  404  200   404   200  404 403  401  401  200 200
+GET    /api/v1/frames/{token}/voxels                          401  404  200   404   200  404 403  401  401  200 200
+GET    /api/v1/frames/{token}/bev.png                         401  404  200   404   200  404 403  401  401  200 200
+GET    /api/v1/frames/{token}/camera/{channel}.jpg            401  404  200   404   200  404 403  401  401  200 200
+GET    /api/v1/frames/{token}/cloud                           401  404  200   404   200  404 403  401  401  200 200
+GET    /api/v1/sequences/{sequence_id}/scene                  401  404  200   404   200  404 403  401  401  200 200
+GET    /api/v1/sequences/{sequence_id}/scene/tiles/{tile_name}  401 404 200 404 200 404 403 401 401 200 200
+GET    /api/v1/sequences/{sequence_id}/scene/meshes/{tile_name} 401 404 200 404 200 404 403 401 401 200 200
 GET    /api/v1/splits                                         401  200  200   200   200  200 403  401  401  200 200
 PUT    /api/v1/splits                                         401  403  403   403   200  403 403  401  401  403 403
 POST   /api/v1/splits/verdicts                                401  403  403   403   200  403 403  401  401  403 403
@@ -161,6 +168,8 @@ GET    /api/v1/jobs/{job_id}/logs                             401  404  200   40
 GET    /api/v1/jobs/{job_id}/events                           401  404  200   404   200  404 403  401  401  200 200
 POST   /api/v1/jobs/{job_id}/cancel                           401  403  202   404   202  404 403  401  401  202 403
 GET    /api/v1/admin/jobs                                     401  403  403   403   200  403 403  401  401  403 403
+GET    /api/v1/admin/jobs/counts                              401  403  403   403   200  403 403  401  401  403 403
+POST   /api/v1/admin/jobs/acts                                401  403  403   403   200  403 403  401  401  403 403
 GET    /api/v1/admin/jobs/{job_id}                            401  403  403   403   200  403 403  401  401  403 403
 GET    /api/v1/admin/jobs/{job_id}/logs                       401  403  403   403   200  403 403  401  401  403 403
 POST   /api/v1/admin/jobs/{job_id}/{act}                      401  403  403   403   202  403 403  401  401  403 403

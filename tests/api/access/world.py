@@ -77,6 +77,8 @@ WORDS = {
     "phase_name": "test",
     "metric": METRIC_VERSION,
     "member": "ada",
+    "tile_name": "0_-1",
+    "channel": "CAM_FRONT",
 }
 PUBLIC = ("dataset_name", "benchmark_name", "phase_id")
 
@@ -95,7 +97,8 @@ def make_world(platform: Platform, user: User) -> World:
     calibration_id = _calibration(platform, user.id)
     sequence_id = _sequence(platform, user.id, calibration_id)
     _profile(platform, user.id)
-    labels = made.labels(platform, {"id": sequence_id, "name": _name(platform, sequence_id), "owner_id": user.id})
+    named_so = {"id": sequence_id, "name": _name(platform, sequence_id), "owner_id": user.id}
+    labels = made.labels(platform, named_so, contents=[made.frame_labels()] * 3)
     named = {
         "sequence_id": sequence_id,
         "calibration_id": calibration_id,
@@ -114,6 +117,7 @@ def make_world(platform: Platform, user: User) -> World:
         **WORDS,
         "member": user.name,
     }
+    made.playback(platform, sequence_id, list(labels.frames))
     named |= rescored(platform, named["phase_id"], user.id)
     named |= scored_entry(platform, named["phase_id"], named["team_id"], user.id)
     named |= submitted(platform, named["phase_id"], named["team_id"], owner)

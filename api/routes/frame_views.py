@@ -1,0 +1,68 @@
+"""A frame as the viewer shows it: its voxels, its picture from above, what cameras and LiDAR gave.
+
+**Conventions.** Voxels and picture are made of the labels when they are asked for, which takes less than reading a
+stored copy would save; pictures of cameras and sweeps are of the playback (`services/runtime/playback.py`).
+"""
+
+from dataclasses import replace
+from functools import partial
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Request, Response
+
+from api.callers import Looker
+from api.deps import PlatformDep
+from api.files import MadeFile, answer_bytes, answer_made, file_responses
+from api.routes.frames import TokenPath
+from api.scene_views import VersionQuery, frame_picture, frame_voxels, labels_file, played_file
+from services.runtime.playback import camera_file, cloud_file
+from services.runtime.view_formats import MEDIA_TYPES
+
+router = APIRouter(prefix="/frames/{token}", tags=["viewer"])
+ChannelPath = Annotated[str, Path(pattern=r"^[A-Z][A-Z0-9_]{0,63}$", examples=["CAM_FRONT"])]
+VOXELS, CLOUD, PNG, JPEG = MEDIA_TYPES["STV1"], MEDIA_TYPES["STC1"], "image/png", "image/jpeg"
+
+
+@router.get("/voxels", response_class=Response, responses=file_responses(VOXELS))
+def download_voxels(
+    token: TokenPath, caller: Looker, platform: PlatformDep, request: Request, version: VersionQuery = None
+) -> Response:
+    """The classes of all voxels and which were seen, three bits each (`STV1`)."""
+    with platform.database.reading() as session:
+        file = labels_file(session, caller, token, version)
+    facts = MadeFile(VOXELS, f"{token}-voxels.bin", file.is_lasting)
+    return answer_made(request, frame_voxels(platform.store, file), facts)
+
+
+@router.get("/bev.png", response_class=Response, responses=file_responses(PNG))
+def download_picture(
+    token: TokenPath, caller: Looker, platform: PlatformDep, request: Request, version: VersionQuery = None
+) -> Response:
+    """The labels from above, forward up; grey is what was never seen."""
+    with platform.database.reading() as session:
+        file = labels_file(session, caller, token, version)
+    facts = MadeFile(PNG, f"{token}-bev.png", file.is_lasting)
+    return answer_made(request, frame_picture(platform.store, file), facts)
+
+
+@router.get("/camera/{channel}.jpg", response_class=Response, responses=file_responses(JPEG))
+def download_camera(
+    token: TokenPath,
+    channel: ChannelPath,
+    caller: Looker,
+    platform: PlatformDep,
+    request: Request,
+    version: VersionQuery = None,
+) -> Response:
+    """What a camera saw, at most 640 pixels wide; `no_playback` while there are no pictures."""
+    served = played_file(platform, (caller, token, version), partial(camera_file, channel))
+    return answer_bytes(request, replace(served, media_type=JPEG))
+
+
+@router.get("/cloud", response_class=Response, responses=file_responses(CLOUD))
+def download_cloud(
+    token: TokenPath, caller: Looker, platform: PlatformDep, request: Request, version: VersionQuery = None
+) -> Response:
+    """The sweep, at most 40,000 points in the ego frame (`STC1`); `no_playback` while there are none."""
+    served = played_file(platform, (caller, token, version), cloud_file)
+    return answer_bytes(request, replace(served, media_type=CLOUD))

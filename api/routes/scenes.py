@@ -1,0 +1,64 @@
+"""The scene of a sequence: what the viewer needs to know of its newest labels, and its map tile by tile.
+
+**Conventions.** The binary formats are told in `services/runtime/view_formats.py`. An address with `v`, the label set
+that is meant, answers for good; without it a browser asks each time whether what it has still counts.
+"""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Request, Response
+
+from api.answers import refusals
+from api.callers import Looker
+from api.deps import PlatformDep
+from api.files import MadeFile, answer_file, answer_made, file_responses
+from api.scene_views import VersionQuery, scene_bytes, scene_file, scene_of
+from api.schemas.base import IdPath
+from api.schemas.scenes import SceneDetail
+
+router = APIRouter(prefix="/sequences/{sequence_id}/scene", tags=["viewer"])
+TilePath = Annotated[str, Path(pattern=r"^-?\d{1,7}_-?\d{1,7}$", examples=["0_-1"])]
+JSON = "application/json"
+BINARY = "application/octet-stream"
+
+
+@router.get(
+    "",
+    response_class=Response,
+    responses={200: {"model": SceneDetail}, 304: {"description": "The caller has it already"}, **refusals(404)},
+)
+def show_scene(sequence_id: IdPath, caller: Looker, platform: PlatformDep, request: Request) -> Response:
+    """The grid, the frames with their poses, the tiles of the map, and what can be played beside them."""
+    with platform.database.reading() as session:
+        scene = scene_of(session, caller, sequence_id)
+    return answer_made(request, scene_bytes(platform.store, scene), MadeFile(JSON, scene.file.filename))
+
+
+@router.get("/tiles/{tile_name}", response_class=Response, responses=file_responses(BINARY))
+def download_tile(
+    sequence_id: IdPath,
+    tile_name: TilePath,
+    caller: Looker,
+    platform: PlatformDep,
+    request: Request,
+    version: VersionQuery = None,
+) -> Response:
+    """The labelled voxels of a tile: class, elevation, slope, roughness and D² of each (`STT1`)."""
+    with platform.database.reading() as session:
+        file = scene_file(session, caller, sequence_id, f"tile_{tile_name}", version)
+    return answer_file(request, platform.store, file)
+
+
+@router.get("/meshes/{tile_name}", response_class=Response, responses=file_responses(BINARY))
+def download_surface(
+    sequence_id: IdPath,
+    tile_name: TilePath,
+    caller: Looker,
+    platform: PlatformDep,
+    request: Request,
+    version: VersionQuery = None,
+) -> Response:
+    """The thinned surface of a tile, its vertices with their class (`STM1`)."""
+    with platform.database.reading() as session:
+        file = scene_file(session, caller, sequence_id, f"mesh_{tile_name}", version)
+    return answer_file(request, platform.store, file)

@@ -1,0 +1,129 @@
+"""What the viewer is told of a labelled sequence: its grid, its frames, and which files show its map."""
+
+from typing import Any, Literal
+
+from api.schemas.base import ID_EXAMPLE, Answer, example
+
+TILE_EXAMPLE = {
+    "name": "0_-1",
+    "min_m": [0.0, -48.0, -0.4],
+    "max_m": [48.0, 0.0, 6.2],
+    "voxels": 61204,
+    "bytes": 702113,
+}
+MESH_EXAMPLE = {"name": "0_-1", "triangles": 38112, "bytes": 410230}
+PLAYBACK_EXAMPLE: dict[str, Any] = {
+    "export_id": ID_EXAMPLE,
+    "state": "ready",
+    "cameras": ["CAM_FRONT", "CAM_BACK"],
+    "has_clouds": True,
+}
+GRID_EXAMPLE = {"shape": [256, 256, 32], "min_m": [-25.6, -25.6, -2.0], "voxel_m": 0.2}
+REFERENCE_EXAMPLE: dict[str, Any] = {
+    "mean": [1.08, 0.15, -10.3],
+    "covariance": [[1.2, 0.0, -0.1], [0.0, 0.006, 0.004], [-0.1, 0.004, 0.61]],
+    "d2_limit": 7.814728,
+    "features": ["elevation_m", "slope_rad", "roughness"],
+}
+FRAMES_EXAMPLE: dict[str, Any] = {
+    "tokens": [ID_EXAMPLE],
+    "stamps_ns": ["1777800000000000000"],
+    "map_from_ego": [[0.0, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0]],
+}
+
+
+class GridItem(Answer):
+    """The grid of a frame in the ego frame: voxels of `voxel_m`, x, y, z."""
+
+    model_config = example(**GRID_EXAMPLE)
+
+    shape: list[int]
+    min_m: list[float]
+    voxel_m: float
+
+
+class ReferenceItem(Answer):
+    """The Gaussian of the driven ground; a voxel whose D² exceeds `d2_limit` is not potentially traversable."""
+
+    model_config = example(**REFERENCE_EXAMPLE)
+
+    mean: list[float]
+    covariance: list[list[float]]
+    d2_limit: float
+    features: list[str]
+
+
+class SceneFrames(Answer):
+    """The labelled frames in the order of time; a pose is (tx, ty, tz, qw, qx, qy, qz), a stamp too long for a double.
+
+    Frame `i` is `tokens[i]`, taken at `stamps_ns[i]` where the robot stood at `map_from_ego[i]`.
+    """
+
+    model_config = example(**FRAMES_EXAMPLE)
+
+    tokens: list[str]
+    stamps_ns: list[str]
+    map_from_ego: list[list[float]]
+
+
+class TileItem(Answer):
+    """A tile of the labelled map, at `scene/tiles/{name}`; its voxels lie between `min_m` and `max_m` in the map."""
+
+    model_config = example(**TILE_EXAMPLE)
+
+    name: str
+    min_m: list[float]
+    max_m: list[float]
+    voxels: int
+    bytes: int
+
+
+class MeshItem(Answer):
+    """The thinned surface of the tile of this name, at `scene/meshes/{name}`."""
+
+    model_config = example(**MESH_EXAMPLE)
+
+    name: str
+    triangles: int
+    bytes: int
+
+
+class PlaybackItem(Answer):
+    """Whether there are pictures and sweeps beside the voxels, and of which cameras."""
+
+    model_config = example(**PLAYBACK_EXAMPLE)
+
+    export_id: str | None
+    state: Literal["none", "making", "ready"]
+    cameras: list[str]
+    has_clouds: bool
+
+
+class SceneDetail(Answer):
+    """A labelled sequence as the viewer shows it; `label_set_id` as `v` of its files makes their addresses lasting."""
+
+    model_config = example(
+        sequence_id=ID_EXAMPLE,
+        label_set_id=ID_EXAMPLE,
+        name="n-forest-07",
+        profile="paper",
+        grid=GRID_EXAMPLE,
+        footprint_m=[1.06, 0.85],
+        reference=REFERENCE_EXAMPLE,
+        frames=FRAMES_EXAMPLE,
+        tiles=[TILE_EXAMPLE],
+        meshes=[MESH_EXAMPLE],
+        playback=PLAYBACK_EXAMPLE,
+    )
+
+    sequence_id: str
+    label_set_id: str
+    name: str
+    profile: str
+    grid: GridItem
+    footprint_m: list[float]
+    reference: ReferenceItem
+    frames: SceneFrames
+    tiles: list[TileItem]
+    meshes: list[MeshItem]
+    playback: PlaybackItem

@@ -1,0 +1,82 @@
+"""What the viewer plays beside the voxels: small pictures of the cameras and thinned sweeps.
+
+    playback.json   cameras/<CHANNEL>/<frame_token>.jpg   clouds/<frame_token>.bin
+
+**Conventions.** Pictures are at most `WIDTH_PX` wide, as the cameras saw them (a lens that bends bends here too). Of a
+sweep at most `MOST_POINTS` are kept, drawn evenly by the golden ratio, so that no ring or stretch of it is left out and
+equal sweeps give equal points; they stand in the ego frame. A picture that is missing, damaged or too large is left
+out. Memory holds one frame.
+"""
+
+import io
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from services.labeler.exports.source import LabelledSequence
+from services.labeler.picture_opening import opened
+from services.labeler.run import Step
+from services.runtime.playback import INDEX, Shown, camera_file, cloud_file, index_record
+from services.runtime.view_formats import cloud_bytes
+from stone.samples import CameraSample, LidarSample
+from stone.se3 import SE3
+
+WIDTH_PX, JPEG_QUALITY = 640, 78
+MOST_POINTS = 40_000
+GOLDEN = (5.0**0.5 - 1.0) / 2.0
+FULL_INTENSITY = 255.0
+
+
+def write_playback(source: LabelledSequence, out: Path, step: Step) -> None:
+    """The exporter. Raises what reading samples raises (BAG-*, MSG-*)."""
+    sequence, total = source.sequence, len(source.sequence.frames)
+    channels = [mount.name for mount in sequence.calibration.of_kind("camera")]
+    taken = [channel for channel in channels if channel in sequence.frames.associations]
+    for channel in taken:
+        (out / "cameras" / channel).mkdir(parents=True)
+    (out / "clouds").mkdir()
+    shown = set[str]()
+    for index, token in enumerate(sequence.frames.tokens):
+        for channel in taken:
+            picture = small_picture(source.samples.camera(channel, index))
+            if picture is not None:
+                (out / camera_file(channel, token)).write_bytes(picture)
+                shown.add(channel)
+        sweep = source.samples.lidar(index)
+        (out / cloud_file(token)).write_bytes(small_cloud(sweep, sequence.calibration.ego_from_lidar))
+        step(index + 1, total)
+    cameras = tuple(channel for channel in taken if channel in shown)
+    (out / INDEX).write_bytes(index_record(Shown(cameras, has_clouds=total > 0)))
+
+
+def small_picture(sample: CameraSample | None) -> bytes | None:
+    """The picture as a JPEG of at most `WIDTH_PX` across; None where there is none that can be read."""
+    if sample is None:
+        return None
+    scale = min(1.0, WIDTH_PX / max(sample.width_px, 1))
+    size_px = (max(1, round(sample.width_px * scale)), max(1, round(sample.height_px * scale)))
+    picture = opened(sample, size_px)
+    if isinstance(picture, str):
+        return None
+    file = io.BytesIO()
+    picture.resize(size_px, Image.Resampling.BILINEAR, reducing_gap=2.0).save(file, "JPEG", quality=JPEG_QUALITY)
+    return file.getvalue()
+
+
+def small_cloud(sample: LidarSample, ego_from_lidar: SE3) -> bytes:
+    """The sweep as `STC1`; intensities that are shares of one become 0 to 255."""
+    kept = drawn(len(sample.points_lidar), MOST_POINTS)
+    intensity = sample.intensity[kept].astype(np.float64)
+    intensity[~np.isfinite(intensity)] = 0.0
+    if intensity.max(initial=0.0) <= 1.0:
+        intensity *= FULL_INTENSITY
+    points_ego = ego_from_lidar @ sample.points_lidar[kept].astype(np.float64)
+    return cloud_bytes(points_ego, intensity)
+
+
+def drawn(total: int, most: int) -> NDArray[np.int64]:
+    """At most `most` of the rows 0 to `total`, in their order: those whose multiple of the golden ratio ends lowest."""
+    rows = np.arange(total)
+    return rows if total <= most else rows[(rows * GOLDEN) % 1.0 < most / total][:most]
