@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from math import ceil, floor, log10
 
-MARGIN = 3.0
+MARGIN = 4.0
 MOST_STEPS = 5
 NARROWEST = 0.02
 ROUND = (1.0, 2.0, 2.5, 5.0, 10.0)

@@ -1,0 +1,94 @@
+"""Benchmarks: what there is to predict, until when, under which rules, and who leads."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Request
+from fastapi.responses import HTMLResponse
+from sqlalchemy.orm import Session
+
+from api.benchmark_views import benchmark_items, metric_item, phase_item, phases_of
+from api.callers import Looker
+from api.deps import PlatformDep
+from api.paging import PageDep
+from api.paging import page as page_of
+from api.result_views import viewer_for
+from api.routes.benchmarks import PhasePath
+from api.schemas.benchmark_bodies import BenchmarkName, MetricName
+from api.schemas.benchmarks import PhaseItem
+from api.visible import benchmark_of, benchmarks_of
+from services.runtime.benchmarks.visibility import Viewer
+from services.runtime.orm import Benchmark
+from services.runtime.platform import Platform
+from web.board_rows import ShownBoard, shortened, shown_board
+from web.markdown import blocks
+from web.rendering import page
+
+router = APIRouter()
+AtPhase = Annotated[PhasePath, Depends(PhasePath)]
+FIRST = 3
+"""Leaders are shown of the first so many benchmarks of a list, each of which costs a board."""
+
+
+@dataclass(frozen=True)
+class ShownPhase:
+    """A phase with the head of its board; `passed` is how much of its time is over, null where it has no two ends."""
+
+    item: PhaseItem
+    board: ShownBoard
+    passed: float | None
+
+
+@router.get("/benchmarks")
+def list_benchmarks(request: Request, caller: Looker, platform: PlatformDep, query: PageDep) -> HTMLResponse:
+    with platform.database.reading() as session:
+        found = page_of(session, benchmarks_of(caller), Benchmark.id.desc(), query)
+        items = benchmark_items(session, found.rows)
+        phases = {row.name: _phases(session, row) for row in found.rows}
+        viewer = viewer_for(session, caller)
+    leaders = {item.name: _leaders(platform, phases[item.name], viewer) for item in items[:FIRST]}
+    known: dict[str, Any] = {"benchmarks": items, "phases": phases, "leaders": leaders, "cursor": found.next}
+    return page(request, caller, "boards/benchmarks.html", **known)
+
+
+@router.get("/benchmarks/{benchmark_name}")
+def show_benchmark(
+    request: Request, benchmark_name: BenchmarkName, caller: Looker, platform: PlatformDep
+) -> HTMLResponse:
+    with platform.database.reading() as session:
+        row = benchmark_of(session, caller, benchmark_name)
+        phases, viewer = _phases(session, row), viewer_for(session, caller)
+    shown = [ShownPhase(one, shortened(shown_board(platform, one.id, viewer)), _passed(one)) for one in phases]
+    return page(request, caller, "boards/benchmark.html", benchmark=row, phases=shown)
+
+
+@router.get("/benchmarks/{benchmark_name}/{phase_name}/metrics/{metric}")
+def show_definition(
+    request: Request, caller: Looker, platform: PlatformDep, at: AtPhase, metric: MetricName
+) -> HTMLResponse:
+    with platform.database.reading() as session:
+        phase = at.find(session)
+        item = phase_item(session, phase)
+        title = session.get_one(Benchmark, phase.benchmark_id).title or at.benchmark
+        found = metric_item(session, phase, metric)
+    known: dict[str, Any] = {"phase": item, "benchmark_title": title, "metric": found, "blocks": blocks(found.definition)}
+    return page(request, caller, "boards/metric.html", **known)
+
+
+def _phases(session: Session, row: Benchmark) -> list[PhaseItem]:
+    return [phase_item(session, phase) for phase in phases_of(session, row)]
+
+
+def _leaders(platform: Platform, phases: Iterable[PhaseItem], viewer: Viewer) -> ShownBoard | None:
+    """The head of the board of the phase that runs, else of the first; None without a phase."""
+    found = sorted(phases, key=lambda one: one.standing != "open")
+    return shortened(shown_board(platform, found[0].id, viewer), FIRST) if found else None
+
+
+def _passed(item: PhaseItem) -> float | None:
+    if item.opens_at is None or item.closes_at is None:
+        return None
+    length_s = (item.closes_at - item.opens_at).total_seconds()
+    return min(max((datetime.now(UTC) - item.opens_at).total_seconds() / length_s, 0.0), 1.0)

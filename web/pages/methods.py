@@ -1,0 +1,87 @@
+"""The page of a method: what an entry scored, where it is strong and what that was computed from."""
+
+from fastapi import APIRouter, Request
+from fastapi.responses import HTMLResponse
+
+from api.callers import Looker
+from api.deps import PlatformDep
+from api.result_views import (
+    breakdown_answer,
+    known_score,
+    known_submission,
+    provenance_answer,
+    results_answer,
+    viewer_for,
+)
+from api.schemas.base import IdPath
+from api.schemas.leaderboard import BoardRow
+from api.schemas.results import BreakdownAnswer, ProvenanceAnswer, ScoreQuery
+from services.runtime.benchmarks.results import BY, Seen, breakdown, provenance, results
+from services.runtime.orm import Benchmark
+from web.board_results import CLASS_NAMES, breakdowns, matrix, totals
+from web.board_rows import ShownBoard, shown_board
+from web.rendering import page
+
+router = APIRouter()
+
+
+@router.get("/entries/{submission_id}")
+def show_method(
+    request: Request, submission_id: IdPath, caller: Looker, platform: PlatformDep, score: ScoreQuery = None
+) -> HTMLResponse:
+    with platform.database.reading() as session:
+        viewer = viewer_for(session, caller)
+        found = results(session, viewer, known_submission(session, viewer, submission_id), score)
+        answer = results_answer(session, viewer, found)
+        seen = known_score(session, caller, submission_id, score)
+        told, made_by = _breakdowns(seen), _provenance(seen)
+        title = session.get_one(Benchmark, seen.phase.benchmark_id).title or answer.benchmark
+    board = shown_board(platform, seen.phase.id, viewer)
+    return page(
+        request,
+        caller,
+        "boards/entry.html",
+        benchmark_title=title,
+        phase=seen.phase,
+        result=answer,
+        is_active=seen.is_active,
+        is_standing=_stands(seen),
+        is_own=seen.submission.team_id in viewer.team_ids,
+        shows_counts=seen.policy.shows("confusions"),
+        totals=totals(answer),
+        breakdowns=breakdowns(told),
+        matrix=matrix(answer.confusion),
+        class_names=CLASS_NAMES,
+        provenance=made_by,
+        board=board,
+        row=_row(board, submission_id),
+        rivals=_rivals(board, submission_id),
+    )
+
+
+def _breakdowns(seen: Seen) -> list[BreakdownAnswer]:
+    """None where the viewer may not see them."""
+    if not seen.policy.shows("breakdowns"):
+        return []
+    return [breakdown_answer(seen, by, breakdown(seen, by)) for by in BY]
+
+
+def _provenance(seen: Seen) -> ProvenanceAnswer | None:
+    return provenance_answer(provenance(seen)) if seen.policy.shows("provenance") else None
+
+
+def _stands(seen: Seen) -> bool:
+    """Whether it is on the board, neither withdrawn nor hidden."""
+    return seen.submission.withdrawn_ns is None and seen.submission.hidden_ns is None
+
+
+def _row(board: ShownBoard, submission_id: str) -> BoardRow | None:
+    """The entry's line of the board of now, where it is the best of its team."""
+    rows = (one.row for group in board.groups for one in group.rows)
+    return next((row for row in rows if row.submission_id == submission_id), None)
+
+
+def _rivals(board: ShownBoard, submission_id: str) -> list[BoardRow]:
+    """The other scored rows of the board, with which it can be compared."""
+    rows = (one.row for group in board.groups for one in group.rows)
+    return [row for row in rows if row.submission_id not in (None, submission_id)]
