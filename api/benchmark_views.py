@@ -8,11 +8,13 @@ from collections.abc import Sequence
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
+from api.errors import NotFoundError
 from api.schemas.base import instant, instant_or_none
 from api.schemas.benchmarks import (
     ActiveItem,
     BenchmarkDetail,
     BenchmarkItem,
+    MetricItem,
     PhaseDetail,
     PhaseFinding,
     PhaseItem,
@@ -24,6 +26,7 @@ from services.runtime.benchmarks.phases import phase_standing
 from services.runtime.benchmarks.policy_words import policy_sentences
 from services.runtime.orm import Benchmark, Dataset, GroundTruth, Phase
 from services.runtime.orm.base import now_ns
+from stone.metric import METRICS, Metric
 
 
 def benchmark_items(session: Session, rows: Sequence[Benchmark]) -> list[BenchmarkItem]:
@@ -95,6 +98,20 @@ def phase_item(session: Session, phase: Phase) -> PhaseItem:
         revision=phase.revision,
         created_at=instant(phase.created_ns),
     )
+
+
+def metric_item(session: Session, phase: Phase, version: str) -> MetricItem:
+    """A version of the metric, and whether the phase is scored by it now. Raises `NotFoundError`."""
+    found, pair = known_metric(version), pairs.active(session, phase.id)
+    is_active = pair is not None and pair.metric == version
+    return MetricItem(version=found.version, title=found.title, definition=found.definition, is_active=is_active)
+
+
+def known_metric(version: str) -> Metric:
+    """Raises `NotFoundError`."""
+    if version not in METRICS:
+        raise NotFoundError("metric", version)
+    return METRICS[version]
 
 
 def _active(session: Session, phase: Phase) -> ActiveItem | None:

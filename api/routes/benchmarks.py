@@ -12,10 +12,9 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from sqlalchemy.orm import Session
 
 from api.answers import Responses, refusals
-from api.benchmark_views import benchmark_detail, benchmark_items, phase_item
+from api.benchmark_views import benchmark_detail, benchmark_items, known_metric, metric_item, phase_item
 from api.callers import Looker, Reader
 from api.deps import PlatformDep
-from api.errors import NotFoundError
 from api.etags import etag
 from api.files import Served, StoredFile, answer_bytes, answer_file, file_responses
 from api.paging import Page, PageDep, page
@@ -27,7 +26,6 @@ from services.runtime.benchmarks import pairs
 from services.runtime.benchmarks.golden import golden_archive
 from services.runtime.benchmarks.phase_errors import NoGroundTruthError
 from services.runtime.orm import Benchmark, Blob, GroundTruth, Phase
-from stone.metric import METRICS, Metric
 
 router = APIRouter(tags=["benchmarks"])
 AT = "/benchmarks/{benchmark_name}/phases/{phase_name}"
@@ -98,12 +96,10 @@ def download_manifest(at: AtPhase, platform: PlatformDep, request: Request) -> R
 def show_metric(at: AtPhase, metric: MetricName, platform: PlatformDep, form: Form = "json") -> MetricItem | Response:
     """The definition of a version of the metric, and whether the phase is scored by it now."""
     with platform.database.reading() as session:
-        pair = pairs.active(session, at.find(session).id)
-    found = _metric(metric)
+        found = metric_item(session, at.find(session), metric)
     if form == "markdown":
         return Response(found.definition, media_type="text/markdown; charset=utf-8")
-    is_active = pair is not None and pair.metric == metric
-    return MetricItem(version=found.version, title=found.title, definition=found.definition, is_active=is_active)
+    return found
 
 
 @router.get(f"{AT}/metrics/{{metric}}/vectors", response_class=Response, responses=VECTORS)
@@ -111,7 +107,7 @@ def download_vectors(at: AtPhase, metric: MetricName, platform: PlatformDep, req
     """Golden vectors: grids and what the metric says of them, to hold another implementation against."""
     with platform.database.reading() as session:
         at.find(session)
-    named = f"{_metric(metric).version}.vectors.zip"
+    named = f"{known_metric(metric).version}.vectors.zip"
     content = golden_archive()
     digest = sha256(content).hexdigest()
     served = Served(len(content), digest, "application/zip", named, lambda start, stop: iter((content[start:stop],)))
@@ -121,10 +117,3 @@ def download_vectors(at: AtPhase, metric: MetricName, platform: PlatformDep, req
 def _shown(session: Session, phase: Phase, response: Response) -> PhaseItem:
     response.headers["ETag"] = etag(phase.revision)
     return phase_item(session, phase)
-
-
-def _metric(version: str) -> Metric:
-    """Raises `NotFoundError`."""
-    if version not in METRICS:
-        raise NotFoundError("metric", version)
-    return METRICS[version]
