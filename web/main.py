@@ -12,14 +12,19 @@ from services.runtime.log_lines import speak_json
 from services.runtime.platform import Platform, open_platform
 from services.runtime.settings import Settings
 from web import assets, faults
-from web.pages import boards, home, signing_in
+from web.pages import benchmarks, boards, comparing, home, methods, signing_in, splits, viewer
 from web.rendering import Pages
 
 ROUTERS: tuple[APIRouter, ...] = (
     assets.router,
     home.router,
     signing_in.router,
+    viewer.router,
+    benchmarks.router,
     boards.router,
+    comparing.router,
+    methods.router,
+    splits.router,
 )
 
 
