@@ -40,6 +40,7 @@ SEQUENCE_EXAMPLE: dict[str, Any] = {
     "duration_s": 120.1,
     "distance_m": 143.7,
     "split": "train",
+    "picture": "thumbnail.jpg",
     "revision": 3,
     "created_at": "2026-05-03T09:12:44.120000Z",
 }
@@ -137,7 +138,7 @@ class SequenceItem(Answer):
     """A sequence as a list shows it.
 
     What its labels add up to is null without them, or where an earlier version did not write it down. `split` is train,
-    val, test or null, and told to its owner and to administrators only.
+    val, test or null, and told to its owner and to administrators only. `picture` names a preview, if any.
     """
 
     model_config = example(**SEQUENCE_EXAMPLE)
@@ -158,6 +159,7 @@ class SequenceItem(Answer):
     duration_s: float | None
     distance_m: float | None
     split: str | None
+    picture: str | None
     revision: int
     created_at: datetime
 

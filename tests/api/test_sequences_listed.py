@@ -32,9 +32,9 @@ def test_a_list_says_what_labels_add_up_to(api_on: httpx.Client, platform_on: Pl
     labels(platform_on, sequence(api_on, ada, "labelled"))
     sequence(api_on, ada, "bare")
     shown = listed(api_on, ada)
-    keys = ("class_voxels", "duration_s", "distance_m")
-    assert [shown["labelled"][key] for key in keys] == [{"t": 100, "p": 200, "n": 700}, 25.0, 30.5]
-    assert [shown["bare"][key] for key in keys] == [None, None, None]
+    keys = ("class_voxels", "duration_s", "distance_m", "picture")
+    assert [shown["labelled"][key] for key in keys] == [{"t": 100, "p": 200, "n": 700}, 25.0, 30.5, "bev.png"]
+    assert [shown["bare"][key] for key in keys] == [None, None, None, None]
 
 
 def test_labels_of_an_earlier_version_that_did_not_count_are_unknown_not_zero(
@@ -72,7 +72,7 @@ def test_a_split_is_told_to_the_owner_and_administrators_only(
 
 
 @pytest.mark.parametrize("count", [1, 7])
-def test_a_page_of_sequences_is_four_statements_beside_its_own_however_many_they_are(
+def test_a_page_of_sequences_is_five_statements_beside_its_own_however_many_they_are(
     api: httpx.Client, platform: Platform, curator: Person, count: int
 ) -> None:
     for number in range(count):
@@ -83,4 +83,4 @@ def test_a_page_of_sequences_is_four_statements_beside_its_own_however_many_they
         event.listen(session.get_bind(), "before_cursor_execute", lambda *given: said.append(given[2]))
         owner = VISITOR.__class__(curator.user_id, "", "curator", frozenset({"read"}), is_session=False)
         assert len(sequence_items(session, rows, owner)) == count
-    assert len(said) == 4, said
+    assert len(said) == 5, said
