@@ -12,19 +12,36 @@ from services.runtime.log_lines import speak_json
 from services.runtime.platform import Platform, open_platform
 from services.runtime.settings import Settings
 from web import assets, faults
-from web.pages import benchmarks, boards, comparing, home, methods, signing_in, splits, viewer
+from web.pages import (
+    benchmarks,
+    boards,
+    comparing,
+    home,
+    methods,
+    sequences,
+    signing_in,
+    splits,
+    submissions,
+    submitting,
+    teams,
+    viewer,
+)
 from web.rendering import Pages
 
 ROUTERS: tuple[APIRouter, ...] = (
     assets.router,
     home.router,
     signing_in.router,
+    sequences.router,  # before a sequence's own page, which would take `new` for an id
     viewer.router,
     benchmarks.router,
     boards.router,
     comparing.router,
     methods.router,
     splits.router,
+    submissions.router,
+    submitting.router,
+    teams.router,
 )
 
 
