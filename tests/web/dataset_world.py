@@ -1,0 +1,64 @@
+"""Labelled sequences for the dataset's pages: places, lights and regions as a campaign has them, a few blobs each.
+
+**Conventions.** Lengths and counts are made by formula, so that they differ between sequences; two regions, so that
+test can lie apart.
+"""
+
+from dataclasses import dataclass
+
+from services.runtime.orm import LabelSet, Sequence
+from services.runtime.platform import Platform
+from services.runtime.splits import lock_splits, replace_splits
+from stone.splits import Split
+from tests.api import made
+from tests.api.serving import Person
+
+CAMPAIGN = (
+    ("farmland", "sunny", "Gyeonggi"), ("farmland", "night", "Gyeonggi"), ("farmland", "dusk", "Gangwon"),
+    ("farmland", "moonlit", "Jeolla"), ("mountain", "sunny", "Gyeonggi"), ("mountain", "night", "Gangwon"),
+    ("mountain", "overcast", "Jeolla"), ("lake", "dusk", "Gyeonggi"), ("lake", "overcast", "Gangwon"),
+    ("lake", "night", "Jeolla"), ("construction", "floodlit", "Gyeonggi"), ("construction", "sunny", "Gangwon"),
+    ("construction", "overcast", "Jeolla"),
+)  # fmt: skip
+APART = {"Gyeonggi": "train", "Jeolla": "val", "Gangwon": "test"}
+"""A split that keeps every rule: each region in a part of its own."""
+
+
+@dataclass(frozen=True)
+class Driven:
+    """A labelled sequence."""
+
+    id: str
+    name: str
+    region: str
+
+
+def campaign(platform: Platform, owner: Person) -> tuple[Driven, ...]:
+    """One sequence for each line of `CAMPAIGN`."""
+    return tuple(driven(platform, owner, number) for number in range(len(CAMPAIGN)))
+
+
+def driven(platform: Platform, owner: Person, number: int) -> Driven:
+    environment, illumination, region = CAMPAIGN[number]
+    with platform.database.transaction() as session:
+        row = Sequence(owner_id=owner.user_id, name=f"{environment}-{number + 3:02d}", environment=environment)
+        row.illumination, row.region = illumination, region
+        session.add(row)
+        session.flush()
+        facts = {"id": row.id, "name": row.name, "owner_id": owner.user_id}
+    made.labels(platform, facts, seed=facts["id"].encode())
+    with platform.database.transaction() as session:
+        labels = session.query(LabelSet).where(LabelSet.sequence_id == facts["id"]).one()
+        seconds = 64 + 17 * number % 83
+        labels.duration_ns, labels.distance_m = seconds * 10**9, 1.1 * seconds
+        labels.t_voxels, labels.p_voxels, labels.n_voxels = 90_000 + 9000 * number, 150_000, 400_000 - 20_000 * number
+    return Driven(facts["id"], facts["name"], region)
+
+
+def put_apart(platform: Platform, sequences: tuple[Driven, ...]) -> Split:
+    """Put the splits that keep every rule."""
+    of = {part: tuple(one.id for one in sequences if APART[one.region] == part) for part in ("train", "val", "test")}
+    split = Split(**of)
+    with platform.database.transaction() as session:
+        replace_splits(session, lock_splits(session), split)
+    return split

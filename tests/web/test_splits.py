@@ -1,0 +1,176 @@
+"""The split editor in a browser: moved by keys, by dragging and by selects, judged live, saved once."""
+
+import re
+
+import httpx
+import pytest
+from playwright.sync_api import Locator, Page, expect
+
+from services.runtime.platform import Platform
+from services.runtime.splits import current_splits
+from stone.splits import Split
+from tests.api.serving import Person
+from tests.web.browsing import Site
+from tests.web.dataset_world import Driven, campaign, put_apart
+from tests.web.looking import look
+
+URL = "/dataset/splits"
+
+
+@pytest.fixture
+def sequences(platform: Platform, curator: Person) -> tuple[Driven, ...]:
+    return campaign(platform, curator)
+
+
+def column(page: Page, name: str) -> Locator:
+    """The names of the sequences in a column."""
+    return page.get_by_role("region", name=name, exact=True).locator(".split-name")
+
+
+def standing(platform: Platform) -> Split:
+    with platform.database.reading() as session:
+        return current_splits(session).split
+
+
+def test_sequences_are_moved_by_keys_judged_at_once_and_saved_with_a_reason(
+    site: Site, administrator: Person, sequences: tuple[Driven, ...]
+) -> None:
+    put_apart(site.platform, sequences)
+    plot = next(one for one in sequences if one.name == "farmland-03")
+    with site.visit(administrator) as page:
+        page.goto(URL)
+        verdict = page.locator("[data-verdict]")
+        expect(verdict).to_have_text("Every rule is kept")
+        look(page, "splits")
+        page.get_by_role("button", name="farmland-03").press("3")
+        expect(verdict).to_have_text("One rule is broken")
+        expect(page.get_by_role("status").first).to_have_text("farmland-03 is in test now.")
+        expect(page.locator("[data-findings]")).to_contain_text("Gyeonggi")
+        expect(column(page, "Test").filter(has_text="farmland-03")).to_have_count(1)
+        expect(page.get_by_role("button", name="Save…")).to_be_disabled()
+        page.get_by_role("button", name="Test regions apart").click()
+        look(page, "splits-broken")
+        page.get_by_role("button", name="farmland-03").press("0")
+        expect(verdict).to_have_text("Every rule is kept")
+        page.get_by_role("button", name="Save…").click()
+        expect(page.get_by_role("dialog")).to_contain_text("farmland-03: train → no split")
+        page.get_by_label("Reason").fill("the lake was dry")
+        look(page, "splits-save")
+        page.get_by_role("dialog").get_by_role("button", name="Save").click()
+        expect(page.locator("[data-changes]")).to_have_text("Revision 2")
+    assert plot.id not in {one for ids in standing(site.platform).parts.values() for one in ids}
+
+
+def test_arrows_walk_space_picks_several_and_undo_takes_back(
+    site: Site, administrator: Person, sequences: tuple[Driven, ...]
+) -> None:
+    with site.visit(administrator) as page:
+        page.goto(URL)
+        expect(page.locator("[data-verdict]")).to_have_text("Nothing is in a split yet")
+        names = sorted(one.name for one in sequences)
+        page.get_by_role("button", name=names[0]).focus()
+        page.keyboard.press("Space")
+        page.keyboard.press("ArrowDown")
+        page.keyboard.press("Space")
+        page.keyboard.press("2")
+        expect(column(page, "Val")).to_have_text(names[:2])
+        expect(page.get_by_role("button", name=names[2])).to_be_focused()
+        page.keyboard.press("Shift+ArrowLeft")
+        expect(column(page, "Test")).to_have_text(names[2:3])
+        expect(page.get_by_role("button", name=names[2])).to_be_focused()
+        page.keyboard.press("ArrowLeft")
+        expect(page.get_by_role("button", name=names[0])).to_be_focused()
+        page.keyboard.press("Control+z")
+        page.keyboard.press("Control+z")
+        expect(column(page, "In no split")).to_have_text(names)
+        expect(page.get_by_role("button", name="Undo")).to_be_disabled()
+
+
+def test_a_card_is_dragged_or_chosen_by_its_select(
+    site: Site, administrator: Person, sequences: tuple[Driven, ...]
+) -> None:
+    first, second, *_ = sorted(one.name for one in sequences)
+    with site.visit(administrator) as page:
+        page.goto(URL)
+        train = page.get_by_role("region", name="Train", exact=True)
+        page.locator(f'[data-name="{first}"]').drag_to(train, target_position={"x": 60, "y": 60})  # in sight
+        expect(column(page, "Train")).to_have_text([first])
+        page.get_by_role("button", name=second).focus()
+        page.get_by_label(f"Split of {second}").select_option("test")
+        expect(column(page, "Test")).to_have_text([second])
+        page.get_by_role("searchbox").fill("lake night")
+        expect(page.locator(".split-card:visible")).to_have_count(1)
+
+
+def test_a_proposal_is_shown_and_adopted_before_anything_is_saved(
+    site: Site, administrator: Person, sequences: tuple[Driven, ...]
+) -> None:
+    with site.visit(administrator) as page:
+        page.goto(URL)
+        page.get_by_role("button", name="Propose…").click()
+        for part, size in (("Train", "7"), ("Val", "3"), ("Test", "3")):
+            page.get_by_role("spinbutton", name=part).fill(size)
+        look(page, "splits-propose")
+        page.get_by_role("button", name="Propose", exact=True).click()
+        expect(page.get_by_role("button", name="Adopt")).to_be_focused(timeout=60_000)
+        look(page, "splits-proposal")
+        page.get_by_role("button", name="Adopt").click()
+        for part, size in (("Train", 7), ("Val", 3), ("Test", 3)):
+            expect(column(page, part)).to_have_count(size)
+        expect(page.locator("[data-changes]")).to_have_text("13 moved, not saved")
+    assert standing(site.platform) == Split()
+
+
+def test_who_saves_second_is_told_by_whom_and_decides(
+    site: Site, administrator: Person, sequences: tuple[Driven, ...]
+) -> None:
+    split = put_apart(site.platform, sequences)
+    with site.visit(administrator, expected=["412"]) as page:
+        page.goto(URL)
+        page.get_by_role("button", name="farmland-03").press("0")
+        expect(page.locator("[data-verdict]")).to_have_text("Every rule is kept")
+        page.get_by_role("button", name="Save…").click()
+        page.get_by_label("Reason").fill("the lake was dry")
+        body = {**{part: list(ids) for part, ids in split.parts.items()}, "reason": "as it was"}
+        headers = {**administrator.headers, "If-Match": '"1"'}
+        assert httpx.put(f"{site.url}/api/v1/splits", json=body, headers=headers).status_code == 200
+        page.get_by_role("dialog").get_by_role("button", name="Save").click()
+        notice = page.get_by_role("alert").filter(has_text="saved the splits while you worked")
+        expect(notice).to_contain_text(administrator.name)
+        expect(notice).to_contain_text("farmland-03 (no split here, train there)")
+        look(page, "splits-theirs")
+        notice.get_by_role("button", name="Go on with mine").click()
+        page.get_by_role("button", name="Save…").click()
+        page.get_by_label("Reason").fill("the lake was dry")
+        page.get_by_role("dialog").get_by_role("button", name="Save").click()
+        expect(page.locator("[data-changes]")).to_have_text("Revision 3")
+
+
+def test_leaving_with_moves_that_are_not_saved_asks_first(
+    site: Site, administrator: Person, sequences: tuple[Driven, ...]
+) -> None:
+    with site.visit(administrator) as page:
+        page.goto(URL)
+        page.get_by_role("button", name=sequences[0].name).press("1")
+        asked: list[str] = []
+        page.on("dialog", lambda dialog: (asked.append(dialog.type), dialog.accept()))
+        page.goto("/sign-in")
+        assert asked == ["beforeunload"]
+
+
+def test_a_curator_sees_where_their_own_are_and_moves_nothing(
+    site: Site, curator: Person, sequences: tuple[Driven, ...]
+) -> None:
+    put_apart(site.platform, sequences)
+    with site.visit(curator) as page:
+        page.goto(URL)
+        expect(page.get_by_role("region", name="Test", exact=True).get_by_role("link")).to_have_count(4)
+        expect(page.get_by_role("button", name=re.compile("Save|Propose"))).to_have_count(0)
+        look(page, "splits-curator")
+
+
+def test_without_labels_the_page_says_what_to_do(site: Site, administrator: Person) -> None:
+    with site.visit(administrator) as page:
+        page.goto(URL)
+        expect(page.get_by_role("heading", name="No sequence has labels yet")).to_be_visible()
+        look(page, "splits-empty")

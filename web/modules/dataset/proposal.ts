@@ -1,0 +1,160 @@
+// A proposal by the solver: asked for by sizes, shown beside what stands, adopted by a button.
+
+import { call } from "../api.js";
+import { sayError } from "../said.js";
+import { type Part, arranged, differences } from "./arrangement.js";
+import { percent, showShares } from "./columns.js";
+import type { Desk } from "./desk.js";
+import { make, pressed } from "./elements.js";
+import { type Finding, asItem } from "./verdicts.js";
+
+interface Share {
+  sequences: number;
+  duration_ratio: number;
+  class_ratios: { traversable: number; potentially_traversable: number; non_traversable: number } | null;
+}
+
+interface Listed {
+  sequence_id: string;
+}
+
+interface Proposal {
+  is_feasible: boolean;
+  is_best: boolean;
+  train: Listed[];
+  val: Listed[];
+  test: Listed[];
+  conflict: Finding[];
+  shares: Record<"whole" | "train" | "val" | "test", Share>;
+}
+
+type Sized = "train" | "val" | "test";
+const SIZED: readonly Sized[] = ["train", "val", "test"];
+/** Train, val and test of the paper's 43 sequences. */
+const PAPER: Readonly<Record<Sized, number>> = { train: 31, val: 7, test: 5 };
+
+export function installProposal(root: HTMLElement, dialog: HTMLDialogElement, desk: Desk, tell: (sentence: string) => void): void {
+  const form = dialog.querySelector("form");
+  const place = root.querySelector<HTMLElement>("[data-proposed]");
+  if (!form || !place) return;
+  suggest(form, desk);
+  form.addEventListener("input", () => count(form, desk));
+  form.addEventListener("submit", (event) => {
+    event.preventDefault();
+    void propose(form, desk).then((found) => {
+      if (!found) return;
+      dialog.close();
+      show(place, found, desk, tell);
+    });
+  });
+}
+
+async function propose(form: HTMLFormElement, desk: Desk): Promise<Proposal | null> {
+  const said = form.querySelector<HTMLElement>(".said");
+  const solving = form.querySelector<HTMLElement>("[data-solving]");
+  const button = form.querySelector<HTMLButtonElement>('[type="submit"]');
+  const sizes = Object.fromEntries(SIZED.map((part) => [part, sizeOf(form, part)]));
+  said?.replaceChildren();
+  if (solving) solving.hidden = false;
+  if (button) button.disabled = true;
+  try {
+    return await call<Proposal>("POST", "/api/v1/splits/proposal", { sizes, leave_out: leftOut(form, desk) });
+  } catch (error) {
+    if (said) sayError(said, error);
+    return null;
+  } finally {
+    if (solving) solving.hidden = true;
+    if (button) button.disabled = false;
+  }
+}
+
+function show(place: HTMLElement, found: Proposal, desk: Desk, tell: (sentence: string) => void): void {
+  const ids = (part: Sized): string[] => found[part].map((entry) => entry.sequence_id);
+  const next = arranged(desk.entries.keys(), { train: ids("train"), val: ids("val"), test: ids("test") });
+  const moves = differences(desk.current, next).length;
+  const done = (sentence: string): void => {
+    place.hidden = true;
+    place.replaceChildren();
+    tell(sentence);
+  };
+  place.replaceChildren(
+    make("h2", { textContent: found.is_feasible ? "A proposal that keeps every rule" : "No splits of these sizes keep every rule" }),
+    make("p", { textContent: sentenceOf(found, moves) }),
+    ...(found.conflict.length ? [list(found.conflict)] : []),
+    shares(found),
+    row(
+      pressed("Adopt", "primary", () => {
+        desk.put(next);
+        done(`${moves} sequences moved; nothing is saved yet.`);
+      }),
+      pressed("Leave it", "quiet", () => done("The proposal was left.")),
+    ),
+  );
+  place.hidden = false;
+  place.scrollIntoView({ block: "nearest" });
+  place.querySelector("button")?.focus();
+}
+
+function sentenceOf(found: Proposal, moves: number): string {
+  const moved = moves === 1 ? "1 sequence would move." : `${moves} sequences would move.`;
+  const proven = found.is_best ? "No other is more alike." : "The solver stopped at its limits; there may be a better one.";
+  return found.is_feasible ? `${moved} ${proven}` : `These rules cannot all be kept. What follows bends them least; ${moved.toLowerCase()}`;
+}
+
+/** Time and classes of each part beside those of the whole, to see that they are alike. */
+function shares(found: Proposal): HTMLElement {
+  const table = make("div", { className: "shares" });
+  for (const name of ["whole", ...SIZED] as const) {
+    const share = found.shares[name];
+    const bar = document.querySelector("[data-shares]")?.cloneNode(true) as Element;
+    const ratios = share.class_ratios;
+    showShares(bar, ratios ? [ratios.traversable, ratios.potentially_traversable, ratios.non_traversable] : []);
+    const amount = name === "whole" ? `${share.sequences} sequences` : `${share.sequences} · ${percent(share.duration_ratio)} of the time`;
+    table.append(make("strong", { textContent: name }), make("span", { className: "hint", textContent: amount }), bar);
+  }
+  return table;
+}
+
+function list(conflict: readonly Finding[]): HTMLElement {
+  const items = make("ul", { className: "findings" });
+  items.append(...conflict.map((finding) => asItem({ ...finding, sequence_ids: [] })));
+  return items;
+}
+
+function row(...buttons: HTMLElement[]): HTMLElement {
+  const made = make("div", { className: "row" });
+  made.append(...buttons);
+  return made;
+}
+
+/** The sizes there are, or, while there are none, the paper's in proportion. */
+function suggest(form: HTMLFormElement, desk: Desk): void {
+  const total = desk.entries.size;
+  const isEmpty = SIZED.every((part) => !desk.within(part).length);
+  const val = Math.round((total * PAPER.val) / 43);
+  const test = Math.round((total * PAPER.test) / 43);
+  const wanted = isEmpty ? { train: total - val - test, val, test } : undefined;
+  for (const part of SIZED) {
+    const input = form.elements.namedItem(part);
+    if (input instanceof HTMLInputElement) input.value = String(wanted ? wanted[part] : desk.within(part).length);
+  }
+  count(form, desk);
+}
+
+function count(form: HTMLFormElement, desk: Desk): void {
+  const asked = SIZED.reduce((sum, part) => sum + sizeOf(form, part), 0);
+  const there = desk.entries.size - leftOut(form, desk).length;
+  const said = form.querySelector("[data-sizes-said]");
+  if (said) said.textContent = `${asked} of ${there} sequences${asked > there ? ": more than there are" : ""}`;
+}
+
+function sizeOf(form: HTMLFormElement, part: Part): number {
+  const input = form.elements.namedItem(part);
+  return input instanceof HTMLInputElement ? Number(input.value) : 0;
+}
+
+function leftOut(form: HTMLFormElement, desk: Desk): string[] {
+  const box = form.elements.namedItem("only_assigned");
+  const isChecked = box instanceof HTMLInputElement && box.checked;
+  return isChecked ? desk.within("").map((entry) => entry.id) : [];
+}

@@ -1,0 +1,68 @@
+"""The splits: a board of sequences in train, val, test and none, edited by administrators, seen by curators.
+
+**Conventions.** The page shows the splits as the API tells them; what moves on it is sent to the API's own routes by
+`modules/dataset/`. Curators see where their own sequences are.
+"""
+
+from dataclasses import dataclass
+
+from fastapi import APIRouter, Request
+from fastapi.responses import HTMLResponse
+
+from api.callers import Curator
+from api.deps import PlatformDep
+from api.schemas.splits import SplitEntry, SplitsAnswer
+from api.split_views import splits_answer
+from api.visible import sequences_of
+from services.runtime.catalogue import entries_of, labelled_sequences
+from services.runtime.splits import current_splits, judged
+from stone.splits import LENGTH, LIGHT, PARTS, PLACES, REGIONS, SHORTEST_S, UNSAID, WHOLE
+from stone.surroundings import ENVIRONMENTS, HALVES
+from web.rendering import page
+
+router = APIRouter()
+RULES = {
+    WHOLE: "Whole sequences",
+    LENGTH: f"{SHORTEST_S:g} s or longer",
+    REGIONS: "Test regions apart",
+    LIGHT: "Day and night",
+    PLACES: "Every environment",
+    UNSAID: "Everything said",
+}
+
+
+@dataclass(frozen=True)
+class Column:
+    """A part of the board: its key ('' is none), how it is called, the key to press, what is in it."""
+
+    part: str
+    title: str
+    key: int
+    entries: list[SplitEntry]
+
+
+@router.get("/dataset/splits")
+def splits(request: Request, caller: Curator, platform: PlatformDep) -> HTMLResponse:
+    with platform.database.reading() as session:
+        current = current_splits(session)
+        seen = labelled_sequences(session, sequences_of(caller))
+    findings = judged(current.split, seen) if caller.is_administrator else None
+    shown = splits_answer(current, entries_of(seen), findings)
+    columns = columns_of(shown)
+    return page(
+        request,
+        caller,
+        "dataset/splits.html",
+        splits=shown,
+        columns=columns,
+        gone=sum(current.split.sizes) - sum(len(column.entries) for column in columns if column.part),
+        rules=RULES,
+        words=(*ENVIRONMENTS, *HALVES),
+        can_edit=caller.is_administrator,
+    )
+
+
+def columns_of(shown: SplitsAnswer) -> list[Column]:
+    """Train, val, test and what is in none."""
+    parts = [Column(part, part.capitalize(), key, getattr(shown, part)) for key, part in enumerate(PARTS, start=1)]
+    return [*parts, Column("", "In no split", 0, shown.unassigned)]
