@@ -1,0 +1,63 @@
+// A sequence's page while the platform is at it: one stream of events freshens what moves.
+//
+// `#standing` carries the stream's address and the id of the labels the page shows. Parts marked `data-live-part` are
+// fetched again with it. When other labels count the page is loaded anew, unless somebody is in the middle of a dialog.
+
+import { refresh } from "../refreshing.js";
+import { toast } from "../said.js";
+
+interface Told {
+  labels: { id: string } | null;
+}
+
+const LEAST_BETWEEN_MS = 700;
+
+const standing = document.getElementById("standing");
+if (standing?.dataset["live"]) follow(standing, standing.dataset["live"]);
+
+function follow(part: HTMLElement, address: string): void {
+  const shown = part.dataset["labels"] ?? "";
+  const events = new EventSource(address);
+  const freshen = calmly(() => parts().map((id) => refresh(`#${id}`)));
+  let isFirst = true;
+  events.addEventListener("progress", (event) => {
+    const told = JSON.parse((event as MessageEvent<string>).data) as Told;
+    if (told.labels && told.labels.id !== shown) renew();
+    else if (!isFirst) freshen();
+    isFirst = false;
+  });
+  events.addEventListener("ended", () => {
+    events.close();
+    toast("The sequence was deleted.");
+  });
+  addEventListener("pagehide", () => events.close());
+}
+
+/** The ids of what is fetched again. */
+function parts(): string[] {
+  const live = document.querySelectorAll<HTMLElement>("[data-live-part][id]");
+  return ["word", "standing", ...Array.from(live, (part) => part.id)];
+}
+
+function renew(): void {
+  if (document.querySelector("dialog[open]")) toast("New labels are ready: load the page again to see them.");
+  else location.reload();
+}
+
+/** At most every so often, and once more for what came meanwhile. */
+function calmly(act: () => Promise<void>[]): () => void {
+  let isBusy = false;
+  let isAsked = false;
+  const run = async (): Promise<void> => {
+    isBusy = true;
+    isAsked = false;
+    await Promise.allSettled(act());
+    await new Promise((resolve) => setTimeout(resolve, LEAST_BETWEEN_MS));
+    isBusy = false;
+    if (isAsked) void run();
+  };
+  return () => {
+    if (isBusy) isAsked = true;
+    else void run();
+  };
+}

@@ -1,0 +1,91 @@
+"""Scales and their ticks: where a value stands on an axis, and which values are written beside it.
+
+**Conventions.** A scale maps [low, high] to [start, end]; for y, which grows down in SVG, start is the larger. Values
+beyond the ends stand at the end. Ticks are 1, 2 or 5 times a power of ten (Heckbert, "Nice numbers for graph labels",
+Graphics Gems 1990); on a signed logarithmic scale powers of ten of either sign, and zero.
+"""
+
+from dataclasses import dataclass
+from math import ceil, floor, isfinite, log10
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Scale:
+    """With `linear_below` the scale is logarithmic beyond ± that value, and linear between (as asinh)."""
+
+    low: float
+    high: float
+    start: float
+    end: float
+    linear_below: float = 0.0
+
+    def at(self, values: Floats) -> Floats:
+        """Where the values stand; NaN stays NaN. Of an axis without length: in its middle."""
+        low, high = self._bent(np.array([self.low, self.high]))
+        if high <= low:
+            return np.where(np.isnan(values), np.nan, (self.start + self.end) / 2)
+        share = np.clip((self._bent(values) - low) / (high - low), 0.0, 1.0)
+        return np.asarray(self.start + share * (self.end - self.start))
+
+    def one(self, value: float) -> float:
+        """Where one value stands."""
+        return float(self.at(np.array([value]))[0])
+
+    def _bent(self, values: Floats) -> Floats:
+        return np.arcsinh(values / self.linear_below) if self.linear_below else values
+
+
+def nice_step(span: float, most: int) -> float:
+    """The smallest 1, 2 or 5 × 10ⁿ that divides a span into at most `most` steps; 1 for no span."""
+    if not isfinite(span) or span <= 0:
+        return 1.0
+    least = span / most
+    magnitude = 10.0 ** floor(log10(least))
+    return next(step * magnitude for step in (1.0, 2.0, 5.0, 10.0) if step * magnitude >= least * (1 - 1e-9))
+
+
+def nice_ends(low: float, high: float, most: int = 5) -> tuple[float, float]:
+    """The ticks around [low, high]; a span of nothing is widened to one step about it."""
+    if high <= low:
+        width = max(abs(low) * 0.1, 1e-3)
+        low, high = low - width, high + width
+    step = nice_step(high - low, most)
+    return floor(low / step + 1e-9) * step, ceil(high / step - 1e-9) * step
+
+
+def ticks(low: float, high: float, most: int = 5) -> list[float]:
+    """The nice values within [low, high], ascending, at most `most` + 1."""
+    step = nice_step(high - low, most)
+    first, last = ceil(low / step - 1e-9), floor(high / step + 1e-9)
+    return [count * step for count in range(first, last + 1)]
+
+
+def signed_log_ticks(low: float, high: float, linear_below: float) -> list[float]:
+    """… −10, −1, 0, 1, 10 … in multiples of `linear_below`, within [low, high]; every second where there are many."""
+    decades = max(1, ceil(log10(max(abs(low), abs(high), linear_below) / linear_below) + 1e-9))
+    each = max(1, ceil(decades / 4))
+    sizes = [linear_below * 10.0**power for power in range(decades, -1, -each)]
+    found = [-size for size in sizes] + [0.0] + sizes[::-1]
+    return [value for value in found if low <= value <= high]
+
+
+def tick_text(value: float, step: float) -> str:
+    """The value with as many decimals as its step has, with a real minus sign; thousands apart."""
+    decimals = max(0, -floor(log10(step) + 1e-9)) if step > 0 else 0
+    said = f"{abs(value):,.{decimals}f}"
+    return f"−{said}" if value < 0 and float(said.replace(",", "")) else said
+
+
+def duration_text(value_ns: float) -> str:
+    """`12 ms`, `−37 s`: a signed time in the unit that suits it, three digits at most."""
+    for size_ns, unit in ((1e9, "s"), (1e6, "ms"), (1e3, "µs")):
+        if abs(value_ns) >= size_ns * 0.9995:
+            said = f"{abs(value_ns) / size_ns:.3g}"
+            said = said if "e" not in said else f"{abs(value_ns) / size_ns:,.0f}"
+            return f"{'−' if value_ns < 0 else ''}{said} {unit}"
+    return f"{'−' if value_ns < 0 else ''}{abs(value_ns):.0f} ns"

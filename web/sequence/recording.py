@@ -1,0 +1,210 @@
+"""What the inspection and the quality report of a recording say, as pictures: when sensors spoke, how often, how well.
+
+**Conventions.** Read from the records that ingest wrote (`services/ingest/inspection_record.py`, `quality/report.py`);
+what an older record does not say is left out. Sensors come first, in the order of the report; topics that nobody keeps
+time by (tf, camera_info, other) come apart. A spark is `SPARK` units in size, from the lowest to the highest value.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from web.plots.paths import line
+from web.plots.scales import Scale
+from web.plots.time_plot import About, Plot, Series, Span, marked, time_plot
+from web.sequence.clocks import UNCLOCKED, Clocks, clocks_of
+
+NS_PER_S = 1e9
+SPARK = (200.0, 28.0)
+SPARK_EDGE, LEAST_SPAN = 3.0, 1e-9
+RTK_STYLES = {"fixed": "rtk-fixed", "float": "rtk-float"}
+RTK_OTHER = "rtk-other"
+RIG = ("FRONT_LEFT", "FRONT", "FRONT_RIGHT", "BACK_LEFT", "BACK", "BACK_RIGHT")
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A part of a strip of width 1000; `share` of it is full, 0 to 1."""
+
+    x: float
+    width: float
+    share: float
+
+
+@dataclass(frozen=True)
+class Spark:
+    """A small line: its path, and its lowest, middle and highest value as the caller writes them."""
+
+    path: str
+    low: float
+    middle: float
+    high: float
+
+
+@dataclass(frozen=True)
+class TopicRow:
+    """One topic: when it spoke (`bars`), where it was silent (`gaps`), how often (`rate`)."""
+
+    topic: str
+    channel: str
+    role: str
+    count: int
+    rate_hz: float | None
+    covered_ratio: float | None
+    bars: tuple[Bar, ...]
+    gaps: tuple[Bar, ...]
+    rate: Spark | None
+
+
+@dataclass(frozen=True)
+class SensorRow:
+    """What the messages of one sensor hold, one spark each by name: (title, unit, spark)."""
+
+    name: str
+    detail: str
+    sparks: tuple[tuple[str, str, Spark], ...]
+
+
+@dataclass(frozen=True)
+class Rtk:
+    """How the receiver's solution was, along the recording, and its share fixed."""
+
+    topic: str
+    fixed_ratio: float
+    spans: tuple[Span, ...]
+    plot: Plot
+
+
+@dataclass(frozen=True)
+class RecordingView:
+    """A recording's report in pictures."""
+
+    span_s: float
+    score: int | None
+    deductions: tuple[Mapping[str, Any], ...]
+    sensors: tuple[TopicRow, ...]
+    others: tuple[TopicRow, ...]
+    clocks: Clocks | None
+    rtk: Rtk | None
+    cameras: tuple[SensorRow, ...]
+    lidars: tuple[SensorRow, ...]
+    radars: tuple[SensorRow, ...]
+
+
+def recording_view(inspection: Mapping[str, Any], quality: Mapping[str, Any] | None) -> RecordingView:
+    """The view; without a quality report, what the inspection alone says."""
+    said = quality or {}
+    span_s = float(inspection.get("duration_ns") or 0) / NS_PER_S
+    channels = {topic: channel for channel, topic in (inspection.get("channels") or {}).items()}
+    rows = [_topic(row, channels, span_s) for row in said.get("coverage") or ()]
+    return RecordingView(
+        span_s,
+        said.get("score"),
+        tuple(said.get("deductions") or ()),
+        tuple(row for row in rows if row.role not in UNCLOCKED),
+        tuple(row for row in rows if row.role in UNCLOCKED),
+        clocks_of(inspection.get("clocks") or {}),
+        _rtk(said.get("rtk"), span_s),
+        tuple(sorted((_camera(one) for one in said.get("cameras") or ()), key=lambda one: rig_place(one.name))),
+        tuple(_lidar(one) for one in said.get("lidars") or ()),
+        tuple(_radar(one, channels) for one in said.get("radars") or ()),
+    )
+
+
+def rig_place(channel: str) -> tuple[int, str]:
+    """Where a camera stands among six: the front row from left to right, then the back; others after, by name."""
+    place = channel.removeprefix("CAM_")
+    return (RIG.index(place) if place in RIG else len(RIG), channel)
+
+
+def spark_of(values: Sequence[float], base: float | None = None) -> Spark | None:
+    """None of nothing. The line begins at `base` where one is given, so that what is even looks even."""
+    if not values:
+        return None
+    numbers = np.array(values, np.float64)
+    low, high = float(numbers.min()), float(numbers.max())
+    width, height = SPARK
+    x = np.linspace(SPARK_EDGE, width - SPARK_EDGE, len(numbers)) if len(numbers) > 1 else np.array([width / 2])
+    bottom = low if base is None else min(low, base)
+    y = Scale(bottom, max(high, bottom + LEAST_SPAN), height - SPARK_EDGE, SPARK_EDGE).at(numbers)
+    return Spark(line(x, y), low, float(median(values)), high)
+
+
+def strip(covered: Sequence[float]) -> tuple[Bar, ...]:
+    """Even bins as bars; equal neighbours are one, empty ones none."""
+    bars = list[Bar]()
+    each = 1000 / max(1, len(covered))
+    for place, share in enumerate(round(float(value), 2) for value in covered):
+        last = bars[-1] if bars else None
+        if last is not None and last.share == share and abs(last.x + last.width - place * each) < 0.05:
+            bars[-1] = Bar(last.x, round((place + 1) * each - last.x, 2), share)
+        elif share > 0:
+            bars.append(Bar(round(place * each, 2), round(each, 2), share))
+    return tuple(bars)
+
+
+def _topic(row: Mapping[str, Any], channels: Mapping[str, str], span_s: float) -> TopicRow:
+    gaps = [marked(start / NS_PER_S, end / NS_PER_S, span_s, "") for start, end in row.get("gaps_ns") or ()]
+    return TopicRow(
+        row["topic"],
+        channels.get(row["topic"], ""),
+        row["role"],
+        int(row["count"]),
+        row.get("rate_hz"),
+        row.get("covered_ratio"),
+        strip(row.get("covered") or ()),
+        tuple(Bar(gap.x, gap.width, 1.0) for gap in gaps),
+        spark_of(row.get("rates_hz") or (), 0.0),
+    )
+
+
+def _rtk(rtk: Mapping[str, Any] | None, span_s: float) -> Rtk | None:
+    if not rtk or not rtk.get("at_ns"):
+        return None
+    at_s = np.array(rtk["at_ns"], np.float64) / NS_PER_S
+    stdev = Series(at_s, np.array(rtk["stdev_m"], np.float64) * 100)
+    plot = time_plot(About("Horizontal deviation the receiver claims", "cm", floor=0.0), span_s, [stdev])
+    return Rtk(rtk["topic"], float(rtk.get("fixed_ratio") or 0), _words(at_s.tolist(), rtk["words"], span_s), plot)
+
+
+def _words(at_s: Sequence[float], words: Sequence[str], span_s: float) -> tuple[Span, ...]:
+    """Consecutive samples of one word as one span, each lasting until the next."""
+    ends = [*at_s[1:], span_s]
+    spans, start = list[Span](), 0
+    for place, word in enumerate(words):
+        if place + 1 == len(words) or words[place + 1] != word:
+            spans.append(marked(at_s[start], ends[place], span_s, RTK_STYLES.get(word, RTK_OTHER)))
+            start = place + 1
+    return tuple(spans)
+
+
+def _camera(one: Mapping[str, Any]) -> SensorRow:
+    wide, high = one.get("size_px") or (0, 0)
+    return SensorRow(
+        one.get("channel") or one["topic"],
+        f"{wide} × {high} px",
+        _sparks(("Sharpness", "", one["sharpness"]), ("Brightness", "%", _percent(one["brightness_ratio"]))),
+    )
+
+
+def _lidar(one: Mapping[str, Any]) -> SensorRow:
+    slots = median(one["slots"]) if one["slots"] else 0
+    sparks = _sparks(("Points returned", "%", _percent(one["valid_ratio"])), ("Median range", "m", one["range_m"]))
+    return SensorRow(one["topic"], f"{slots:,.0f} points a sweep", sparks)
+
+
+def _radar(one: Mapping[str, Any], channels: Mapping[str, str]) -> SensorRow:
+    name = channels.get(one["topic"]) or one["topic"]
+    return SensorRow(name, f"{len(one['detections'])} scans looked at", _sparks(("Detections", "", one["detections"])))
+
+
+def _sparks(*named: tuple[str, str, Sequence[float]]) -> tuple[tuple[str, str, Spark], ...]:
+    drawn = ((title, unit, spark_of(values, 0.0)) for title, unit, values in named)
+    return tuple((title, unit, spark) for title, unit, spark in drawn if spark is not None)
+
+
+def _percent(ratios: Sequence[float]) -> list[float]:
+    return [100 * ratio for ratio in ratios]

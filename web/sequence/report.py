@@ -1,0 +1,54 @@
+"""What `report.json` of a label set says, for people.
+
+**Conventions.** An older report may lack what a newer one says: that is None or empty. Numbers are as written there.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from api.files import StoredFile
+from services.runtime.store import Store
+
+MOST_BYTES = 4_000_000
+CLASS_KEYS = ("traversable", "potentially_traversable", "non_traversable")
+
+
+@dataclass(frozen=True)
+class Report:
+    """Facts by what people call them; `shares` are of T, P and N among occupied voxels."""
+
+    profile: str
+    pose_source: str
+    code_version: str
+    excluded: int
+    shares: tuple[float, float, float] | None
+    observed_ratio: float | None
+    map_voxels: int | None
+    map_points: int | None
+    findings: tuple[Mapping[str, str], ...]
+
+
+def read_report(store: Store, file: StoredFile | None) -> Report | None:
+    """None where the labels have no report, or one of an impossible size. Raises `ObjectMissingError`."""
+    if file is None or file.size_bytes > MOST_BYTES:
+        return None
+    return report_of(json.loads(b"".join(store.read(file.object_key))))
+
+
+def report_of(record: Mapping[str, Any]) -> Report:
+    """The report, with None for what it does not say."""
+    parameters, shares = record.get("parameters") or {}, record.get("class_share_of_occupied")
+    mapped, observed = record.get("map") or {}, record.get("observed_ratio") or {}
+    return Report(
+        profile=str(parameters.get("profile") or ""),
+        pose_source=str(record.get("pose_source") or ""),
+        code_version=str(record.get("code_version") or ""),
+        excluded=len(record.get("excluded") or ()),
+        shares=None if shares is None else tuple(float(shares[key]) for key in CLASS_KEYS),  # type: ignore[arg-type]
+        observed_ratio=observed.get("lidar"),
+        map_voxels=mapped.get("voxels"),
+        map_points=mapped.get("points"),
+        findings=tuple(record.get("findings") or ()),
+    )
