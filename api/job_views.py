@@ -8,7 +8,7 @@ from sqlalchemy.orm import Session
 
 from api.schemas.base import instant, instant_or_none
 from api.schemas.jobs import AttemptItem, FailureItem, JobDetail, JobItem, ProgressItem, StageItem
-from services.runtime.jobs.reading import Progress, progress_of
+from services.runtime.jobs.reading import Progress, progress_of, rated
 from services.runtime.orm import Job, JobAttempt
 
 
@@ -18,7 +18,7 @@ def job_items(session: Session, jobs: Sequence[Job]) -> list[JobItem]:
     succeeded = func.sum(case((Job.state == "succeeded", 1), else_=0))
     counted = select(Job.root_id, succeeded, func.count()).where(Job.root_id.in_(runs), Job.queue != "")
     counts = {root: (done, total) for root, done, total in session.execute(counted.group_by(Job.root_id))}
-    return [_item(job, _glance(session, job, counts.get(job.id, (0, 0)))) for job in jobs]
+    return [job_item(job, _glance(session, job, counts.get(job.id, (0, 0)))) for job in jobs]
 
 
 def job_detail(session: Session, job: Job) -> JobDetail:
@@ -26,7 +26,7 @@ def job_detail(session: Session, job: Job) -> JobDetail:
     progress = progress_of(session, job)
     attempts = select(JobAttempt).where(JobAttempt.job_id == job.id).order_by(JobAttempt.number)
     return JobDetail(
-        **dict(_item(job, progress)),
+        **dict(job_item(job, progress)),
         stages=[StageItem(**asdict(stage)) for stage in progress.stages],
         attempts=[_attempt(row) for row in session.scalars(attempts)],
         attempts_left=job.attempts_left if job.queue else 0,
@@ -37,10 +37,10 @@ def job_detail(session: Session, job: Job) -> JobDetail:
 def _glance(session: Session, job: Job, counts: tuple[int, int]) -> Progress:
     if job.queue:
         return progress_of(session, job)
-    return Progress("", *counts, None, None, ())
+    return rated(job, "", *counts)
 
 
-def _item(job: Job, progress: Progress) -> JobItem:
+def job_item(job: Job, progress: Progress) -> JobItem:
     return JobItem(
         id=job.id,
         root_id=job.root_id,

@@ -3,71 +3,111 @@
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from fastapi import APIRouter, Depends, Path
-from redis import RedisError
-from sqlalchemy import ColumnElement, Select, and_, case, func, select
-from sqlalchemy.orm import Session
+from fastapi import APIRouter, Depends, Path, Query
+from sqlalchemy import Select, or_, select
 
 from api import audit
+from api.admin_views import DEAD, admin_job_detail, admin_job_items, job_counts
 from api.answers import refusals
 from api.callers import Administrator
 from api.deps import PlatformDep, at_once
 from api.errors import NotFoundError
-from api.job_views import job_detail, job_items
+from api.job_acts import act_on_each, steer
 from api.log_pages import LogQuery, log_page
 from api.paging import Page, PageDep, page
+from api.queue_views import bells_of, queue_items, running_items, worker_items
 from api.routes.jobs import JobFilters, log_query
-from api.schemas.admin import AdminJobDetail, QueueItem, ReasonBody, RunningAttempt, WorkersAnswer
-from api.schemas.base import IdPath, IdQuery
-from api.schemas.jobs import JobItem, LogPage
+from api.schemas.admin import (
+    AdminJobDetail,
+    AdminJobItem,
+    JobAct,
+    JobActItem,
+    JobActsBody,
+    JobCounts,
+    QueueItem,
+    ReasonBody,
+    WorkersAnswer,
+)
+from api.schemas.base import IdPath, IdQuery, LineQuery
+from api.schemas.jobs import LogPage
 from api.visible import job_of
-from services.runtime.bell import waiting
-from services.runtime.benchmarks.submission_states import reopen
 from services.runtime.celery_app import QUEUES
 from services.runtime.jobs import steering
-from services.runtime.orm import Job, Queue
-from services.runtime.platform import Platform
-from services.runtime.workers import BrokerAwayError, node_calls, running_attempts
+from services.runtime.orm import Job, User
+from services.runtime.workers import BrokerAwayError, node_calls
 
 router = APIRouter(prefix="/admin", tags=["administration"])
 QueueName = Annotated[str, Path(pattern=r"^[a-z]{1,16}$", examples=["labeler"])]
-JobAct = Literal["retry", "cancel", "terminate"]
 QueueAct = Literal["pause", "drain", "resume"]
 MODE_AFTER = {"pause": "paused", "drain": "draining", "resume": "open"}
-MOST_CHILDREN = 200
-MOST_ATTEMPTS = 500
+IdPart = Annotated[str | None, Query(pattern="^[0-9a-f]{4,32}$", description="how an id begins or ends")]
 
 
 @dataclass(frozen=True)
 class AdminFilters(JobFilters):
-    """As `JobFilters`, also by owner and queue; the jobs of a queue are listed one by one."""
+    """As `JobFilters`, also by owner, queue and a piece of the id; the jobs of a queue are listed one by one.
+
+    `dead` are the single jobs that failed with no attempt left, within runs or not.
+    """
 
     queue: Literal["ingest", "labeler", "eval"] | None = None
     owner_id: IdQuery = None
+    owner: LineQuery = None
+    id_part: IdPart = None
+    dead: bool = False
 
     def narrowed(self, statement: Select[Job]) -> Select[Job]:
-        statement = self.equal(statement, ("state", "kind", "sequence_id", "root_id", "queue", "owner_id"))
-        return statement if self.queue else self.one_level(statement)
+        statement = self.equal(self.flat(statement), ("state",))
+        return statement.where(DEAD) if self.dead else self.levelled(statement)
+
+    def of_any_state(self, statement: Select[Job]) -> Select[Job]:
+        return self.levelled(self.flat(statement))
+
+    def flat(self, statement: Select[Job]) -> Select[Job]:
+        """Of any state, those within runs included."""
+        statement = self.equal(statement, ("kind", "sequence_id", "root_id", "queue", "owner_id"))
+        if self.owner is not None:
+            statement = statement.where(Job.owner_id.in_(select(User.id).where(User.name == self.owner)))
+        if self.id_part is not None:
+            statement = statement.where(or_(Job.id.startswith(self.id_part), Job.id.endswith(self.id_part)))
+        return statement
+
+    def levelled(self, statement: Select[Job]) -> Select[Job]:
+        """An id is looked for among the jobs of runs too, and a queue has no runs."""
+        return statement if self.queue or self.id_part else self.one_level(statement)
+
+
+AdminFiltersDep = Annotated[AdminFilters, Depends(at_once(AdminFilters))]
 
 
 @router.get("/jobs", responses=refusals(403))
 def list_all_jobs(
-    _caller: Administrator,
-    platform: PlatformDep,
-    query: PageDep,
-    filters: Annotated[AdminFilters, Depends(at_once(AdminFilters))],
-) -> Page[JobItem]:
+    _caller: Administrator, platform: PlatformDep, query: PageDep, filters: AdminFiltersDep
+) -> Page[AdminJobItem]:
     """Everybody's jobs, newest first."""
     with platform.database.reading() as session:
         found = page(session, filters.narrowed(select(Job)), Job.id.desc(), query)
-        return Page[JobItem](items=job_items(session, found.rows), next=found.next)
+        return Page[AdminJobItem](items=admin_job_items(session, found.rows), next=found.next)
+
+
+@router.get("/jobs/counts", responses=refusals(403))
+def count_jobs(_caller: Administrator, platform: PlatformDep, filters: AdminFiltersDep) -> JobCounts:
+    """How many of them are in each state; `state` and `dead` of the filters change nothing here."""
+    with platform.database.reading() as session:
+        return job_counts(session, filters.of_any_state(select(Job)), filters.flat(select(Job)))
+
+
+@router.post("/jobs/acts", responses=refusals(403))
+def steer_many(body: JobActsBody, caller: Administrator, platform: PlatformDep) -> list[JobActItem]:
+    """The same act on the runs of many jobs: each is done or refused for itself, and says so."""
+    return act_on_each(platform, caller, body)
 
 
 @router.get("/jobs/{job_id}", responses=refusals(403, 404))
 def show_any_job(job_id: IdPath, caller: Administrator, platform: PlatformDep) -> AdminJobDetail:
     """A job; of a run also its jobs, those that have not succeeded first."""
     with platform.database.reading() as session:
-        return _detail(session, job_of(session, caller, job_id))
+        return admin_job_detail(session, job_of(session, caller, job_id))
 
 
 @router.get("/jobs/{job_id}/logs", responses=refusals(403, 404))
@@ -86,18 +126,18 @@ def steer_job(
     """Steer the whole run of a job: `cancel` asks it to stop, `terminate` stops its processes, `retry` queues again."""
     with platform.database.transaction() as session:
         root_id = job_of(session, caller, job_id).root_id
-        run = _steered(session, platform, act, root_id, body.reason)
+        run = steer(session, platform, act, root_id, body.reason)
         audit.record_admin_act(session, caller, f"job.{act}", root_id, body.reason)
         session.flush()
-        return _detail(session, run)
+        return admin_job_detail(session, run)
 
 
 @router.get("/queues", responses=refusals(403))
 def list_queues(_caller: Administrator, platform: PlatformDep) -> list[QueueItem]:
     """Each queue with its switch, its jobs and the bells that nobody has heard yet."""
-    bells = _bells(platform)
+    bells = bells_of(platform)
     with platform.database.reading() as session:
-        return [_queue(session, name, bells[name]) for name in QUEUES]
+        return queue_items(session, bells)
 
 
 @router.post("/queues/{queue}/{act}", responses=refusals(403, 404))
@@ -110,62 +150,18 @@ def switch_queue(
     with platform.database.transaction() as session:
         steering.set_mode(session, queue, MODE_AFTER[act])
         audit.record_admin_act(session, caller, f"queue.{act}", queue, body.reason)
-    bells = _bells(platform)
+    bells = bells_of(platform)
     with platform.database.reading() as session:
-        return _queue(session, queue, bells[queue])
+        return queue_items(session, bells)[QUEUES.index(queue)]
 
 
 @router.get("/workers", responses=refusals(403))
 def list_workers(_caller: Administrator, platform: PlatformDep) -> WorkersAnswer:
-    """What runs now, by the database; who answers a call, by the broker, if that answers."""
+    """Who works and what runs now, by the database; who answers a call, by the broker, if that answers."""
     with platform.database.reading() as session:
-        running = [
-            RunningAttempt(job_id=job.id, kind=job.kind, attempt=attempt.number, worker=attempt.worker)
-            for job, attempt in running_attempts(session, MOST_ATTEMPTS)
-        ]
+        workers, running = worker_items(session, platform.settings), running_items(session)
     try:
         nodes, is_reachable = node_calls(platform.settings)(), True
     except BrokerAwayError:
         nodes, is_reachable = [], False
-    return WorkersAnswer(running=running, nodes=nodes, is_broker_reachable=is_reachable)
-
-
-def _steered(session: Session, platform: Platform, act: JobAct, root_id: str, reason: str) -> Job:
-    if act == "retry":
-        run = steering.retry(session, root_id, platform.settings.jobs.max_attempts)
-        reopen(session, run)
-        return run
-    return (steering.cancel if act == "cancel" else steering.terminate)(session, root_id, reason)
-
-
-def _detail(session: Session, job: Job) -> AdminJobDetail:
-    children = (Job.root_id == job.id, Job.id != job.id)
-    unfinished_first = case((Job.state == "succeeded", 1), else_=0)
-    shown = select(Job).where(*children).order_by(unfinished_first, Job.id).limit(MOST_CHILDREN)
-    return AdminJobDetail(
-        **dict(job_detail(session, job)),
-        children=job_items(session, session.scalars(shown).all()),
-        children_total=session.scalar(select(func.count()).select_from(Job).where(*children)) or 0,
-    )
-
-
-def _bells(platform: Platform) -> dict[str, int | None]:
-    """Bells not yet heard, by queue; None where the broker does not answer."""
-    count = waiting(platform.settings)
-    try:
-        return {name: count(name) for name in QUEUES}
-    except (RedisError, OSError):
-        return dict.fromkeys(QUEUES)
-
-
-def _queue(session: Session, name: str, bells: int | None) -> QueueItem:
-    def counted(*claims: ColumnElement[bool]) -> ColumnElement[int]:
-        return func.coalesce(func.sum(case((and_(*claims), 1), else_=0)), 0)
-
-    queued = Job.state == "queued"
-    counts = select(
-        counted(queued, Job.needs_left == 0), counted(queued, Job.needs_left > 0), counted(Job.state == "running")
-    ).where(Job.queue == name, Job.state.in_(("queued", "running")))
-    ready, blocked, running = session.execute(counts).one()
-    mode = session.scalar(select(Queue.mode).where(Queue.name == name)) or "open"
-    return QueueItem(name=name, mode=mode, ready=ready, waiting=blocked, running=running, bells=bells)
+    return WorkersAnswer(workers=workers, running=running, nodes=nodes, is_broker_reachable=is_reachable)

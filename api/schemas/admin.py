@@ -1,11 +1,30 @@
 """The administrator's view over the wire: jobs with their children, queues, workers."""
 
-from typing import Annotated
+from datetime import datetime
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from api.schemas.base import ID_EXAMPLE, PLAIN, Answer, Body, Reason, example
-from api.schemas.jobs import ATTEMPT_EXAMPLE, JOB_EXAMPLE, STAGES_EXAMPLE, JobDetail, JobItem
+from api.schemas.base import ID_EXAMPLE, PLAIN, Answer, Body, IdText, Reason, example
+from api.schemas.jobs import ATTEMPT_EXAMPLE, JOB_EXAMPLE, STAGES_EXAMPLE, FailureItem, JobDetail, JobItem
+
+MOST_AT_ONCE = 200
+JobAct = Literal["retry", "cancel", "terminate"]
+WORKER_EXAMPLE: dict[str, Any] = {
+    "name": "worker-3:4711",
+    "queues": ["eval", "ingest", "labeler"],
+    "is_silent": False,
+    "age_s": 1.2,
+    "started_at": "2026-05-03T09:00:00Z",
+    "job_id": ID_EXAMPLE,
+    "kind": "labeler.surface",
+    "attempt": 1,
+    "held_bytes": 412000000,
+    "memory_free_bytes": 9000000000,
+    "memory_bytes": 16000000000,
+    "disk_free_bytes": 700000000000,
+    "disk_bytes": 1000000000000,
+}
 
 
 class ReasonBody(Body):
@@ -24,11 +43,57 @@ class CancelBody(Body):
     reason: Annotated[str, Field(pattern=PLAIN, max_length=500)] = ""
 
 
+class AdminJobItem(JobItem):
+    """A job with the names that it goes with, and how many tries it has left."""
+
+    model_config = example(**JOB_EXAMPLE, owner="ada", sequence="forest-3", attempts_left=2)
+
+    owner: str
+    sequence: str | None
+    attempts_left: int
+
+
+class JobCounts(Answer):
+    """How many jobs there are in each state; `dead` are single jobs that failed with no attempt left."""
+
+    model_config = example(queued=3, running=2, succeeded=9120, failed=14, cancelled=7, dead=2)
+
+    queued: int = 0
+    running: int = 0
+    succeeded: int = 0
+    failed: int = 0
+    cancelled: int = 0
+    dead: int = 0
+
+
+class JobActsBody(Body):
+    """The same act on the runs of many jobs, and why."""
+
+    model_config = Body.model_config | example(act="retry", job_ids=[ID_EXAMPLE], reason="the disk was full")
+
+    act: JobAct
+    job_ids: Annotated[list[IdText], Field(min_length=1, max_length=MOST_AT_ONCE)]
+    reason: Reason
+
+
+class JobActItem(Answer):
+    """What came of the act for one of the jobs: the state of its run now, or why it was refused."""
+
+    model_config = example(job_id=ID_EXAMPLE, root_id=ID_EXAMPLE, state="queued", failure=None)
+
+    job_id: str
+    root_id: str | None
+    state: str | None
+    failure: FailureItem | None
+
+
 class AdminJobDetail(JobDetail):
     """A job with its attempts, and of a run the jobs that are unfinished or failed, newest first."""
 
     model_config = example(
         **JOB_EXAMPLE,
+        owner="ada",
+        sequence="forest-3",
         stages=STAGES_EXAMPLE,
         attempts=[ATTEMPT_EXAMPLE],
         attempts_left=2,
@@ -37,6 +102,8 @@ class AdminJobDetail(JobDetail):
         children_total=52,
     )
 
+    owner: str
+    sequence: str | None
     children: list[JobItem]
     children_total: int
 
@@ -44,10 +111,23 @@ class AdminJobDetail(JobDetail):
 class QueueItem(Answer):
     """A queue: `mode` is open, paused or draining; jobs ready, waiting for others, and running.
 
-    `bells` are messages that no worker has heard yet; null where the broker does not answer.
+    `bells` are messages that no worker has heard yet; null where the broker does not answer. `oldest_ready_s` is how
+    long ago the oldest of the ready jobs was made. `per_minute` are the jobs that succeeded in each of the last 30
+    minutes, the oldest first; `succeeded_lately` and `failed_lately` are of the last 15.
     """
 
-    model_config = example(name="labeler", mode="open", ready=3, waiting=28, running=2, bells=3)
+    model_config = example(
+        name="labeler",
+        mode="open",
+        ready=3,
+        waiting=28,
+        running=2,
+        bells=3,
+        oldest_ready_s=41.5,
+        succeeded_lately=57,
+        failed_lately=1,
+        per_minute=[0] * 26 + [3, 4, 4, 5],
+    )
 
     name: str
     mode: str
@@ -55,6 +135,10 @@ class QueueItem(Answer):
     waiting: int
     running: int
     bells: int | None
+    oldest_ready_s: float | None
+    succeeded_lately: int
+    failed_lately: int
+    per_minute: list[int]
 
 
 class RunningAttempt(Answer):
@@ -68,18 +152,44 @@ class RunningAttempt(Answer):
     worker: str
 
 
+class WorkerItem(Answer):
+    """A worker process as it told of itself `age_s` ago; silent when it missed its heartbeats.
+
+    `held_bytes` is its own memory, the rest that of its machine; null where it could not find out. `job_id` is what it
+    is busy with.
+    """
+
+    model_config = example(**WORKER_EXAMPLE)
+
+    name: str
+    queues: list[str]
+    is_silent: bool
+    age_s: float
+    started_at: datetime
+    job_id: str | None
+    kind: str | None
+    attempt: int | None
+    held_bytes: int | None
+    memory_free_bytes: int | None
+    memory_bytes: int | None
+    disk_free_bytes: int | None
+    disk_bytes: int | None
+
+
 class WorkersAnswer(Answer):
-    """Attempts that run, as the database has them, and the Celery nodes that answered a ping.
+    """Worker processes by their heartbeats, attempts that run, and the Celery nodes that answered a ping.
 
     `is_broker_reachable` false means that nodes could not be asked: an empty list then says nothing.
     """
 
     model_config = example(
+        workers=[WORKER_EXAMPLE],
         running=[{"job_id": ID_EXAMPLE, "kind": "labeler.surface", "attempt": 1, "worker": "worker-3:4711"}],
         nodes=["celery@worker-3"],
         is_broker_reachable=True,
     )
 
+    workers: list[WorkerItem]
     running: list[RunningAttempt]
     nodes: list[str]
     is_broker_reachable: bool

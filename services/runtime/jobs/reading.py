@@ -36,10 +36,10 @@ class Progress:
 def progress_of(session: Session, job: Job) -> Progress:
     """A job's own progress; of a run, that of its jobs."""
     if job.queue:
-        return _rated(job, job.stage, job.done, job.total, ())
+        return rated(job, job.stage, job.done, job.total, ())
     stages = tuple(StageProgress(*row) for row in session.execute(_stages(job.id)))
     active = next((stage.kind for stage in reversed(stages) if stage.running), "")
-    return _rated(job, active, sum(s.done for s in stages), sum(s.total for s in stages), stages)
+    return rated(job, active, sum(s.done for s in stages), sum(s.total for s in stages), stages)
 
 
 def _stages(root_id: str) -> Select[str, int, int, int, int]:
@@ -54,7 +54,8 @@ def _stages(root_id: str) -> Select[str, int, int, int, int]:
     )
 
 
-def _rated(job: Job, stage: str, done: int, total: int, stages: tuple[StageProgress, ...]) -> Progress:
+def rated(job: Job, stage: str, done: int, total: int, stages: tuple[StageProgress, ...] = ()) -> Progress:
+    """The progress with its rate since the job began, as long as it runs."""
     if not job.started_ns or not done or job.state in TERMINAL:
         return Progress(stage, done, total, None, None, stages)
     passed_s = max((job.progress_ns or now_ns()) - job.started_ns, 1) / 1e9
