@@ -20,12 +20,20 @@ from services.runtime.access.users import create_user
 from services.runtime.embedded.children import Child
 from services.runtime.embedded.supervisor import Running, running_platform
 from services.runtime.platform import Platform
-from services.runtime.settings import ApiSettings, DatabaseSettings, JobSettings, Settings, StoreSettings
+from services.runtime.settings import (
+    ApiSettings,
+    DatabaseSettings,
+    JobSettings,
+    Settings,
+    StoreSettings,
+    ViewingSettings,
+)
 from tests.servers.postgres import PostgresServer, running_postgres
 
 WORKERS = 2
 JOBS = JobSettings(lease_s=2.0, heartbeat_s=0.4, progress_s=0.2, sweep_s=0.25)
 STORE = StoreSettings(grace_s=5.0)
+VIEWING = ViewingSettings(makes_playback=False)  # a round is the run that was asked for, and over with it
 API = ApiSettings(port=0, requests_per_minute=10**6)
 SCOPES = ("read", "upload", "submit")
 DAY_S = 86_400.0
@@ -88,7 +96,13 @@ def opened_place(folder: Path, inputs: Inputs, told: Callable[[str], None], *, o
         postgres = stack.enter_context(_postgres(folder)) if on_postgres else None
         url = postgres.url() if postgres else ""
         settings = Settings(
-            data_folder=folder, workers=WORKERS, database=DatabaseSettings(url), jobs=JOBS, store=STORE, api=API
+            data_folder=folder,
+            workers=WORKERS,
+            database=DatabaseSettings(url),
+            jobs=JOBS,
+            store=STORE,
+            api=API,
+            viewing=VIEWING,
         )
         place = Place(stack.enter_context(running_platform(settings, told)), inputs, postgres)
         yield place

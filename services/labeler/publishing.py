@@ -21,8 +21,10 @@ from services.labeler.scratch import whole
 from services.labeler.tables import write_frames
 from services.labeler.totals import Totals, totals_of
 from services.runtime.blobs import PreparedBlob, link, prepare
+from services.runtime.exports import follow_labels
 from services.runtime.jobs.specs import Outcome
 from services.runtime.orm import Artefact, Job, LabelledFrame, LabelSet, new_id
+from services.runtime.playback import PLAYBACK
 from services.runtime.recipes import CODE_VERSION
 from services.runtime.run_files import SEQUENCE_FILE
 from services.runtime.stages import standing_sequence
@@ -108,6 +110,8 @@ def _write_rows(desk: Desk, prepared: list[tuple[_File, PreparedBlob]], totals: 
         label_set_id = _write_label_set(desk, session, recipe, totals)
         for file, blob in sorted(prepared, key=lambda pair: pair[1].sha256):  # the order in which all link
             _write_artefact(desk, session, label_set_id, (file, blob))
+        if desk.platform.settings.viewing.makes_playback:
+            follow_labels(session, sequence, session.get_one(LabelSet, label_set_id), PLAYBACK)
     run.result = {"label_set_id": label_set_id, "frames": len(desk.run.sequence.frames), "recipe": recipe}
 
 

@@ -16,7 +16,7 @@ from sqlalchemy.orm import Session
 
 from services.runtime import quota
 from services.runtime.blobs import PreparedBlob, link_all
-from services.runtime.jobs.errors import JobCancelledError, JobStateError
+from services.runtime.jobs.errors import JobCancelledError, JobStateError, QueueDrainingError
 from services.runtime.jobs.queueing import enqueue
 from services.runtime.jobs.specs import TERMINAL, Attempt, Context, JobSpec
 from services.runtime.jobs.steering import cancel
@@ -41,6 +41,7 @@ from stone.errors import StoneError
 EXPORT = "labeler.export"
 FORMATS = ("nuscenes", "inputs", "kitti", "mesh", "mcap", "rrd", "previews", "playback")
 FROM_LABELS_ALONE = ("mesh",)
+LAST = -1  # the priority of what nobody waits for
 
 
 class UnknownExportFormatError(StoneError):
@@ -87,20 +88,27 @@ def start_export(session: Session, sequence: Sequence, form: str) -> tuple[Expor
         raise UnknownExportFormatError(form)
     sequence = lock_sequence(session, sequence.id)
     labels = _exportable_labels(session, sequence, form)
-    recipe = recipe_of({"labels": labels.recipe, "format": form})
+    recipe = _recipe(labels, form)
     export = _standing(session, sequence, recipe)
     if export is not None:
         job = session.get_one(Job, export.job_id, populate_existing=True)
         if export.finished_ns is not None or (job.state not in TERMINAL and not job.cancel_reason):
             return export, job
     else:
-        facts = {"label_set_id": labels.id, "format": form, "recipe": recipe, "code_version": CODE_VERSION}
-        export = Export(id=new_id(), sequence_id=sequence.id, **facts)
-    job = enqueue(session, JobSpec(EXPORT, {"export_id": export.id}), Context(sequence.owner_id, sequence.id))
-    export.job_id = job.id
-    session.add(export)
-    session.flush()
-    return export, job
+        export = _new_export(labels, form, recipe)
+    return export, _enqueued(session, export, Context(sequence.owner_id, sequence.id))
+
+
+def follow_labels(session: Session, sequence: Sequence, labels: LabelSet, form: str) -> None:
+    """Have labels that are being published exported without anybody asking, after all that somebody asked for.
+
+    Nothing happens where the queue is draining, or where the recording is gone: it may be asked for later. The
+    sequence is not locked: whoever deletes it waits for the run that publishes, and then finds the export.
+    """
+    if _has_recording(session, sequence):
+        export = _new_export(labels, form, _recipe(labels, form))
+        with suppress(QueueDrainingError):
+            _enqueued(session, export, Context(sequence.owner_id, sequence.id, LAST))
 
 
 def write_export(session: Session, attempt: Attempt, made: Made, limit_bytes: int) -> None:
@@ -146,6 +154,29 @@ def counting_labels(session: Session, sequence_id: str) -> LabelSet | None:
     return session.scalars(newest.order_by(LabelSet.chosen_ns.desc(), LabelSet.id.desc()).limit(1)).one_or_none()
 
 
+def _recipe(labels: LabelSet, form: str) -> str:
+    return recipe_of({"labels": labels.recipe, "format": form})
+
+
+def _new_export(labels: LabelSet, form: str, recipe: str) -> Export:
+    facts = {"label_set_id": labels.id, "format": form, "recipe": recipe, "code_version": CODE_VERSION}
+    return Export(id=new_id(), sequence_id=labels.sequence_id, **facts)
+
+
+def _enqueued(session: Session, export: Export, context: Context) -> Job:
+    """The job that makes it from now on. Raises `QueueDrainingError`, and writes nothing then."""
+    job = enqueue(session, JobSpec(EXPORT, {"export_id": export.id}), context)
+    export.job_id = job.id
+    session.add(export)
+    session.flush()
+    return job
+
+
+def _has_recording(session: Session, sequence: Sequence) -> bool:
+    registered = select(Recording.id).where(Recording.sequence_id == sequence.id, Recording.state == "registered")
+    return session.scalar(registered.limit(1)) is not None
+
+
 def _standing(session: Session, sequence: Sequence, recipe: str) -> Export | None:
     same = select(Export).where(Export.sequence_id == sequence.id, Export.recipe == recipe)
     return session.scalars(same.execution_options(populate_existing=True)).one_or_none()
@@ -159,7 +190,6 @@ def _exportable_labels(session: Session, sequence: Sequence, form: str) -> Label
     synchronised = select(Artefact.id).where(Artefact.label_set_id == labels.id, Artefact.name == SEQUENCE_FILE)
     if session.scalar(synchronised) is None:
         raise NothingToExportError(sequence.id, "an earlier version made its labels and kept no sequence.npz")
-    registered = select(Recording.id).where(Recording.sequence_id == sequence.id, Recording.state == "registered")
-    if form not in FROM_LABELS_ALONE and session.scalar(registered.limit(1)) is None:
+    if form not in FROM_LABELS_ALONE and not _has_recording(session, sequence):
         raise NothingToExportError(sequence.id, "its recording was deleted; only a mesh can be made of labels alone")
     return labels

@@ -106,6 +106,13 @@ class ApiSettings:
     metrics_token: SecretStr = field(default=SecretStr(""))
 
 
+@dataclass(frozen=True)
+class ViewingSettings:
+    """What the viewer is given: with `makes_playback` small pictures and sweeps are made after labels."""
+
+    makes_playback: bool = True
+
+
 class Settings(BaseSettings):
     """The settings of one process; frozen."""
 
@@ -126,6 +133,7 @@ class Settings(BaseSettings):
     uploads: UploadSettings = UploadSettings()
     submissions: SubmissionSettings = SubmissionSettings()
     api: ApiSettings = ApiSettings()
+    viewing: ViewingSettings = ViewingSettings()
 
     @cached_property
     def root(self) -> Path:

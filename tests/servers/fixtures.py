@@ -15,7 +15,7 @@ import pytest
 from services.runtime.database import Database
 from services.runtime.migrate import upgrade
 from services.runtime.platform import Platform
-from services.runtime.settings import DatabaseSettings, JobSettings, Settings, StoreSettings
+from services.runtime.settings import DatabaseSettings, JobSettings, Settings, StoreSettings, ViewingSettings
 from services.runtime.store import open_store
 from tests.servers.postgres import PostgresServer, running_postgres
 from tests.servers.redis import RedisServer, running_redis
@@ -26,8 +26,12 @@ Bells = list[tuple[str, int]]
 
 
 def make_settings(tmp_path: Path, **groups: Any) -> Settings:
-    """Settings whose data folder is below `tmp_path`; `groups` as in `Settings`. Workers do not rest for long."""
-    return Settings(data_folder=tmp_path / "data", **{"jobs": JobSettings(rest_s=0.1), **groups})
+    """Settings whose data folder is below `tmp_path`; `groups` as in `Settings`.
+
+    Workers do not rest for long, and nothing is made that nobody asked for.
+    """
+    usual = {"jobs": JobSettings(rest_s=0.1), "viewing": ViewingSettings(makes_playback=False)}
+    return Settings(data_folder=tmp_path / "data", **{**usual, **groups})
 
 
 @pytest.fixture(scope="session")
