@@ -14,6 +14,7 @@ from api.preview_files import previews_of_sequence
 from api.schemas.base import instant
 from api.schemas.sequences import ArtefactItem, ClassVoxels, JobGlance, LabelGlance, SequenceDetail, SequenceItem
 from api.visible import labels_of
+from services.runtime.exports import EXPORT
 from services.runtime.orm import Artefact, Job, LabelSet, Recording, Sequence, SplitMember
 
 UNLISTED = ("labels/", "scene/")
@@ -91,7 +92,9 @@ def _recordings(session: Session, ids: list[str]) -> dict[str, int]:
 
 
 def _newest_runs(session: Session, ids: list[str]) -> dict[str, JobGlance]:
-    newest = select(func.max(Job.id)).where(Job.sequence_id.in_(ids), Job.id == Job.root_id).group_by(Job.sequence_id)
+    """Of what is done to a sequence itself; an export has a state of its own."""
+    is_run = (Job.sequence_id.in_(ids), Job.id == Job.root_id, Job.kind != EXPORT)
+    newest = select(func.max(Job.id)).where(*is_run).group_by(Job.sequence_id)
     found = select(Job.sequence_id, Job.id, Job.kind, Job.state).where(Job.id.in_(newest))
     return {of: JobGlance(id=id, kind=kind, state=state) for of, id, kind, state in session.execute(found) if of}
 
