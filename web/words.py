@@ -42,6 +42,13 @@ def span(seconds: float | None) -> str:
     return " ".join(part for part in said if part)
 
 
+def distance(metres: float | None) -> str:
+    """`1.82 km`; below a kilometre in metres."""
+    if metres is None:
+        return DASH
+    return f"{metres:.0f} m" if metres < 999.5 else f"{metres / 1000:.2f} km"
+
+
 def percent(ratio: float | None, digits: int = 1) -> str:
     """`29.1 %`."""
     return DASH if ratio is None else f"{100 * ratio:.{digits}f} %"
@@ -78,6 +85,7 @@ FILTERS: Mapping[str, Callable[..., Any]] = {
     "size": size,
     "span": span,
     "percent": percent,
+    "distance": distance,
     "number": number,
     "moment": moment,
     "iso": iso,
