@@ -11,6 +11,7 @@ from math import ceil, floor, log10
 MARGIN = 4.0
 MOST_STEPS = 5
 NARROWEST = 0.02
+LEAST_REACH = 0.001
 ROUND = (1.0, 2.0, 2.5, 5.0, 10.0)
 
 
@@ -67,7 +68,7 @@ def axis_from_zero(values: Iterable[float | None]) -> Axis:
 def axis_around_zero(values: Iterable[float | None]) -> Axis:
     """An axis as far to the left of 0 as to the right, for differences."""
     furthest = max((abs(value) for value in values if value is not None), default=0.0)
-    step = _round_step(max(furthest, NARROWEST / 2), 2)
+    step = _round_step(max(furthest, LEAST_REACH), 2)
     reach = step * ceil(max(furthest, step) / step - 1e-9)
     return Axis(-reach, reach, step)
 

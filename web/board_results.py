@@ -1,4 +1,4 @@
-"""What a method scored, as figures: totals with whiskers, parts as dots on one axis, the confusion as a matrix.
+"""What a method scored, as figures: totals with whiskers, parts as dots and a mean on one axis, the confusion as a matrix.
 
 **Conventions.** Made of what the API answers with, so that what a viewer may not see is not drawn. Rows of the matrix
 are the ground truth and are read as shares of their row, since free space outnumbers everything.
@@ -12,13 +12,14 @@ from web.axes import Axis, axis_from_zero, axis_over
 from web.board_compared import TITLES
 
 CLASS_NAMES = ("free", "T", "P", "N")
-DOTS = ("iou_t", "iou_p", "iou_n", "miou")
+DOTS = ("miou", "iou_t", "iou_p", "iou_n")
 BY_TITLES = {
     "environment": "By environment",
     "illumination": "By illumination",
     "distance": "By distance from the robot",
     "sequence": "By sequence",
 }
+RING_TITLES = {"0-10m": "0–10 m", "10-20m": "10–20 m", "from-20m": "from 20 m"}
 STRONG = 0.55
 
 
@@ -52,12 +53,11 @@ class Dot:
 
 @dataclass(frozen=True)
 class PartRow:
-    """A part with its dots, and the line that joins the outermost of them."""
+    """A part with its dots; those that are undefined are left out."""
 
     part: PartItem
+    title: str
     dots: tuple[Dot, ...]
-    low: str | None
-    length: str | None
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def totals(answer: ResultsAnswer) -> Totals:
 
 def breakdowns(answers: Iterable[BreakdownAnswer]) -> tuple[Breakdown, ...]:
     """One figure each of those that have more than one part, all on the same axis."""
-    told = [answer for answer in answers if len(answer.parts) > 1]
+    told = sorted((one for one in answers if len(one.parts) > 1), key=lambda one: list(BY_TITLES).index(one.by))
     axis = axis_over(getattr(part.ratios, name) for answer in told for part in answer.parts for name in DOTS)
     return tuple(
         Breakdown(answer.by, BY_TITLES[answer.by], tuple(_part(part, axis) for part in answer.parts), axis)
@@ -138,7 +138,4 @@ def _bar(answer: ResultsAnswer, name: str, axis: Axis) -> Bar:
 def _part(part: PartItem, axis: Axis) -> PartRow:
     known = [(name, value) for name in DOTS if (value := getattr(part.ratios, name)) is not None]
     dots = tuple(Dot(name, TITLES[name], axis.at(value), value) for name, value in known)
-    if not known:
-        return PartRow(part, (), None, None)
-    low, high = min(value for _, value in known), max(value for _, value in known)
-    return PartRow(part, dots, axis.at(low), axis.width(high, low))
+    return PartRow(part, RING_TITLES.get(part.name, part.name), dots)

@@ -134,10 +134,11 @@ def drawn_board(answer: LeaderboardAnswer, sort: Sort = "rank") -> ShownBoard:
 
 
 def shortened(whole: ShownBoard, most: int = FEW) -> ShownBoard:
-    """The best `most` ranked rows with their axis, beside them the best row of each other standing."""
+    """The best `most` ranked rows with their axis, beside them the best baseline and the best reported row."""
+    shown = {"ranked": most, "baseline": 1, "reported": 1}
     rows: list[BoardRow] = []
     for group in whole.groups:
-        rows += [one.row for one in group.rows[: most if group.standing == "ranked" else 1]]
+        rows += [one.row for one in group.rows[: shown.get(group.standing, 0)]]
     return drawn_board(whole.answer.model_copy(update={"rows": rows}), whole.sort)
 
 

@@ -20,7 +20,7 @@ DESCRIPTION = (
 ENTRIES = (
     ("TerrainFormer-L", "C+L", "Hanyang Robotics", Made(0.24, 1), 4),
     ("GroundNet++", "C+L", "Terrain Gang", Made(0.25, 2), 12),
-    ("VoxTrav", "L", "Off-road Lab", Made(0.25, 3), 21),
+    ("VoxTrav", "L", "Off-road Lab", Made(0.25, 8), 21),
     ("SurroundOcc-T", "C", "Camera Only Club", Made(0.42, 4), 26),
     ("RadarScout", "R", "Mist & Dust", Made(0.61, 5), 29),
 )
