@@ -4,7 +4,7 @@ import re
 
 import httpx
 import pytest
-from playwright.sync_api import Locator, Page, expect
+from playwright.sync_api import Dialog, Locator, Page, expect
 
 from services.runtime.platform import Platform
 from services.runtime.splits import current_splits
@@ -108,15 +108,16 @@ def test_a_proposal_is_shown_and_adopted_before_anything_is_saved(
     with site.visit(administrator) as page:
         page.goto(URL)
         page.get_by_role("button", name="Propose…").click()
-        for part, size in (("Train", "7"), ("Val", "3"), ("Test", "3")):
+        for part, size in (("Train", "5"), ("Val", "4"), ("Test", "4")):
             page.get_by_role("spinbutton", name=part).fill(size)
         look(page, "splits-propose")
         page.get_by_role("button", name="Propose", exact=True).click()
         expect(page.get_by_role("button", name="Adopt")).to_be_focused(timeout=60_000)
+        expect(page.get_by_role("heading", name="A proposal that keeps every rule")).to_be_visible()
         look(page, "splits-proposal")
         page.get_by_role("button", name="Adopt").click()
-        for part, size in (("Train", 7), ("Val", 3), ("Test", 3)):
-            expect(column(page, part)).to_have_count(size)
+        for part, wanted in (("Train", 5), ("Val", 4), ("Test", 4)):
+            expect(column(page, part)).to_have_count(wanted)
         expect(page.locator("[data-changes]")).to_have_text("13 moved, not saved")
     assert standing(site.platform) == Split()
 
@@ -131,7 +132,7 @@ def test_who_saves_second_is_told_by_whom_and_decides(
         expect(page.locator("[data-verdict]")).to_have_text("Every rule is kept")
         page.get_by_role("button", name="Save…").click()
         page.get_by_label("Reason").fill("the lake was dry")
-        body = {**{part: list(ids) for part, ids in split.parts.items()}, "reason": "as it was"}
+        body = {"train": split.train, "val": split.val, "test": split.test, "reason": "as it was"}
         headers = {**administrator.headers, "If-Match": '"1"'}
         assert httpx.put(f"{site.url}/api/v1/splits", json=body, headers=headers).status_code == 200
         page.get_by_role("dialog").get_by_role("button", name="Save").click()
@@ -153,7 +154,12 @@ def test_leaving_with_moves_that_are_not_saved_asks_first(
         page.goto(URL)
         page.get_by_role("button", name=sequences[0].name).press("1")
         asked: list[str] = []
-        page.on("dialog", lambda dialog: (asked.append(dialog.type), dialog.accept()))
+
+        def leave(dialog: Dialog) -> None:
+            asked.append(dialog.type)
+            dialog.accept()
+
+        page.on("dialog", leave)
         page.goto("/sign-in")
         assert asked == ["beforeunload"]
 

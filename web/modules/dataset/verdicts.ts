@@ -28,6 +28,7 @@ export class Verdicts {
   private asked = 0;
   private timer = 0;
   private findings: readonly Finding[] = [];
+  private isEmpty = true;
   private chosen = "";
   /** Whether the platform would take the splits as they stand. */
   canBePut = false;
@@ -63,9 +64,9 @@ export class Verdicts {
     this.canBePut = answer.can_be_put;
     const errors = answer.findings.filter((one) => one.severity === "error");
     const broken = new Set(errors.map((one) => one.code)).size;
-    const isEmpty = Object.values(listsOf(this.desk.current)).every((ids) => !ids.length);
+    this.isEmpty = Object.values(listsOf(this.desk.current)).every((ids) => !ids.length);
     if (broken) this.say("error", broken === 1 ? "One rule is broken" : `${broken} rules are broken`);
-    else if (isEmpty) this.say("warning", "Nothing is in a split yet");
+    else if (this.isEmpty) this.say("warning", "Nothing is in a split yet");
     else if (answer.findings.length) this.say("warning", "Kept, as far as the data allow");
     else this.say("good", "Every rule is kept");
     for (const rule of this.root.querySelectorAll<HTMLElement>("[data-rule]")) this.showRule(rule);
@@ -75,7 +76,7 @@ export class Verdicts {
 
   private showRule(rule: HTMLElement): void {
     const of = this.findings.filter((one) => one.code === rule.dataset["rule"]);
-    const tone: Tone = of.some((one) => one.severity === "error") ? "error" : of.length ? "warning" : "good";
+    const tone: Tone = of.some((one) => one.severity === "error") ? "error" : of.length ? "warning" : this.isEmpty ? "waiting" : "good";
     rule.dataset["tone"] = tone;
     const says = rule.querySelector("[data-rule-says]");
     if (says) says.textContent = SAID[tone];
