@@ -1,4 +1,9 @@
-"""Versions of the dataset as the API and the pages show them. Of test's labels nothing is told."""
+"""Versions of the dataset as the API and the pages show them, and what a new one would hold.
+
+Of test's labels nothing is told.
+"""
+
+from dataclasses import dataclass
 
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
@@ -6,8 +11,40 @@ from sqlalchemy.orm import Session
 from api.schemas.base import instant
 from api.schemas.datasets import DatasetDetail, DatasetItem, DatasetMemberItem, DatasetPartItem, OpenPart
 from api.schemas.splits import Sizes
+from services.runtime.dataset_files import files_of
+from services.runtime.dataset_manifest import OPEN, told_statistics
 from services.runtime.dataset_reading import dataset_entries, open_parts
+from services.runtime.dataset_versions import members_now
 from services.runtime.orm import Dataset, DatasetMember, DatasetPart
+from services.runtime.splits import current_splits
+from services.runtime.statistics import Record
+from stone.errors import StoneError
+
+
+@dataclass(frozen=True)
+class Prospect:
+    """What a version would hold if it were published now; `obstacle` says why it cannot be, '' where it can.
+
+    `files` and `size_bytes` are those of train and val together.
+    """
+
+    revision: int
+    obstacle: str = ""
+    statistics: Record | None = None
+    files: int = 0
+    size_bytes: int = 0
+
+
+def prospect_of(session: Session) -> Prospect:
+    """As `prepare_dataset` would find it."""
+    revision = current_splits(session).revision
+    try:
+        current, members = members_now(session)
+        files = [file for part in OPEN for file in files_of(session, members[part])]
+    except StoneError as error:
+        return Prospect(revision, str(error))
+    size_bytes = sum(file.size_bytes for file in files)
+    return Prospect(current.revision, "", told_statistics(members), len(files), size_bytes)
 
 
 def dataset_detail(session: Session, row: Dataset) -> DatasetDetail:

@@ -59,7 +59,7 @@ def prepare_dataset(platform: Platform, asked: NewDataset, folder: Path) -> Prep
     with platform.database.reading() as session:
         if session.scalar(select(Dataset.id).where(Dataset.name == asked.name)) is not None:
             raise NameTakenError("dataset version", asked.name)
-        current, members = _members(session)
+        current, members = members_now(session)
     return assembled(platform, asked, folder, (current.revision, members))
 
 
@@ -103,8 +103,8 @@ def write_dataset(session: Session, prepared: PreparedDataset) -> Dataset:
     return dataset
 
 
-def _members(session: Session) -> tuple[Current, Members]:
-    """Raises `NoSplitsError`, `BrokenSplitsError`."""
+def members_now(session: Session) -> tuple[Current, Members]:
+    """The splits as they stand, with the sequences of each part. Raises `NoSplitsError`, `BrokenSplitsError`."""
     current = current_splits(session)
     if not current.split.filled:
         raise NoSplitsError()
