@@ -17,7 +17,7 @@ from services.runtime.orm import User
 from services.runtime.platform import Platform
 from tests.api.serving import Person
 
-PATIENCE_MS = 15_000
+PATIENCE_MS = 60_000
 DESKTOP = {"width": 1280, "height": 860}
 PHONE = {"width": 390, "height": 844}
 

@@ -5,11 +5,11 @@ import shutil
 from collections.abc import Iterator
 
 import pytest
-from playwright.sync_api import Browser, sync_playwright
+from playwright.sync_api import Browser, expect, sync_playwright
 
 from services.runtime.platform import Platform
 from tests.api.serving import Person, person, serving
-from tests.web.browsing import Site
+from tests.web.browsing import PATIENCE_MS, Site
 from web.main import make_site
 
 ARGUMENTS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
@@ -21,6 +21,7 @@ def browser() -> Iterator[Browser]:
     path = os.environ.get("STONE_CHROMIUM") or shutil.which("chromium")
     if path is None:
         pytest.skip("no chromium on PATH; deploy/install-browser.sh installs it")
+    expect.set_options(timeout=PATIENCE_MS)
     with sync_playwright() as playwright:
         chromium = playwright.chromium.launch(executable_path=path, args=ARGUMENTS)
         yield chromium
