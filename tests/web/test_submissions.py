@@ -1,0 +1,171 @@
+"""The participant's journeys: from the form to the board, and a refusal told file by file."""
+
+import io
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from playwright.sync_api import Page, expect
+from sqlalchemy import select
+
+from services.runtime.orm import Submission
+from services.runtime.platform import Platform
+from tests.benchmark_world import World, benchmark_world, predicted, run_eval, submission_zip
+from tests.web.browsing import Site
+from tests.web.looking import look
+
+
+@pytest.fixture
+def world(platform: Platform) -> World:
+    return benchmark_world(platform)
+
+
+def form_of(world: World, part: str = "val") -> str:
+    return f"/benchmarks/{world.benchmark}/{part}/submit"
+
+
+def fill(page: Page, path: Path, method: str = "OccFormer-T") -> None:
+    """The form, up to what sends it."""
+    page.locator("#file").set_input_files(path)
+    page.get_by_label("Name on the board").fill(method)
+    page.get_by_label("LiDAR").check()
+    page.get_by_label("Cameras").check()
+
+
+def sent(world: World) -> list[Submission]:
+    with world.platform.database.reading() as session:
+        return list(session.scalars(select(Submission).order_by(Submission.id)))
+
+
+def test_a_team_sends_predictions_and_finds_them_on_the_board(site: Site, world: World, tmp_path: Path) -> None:
+    archive = submission_zip(tmp_path / "run.zip", predicted(world.truth("val"), 0.1))
+    with site.visit(world.captains[0]) as page:
+        page.goto("/submissions")
+        look(page, "submissions-empty")
+        page.goto(form_of(world))
+        look(page, "submit")
+        fill(page, archive)
+        expect(page.get_by_text("All 8 frames are there.")).to_be_visible()
+        page.get_by_label("What is special").fill("Trained on train only.\nTwo cameras fewer.")
+        look(page, "submit-ready")
+        page.get_by_role("button", name="Send to be scored").dblclick()
+        expect(page.get_by_text("Next in the queue")).to_be_visible()
+        look(page, "submission-queued")
+        run_eval(site.platform)
+        expect(page.get_by_text("It is scored and stands on the board.")).to_be_visible()
+        look(page, "submission-scored")
+        page.goto("/submissions")
+        expect(page.get_by_role("listitem").filter(has_text="OccFormer-T")).to_contain_text("scored")
+        look(page, "submissions")
+    [row] = sent(world)
+    assert (row.state, row.kind, row.modality) == ("scored", "entry", "C+L")
+    assert row.description == "Trained on train only.\nTwo cameras fewer."
+
+
+def test_a_zip_that_lacks_frames_is_refused_before_a_byte_is_sent(site: Site, world: World, tmp_path: Path) -> None:
+    frames = predicted(world.truth("val"), 0.1)
+    for token in list(frames)[2:5]:
+        del frames[token]
+    archive = submission_zip(tmp_path / "run.zip", frames)
+    with zipfile.ZipFile(archive, "a") as extended:
+        extended.writestr("notes.txt", "never mind")
+    with site.visit(world.captains[0]) as page:
+        page.goto(form_of(world))
+        fill(page, archive)
+        expect(page.get_by_text("5 of 8 frames are as they should be.")).to_be_visible()
+        page.get_by_text("3 missing frames").click()
+        expect(page.locator(".found-list code")).to_have_count(4)
+        expect(page.get_by_role("button", name="Send to be scored")).to_be_disabled()
+        expect(page.get_by_text("Mend the zip first")).to_be_visible()
+        look(page, "submit-incomplete")
+        (tmp_path / "no.zip").write_bytes(b"this is no zip" * 100)
+        page.locator("#file").set_input_files(tmp_path / "no.zip")
+        expect(page.get_by_text("This cannot be read as a submission.")).to_be_visible()
+    assert sent(world) == []
+
+
+def test_what_is_wrong_inside_of_files_is_told_file_by_file(site: Site, world: World, tmp_path: Path) -> None:
+    archive = tmp_path / "run.zip"
+    frames = predicted(world.truth("val"), 0.1)
+    bad = dict(zip(frames, (np.full_like(next(iter(frames.values())), 255), np.zeros((4, 4), np.uint8)), strict=False))
+    with zipfile.ZipFile(archive, "w") as packed:
+        for token, grid in frames.items():
+            content = io.BytesIO()
+            np.savez_compressed(content, semantics=bad.get(token, grid))
+            packed.writestr(f"run/{token}.npz", content.getvalue())
+    with site.visit(world.captains[0]) as page:
+        page.goto(form_of(world, "test"))
+        fill(page, archive.rename(tmp_path / "other.zip"))
+        expect(page.get_by_text("0 of 8 frames are as they should be.")).to_be_visible()
+        page.goto(form_of(world))
+        fill(page, tmp_path / "other.zip")
+        page.get_by_role("button", name="Only have it checked").click()
+        expect(page.get_by_text("Next in the queue")).to_be_visible()
+        run_eval(site.platform)
+        expect(page.get_by_text("2 problems in its file")).to_be_visible()
+        for code, token in zip(("label out of range", "bad shape"), bad, strict=True):
+            table = page.get_by_role("region", name=code)
+            expect(table.get_by_role("row")).to_have_count(2)
+            expect(table.get_by_role("row").last).to_contain_text(f"run/{token}.npz")
+        expect(page.get_by_role("region", name="label out of range")).to_contain_text("255")
+        look(page, "submission-refused")
+        assert page.get_by_text("cost no scoring").is_visible()
+    [row] = sent(world)
+    assert (row.state, row.kind) == ("invalid", "validation")
+
+
+def test_the_same_file_is_not_sent_twice(site: Site, world: World, tmp_path: Path) -> None:
+    archive = submission_zip(tmp_path / "run.zip", predicted(world.truth("val"), 0.1))
+    with site.visit(world.captains[0]) as page:
+        for _ in range(2):
+            page.goto(form_of(world))
+            fill(page, archive)
+            page.get_by_role("button", name="Send to be scored").click()
+            page.wait_for_url("**/submissions/*")
+        expect(page.get_by_text("This very file was sent before")).to_be_visible()
+        page.get_by_role("button", name="Cancel").click()
+        page.get_by_role("button", name="Cancel it").click()
+        expect(page.get_by_text("It was cancelled")).to_be_visible()
+    assert [row.state for row in sent(world)] == ["cancelled"]
+
+
+def test_a_page_that_was_left_while_sending_goes_on_where_it_was(site: Site, world: World, tmp_path: Path) -> None:
+    archive = submission_zip(tmp_path / "run.zip", predicted(world.truth("val"), 0.1))
+    with site.visit(world.captains[0], expected=["ERR_FAILED", "500"]) as page:
+        page.goto(form_of(world))
+        fill(page, archive, "Half sent")
+        page.route(
+            "**/uploads/*", lambda route: route.abort() if route.request.method == "PATCH" else route.continue_()
+        )
+        page.get_by_role("button", name="Send to be scored").click()
+        expect(page.get_by_text("Sending")).to_be_visible()
+        page.get_by_role("button", name="Stop").click()
+        expect(page.get_by_text("What was sent is kept")).to_be_visible()
+        page.unroute("**/uploads/*")
+        page.reload()
+        expect(page.get_by_role("heading", name="Unfinished: Half sent")).to_be_visible()
+        look(page, "submit-unfinished")
+        page.locator("#file").set_input_files(archive)
+        expect(page.get_by_label("Name on the board")).to_have_value("Half sent")
+        expect(page.get_by_label("Cameras")).to_be_checked()
+        page.get_by_role("button", name="Send to be scored").click()
+        expect(page.get_by_text("Next in the queue")).to_be_visible()
+    assert [(row.state, row.method) for row in sent(world)] == [("queued", "Half sent")]
+
+
+def test_a_submission_of_others_has_no_page(site: Site, world: World, tmp_path: Path) -> None:
+    archive = submission_zip(tmp_path / "run.zip", predicted(world.truth("val"), 0.1))
+    with site.visit(world.captains[0]) as page:
+        page.goto(form_of(world))
+        fill(page, archive)
+        page.get_by_role("button", name="Send to be scored").click()
+        page.wait_for_url("**/submissions/*")
+        where = page.url
+    with site.visit(world.captains[1], expected=["404"]) as page:
+        answer = page.goto(where)
+        assert answer is not None
+        assert answer.status == 404
+    with site.visit(world.member) as page:
+        page.goto(where)
+        expect(page.get_by_role("button", name="Cancel")).to_be_visible()

@@ -1,0 +1,24 @@
+// What a method senses with: boxes for cameras, LiDAR and radar, which the API knows as their sum.
+
+const MISSING = "Choose what the method senses with.";
+
+export function installSenses(form: HTMLFormElement): void {
+  const told = (): void => boxes(form)[0]?.setCustomValidity(modalityOf(form) ? "" : MISSING);
+  for (const box of boxes(form)) box.addEventListener("change", told);
+  told();
+}
+
+/** `C+L`; empty while nothing is chosen. */
+export function modalityOf(form: HTMLFormElement): string {
+  return boxes(form).filter((box) => box.checked).map((box) => box.value).join("+");
+}
+
+export function sayModality(form: HTMLFormElement, modality: string): void {
+  const letters = modality.split("+");
+  for (const box of boxes(form)) box.checked = letters.includes(box.value);
+  boxes(form)[0]?.dispatchEvent(new Event("change"));
+}
+
+function boxes(form: HTMLFormElement): HTMLInputElement[] {
+  return [...form.querySelectorAll<HTMLInputElement>("[name=sense]")];
+}

@@ -1,0 +1,129 @@
+// What the first look at a zip found, drawn: a strip of frames for each sequence, and the problems by kind.
+
+import type { Manifest, Problem, Verdict } from "./frames.js";
+
+const MOST_STRIPS = 24;
+const MOST_CELLS = 160;
+const SHOWN = 100;
+const SVG = "http://www.w3.org/2000/svg";
+const SAID: Record<string, [string, string]> = {
+  missing_frame: ["missing frame", "missing frames"],
+  unexpected_file: ["file that does not belong", "files that do not belong"],
+  duplicate_frame: ["frame twice", "frames twice"],
+  too_large: ["file too large", "files too large"],
+};
+
+/** Show the verdict in `place`, in the place of what it showed. */
+export function showVerdict(place: HTMLElement, file: File, manifest: Manifest, verdict: Verdict): void {
+  const head = part("div", "verdict-head");
+  head.dataset["tone"] = verdict.problems.length ? "bad" : "good";
+  head.append(part("p", "verdict-says", sentence(manifest, verdict)), part("p", "hint wraps", named(file, verdict)));
+  place.replaceChildren(head);
+  if (!isUnreadable(verdict)) place.append(strips(manifest, verdict));
+  place.append(...kinds(verdict.problems).map(kindPart));
+}
+
+export function isUnreadable({ frames, problems }: Verdict): boolean {
+  return !frames.size && problems.length === 1 && problems[0]?.frame === null;
+}
+
+function sentence(manifest: Manifest, verdict: Verdict): string {
+  const [all, found] = [manifest.tokens.size, verdict.frames.size];
+  if (isUnreadable(verdict)) return "This cannot be read as a submission.";
+  if (!verdict.problems.length) return `All ${count(all)} frames are there.`;
+  return found === all ? `All ${count(all)} frames are there, and more than that.` : `${count(found)} of ${count(all)} frames are as they should be.`;
+}
+
+function named(file: File, { folder }: Verdict): string {
+  const size = `${file.name} · ${sized(file.size)}`;
+  return folder ? `${size} · in folder ${folder}` : size;
+}
+
+/** A strip for each sequence: which of its frames are there, in the manifest's order. */
+function strips(manifest: Manifest, { frames }: Verdict): HTMLElement {
+  const list = part("ul", "strips");
+  const gaps = (tokens: string[]): number => tokens.filter((token) => !frames.has(token)).length;
+  const ordered = [...manifest.sequences].sort((one, other) => gaps(other[1]) - gaps(one[1]) || one[0].localeCompare(other[0]));
+  for (const [name, tokens] of ordered.slice(0, MOST_STRIPS)) {
+    const missing = gaps(tokens);
+    const item = part("li", "strip");
+    const says = missing ? `${count(missing)} of ${count(tokens.length)} missing` : `all ${count(tokens.length)}`;
+    item.append(part("span", "strip-name wraps", name), strip(tokens.map((token) => frames.has(token)), `${name}: ${says}`), part("span", "hint", says));
+    list.append(item);
+  }
+  const more = ordered.length - MOST_STRIPS;
+  if (more > 0) list.append(part("li", "hint", `and ${count(more)} more sequences`));
+  return list;
+}
+
+/** At most `MOST_CELLS` cells; one that stands for several frames is there only where all of them are. */
+function strip(isThere: boolean[], label: string): SVGElement {
+  const cells = Math.min(isThere.length, MOST_CELLS);
+  const drawn = element("svg", { viewBox: `0 0 ${cells} 1`, preserveAspectRatio: "none", role: "img", "aria-label": label, class: "strip-bar" });
+  for (let start = 0; start < cells; ) {
+    const has = holds(isThere, start, cells);
+    let stop = start + 1;
+    while (stop < cells && holds(isThere, stop, cells) === has) stop++;
+    drawn.append(element("rect", { x: `${start}`, width: `${stop - start}`, height: "1", class: has ? "is-there" : "is-missing" }));
+    start = stop;
+  }
+  return drawn;
+}
+
+function holds(isThere: boolean[], cell: number, cells: number): boolean {
+  const [from, to] = [cell, cell + 1].map((edge) => Math.floor((edge * isThere.length) / cells));
+  return isThere.slice(from, to).every(Boolean);
+}
+
+/** The problems by code, as they were found: how many, and the first of them. */
+function kinds(problems: readonly Problem[]): [string, number, Problem[]][] {
+  const by_code = new Map<string, Problem[]>();
+  for (const problem of problems) {
+    const known = by_code.get(problem.code);
+    if (known) known.push(problem);
+    else by_code.set(problem.code, [problem]);
+  }
+  return [...by_code].map(([code, found]) => [code, found.length, found.slice(0, SHOWN)]);
+}
+
+function kindPart([code, total, problems]: [string, number, Problem[]]): HTMLElement {
+  const group = part("details", "found-group");
+  const list = part("ul", "found-list");
+  for (const one of problems) {
+    const item = part("li", "");
+    item.append(part("code", "", one.file));
+    if (code !== "missing_frame") item.append(part("span", "hint", ` expected ${one.expected}, found ${one.actual}`));
+    list.append(item);
+  }
+  if (total > problems.length) list.append(part("li", "hint", `and ${count(total - problems.length)} more`));
+  group.append(part("summary", "", title(code, total)), list);
+  return group;
+}
+
+function title(code: string, n: number): string {
+  const [one, many] = SAID[code] ?? [code.replaceAll("_", " "), code.replaceAll("_", " ")];
+  return `${count(n)} ${n === 1 ? one : many}`;
+}
+
+/** `12,345`. */
+export function count(n: number): string {
+  return n.toLocaleString("en-US");
+}
+
+/** `2.5 GB`, as the server writes it. */
+export function sized(n_bytes: number): string {
+  const units = ["B", "kB", "MB", "GB", "TB"];
+  let [value, unit] = [n_bytes, 0];
+  while (value >= 999.5 && unit < units.length - 1) [value, unit] = [value / 1000, unit + 1];
+  return `${unit === 0 || value >= 99.5 ? value.toFixed(0) : value.toFixed(1)} ${units[unit]}`;
+}
+
+function part(tag: string, kind: string, text = ""): HTMLElement {
+  return Object.assign(document.createElement(tag), { className: kind, textContent: text });
+}
+
+function element(tag: string, attributes: Record<string, string>): SVGElement {
+  const made = document.createElementNS(SVG, tag);
+  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+  return made;
+}

@@ -1,0 +1,63 @@
+"""The submissions of one's teams, and one of them: how far it is, what was found in its file, what may be done."""
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Request
+from fastapi.responses import HTMLResponse
+
+from api.callers import Reader
+from api.deps import PlatformDep, at_once
+from api.etags import etag
+from api.paging import PageDep
+from api.paging import page as paged
+from api.routes.submissions import Filters
+from api.schemas.base import IdPath
+from api.submission_views import submission_detail, submission_items, validation_report
+from api.visible import submission_of, submissions_of, teams_of
+from services.runtime.benchmarks.modalities import MODALITIES
+from services.runtime.benchmarks.submission_states import ENDED, LIVE, OPEN
+from services.runtime.benchmarks.teams import is_member
+from services.runtime.orm import Submission
+from web.naming import phase_names, team_names
+from web.problem_words import grouped
+from web.rendering import page
+
+router = APIRouter()
+STATES = ("draft", *LIVE, *ENDED)
+Narrowed = Annotated[Filters, Depends(at_once(Filters))]
+
+
+@router.get("/submissions")
+def list_submissions(
+    request: Request, caller: Reader, platform: PlatformDep, query: PageDep, filters: Narrowed
+) -> HTMLResponse:
+    with platform.database.reading() as session:
+        found = paged(session, filters.narrowed(submissions_of(caller)), Submission.id.desc(), query)
+        items = submission_items(session, found.rows)
+        values: dict[str, Any] = {
+            "items": items,
+            "next": found.next,
+            "phases": phase_names(session, [item.phase_id for item in items]),
+            "teams": team_names(session, [item.team_id for item in items]),
+            "has_team": session.scalars(teams_of(caller).limit(1)).first() is not None,
+        }
+    is_live = any(item.state in LIVE for item in items)
+    return page(request, caller, "submissions/list.html", filters=filters, states=STATES, is_live=is_live, **values)
+
+
+@router.get("/submissions/{submission_id}")
+def show_submission(
+    submission_id: IdPath, request: Request, caller: Reader, platform: PlatformDep, known: bool = False
+) -> HTMLResponse:
+    """`known` is said by the form, where this very file had been sent before."""
+    with platform.database.reading() as session:
+        row = submission_of(session, caller, submission_id)
+        shown, report = submission_detail(session, row), validation_report(row)
+        values: dict[str, Any] = {
+            "phase": phase_names(session, [row.phase_id])[row.phase_id],
+            "team": team_names(session, [row.team_id])[row.team_id],
+            "is_mine": is_member(session, row.team_id, caller.user_id),
+        }
+    values |= {"report": report, "groups": grouped(report.errors), "match": etag(shown.revision), "known": known}
+    values |= {"is_live": shown.state in LIVE, "is_open": shown.state in OPEN, "modalities": MODALITIES}
+    return page(request, caller, "submissions/one.html", it=shown, **values)

@@ -1,0 +1,49 @@
+"""One's teams, and one of them: who is in it, who is invited, what it may have scored yet."""
+
+from typing import Any
+
+from fastapi import APIRouter, Request
+from fastapi.responses import HTMLResponse
+from sqlalchemy import func, select
+
+from api.callers import Reader
+from api.deps import PlatformDep
+from api.paging import PageDep
+from api.paging import page as paged
+from api.schemas.base import IdPath
+from api.submission_views import standing_answer
+from api.team_views import invitation_item, team_items
+from api.visible import team_of, teams_of
+from services.runtime.benchmarks.teams import open_invitations
+from services.runtime.orm import Phase, Submission, Team
+from web.naming import phase_names
+from web.rendering import page
+
+router = APIRouter()
+
+
+@router.get("/teams")
+def list_teams(request: Request, caller: Reader, platform: PlatformDep, query: PageDep) -> HTMLResponse:
+    with platform.database.reading() as session:
+        rows = paged(session, teams_of(caller), Team.id.desc(), query)
+        teams = team_items(session, rows.rows)
+        phases = phase_names(session, [phase_id for team in teams for phase_id in team.phases])
+    return page(request, caller, "teams/list.html", teams=teams, phases=phases, next=rows.next)
+
+
+@router.get("/teams/{team_id}")
+def show_team(team_id: IdPath, request: Request, caller: Reader, platform: PlatformDep) -> HTMLResponse:
+    with platform.database.reading() as session:
+        row = team_of(session, caller, team_id)
+        team = team_items(session, [row])[0]
+        phases = session.scalars(select(Phase).where(Phase.id.in_(team.phases)).order_by(Phase.id)).all()
+        counted = select(func.count()).select_from(Submission).where(Submission.team_id == team_id)
+        values: dict[str, Any] = {
+            "invitations": [invitation_item(one) for one in open_invitations(session, team_id)],
+            "standings": [(phase, standing_answer(session, phase, team_id)) for phase in phases],
+            "names": phase_names(session, team.phases),
+            "submissions": session.scalar(counted) or 0,
+        }
+    leads = team.captain == caller.name
+    steers = leads or caller.is_administrator
+    return page(request, caller, "teams/one.html", team=team, leads=leads, steers=steers, **values)

@@ -1,0 +1,49 @@
+"""What is wrong with a submission's files, in groups and in words a participant can act on.
+
+**Conventions.** Words are by code, for every code that reading a submission refuses with (a test holds the two
+together); one that is not known is said as it is.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from api.schemas.submissions import FileProblem
+
+ADVICE = {
+    "missing_frame": "A submission holds every frame of the manifest. Was the prediction loop cut short?",
+    "unexpected_file": "Only <frame_token>.npz belong into the zip, all in one folder or in none.",
+    "duplicate_frame": "Each frame once. Was the archive appended to instead of written anew?",
+    "not_zip": "A submission is one zip of .npz files. Was it cut short while it was copied?",
+    "not_npz": "Write each frame with numpy.savez_compressed(path, semantics=grid).",
+    "truncated": "The file ends before it should. Was it cut short while it was written or copied?",
+    "corrupt": "Bytes changed after they were written. Write the zip again and send it again.",
+    "too_large": "A frame is one uint8 grid of 256 × 256 × 32. Was it saved as int64, or with more arrays?",
+    "extra_array": "Save the prediction alone, one array a file.",
+    "missing_array": "Name the array: numpy.savez_compressed(path, semantics=grid).",
+    "bad_shape": "Axes are x, y, z in C order; numpy.ascontiguousarray mends a transposed array.",
+    "bad_dtype": "Cast with .astype(numpy.uint8) before saving.",
+    "label_out_of_range": "0 is free, 1 T, 2 P, 3 N. Is “unknown” written as 255, or another class map used?",
+    "encrypted": "Archives carry no password.",
+    "unsupported_zip": "Zip with deflate or store, in one part, as zip and Python's zipfile do.",
+    "overlapping_files": "Files share bytes, which no honest archive does. Write it anew.",
+    "symlink": "Zip the files themselves, not links to them.",
+}
+UNKNOWN = "Ask the benchmark's organisers if the code does not tell."
+
+
+@dataclass(frozen=True)
+class ProblemGroup:
+    """The shown problems of one code, in the order they were found."""
+
+    code: str
+    advice: str
+    problems: tuple[FileProblem, ...]
+
+
+def grouped(problems: Iterable[FileProblem]) -> list[ProblemGroup]:
+    """The most frequent code first; equally frequent ones as they were found."""
+    by_code: dict[str, list[FileProblem]] = {}
+    for problem in problems:
+        by_code.setdefault(problem.code, []).append(problem)
+    groups = [ProblemGroup(code, ADVICE.get(code, UNKNOWN), tuple(found)) for code, found in by_code.items()]
+    return sorted(groups, key=lambda group: -len(group.problems))
