@@ -1,7 +1,7 @@
 """`bev.png`: the labelled map from above, coloured by class, shaded by relief, with the robot's track.
 
-**Conventions.** x to the right, y up; per column the highest labelled voxel shows. Colours are those of `CLASS_RGB`
-everywhere in the product; they differ in lightness too, so they survive grey printing and red-green blindness.
+**Conventions.** x to the right, y up; per column the highest labelled voxel shows. Colours are those of
+`services/runtime/class_colours.py`.
 """
 
 from dataclasses import dataclass
@@ -11,13 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from services.runtime.class_colours import CLASS_NAME, CLASS_RGB, INK, PAPER, TRACK
 from stone.lattice import Keys, indices_of
 from stone.se3 import SE3
 from stone.voxels import VOXEL_M
 
-CLASS_RGB = {1: (38, 166, 91), 2: (250, 205, 80), 3: (176, 42, 55)}
-CLASS_NAME = {1: "traversable", 2: "potentially traversable", 3: "non-traversable"}
-PAPER, INK, TRACK = (250, 250, 248), (30, 34, 40), (25, 70, 190)
 MARGIN_PX, LEGEND_PX, MAX_SIDE_PX, MIN_SIDE_PX = 16, 44, 4000, 900
 
 

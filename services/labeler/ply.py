@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from services.labeler.picture import CLASS_RGB
+from services.runtime.class_colours import CLASS_RGB
 from stone.lattice import Keys, keys_of
 from stone.voxels import VOXEL_M
 

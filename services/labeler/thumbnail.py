@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from services.labeler.picture import PAPER, TRACK, TopView
+from services.labeler.picture import TopView
+from services.runtime.class_colours import PAPER, TRACK
 from stone.se3 import SE3
 from stone.voxels import VOXEL_M
 

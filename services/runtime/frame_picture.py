@@ -17,7 +17,7 @@ Grid = NDArray[np.uint8]
 PALETTE = np.array([PAPER, *(CLASS_RGB[c] for c in (1, 2, 3))], np.uint8)
 RELIEF, LEAST_LIGHT, MOST_LIGHT = 0.09, 0.62, 1.18
 PX_PER_VOXEL = 2
-ROBOT_PX = ((0, -6), (4, 5), (0, 2), (-4, 5))  # an arrowhead that points forward
+ROBOT_PX = ((0, -9), (6, 7), (0, 3), (-6, 7))  # an arrowhead that points forward
 
 
 def picture_bytes(semantics: Grid, observed: Grid) -> bytes:

@@ -28,7 +28,7 @@ from foxglove.messages import (
 from numpy.typing import NDArray
 
 from services.labeler.exports.mesh_parts import MeshPart
-from services.labeler.picture import CLASS_RGB
+from services.runtime.class_colours import CLASS_RGB
 from stone.calibration import Calibration, CameraIntrinsics
 from stone.grid import GRID_MIN_M, Grid
 from stone.samples import CameraSample, LidarSample, RadarSample

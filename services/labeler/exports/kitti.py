@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.labeler.exports.source import LabelledSequence
-from services.labeler.picture import CLASS_NAME, CLASS_RGB
 from services.labeler.run import Step
+from services.runtime.class_colours import CLASS_NAME, CLASS_RGB
 from stone.calibration import CameraIntrinsics
 from stone.columns import Words, gathered, spread_out
 from stone.grid import GRID_MIN_M, GRID_SHAPE

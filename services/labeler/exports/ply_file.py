@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.labeler.exports.errors import DamagedLabelsError
-from services.labeler.picture import CLASS_RGB
 from services.labeler.ply import FACE, HEADER, VERTEX
+from services.runtime.class_colours import CLASS_RGB
 
 MOST_HEADER_BYTES = 4096
 

@@ -14,7 +14,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from services.labeler.exports.mesh_parts import MeshPart
-from services.labeler.picture import CLASS_NAME, CLASS_RGB, TRACK
+from services.runtime.class_colours import CLASS_NAME, CLASS_RGB, TRACK
 from stone.calibration import CameraIntrinsics
 from stone.grid import GRID_MIN_M, Grid
 from stone.samples import LidarSample, RadarSample

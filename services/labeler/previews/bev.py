@@ -10,23 +10,24 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from services.labeler.picture import INK, PAPER, TRACK
-from services.labeler.previews.lettering import UNSEEN, font
-from services.labeler.previews.render import PALETTE
+from services.labeler.previews.lettering import font
 from services.labeler.previews.surroundings import ALONE, Surroundings, runs_inside
-from stone.grid import GRID_MAX_M, GRID_MIN_M, GRID_SHAPE, Grid
+from services.runtime.class_colours import INK, PAPER, TRACK
+from services.runtime.frame_picture import plan
+from stone.grid import GRID_MAX_M, GRID_MIN_M, Grid
 
 SIDE_PX = 800
 RING = (120, 124, 130)
 RINGS_M = (10, 20)
 FINER = 2
-RELIEF, LEAST_LIGHT, MOST_LIGHT = 0.09, 0.62, 1.18
 
 
 def bev(grids: Mapping[str, Grid], around: Surroundings = ALONE, side_px: int = SIDE_PX) -> Image.Image:
     """A square picture of `semantics`; with `mask_lidar` what was never seen is grey."""
     fine_px = side_px * FINER
-    image = Image.fromarray(plan(grids)).resize((fine_px, fine_px), Image.Resampling.NEAREST)
+    image = Image.fromarray(plan(grids["semantics"], grids.get("mask_lidar"))).resize(
+        (fine_px, fine_px), Image.Resampling.NEAREST
+    )
     pen = ImageDraw.Draw(image)
     for radius_m in RINGS_M:
         _ring(pen, radius_m, fine_px)
@@ -37,25 +38,6 @@ def bev(grids: Mapping[str, Grid], around: Surroundings = ALONE, side_px: int = 
     pen.polygon(_pixels(outline, fine_px), fill=INK)
     pen.polygon(_pixels(np.array([(x, 0.0), (0.1, -0.6 * y), (0.1, 0.6 * y)]), fine_px), fill=(245, 245, 245))
     return image.reduce(FINER)
-
-
-def plan(grids: Mapping[str, Grid]) -> NDArray[np.uint8]:
-    """(256, 256, 3): one pixel per column, forward up."""
-    semantics = grids["semantics"]
-    is_labelled = semantics != 0
-    highest = GRID_SHAPE[2] - 1 - np.argmax(is_labelled[:, :, ::-1], axis=2)
-    kind = np.take_along_axis(semantics, highest[..., None], axis=2)[..., 0]
-    colour = PALETTE[kind] * _light(np.where(kind > 0, highest, np.nan))[..., None]
-    if "mask_lidar" in grids:
-        colour[(kind == 0) & ~grids["mask_lidar"].any(axis=2)] = UNSEEN
-    return np.ascontiguousarray(np.clip(colour + 0.5, 0, 255).astype(np.uint8)[::-1, ::-1])
-
-
-def _light(height: NDArray[np.float64]) -> NDArray[np.float64]:
-    """How bright each column (256, 256) is, lit from ahead on the left; NaN heights are lit evenly."""
-    rise = [np.nan_to_num(height - np.roll(height, -1, axis)) for axis in (0, 1)]
-    light = np.clip(1.0 + RELIEF * np.clip(-rise[0] - rise[1], -4, 4), LEAST_LIGHT, MOST_LIGHT)
-    return np.where(np.isnan(height), 1.0, light)
 
 
 def _ring(pen: ImageDraw.ImageDraw, radius_m: int, side_px: int) -> None:

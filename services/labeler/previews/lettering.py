@@ -6,9 +6,8 @@ from pathlib import Path
 import matplotlib as mpl
 from PIL import Image, ImageDraw, ImageFont
 
-from services.labeler.picture import CLASS_NAME, CLASS_RGB, INK, PAPER, TRACK
+from services.runtime.class_colours import CLASS_NAME, CLASS_RGB, INK, PAPER, TRACK, UNSEEN
 
-UNSEEN = (206, 206, 202)
 CHIP_ALPHA = 210
 SWATCH_GAP_RATIO, ENTRY_GAP_RATIO = 0.45, 1.1
 

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from services.labeler.picture import PAPER
 from services.labeler.previews.lettering import legend
 from services.labeler.previews.map_pieces import Extent, MapPiece, Pieces, extent_of
 from services.labeler.previews.oblique import track_boxes
 from services.labeler.previews.render import Boxes, Camera, Canvas, voxel_boxes
 from services.runtime.atomic import atomic_file
+from services.runtime.class_colours import PAPER
 from stone.lattice import centres_of, indices_of
 from stone.se3 import SE3
 from stone.voxels import VOXEL_M

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from services.labeler.picture import INK, TRACK
 from services.labeler.previews.render import Boxes, Camera, Canvas, Colour, beads, solid_boxes, voxel_boxes
 from services.labeler.previews.surroundings import ALONE, Surroundings, runs_inside
+from services.runtime.class_colours import INK, TRACK
 from stone.calibration import Box, Footprint
 from stone.grid import GRID_MIN_M
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from services.labeler.picture import CLASS_RGB, PAPER
 from services.labeler.previews.render_kernels import draw, expose
+from services.runtime.class_colours import CLASS_RGB, PAPER
 from stone.calibration import Box
 from stone.voxels import VOXEL_M
 

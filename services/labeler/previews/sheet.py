@@ -10,12 +10,12 @@ from datetime import UTC, datetime
 from PIL import Image, ImageDraw, ImageOps
 
 from services.labeler.exports.source import LabelledSequence
-from services.labeler.picture import INK, PAPER
 from services.labeler.picture_opening import opened
 from services.labeler.previews.bev import bev
 from services.labeler.previews.lettering import chip, font, legend
 from services.labeler.previews.oblique import oblique
 from services.labeler.previews.surroundings import surroundings_of
+from services.runtime.class_colours import INK, PAPER
 from stone.samples import CameraSample
 
 ABOVE = ("CAM_FRONT_LEFT", "CAM_FRONT", "CAM_FRONT_RIGHT")

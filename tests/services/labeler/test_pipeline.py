@@ -11,9 +11,9 @@ import pytest
 from PIL import Image
 
 from services.labeler.parameters import LabelParameters, TilingParameters, parameters_for
-from services.labeler.picture import CLASS_RGB
 from services.labeler.pipeline import LabelOptions, label
 from services.labeler.ply import FACE, HEADER, VERTEX
+from services.runtime.class_colours import CLASS_RGB
 from stone.calibration import Box
 from stone.grid import GRID_MIN_M, GRID_SHAPE
 from stone.sequence import ExcludedFrame

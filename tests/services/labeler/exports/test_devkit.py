@@ -15,8 +15,8 @@ from services.ingest.opening import open_sequence
 from services.labeler.exports.folder import ExportRequest, export
 from services.labeler.exports.nuscenes import write_nuscenes
 from services.labeler.parameters import parameters_for
-from services.labeler.picture import CLASS_RGB
 from services.labeler.pipeline import LabelOptions, label
+from services.runtime.class_colours import CLASS_RGB
 from stone.samples import ego_at
 from stone.sequence import Association, Sequence
 from stone.voxels import VOXEL_M

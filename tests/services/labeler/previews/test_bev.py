@@ -1,40 +1,12 @@
-"""The plan of a frame against a loop over its columns, and where things are in it."""
+"""The plan of a frame with what is drawn on it: where things are."""
 
 import numpy as np
 
-from services.labeler.picture import CLASS_RGB, INK, PAPER, TRACK
-from services.labeler.previews.bev import bev, plan
-from services.labeler.previews.lettering import UNSEEN
+from services.labeler.previews.bev import bev
 from services.labeler.previews.surroundings import Surroundings, runs_inside
+from services.runtime.class_colours import INK, TRACK
 from stone.calibration import Footprint
 from stone.grid import GRID_SHAPE
-
-
-def test_every_column_shows_its_highest_label_and_forward_is_up():
-    rng = np.random.default_rng(0)
-    semantics = np.zeros(GRID_SHAPE, np.uint8)
-    semantics[40:90, 60:140] = (rng.integers(1, 4, (50, 80, 32)) * (rng.random((50, 80, 32)) < 0.05)).astype(np.uint8)
-    mask = np.zeros(GRID_SHAPE, np.uint8)
-    mask[:128, :, 3] = 1
-    shown = plan({"semantics": semantics, "mask_lidar": mask})
-    hues = np.array([CLASS_RGB[kind] for kind in (1, 2, 3)], float)
-    for i, j in [*rng.integers(0, 256, (300, 2)).tolist(), *rng.integers((40, 60), (90, 140), (300, 2)).tolist()]:
-        kinds = [int(kind) for kind in semantics[i, j] if kind]
-        colour = shown[255 - i, 255 - j]
-        if not kinds:
-            assert tuple(colour) == (PAPER if mask[i, j].any() else UNSEEN)
-        else:  # the class's colour in more or less light
-            ratio = np.median(colour / hues[kinds[-1] - 1])
-            np.testing.assert_allclose(colour, np.minimum(hues[kinds[-1] - 1] * ratio, 255), atol=2.5)
-
-
-def test_relief_that_rises_is_lit_otherwise_than_relief_that_falls():
-    semantics = np.zeros(GRID_SHAPE, np.uint8)
-    for i in range(100, 110):
-        semantics[i, :, i - 95] = 2
-        semantics[i + 20, :, 20 - (i - 95)] = 2
-    shown = plan({"semantics": semantics})
-    assert shown[255 - 104, 100, 0] != shown[255 - 124, 100, 0]
 
 
 def test_the_robot_is_in_the_middle_and_its_track_where_it_drove():

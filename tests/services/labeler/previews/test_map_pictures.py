@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from services.labeler.picture import CLASS_RGB, PAPER
 from services.labeler.previews import feature_maps
 from services.labeler.previews.feature_maps import feature_figure, limits_of, rasters_of, write_feature_maps
 from services.labeler.previews.map_pieces import MapPiece, extent_of
 from services.labeler.previews.map_view import map_oblique
 from services.labeler.previews.writing import write_map_previews
+from services.runtime.class_colours import CLASS_RGB, PAPER
 from stone.lattice import keys_from_indices
 from stone.se3 import SE3
 from stone.terrain import ROUGHNESS, SLOPE
