@@ -31,6 +31,7 @@ from services.runtime.playback import INDEX, PLAYBACK, Shown, camera_file, cloud
 from services.runtime.uploads import upload_file
 from stone.sequence import frame_token
 from tests.api.serving import Person
+from tests.frame_tables import frame_table_bytes
 
 NOBODY = "0" * 32
 START_NS = 1_777_800_000_000_000_000
@@ -84,7 +85,7 @@ def labels(
     files = {
         "report.json": b'{"frames": %d, "seed": "%s"}' % (frames, seed),
         "mesh.ply": b"ply\n" + seed + bytes(range(256)) * 40,
-        "frames.parquet": b"PAR1" + seed + b"PAR1",
+        "frames.parquet": frame_table_bytes(list(of_frames), START_NS, seed),
         "bev.png": b"\x89PNG\r\n" + seed,
         "sequence.npz": b"PK" + seed,
         "labels/000000.pack": b"".join(of_frames.values()),
