@@ -16,7 +16,7 @@ from api.recording_views import recording_detail
 from api.visible import sequence_of
 from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import Export, Job, Recording
-from web.sequence.exporting import OFFERS
+from web.sequence.exporting import TITLES, offers_beside
 from web.sequence.recording import recording_view
 from web.sequence.sections import AtSequence, shown_section
 from web.sequence.standing import Standing, standing_of
@@ -55,9 +55,9 @@ def exports(at: AtSequence, caller: Reader) -> HTMLResponse:
         alive = select(Job).where(Job.id.in_([one.job_id for one in items]), Job.state.not_in(TERMINAL))
         progress = {job.id: job.progress for job in job_items(session, session.scalars(alive).all())}
     under_way = {one.id: progress[one.job_id] for one in items if one.job_id in progress}
-    titles = {offer.format: offer.title for offer in OFFERS}
+    offers = offers_beside(items)
     looking = (caller, standing)
-    return shown_section(at, looking, "exports", exports=items, under_way=under_way, titles=titles, offers=OFFERS)
+    return shown_section(at, looking, "exports", exports=items, under_way=under_way, titles=TITLES, offers=offers)
 
 
 def _own(session: Session, caller: Caller, sequence_id: str) -> Standing:

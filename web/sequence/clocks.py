@@ -19,6 +19,8 @@ LINEAR_BELOW_NS = 1e6
 JITTERS, SIGMAS = 3.0, 5.0
 DRIFT_LIMIT_PPM = 20.0
 """Beyond which a clock is reported (TIM-207, `services/ingest/clocks/findings.py`)."""
+LEAST_APART = 22.0
+"""Per cent of the axis that a tick's words need."""
 UNCLOCKED = ("tf", "tf_static", "camera_info", "other")
 
 
@@ -71,7 +73,7 @@ def clocks_of(report: Mapping[str, Any]) -> Clocks | None:
     each = step[1] - step[0] if len(step) > 1 else 1.0
     return Clocks(
         rows,
-        tuple(Tick(round(offsets.one(at) / WIDTH * 100, 2), duration_text(at) if at else "0") for at in marked_ns),
+        _apart(Tick(round(offsets.one(at) / WIDTH * 100, 2), duration_text(at) if at else "0") for at in marked_ns),
         tuple(Tick(round(drifts.one(at) / WIDTH * 100, 2), tick_text(at, each)) for at in step),
         round(offsets.one(0.0), 1),
         round(drifts.one(0.0), 1),
@@ -122,6 +124,17 @@ def _marks(topic: Mapping[str, Any]) -> Iterable[str]:
 
 def _plural(word: str) -> str:
     return "" if word.startswith("step") else "s"
+
+
+def _apart(marks: Iterable[Tick]) -> tuple[Tick, ...]:
+    """Those that can be read beside each other; zero always."""
+    found = list(marks)
+    zero = next((tick for tick in found if tick.text == "0"), None)
+    kept = [zero] if zero else []
+    for tick in sorted(found, key=lambda one: abs(one.at - (zero.at if zero else 0.0))):
+        if all(abs(tick.at - other.at) >= LEAST_APART for other in kept):
+            kept.append(tick)
+    return tuple(sorted(kept, key=lambda one: one.at))
 
 
 def _offset_scale(topics: Iterable[Mapping[str, Any]]) -> Scale:

@@ -24,6 +24,7 @@ TITLES: Mapping[str, str] = {
     "sequence.process": "Labelling",
 }
 LABELLING = tuple(kind for kind in TITLES if kind.startswith("labeler.") and kind != "labeler.export")
+ORDER = tuple(TITLES)
 PROCESS, SYNCHRONISE = "sequence.process", "ingest.synchronise"
 ENDED = ("succeeded", "failed", "cancelled")
 
@@ -49,11 +50,11 @@ def steps_of(run: JobDetail) -> tuple[Step, ...]:
     if run.queue:
         return (Step(run.kind, title_of(run.kind), _own_state(run.state), run.progress.done, run.progress.total),)
     steps = [Step(one.kind, title_of(one.kind), _state(one), one.done, one.total) for one in run.stages]
-    if run.kind != PROCESS or run.state in ENDED:
-        return tuple(steps)
-    known = {step.kind for step in steps}
-    coming = [kind for kind in (SYNCHRONISE, *LABELLING) if kind not in known]
-    return tuple(steps + [Step(kind, title_of(kind), "waiting", 0, 0) for kind in coming])
+    if run.kind == PROCESS and run.state not in ENDED:
+        known = {step.kind for step in steps}
+        coming = [kind for kind in (SYNCHRONISE, *LABELLING) if kind not in known]
+        steps += [Step(kind, title_of(kind), "waiting", 0, 0) for kind in coming]
+    return tuple(sorted(steps, key=lambda step: ORDER.index(step.kind) if step.kind in ORDER else len(ORDER)))
 
 
 def is_alive(run: JobDetail | None) -> bool:

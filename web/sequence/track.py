@@ -139,7 +139,7 @@ def excluded_spans(table: FrameTable) -> tuple[Span, ...]:
         return ()
     span_s = float(table.times_s[-1])
     at_s = [(one.stamp_ns - int(table.stamps_ns[0])) / NS_PER_S for one in table.excluded]
-    return tuple(marked(one, one, span_s, "excluded") for one in at_s)
+    return tuple(marked(one, one, span_s, "left-out-mark") for one in at_s)
 
 
 def _series(times_s: Floats, values: Floats, style: str = "curve", name: str = "") -> Series:

@@ -16,6 +16,7 @@ export function pageData<T>(id: string): T {
 export function placeCursors(root: ParentNode, share: number): void {
   for (const cursor of root.querySelectorAll<SVGPathElement>("[data-cursor]")) {
     const height = cursor.ownerSVGElement?.viewBox.baseVal.height ?? 120;
+    cursor.setAttribute("visibility", "visible");
     cursor.setAttribute("d", `M${(1000 * share).toFixed(1)} 0V${height}`);
   }
 }
