@@ -18,6 +18,8 @@ from web.pages import (
     comparing,
     home,
     methods,
+    sequence,
+    sequence_own,
     sequences,
     signing_in,
     splits,
@@ -42,6 +44,8 @@ ROUTERS: tuple[APIRouter, ...] = (
     submissions.router,
     submitting.router,
     teams.router,
+    sequence.router,  # after all that is below /sequences by a word: `new` is no id
+    sequence_own.router,
 )
 
 
