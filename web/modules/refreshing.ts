@@ -25,7 +25,7 @@ function keepFresh(part: HTMLElement): void {
   const every_ms = Number.parseFloat(part.dataset["refresh"] ?? "2") * 1000;
   let wait_ms = every_ms;
   const again = async (): Promise<void> => {
-    if (!document.getElementById(part.id)) return;
+    if (!document.getElementById(part.id)?.dataset["refresh"]) return; // gone, or fetched without: it has come to rest
     const isIdle = document.hidden || document.querySelector("dialog[open]") !== null;
     if (!isIdle) {
       try {
