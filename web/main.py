@@ -13,9 +13,12 @@ from services.runtime.platform import Platform, open_platform
 from services.runtime.settings import Settings
 from web import assets, faults
 from web.pages import (
+    administration,
     benchmarks,
     boards,
+    calibrations,
     comparing,
+    dataset,
     home,
     methods,
     sequence,
@@ -34,12 +37,15 @@ ROUTERS: tuple[APIRouter, ...] = (
     assets.router,
     home.router,
     signing_in.router,
+    administration.router,
+    calibrations.router,
     sequences.router,  # before a sequence's own page, which would take `new` for an id
     viewer.router,
     benchmarks.router,
     boards.router,
     comparing.router,
     methods.router,
+    dataset.router,
     splits.router,
     submissions.router,
     submitting.router,
