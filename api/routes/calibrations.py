@@ -1,15 +1,15 @@
 """Calibrations: a file comes in, is read at once, and is refused or kept for ever."""
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, File, Form, Query, Request, Response, UploadFile
 from pydantic import AwareDatetime
 from sqlalchemy import select
-from sqlalchemy.orm import Session
 
 from api import audit, calibration_reading
 from api.answers import refusals
+from api.calibration_changes import changes
 from api.calibration_views import calibration_item
 from api.callers import Curator, Reader
 from api.deps import PlatformDep
@@ -23,7 +23,6 @@ from api.visible import calibration_of, theirs
 from services.runtime import blobs
 from services.runtime.calibrations import Validity, add_calibration
 from services.runtime.orm import Blob, Calibration
-from stone.calibration_diff import difference
 
 router = APIRouter(prefix="/calibrations", tags=["calibrations"])
 YAML, ZIP = "application/yaml", "application/zip"
@@ -116,20 +115,4 @@ def diff_calibrations(
     calibration_id: IdPath, caller: Reader, platform: PlatformDep, against: AgainstQuery = None
 ) -> CalibrationDiffItem:
     """How far every sensor moved and turned from `against` to this calibration, and what of its lens changed."""
-    with platform.database.reading() as session:
-        row = calibration_of(session, caller, calibration_id)
-        other = _before(session, row) if against is None else calibration_of(session, caller, against)
-        files = [(session.get_one(Blob, one.blob_sha256).object_key, one.filename) for one in (other, row)]
-        other_id = other.id
-    before, after = (calibration_reading.stored(platform.store, key, name) for key, name in files)
-    found = difference(before, after)
-    return CalibrationDiffItem.model_validate(
-        {"id": calibration_id, "against": other_id, "is_same": found.is_same, **asdict(found)}
-    )
-
-
-def _before(session: Session, row: Calibration) -> Calibration:
-    """The version before it of its owner's calibrations of its name; itself for the first."""
-    of_name = select(Calibration).where(Calibration.owner_id == row.owner_id, Calibration.name == row.name)
-    earlier = of_name.where(Calibration.version < row.version).order_by(Calibration.version.desc()).limit(1)
-    return session.scalars(earlier).first() or row
+    return changes(platform, caller, calibration_id, against)

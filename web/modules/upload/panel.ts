@@ -101,7 +101,6 @@ export class Panel {
     row.button("remove")?.addEventListener("click", () => this.#remove(transfer));
     row.show();
     this.#total();
-    this.root.dispatchEvent(new CustomEvent("bags", { bubbles: true, detail: this.#lines.length }));
     if (this.#sequenceId || begunOf(bag, this.#begun)) void this.#start(transfer);
   }
 
@@ -116,7 +115,6 @@ export class Panel {
     const at = this.#lines.findIndex((line) => line.transfer === transfer);
     this.#lines.splice(at, 1)[0]?.row.element.remove();
     this.#total();
-    this.root.dispatchEvent(new CustomEvent("bags", { bubbles: true, detail: this.#lines.length }));
     this.#part<HTMLButtonElement>("choose")?.focus();
   }
 
@@ -154,6 +152,8 @@ export class Panel {
 
   #total(): void {
     const transfers = this.#lines.map(({ transfer }) => transfer);
+    const waiting = transfers.filter(({ phase }) => phase === "waiting" || phase === "paused").length;
+    this.root.dispatchEvent(new CustomEvent("bags", { bubbles: true, detail: waiting }));
     const place = this.#part("totals");
     if (!place) return;
     place.hidden = transfers.length < 2 || transfers.every(({ phase }) => phase === "waiting");

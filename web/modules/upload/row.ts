@@ -25,10 +25,13 @@ const LOOKS: Record<Phase, string> = {
   refused: "refused",
 };
 const ANIMATION_MS = 120;
+const CLOCK_MS = 1000;
+const STALL_S = 4;
 
 export class Row {
   readonly element: HTMLLIElement;
   #timer = 0;
+  #drawn_ms = 0;
   #shown: Phase | undefined;
 
   constructor(template: HTMLTemplateElement, readonly transfer: () => Transfer, readonly say: (sentence: string) => void) {
@@ -52,6 +55,8 @@ export class Row {
       this.#shown = phase;
       this.#draw();
       this.say(`${this.transfer().bag.name}: ${SAID[phase]}`);
+    } else if (performance.now() - this.#drawn_ms > ANIMATION_MS) {
+      this.#draw();
     } else if (!this.#timer) {
       this.#timer = window.setTimeout(() => this.#draw(), ANIMATION_MS);
     }
@@ -60,6 +65,7 @@ export class Row {
   #draw(): void {
     clearTimeout(this.#timer);
     this.#timer = 0;
+    this.#drawn_ms = performance.now();
     const transfer = this.transfer();
     const { bag, phase } = transfer;
     this.element.dataset["phase"] = phase;
@@ -73,7 +79,7 @@ export class Row {
     fill(this.part("line"), lineOf(transfer));
     this.#acts(phase);
     this.#findings(transfer);
-    if (phase === "away") this.show(); // the seconds go on
+    if (phase === "away" || phase === "sending") this.#timer = window.setTimeout(() => this.#draw(), CLOCK_MS); // seconds go on
   }
 
   #bar(name: string, bytes: number): void {
@@ -85,10 +91,11 @@ export class Row {
   }
 
   #acts(phase: Phase): void {
-    const { isUnderWay, bag, sequenceId } = this.transfer();
+    const { isUnderWay, bag, sequenceId, problem } = this.transfer();
     const resume = this.button("resume");
     this.button("pause")?.toggleAttribute("hidden", !isUnderWay || phase === "reading");
-    resume?.toggleAttribute("hidden", !(phase === "paused" || (phase === "refused" && !bag.trouble)));
+    const mayTry = phase === "refused" && problem !== undefined && !bag.trouble; // what was read and refused stays so
+    resume?.toggleAttribute("hidden", !(phase === "paused" || mayTry));
     fill(resume, phase === "paused" ? "Resume" : "Try again");
     this.button("remove")?.toggleAttribute("hidden", isUnderWay || phase === "registered");
     const open = this.part<HTMLAnchorElement>("open");
@@ -101,7 +108,8 @@ export class Row {
     const list = this.part("findings");
     if (!list) return;
     const refused = problem ? [{ code: problem.code, severity: "error", message: problem.detail }] : [];
-    const shown = [...refused, ...findings];
+    const noticed = findings.map(({ code, severity, topic, message }) => ({ code, severity, message: topic ? `${topic}: ${message}` : message }));
+    const shown = [...refused, ...noticed];
     list.hidden = !shown.length;
     list.replaceChildren(...shown.map(({ code, severity, message }) => findingOf(code, severity, message)));
   }
@@ -125,8 +133,11 @@ function lineOf(transfer: Transfer): string {
   switch (transfer.phase) {
     case "counting":
       return rated("Counting its sha256", size_bytes - transfer.counted_bytes, transfer.countedSpeed.per_s);
-    case "sending":
+    case "sending": {
+      const still_s = transfer.sentSpeed.still_s;
+      if (still_s > STALL_S) return `${size(transfer.sent_bytes)} of ${size(size_bytes)} · nothing has moved for ${span(still_s)}`;
       return rated(`${size(transfer.sent_bytes)} of ${size(size_bytes)}`, size_bytes - transfer.sent_bytes, transfer.sentSpeed.per_s);
+    }
     case "away":
       return `${transfer.awaySentence} Trying again in ${span((transfer.awayUntil_ms - performance.now()) / 1000)}.`;
     case "paused":

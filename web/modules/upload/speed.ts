@@ -13,6 +13,12 @@ export class Speed {
     while (this.#marks.length > 2 && at_ms - (this.#marks[0]?.at_ms ?? 0) > WINDOW_MS) this.#marks.shift();
   }
 
+  /** Seconds since something moved. */
+  get still_s(): number {
+    const last = this.#marks.at(-1);
+    return last ? (performance.now() - last.at_ms) / 1000 : 0;
+  }
+
   /** Bytes per second; 0 where nothing is known yet. */
   get per_s(): number {
     const [first, last] = [this.#marks[0], this.#marks.at(-1)];

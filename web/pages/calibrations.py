@@ -1,0 +1,88 @@
+"""Calibrations: the list with a place to drop another, and one by itself, drawn, with its findings and what changed.
+
+**Conventions.** Calibrations are their owner's; an administrator sees everybody's. The drawing is of the file as it was
+kept, read again.
+"""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Request
+from fastapi.responses import HTMLResponse
+from sqlalchemy import func, select
+
+from api import calibration_reading
+from api.calibration_changes import changes, version_before
+from api.calibration_views import calibration_item
+from api.callers import Reader
+from api.deps import PlatformDep
+from api.file_errors import CalibrationRefusedError
+from api.paging import PageQuery
+from api.paging import page as paged
+from api.routes.calibrations import AgainstQuery, NameQuery
+from api.schemas.base import IdPath
+from api.visible import calibration_of, sequences_of, theirs
+from services.runtime.orm import Blob, Calibration, Sequence
+from services.runtime.platform import Platform
+from web.rendering import page
+from web.rig import Rig, rig_of
+
+router = APIRouter(prefix="/calibrations")
+SHOWN = 50
+MOST_NAMED = 200
+Cursor = Annotated[str | None, Query(max_length=512)]
+
+
+@router.get("")
+def list_calibrations(
+    request: Request, caller: Reader, platform: PlatformDep, name: NameQuery = None, cursor: Cursor = None
+) -> HTMLResponse:
+    """The newest first, each with how many sequences pin it."""
+    mine = theirs(select(Calibration), caller, Calibration.owner_id)
+    narrowed = mine.where(Calibration.name == name) if name else mine
+    with platform.database.reading() as session:
+        found = paged(session, narrowed, Calibration.id.desc(), PageQuery(cursor or None, SHOWN))
+        ids = [row.id for row in found.rows]
+        alive = Sequence.deleted_ns.is_(None)
+        pinned = select(Sequence.calibration_id, func.count()).where(Sequence.calibration_id.in_(ids), alive)
+        counts = dict(session.execute(pinned.group_by(Sequence.calibration_id)).all())
+    shown = [(calibration_item(row), counts.get(row.id, 0)) for row in found.rows]
+    return page(request, caller, "calibrations/list.html", shown=shown, cursor=found.next, name=name or "")
+
+
+@router.get("/{calibration_id}")
+def show_calibration(
+    request: Request, calibration_id: IdPath, caller: Reader, platform: PlatformDep, against: AgainstQuery = None
+) -> HTMLResponse:
+    """The robot from above and from the side, what was noticed, what changed from the version before or another."""
+    with platform.database.reading() as session:
+        row = calibration_of(session, caller, calibration_id)
+        item = calibration_item(row)
+        key = session.get_one(Blob, row.blob_sha256).object_key
+        before = version_before(session, row)
+        of_name = select(Calibration).where(Calibration.owner_id == row.owner_id, Calibration.name == row.name)
+        versions = session.scalars(of_name.order_by(Calibration.version.desc()).limit(MOST_NAMED)).all()
+        pins = select(Sequence).where(Sequence.id.in_(sequences_of(caller).with_only_columns(Sequence.id)))
+        named = pins.order_by(Sequence.name).limit(MOST_NAMED)
+        sequences = [(one.id, one.name, one.calibration_id == row.id) for one in session.scalars(named)]
+    rig, unread = _drawn(platform, key, item.filename)
+    other = against or (before.id if before is not None else None)
+    return page(
+        request,
+        caller,
+        "calibrations/one.html",
+        calibration=item,
+        versions=[(one.id, one.version) for one in versions],
+        sequences=sequences,
+        rig=rig,
+        unread=unread,
+        changes=changes(platform, caller, calibration_id, other) if other and rig else None,
+        against=other,
+    )
+
+
+def _drawn(platform: Platform, key: str, filename: str) -> tuple[Rig | None, str]:
+    """The drawing of the kept file, or why this version of the platform reads it no longer."""
+    try:
+        return rig_of(calibration_reading.stored(platform.store, key, filename)), ""
+    except CalibrationRefusedError as refused:
+        return None, str(refused)

@@ -1,0 +1,126 @@
+"""A calibration as a drawing: where each sensor sits on the robot and where it looks, from above and from the side.
+
+**Conventions.** Drawn in centimetres; from above forward is up and left is left, from the side forward is right and up
+is up. Cameras are optical (z forward), everything else looks along its x.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from stone.calibration import Calibration, Mount
+from stone.se3 import SE3
+
+Flat = Callable[[tuple[float, float, float]], tuple[float, float]]
+"""A point or direction of the ego frame as it is drawn: right and down."""
+CM = 100.0
+MARGIN_CM = 45.0
+REACH_CM = 55.0
+"""How far a field of view is drawn."""
+LEAST_CM = 260.0
+OTHER_FOV_RAD = math.radians(110.0)
+FARTHEST_M = 30.0
+"""A sensor that is said to be farther away is left out of the drawing, not of the table."""
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A sensor in a view: where it is, the wedge of what it sees (an SVG path, empty if all around)."""
+
+    name: str
+    kind: str
+    x: float
+    y: float
+    wedge: str
+    label_x: float
+    label_y: float
+    anchor: str
+
+
+@dataclass(frozen=True)
+class View:
+    """A side of the robot; `body` is the rectangle (x, y, width, height) of its footprint or of its height."""
+
+    title: str
+    box: str
+    width: float
+    height: float
+    body: tuple[float, float, float, float]
+    marks: tuple[Mark, ...]
+
+
+@dataclass(frozen=True)
+class Rig:
+    """`left_out` are sensors that lie too far away to be drawn."""
+
+    views: tuple[View, ...]
+    places: tuple[tuple[str, str, tuple[float, float, float]], ...]
+    left_out: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Placed:
+    mount: Mount
+    at_m: tuple[float, float, float]
+    looks: tuple[float, float, float]
+
+
+def rig_of(calibration: Calibration) -> Rig:
+    """The drawing. The LiDAR is the sensor that all the others are placed by."""
+    lidar = Mount("LIDAR", "lidar", SE3.identity())
+    every = [lidar, *(mount for mount in calibration.mounts if mount.kind != "lidar")]
+    placed = [_placed(calibration, mount) for mount in every]
+    near = [one for one in placed if max(map(abs, one.at_m)) <= FARTHEST_M]
+    half_m = (calibration.footprint.length_m / 2, calibration.footprint.width_m / 2)
+    top = _view("From above", near, lambda p: (-p[1], -p[0]), (half_m[1], half_m[0]))
+    side = _view("From the left", near, lambda p: (p[0], -p[2]), (half_m[0], 0.0))
+    left_out = tuple(one.mount.name for one in placed if one not in near)
+    return Rig((top, side), tuple((one.mount.name, one.mount.kind, one.at_m) for one in placed), left_out)
+
+
+def _placed(calibration: Calibration, mount: Mount) -> _Placed:
+    pose = calibration.ego_from_lidar @ mount.lidar_from_sensor
+    axis = np.array([0.0, 0.0, 1.0] if mount.kind == "camera" else [1.0, 0.0, 0.0])
+    looks = pose.rotation() @ axis
+    x, y, z = (float(value) for value in pose.translation_m)
+    return _Placed(mount, (x, y, z), (float(looks[0]), float(looks[1]), float(looks[2])))
+
+
+def _view(title: str, placed: list[_Placed], flat: Flat, half_m: tuple[float, float]) -> View:
+    """The drawing's lengths follow from what is to be drawn."""
+    marks = tuple(_mark(one, flat(one.at_m), flat(one.looks)) for one in placed)
+    body_height = 2 * half_m[1] * CM
+    body = (-half_m[0] * CM, -half_m[1] * CM if body_height else -35.0, 2 * half_m[0] * CM, body_height or 35.0)
+    xs = [*(mark.x for mark in marks), body[0], body[0] + body[2]]
+    ys = [*(mark.y for mark in marks), body[1], body[1] + body[3]]
+    reach = MARGIN_CM + REACH_CM
+    left, top = min(xs) - reach, min(ys) - reach
+    width, height = max(LEAST_CM, max(xs) + reach - left), max(LEAST_CM * 0.6, max(ys) + reach - top)
+    return View(title, f"{left:.1f} {top:.1f} {width:.1f} {height:.1f}", round(width), round(height), body, marks)
+
+
+def _mark(one: _Placed, at: tuple[float, float], looks: tuple[float, float]) -> Mark:
+    x, y = at[0] * CM, at[1] * CM
+    flat = math.hypot(*looks)
+    is_round = one.mount.kind in ("lidar", "imu", "ins") or flat < 0.3
+    heading = math.atan2(looks[1], looks[0])
+    wedge = "" if is_round else _wedge(x, y, heading, _fov_rad(one.mount))
+    out = (0.0, -1.0) if is_round else (math.cos(heading), math.sin(heading))
+    far = 14.0 if is_round else REACH_CM + 10.0
+    anchor = "middle" if abs(out[0]) < 0.35 else ("start" if out[0] > 0 else "end")
+    return Mark(one.mount.name, one.mount.kind, x, y, wedge, x + out[0] * far, y + out[1] * far + 4.0, anchor)
+
+
+def _fov_rad(mount: Mount) -> float:
+    """The horizontal field of view of a camera; of a radar what most of them have."""
+    lens = mount.intrinsics
+    return OTHER_FOV_RAD if lens is None else 2 * math.atan2(lens.width_px / 2, lens.fx_px)
+
+
+def _wedge(x: float, y: float, heading: float, fov_rad: float) -> str:
+    half = min(fov_rad, math.radians(170.0)) / 2
+    ends = [(x + REACH_CM * math.cos(heading + a), y + REACH_CM * math.sin(heading + a)) for a in (-half, half)]
+    (x0, y0), (x1, y1) = ends
+    return f"M{x:.1f} {y:.1f}L{x0:.1f} {y0:.1f}A{REACH_CM:.0f} {REACH_CM:.0f} 0 0 1 {x1:.1f} {y1:.1f}Z"
