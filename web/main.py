@@ -14,6 +14,7 @@ from services.runtime.settings import Settings
 from web import assets, faults
 from web.pages import (
     administration,
+    audit,
     benchmarks,
     boards,
     calibrations,
@@ -21,6 +22,7 @@ from web.pages import (
     dataset,
     home,
     methods,
+    people,
     sequence,
     sequence_own,
     sequences,
@@ -47,6 +49,8 @@ ROUTERS: tuple[APIRouter, ...] = (
     methods.router,
     dataset.router,
     splits.router,
+    people.router,
+    audit.router,
     submissions.router,
     submitting.router,
     teams.router,
