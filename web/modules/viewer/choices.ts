@@ -23,10 +23,12 @@ export function firstChoices(): Choices {
 
 const SCOPES: [Choices["scope"], string][] = [["frame", "Around the robot"], ["map", "The whole run"]];
 const MODES: [Mode, string][] = [
-  ["class", "Class"], ["d2", "D², distance to what was driven"], ["elevation", "Elevation"], ["slope", "Slope"], ["roughness", "Roughness"],
+  ["class", "Class"], ["d2", "D², distance to driven"], ["elevation", "Elevation"], ["slope", "Slope"], ["roughness", "Roughness"],
 ];
 const UNSEEN: [Unseen, string][] = [["fade", "Pale"], ["show", "Like the others"], ["hide", "Not at all"]];
 const CLASSES: [number, string, string][] = [[1, "Traversable", "fill-t"], [2, "Potentially", "fill-p"], [3, "Non-traversable", "fill-n"]];
+
+let picks = 0;
 
 /** Why a layer is not there; undefined where it is. */
 function missing(layer: LayerName, scene: SceneFacts): string | undefined {
@@ -71,10 +73,11 @@ function group(title: string, ...children: HTMLElement[]): HTMLElement {
 function pick<Value extends string>(
   label: string, options: [Value, string][], chosen: Value, set: (value: Value) => void, isThere: boolean,
 ): HTMLElement {
-  const select = make("select", { disabled: !isThere });
+  const id = `viewer-pick-${++picks}`;
+  const select = make("select", { id, disabled: !isThere });
   select.append(...options.map(([value, words]) => make("option", { value, selected: value === chosen }, words)));
   select.addEventListener("change", () => set(select.value as Value));
-  return make("label", { class: "viewer-pick" }, label, select);
+  return make("div", { class: "viewer-pick" }, make("label", { for: id }, label), select);
 }
 
 export function swatch(fill: string): SVGSVGElement {

@@ -78,6 +78,9 @@ function sayRefusal(host: HTMLElement, error: unknown): void {
 
 function say(host: HTMLElement, name: "empty" | "error", sentence: string): void {
   state(host, name);
+  viewers.get(host)?.end();
+  viewers.delete(host);
+  for (const part of [...host.children]) if (!part.matches(".viewer-poster")) part.remove();
   host.append(make("p", { class: "viewer-message", role: name === "error" ? "alert" : "status" }, sentence));
 }
 

@@ -18,6 +18,6 @@ export async function showPictures(host: HTMLElement, scene: SceneFacts, start: 
   const timeline = new Timeline(scene.frames.stamps_ns.map(BigInt), show);
   const sentence = make("p", { class: "viewer-message", role: "status" });
   sentence.textContent = "This browser draws no 3D (WebGL 2 is missing or switched off), so the labels are shown from above.";
-  host.replaceChildren(make("div", { class: "viewer-stage" }, picture), timeline.element, sentence);
+  host.replaceChildren(make("div", { class: "viewer-scene" }, picture), timeline.element, sentence);
   await show(start);
 }

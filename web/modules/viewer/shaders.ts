@@ -21,7 +21,7 @@ void main() {
   vec2 wider = vec2((word >> 13) & 1, (word >> 14) & 1) * 2.0 - 1.0;
   vec3 place = vec3(corner.xyz);
   at = axis == 0 ? place.yz : axis == 1 ? place.zx : place.xy;
-  vec2 edge = wider * 0.004;
+  vec2 edge = wider * 0.015;
   place += axis == 0 ? vec3(0.0, edge) : axis == 1 ? vec3(edge.y, 0.0, edge.x) : vec3(edge, 0.0);
   float open = float((word >> 11) & 3) / 3.0;
   colour = texelFetch(palette, ivec2(word & 255, 0), 0).rgb * light[direction] * mix(0.62, 1.0, open);
@@ -104,7 +104,7 @@ void main() {
   gl_Position = projectionMatrix * viewMatrix * place;
 }`;
 
-/** Lines every metre near by and every ten metres farther, fading outwards from \`middle\`. */
+/** Lines every two metres near by and every ten metres farther, fading outwards from \`middle\`. */
 export const GROUND_FRAGMENT = /* glsl */ `
 precision highp float;
 in vec2 at;
@@ -119,7 +119,7 @@ float lines(float each) {
   return (1.0 - smoothstep(0.0, 1.2, min(near.x, near.y))) * clamp(1.0 - 3.0 * max(width.x, width.y), 0.0, 1.0);
 }
 void main() {
-  float strength = max(0.35 * lines(2.0), 0.8 * lines(10.0));
+  float strength = max(0.1 * lines(2.0), 0.28 * lines(10.0));
   float near = 1.0 - smoothstep(0.25 * reach, reach, distance(at, middle));
   painted = vec4(ink, strength * near);
 }`;

@@ -41,7 +41,7 @@ export class Ground implements Prop {
 /** The way the robot went: a ribbon as wide as its footprint, and a line that shows through hills. */
 export class Track implements Prop {
   readonly group = new Group();
-  private readonly ribbon = new MeshBasicMaterial({ transparent: true, opacity: 0.3, side: DoubleSide, depthWrite: false });
+  private readonly ribbon = new MeshBasicMaterial({ transparent: true, opacity: 0.16, side: DoubleSide, depthWrite: false });
   private readonly line = new MeshBasicMaterial({ side: DoubleSide });
   private readonly through = new MeshBasicMaterial({ transparent: true, opacity: 0.3, depthTest: false, side: DoubleSide });
 

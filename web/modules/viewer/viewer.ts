@@ -173,7 +173,7 @@ export class Viewer {
   }
 
   private frameIn(canvas: HTMLCanvasElement): void {
-    this.host.append(make("div", { class: "viewer-stage" }, canvas));
+    this.host.append(make("div", { class: "viewer-scene" }, canvas));
   }
 
   private furnish(stage: HTMLElement): void {

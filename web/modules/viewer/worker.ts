@@ -1,14 +1,13 @@
 // The worker: decompresses, decodes, builds what is drawn, and answers which voxel a ray meets.
-//
-// Modules of a worker know no import map: the page says where the decompressor is.
 
+import { decompress } from "../../libraries/fzstd/esm/index.mjs";
 import { type Cloud, cloudOf, planesOf, surfaceOf, tileOf, type Surface } from "./formats.js";
 import type { Look } from "./looks.js";
 import { type Drawn, Model, type Picked, type Ray } from "./model.js";
 import type { Piece, SceneFacts } from "./scene.js";
 
 export type Asked =
-  | { kind: "open"; scene: SceneFacts; fzstd: string }
+  | { kind: "open"; scene: SceneFacts }
   | { kind: "frame"; token: string; content: Uint8Array | null; look: Look }
   | { kind: "tile"; piece: Piece; content: Uint8Array | null }
   | { kind: "draw-tile"; name: string; look: Look; level: number }
@@ -26,27 +25,23 @@ export interface Answers {
   pick: Picked | null;
 }
 
-type Decompress = (content: Uint8Array) => Uint8Array;
 let model: Model | null = null;
-let decompress: Decompress = (content) => content;
 
 addEventListener("message", (event: MessageEvent<Asked & { id: number }>) => {
-  void answer(event.data);
+  answer(event.data);
 });
 
-async function answer(asked: Asked & { id: number }): Promise<void> {
+function answer(asked: Asked & { id: number }): void {
   try {
-    const value = await answerTo(asked);
+    const value = answerTo(asked);
     postMessage({ id: asked.id, value }, { transfer: buffersOf(value) });
   } catch (error) {
     postMessage({ id: asked.id, error: error instanceof Error ? error.message : String(error) });
   }
 }
 
-async function answerTo(asked: Asked): Promise<Answers[Asked["kind"]]> {
+function answerTo(asked: Asked): Answers[Asked["kind"]] {
   if (asked.kind === "open") {
-    const library = (await import(asked.fzstd)) as { decompress: Decompress };
-    decompress = library.decompress;
     model = new Model(asked.scene);
     return null;
   }

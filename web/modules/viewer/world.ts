@@ -50,7 +50,7 @@ export class World {
   }
 
   open(): Promise<unknown> {
-    return this.asking.ask({ kind: "open", scene: this.scene, fzstd: import.meta.resolve("fzstd") });
+    return this.asking.ask({ kind: "open", scene: this.scene });
   }
 
   /** Counts by class of the frame once it is on the stage; null when another was asked for meanwhile. */
@@ -65,8 +65,9 @@ export class World {
     this.index = index;
     this.frame.show(drawn, [...GRID_MIN_M]);
     this.stand(pose, before);
-    this.choose();
-    void this.store.ahead(index, forwards);
+    void this.choose()
+      .catch(() => undefined) // said where it was chosen
+      .then(() => (this.choices.scope === "frame" ? this.store.ahead(index, forwards) : undefined));
     return drawn.counts;
   }
 
