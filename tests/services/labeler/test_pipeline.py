@@ -55,7 +55,7 @@ def made(tmp_path_factory):
 def test_every_frame_has_its_labels_and_nothing_else_is_left(made):
     tokens = set(sequence_of(WORLD).frames.tokens)
     files = {"frames.parquet", "mesh.ply", "bev.png", "map.png", "features.png", "report.json", "sequence.npz"}
-    assert {path.name for path in made.iterdir()} == {"gts", *files}
+    assert {path.name for path in made.iterdir()} == {"gts", "scene", "thumbnail.jpg", *files}
     assert {path.name for path in (made / "gts").iterdir()} == {"small"}
     assert {path.name for path in (made / "gts" / "small").iterdir()} == tokens
     assert [path.name for path in made.parent.iterdir()] == ["out"]

@@ -30,7 +30,7 @@ def test_the_grids_are_those_that_numpy_reads() -> None:
 
 def test_a_stored_member_is_read_as_well() -> None:
     file, made = io.BytesIO(), grids(1)
-    np.savez(file, **made)
+    np.savez(file, semantics=made["semantics"])
     (found,) = read_grids(file.getvalue(), ("semantics",))
     np.testing.assert_array_equal(found, made["semantics"])
 

@@ -1,6 +1,5 @@
 """The viewer's formats, read by a decoder that shares nothing with their writer, and golden bytes."""
 
-import struct
 from typing import Any
 
 import numpy as np
@@ -12,30 +11,14 @@ from hypothesis.extra import numpy as arrays
 from numpy.typing import NDArray
 
 from services.runtime.view_formats import TileMesh, TileVoxels, cloud_bytes, mesh_bytes, tile_bytes, voxels_bytes
+from tests.services.runtime.view_decoding import Read
 
 COUNTS = st.integers(0, 40)
 NO_NAN = {"allow_nan": False, "allow_infinity": False, "width": 32}
 
 
-class Read:
-    """The content of one frame, value after value."""
-
-    def __init__(self, packed: bytes, magic: bytes) -> None:
-        self.content = zstandard.ZstdDecompressor().decompress(packed)
-        self.at = 4
-        assert self.content[:4] == magic
-
-    def values(self, form: str, count: int) -> list[Any]:
-        found = struct.unpack_from(f"<{count}{form}", self.content, self.at)
-        self.at += struct.calcsize(f"<{count}{form}")
-        return list(found)
-
-    def is_over(self) -> bool:
-        return self.at == len(self.content)
-
-
 def float32(values: NDArray[Any]) -> list[float]:
-    return np.asarray(values, np.float32).ravel().tolist()  # type: ignore[no-any-return]
+    return np.asarray(values, np.float32).ravel().tolist()
 
 
 @given(seed=st.integers(0, 2**32 - 1))
