@@ -54,6 +54,8 @@ def test_a_team_sends_predictions_and_finds_them_on_the_board(site: Site, world:
         look(page, "submission-queued")
         run_eval(site.platform)
         expect(page.get_by_text("It is scored and stands on the board.")).to_be_visible()
+        expect(page.locator("#submission")).not_to_have_attribute("data-refresh", "4s")
+        expect(page.get_by_text("mIoU")).to_be_visible()
         look(page, "submission-scored")
         page.goto("/submissions")
         expect(page.get_by_role("listitem").filter(has_text="OccFormer-T")).to_contain_text("scored")

@@ -4,17 +4,22 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse
+from sqlalchemy.orm import Session
 
 from api.callers import Reader
-from api.deps import PlatformDep, at_once
+from api.deps import Caller, PlatformDep, at_once
 from api.etags import etag
 from api.paging import PageDep
 from api.paging import page as paged
+from api.result_views import viewer_for
 from api.routes.submissions import Filters
 from api.schemas.base import IdPath
+from api.schemas.leaderboard import RatiosItem
 from api.submission_views import submission_detail, submission_items, validation_report
 from api.visible import submission_of, submissions_of, teams_of
 from services.runtime.benchmarks.modalities import MODALITIES
+from services.runtime.benchmarks.result_errors import NotScoredError, ScoreMissingError
+from services.runtime.benchmarks.results import results
 from services.runtime.benchmarks.submission_states import ENDED, LIVE, OPEN
 from services.runtime.benchmarks.teams import is_member
 from services.runtime.orm import Submission
@@ -56,8 +61,20 @@ def show_submission(
         values: dict[str, Any] = {
             "phase": phase_names(session, [row.phase_id])[row.phase_id],
             "team": team_names(session, [row.team_id])[row.team_id],
+            "total": _total(session, caller, row),
             "is_mine": is_member(session, row.team_id, caller.user_id),
         }
     values |= {"report": report, "groups": grouped(report.errors), "match": etag(shown.revision), "known": known}
     values |= {"is_live": shown.state in LIVE, "is_open": shown.state in OPEN, "modalities": MODALITIES}
     return page(request, caller, "submissions/one.html", it=shown, **values)
+
+
+def _total(session: Session, caller: Caller, row: Submission) -> RatiosItem | None:
+    """What it scored by the pair in force, as far as the caller may see it; None while it has no such score."""
+    if row.state != "scored":
+        return None
+    try:
+        found = results(session, viewer_for(session, caller), row)
+    except (NotScoredError, ScoreMissingError):  # scored by another pair than the one in force
+        return None
+    return RatiosItem(**found.total)

@@ -1,0 +1,132 @@
+"""A team from its founding to being handed over, at its pages; and what a participant does not meet."""
+
+import re
+
+import pytest
+from fastapi.routing import APIRoute
+from playwright.sync_api import expect
+
+from services.runtime.benchmarks import scorings
+from services.runtime.benchmarks.teams import enter
+from services.runtime.orm import Phase
+from services.runtime.platform import Platform
+from tests.api.serving import Person, person
+from tests.benchmark_world import World, benchmark_world
+from tests.web.browsing import Site
+from tests.web.looking import look
+from web.main import ROUTERS
+
+
+@pytest.fixture
+def world(platform: Platform) -> World:
+    return benchmark_world(platform)
+
+
+def limited(world: World, part: str, a_window: int) -> None:
+    """The first team takes part in the phase, and a third of a window's scorings is under way."""
+    with world.platform.database.transaction() as session:
+        phase = session.get_one(Phase, world.phase(part))
+        phase.scorings_per_window, phase.scorings_total = a_window, 20
+        enter(session, phase, world.teams[0])
+
+
+def test_a_team_is_founded_entered_by_invitation_and_handed_over(site: Site, participant: Person) -> None:
+    guest = person(site.platform, "participant")
+    with site.visit(participant) as page:
+        page.goto("/teams")
+        look(page, "teams-empty")
+        page.get_by_label("Name").fill("Terrain Gang")
+        page.get_by_role("button", name="Found it").click()
+        expect(page.get_by_role("heading", name="Terrain Gang")).to_be_visible()
+        where = page.url
+        page.get_by_role("button", name="Invite somebody").click()
+        secret = page.get_by_label("Invitation", exact=True).input_value()
+        expect(page.locator("#invitations li")).to_have_count(1)
+        expect(page.locator("#invitations")).to_contain_text("good until")
+        look(page, "team-inviting")
+    assert re.fullmatch(r"invite_[A-Za-z0-9_-]{43}", secret)
+    with site.visit(guest, expected=["404"]) as page:
+        answer = page.goto(where)
+        assert answer is not None
+        assert answer.status == 404, "a team of others has no page"
+        page.goto(f"/teams#{secret}")
+        expect(page.get_by_label("Invitation")).to_have_value(secret)
+        assert secret not in page.url
+        page.get_by_role("button", name="Join").click()
+        expect(page.get_by_role("heading", name="Terrain Gang")).to_be_visible()
+        expect(page.get_by_role("button", name="Invite somebody")).to_have_count(0)
+    with site.visit(participant) as page:
+        page.goto(where)
+        page.get_by_role("button", name="Make captain").click()
+        page.get_by_role("button", name="Hand over").click()
+        expect(page.get_by_text(f"led by {guest.name}")).to_be_visible()
+        page.get_by_role("button", name="Leave", exact=True).click()
+        page.locator("dialog[open]").get_by_role("button", name="Leave").click()
+        expect(page.get_by_role("heading", name="No team yet")).to_be_visible()
+
+
+def test_a_team_sees_what_it_may_still_have_scored(site: Site, world: World) -> None:
+    limited(world, "test", 3)
+    with site.platform.database.transaction() as session:
+        phase = session.get_one(Phase, world.test)
+        scorings.grant(session, phase, world.teams[0], 1, "a day was lost")
+    with site.visit(world.captains[0]) as page:
+        page.goto(f"/teams/{world.teams[0]}")
+        expect(page.get_by_text("4 of 4 left within 7 d")).to_be_visible()
+        expect(page.get_by_role("img", name="0 used, 0 under way, 4 left")).to_be_visible()
+        look(page, "team")
+        page.goto("/teams")
+        look(page, "teams")
+
+
+def test_who_has_no_team_is_asked_for_one_where_they_would_submit(
+    site: Site, world: World, participant: Person
+) -> None:
+    with site.visit(participant) as page:
+        page.goto(f"/benchmarks/{world.benchmark}/val/submit")
+        look(page, "submit-without-team")
+        page.get_by_label("Name of the team").fill("Lone Wolf")
+        page.get_by_role("button", name="Found it").click()
+        expect(page.get_by_text("Choose a zip first.")).to_be_visible()
+
+
+def test_a_closed_phase_says_so_instead_of_a_form(site: Site, world: World) -> None:
+    with site.platform.database.transaction() as session:
+        phase = session.get_one(Phase, world.test)
+        phase.opens_ns, phase.closes_ns = 1, 2
+    with site.visit(world.captains[0]) as page:
+        page.goto(f"/benchmarks/{world.benchmark}/test/submit")
+        expect(page.get_by_role("heading", name="takes no submissions any more")).to_be_visible()
+        expect(page.locator("form#submit")).to_have_count(0)
+        look(page, "submit-closed")
+
+
+def test_a_visitor_is_asked_to_sign_in_before_they_submit(site: Site, world: World) -> None:
+    with site.visit(expected=["401"]) as page:
+        page.goto(f"/benchmarks/{world.benchmark}/val/submit")
+        expect(page.get_by_role("heading", name="Sign in")).to_be_visible()
+
+
+def test_a_participant_meets_no_page_of_the_administration(site: Site, participant: Person) -> None:
+    paths = [route.path for router in ROUTERS for route in router.routes if isinstance(route, APIRoute)]
+    pages = [path for path in paths if path.startswith("/admin/") and "{" not in path]
+    assert "/admin/jobs" in pages
+    with site.visit(participant, expected=["403"]) as page:
+        page.goto("/submissions")
+        expect(page.get_by_role("link", name="Administration")).to_have_count(0)
+        assert page.locator("a[href^='/admin']").count() == 0
+        for path in pages:
+            answer = page.goto(path)
+            assert answer is not None
+            assert answer.status == 403, path
+            expect(page.get_by_text("Ask an administrator for the role")).to_be_visible()
+
+
+def test_an_administrator_steers_a_team_of_others_and_says_why(site: Site, world: World) -> None:
+    with site.visit(world.administrator) as page:
+        page.goto(f"/teams/{world.teams[0]}")
+        page.get_by_role("button", name="Remove").click()
+        dialog = page.locator("dialog[open]")
+        dialog.get_by_label("Reason").fill("left the institute & the lab")
+        dialog.get_by_role("button", name="Remove").click()
+        expect(page.locator(".members .member-name").filter(has_text=world.member.name)).to_have_count(0)
