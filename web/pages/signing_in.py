@@ -1,4 +1,4 @@
-"""Signing in, out, and one's own account."""
+"""Signing in; signing out is on one's account's page."""
 
 import re
 from typing import Annotated
@@ -6,7 +6,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import HTMLResponse
 
-from api.callers import Looker, Reader
+from api.callers import Looker
 from web.rendering import page
 
 router = APIRouter()
@@ -17,8 +17,3 @@ OURS = re.compile(r"/(?![/\\])[^\\\s]*")
 @router.get("/sign-in")
 def sign_in(request: Request, caller: Looker, back: Annotated[str, Query(max_length=2000)] = "/") -> HTMLResponse:
     return page(request, caller, "sign_in.html", back=back if OURS.fullmatch(back) else "/")
-
-
-@router.get("/account")
-def account(request: Request, caller: Reader) -> HTMLResponse:
-    return page(request, caller, "account.html")

@@ -1,0 +1,32 @@
+// One's own account: a new token's secret is shown once; a new password is typed twice.
+
+import { showOnce } from "./once.js";
+
+interface Issued {
+  name: string;
+  secret: string;
+}
+
+document.addEventListener("acted", (event) => {
+  const form = event.target;
+  if (!(form instanceof HTMLFormElement) || !form.hasAttribute("data-issues") || !(event instanceof CustomEvent)) return;
+  const issued = event.detail as Issued;
+  form.reset();
+  form.closest("dialog")?.close(); // first, so that the focus goes where the secret is
+  showOnce(issued.secret, `Your new token: ${issued.name}`);
+});
+
+for (const again of document.querySelectorAll<HTMLInputElement>("[data-again]")) {
+  const first = again.form?.elements.namedItem(again.dataset["again"] ?? "");
+  const compare = (): void => {
+    const isSame = first instanceof HTMLInputElement && first.value === again.value;
+    again.setCustomValidity(isSame ? "" : "This is not what stands above.");
+  };
+  again.form?.addEventListener("input", compare);
+}
+
+for (const boxes of document.querySelectorAll("[data-issues] .choices")) {
+  const all = [...boxes.querySelectorAll<HTMLInputElement>('input[type="checkbox"]')];
+  const check = (): void => all[0]?.setCustomValidity(all.some((box) => box.checked) ? "" : "A token may do one thing at least.");
+  boxes.addEventListener("change", check);
+}

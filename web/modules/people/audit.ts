@@ -1,0 +1,50 @@
+// The audit log: the platform reads the whole chain and says whether each line follows from the one before.
+
+import "../dataset/copying.js";
+import { call } from "../api.js";
+
+interface Verification {
+  is_whole: boolean;
+  first_broken: number | null;
+  lines: number;
+  head_hash: string;
+}
+
+const chain = document.querySelector<HTMLElement>("[data-chain]");
+if (chain) {
+  chain.querySelector("[data-verify]")?.addEventListener("click", () => void verify(chain));
+  void verify(chain);
+}
+
+async function verify(chain: HTMLElement): Promise<void> {
+  const again = chain.querySelector<HTMLButtonElement>("[data-verify]");
+  if (again) again.disabled = true;
+  say(chain, "waiting", "Reading the whole chain…", "");
+  try {
+    const found = await call<Verification>("GET", "/api/v1/admin/audit-log/verification");
+    const lines = found.lines === 1 ? "1 line" : `${found.lines.toLocaleString("en")} lines`;
+    if (found.is_whole) say(chain, "good", "The log is whole", `${lines}, each follows from the one before.`);
+    else say(chain, "error", `The log is broken at line ${found.first_broken ?? 0}`, "That line, or one before it, was changed or taken out.");
+    showHead(chain, found.head_hash);
+  } catch (error) {
+    say(chain, "error", "The log could not be verified", error instanceof Error ? error.message : String(error));
+  } finally {
+    if (again) again.disabled = false;
+  }
+}
+
+function say(chain: HTMLElement, tone: string, sentence: string, more: string): void {
+  const said = chain.querySelector<HTMLElement>("[data-chain-said]");
+  const lines = chain.querySelector("[data-chain-lines]");
+  if (said) said.dataset["tone"] = tone;
+  said?.replaceChildren(sentence);
+  lines?.replaceChildren(more);
+}
+
+function showHead(chain: HTMLElement, hash: string): void {
+  chain.querySelector("[data-chain-hash]")?.replaceChildren(hash || "none yet");
+  const copy = chain.querySelector<HTMLButtonElement>("[data-chain-copy]");
+  if (!copy) return;
+  copy.dataset["copies"] = hash;
+  copy.disabled = !hash;
+}

@@ -1,0 +1,35 @@
+"""The audit log: who did what to what and why, and whether the log is whole."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Request
+from fastapi.responses import HTMLResponse
+
+from api.audit_views import LinesWanted, acts_known, audit_page
+from api.callers import Administrator
+from api.deps import PlatformDep
+from api.paging import LONGEST_CURSOR, PageQuery
+from api.schemas.base import PLAIN
+from web.rendering import page
+
+router = APIRouter()
+SHOWN = 50
+Word = Annotated[str, Query(pattern=PLAIN, max_length=64)]
+Cursor = Annotated[str | None, Query(max_length=LONGEST_CURSOR)]
+
+
+@router.get("/admin/audit")
+def audit_log(
+    request: Request,
+    caller: Administrator,
+    platform: PlatformDep,
+    act: Word = "",
+    actor: Word = "",
+    subject_id: Word = "",
+    cursor: Cursor = None,
+) -> HTMLResponse:
+    wanted = LinesWanted(act=act.strip(), actor=actor.strip(), subject_id=subject_id.strip())
+    with platform.database.reading() as session:
+        lines = audit_page(session, PageQuery(cursor, SHOWN), wanted)
+        acts = acts_known(session)
+    return page(request, caller, "people/audit.html", lines=lines, acts=acts, wanted=wanted)

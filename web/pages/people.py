@@ -1,0 +1,96 @@
+"""People: one's own account with its tokens and browsers; for administrators the users and each one's tokens and acts.
+
+**Conventions.** A secret is shown once, by the module that got it in the API's answer; no page is rendered with one.
+"""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Request
+from fastapi.responses import HTMLResponse
+
+from api.audit_views import LinesWanted, audit_page
+from api.callers import Administrator, Reader
+from api.deps import PlatformDep
+from api.paging import LONGEST_CURSOR, PageQuery
+from api.people_views import browsers_of, tokens_page, user_item, user_of, users_page
+from api.schemas.base import PLAIN, IdPath
+from services.runtime.access.roles import ROLES, SCOPES
+from services.runtime.orm import User
+from services.runtime.orm.base import now_ns
+from web.rendering import page
+
+router = APIRouter()
+SHOWN = 50
+LINES = PageQuery(None, 20)
+MAY = {
+    "participant": "Downloads the dataset, submits to benchmarks.",
+    "curator": "Also uploads, processes and exports sequences.",
+    "administrator": "Also steers jobs, splits, benchmarks and people.",
+}
+ALLOWS = {
+    "read": "look and download",
+    "submit": "submit to benchmarks",
+    "upload": "upload and process",
+    "admin": "administrate",
+}
+Part = Annotated[str, Query(pattern=PLAIN, max_length=64)]
+Cursor = Annotated[str | None, Query(max_length=LONGEST_CURSOR)]
+
+
+@router.get("/account")
+def account(request: Request, caller: Reader, platform: PlatformDep, cursor: Cursor = None) -> HTMLResponse:
+    with platform.database.reading() as session:
+        tokens = tokens_page(session, PageQuery(cursor, SHOWN), caller.user_id)
+        browsers = browsers_of(session, caller.user_id, caller.credential_id)
+        has_password = bool(session.get_one(User, caller.user_id).password_hash)
+    return page(
+        request,
+        caller,
+        "people/account.html",
+        tokens=tokens,
+        browsers=browsers,
+        has_password=has_password,
+        scopes=[scope for scope in SCOPES if scope in caller.scopes],
+        may=MAY[caller.role],
+        allows=ALLOWS,
+        base=platform.settings.api.url.rstrip("/"),
+        longest_s=int(platform.settings.api.token_s),
+        now_ns=now_ns(),
+    )
+
+
+@router.get("/admin/users")
+def users(
+    request: Request,
+    caller: Administrator,
+    platform: PlatformDep,
+    name: Part = "",
+    role: Part = "",
+    cursor: Cursor = None,
+) -> HTMLResponse:
+    with platform.database.reading() as session:
+        found = users_page(session, PageQuery(cursor, SHOWN), name, role)
+    return page(request, caller, "people/users.html", users=found, name=name, role=role, may=MAY, roles=ROLES)
+
+
+@router.get("/admin/users/{user_id}")
+def user(request: Request, caller: Administrator, platform: PlatformDep, user_id: IdPath) -> HTMLResponse:
+    with platform.database.reading() as session:
+        shown = user_item(user_of(session, user_id))
+        tokens = tokens_page(session, PageQuery(None, 200), user_id)
+        about = audit_page(session, LINES, LinesWanted(subject_id=user_id))
+        by = audit_page(session, LINES, LinesWanted(actor_id=user_id))
+        browsers = browsers_of(session, user_id, "")
+    return page(
+        request,
+        caller,
+        "people/user.html",
+        user=shown,
+        tokens=tokens,
+        about=about,
+        by=by,
+        browsers=browsers,
+        may=MAY,
+        allows=ALLOWS,
+        roles=ROLES,
+    )
