@@ -57,7 +57,7 @@ def axis_over(values: Iterable[float | None]) -> Axis:
         return Axis(0.0, 1.0, 0.2)
     low, high = max(0.0, min(known)), min(1.0, max(known))
     lacking = max(0.0, NARROWEST - (high - low)) / 2
-    return _rounded(max(0.0, low - lacking), min(1.0, high + lacking), 1.0)
+    return _rounded(max(0.0, low - lacking), min(1.0, high + lacking))
 
 
 def axis_from_zero(values: Iterable[float | None]) -> Axis:
@@ -73,10 +73,9 @@ def axis_around_zero(values: Iterable[float | None]) -> Axis:
     return Axis(-reach, reach, step)
 
 
-def _rounded(low: float, high: float, most: float) -> Axis:
+def _rounded(low: float, high: float) -> Axis:
     step = _round_step(high - low, MOST_STEPS)
-    start, end = step * floor(low / step + 1e-9), step * ceil(high / step - 1e-9)
-    return Axis(max(0.0, start), min(most, end) if end <= most else end, step)
+    return Axis(step * floor(low / step + 1e-9), step * ceil(high / step - 1e-9), step)
 
 
 def _round_step(span: float, steps: int) -> float:

@@ -1,0 +1,172 @@
+"""The figures of boards as values: axes, the order of rows, brackets, verdicts, the little of Markdown."""
+
+from datetime import UTC, datetime
+from itertools import pairwise
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from api.schemas.leaderboard import PAIR_EXAMPLE, ROW_EXAMPLE, BoardRow, ComparisonAnswer, LeaderboardAnswer, PairItem
+from stone.metric import METRICS
+from web.axes import Axis, axis_around_zero, axis_from_zero, axis_over
+from web.board_compared import Names, compared, verdict
+from web.board_rows import SORTS, ShownBoard, drawn_board, shortened
+from web.markdown import blocks
+
+RATIO = st.floats(0, 1, allow_subnormal=False)
+
+
+@given(st.lists(st.none() | RATIO, max_size=20))
+def test_an_axis_holds_every_value_between_its_ends_in_order(values: list[float | None]) -> None:
+    known = sorted(value for value in values if value is not None)
+    for axis in (axis_over(values), axis_from_zero(values), axis_around_zero(values)):
+        assert axis.low < axis.high
+        assert all(axis.low - 1e-9 <= value <= axis.high + 1e-9 for value in known)
+        places = [axis.place(value) for value in known]
+        assert places == sorted(places)
+        assert all(0 <= place <= 100 for place in places)
+
+
+@given(st.lists(RATIO, min_size=1, max_size=20))
+def test_ticks_are_few_round_and_evenly_apart(values: list[float]) -> None:
+    for axis in (axis_over(values), axis_from_zero(values), axis_around_zero(values)):
+        ticks = [tick.value for tick in axis.ticks]
+        assert 2 <= len(ticks) <= 8
+        assert ticks[0] == pytest.approx(axis.low)
+        assert ticks[-1] == pytest.approx(axis.high)
+        assert all(b - a == pytest.approx(axis.step) for a, b in pairwise(ticks))
+        assert f"{axis.step:.0e}"[0] in "125" or f"{axis.step:.1e}"[:3] == "2.5"
+
+
+def test_an_axis_around_zero_has_zero_in_the_middle() -> None:
+    assert axis_around_zero([-0.012, 0.03]).place(0.0) == pytest.approx(50.0)
+
+
+def test_an_axis_without_values_is_the_whole_range() -> None:
+    assert axis_over([None]) == Axis(0.0, 1.0, 0.2)
+
+
+def row(method: str, miou: float | None, **said: Any) -> BoardRow:
+    ratios = {"miou": miou, "iou_occ": 0.5, "iou_t": 1 - (miou or 0), "iou_p": 0.2, "iou_n": None}
+    return BoardRow.model_validate(ROW_EXAMPLE | {"method": method, "ratios": ratios, "rank_interval": None} | said)
+
+
+def a_board(rows: list[BoardRow], sort: Any = "rank", **said: Any) -> ShownBoard:
+    described: Any = LeaderboardAnswer.model_config["json_schema_extra"]
+    ranked = sum(one.standing == "ranked" for one in rows)
+    return drawn_board(
+        LeaderboardAnswer.model_validate(described["examples"][0] | said | {"rows": rows, "ranked_total": ranked}), sort
+    )
+
+
+ROWS = [
+    row("b", 0.6, rank=1, tie_group=1),
+    row("a", 0.5, rank=2, tie_group=2, submitted_at=datetime(2026, 7, 1, tzinfo=UTC)),
+    row("c", 0.4, rank=3, tie_group=2),
+    row("d", 0.9, standing="baseline", rank=None, tie_group=None),
+    row("e", None, standing="reported", rank=None, tie_group=None, submitted_at=None),
+]
+
+
+def methods(board: ShownBoard) -> list[list[str]]:
+    return [[one.row.method for one in group.rows] for group in board.groups]
+
+
+def test_rows_of_a_tie_group_share_one_bracket() -> None:
+    assert [[one.tied for one in group.rows] for group in a_board(ROWS).groups] == [[1, 2, 0], [1], [1]]
+
+
+@pytest.mark.parametrize(
+    ("sort", "ranked"), [("rank", "bac"), ("miou", "bac"), ("iou_t", "cab"), ("method", "abc"), ("submitted", "abc")]
+)
+def test_sorting_moves_rows_within_their_standing_and_keeps_their_ranks(sort: Any, ranked: str) -> None:
+    board = a_board(ROWS, sort)
+    assert methods(board) == [list(ranked), ["d"], ["e"]]
+    assert {one.row.method: one.row.rank for one in board.groups[0].rows} == {"b": 1, "a": 2, "c": 3}
+    assert board.has_brackets is (sort == "rank")
+
+
+def test_only_ranked_rows_are_the_best_of_a_column() -> None:
+    best = {one.row.method: one.best for group in a_board(ROWS).groups for one in group.rows}
+    assert best["b"] == {"miou", "iou_occ", "iou_p"}
+    assert best["d"] == frozenset()
+
+
+def test_a_link_keeps_what_was_asked_and_leaves_out_what_is_usual() -> None:
+    board = a_board(ROWS, "iou_t", track="C+L", as_of=datetime(2026, 6, 3, 9, 0, 0, 120000, UTC))
+    assert board.link(track=None, sort=None) == "/benchmarks/stone/test?as_of=2026-06-03T09%3A00%3A00.120000Z"
+    assert board.link(entries="all").startswith("/benchmarks/stone/test?track=C%2BL&sort=iou_t&as_of=")
+    assert a_board(ROWS).link() == "/benchmarks/stone/test"
+    assert "sort" not in board.file("csv")
+    assert board.file("csv").endswith("&format=csv")
+
+
+def test_every_column_can_be_sorted_by() -> None:
+    assert all(sorted(methods(a_board(ROWS, sort))[0]) == ["a", "b", "c"] for sort in SORTS)
+
+
+def test_a_shortened_board_says_how_many_are_left_out() -> None:
+    short = shortened(a_board(ROWS), 2)
+    assert methods(short) == [["b", "a"], ["d"], ["e"]]
+    assert short.left_out == 1
+    assert [one.tied for one in short.groups[0].rows] == [1, 1]
+
+
+def comparison(miou: dict[str, Any], is_withheld: bool = False) -> ComparisonAnswer:
+    nothing = {"a": None, "b": None, "difference": None, "block": None, "sequence": None, "sign_flip": None}
+    ratios = dict.fromkeys(("miou", "iou_occ", "iou_t", "iou_p", "iou_n"), nothing) | {"miou": nothing | miou}
+    at = {"a": "0" * 32, "b": "1" * 32, "pair": PairItem.model_validate(PAIR_EXAMPLE), "interval_level": 0.95}
+    return ComparisonAnswer.model_validate(at | {"is_withheld": is_withheld, "ratios": ratios})
+
+
+NAMES = Names("Ant", "Bee")
+BEHIND = {"a": 0.40, "b": 0.42, "difference": -0.02}
+SURE = {"interval": [-0.03, -0.01], "share_above": 0.0, "p": 0.0005}
+UNSURE = {"interval": [-0.03, 0.002], "share_above": 0.1, "p": 0.2}
+FLIPPED = {"sequences": 12, "p": 0.01, "smallest_p": 0.0005}
+
+
+@pytest.mark.parametrize(
+    ("miou", "headline", "ground"),
+    [
+        (BEHIND | {"block": SURE}, "Bee is better than Ant", "its margin is +1.00 to +3.00 (95 % interval, p < 0.001)"),
+        (BEHIND | {"block": UNSURE}, "Ant and Bee do not surely differ", "its margin is −0.20 to +3.00"),
+        (BEHIND | {"block": SURE, "sign_flip": FLIPPED}, "Bee is better than Ant", "holds over whole sequences too"),
+        (BEHIND | {"block": SURE, "sign_flip": FLIPPED | {"p": 0.3}}, "Bee is better than Ant", "is open"),
+        (BEHIND, "Bee is ahead of Ant", "Resampling says nothing"),
+        (BEHIND | {"block": SURE | {"interval": None}}, "Bee is better than Ant", "No interval can be given"),
+        ({"a": 0.4, "b": 0.4, "difference": 0.0}, "Ant and Bee have the same mIoU", "Resampling says nothing"),
+        ({"a": 0.4}, "The two cannot be put in order", "a class is undefined"),
+    ],
+)
+def test_the_verdict_says_who_is_better_by_how_much_and_how_surely(
+    miou: dict[str, Any], headline: str, ground: str
+) -> None:
+    found = verdict(comparison(miou), NAMES)
+    assert found.headline == headline
+    assert ground in " ".join(found.grounds)
+
+
+def test_a_withheld_comparison_claims_no_more_than_the_rounded_totals() -> None:
+    found = compared(comparison(BEHIND, is_withheld=True), NAMES)
+    assert found.verdict.headline == "Bee is ahead of Ant"
+    assert "when the phase has ended" in found.verdict.grounds[1]
+    assert all(one.block is None and one.sequence is None for one in found.rows)
+
+
+@pytest.mark.parametrize("version", METRICS)
+def test_no_word_of_a_definition_is_lost(version: str) -> None:
+    definition = METRICS[version].definition
+    said = " ".join(span.text for block in blocks(definition) for item in block.items for span in item)
+    plain = definition.replace("`", "").replace("*", "").replace("#", "").replace("\n- ", "\n")
+    assert "".join(said.split()).removeprefix("-") == "".join(plain.split())
+
+
+def test_markdown_knows_no_html() -> None:
+    (block,) = blocks("<script>alert(1)</script> [a](javascript:b) *c*")
+    assert [(span.kind, span.text) for span in block.items[0]] == [
+        ("text", "<script>alert(1)</script> [a](javascript:b) "),
+        ("emphasis", "c"),
+    ]
