@@ -17,7 +17,20 @@ ROLES = ("visitor", "participant", "curator", "administrator")
 PAGES = """
 /                     200 200 200 200
 /sign-in              200 200 200 200
+/benchmarks           200 200 200 200
+/benchmarks/none      401 404 404 404
+/benchmarks/none/val  401 404 404 404
+/benchmarks/none/val/compare             401 404 404 404
+/benchmarks/none/val/metrics/stone-iou-1 401 404 404 404
+/entries/00000000000000000000000000000000 401 404 404 404
 /account              401 200 200 200
+/dataset              401 200 200 200
+/dataset/splits       401 403 200 200
+/dataset/new          401 403 403 200
+/admin/users          401 403 403 200
+/admin/audit          401 403 403 200
+/submissions          401 200 200 200
+/teams                401 200 200 200
 """
 
 
