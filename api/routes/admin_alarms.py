@@ -4,6 +4,7 @@ from fastapi import APIRouter
 from sqlalchemy import select
 
 from api import audit
+from api.alarm_views import alarm_item, grant_item
 from api.answers import refusals
 from api.callers import Administrator
 from api.deps import PlatformDep
@@ -11,11 +12,11 @@ from api.errors import NotFoundError
 from api.paging import Page, PageDep, page
 from api.schemas.admin import ReasonBody
 from api.schemas.alarms import AlarmItem, GrantBody, GrantItem
-from api.schemas.base import IdPath, instant, instant_or_none
+from api.schemas.base import IdPath
 from api.visible import phase_of
 from services.runtime.benchmarks.alarms import dismiss, standing_alarms
-from services.runtime.benchmarks.scorings import Standing, grant, standing
-from services.runtime.orm import Alarm, ScoringEntry, Team
+from services.runtime.benchmarks.scorings import grant, standing
+from services.runtime.orm import Alarm, Team
 
 router = APIRouter(prefix="/admin", tags=["administration"])
 
@@ -32,7 +33,7 @@ def list_alarms(
     with platform.database.reading() as session:
         of_phase = phase_of(session, phase_id).id
         seen = select(Alarm).where(Alarm.phase_id == of_phase) if dismissed else standing_alarms(of_phase)
-        return page(session, seen, Alarm.id.desc(), query).shown(_alarm)
+        return page(session, seen, Alarm.id.desc(), query).shown(alarm_item)
 
 
 @router.post("/alarms/{alarm_id}/dismiss", responses=refusals(404, 409))
@@ -42,7 +43,7 @@ def dismiss_alarm(alarm_id: IdPath, body: ReasonBody, caller: Administrator, pla
         alarm = dismiss(session, alarm_id)
         facts = {"phase_id": alarm.phase_id, "kind": alarm.kind}
         audit.record_admin_act(session, caller, "alarm.dismiss", alarm_id, body.reason, facts)
-        return _alarm(alarm)
+        return alarm_item(alarm)
 
 
 @router.post("/teams/{team_id}/grants", status_code=201, responses=refusals(404))
@@ -55,31 +56,4 @@ def grant_scorings(team_id: IdPath, body: GrantBody, caller: Administrator, plat
         entry = grant(session, phase, team_id, body.scorings)
         facts = {"phase_id": phase.id, "scorings": body.scorings, "entry_id": entry.id}
         audit.record_admin_act(session, caller, "team.grant", team_id, body.reason, facts)
-        return _grant(entry, standing(session, phase, team_id))
-
-
-def _alarm(row: Alarm) -> AlarmItem:
-    return AlarmItem(
-        id=row.id,
-        phase_id=row.phase_id,
-        kind=row.kind,
-        subject=row.subject,
-        facts=row.facts,
-        created_at=instant(row.created_ns),
-        dismissed_at=instant_or_none(row.dismissed_ns),
-    )
-
-
-def _grant(entry: ScoringEntry, now: Standing) -> GrantItem:
-    return GrantItem(
-        id=entry.id,
-        phase_id=entry.phase_id,
-        team_id=entry.team_id,
-        scorings=-entry.amount,
-        limit=now.limit,
-        used=now.used,
-        reserved=now.reserved,
-        total_left=now.total_left,
-        next_at=instant_or_none(now.next_slot_ns),
-        created_at=instant(entry.created_ns),
-    )
+        return grant_item(entry, standing(session, phase, team_id))

@@ -62,7 +62,7 @@ def listed(phase_id: IdPath, _caller: Administrator, platform: PlatformDep, quer
 def show(phase_id: IdPath, rescore_id: IdPath, _caller: Administrator, platform: PlatformDep) -> RescoreItem:
     """A re-score and how far it is."""
     with platform.database.reading() as session:
-        return rescore_item(session, _rescore_of(session, phase_id, rescore_id))
+        return rescore_item(session, rescore_of(session, phase_id, rescore_id))
 
 
 @router.get("/{rescore_id}/diff", response_model=RescoreDiffAnswer, responses={**AS_PAGE, **refusals(404)})
@@ -76,8 +76,8 @@ def show_diff(
 ) -> RescoreDiffAnswer | PlainTextResponse:
     """What the switch changes in rank and value, as JSON or as a page; the ETag is the If-Match of `activate`."""
     with platform.database.reading() as session:
-        rescore = _rescore_of(session, phase_id, rescore_id)
-        tag = etag(_board_revision(session, rescore.phase_id))
+        rescore = rescore_of(session, phase_id, rescore_id)
+        tag = etag(board_revision(session, rescore.phase_id))
         diff = rescore_diff(session, rescore)
         if form == "md":
             text = rescore_page(diff, rescore_progress(session, rescore), rescore.reason)
@@ -97,9 +97,9 @@ def activate_it(
 ) -> ActivationItem:
     """Switch the board to the new pair, at once and as a whole; the old one stays readable by `as_of`."""
     with platform.database.transaction() as session:
-        rescore = _rescore_of(session, phase_id, rescore_id)
+        rescore = rescore_of(session, phase_id, rescore_id)
         lock_phase(session, phase_id)
-        require_match(request, _board_revision(session, phase_id))
+        require_match(request, board_revision(session, phase_id))
         current = in_force(session, phase_id)
         row = activate(session, rescore, current.id if current else None, caller.user_id)
         facts = {"rescore_id": rescore.id, "truth_id": row.truth_id, "metric": row.metric}
@@ -113,7 +113,7 @@ def abandon_it(
 ) -> RescoreItem:
     """Give a re-score up: its run stops, and new submissions are not scored by its pair any more."""
     with platform.database.transaction() as session:
-        rescore = _rescore_of(session, phase_id, rescore_id)
+        rescore = rescore_of(session, phase_id, rescore_id)
         abandon(session, rescore, body.reason)
         audit.record_admin_act(session, caller, "phase.abandon", phase_id, body.reason, {"rescore_id": rescore.id})
         return rescore_item(session, rescore)
@@ -127,13 +127,13 @@ def _asked(session: Session, phase: Phase, body: NewRescoreBody) -> Pair:
     return Pair(body.truth_id or current.truth_id, body.metric or current.metric)
 
 
-def _rescore_of(session: Session, phase_id: str, rescore_id: str) -> Rescore:
+def rescore_of(session: Session, phase_id: str, rescore_id: str) -> Rescore:
     found = session.get(Rescore, rescore_id)
     if found is None or found.phase_id != phase_id:
         raise NotFoundError("re-score", rescore_id)
     return found
 
 
-def _board_revision(session: Session, phase_id: str) -> str:
+def board_revision(session: Session, phase_id: str) -> str:
     current = in_force(session, phase_id)
     return current.id if current else NO_BOARD

@@ -2,8 +2,8 @@
 
 from fastapi import APIRouter
 
-from web.pages import admin_job, admin_jobs, admin_queues
+from web.pages import admin_benchmarks, admin_job, admin_jobs, admin_phase, admin_queues
 
 router = APIRouter()
-for one in (admin_jobs, admin_job, admin_queues):
+for one in (admin_jobs, admin_job, admin_queues, admin_benchmarks, admin_phase):
     router.include_router(one.router)
