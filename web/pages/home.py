@@ -1,14 +1,56 @@
-"""The first page: the newest labelled sequence in 3D, and the board of the newest benchmark."""
+"""The first page: the newest labelled sequence in 3D, the board of the newest benchmark, and where to go from here."""
+
+from dataclasses import dataclass
 
 from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse
+from sqlalchemy import select
+from sqlalchemy.orm import Session
 
 from api.callers import Looker
+from api.deps import Caller, PlatformDep
+from api.result_views import viewer_for
+from api.schemas.sequences import SequenceItem
+from api.sequence_views import sequence_items
+from api.visible import benchmarks_of, sequences_shown_to
+from services.runtime.benchmarks.visibility import Viewer
+from services.runtime.orm import Activation, Benchmark, LabelSet, Phase, Sequence
+from web.board_rows import ShownBoard, shown_board
 from web.rendering import page
 
 router = APIRouter()
 
 
+@dataclass(frozen=True)
+class Featured:
+    """What the first page shows; None where there is nothing of the kind that the caller may see."""
+
+    sequence: SequenceItem | None
+    phase_id: str | None
+    viewer: Viewer
+
+
 @router.get("/")
-def home(request: Request, caller: Looker) -> HTMLResponse:
-    return page(request, caller, "home.html")
+def home(request: Request, caller: Looker, platform: PlatformDep) -> HTMLResponse:
+    with platform.database.reading() as session:
+        featured = Featured(
+            _newest_labelled(session, caller), _newest_board(session, caller), viewer_for(session, caller)
+        )
+    board: ShownBoard | None = None
+    if featured.phase_id is not None:
+        board = shown_board(platform, featured.phase_id, featured.viewer)
+    return page(request, caller, "home.html", sequence=featured.sequence, board=board)
+
+
+def _newest_labelled(session: Session, caller: Caller) -> SequenceItem | None:
+    """The sequence that was labelled last."""
+    labelled = sequences_shown_to(caller).join(LabelSet, LabelSet.sequence_id == Sequence.id)
+    row = session.scalars(labelled.order_by(LabelSet.chosen_ns.desc(), LabelSet.id.desc()).limit(1)).first()
+    return sequence_items(session, [row])[0] if row else None
+
+
+def _newest_board(session: Session, caller: Caller) -> str | None:
+    """The id of the phase whose ground truth was put in force last."""
+    shown = benchmarks_of(caller).with_only_columns(Benchmark.id)
+    phases = select(Phase.id).join(Activation, Activation.phase_id == Phase.id).where(Phase.benchmark_id.in_(shown))
+    return session.scalar(phases.order_by(Activation.activated_ns.desc(), Activation.id.desc()).limit(1))
