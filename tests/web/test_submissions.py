@@ -2,7 +2,9 @@
 
 import io
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +16,8 @@ from services.runtime.platform import Platform
 from tests.benchmark_world import World, benchmark_world, predicted, run_eval, submission_zip
 from tests.web.browsing import Site
 from tests.web.looking import look
+
+FLOATS = np.zeros((4, 4))
 
 
 @pytest.fixture
@@ -31,6 +35,16 @@ def fill(page: Page, path: Path, method: str = "OccFormer-T") -> None:
     page.get_by_label("Name on the board").fill(method)
     page.get_by_label("LiDAR").check()
     page.get_by_label("Cameras").check()
+
+
+def zipped(path: Path, frames: Mapping[str, Any], folder: str = "") -> Path:
+    """As `submission_zip`, of whatever arrays."""
+    with zipfile.ZipFile(path, "w") as packed:
+        for token, grid in frames.items():
+            content = io.BytesIO()
+            np.savez_compressed(content, semantics=grid)
+            packed.writestr(f"{folder}{token}.npz", content.getvalue())
+    return path
 
 
 def sent(world: World) -> list[Submission]:
@@ -84,29 +98,31 @@ def test_a_zip_that_lacks_frames_is_refused_before_a_byte_is_sent(site: Site, wo
         (tmp_path / "no.zip").write_bytes(b"this is no zip" * 100)
         page.locator("#file").set_input_files(tmp_path / "no.zip")
         expect(page.get_by_text("This cannot be read as a submission.")).to_be_visible()
+        page.locator("#file").set_input_files(
+            zipped(tmp_path / "floats.zip", dict.fromkeys(world.truth("val"), FLOATS))
+        )
+        expect(page.get_by_text("All 8 frames are there.")).to_be_visible()
+        expect(page.get_by_text("The first frame was looked into: bad dtype")).to_contain_text("'<f8'")
+        look(page, "submit-warned")
     assert sent(world) == []
 
 
 def test_what_is_wrong_inside_of_files_is_told_file_by_file(site: Site, world: World, tmp_path: Path) -> None:
-    archive = tmp_path / "run.zip"
-    frames = predicted(world.truth("val"), 0.1)
-    bad = dict(zip(frames, (np.full_like(next(iter(frames.values())), 255), np.zeros((4, 4), np.uint8)), strict=False))
-    with zipfile.ZipFile(archive, "w") as packed:
-        for token, grid in frames.items():
-            content = io.BytesIO()
-            np.savez_compressed(content, semantics=bad.get(token, grid))
-            packed.writestr(f"run/{token}.npz", content.getvalue())
+    frames: dict[str, Any] = dict(predicted(world.truth("val"), 0.1))
+    tokens = list(frames)[:2]
+    frames |= dict(zip(tokens, (np.full((256, 256, 32), 255, np.uint8), np.zeros((4, 4), np.uint8)), strict=True))
+    archive = zipped(tmp_path / "run.zip", frames, "run/")
     with site.visit(world.captains[0]) as page:
         page.goto(form_of(world, "test"))
-        fill(page, archive.rename(tmp_path / "other.zip"))
+        fill(page, archive)
         expect(page.get_by_text("0 of 8 frames are as they should be.")).to_be_visible()
         page.goto(form_of(world))
-        fill(page, tmp_path / "other.zip")
+        fill(page, archive)
         page.get_by_role("button", name="Only have it checked").click()
         expect(page.get_by_text("Next in the queue")).to_be_visible()
         run_eval(site.platform)
         expect(page.get_by_text("2 problems in its file")).to_be_visible()
-        for code, token in zip(("label out of range", "bad shape"), bad, strict=True):
+        for code, token in zip(("label out of range", "bad shape"), tokens, strict=True):
             table = page.get_by_role("region", name=code)
             expect(table.get_by_role("row")).to_have_count(2)
             expect(table.get_by_role("row").last).to_contain_text(f"run/{token}.npz")

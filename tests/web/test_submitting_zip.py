@@ -10,11 +10,16 @@ import stat
 import struct
 import zipfile
 from base64 import b64encode
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
+from services.eval.errors import SubmissionError
+from services.eval.npz_frame import prediction_grid
 from services.eval.submission_zip import open_submission
 from tests.web.browsing import Site
 
@@ -28,6 +33,17 @@ READ = """async ({at, zips, tokens}) => {
     const bytes = Uint8Array.from(atob(zip), (one) => one.charCodeAt(0));
     const { problems } = await examined(new File([bytes], "run.zip"), manifest);
     said.push(problems.map(({ code, file, frame }) => [code, file, frame]));
+  }
+  return said;
+}"""
+LOOK = """async ({at, zips}) => {
+  const { faultIn } = await import(at);
+  const { readDirectory } = await import(at.replace("first_frame", "zip"));
+  const said = [];
+  for (const zip of zips) {
+    const file = new Blob([Uint8Array.from(atob(zip), (one) => one.charCodeAt(0))]);
+    const [member] = await readDirectory(file, 1);
+    said.push((await faultIn(file, member))?.code ?? null);
   }
   return said;
 }"""
@@ -114,6 +130,40 @@ def mangled(seed: int) -> bytes:
     return bytes(archive)
 
 
+def frame(save: Callable[..., None], **arrays: object) -> bytes:
+    content = io.BytesIO()
+    save(content, **arrays)
+    return content.getvalue()
+
+
+@cache
+def frames() -> tuple[bytes, ...]:
+    """Frames that are right, or wrong, in the ways that happen."""
+    return tuple(_frames())
+
+
+def _frames() -> Iterator[bytes]:
+    grid = np.zeros((256, 256, 32), np.uint8)
+    for save in (np.savez, np.savez_compressed):
+        yield from (frame(save, semantics=grid), frame(save, arr_0=grid), frame(save, labels=grid))
+        yield from (frame(save, semantics=grid, mask=grid), frame(save, semantics=grid[:200]))
+        yield frame(save, semantics=np.asfortranarray(grid))
+    yield frame(np.savez_compressed, semantics=grid.astype(np.int64))
+    yield frame(np.savez_compressed, semantics=grid.astype(bool))
+    yield frame(np.savez_compressed, semantics=np.array([{}], object))
+    yield frame(np.savez_compressed)
+    yield b"PICKLED" * 9
+    yield packed(["semantics.npy"])
+
+
+def code_by_the_platform(npz: bytes) -> str | None:
+    try:
+        prediction_grid(npz)
+    except SubmissionError as error:
+        return error.code
+    return None
+
+
 def by_the_platform(folder: Path, archives: list[bytes]) -> list[Found]:
     path = folder / "run.zip"
     said: list[Found] = []
@@ -124,13 +174,19 @@ def by_the_platform(folder: Path, archives: list[bytes]) -> list[Found]:
     return said
 
 
-def by_the_page(site: Site, archives: list[bytes]) -> list[Found]:
+def asked(site: Site, script: str, module: str, archives: list[bytes]) -> list[Any]:
+    """What the script says of the archives, by this module of the form."""
     with site.visit() as page:
         page.goto("/sign-in")
         sheet = page.locator("link[rel=stylesheet]").get_attribute("href") or ""
-        at = f"{sheet.rpartition('/')[0]}/modules/submitting/frames.js"
+        at = f"{sheet.rpartition('/')[0]}/modules/submitting/{module}.js"
         zips = [b64encode(archive).decode() for archive in archives]
-        said = page.evaluate(READ, {"at": at, "zips": zips, "tokens": list(TOKENS)})
+        said: list[Any] = page.evaluate(script, {"at": at, "zips": zips, "tokens": list(TOKENS)})
+    return said
+
+
+def by_the_page(site: Site, archives: list[bytes]) -> list[Found]:
+    said = asked(site, READ, "frames", archives)
     return [[(code, file, frame) for code, file, frame in problems] for problems in said]
 
 
@@ -145,3 +201,16 @@ def test_the_page_refuses_what_the_platform_refuses_in_the_same_words(site: Site
     assert codes >= {"missing_frame", "unexpected_file", "duplicate_frame", "too_large", "not_zip", "truncated"}
     assert codes >= {"encrypted", "symlink", "unsupported_zip", "overlapping_files"}
     assert sum(not problems for problems in ours) > 20, "some of the mangled ones are still whole"
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
+def test_a_look_into_a_frame_finds_what_the_platform_finds(site: Site, method: int) -> None:
+    archives = []
+    for npz in frames():
+        content = io.BytesIO()
+        with zipfile.ZipFile(content, "w", method) as archive:
+            archive.writestr(f"{TOKENS[0]}.npz", npz)
+        archives.append(content.getvalue())
+    ours = [code_by_the_platform(npz) for npz in frames()]
+    assert asked(site, LOOK, "first_frame", archives) == ours
+    assert {None, "bad_dtype", "bad_shape", "missing_array", "extra_array", "not_npz"} == set(ours)

@@ -2,11 +2,12 @@
 
 import { call } from "../api.js";
 import { sayError } from "../said.js";
-import { examined, type Manifest, manifestOf } from "./frames.js";
+import { faultIn } from "./first_frame.js";
+import { examined, type Manifest, manifestOf, type Verdict } from "./frames.js";
 import { type Entry, submit } from "./sending.js";
 import { installSenses, modalityOf, sayModality } from "./senses.js";
 import { meter } from "./meter.js";
-import { isUnreadable, showVerdict, sized } from "./verdict.js";
+import { isUnreadable, showVerdict, showWarning, sized } from "./verdict.js";
 
 const form = document.querySelector<HTMLFormElement>("form#submit");
 if (form) install(form);
@@ -71,11 +72,19 @@ async function looked(form: HTMLFormElement, file: File, manifest: Promise<Manif
     showVerdict(place, file, known, verdict);
     if (isUnreadable(verdict)) return "Choose another file: this one would be refused.";
     if (verdict.problems.length) return "Mend the zip first: as it is, it would be refused.";
+    await warned(place, file, verdict);
     return file.size > most_bytes ? `It has ${sized(file.size)}; frames of this phase never need more than ${sized(most_bytes)}.` : "";
   } catch (error) {
     sayError(place, error);
     return "The zip could not be looked at.";
   }
+}
+
+/** What is wrong inside of the first frame is told, and may be so in all; the platform has the last word. */
+async function warned(place: HTMLElement, file: File, verdict: Verdict): Promise<void> {
+  const [member] = verdict.frames.values();
+  const fault = member ? await faultIn(file, member) : null;
+  if (member && fault) showWarning(place, member.name, fault);
 }
 
 function entryOf(form: HTMLFormElement, kind: Entry["kind"]): Entry {

@@ -1,5 +1,6 @@
 // What the first look at a zip found, drawn: a strip of frames for each sequence, and the problems by kind.
 
+import { type Fault, plain } from "./archive.js";
 import type { Manifest, Problem, Verdict } from "./frames.js";
 
 const MOST_STRIPS = 24;
@@ -21,6 +22,15 @@ export function showVerdict(place: HTMLElement, file: File, manifest: Manifest, 
   place.replaceChildren(head);
   if (!isUnreadable(verdict)) place.append(strips(manifest, verdict));
   place.append(...kinds(verdict.problems).map(kindPart));
+}
+
+/** Say what is wrong inside of a frame that was looked into. */
+export function showWarning(place: HTMLElement, file: string, { code, expected, actual }: Fault): void {
+  const said = part("p", "finding");
+  said.dataset["severity"] = "warning";
+  const words = part("span", "", `The first frame was looked into: ${code.replaceAll("_", " ")} in ${plain(file)}. Expected ${expected}, found ${actual}. Is it so in all?`);
+  said.append(words);
+  place.append(said);
 }
 
 export function isUnreadable({ frames, problems }: Verdict): boolean {

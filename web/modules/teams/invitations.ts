@@ -35,6 +35,7 @@ function show(secret: string): void {
   place.hidden = false;
   shown.focus();
   shown.select();
+  shown.scrollLeft = 0;
 }
 
 /** To the clipboard; where the browser lends none (no TLS), the text is selected to be copied by hand. */
