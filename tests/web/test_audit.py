@@ -6,6 +6,7 @@ from sqlalchemy import update
 from services.runtime.orm import AuditEntry
 from services.runtime.platform import Platform
 from tests.api.serving import Person, client_of
+from tests.api.test_audit import unguarded
 from tests.web.browsing import Site
 from tests.web.looking import look
 
@@ -26,7 +27,7 @@ def test_the_log_is_verified_filtered_and_unfolded(site: Site, administrator: Pe
         page.goto("/admin/audit")
         expect(page.get_by_text("The log is whole")).to_be_visible()
         expect(page.get_by_text("4 lines, each follows from the one before.")).to_be_visible()
-        lines = page.locator(".log-line")
+        lines = page.locator(".audit-line")
         expect(lines).to_have_count(4)
         lines.first.locator("summary").press("Enter")
         expect(lines.first.locator(".facts")).to_contain_text("participant")
@@ -42,6 +43,7 @@ def test_the_log_is_verified_filtered_and_unfolded(site: Site, administrator: Pe
 def test_a_line_that_somebody_changed_is_found(site: Site, administrator: Person) -> None:
     acts(site.platform, administrator)
     with site.platform.database.transaction() as session:
+        unguarded(session)
         session.execute(update(AuditEntry).where(AuditEntry.number == 2).values(reason="nothing to see"))
     with site.visit(administrator) as page:
         page.goto("/admin/audit")
@@ -56,6 +58,6 @@ def test_a_log_longer_than_a_page_goes_on(site: Site, administrator: Person) -> 
             assert api.post("/api/v1/users", json=body).status_code == 201
     with site.visit(administrator) as page:
         page.goto("/admin/audit?act=user.add")
-        expect(page.locator(".log-line")).to_have_count(50)
+        expect(page.locator(".audit-line")).to_have_count(50)
         page.get_by_role("link", name="Older").click()
-        expect(page.locator(".log-line")).to_have_count(1)
+        expect(page.locator(".audit-line")).to_have_count(1)

@@ -25,7 +25,7 @@ for (const again of document.querySelectorAll<HTMLInputElement>("[data-again]"))
   again.form?.addEventListener("input", compare);
 }
 
-for (const boxes of document.querySelectorAll("[data-issues] .choices")) {
+for (const boxes of document.querySelectorAll("[data-issues] .may-choices")) {
   const all = [...boxes.querySelectorAll<HTMLInputElement>('input[type="checkbox"]')];
   const check = (): void => all[0]?.setCustomValidity(all.some((box) => box.checked) ? "" : "A token may do one thing at least.");
   boxes.addEventListener("change", check);
