@@ -1,8 +1,29 @@
 // A file in pieces, each with its sha256: what is damaged on its way is sent again, and not the whole file.
+//
+// A piece that breaks off does not count, since nobody can check half of one. So pieces are as large as the line is fast:
+// a break costs a second or two of sending, on a slow line as on a fast one.
 
 import "hash-wasm/sha256";
 
-export const PIECE_BYTES = 16 * 2 ** 20;
+const SMALLEST_BYTES = 2 ** 20;
+const LARGEST_BYTES = 32 * 2 ** 20;
+const SHORT_MS = 700;
+const LONG_MS = 3000;
+
+/** How large the next piece is: twice the last where that was quick, half of it where it was slow. */
+export class Pace {
+  bytes = SMALLEST_BYTES;
+  #since_ms = performance.now();
+
+  /** A piece has arrived; the size of the next. */
+  next(): number {
+    const took_ms = performance.now() - this.#since_ms;
+    this.#since_ms = performance.now();
+    if (took_ms < SHORT_MS) this.bytes = Math.min(LARGEST_BYTES, 2 * this.bytes);
+    else if (took_ms > LONG_MS) this.bytes = Math.max(SMALLEST_BYTES, this.bytes / 2);
+    return this.bytes;
+  }
+}
 
 /** What the tus library reads a file through; `checksum` is that of the piece it took last, as `Upload-Checksum`. */
 export class CheckedPieces {

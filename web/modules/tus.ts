@@ -6,7 +6,7 @@ import "tus-js-client";
 import type { DetailedError, HttpRequest } from "tus-js-client";
 
 import { csrfToken, RefusedError, type Problem } from "./api.js";
-import { CheckedPieces, PIECE_BYTES } from "./pieces.js";
+import { CheckedPieces, Pace } from "./pieces.js";
 
 const AT = "/api/v1/uploads";
 const VERSION = "1.0.0";
@@ -55,9 +55,10 @@ export function sendMissing(
 ): Promise<void> {
   return new Promise((resolve, reject) => {
     const pieces = new CheckedPieces(file);
+    const pace = new Pace();
     const sending = new tus.Upload(file, {
       uploadUrl: `${AT}/${encodeURIComponent(upload.id)}`,
-      chunkSize: PIECE_BYTES,
+      chunkSize: pace.bytes,
       fileReader: { openFile: async () => pieces },
       retryDelays: retry_ms,
       storeFingerprintForResuming: false,
@@ -66,6 +67,9 @@ export function sendMissing(
         if (request.getMethod() === "PATCH") request.setHeader("Upload-Checksum", pieces.checksum);
       },
       onShouldRetry: (error: DetailedError) => AGAIN.includes(error.originalResponse?.getStatus() ?? 0),
+      onChunkComplete: () => {
+        sending.options.chunkSize = pace.next();
+      },
       onProgress: (sent_bytes: number) => heard(sent_bytes),
       onSuccess: () => resolve(),
       onError: (error: Error | DetailedError) => reject(refusal(error)),

@@ -141,7 +141,7 @@ function lineOf(transfer: Transfer): string {
     case "away":
       return `${transfer.awaySentence} Trying again in ${span((transfer.awayUntil_ms - performance.now()) / 1000)}.`;
     case "paused":
-      return `${size(transfer.sent_bytes)} of ${size(size_bytes)} are sent; they stay on the platform.`;
+      return "What the platform has stays there; sending goes on from it.";
     case "reading":
       return step.total ? `The platform reads it: step ${Math.min(step.total, step.done + 1)} of ${step.total}` : "The platform reads it";
     case "registered":

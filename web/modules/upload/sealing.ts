@@ -66,7 +66,7 @@ export async function read(
   heard: Heard & { reading(done: number, total: number): void },
   signal: AbortSignal,
 ): Promise<Recording> {
-  const away = (problem: Problem, wait_ms: number): void => heard.away(problem.detail, wait_ms);
+  const away = (problem: Problem, wait_ms: number): void => heard.away(problem, wait_ms);
   const ask = <T>(path: string): Promise<T> => patiently(() => call<T>("GET", path), signal, away);
   for (let now = recording; ; ) {
     if (now.state !== "received") return now;

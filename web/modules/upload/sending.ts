@@ -4,7 +4,7 @@
 // sequence, so a page that was loaded again, another browser, or the command goes on where the bytes on the platform's
 // disk end, and nothing is sent twice (`client/tus.py` does the same).
 
-import { call } from "../api.js";
+import { call, type Problem } from "../api.js";
 import { sha256Of } from "../hashing.js";
 import { createUpload, findUpload, type Opened, sendMissing } from "../tus.js";
 import { Lane, patiently } from "./lanes.js";
@@ -33,7 +33,7 @@ interface Listed<T> {
 export interface Heard {
   counted(file: File, bytes: number): void;
   sent(file: File, bytes: number): void;
-  away(sentence: string, wait_ms: number): void;
+  away(problem: Problem, wait_ms: number): void;
   back(): void;
 }
 
@@ -56,7 +56,7 @@ export function summed(file: File, heard: Heard, signal: AbortSignal): Promise<s
 
 /** Send the file, or what of it is not there yet; the id of the complete upload. Throws what is refused. */
 export function sent(file: File, sha256: string, sequenceId: string, heard: Heard, signal: AbortSignal): Promise<string> {
-  const away = (problem: { detail: string }, wait_ms: number): void => heard.away(problem.detail, wait_ms);
+  const away = (problem: Problem, wait_ms: number): void => heard.away(problem, wait_ms);
   return sending.run(() => patiently(async () => {
     const upload = (await begun(file, sha256, sequenceId)) ?? (await created(file, sha256, sequenceId));
     heard.back();

@@ -80,7 +80,7 @@ export class Transfer implements Heard {
 
   async #brought(signal: AbortSignal): Promise<Recording> {
     const ask = <T>(task: () => Promise<T>): Promise<T> =>
-      patiently(task, signal, (problem, wait_ms) => this.away(problem.detail, wait_ms));
+      patiently(task, signal, (problem, wait_ms) => this.away(problem, wait_ms));
     const sequenceId = await ask(() => this.target(signal));
     this.sequenceId = sequenceId;
     const sums = (): Promise<string[]> => Promise.all(this.bag.files.map((file) => summed(file, this, signal)));
@@ -116,8 +116,8 @@ export class Transfer implements Heard {
     this.changed(this);
   }
 
-  away(sentence: string, wait_ms: number): void {
-    this.awaySentence = sentence;
+  away(problem: Problem, wait_ms: number): void {
+    this.awaySentence = problem.status ? problem.detail : "The platform does not answer; what it has stays there.";
     this.awayUntil_ms = performance.now() + wait_ms;
     this.#enter("away");
   }
