@@ -120,7 +120,7 @@ def _exposed(grid: Grid) -> Iterator[tuple[int, ...]]:
 
 def _covered(quads: np.ndarray[Any, Any]) -> list[tuple[int, ...]]:
     """The same of quads (Q, 4, 4)."""
-    faces = []
+    faces: list[tuple[int, ...]] = []
     for corners in quads:
         word = int(corners[0, 3])
         direction, colour = (word >> 8) & 7, word & 255

@@ -83,7 +83,7 @@ class Run:
 
 
 def height_m(x: Floats, y: Floats) -> Floats:
-    return np.asarray(0.35 * np.sin(x / 4.1) * np.cos(y / 5.3) + 0.012 * y**2)
+    return np.asarray(0.35 * np.sin(x / 4.1) * np.cos(y / 5.3) + 0.006 * y**2)
 
 
 def features_at(points: Floats) -> Floats:

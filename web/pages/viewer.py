@@ -14,9 +14,11 @@ from api.deps import PlatformDep
 from api.schemas.base import ID_PATTERN, IdPath
 from api.sequence_views import sequence_items
 from api.visible import shown_sequence
+from web.assets import Assets
 from web.rendering import page
 
 router = APIRouter()
+PRELOADED = ("modules/viewer/", "libraries/three/")
 
 
 @router.get("/sequences/{sequence_id}/view")
@@ -29,4 +31,12 @@ def view(
 ) -> HTMLResponse:
     with platform.database.reading() as session:
         sequence = sequence_items(session, [shown_sequence(session, caller, sequence_id)])[0]
-    return page(request, caller, "viewer/view.html", sequence=sequence, start=frame or "first")
+    return page(
+        request, caller, "viewer/view.html", sequence=sequence, start=frame or "first", modules=_modules(request)
+    )
+
+
+def _modules(request: Request) -> list[str]:
+    """What the viewer imports, so that a browser need not find it one file after the other."""
+    assets: Assets = request.app.state.pages.assets
+    return [assets.url(path) for path in assets.files if path.startswith(PRELOADED)]

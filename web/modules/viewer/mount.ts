@@ -33,6 +33,7 @@ export async function mount(host: HTMLElement): Promise<void> {
   state(host, "loading");
   const poster = make("div", { class: "viewer-poster" }, ...host.childNodes);
   host.replaceChildren(poster);
+  if (hasWebGl2()) void import("./viewer.js"); // on its way beside the scene
   try {
     const scene = await call<SceneFacts>("GET", `/api/v1/sequences/${host.dataset["sequence"]}/scene`);
     await (scene.frames.tokens.length ? open(host, scene) : say(host, "empty", "This run has no labelled frame."));
