@@ -7,6 +7,7 @@ from dataclasses import asdict
 from hashlib import sha256
 
 from fastapi import Request, Response
+from sqlalchemy.orm import Session
 
 from api.etags import etag, is_unchanged
 from api.files import safe_name
@@ -14,9 +15,11 @@ from api.schemas.base import instant, instant_or_none
 from api.schemas.leaderboard import (
     BoardPairItem,
     BoardRow,
+    ChangeItem,
     ComparisonAnswer,
     DifferenceItem,
     Form,
+    HistoryAnswer,
     IntervalsItem,
     LeaderboardAnswer,
     PairItem,
@@ -26,11 +29,13 @@ from api.schemas.leaderboard import (
     SupportItem,
 )
 from services.runtime.benchmarks.board import Board, Row, ShownPair, sequences_of
-from services.runtime.benchmarks.board_entries import TIE_BREAK
+from services.runtime.benchmarks.board_entries import TIE_BREAK, Track
+from services.runtime.benchmarks.board_history import history
 from services.runtime.benchmarks.board_tables import MEDIA_TYPES, notes, table_bytes
 from services.runtime.benchmarks.comparing import Comparison, RatioDifference
 from services.runtime.benchmarks.results import Seen
 from services.runtime.benchmarks.visibility import RATIO_DIGITS, Viewer
+from services.runtime.orm import Benchmark, Phase
 from stone.ranking import LEVEL, Difference
 
 JSON_TYPE = "application/json"
@@ -69,6 +74,25 @@ def board_answer(board: Board, viewer: Viewer) -> LeaderboardAnswer:
         ranked_total=board.ranked_total,
         rows=[_row(row) for row in board.rows],
         notes=list(notes(board)),
+    )
+
+
+def history_answer(session: Session, phase: Phase, track: Track) -> HistoryAnswer:
+    """When the board of a track changed."""
+    return HistoryAnswer(
+        benchmark=session.get_one(Benchmark, phase.benchmark_id).name,
+        phase=phase.name,
+        track=track,
+        changes=[
+            ChangeItem(
+                at=instant(one.at_ns),
+                entered=one.entered,
+                left=one.left,
+                is_new_pair=one.is_new_pair,
+                best_miou=one.best,
+            )
+            for one in history(session, phase, track)
+        ],
     )
 
 

@@ -10,7 +10,7 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Request, Response
 
 from api.answers import Responses, refusals
-from api.board_views import JSON_TYPE, board_response, comparison_answer
+from api.board_views import JSON_TYPE, board_response, comparison_answer, history_answer
 from api.callers import Looker
 from api.deps import PlatformDep
 from api.result_views import known_submission, viewer_for
@@ -21,6 +21,7 @@ from api.schemas.leaderboard import (
     ComparisonAnswer,
     EntriesQuery,
     FormQuery,
+    HistoryAnswer,
     LeaderboardAnswer,
     SubmissionQuery,
     TrackQuery,
@@ -62,6 +63,13 @@ def show_leaderboard(at: AtPhase, asked: Asked, caller: Looker, platform: Platfo
     with platform.database.reading() as session:
         phase_id, viewer = at.find(session).id, viewer_for(session, caller)
     return board_response(request, board(platform, phase_id, asked.query, viewer), viewer, asked.form)
+
+
+@router.get("/leaderboard/history", responses=refusals(404))
+def show_history(at: AtPhase, platform: PlatformDep, track: TrackQuery = "all") -> HistoryAnswer:
+    """When the board changed, and the best mIoU since each change."""
+    with platform.database.reading() as session:
+        return history_answer(session, at.find(session), track)
 
 
 @router.get("/compare", responses=refusals(404, 409))

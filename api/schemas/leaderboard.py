@@ -39,6 +39,13 @@ ROW_EXAMPLE: dict[str, Any] = {
     "source": None,
     "submitted_at": "2026-06-02T09:12:44.120000Z",
 }
+CHANGE_EXAMPLE = {
+    "at": "2026-06-02T09:14:02.512000Z",
+    "entered": 1,
+    "left": 0,
+    "is_new_pair": False,
+    "best_miou": 0.2431,
+}
 DIFFERENCE_EXAMPLE = {"interval": [0.0012, 0.0031], "share_above": 0.998, "p": 0.0045}
 FLIP_EXAMPLE = {"sequences": 5, "p": 0.0625, "smallest_p": 0.0625}
 COMPARED_EXAMPLE: dict[str, Any] = {
@@ -186,6 +193,32 @@ class LeaderboardAnswer(Answer):
     ranked_total: int
     rows: list[BoardRow]
     notes: list[str]
+
+
+class ChangeItem(Answer):
+    """The board is another since `at`: rows `entered` or `left`, or scores are by another pair (`is_new_pair`).
+
+    `best_miou` is the highest of the ranked entries since then, rounded; null where there is none.
+    """
+
+    model_config = example(**CHANGE_EXAMPLE)
+
+    at: datetime
+    entered: int
+    left: int
+    is_new_pair: bool
+    best_miou: float | None
+
+
+class HistoryAnswer(Answer):
+    """When a board changed, oldest first: moments for `as_of`. Of very many, those of a day are one, at its last."""
+
+    model_config = example(benchmark="stone", phase="test", track="all", changes=[CHANGE_EXAMPLE])
+
+    benchmark: str
+    phase: str
+    track: Track
+    changes: list[ChangeItem]
 
 
 class DifferenceItem(Answer):

@@ -112,6 +112,21 @@ def test_a_board_of_the_past_is_asked_for_by_an_instant(api: httpx.Client, platf
     assert (long_ago["pair"], long_ago["rows"]) == (None, [])
 
 
+def test_the_moments_at_which_the_board_changed_are_told_with_the_best_since(
+    api: httpx.Client, platform: Platform
+) -> None:
+    look = boarding(api, platform)
+    look.at.change(look.mine, settled_ns=now_ns() - 5 * HOUR_NS)
+    told = answered(look.read(f"{look.path}/leaderboard/history"))
+    assert [(one["entered"], one["is_new_pair"]) for one in told["changes"]] == [(0, True), (1, False), (1, False)]
+    for change in told["changes"]:
+        ranked = [row for row in look.board(as_of=change["at"])["rows"] if row["standing"] == "ranked"]
+        best = max((round(row["ratios"]["miou"], 4) for row in ranked), default=None)
+        assert change["best_miou"] == best
+    assert len(answered(look.read(f"{look.path}/leaderboard/history", track="C"))["changes"]) == 1
+    assert refused(look.read(f"{look.path}/leaderboard/history", track="X")) == (422, "invalid_request")
+
+
 def test_what_is_not_a_board_is_refused(api: httpx.Client, platform: Platform) -> None:
     look = boarding(api, platform)
     asked: list[dict[str, Any]] = [

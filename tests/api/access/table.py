@@ -157,6 +157,7 @@ POST   /api/v1/submissions/{submission_id}/cancel             401  404  200   40
 POST   /api/v1/submissions/{submission_id}/withdraw           401  404  200   404   200  404 403  401  401  200 403
 PUT    /api/v1/admin/submissions/{submission_id}/visibility   401  403  403   403   200  403 403  401  401  403 403
 GET    /api/v1/benchmarks/{benchmark_name}/phases/{phase_name}/leaderboard 401 200 200 200 200 200 403 401 401 200 200
+GET    /api/v1/benchmarks/{benchmark_name}/phases/{phase_name}/leaderboard/history 401 200 200 200 200 200 403 401 401 200 200
 GET    /api/v1/benchmarks/{benchmark_name}/phases/{phase_name}/compare 401 404 200 404 200 404 403 401 401 200 200
 GET    /api/v1/submissions/{submission_id}/results            401  404  200   404   200  404 403  401  401  200 200
 GET    /api/v1/submissions/{submission_id}/results/breakdowns 401  404  403   404   200  404 403  401  401  403 403
