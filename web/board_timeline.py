@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from itertools import pairwise
 
-from api.schemas.base import instant
-from services.runtime.benchmarks.board_history import Change
+from api.schemas.leaderboard import ChangeItem
 from web.axes import Axis, axis_over
 from web.board_rows import ShownBoard
 
@@ -19,9 +18,8 @@ from web.board_rows import ShownBoard
 class Stop:
     """A change, the page of the board since then, and where on the curve it lies; `y` is null without an entry."""
 
-    at: datetime
     link: str
-    change: Change
+    change: ChangeItem
     x: str
     y: str | None
 
@@ -49,16 +47,15 @@ class Timeline:
         return len(self.stops) > 1
 
 
-def timeline(shown: ShownBoard, changes: Sequence[Change]) -> Timeline:
-    axis = axis_over(change.best for change in changes)
+def timeline(shown: ShownBoard, changes: Sequence[ChangeItem]) -> Timeline:
+    axis = axis_over(change.best_miou for change in changes)
     last = len(changes) - 1
     stops = tuple(
         Stop(
-            instant(change.at_ns),
-            shown.link(as_of=None if place == last else _spelled(instant(change.at_ns))),
+            shown.link(as_of=None if place == last else _spelled(change.at)),
             change,
             f"{100 * place / max(last, 1):.2f}%",
-            _height(change.best, axis),
+            _height(change.best_miou, axis),
         )
         for place, change in enumerate(changes)
     )
@@ -83,7 +80,7 @@ def _height(best: float | None, axis: Axis) -> str | None:
 def _chosen(stops: Sequence[Stop], as_of: datetime | None) -> int:
     if as_of is None:
         return len(stops) - 1
-    return max(sum(stop.at <= as_of for stop in stops) - 1, 0)
+    return max(sum(stop.change.at <= as_of for stop in stops) - 1, 0)
 
 
 def _spelled(moment: datetime) -> str:

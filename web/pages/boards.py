@@ -6,6 +6,7 @@ from fastapi import APIRouter, Depends, Query, Request
 from fastapi.responses import HTMLResponse
 
 from api.benchmark_views import phase_item
+from api.board_views import history_answer
 from api.callers import Looker
 from api.deps import PlatformDep
 from api.result_views import viewer_for
@@ -13,7 +14,7 @@ from api.routes.benchmarks import PhasePath
 from api.schemas.benchmark_bodies import ns_of
 from api.schemas.leaderboard import AsOfQuery, EntriesQuery, TrackQuery
 from services.runtime.benchmarks.board_entries import TRACKS, BoardQuery
-from services.runtime.benchmarks.board_history import history, tracks_with_rows
+from services.runtime.benchmarks.board_history import tracks_with_rows
 from services.runtime.orm import Benchmark
 from web.board_rows import Sort, shown_board
 from web.board_timeline import timeline
@@ -52,7 +53,7 @@ def show_board(
         phase = at.find(session)
         viewer, shown_phase = viewer_for(session, caller), phase_item(session, phase)
         title = session.get_one(Benchmark, phase.benchmark_id).title or at.benchmark
-        changes = history(session, phase, asked.query.track)
+        changes = history_answer(session, phase, asked.query.track).changes
         tracks = tracks_with_rows(session, phase)
     shown = shown_board(platform, phase.id, viewer, asked.query, asked.sort)
     return page(
