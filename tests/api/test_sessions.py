@@ -148,3 +148,23 @@ def test_a_password_changed_while_it_is_checked_opens_nothing(
 
     monkeypatch.setattr(sessions, "is_password_of", slow)
     assert api.post(SESSIONS, json=ada).status_code == 401
+
+
+def test_the_browsers_one_is_signed_in_with_are_listed_and_the_others_signed_out(
+    browser: httpx.Client, platform: Platform, ada: dict[str, str]
+) -> None:
+    with client_of(platform) as other:
+        assert other.post(SESSIONS, json=ada).status_code == 201
+        shown = browser.get(SESSIONS).json()
+        assert [one["is_current"] for one in shown] == [False, True]
+        assert browser.delete(f"{SESSIONS}/others", headers=csrf_of(browser)).status_code == 204
+        assert other.get(ME).status_code == 401
+    assert [one["is_current"] for one in browser.get(SESSIONS).json()] == [True]
+
+
+def test_a_token_signs_every_browser_of_its_own_user_out(
+    browser: httpx.Client, platform: Platform, curator: Person
+) -> None:
+    with client_of(platform, curator) as api:
+        assert api.delete(f"{SESSIONS}/others").status_code == 204
+    assert browser.get(ME).status_code == 200, "another user's browser stays"

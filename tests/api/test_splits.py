@@ -140,6 +140,25 @@ def test_a_sequence_that_is_deleted_leaves_a_finding(put_on: Put, api_on: httpx.
     assert (finding["code"], finding["severity"], finding["sequence_ids"]) == ("whole_sequences", "error", [mine])
 
 
+def judged(api: httpx.Client, who: Person, train: list[str], val: list[str], test: list[str]) -> httpx.Response:
+    return api.post(f"{URL}/verdicts", json={"train": train, "val": val, "test": test}, headers=who.headers)
+
+
+def test_verdicts_are_those_of_putting_and_nothing_is_put(
+    put: Put, api: httpx.Client, platform: Platform, curator: Person, administrator: Person
+) -> None:
+    a, b, c = (driven(platform, curator, region="Seoul") for _ in range(3))
+    refused = judged(api, administrator, [a, b], [], [c]).json()
+    assert (refused["revision"], refused["can_be_put"]) == (0, False)
+    errors = [one for one in refused["findings"] if one["severity"] == "error"]
+    assert [one["code"] for one in errors] == codes(put([a, b], [], [c])) == ["test_regions"]
+    assert sorted(errors[0]["sequence_ids"]) == sorted([a, b, c])
+    kept = judged(api, administrator, [a], [b], []).json()
+    assert kept["can_be_put"] is True
+    assert kept["findings"] == put([a], [b], []).json()["findings"]
+    assert judged(api, administrator, [], [], []).json() == {"revision": 1, "can_be_put": True, "findings": []}
+
+
 def proposed(api: httpx.Client, who: Person, train: int, val: int, test: int, **more: Any) -> httpx.Response:
     body = {"sizes": {"train": train, "val": val, "test": test}, **more}
     return api.post(f"{URL}/proposal", json=body, headers=who.headers)

@@ -74,3 +74,43 @@ def test_a_user_is_added_changed_and_shut_out_with_reasons_in_the_log(
     ]
     assert log["items"][0]["facts"] == {"role": "participant", "is_active": False}
     assert "correct horse" not in str(log)
+
+
+def test_users_are_found_by_a_part_of_their_name_and_by_role(api: httpx.Client, administrator: Person) -> None:
+    for name, role in (("ada", "curator"), ("adam", "participant"), ("a_b", "curator")):
+        api.post(USERS, json={**ADA, "name": name, "role": role}, headers=administrator.headers)
+
+    def found(**wanted: str) -> list[str]:
+        answer = api.get(USERS, params=wanted, headers=administrator.headers)
+        assert answer.status_code == 200, answer.text
+        return [item["name"] for item in answer.json()["items"]]
+
+    assert found(name="DA", role="curator") == ["ada"]
+    assert found(name="ada") == ["adam", "ada"]
+    assert found(name="_") == ["a_b"], "no wildcard"
+    assert api.get(USERS, params={"role": "king"}, headers=administrator.headers).status_code == 422
+
+
+def test_a_users_token_is_revoked_with_a_reason(api_on: httpx.Client, platform_on: Platform) -> None:
+    root, ada = person(platform_on, "administrator"), person(platform_on, "curator")
+    url = f"{USERS}/{ada.user_id}/tokens"
+    (token,) = api_on.get(url, headers=root.headers).json()["items"]
+    assert "secret" not in token
+    revoke = f"{url}/{token['id']}/revoke"
+    assert api_on.post(revoke, json={"reason": " "}, headers=root.headers).status_code == 422
+    assert api_on.get("/api/v1/me", headers=ada.headers).status_code == 200
+    assert api_on.post(revoke, json={"reason": "it was lost"}, headers=root.headers).status_code == 204
+    assert api_on.get("/api/v1/me", headers=ada.headers).status_code == 401
+    assert api_on.post(revoke, json={"reason": "again"}, headers=root.headers).status_code == 404
+    log = api_on.get("/api/v1/admin/audit-log", params={"actor": root.name}, headers=root.headers).json()
+    (line,) = log["items"]
+    assert (line["act"], line["subject_id"], line["reason"]) == ("user.token_revoke", ada.user_id, "it was lost")
+    assert line["facts"] == {"token_id": token["id"], "name": "test"}
+
+
+def test_a_token_is_revoked_of_its_own_user_only(api: httpx.Client, platform: Platform, administrator: Person) -> None:
+    ada, ben = person(platform, "curator"), person(platform, "curator")
+    (token,) = api.get(f"{USERS}/{ada.user_id}/tokens", headers=administrator.headers).json()["items"]
+    other = f"{USERS}/{ben.user_id}/tokens/{token['id']}/revoke"
+    assert api.post(other, json={"reason": "wrong one"}, headers=administrator.headers).status_code == 404
+    assert api.get(f"{USERS}/{'0' * 32}/tokens", headers=administrator.headers).status_code == 404
