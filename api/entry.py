@@ -11,13 +11,13 @@ from typing import Any
 
 import structlog
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.requests import ClientDisconnect
+from starlette.requests import ClientDisconnect, Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from structlog.contextvars import bound_contextvars
 
 from api.context import begin
 from api.metrics import Meters
-from api.problems import respond
+from api.problems import Shown, respond
 
 HEADERS = {
     "X-Content-Type-Options": "nosniff",
@@ -33,10 +33,10 @@ log = structlog.get_logger("access")
 
 
 class Entry:
-    """`Entry(app, meters)`, an ASGI application around another."""
+    """`Entry(app, meters, shown)`, an ASGI application around another; `shown` as in `api/problems.py`."""
 
-    def __init__(self, app: ASGIApp, meters: Meters) -> None:
-        self._app, self._meters = app, meters
+    def __init__(self, app: ASGIApp, meters: Meters, shown: Shown) -> None:
+        self._app, self._meters, self._shown = app, meters, shown
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
@@ -53,7 +53,7 @@ class Entry:
         except ClientDisconnect:
             outgoing.status = CLIENT_LEFT
         except Exception as error:
-            response = respond(error)
+            response = self._shown(Request(scope, receive), respond(error))
             if outgoing.status:
                 raise  # too late for another answer: the server cuts the connection, so the client sees it is not whole
             await response(scope, receive, outgoing)

@@ -90,8 +90,8 @@ ROUTERS: tuple[APIRouter, ...] = (
 )
 
 
-def make_api(platform: Platform) -> FastAPI:
-    """The application on this platform."""
+def make_api(platform: Platform, shown: problems.Shown = problems.as_it_is) -> FastAPI:
+    """The application on this platform; refusals and faults are answered as `shown` shows them."""
     api = FastAPI(
         title="STONE",
         version="1",
@@ -105,12 +105,12 @@ def make_api(platform: Platform) -> FastAPI:
     api.openapi = documented(api)  # type: ignore[method-assign]  # as FastAPI's own pages say to
     api.state.platform, api.state.limits = platform, Limits(platform.settings)
     api.state.meters, api.state.probes = Meters(platform), Probes(platform)
-    problems.install(api)
+    problems.install(api, shown)
     # What is added last is met first.
     api.add_middleware(Idempotency)
     api.add_middleware(BodyLimit, settings=platform.settings)
     api.add_middleware(RateLimit, limits=api.state.limits)
-    api.add_middleware(Entry, meters=api.state.meters)
+    api.add_middleware(Entry, meters=api.state.meters, shown=shown)
     api.include_router(health.router)
     for router in ROUTERS:
         api.include_router(router, prefix=PREFIX)

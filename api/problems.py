@@ -13,7 +13,7 @@ from typing import Any
 import structlog
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import JSONResponse
+from fastapi.responses import JSONResponse, Response
 from pydantic import BaseModel, Field
 from sqlalchemy.exc import DataError, IntegrityError, InterfaceError, OperationalError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
@@ -42,6 +42,9 @@ MOST_WORDS = 200
 PROBLEMS_PATH = "/api/v1/problems"
 BUSY_S = "2"
 GRANTED_WITHIN_S = 86_400
+
+Shown = Callable[[Request, Response], Response]
+"""How the answer to a refusal or fault is shown to this request."""
 
 log = structlog.get_logger(__name__)
 
@@ -121,17 +124,22 @@ def title_of(leaf: type[StoneError]) -> str:
     return (leaf.__doc__ or "").strip().partition("\n")[0].rstrip(".")
 
 
-def install(app: FastAPI) -> None:
+def as_it_is(_request: Request, answer: Response) -> Response:
+    """The problem itself; pages show it in words of their own."""
+    return answer
+
+
+def install(app: FastAPI, shown: Shown = as_it_is) -> None:
     """Answer what routes raise with problems; what is raised outside of routes, `api/entry.py` hands to `respond`."""
+
+    def answered(request: Request, error: Exception) -> Response:
+        response = respond(_told(request, error))
+        if response.status_code == 405:
+            response.headers["Allow"] = allowed(request) or response.headers.get("Allow", "")
+        return shown(request, response)
+
     for kind, _ in ANSWERS:
-        app.add_exception_handler(kind, _answered)
-
-
-def _answered(request: Request, error: Exception) -> JSONResponse:
-    response = respond(_told(request, error))
-    if response.status_code == 405:
-        response.headers["Allow"] = allowed(request) or response.headers.get("Allow", "")
-    return response
+        app.add_exception_handler(kind, answered)
 
 
 def _told(request: Request, error: Exception) -> Exception:

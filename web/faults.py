@@ -7,10 +7,9 @@ asks for JSON nothing changes.
 
 import json
 
-from fastapi import FastAPI, Request
+from fastapi import Request
 from fastapi.responses import Response
 
-from api.problems import ANSWERS
 from web.rendering import caller_of, page
 
 NEXT = {
@@ -24,18 +23,8 @@ NEXT = {
 }
 
 
-def install(site: FastAPI) -> None:
-    """From now on problems of pages are pages."""
-    for kind, _ in ANSWERS:
-        answered = site.exception_handlers[kind]
-
-        def as_page(request: Request, error: Exception, answered=answered) -> Response:  # type: ignore[no-untyped-def]
-            return _shown(request, answered(request, error))
-
-        site.add_exception_handler(kind, as_page)
-
-
-def _shown(request: Request, answer: Response) -> Response:
+def shown(request: Request, answer: Response) -> Response:
+    """The answer to a refusal or fault, as a page for whoever reads pages."""
     if request.url.path.startswith(("/api/", "/assets/")) or not _reads_pages(request):
         return answer
     problem = json.loads(bytes(answer.body))

@@ -61,9 +61,8 @@ ROUTERS: tuple[APIRouter, ...] = (
 
 def make_site(platform: Platform) -> FastAPI:
     """The API of this platform with its pages. Raises `PagesNotBuiltError`."""
-    site = make_api(platform)
+    site = make_api(platform, faults.shown)
     site.state.pages = Pages(assets.built_assets())
-    faults.install(site)
     for router in ROUTERS:
         site.include_router(router, include_in_schema=False)
     return site

@@ -1,5 +1,7 @@
 """Signing in and out at a page."""
 
+import logging
+
 import pytest
 from playwright.sync_api import expect
 
@@ -34,7 +36,7 @@ def test_somebody_signs_in_comes_back_to_where_they_were_and_signs_out(site: Sit
         expect(page.get_by_role("heading", name=somebody.name)).to_be_visible()
         look(page, "account")
         page.get_by_role("button", name="Sign out").click()
-        expect(page.get_by_role("link", name="Sign in")).to_be_visible()
+        expect(page.get_by_role("banner").get_by_role("link", name="Sign in")).to_be_visible()
 
 
 @pytest.mark.parametrize("back", ["//elsewhere.example/", "/\\elsewhere.example", "https://elsewhere.example/"])
@@ -50,3 +52,16 @@ def test_what_is_not_there_is_a_page_that_says_what_to_do(site: Site, curator: P
         assert answer is not None
         assert answer.status == 404
         look(page, "problem")
+
+
+def test_a_fault_of_ours_is_a_page_with_the_requests_id_and_nothing_of_our_insides(
+    site: Site, curator: Person, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("web.pages.home.viewer_for", lambda *_: {}["a secret of ours"])
+    monkeypatch.setattr("api.problems.log", logging.getLogger("quiet"))
+    with site.visit(curator, expected=["500"]) as page:
+        answer = page.goto("/")
+        assert answer is not None
+        assert answer.status == 500
+        expect(page.get_by_text("Request ", exact=False).last).to_be_visible()
+        assert "secret" not in page.content()
