@@ -6,7 +6,7 @@ is up. Cameras are optical (z forward), everything else looks along its x.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,10 +16,14 @@ from stone.se3 import SE3
 Flat = Callable[[tuple[float, float, float]], tuple[float, float]]
 """A point or direction of the ego frame as it is drawn: right and down."""
 CM = 100.0
-MARGIN_CM = 45.0
+MARGIN_CM = (90.0, 24.0)
+"""Room beside and above what is drawn, for names."""
+LETTER_CM, LINE_CM = 6.0, 11.0
+"""How much of the drawing a letter and a line of a name take."""
+IN_PLANE = 0.6
+"""What looks less than this along a view is drawn without a wedge there."""
 REACH_CM = 55.0
 """How far a field of view is drawn."""
-LEAST_CM = 260.0
 OTHER_FOV_RAD = math.radians(110.0)
 FARTHEST_M = 30.0
 """A sensor that is said to be farther away is left out of the drawing, not of the table."""
@@ -27,9 +31,13 @@ FARTHEST_M = 30.0
 
 @dataclass(frozen=True)
 class Mark:
-    """A sensor in a view: where it is, the wedge of what it sees (an SVG path, empty if all around)."""
+    """A sensor in a view: where it is, the wedge of what it sees (an SVG path, empty if all around), and its label.
+
+    The label is empty where it would stand upon another.
+    """
 
     name: str
+    label: str
     kind: str
     x: float
     y: float
@@ -90,27 +98,48 @@ def _placed(calibration: Calibration, mount: Mount) -> _Placed:
 
 def _view(title: str, placed: list[_Placed], flat: Flat, half_m: tuple[float, float]) -> View:
     """The drawing's lengths follow from what is to be drawn."""
-    marks = tuple(_mark(one, flat(one.at_m), flat(one.looks)) for one in placed)
+    marks = _uncluttered([_mark(one, flat(one.at_m), flat(one.looks)) for one in placed])
     body_height = 2 * half_m[1] * CM
     body = (-half_m[0] * CM, -half_m[1] * CM if body_height else -35.0, 2 * half_m[0] * CM, body_height or 35.0)
-    xs = [*(mark.x for mark in marks), body[0], body[0] + body[2]]
-    ys = [*(mark.y for mark in marks), body[1], body[1] + body[3]]
-    reach = MARGIN_CM + REACH_CM
-    left, top = min(xs) - reach, min(ys) - reach
-    width, height = max(LEAST_CM, max(xs) + reach - left), max(LEAST_CM * 0.6, max(ys) + reach - top)
+    seen = REACH_CM if any(mark.wedge for mark in marks) else 0.0
+    spans = []
+    for margin, at, start, length in ((MARGIN_CM[0], "x", body[0], body[2]), (MARGIN_CM[1], "y", body[1], body[3])):
+        places = [*(getattr(mark, at) for mark in marks), start, start + length]
+        low, high = min(places) - seen - margin, max(places) + seen + margin
+        spans.append((low, high - low))
+    (left, width), (top, height) = spans
     return View(title, f"{left:.1f} {top:.1f} {width:.1f} {height:.1f}", round(width), round(height), body, marks)
 
 
 def _mark(one: _Placed, at: tuple[float, float], looks: tuple[float, float]) -> Mark:
     x, y = at[0] * CM, at[1] * CM
     flat = math.hypot(*looks)
-    is_round = one.mount.kind in ("lidar", "imu", "ins") or flat < 0.3
+    is_round = one.mount.kind in ("lidar", "imu", "ins") or flat < IN_PLANE
     heading = math.atan2(looks[1], looks[0])
     wedge = "" if is_round else _wedge(x, y, heading, _fov_rad(one.mount))
     out = (0.0, -1.0) if is_round else (math.cos(heading), math.sin(heading))
-    far = 14.0 if is_round else REACH_CM + 10.0
+    far = 14.0 if is_round else REACH_CM + 8.0
     anchor = "middle" if abs(out[0]) < 0.35 else ("start" if out[0] > 0 else "end")
-    return Mark(one.mount.name, one.mount.kind, x, y, wedge, x + out[0] * far, y + out[1] * far + 4.0, anchor)
+    name = one.mount.name
+    label = name.removeprefix("CAM_").removeprefix("RADAR_").replace("_", " ").lower()
+    return Mark(name, label, one.mount.kind, x, y, wedge, x + out[0] * far, y + out[1] * far + 4.0, anchor)
+
+
+def _uncluttered(marks: list[Mark]) -> tuple[Mark, ...]:
+    """Of labels that would stand upon each other the first is kept."""
+    taken: list[tuple[float, float, float]] = []
+    shown: list[Mark] = []
+    for mark in marks:
+        width = LETTER_CM * len(mark.label)
+        left = mark.label_x - {"start": 0.0, "middle": width / 2, "end": width}[mark.anchor]
+        is_free = all(
+            abs(mark.label_y - y) >= LINE_CM or left >= other + wide or other >= left + width
+            for other, y, wide in taken
+        )
+        if is_free:
+            taken.append((left, mark.label_y, width))
+        shown.append(mark if is_free else replace(mark, label=""))
+    return tuple(shown)
 
 
 def _fov_rad(mount: Mount) -> float:

@@ -23,6 +23,10 @@ PAGES = """
 /benchmarks/none/val/compare             401 404 404 404
 /benchmarks/none/val/metrics/stone-iou-1 401 404 404 404
 /entries/00000000000000000000000000000000 401 404 404 404
+/sequences            200 200 200 200
+/sequences/new        401 403 200 200
+/calibrations         401 200 200 200
+/calibrations/00000000000000000000000000000000 401 404 404 404
 /account              401 200 200 200
 /dataset              401 200 200 200
 /dataset/splits       401 403 200 200
