@@ -42,7 +42,9 @@ def overview(at: AtSequence, caller: Looker) -> HTMLResponse:
     with at.platform.database.reading() as session:
         standing = standing_of(session, caller, at.sequence_id)
         row = shown_sequence(session, caller, at.sequence_id)
-        file = artefact_file(session, row, labels_of(session, at.sequence_id), "report.json")
+        labels = labels_of(session, at.sequence_id)
+        file = artefact_file(session, row, labels, "report.json")
+        scene = artefact_file(session, row, labels, "scene/scene.json")
         is_setting_up = standing.may_change and standing.sequence.labels is None
         calibrations = choosable(session, caller, standing) if is_setting_up else []
     return shown_section(
@@ -50,6 +52,7 @@ def overview(at: AtSequence, caller: Looker) -> HTMLResponse:
         (caller, standing),
         "overview",
         needs_wasm=is_setting_up,
+        has_scene=scene is not None,
         report=read_report(at.platform.store, file),
         downloads=[(*DOWNLOADS[one.name], one) for one in standing.sequence.artefacts if one.name in DOWNLOADS],
         may_set_up=is_setting_up,

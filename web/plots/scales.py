@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+LEAST_SPAN, TINIEST = 1e-9, 1e-300
 
 
 @dataclass(frozen=True)
@@ -42,16 +43,16 @@ class Scale:
 
 def nice_step(span: float, most: int) -> float:
     """The smallest 1, 2 or 5 × 10ⁿ that divides a span into at most `most` steps; 1 for no span."""
-    if not isfinite(span) or span <= 0:
-        return 1.0
     least = span / most
+    if not isfinite(least) or least < TINIEST:
+        return 1.0
     magnitude = 10.0 ** floor(log10(least))
     return next(step * magnitude for step in (1.0, 2.0, 5.0, 10.0) if step * magnitude >= least * (1 - 1e-9))
 
 
 def nice_ends(low: float, high: float, most: int = 5) -> tuple[float, float]:
-    """The ticks around [low, high]; a span of nothing is widened to one step about it."""
-    if high <= low:
+    """The ticks around [low, high]; a span that nobody could tell from nothing is widened about its place."""
+    if high - low <= LEAST_SPAN * max(1.0, abs(low), abs(high)):
         width = max(abs(low) * 0.1, 1e-3)
         low, high = low - width, high + width
     step = nice_step(high - low, most)

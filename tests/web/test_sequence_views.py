@@ -1,0 +1,198 @@
+"""What a sequence's page works out: track, timeline, clocks, recording, stages, from records and tables by hand."""
+
+import numpy as np
+import pytest
+
+from api.schemas.exports import EXPORT_EXAMPLE, ExportItem
+from api.schemas.jobs import JOB_EXAMPLE, JobDetail
+from services.ingest.clocks import findings
+from services.ingest.clocks.report import TopicClock
+from services.labeler.tables import CLASS_COLUMNS, POSE_COLUMNS, STDEV_COLUMNS
+from tests.frame_tables import frame_columns
+from tests.web.sequence_world import inspection, quality
+from web.sequence import clocks, exporting, frame_table
+from web.sequence.frame_table import FrameTable, table_of
+from web.sequence.recording import recording_view, rig_place, spark_of, strip
+from web.sequence.report import report_of
+from web.sequence.runs import LABELLING, steps_of
+from web.sequence.timeline import timeline_of
+from web.sequence.track import ground_of, is_sure, speeds_m_s, track_of
+
+START_NS = 1_777_800_000_000_000_000
+TOKENS = [f"{number:032x}" for number in range(12)]
+ABOUT = {"pose_source": "/ins", "map_origin_deg_m": [48.0, 11.5, 559.0]}
+
+
+def table(**columns: object) -> FrameTable:
+    return table_of(frame_columns(TOKENS, START_NS, ("SYN-504",)) | columns, ABOUT)  # type: ignore[operator]
+
+
+def test_the_columns_that_are_read_are_those_that_the_labeler_writes() -> None:
+    assert set(frame_table.POSITION) < set(POSE_COLUMNS)
+    assert frame_table.STDEV == STDEV_COLUMNS
+    assert CLASS_COLUMNS[1:] == frame_table.CLASSES
+
+
+def test_frames_and_what_was_excluded_stand_apart() -> None:
+    read = table()
+    assert read.tokens == tuple(TOKENS)
+    assert [one.code for one in read.excluded] == ["SYN-504"]
+    assert read.times_s[-1] == pytest.approx(1.1)
+    assert read.cameras == ("CAM_BACK", "CAM_FRONT", "CAM_FRONT_LEFT")
+
+
+def test_a_table_of_an_earlier_version_lacks_columns_and_is_read_without_them() -> None:
+    columns = frame_columns(TOKENS, START_NS)
+    for name in ("rtk_status", "pose_gap_ns", *STDEV_COLUMNS):
+        del columns[name]
+    drawn = track_of(table_of(columns, {}))
+    assert drawn is not None
+    assert [plot.title for plot in drawn.plots] == ["Speed", "Elevation"]
+    assert drawn.facts["sure_ratio"] == 1.0
+
+
+def test_a_robot_at_a_steady_pace_has_that_speed_all_along() -> None:
+    columns = {"x_m": [0.15 * step for step in range(12)], "y_m": [0.0] * 12, "z_m": [0.0] * 12}
+    straight = table(**{name: [*values, None] for name, values in columns.items()})
+    np.testing.assert_allclose(speeds_m_s(straight), 1.5)
+    drawn = track_of(straight)
+    assert drawn is not None
+    assert drawn.facts["distance_m"] == pytest.approx(1.65)
+    assert drawn.facts["climb_m"] == 0.0
+
+
+def test_over_a_pause_no_speed_is_known_and_no_line_is_drawn() -> None:
+    stamps = [START_NS + step * 100_000_000 + (10**10 if step > 5 else 0) for step in range(13)]
+    paused = table(stamp_ns=stamps)
+    assert np.flatnonzero(np.isnan(speeds_m_s(paused))).tolist() == [5, 6]
+    assert ground_of(paused).sure.count("M") + ground_of(paused).unsure.count("M") == 4
+
+
+def test_a_track_is_sure_where_rtk_was_fixed_and_both_kinds_make_up_the_whole() -> None:
+    read = table()
+    assert np.flatnonzero(~is_sure(read)).tolist() == [2, 3]
+    ground = ground_of(read)
+    assert ground.sure.count("L") + ground.unsure.count("L") == len(read) - 1
+    assert ground.unsure.count("L") == 2
+
+
+def test_the_ground_is_drawn_north_up_with_all_of_the_track_inside() -> None:
+    ground = ground_of(table())
+    left, top, wide, high = map(float, ground.view_box.split())
+    assert ground.end[1] < ground.start[1], "the robot drove to the north, so up"
+    for x, y in (ground.start, ground.end):
+        assert left < x < left + wide
+        assert top < y < top + high
+    assert high >= 0.44 * wide
+
+
+def test_a_lone_frame_is_a_track_too_and_no_frame_is_none() -> None:
+    assert track_of(table_of(frame_columns(TOKENS[:1], START_NS), ABOUT)) is not None
+    assert track_of(table_of(frame_columns([], START_NS), ABOUT)) is None
+    assert timeline_of(table_of(frame_columns([], START_NS), ABOUT), None) is None
+
+
+def test_the_timeline_opens_at_the_asked_frame_and_else_in_the_middle() -> None:
+    read = table()
+    asked, unknown = timeline_of(read, TOKENS[4]), timeline_of(read, "f" * 32)
+    assert asked is not None
+    assert unknown is not None
+    assert (asked.index, asked.token, asked.voxels) == (4, TOKENS[4], (140, 400, 620))
+    assert unknown.index == 6
+    assert asked.cameras == ("CAM_FRONT_LEFT", "CAM_FRONT", "CAM_BACK")
+
+
+def test_cameras_stand_as_on_the_rig_and_others_after() -> None:
+    names = ["CAM_TOP", "CAM_BACK", "CAM_FRONT", "CAM_BACK_RIGHT", "CAM_FRONT_LEFT"]
+    assert sorted(names, key=rig_place) == ["CAM_FRONT_LEFT", "CAM_FRONT", "CAM_BACK", "CAM_BACK_RIGHT", "CAM_TOP"]
+
+
+def test_clocks_that_nobody_keeps_time_by_are_left_out_and_the_wrong_ones_marked() -> None:
+    found = clocks.clocks_of(inspection()["clocks"])
+    assert found is not None
+    rows = {row.topic: row for row in found.rows}
+    assert set(rows) == {"/lidar", "/front", "/ins", "/radar"}
+    assert [topic for topic, row in rows.items() if row.offset and row.offset.is_bad] == ["/radar"]
+    assert [topic for topic, row in rows.items() if row.drift and row.drift.is_bad] == ["/radar"]
+    assert rows["/radar"].marks == ("TAI-UTC", "2 steps back")
+    assert rows["/ins"].marks == ("11.1 ms after its own time",)
+
+
+def test_offsets_keep_their_order_and_whiskers_reach_around_their_dot() -> None:
+    found = clocks.clocks_of(inspection()["clocks"])
+    assert found is not None
+    whiskers = {row.topic: row.offset for row in found.rows}
+    places = [whiskers[topic].at for topic in ("/radar", "/ins", "/front", "/lidar")]  # type: ignore[union-attr]
+    assert places == sorted(places)
+    assert all(one.low <= one.at <= one.high for one in whiskers.values() if one)
+    assert any(tick.text == "0" for tick in found.offset_ticks)
+
+
+def test_what_a_clock_report_says_is_read_by_its_own_names() -> None:
+    record = TopicClock("/imu", "imu", 100, 200.0, "sensor").as_record()
+    found = clocks.clocks_of({"topics": [record], "imu_lag": None})
+    assert found is not None
+    assert (found.rows[0].offset, found.rows[0].drift, found.rows[0].jitter) == (None, None, "")
+    assert clocks.DRIFT_LIMIT_PPM == findings.DRIFT_LIMIT_PPM
+    assert clocks.clocks_of({}) is None
+
+
+def test_a_recording_is_shown_with_its_gaps_and_without_a_quality_report_by_its_clocks_alone() -> None:
+    view = recording_view(inspection(), quality())
+    lidar = view.sensors[0]
+    assert [row.topic for row in view.sensors] == ["/lidar", "/front"]
+    assert [row.topic for row in view.others] == ["/tf"]
+    assert (lidar.channel, lidar.gaps[0].x, lidar.gaps[0].width) == ("lidar", 500.0, 50.0)
+    assert view.rtk is not None
+    assert [span.style for span in view.rtk.spans] == ["rtk-fixed", "rtk-float", "rtk-other"]
+    bare = recording_view(inspection(), None)
+    assert (bare.score, bare.sensors, bare.rtk) == (None, (), None)
+    assert bare.clocks is not None
+
+
+def test_a_strip_joins_equal_neighbours_and_leaves_silence_out() -> None:
+    bars = strip([1.0, 1.0, 0.0, 0.5])
+    assert [(bar.x, bar.width, bar.share) for bar in bars] == [(0.0, 500.0, 1.0), (750.0, 250.0, 0.5)]
+    assert strip([]) == ()
+
+
+def test_a_spark_of_nothing_is_none_and_an_even_one_is_level() -> None:
+    assert spark_of([]) is None
+    even = spark_of([10.0, 10.0, 10.0], 0.0)
+    assert even is not None
+    assert {part.split(" ")[1] for part in even.path.removeprefix("M").split("L")} == {"3"}
+
+
+def test_a_report_that_says_little_is_shown_as_far_as_it_goes() -> None:
+    assert report_of({"frames": 3}).shares is None
+    assert report_of({"observed_ratio": {"lidar": 0.4}}).observed_ratio == 0.4
+
+
+def test_a_run_shows_the_stages_to_come_and_an_ended_one_only_those_it_had() -> None:
+    running = JobDetail(**JOB_EXAMPLE, stages=JOB_STAGES, attempts=[], attempts_left=0, result=None)
+    steps = steps_of(running)
+    assert [step.kind for step in steps] == ["ingest.synchronise", *LABELLING]
+    assert {step.kind: step.state for step in steps}["labeler.surface"] == "running"
+    assert steps[-1].state == "waiting"
+    ended = running.model_copy(update={"state": "failed"})
+    assert [step.kind for step in steps_of(ended)] == ["labeler.fuse", "labeler.surface"]
+
+
+def test_a_job_by_itself_is_one_step() -> None:
+    one = JobDetail(**JOB_EXAMPLE | {"queue": "ingest", "kind": "ingest.register", "state": "queued"}, stages=[],
+                    attempts=[], attempts_left=3, result=None)  # fmt: skip
+    assert [(step.title, step.state) for step in steps_of(one)] == [("Read the recording", "waiting")]
+
+
+def test_formats_are_offered_that_the_labels_are_not_written_in_already() -> None:
+    fresh = ExportItem(**EXPORT_EXAMPLE)
+    stale = fresh.model_copy(update={"format": "mesh", "is_stale": True})
+    failed = fresh.model_copy(update={"format": "mcap", "state": "failed"})
+    offered = {offer.format for offer in exporting.offers_beside([fresh, stale, failed])}
+    assert {offer.format for offer in exporting.OFFERS} - offered == {"nuscenes"}
+
+
+JOB_STAGES = [
+    {"kind": "labeler.surface", "total": 40, "done": 11, "running": 2, "failed": 0},
+    {"kind": "labeler.fuse", "total": 12, "done": 12, "running": 0, "failed": 0},
+]
