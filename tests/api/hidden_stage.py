@@ -85,11 +85,13 @@ def known(world: World) -> dict[str, list[str]]:
             "job_id": ids(Job),
             "team_id": ids(Team),
         }
+        sets = ids(LabelSet)[-1:]
         known |= {"upload_id": ids(Upload), "export_id": ids(Export), "user_id": ids(User), "a": scored, "b": scored}
     known |= {"phase_id": [world.val, world.test], "phase_name": ["val", "test"], "benchmark_name": [world.benchmark]}
     known |= {"dataset_name": datasets, "dataset": datasets, "part": ["train", "val", "test"]}
     known |= {"token": [*world.truth("val"), *world.truth("test")], "metric": list(METRICS), "code": ["not_found"]}
     known |= {"name": ["bev.png"], "path": [EXPORTED], "platform_name": ["robot"]}
+    known |= {"tile_name": ["0_-1"], "channel": ["CAM_FRONT"], "v": sets}
     known |= {one: [STRANGER] for one in ("calibration_id", "recording_id", "rescore_id")}
     return known | {one: ["meadow", "quarry"] for one in ("environment", "illumination", "region")}
 
@@ -135,10 +137,11 @@ def _count_loudly(world: World) -> None:
 
 
 def _export(world: World) -> None:
-    """The labels of a hidden sequence have been exported by their owner."""
+    """The labels of a hidden sequence have been exported by their owner, and are played to nobody else."""
     with world.platform.database.reading() as session:
         hidden = hidden_label_sets(session, world)[0].sequence_id
     made.export(world.platform, hidden, {EXPORTED: world.hidden_files[0]})
+    made.playback(world.platform, hidden, list(world.truth("test")), world.hidden_files[0])
 
 
 def _submit(world: World) -> None:

@@ -15,6 +15,7 @@ from typing import Any
 
 import httpx
 import numpy as np
+from sqlalchemy import select
 
 from services.runtime import blobs
 from services.runtime.archives import KINDS
@@ -22,7 +23,7 @@ from services.runtime.exports import Made, start_export, write_export
 from services.runtime.jobs.queueing import enqueue, enqueue_run
 from services.runtime.jobs.specs import Context, JobSpec
 from services.runtime.npz import npz_bytes
-from services.runtime.orm import Artefact, Job, LabelledFrame, LabelSet, Sequence, Upload, new_id
+from services.runtime.orm import Artefact, Job, LabelledFrame, LabelSet, Recording, Sequence, Upload, new_id
 from services.runtime.orm.base import now_ns
 from services.runtime.packed_reading import archive_sha256, local_reader
 from services.runtime.packs import index_bytes, pack_folder
@@ -124,10 +125,17 @@ def frame_labels(kind: int = 1) -> bytes:
     return npz_bytes({"semantics": semantics, "mask_lidar": seen, "mask_camera": seen})
 
 
-def playback(platform: Platform, sequence_id: str, tokens: Listing[str]) -> str:
-    """The id of a playback of these frames, told apart by their tokens."""
-    files = {camera_file("CAM_FRONT", token): b"\xff\xd8" + token.encode() for token in tokens}
-    files |= {cloud_file(token): b"STC1" + token.encode() for token in tokens}
+def playback(platform: Platform, sequence_id: str, tokens: Listing[str], content: bytes = b"") -> str:
+    """The id of a playback of these frames, told apart by their tokens; `content` stands in every file of a frame.
+
+    A sequence without a recording is given one.
+    """
+    with platform.database.transaction() as session:
+        if session.scalar(select(Recording.id).where(Recording.sequence_id == sequence_id).limit(1)) is None:
+            facts = {"sequence_id": sequence_id, "filename": "run.mcap", "state": "registered"}
+            session.add(Recording(**facts, size_bytes=1, sha256="0" * 64))
+    files = {camera_file("CAM_FRONT", token): b"\xff\xd8" + token.encode() + content for token in tokens}
+    files |= {cloud_file(token): b"STC1" + token.encode() + content for token in tokens}
     return export(platform, sequence_id, {**files, INDEX: index_record(Shown(("CAM_FRONT",), True))}, PLAYBACK)
 
 
