@@ -54,6 +54,7 @@ export function sendMissing(
   retry_ms: number[] | null = RETRY_MS,
 ): Promise<void> {
   return new Promise((resolve, reject) => {
+    signal.throwIfAborted(); // a signal that has fired already says so to nobody
     const pieces = new CheckedPieces(file);
     const pace = new Pace();
     const sending = new tus.Upload(file, {
