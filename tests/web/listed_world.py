@@ -1,0 +1,47 @@
+"""Sequences for the list: labelled ones with a real picture of their grid from above, one half-way, one empty."""
+
+import io
+from typing import Any
+
+import httpx
+import numpy as np
+from PIL import Image
+
+from services.runtime.inserting import insert_new
+from services.runtime.orm import SplitMember
+from services.runtime.platform import Platform
+from tests.api import made
+from tests.api.serving import Person
+from tests.benchmark_world import ground, labels_npz
+
+COLOURS = np.array([[154, 161, 171], [38, 166, 91], [250, 205, 80], [176, 42, 55]], np.uint8)
+DRIVEN = (("farmland", "day"), ("mountain", "dusk"), ("lake", "night"), ("construction", "sunny"))
+
+
+def picture_of(seed: int) -> bytes:
+    """The grid from above in the paper's colours, 640 × 400."""
+    seen = ground(seed).max(axis=2)[48:208]
+    content = io.BytesIO()
+    Image.fromarray(COLOURS[seen]).resize((640, 400), Image.Resampling.NEAREST).save(content, "jpeg", quality=80)
+    return content.getvalue()
+
+
+def listed_world(platform: Platform, api: httpx.Client, owner: Person) -> list[dict[str, Any]]:
+    """Four that are labelled, of which the first is public and each is in a split or none; two that are not."""
+    sequences = []
+    for number, (environment, illumination) in enumerate(DRIVEN):
+        said = {"environment": environment, "illumination": illumination, "region": "Gyeonggi", "platform": "warthog-1"}
+        one = made.sequence(api, owner, f"{environment}-2026-05-0{number + 1}", **said)
+        labels = made.labels(platform, one, seed=bytes([number]), contents=[labels_npz(ground(number))])
+        with platform.database.transaction() as session:
+            made._artefact(session, platform, labels.id, "thumbnail.jpg", picture_of(number))
+        sequences.append(one)
+    with platform.database.transaction() as session:
+        parts = zip(sequences, ("train", "val", "test"), strict=False)
+        insert_new(session, SplitMember, [{"sequence_id": one["id"], "part": part} for one, part in parts])
+    sequences.append(made.sequence(api, owner, "being-processed"))
+    made.run(platform, owner, "ingest.synchronise", sequence_id=sequences[-1]["id"])
+    sequences.append(made.sequence(api, owner, "only-a-name"))
+    path, headers = f"/api/v1/sequences/{sequences[0]['id']}", {**owner.headers, "If-Match": "*"}
+    assert api.patch(path, headers=headers, json={"is_public": True}).status_code == 200
+    return sequences

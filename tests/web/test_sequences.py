@@ -1,0 +1,62 @@
+"""The list of sequences at a browser."""
+
+import re
+
+import httpx
+from playwright.sync_api import expect
+
+from tests.api.serving import Person
+from tests.web.browsing import Site
+from tests.web.listed_world import listed_world
+from tests.web.looking import look
+
+
+def test_an_owner_finds_a_sequence_by_what_is_said_of_it(site: Site, curator: Person) -> None:
+    with httpx.Client(base_url=site.url) as api:
+        listed_world(site.platform, api, curator)
+    with site.visit(curator) as page:
+        page.goto("/sequences")
+        cards = page.locator(".sequence-card")
+        expect(cards).to_have_count(6)
+        expect(cards.first).to_contain_text("no recording yet")
+        expect(cards.nth(1)).to_contain_text("being processed")
+        expect(cards.nth(2).get_by_role("img")).to_have_attribute("aria-label", re.compile("traversable 10.0 %"))
+        expect(cards.nth(3)).to_contain_text("test")
+        page.wait_for_function("[...document.images].every(one => one.complete && one.naturalWidth > 0)")
+        look(page, "sequences")
+        page.get_by_label("Environment").select_option("lake")
+        page.keyboard.press("Tab")
+        page.get_by_role("button", name="Show").click()
+        expect(cards).to_have_count(1)
+        page.get_by_label("Name begins with").fill("forest")
+        page.keyboard.press("Enter")
+        expect(page.get_by_role("heading", name="None is like that")).to_be_visible()
+        page.get_by_role("link", name="Clear").click()
+        expect(cards).to_have_count(6)
+        link = cards.last.get_by_role("heading").get_by_role("link")
+        expect(link).to_have_attribute("href", re.compile("^/sequences/[0-9a-f]{32}$"))
+
+
+def test_a_visitor_is_shown_what_is_public_and_nothing_of_its_split(site: Site, curator: Person) -> None:
+    with site.visit() as page:
+        page.goto("/sequences")
+        expect(page.get_by_role("heading", name="Nothing is public yet")).to_be_visible()
+        look(page, "sequences-none")
+        with httpx.Client(base_url=site.url) as api:
+            listed_world(site.platform, api, curator)
+        page.reload()
+        expect(page.locator(".sequence-card")).to_have_count(1)
+        expect(page.locator(".sequence-split")).to_have_count(0)
+        expect(page.get_by_role("link", name="Bring new ones")).to_have_count(0)
+
+
+def test_a_list_that_is_long_goes_on_by_its_cursor(site: Site, curator: Person) -> None:
+    with httpx.Client(base_url=site.url, headers=curator.headers) as api:
+        for number in range(25):
+            assert api.post("/api/v1/sequences", json={"name": f"run-{number:02}"}).status_code == 201
+    with site.visit(curator) as page:
+        page.goto("/sequences?name=run")
+        expect(page.locator(".sequence-card")).to_have_count(24)
+        page.get_by_role("link", name="Older").click()
+        expect(page.locator(".sequence-card")).to_have_count(1)
+        expect(page.get_by_role("heading", name="run-00")).to_be_visible()
