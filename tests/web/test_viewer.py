@@ -116,10 +116,12 @@ def test_colours_layers_and_the_whole_run_are_chosen_in_the_panel(at_viewer: Pag
     look(at_viewer, "viewer-heat")
 
 
-def test_a_viewer_tells_the_page_its_frame_and_follows_what_the_page_asks_for(
-    site: Site, curator: Person, seen: dict[str, Any]
+def test_a_visitor_looks_at_what_is_public_and_the_page_and_its_viewer_tell_each_other_the_frame(
+    site: Site, seen: dict[str, Any]
 ) -> None:
-    with site.visit(curator) as page:
+    with site.platform.database.transaction() as session:
+        session.get_one(Sequence, seen["id"]).is_public = True
+    with site.visit() as page:
         page.goto(f"/sequences/{seen['id']}/view")
         expect(host(page)).to_have_attribute("data-state", "ready")
         told = page.evaluate(

@@ -113,17 +113,17 @@ def _block() -> NDArray[np.int64]:
 
 
 def _cut(pose: Floats, voxels: TileVoxels) -> Grid:
-    """The grid around the pose: each voxel of the map in the ego voxel that holds its centre."""
+    """The grid around the pose: each of its voxels has the class of the map's voxel that holds its centre."""
     w, z = pose[3], pose[6]
     cos, sin = w * w - z * z, 2 * w * z
-    turn = np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]])
-    ego = ((voxels.indices + 0.5) * VOXEL_M - pose[:3]) @ turn.T
-    index = np.floor((ego - MIN_M) / VOXEL_M).astype(np.int64)
-    inside = ((index >= 0) & (index < SHAPE)).all(axis=1)
-    grid = np.zeros(SHAPE, np.uint8)
-    order = np.argsort(voxels.classes[inside], kind="stable")
-    grid[tuple(index[inside][order].T)] = voxels.classes[inside][order]
-    return grid
+    turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+    low = voxels.indices.min(axis=0) - 1
+    held = np.zeros(voxels.indices.max(axis=0) + 2 - low, np.uint8)
+    held[tuple((voxels.indices - low).T)] = voxels.classes
+    centres = (np.stack(np.indices(SHAPE), axis=-1) + 0.5) * VOXEL_M + MIN_M
+    index = np.floor((centres @ turn.T + pose[:3]) / VOXEL_M).astype(np.int64) - low
+    index = np.clip(index, 0, np.array(held.shape) - 1)  # its border holds nothing
+    return np.ascontiguousarray(held[tuple(np.moveaxis(index, -1, 0))])
 
 
 def observed_of(grid: Grid) -> Grid:

@@ -77,6 +77,7 @@ export class MapLayer implements Prop {
       const tile = this.scene.tiles.find((one) => one.name === mesh.name);
       return !tile || distance(tile, place) <= reach_m;
     });
+    for (const name of this.meshes.keys()) if (!near.some((one) => one.name === name)) this.dropSurface(name);
     for (const { name } of near) {
       if (!this.meshes.has(name)) this.meshes.set(name, this.surface(name).catch(() => null));
       await this.meshes.get(name);
@@ -106,6 +107,14 @@ export class MapLayer implements Prop {
     this.loading.set(piece.name, loaded);
     loaded.catch(() => this.loading.delete(piece.name));
     return loaded;
+  }
+
+  private dropSurface(name: string): void {
+    void this.meshes.get(name)?.then((mesh) => {
+      mesh?.removeFromParent();
+      mesh?.geometry.dispose();
+    });
+    this.meshes.delete(name);
   }
 
   private drop(name: string, block: VoxelBlock): void {

@@ -27,7 +27,7 @@ export class Stage {
   private readonly ends: (() => void)[] = [];
   private isAsked = false;
   private ratio = 1;
-  private lastDrawn_ms = 0;
+  private asked_ms = 0;
   private slowness = 0;
   private rest = 0;
 
@@ -52,7 +52,8 @@ export class Stage {
   ask(): void {
     if (this.isAsked) return;
     this.isAsked = true;
-    requestAnimationFrame((now_ms) => this.frame(now_ms));
+    this.asked_ms = performance.now();
+    requestAnimationFrame(() => this.frame());
   }
 
   draw(): void {
@@ -81,11 +82,9 @@ export class Stage {
     this.renderer.dispose();
   }
 
-  private frame(now_ms: number): void {
+  private frame(): void {
     this.isAsked = false;
-    const took_ms = now_ms - this.lastDrawn_ms;
-    this.lastDrawn_ms = now_ms;
-    if (took_ms < 1000) this.adapt(took_ms);
+    this.adapt(performance.now() - this.asked_ms); // a card that is behind lets the next picture wait
     this.draw();
     clearTimeout(this.rest);
     if (this.ratio < this.finest()) {
@@ -94,8 +93,8 @@ export class Stage {
   }
 
   /** Fewer pixels after three slow pictures in a row; all of them again once nothing moves. */
-  private adapt(took_ms: number): void {
-    this.slowness = took_ms > SLOW_MS && took_ms < RESTS_AFTER_MS ? this.slowness + 1 : 0;
+  private adapt(waited_ms: number): void {
+    this.slowness = waited_ms > SLOW_MS ? this.slowness + 1 : 0;
     if (this.slowness < 3 || this.ratio <= COARSEST_RATIO) return;
     this.slowness = 0;
     this.resize(Math.max(COARSEST_RATIO, this.ratio * 0.75));

@@ -52,6 +52,8 @@ export class Viewer {
     this.follows = button("Follow the robot", FOLLOW, () => this.follow());
     this.follows.setAttribute("aria-pressed", "true");
     this.furnish(canvas.parentElement!);
+    canvas.addEventListener("webglcontextlost", () => this.say("The graphics card let go of the picture. It comes back by itself, or load the page again."));
+    canvas.addEventListener("webglcontextrestored", () => (this.say(null), this.stage.ask()));
     host.addEventListener("keydown", (event) => this.key(event));
     host.addEventListener("show-frame", (event) => this.asked(event as CustomEvent<{ index?: number; token?: string }>));
   }

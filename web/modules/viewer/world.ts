@@ -45,6 +45,7 @@ export class World {
     for (const prop of [this.paint, surfaces, this.frame, this.map, this.ground, this.robot, this.track, this.marker, this.cloud]) {
       stage.add(prop);
     }
+    stage.add({ drawing: () => this.paint.reach(stage.orbit.distance_m) });
     const standing: Object3D[] = [this.frame.group, this.map.voxels, this.map.surfaces, this.ground.mesh, this.track.group];
     stage.scene.add(...standing, this.robot.group, this.cloud.group, this.marker.lines);
   }
@@ -150,7 +151,6 @@ export class World {
     const aside = orbit.target.clone().sub(new Vector3(...from)).applyAxisAngle(new Vector3(0, 0, 1), turned);
     orbit.target.copy(aside.add(new Vector3(...to)));
     orbit.yaw_rad += turned;
-    this.paint.reach(orbit.distance_m);
   }
 
   private async showCloud(index: number): Promise<void> {
