@@ -20,7 +20,7 @@ LISTS = (
     ["a.mcap", "b.mcap.zstd"], [f"run_{number}.db3" for number in range(512)],
     [f"run_{number}.db3" for number in range(513)],
 )  # fmt: skip
-GROUPED = (
+GROUPED: tuple[tuple[list[str], dict[str, int]], ...] = (
     (["run.mcap"], {"run.mcap": 1}),
     (["a.mcap", "b.mcap"], {"a.mcap": 1, "b.mcap": 1}),
     (["run_0.mcap", "run_1.mcap"], {"run": 2}),
