@@ -13,7 +13,7 @@ export async function refresh(selector: string): Promise<void> {
   const shown = document.querySelector<HTMLElement>(selector);
   if (!shown) return;
   const source = shown.dataset["source"] ?? location.href;
-  await htmx.ajax("GET", source, { target: shown, select: selector, swap: "outerMorph" });
+  await htmx.ajax("GET", source, { source: shown, target: shown, select: selector, swap: "outerMorph" });
 }
 
 export function installRefreshing(root: ParentNode = document): void {
