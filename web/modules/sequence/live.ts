@@ -3,8 +3,8 @@
 // `#standing` carries the stream's address and the id of the labels the page shows. Parts marked `data-live-part` are
 // fetched again with it. When other labels count the page is loaded anew, unless somebody is in the middle of a dialog.
 
-import { refresh } from "../refreshing.js";
 import { toast } from "../said.js";
+import htmx from "htmx.org";
 
 interface Told {
   labels: { id: string } | null;
@@ -18,25 +18,26 @@ if (standing?.dataset["live"]) follow(standing, standing.dataset["live"]);
 function follow(part: HTMLElement, address: string): void {
   const shown = part.dataset["labels"] ?? "";
   const events = new EventSource(address);
-  const freshen = calmly(() => parts().map((id) => refresh(`#${id}`)));
-  let isFirst = true;
+  const freshen = calmly(fetchAgain);
   events.addEventListener("progress", (event) => {
     const told = JSON.parse((event as MessageEvent<string>).data) as Told;
     if (told.labels && told.labels.id !== shown) renew();
-    else if (!isFirst) freshen();
-    isFirst = false;
+    else freshen();
   });
   events.addEventListener("ended", () => {
     events.close();
     toast("The sequence was deleted.");
   });
+  document.addEventListener("close", freshen, true); // of a dialog, while which nothing was fetched
   addEventListener("pagehide", () => events.close());
 }
 
-/** The ids of what is fetched again. */
-function parts(): string[] {
-  const live = document.querySelectorAll<HTMLElement>("[data-live-part][id]");
-  return ["word", "standing", ...Array.from(live, (part) => part.id)];
+/** Everything that moves, of one answer. The first event brings what happened since the page was made. */
+async function fetchAgain(): Promise<void> {
+  const live = Array.from(document.querySelectorAll<HTMLElement>("[data-live-part][id]"), (part) => `#${part.id}`);
+  const others = ["#word", ...live].map((selector) => `${selector}:outerMorph`).join(",");
+  if (document.querySelector("dialog[open]")) return;
+  await htmx.ajax("GET", location.href, { target: "#standing", select: "#standing", selectOOB: others, swap: "outerMorph" });
 }
 
 function renew(): void {
@@ -45,13 +46,13 @@ function renew(): void {
 }
 
 /** At most every so often, and once more for what came meanwhile. */
-function calmly(act: () => Promise<void>[]): () => void {
+function calmly(act: () => Promise<void>): () => void {
   let isBusy = false;
   let isAsked = false;
   const run = async (): Promise<void> => {
     isBusy = true;
     isAsked = false;
-    await Promise.allSettled(act());
+    await act().catch(() => undefined); // the next event tries again
     await new Promise((resolve) => setTimeout(resolve, LEAST_BETWEEN_MS));
     isBusy = false;
     if (isAsked) void run();
