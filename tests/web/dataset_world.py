@@ -50,7 +50,7 @@ def driven(platform: Platform, owner: Person, number: int) -> Driven:
     with platform.database.transaction() as session:
         labels = session.query(LabelSet).where(LabelSet.sequence_id == facts["id"]).one()
         seconds = 64 + 17 * number % 83
-        labels.duration_ns, labels.distance_m = seconds * 10**9, 1.1 * seconds
+        labels.frames, labels.duration_ns, labels.distance_m = 10 * seconds, seconds * 10**9, 1.1 * seconds
         labels.t_voxels, labels.p_voxels, labels.n_voxels = 90_000 + 9000 * number, 150_000, 400_000 - 20_000 * number
     return Driven(facts["id"], facts["name"], region)
 
