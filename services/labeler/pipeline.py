@@ -8,7 +8,8 @@ the frames for the reference.
 
 **Conventions.** The output folder appears whole or not at all. Its contents (design §4):
 `gts/<sequence>/<frame_token>/labels.npz`, `frames.parquet`, `mesh.ply`, `bev.png`, `map.png`, `features.png`,
-`report.json`, and `sequence.npz`, the synchronised sequence itself, of which exports are made.
+`thumbnail.jpg`, `scene/` for the viewer, `report.json`, and `sequence.npz`, the synchronised sequence itself, of which
+exports are made.
 """
 
 import json

@@ -4,7 +4,8 @@
 sequence is not written again, and labels made anew make earlier exports stale: they stay until they are deleted. Each
 function is part of the caller's transaction and locks the sequence's row first (`services/runtime/processing.py`). Its
 bytes are counted against the sequence's owner under the export's id. An export shows all labels of its sequence, so it
-is its owner's alone: what others download of a sequence with hidden frames must never be made from here.
+is its owner's alone: what others download of a sequence with hidden frames must never be made from here. Of a playback
+single files are shown to whoever may look at the sequence, which nobody but its owner may where frames are hidden.
 """
 
 from collections.abc import Sequence as Listing

@@ -35,13 +35,18 @@ def picture_bytes(semantics: Grid, observed: Grid) -> bytes:
 
 def plan(semantics: Grid, observed: Grid | None = None) -> Grid:
     """(256, 256, 3): one pixel per column; with `observed` what was never seen is grey."""
-    is_labelled = semantics != 0
-    highest = semantics.shape[2] - 1 - np.argmax(is_labelled[:, :, ::-1], axis=2)
+    highest = _highest(semantics)
     kind = np.take_along_axis(semantics, highest[..., None], axis=2)[..., 0]
     colour = PALETTE[kind] * _light(np.where(kind > 0, highest, np.nan))[..., None]
     if observed is not None:
         colour[(kind == 0) & ~_any_above(observed)] = UNSEEN
     return np.ascontiguousarray(np.clip(colour + 0.5, 0, 255).astype(np.uint8)[::-1, ::-1])
+
+
+def _highest(semantics: Grid) -> NDArray[np.int64]:
+    """The highest labelled voxel of each column (256, 256); 0 where none is: the top bit of a word of 32."""
+    words = np.packbits(semantics != 0, axis=2, bitorder="little").view("<u4")[..., 0]
+    return np.asarray(np.maximum(np.frexp(words.astype(np.float64))[1] - 1, 0), dtype=np.int64)
 
 
 def _any_above(observed: Grid) -> NDArray[np.bool_]:

@@ -8,6 +8,7 @@ import json
 from collections.abc import Mapping
 from collections.abc import Sequence as Listing
 from dataclasses import dataclass
+from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from types import SimpleNamespace
@@ -118,6 +119,7 @@ def labels(
     return Labels(row.id, files, of_frames)
 
 
+@cache
 def frame_labels(kind: int = 1) -> bytes:
     """The `labels.npz` of a frame in which one voxel has this class, and its column was seen."""
     semantics, seen = (np.zeros((256, 256, 32), np.uint8) for _ in range(2))
