@@ -11,7 +11,6 @@ import struct
 import zipfile
 from base64 import b64encode
 from collections.abc import Callable, Iterator
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -136,22 +135,16 @@ def frame(save: Callable[..., None], **arrays: object) -> bytes:
     return content.getvalue()
 
 
-@cache
-def frames() -> tuple[bytes, ...]:
+def frames() -> Iterator[bytes]:
     """Frames that are right, or wrong, in the ways that happen."""
-    return tuple(_frames())
-
-
-def _frames() -> Iterator[bytes]:
     grid = np.zeros((256, 256, 32), np.uint8)
-    for save in (np.savez, np.savez_compressed):
-        yield from (frame(save, semantics=grid), frame(save, arr_0=grid), frame(save, labels=grid))
-        yield from (frame(save, semantics=grid, mask=grid), frame(save, semantics=grid[:200]))
-        yield frame(save, semantics=np.asfortranarray(grid))
-    yield frame(np.savez_compressed, semantics=grid.astype(np.int64))
-    yield frame(np.savez_compressed, semantics=grid.astype(bool))
-    yield frame(np.savez_compressed, semantics=np.array([{}], object))
-    yield frame(np.savez_compressed)
+    yield from (frame(np.savez, semantics=grid), frame(np.savez, arr_0=grid[:200]))
+    save = np.savez_compressed
+    yield from (frame(save, semantics=grid), frame(save, arr_0=grid), frame(save, labels=grid))
+    yield from (frame(save, semantics=grid, mask=grid), frame(save, semantics=grid[:200]))
+    yield from (frame(save, semantics=np.asfortranarray(grid)), frame(save, semantics=grid.astype(bool)))
+    yield from (frame(save, semantics=grid.astype(np.int16)), frame(save, semantics=np.array([{}], object)))
+    yield frame(save)
     yield b"PICKLED" * 9
     yield packed(["semantics.npy"])
 
@@ -203,14 +196,13 @@ def test_the_page_refuses_what_the_platform_refuses_in_the_same_words(site: Site
     assert sum(not problems for problems in ours) > 20, "some of the mangled ones are still whole"
 
 
-@pytest.mark.parametrize("method", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
-def test_a_look_into_a_frame_finds_what_the_platform_finds(site: Site, method: int) -> None:
-    archives = []
-    for npz in frames():
+def test_a_look_into_a_frame_finds_what_the_platform_finds(site: Site) -> None:
+    archives, given = [], list(frames())
+    for number, npz in enumerate(given):
         content = io.BytesIO()
-        with zipfile.ZipFile(content, "w", method) as archive:
+        with zipfile.ZipFile(content, "w", (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)[number % 2]) as archive:
             archive.writestr(f"{TOKENS[0]}.npz", npz)
         archives.append(content.getvalue())
-    ours = [code_by_the_platform(npz) for npz in frames()]
+    ours = [code_by_the_platform(npz) for npz in given]
     assert asked(site, LOOK, "first_frame", archives) == ours
     assert {None, "bad_dtype", "bad_shape", "missing_array", "extra_array", "not_npz"} == set(ours)
