@@ -79,7 +79,8 @@ def manifest_of(api: httpx.Client, release: Release) -> dict[str, Any]:
 
 
 def contents_of(platform: Platform, sequence_id: str) -> dict[str, bytes]:
-    """What a sequence's labels are, by the names a version gives them; read as the routes of the owner do."""
+    """What a sequence's labels are, by the names a version gives them; read as the routes of the owner do. What only the
+    viewer reads is not among them."""
     found = {}
     with platform.database.reading() as session:
         name = session.get_one(Sequence, sequence_id).name
@@ -89,7 +90,7 @@ def contents_of(platform: Platform, sequence_id: str) -> dict[str, bytes]:
         for artefact, blob in session.execute(files.where(Artefact.label_set_id == labels_id)):
             content = b"".join(platform.store.read(blob.object_key))
             packs[artefact.id] = content
-            if not artefact.name.endswith(".pack"):
+            if not artefact.name.startswith(("labels/", "scene/")):
                 found[f"sequences/{name}/{artefact.name}"] = content
         for frame in session.scalars(select(LabelledFrame).where(LabelledFrame.label_set_id == labels_id)):
             stop = frame.offset_bytes + frame.length_bytes
