@@ -16,7 +16,7 @@ from stone.se3 import SE3
 Flat = Callable[[tuple[float, float, float]], tuple[float, float]]
 """A point or direction of the ego frame as it is drawn: right and down."""
 CM = 100.0
-MARGIN_CM = (90.0, 24.0)
+MARGIN_CM = (62.0, 20.0)
 """Room beside and above what is drawn, for names."""
 LETTER_CM, LINE_CM = 6.0, 11.0
 """How much of the drawing a letter and a line of a name take."""
@@ -122,6 +122,8 @@ def _mark(one: _Placed, at: tuple[float, float], looks: tuple[float, float]) -> 
     anchor = "middle" if abs(out[0]) < 0.35 else ("start" if out[0] > 0 else "end")
     name = one.mount.name
     label = name.removeprefix("CAM_").removeprefix("RADAR_").replace("_", " ").lower()
+    if is_round and one.mount.kind in ("camera", "radar"):
+        label = ""  # it looks at the reader, or away; the other view names it
     return Mark(name, label, one.mount.kind, x, y, wedge, x + out[0] * far, y + out[1] * far + 4.0, anchor)
 
 
