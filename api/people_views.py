@@ -1,5 +1,7 @@
 """People, their tokens and browsers as the API and the pages show them; secrets are in none of it."""
 
+from dataclasses import dataclass
+
 from sqlalchemy import Select, select
 from sqlalchemy.orm import Session
 
@@ -9,6 +11,18 @@ from api.schemas.base import instant, instant_or_none
 from api.schemas.people import BrowserItem, TokenItem, UserItem
 from services.runtime.orm import Token, User, WebSession
 from services.runtime.orm.base import now_ns
+from services.runtime.platform import Platform
+from services.runtime.quota import balance
+from services.runtime.uploads.creating import owner_limit_bytes
+from services.runtime.uploads.rows import Owner
+
+
+@dataclass(frozen=True)
+class Storage:
+    """Bytes that a user has stored or under way, and how many they may have."""
+
+    used_bytes: int
+    limit_bytes: int
 
 
 def user_item(row: User) -> UserItem:
@@ -68,3 +82,9 @@ def browsers_of(session: Session, user_id: str, current_id: str) -> list[Browser
         )
         for row in session.scalars(theirs.order_by(WebSession.id.desc()))
     ]
+
+
+def storage_of(platform: Platform, session: Session, user: User) -> Storage:
+    """What the user has taken of what they may."""
+    limit_bytes = owner_limit_bytes(platform, Owner(user.id, user.role == "administrator", user.role == "participant"))
+    return Storage(balance(session, user.id), limit_bytes)

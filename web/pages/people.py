@@ -12,7 +12,7 @@ from api.audit_views import LinesWanted, audit_page
 from api.callers import Administrator, Reader
 from api.deps import PlatformDep
 from api.paging import LONGEST_CURSOR, PageQuery
-from api.people_views import browsers_of, tokens_page, user_item, user_of, users_page
+from api.people_views import browsers_of, storage_of, tokens_page, user_item, user_of, users_page
 from api.schemas.base import PLAIN, IdPath
 from services.runtime.access.roles import ROLES, SCOPES
 from services.runtime.orm import User
@@ -42,13 +42,15 @@ def account(request: Request, caller: Reader, platform: PlatformDep, cursor: Cur
     with platform.database.reading() as session:
         tokens = tokens_page(session, PageQuery(cursor, SHOWN), caller.user_id)
         browsers = browsers_of(session, caller.user_id, caller.credential_id)
-        has_password = bool(session.get_one(User, caller.user_id).password_hash)
+        own = session.get_one(User, caller.user_id)
+        has_password, storage = bool(own.password_hash), storage_of(platform, session, own)
     return page(
         request,
         caller,
         "people/account.html",
         tokens=tokens,
         browsers=browsers,
+        storage=storage,
         has_password=has_password,
         scopes=[scope for scope in SCOPES if scope in caller.scopes],
         may=MAY[caller.role],
@@ -76,7 +78,8 @@ def users(
 @router.get("/admin/users/{user_id}")
 def user(request: Request, caller: Administrator, platform: PlatformDep, user_id: IdPath) -> HTMLResponse:
     with platform.database.reading() as session:
-        shown = user_item(user_of(session, user_id))
+        row = user_of(session, user_id)
+        shown, storage = user_item(row), storage_of(platform, session, row)
         tokens = tokens_page(session, PageQuery(None, 200), user_id)
         about = audit_page(session, LINES, LinesWanted(subject_id=user_id))
         by = audit_page(session, LINES, LinesWanted(actor_id=user_id))
@@ -90,6 +93,7 @@ def user(request: Request, caller: Administrator, platform: PlatformDep, user_id
         about=about,
         by=by,
         browsers=browsers,
+        storage=storage,
         may=MAY,
         allows=ALLOWS,
         roles=ROLES,
