@@ -79,8 +79,10 @@ def manifest_of(api: httpx.Client, release: Release) -> dict[str, Any]:
 
 
 def contents_of(platform: Platform, sequence_id: str) -> dict[str, bytes]:
-    """What a sequence's labels are, by the names a version gives them; read as the routes of the owner do. What only the
-    viewer reads is not among them."""
+    """What a sequence's labels are, by the names a version gives them; read as the routes of the owner do.
+
+    What only the viewer reads is not among them.
+    """
     found = {}
     with platform.database.reading() as session:
         name = session.get_one(Sequence, sequence_id).name
