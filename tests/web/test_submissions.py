@@ -74,6 +74,11 @@ def test_a_team_sends_predictions_and_finds_them_on_the_board(site: Site, world:
         page.goto("/submissions")
         expect(page.get_by_role("listitem").filter(has_text="OccFormer-T")).to_contain_text("scored")
         look(page, "submissions")
+        page.get_by_role("link", name="OccFormer-T").click()
+        page.get_by_role("link", name="See how it did").click()
+        expect(page.get_by_role("heading", name="OccFormer-T")).to_be_visible()
+        page.goto(form_of(world).removesuffix("/submit"))
+        expect(page.get_by_role("link", name="OccFormer-T").first).to_be_visible()
     [row] = sent(world)
     assert (row.state, row.kind, row.modality) == ("scored", "entry", "C+L")
     assert row.description == "Trained on train only.\nTwo cameras fewer."
