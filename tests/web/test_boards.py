@@ -33,6 +33,10 @@ def test_a_visitor_sees_ties_in_a_bracket_and_intervals_on_one_axis(site: Site, 
         assert tied.get_attribute("rowspan") == "2"
         assert page.locator("tr", has=tied).locator(".method").inner_text().startswith("GroundNet++")
         assert len({(box["x"], box["width"]) for box in boxes(page, ".whisker-plot")}) == 1
+        rules = [box["x"] for box in boxes(page, "tr:first-child .whisker-plot .rule")][:3]
+        assert [box["x"] + box["width"] / 2 for box in boxes(page, ".whisker-head text")][:3] == pytest.approx(
+            rules, abs=1
+        )
         values = [box["x"] for box in boxes(page, "tbody[data-standing='ranked'] .whisker-plot .value")]
         assert values == sorted(values, reverse=True)
         expect(page.locator("tbody[data-standing='reported'] .by").first).to_have_text(re.compile("Table II"))
