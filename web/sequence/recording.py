@@ -19,7 +19,7 @@ from web.sequence.clocks import UNCLOCKED, Clocks, clocks_of
 
 NS_PER_S = 1e9
 SPARK = (200.0, 28.0)
-SPARK_EDGE, LEAST_SPAN = 3.0, 1e-9
+SPARK_EDGE, LEAST_SPAN, HEADROOM = 3.0, 1e-9, 1.4
 RTK_STYLES = {"fixed": "rtk-fixed", "float": "rtk-float"}
 RTK_OTHER = "rtk-other"
 RIG = ("FRONT_LEFT", "FRONT", "FRONT_RIGHT", "BACK_LEFT", "BACK", "BACK_RIGHT")
@@ -129,7 +129,8 @@ def spark_of(values: Sequence[float], base: float | None = None) -> Spark | None
     width, height = SPARK
     x = np.linspace(SPARK_EDGE, width - SPARK_EDGE, len(numbers)) if len(numbers) > 1 else np.array([width / 2])
     bottom = low if base is None else min(low, base)
-    y = Scale(bottom, max(high, bottom + LEAST_SPAN), height - SPARK_EDGE, SPARK_EDGE).at(numbers)
+    top = bottom + max((high - bottom) * HEADROOM, LEAST_SPAN)
+    y = Scale(bottom, top, height - SPARK_EDGE, SPARK_EDGE).at(numbers)
     return Spark(line(x, y), low, float(median(values)), high)
 
 

@@ -11,6 +11,8 @@ interface Told {
 }
 
 const LEAST_BETWEEN_MS = 700;
+/** Whether something happened that was not fetched, for a dialog was open. */
+let isOwed = false;
 
 const standing = document.getElementById("standing");
 if (standing?.dataset["live"]) follow(standing, standing.dataset["live"]);
@@ -28,7 +30,7 @@ function follow(part: HTMLElement, address: string): void {
     events.close();
     toast("The sequence was deleted.");
   });
-  document.addEventListener("close", freshen, true); // of a dialog, while which nothing was fetched
+  document.addEventListener("close", () => isOwed && freshen(), true); // of a dialog
   addEventListener("pagehide", () => events.close());
 }
 
@@ -36,7 +38,8 @@ function follow(part: HTMLElement, address: string): void {
 async function fetchAgain(): Promise<void> {
   const live = Array.from(document.querySelectorAll<HTMLElement>("[data-live-part][id]"), (part) => `#${part.id}`);
   const others = ["#word", ...live].map((selector) => `${selector}:outerMorph`).join(",");
-  if (document.querySelector("dialog[open]")) return;
+  isOwed = document.querySelector("dialog[open]") !== null;
+  if (isOwed) return;
   await htmx.ajax("GET", location.href, { target: "#standing", select: "#standing", selectOOB: others, swap: "outerMorph" });
 }
 
