@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 from playwright.sync_api import Locator, Page, expect
+from sqlalchemy import delete
 
-from services.runtime.orm import Sequence
+from services.runtime.orm import Artefact, Sequence
 from services.runtime.platform import Platform
 from stone.voxels import VOXEL_M
 from tests.api.serving import Person
@@ -151,6 +152,15 @@ def test_a_sequence_without_labels_says_what_to_do(site: Site, curator: Person) 
         expect(page.get_by_role("heading", name="No labels yet")).to_be_visible()
         expect(page.get_by_role("link", name="To the sequence")).to_be_visible()
         look(page, "viewer-empty")
+
+
+def test_labels_made_before_there_was_a_viewer_say_so(site: Site, curator: Person, seen: dict[str, Any]) -> None:
+    with site.platform.database.transaction() as session:
+        session.execute(delete(Artefact).where(Artefact.name == "scene/scene.json"))
+    with site.visit(curator, expected=["404"]) as page:
+        page.goto(f"/sequences/{seen['id']}/view")
+        expect(host(page)).to_have_attribute("data-state", "empty")
+        expect(page.get_by_text("processed again")).to_be_visible()
 
 
 def test_a_frame_that_does_not_come_is_said_in_the_picture(at_viewer: Page, seen: dict[str, Any]) -> None:

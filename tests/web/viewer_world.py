@@ -120,7 +120,7 @@ def _cut(pose: Floats, voxels: TileVoxels) -> Grid:
     low = voxels.indices.min(axis=0) - 1
     held = np.zeros(voxels.indices.max(axis=0) + 2 - low, np.uint8)
     held[tuple((voxels.indices - low).T)] = voxels.classes
-    centres = (np.stack(np.indices(SHAPE), axis=-1) + 0.5) * VOXEL_M + MIN_M
+    centres = (np.moveaxis(np.indices(SHAPE), 0, -1) + 0.5) * VOXEL_M + MIN_M
     index = np.floor((centres @ turn.T + pose[:3]) / VOXEL_M).astype(np.int64) - low
     index = np.clip(index, 0, np.array(held.shape) - 1)  # its border holds nothing
     return np.ascontiguousarray(held[tuple(np.moveaxis(index, -1, 0))])

@@ -11,10 +11,11 @@ const CLASSES = [["Traversable", "fill-t"], ["Potentially", "fill-p"], ["Non-tra
 const TITLES: Record<Mode, string> = { class: "", d2: "D²", elevation: "Elevation", slope: "Slope", roughness: "Roughness" };
 const WIDTH_PX = 180;
 
+/** With each class's share where there are counts. */
 export function classLegend(counts: readonly number[]): HTMLElement {
   const total = counts.reduce((sum, count) => sum + count, 0);
   const items = CLASSES.map(([name, fill], number) => {
-    const share = total ? `${((100 * counts[number]!) / total).toFixed(0)} %` : "–";
+    const share = total ? `${((100 * counts[number]!) / total).toFixed(0)} %` : "";
     return make("li", {}, swatch(fill), make("span", {}, name), make("span", { class: "viewer-share" }, share));
   });
   return make("ul", { class: "legend viewer-legend" }, ...items);

@@ -117,8 +117,9 @@ export class Viewer {
   }
 
   private drawLegend(): void {
-    const { mode } = this.choices.look;
-    this.legend.replaceChildren(mode === "class" ? classLegend(this.counts) : rampLegend(mode, this.scene));
+    const { look: { mode }, scope } = this.choices;
+    const counts = scope === "frame" ? this.counts : [];
+    this.legend.replaceChildren(mode === "class" ? classLegend(counts) : rampLegend(mode, this.scene));
   }
 
   private async pick(ray: Ray): Promise<void> {
