@@ -4,8 +4,12 @@ from typing import Any
 
 import httpx
 import pytest
-from sqlalchemy import select, update
+from sqlalchemy import event, select, update
 
+from api.admin_views import job_counts
+from api.queue_views import queue_items
+from api.routes.admin_jobs import AdminFilters
+from benchmarks.dashboard_rows import fill
 from services.runtime.jobs.claiming import claim
 from services.runtime.jobs.presence import Presence
 from services.runtime.jobs.running import run_next
@@ -152,3 +156,27 @@ def test_a_worker_is_shown_with_the_job_it_holds(api: httpx.Client, platform: Pl
     (worker,) = ask(api, administrator, "/workers")["workers"]
     assert (worker["job_id"], worker["kind"], worker["attempt"]) == (job_id, "ingest.speak", 1)
     assert (worker["queues"], worker["is_silent"]) == (["ingest"], False)
+
+
+def test_the_figures_of_the_dashboard_are_read_off_indexes_alone(platform: Platform) -> None:
+    with platform.database.transaction() as session:
+        fill(session, runs=40, workers=3)
+    said: list[tuple[str, Any]] = []
+
+    def note(_connection: Any, _cursor: Any, statement: str, parameters: Any, *_: Any) -> None:
+        said.append((statement, parameters))
+
+    event.listen(platform.database.engine, "before_cursor_execute", note)
+    with platform.database.reading() as session:
+        queue_items(session)
+        job_counts(session, AdminFilters().of_any_state(select(Job)), AdminFilters().flat(select(Job)))
+    event.remove(platform.database.engine, "before_cursor_execute", note)
+    with platform.database.engine.connect() as connection:
+        plans = [
+            " ".join(row[-1] for row in connection.exec_driver_sql(f"EXPLAIN QUERY PLAN {statement}", parameters))
+            for statement, parameters in said
+            if "FROM jobs" in statement
+        ]
+    assert ["SCAN jobs USING INDEX" in plan or plan == "SCAN jobs " for plan in plans] == [False] * 4
+    assert "COVERING INDEX ix_jobs_finished" in plans[1]
+    assert "COVERING INDEX ix_jobs_state" in plans[2]
