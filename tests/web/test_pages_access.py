@@ -38,6 +38,10 @@ PAGES = """
 /submissions/00000000000000000000000000000000 401 404 404 404
 /teams/00000000000000000000000000000000       401 404 404 404
 /benchmarks/none/val/submit                   401 404 404 404
+/admin/jobs           401 403 403 200
+/admin/jobs?list=dead 401 403 403 200
+/admin/queues         401 403 403 200
+/admin/benchmarks     401 403 403 200
 """
 
 
