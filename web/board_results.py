@@ -1,4 +1,4 @@
-"""What a method scored, as figures: totals with whiskers, parts as dots and a mean on one axis, the confusion as a matrix.
+"""What a method scored, as figures: totals with whiskers, parts on one axis, the confusion as a matrix.
 
 **Conventions.** Made of what the API answers with, so that what a viewer may not see is not drawn. Rows of the matrix
 are the ground truth and are read as shares of their row, since free space outnumbers everything.

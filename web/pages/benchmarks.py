@@ -73,7 +73,12 @@ def show_definition(
         item = phase_item(session, phase)
         title = session.get_one(Benchmark, phase.benchmark_id).title or at.benchmark
         found = metric_item(session, phase, metric)
-    known: dict[str, Any] = {"phase": item, "benchmark_title": title, "metric": found, "blocks": blocks(found.definition)}
+    known: dict[str, Any] = {
+        "phase": item,
+        "benchmark_title": title,
+        "metric": found,
+        "blocks": blocks(found.definition),
+    }
     return page(request, caller, "boards/metric.html", **known)
 
 
