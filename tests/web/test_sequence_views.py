@@ -1,10 +1,12 @@
 """What a sequence's page works out: track, timeline, clocks, recording, stages, from records and tables by hand."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from api.schemas.exports import EXPORT_EXAMPLE, ExportItem
-from api.schemas.jobs import JOB_EXAMPLE, JobDetail
+from api.schemas.jobs import JOB_EXAMPLE, JobDetail, StageItem
 from services.ingest.clocks import findings
 from services.ingest.clocks.report import TopicClock
 from services.labeler.tables import CLASS_COLUMNS, POSE_COLUMNS, STDEV_COLUMNS
@@ -20,11 +22,15 @@ from web.sequence.track import ground_of, is_sure, speeds_m_s, track_of
 
 START_NS = 1_777_800_000_000_000_000
 TOKENS = [f"{number:032x}" for number in range(12)]
+STAGES = [
+    StageItem(kind="labeler.surface", total=40, done=11, running=2, failed=0),
+    StageItem(kind="labeler.fuse", total=12, done=12, running=0, failed=0),
+]
 ABOUT = {"pose_source": "/ins", "map_origin_deg_m": [48.0, 11.5, 559.0]}
 
 
-def table(**columns: object) -> FrameTable:
-    return table_of(frame_columns(TOKENS, START_NS, ("SYN-504",)) | columns, ABOUT)  # type: ignore[operator]
+def table(**columns: list[Any]) -> FrameTable:
+    return table_of(frame_columns(TOKENS, START_NS, ("SYN-504",)) | columns, ABOUT)
 
 
 def test_the_columns_that_are_read_are_those_that_the_labeler_writes() -> None:
@@ -169,7 +175,7 @@ def test_a_report_that_says_little_is_shown_as_far_as_it_goes() -> None:
 
 
 def test_a_run_shows_the_stages_to_come_and_an_ended_one_only_those_it_had() -> None:
-    running = JobDetail(**JOB_EXAMPLE, stages=JOB_STAGES, attempts=[], attempts_left=0, result=None)
+    running = JobDetail(**JOB_EXAMPLE, stages=STAGES, attempts=[], attempts_left=0, result=None)
     steps = steps_of(running)
     assert [step.kind for step in steps] == ["ingest.synchronise", *LABELLING]
     assert {step.kind: step.state for step in steps}["labeler.surface"] == "running"
@@ -190,9 +196,3 @@ def test_formats_are_offered_that_the_labels_are_not_written_in_already() -> Non
     failed = fresh.model_copy(update={"format": "mcap", "state": "failed"})
     offered = {offer.format for offer in exporting.offers_beside([fresh, stale, failed])}
     assert {offer.format for offer in exporting.OFFERS} - offered == {"nuscenes"}
-
-
-JOB_STAGES = [
-    {"kind": "labeler.surface", "total": 40, "done": 11, "running": 2, "failed": 0},
-    {"kind": "labeler.fuse", "total": 12, "done": 12, "running": 0, "failed": 0},
-]
