@@ -42,7 +42,9 @@ function keepFresh(part: HTMLElement): void {
 
 function followEvents(part: HTMLElement): void {
   const events = new EventSource(part.dataset["follow"] ?? "");
-  events.addEventListener("progress", () => void refresh(`#${part.id}`));
+  events.addEventListener("progress", () => {
+    if (!document.querySelector("dialog[open]")) void refresh(`#${part.id}`); // it may be within, and would close
+  });
   events.addEventListener("ended", () => {
     events.close();
     void refresh(`#${part.id}`).then(() => toast("Done."));
