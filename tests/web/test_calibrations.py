@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import httpx
-import yaml
+import yaml  # type: ignore[import-untyped]
 from playwright.sync_api import Page, expect
 
 from simulator.pipeline import calibration_path
