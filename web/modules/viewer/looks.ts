@@ -56,7 +56,7 @@ export function ticksOf(mode: Mode, scene: SceneFacts): [string, string, string]
   const limit = scene.reference?.d2_limit ?? 1;
   if (mode === "d2") return ["0", `${limit.toFixed(1)} (limit)`, `${(10 * limit).toFixed(0)} and more`];
   if (mode === "slope") return ["0°", "30°", "60° and more"];
-  if (mode === "roughness") return ["smooth", "0.01 m²".replace("0.01", Math.exp(-9).toExponential(0)), "rough"];
+  if (mode === "roughness") return ["smooth", `${(1000 * Math.exp((ROUGHNESS[0] + ROUGHNESS[1]) / 4)).toFixed(0)} mm`, "rough"];
   const [low, high] = elevationRange(scene);
   return [low, (low + high) / 2, high].map((value) => `${value.toFixed(1)} m`) as [string, string, string];
 }
