@@ -88,11 +88,11 @@ def test_a_queue_is_paused_and_resumed_with_a_reason(site: Site, platform: Platf
         labeler.get_by_role("button", name="Pause").click()
         reason(page, "worker-3 is being replaced")
         page.keyboard.press("Enter")
-        expect(labeler).to_contain_text("paused")
+        expect(labeler.locator(".state")).to_have_text("paused")
         labeler.get_by_role("button", name="Resume").click()
         reason(page, "it is back")
         page.keyboard.press("Enter")
-        expect(labeler).to_contain_text("open")
+        expect(labeler.locator(".state")).to_have_text("open")
     with platform.database.reading() as session:
         acts = [line.act for line in session.query(AuditEntry).all()]
     assert acts[-2:] == ["queue.pause", "queue.resume"]
