@@ -118,6 +118,7 @@ def test_what_is_hidden_is_answered_like_what_does_not_exist(stage: Stage) -> No
         document = client.get("/api/v1/openapi.json").json()
         for kind, subject in (("sequence_id", hidden), ("token", token), ("job_id", job)):
             others = {one: [STRANGER] for one in OTHERS} | {"path": [EXPORTED], "name": ["bev.png"]}
+            others |= {"tile_name": ["0_-1"], "channel": ["CAM_FRONT"]}
             there, absent = (
                 Crawl(client, _about(document, kind), others | {kind: [one]}) for one in (subject, STRANGER)
             )
