@@ -6,7 +6,7 @@
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 BUILT := web/built/app.js
-MODULES := $(shell find web/modules -name '*.ts')
+MODULES := $(shell find web/modules web/libraries -name '*.ts' -o -name '*.js')
 
 install: $(INSTALLED) $(BUILT)
 

@@ -27,5 +27,7 @@ if [ ! -e "$installed" ] || [ package-lock.json -nt "$installed" ]; then
 fi
 rm -rf built.partial
 node node_modules/typescript/bin/tsc -p . --outDir built.partial
+node node_modules/esbuild/bin/esbuild libraries/three.js --bundle --minify --format=esm --legal-comments=inline \
+    --log-level=warning --outfile=built.partial/libraries/three.js
 rm -rf built
 mv built.partial built

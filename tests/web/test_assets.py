@@ -12,7 +12,7 @@ from playwright.sync_api import expect
 from services.runtime.platform import Platform
 from tests.api.serving import Person, serving
 from tests.web.browsing import Site
-from web.assets import LIBRARIES, built_assets
+from web.assets import BUNDLED, LIBRARIES, built_assets
 from web.errors import PagesNotBuiltError
 from web.main import make_site
 
@@ -44,7 +44,7 @@ def test_the_import_map_names_our_copies_and_the_policy_lets_only_it_through(pla
         answer = client.get("/sign-in", headers={"Accept": "text/html"})
     (text,) = re.findall(r'<script type="importmap">(.*?)</script>', answer.text)
     imports = json.loads(text)["imports"]
-    assert set(imports) == set(LIBRARIES)
+    assert set(imports) == {*LIBRARIES, *BUNDLED}
     assert all(path.startswith("/assets/") for path in imports.values())
     policy = answer.headers["content-security-policy"]
     assert f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'" in policy

@@ -18,7 +18,7 @@ from web.assets import Assets
 from web.rendering import page
 
 router = APIRouter()
-PRELOADED = ("modules/viewer/", "libraries/three/")
+PRELOADED = ("modules/viewer/", "modules/libraries/three")
 
 
 @router.get("/sequences/{sequence_id}/view")
