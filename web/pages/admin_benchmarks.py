@@ -1,5 +1,7 @@
 """Benchmarks as administrators make and run them: `/admin/benchmarks` and one benchmark with its phases."""
 
+from typing import Any
+
 from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy import func, select
@@ -22,7 +24,7 @@ SHOWN = 200
 def benchmarks(request: Request, caller: Administrator, platform: PlatformDep) -> HTMLResponse:
     with platform.database.reading() as session:
         rows = session.scalars(select(Benchmark).order_by(Benchmark.id.desc()).limit(SHOWN)).all()
-        values = {"benchmarks": benchmark_items(session, rows), "datasets": versions(session)}
+        values: dict[str, Any] = {"benchmarks": benchmark_items(session, rows), "datasets": versions(session)}
     return page(request, caller, "admin/benchmarks.html", **values)
 
 
@@ -33,7 +35,7 @@ def benchmark(
     with platform.database.reading() as session:
         row = benchmark_of(session, caller, benchmark_name)
         phases = phases_of(session, row)
-        values = {
+        values: dict[str, Any] = {
             "benchmark": row,
             "phases": [(phase_detail(session, phase), _alarms(session, phase.id)) for phase in phases],
             "datasets": versions(session),

@@ -1,5 +1,7 @@
 """A phase as administrators run it, and its re-scores: `/admin/benchmarks/{b}/{p}` and below."""
 
+from typing import Any
+
 from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy import select
@@ -42,7 +44,7 @@ def phase(
         truths = select(GroundTruth).where(GroundTruth.phase_id == row.id).order_by(GroundTruth.id.desc())
         rescores = select(Rescore).where(Rescore.phase_id == row.id).order_by(Rescore.id.desc())
         alarms = standing_alarms(row.id).order_by(Alarm.id.desc()).limit(MOST_ALARMS)
-        values = {
+        values: dict[str, Any] = {
             "phase": phase_detail(session, row),
             "tag": etag(row.revision),
             "truths": truth_items(session, row, session.scalars(truths).all()),
@@ -69,6 +71,10 @@ def rescore(  # the address names three things
         row = rescore_of(session, at.id, rescore_id)
         diff = diff_answer(rescore_item(session, row), rescore_diff(session, row))
         job = session.get(Job, row.job_id) if row.job_id else None
-        values = {"phase": phase_detail(session, at), "tag": etag(board_revision(session, at.id)), "job": job}
+        values: dict[str, Any] = {
+            "phase": phase_detail(session, at),
+            "tag": etag(board_revision(session, at.id)),
+            "job": job,
+        }
     picture = slope_picture(diff.rows)
     return page(request, caller, "admin/rescore.html", diff=diff, rescore=diff.rescore, picture=picture, **values)

@@ -1,0 +1,58 @@
+"""Every link of every page leads somewhere, for everybody who is shown it; and every page is whole by axe's rules."""
+
+from collections.abc import Iterator
+
+import httpx
+import pytest
+
+from services.runtime.platform import Platform
+from tests.api.serving import Person, serving
+from tests.benchmark_world import World, benchmark_world
+from tests.web.browsing import Site
+from tests.web.crawling import crawled
+from tests.web.looking import serious_findings
+from tests.web.test_pages_access import cookie
+from web.main import make_site
+
+WHO = ("visitor", "participant", "curator", "administrator")
+
+
+@pytest.fixture
+def world(platform: Platform) -> World:
+    return benchmark_world(platform)
+
+
+def person_of(world: World, who: str) -> Person | None:
+    people = {"participant": world.captains[0], "curator": world.curator, "administrator": world.administrator}
+    return people.get(who)
+
+
+@pytest.fixture
+def client(world: World) -> Iterator[httpx.Client]:
+    with serving(world.platform, make_site(world.platform)) as url, httpx.Client(base_url=url, timeout=60) as client:
+        yield client
+
+
+@pytest.mark.parametrize("who", WHO)
+def test_no_link_leads_nowhere(client: httpx.Client, world: World, who: str) -> None:
+    person = person_of(world, who)
+    headers = {} if person is None else cookie(world.platform, person)
+    found = list(crawled(client, headers))
+    assert [one for one in found if one.status >= 400] == []
+    assert {one.path for one in found} >= {"/", "/sequences", "/benchmarks"}
+
+
+@pytest.mark.parametrize("who", ["curator", "administrator"])
+def test_axe_finds_nothing_serious_on_any_page(site: Site, world: World, who: str) -> None:
+    person = person_of(world, who)
+    assert person is not None
+    with httpx.Client(base_url=site.url, timeout=60) as client:
+        found = list(crawled(client, cookie(world.platform, person)))
+    pages = {one.shape: one.path for one in found if one.is_page}
+    serious = {}
+    with site.visit(person) as page:
+        for shape, path in pages.items():
+            page.goto(path)
+            if findings := serious_findings(page):
+                serious[shape] = findings
+    assert serious == {}

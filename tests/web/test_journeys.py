@@ -1,0 +1,137 @@
+"""Three people, each the whole way at their pages, on the platform as it runs: its own processes, real workers.
+
+**Conventions.** The platform holds a demo, as `stone demo` leaves it. One test each for the engineer, the administrator
+and the participant; all use what the demo made and touch nothing of each other's.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, Page, expect
+
+from client.demo import DemoPlan, run_demo
+from services.runtime.access import users
+from services.runtime.embedded.first_start import PASSWORD_FILE
+from services.runtime.embedded.supervisor import running_platform
+from services.runtime.platform import Platform
+from services.runtime.settings import ApiSettings, ViewingSettings
+from simulator.options import SimulateOptions
+from simulator.pipeline import calibration_path, simulate
+from tests.servers.fixtures import make_settings
+from tests.web.browsing import Site
+from tests.web.looking import keep
+
+PASSWORD = "correct horse battery staple"
+SEEN = SimulateOptions(seconds=20.0, seed=3, channels=24, columns=240, cameras=False)
+SHORT = SimulateOptions(seconds=3.0, seed=5, channels=16, columns=180, cameras=False)
+LABELLING_MS = 240_000
+
+pytestmark = pytest.mark.slow
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A platform that is up and holds a demo; `folder` is what the demo left."""
+
+    site: Site
+    folder: Path
+    admin_password: str
+
+    def somebody(self, name: str, role: str) -> str:
+        with self.site.platform.database.transaction() as session:
+            return users.create_user(session, name, role, PASSWORD).name
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory: pytest.TempPathFactory, browser: Browser) -> Iterator[Stage]:
+    base = tmp_path_factory.mktemp("journeys")
+    (base / "demo").mkdir()
+    groups = {"api": ApiSettings(port=0), "viewing": ViewingSettings()}
+    with running_platform(make_settings(base, workers=2, **groups), is_awaited=False) as running:
+        run_demo(base / "demo", DemoPlan(SEEN, running), lambda *_: None)
+        password = (running.platform.settings.root / PASSWORD_FILE).read_text().strip()
+        platform: Platform = running.platform
+        yield Stage(Site(running.url, platform, browser), base / "demo", password)
+
+
+def sign_in(page: Page, name: str, password: str = PASSWORD) -> None:
+    page.goto("/sign-in")
+    page.get_by_label("Name").fill(name)
+    page.get_by_label("Password").fill(password)
+    page.keyboard.press("Enter")
+    expect(page.locator(".who")).to_contain_text(name)
+
+
+def test_whoever_looks_is_shown_the_demo_without_an_account(stage: Stage) -> None:
+    with stage.site.visit() as page:
+        page.goto("/")
+        expect(page.get_by_role("link", name="demo", exact=True)).to_be_visible()
+        expect(page.locator("[data-viewer][data-state=ready] canvas")).to_be_visible()
+        expect(page.locator("table").get_by_text("single sweep, no training")).to_be_visible()
+        keep(page, "journey-first-page")
+
+
+def test_an_engineer_brings_a_recording_and_looks_at_its_labels(stage: Stage, tmp_path: Path) -> None:
+    bag = tmp_path / "forest.mcap"
+    simulate(bag, SHORT)
+    with stage.site.visit() as page:
+        sign_in(page, stage.somebody("engineer", "curator"))
+        page.goto("/sequences/new")
+        page.locator("[data-files]").set_input_files(bag)
+        page.get_by_label("Sequence", exact=True).fill("forest")
+        page.get_by_role("button", name="Upload").click()
+        page.get_by_role("link", name="Open the sequence").click()
+        page.locator("#calibration [data-files]").set_input_files(calibration_path(bag))
+        page.get_by_role("button", name="Start processing").click()
+        expect(page.get_by_role("link", name="Open in 3D")).to_be_visible(timeout=LABELLING_MS)
+        page.get_by_role("link", name="Open in 3D").click()
+        expect(page.locator("[data-viewer][data-state=ready] canvas")).to_be_visible()
+        keep(page, "journey-labels")
+
+
+def test_an_administrator_stops_a_run_and_has_it_done_again(stage: Stage, tmp_path: Path) -> None:
+    with stage.site.visit() as page:
+        sign_in(page, "admin", stage.admin_password)
+        page.goto("/sequences")
+        page.get_by_role("link", name="demo", exact=True).first.click()
+        page.get_by_role("link", name="Processing").click()
+        page.get_by_role("radio", name="local").check()
+        with page.expect_response(lambda answer: answer.url.endswith("/process")) as started:
+            page.get_by_role("button", name="Start processing").click()
+        page.goto("/admin/jobs")
+        run_id = started.value.headers["location"].rpartition("/")[2]
+        page.locator(f"a[href='/admin/jobs/{run_id}']").click()
+        page.get_by_role("button", name="Cancel").first.click()
+        page.get_by_label("Reason").locator("visible=true").fill("wrong profile")
+        page.get_by_role("dialog").get_by_role("button", name="Cancel").click()
+        expect(page.locator("#job")).to_have_attribute("data-state", "cancelled", timeout=LABELLING_MS)
+        page.get_by_role("button", name="Queue again").click()
+        page.get_by_label("Reason").locator("visible=true").fill("it was right after all")
+        page.get_by_role("dialog").get_by_role("button", name="Queue again").click()
+        expect(page.locator("#job")).to_have_attribute("data-state", "succeeded", timeout=LABELLING_MS)
+        keep(page, "journey-run")
+        page.goto("/admin/audit")
+        expect(page.locator(".audit-why", has_text="wrong profile")).to_be_visible()
+
+
+def test_a_participant_submits_and_stands_on_the_board(stage: Stage) -> None:
+    with stage.site.visit(expected=["403"]) as page:
+        sign_in(page, stage.somebody("participant", "participant"))
+        page.goto("/benchmarks")
+        page.get_by_role("link", name="Demo").first.click()
+        page.goto("/benchmarks/demo/val/submit")
+        page.get_by_label("Name of the team").fill("Terrain Gang")
+        page.get_by_role("button", name="Found it").click()
+        page.locator("#file").set_input_files(stage.folder / "baseline.zip")
+        page.get_by_label("Name on the board").fill("GroundNet")
+        page.get_by_label("LiDAR").check()
+        page.get_by_role("button", name="Send to be scored").click()
+        page.get_by_role("link", name="See how it did").click(timeout=LABELLING_MS)
+        keep(page, "journey-entry")
+        page.goto("/benchmarks/demo/val")
+        expect(page.locator("table").get_by_text("Terrain Gang")).to_be_visible()
+        answer = page.goto("/admin/jobs")
+        assert answer is not None
+        assert answer.status == 403
