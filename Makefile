@@ -1,6 +1,6 @@
-# make install | demo | serve | test | check | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-platform | bench-truth | season
+# make install | demo | serve | test | check | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-platform | bench-pages | bench-truth | season
 # Each installs first, which costs nothing when nothing changed.
-.PHONY: install test-clients demo serve test check chaos fuzz bench bench-eval bench-label bench-read bench-platform bench-truth season
+.PHONY: install test-clients demo serve test check chaos fuzz bench bench-eval bench-label bench-read bench-platform bench-pages bench-truth season
 .DELETE_ON_ERROR:
 
 BIN := .venv/bin
@@ -61,6 +61,12 @@ bench-platform: install
 	$(BIN)/python -m benchmarks.upload
 	$(BIN)/python -m benchmarks.api
 	$(BIN)/python -m benchmarks.platform_label
+
+bench-pages: test-clients
+	$(BIN)/python -m benchmarks.pages
+	$(BIN)/python -m benchmarks.viewer
+	$(BIN)/python -m benchmarks.dashboard
+	$(BIN)/python -m benchmarks.pages_upload
 
 bench-truth: install
 	$(BIN)/python -m benchmarks.truth

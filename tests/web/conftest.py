@@ -8,9 +8,12 @@ import pytest
 from playwright.sync_api import Browser, expect, sync_playwright
 
 from services.runtime.platform import Platform
-from tests.api.serving import Person, person, serving
+from tests.api.conftest import administrator, curator, participant
+from tests.api.serving import serving
 from tests.web.browsing import PATIENCE_MS, Site
 from web.main import make_site
+
+__all__ = ["administrator", "browser", "curator", "participant", "site"]
 
 ARGUMENTS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
 
@@ -32,18 +35,3 @@ def browser() -> Iterator[Browser]:
 def site(platform: Platform, browser: Browser) -> Iterator[Site]:
     with serving(platform, make_site(platform)) as url:
         yield Site(url, platform, browser)
-
-
-@pytest.fixture
-def administrator(platform: Platform) -> Person:
-    return person(platform, "administrator")
-
-
-@pytest.fixture
-def curator(platform: Platform) -> Person:
-    return person(platform, "curator")
-
-
-@pytest.fixture
-def participant(platform: Platform) -> Person:
-    return person(platform, "participant")

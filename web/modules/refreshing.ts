@@ -47,7 +47,7 @@ function followEvents(part: HTMLElement): void {
   });
   events.addEventListener("ended", () => {
     events.close();
-    void refresh(`#${part.id}`).then(() => toast("Done."));
+    void refresh(`#${part.id}`).then(() => toast("It has ended."));
   });
   addEventListener("pagehide", () => events.close());
 }
