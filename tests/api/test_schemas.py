@@ -20,7 +20,13 @@ MODELS = sorted(
     },
     key=lambda model: model.__name__,
 )
-GLANCES = {"JobGlance", "LabelGlance", "Shares", "VoxelRatios"}  # shown within the example of what holds them
+GLANCES = {
+    "ClassVoxels",
+    "JobGlance",
+    "LabelGlance",
+    "Shares",
+    "VoxelRatios",
+}  # shown within the example of what holds them
 
 
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: model.__name__)

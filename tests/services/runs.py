@@ -254,7 +254,8 @@ class Interrupted:
 
 def files_of_label(folder: Path) -> dict[str, bytes]:
     """What `stone label` wrote, named as `Brought.files` names it and without what was measured."""
-    files = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+    told = [path for path in (*folder.iterdir(), *folder.glob("scene/*")) if path.is_file()]
+    files = {path.relative_to(folder).as_posix(): path.read_bytes() for path in told}
     record = json.loads(files["report.json"])
     for name in ("stages_busy_s", "cpu_s", "peak_bytes"):
         del record[name]

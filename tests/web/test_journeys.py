@@ -98,7 +98,8 @@ def test_an_administrator_stops_a_run_and_has_it_done_again(stage: Stage, tmp_pa
         page.get_by_role("link", name="demo", exact=True).first.click()
         page.get_by_role("link", name="Processing").click()
         page.get_by_role("radio", name="local").check()
-        with page.expect_response(lambda answer: answer.url.endswith("/process")) as started:
+        at = page.expect_response(lambda answer: answer.url.endswith("/process"))
+        with page.expect_navigation(), at as started:
             page.get_by_role("button", name="Start processing").click()
         page.goto("/admin/jobs")
         run_id = started.value.headers["location"].rpartition("/")[2]

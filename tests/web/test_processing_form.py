@@ -46,7 +46,8 @@ def test_an_owner_chooses_profile_and_parameters(site: Site, curator: Person) ->
         form.get_by_label("Odometry topic").fill("kiss-icp")
         look(page, "processing-form")
         form.get_by_role("button", name="Start processing").click()
-        expect(form).to_be_hidden()
+        expect(form.get_by_text("Once what runs now has ended")).to_be_visible()
+        expect(form.get_by_role("button", name="Start processing")).to_be_disabled()
     with site.platform.database.reading() as session:
         run = session.scalars(select(Job).where(Job.sequence_id == made["id"], Job.id == Job.root_id)).one()
     chosen = {key: run.arguments[key] for key in ("profile", "parameters", "odometry_topic", "stages")}

@@ -44,6 +44,7 @@ def test_a_team_is_founded_entered_by_invitation_and_handed_over(site: Site, par
         expect(page.get_by_role("heading", name="Terrain Gang")).to_be_visible()
         where = page.url
         page.get_by_role("button", name="Invite somebody").click()
+        expect(page.get_by_label("Invitation", exact=True)).to_have_value(re.compile("invite_"))
         secret = page.get_by_label("Invitation", exact=True).input_value()
         expect(page.locator("#invitations li")).to_have_count(1)
         expect(page.locator("#invitations")).to_contain_text("good until")

@@ -12,6 +12,7 @@ from services.runtime.orm import Artefact, Sequence
 from services.runtime.platform import Platform
 from stone.voxels import VOXEL_M
 from tests.api.serving import Person
+from tests.stone_serve import until
 from tests.web.browsing import Site
 from tests.web.looking import look
 from tests.web.viewer_world import LIMIT, Run, viewed
@@ -65,8 +66,8 @@ def test_a_crosshair_picks_by_keys_what_a_click_picks_and_says_what_the_tile_say
     at_viewer.keyboard.press("c")
     at_viewer.keyboard.press("Shift+ArrowDown")
     expect(at_viewer.locator(".viewer-readout")).to_be_visible()
+    until(lambda: readout(at_viewer) == expected(readout(at_viewer)["Place in the map"]))
     by_keys = readout(at_viewer)
-    assert by_keys == expected(by_keys["Place in the map"])
     look(at_viewer, "viewer-picked")
     at_viewer.keyboard.press("Escape")
     expect(at_viewer.locator(".viewer-readout")).to_be_hidden()

@@ -21,6 +21,7 @@ function install(form: HTMLFormElement): void {
   installSenses(form);
   installDrop(form);
   fileOf(form).addEventListener("change", () => void chosen());
+  if (fileOf(form).files?.length) void chosen(); // before this module was there
   form.querySelector("select[name=team_id]")?.addEventListener("change", () => showQuota(form));
   form.addEventListener("submit", (event) => {
     event.preventDefault();

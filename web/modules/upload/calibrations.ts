@@ -30,10 +30,12 @@ export function mountCalibrations(root: HTMLElement): void {
     for (const { file } of found) void bring(root, file);
   };
   root.querySelector("[data-choose]")?.addEventListener("click", () => input?.click());
-  input?.addEventListener("change", () => {
-    if (input.files) take(chosen(input.files));
-    input.value = "";
-  });
+  const takeChosen = (): void => {
+    if (input?.files?.length) take(chosen(input.files));
+    if (input) input.value = "";
+  };
+  input?.addEventListener("change", takeChosen);
+  takeChosen(); // what was chosen before this module was there
   listenForDrops(root.querySelector("[data-drop]"), take);
 }
 

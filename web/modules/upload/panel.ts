@@ -40,10 +40,12 @@ export class Panel {
   #listen(): void {
     const [files, folder] = [this.#part<HTMLInputElement>("files"), this.#part<HTMLInputElement>("folder")];
     for (const input of [files, folder]) {
-      input?.addEventListener("change", () => {
-        if (input.files) this.add(chosen(input.files));
-        input.value = "";
-      });
+      const takeChosen = (): void => {
+        if (input?.files?.length) this.add(chosen(input.files));
+        if (input) input.value = "";
+      };
+      input?.addEventListener("change", takeChosen);
+      queueMicrotask(takeChosen); // what was chosen before this module was there
     }
     this.root.addEventListener("click", (event) => this.#clicked(event));
     listenForDrops(this.#part("drop"), (found) => this.add(found));
