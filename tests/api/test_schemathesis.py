@@ -33,7 +33,7 @@ from tests.api.access.world import make_world
 from tests.api.serving import serving
 from tests.servers.fixtures import make_settings, opened
 
-EXAMPLES = int(os.environ.get("STONE_SCHEMATHESIS_EXAMPLES", "4"))
+EXAMPLES = int(os.environ.get("STONE_SCHEMATHESIS_EXAMPLES", "3"))
 Operation = APIOperation[Any, Any, Any, Any]
 ROLES = ("anonymous", "participant", "owner", "administrator")
 SUCCEEDING = {"anonymous": 5, "participant": 13, "owner": 32, "administrator": 40}  # operations, of four examples each
