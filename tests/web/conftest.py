@@ -15,7 +15,13 @@ from web.main import make_site
 
 __all__ = ["administrator", "browser", "curator", "participant", "site"]
 
-ARGUMENTS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist", "--disable-gpu-rasterization"]
+ARGUMENTS = [
+    "--no-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+    "--disable-gpu-rasterization",
+]
 
 
 @pytest.fixture(scope="session")
