@@ -165,7 +165,10 @@ def test_labels_made_before_there_was_a_viewer_say_so(site: Site, curator: Perso
 
 
 def test_a_frame_that_does_not_come_is_said_in_the_picture(at_viewer: Page, seen: dict[str, Any]) -> None:
-    at_viewer.route("**/voxels?*", lambda route: route.fulfill(body=b"not zstd"))
+    last = f"**/frames/{seen['tokens'][-1]}/voxels?*"
+    at_viewer.route(last, lambda route: route.fulfill(body=b"not zstd"))
+    at_viewer.reload()  # it may have been fetched ahead
+    expect(host(at_viewer)).to_have_attribute("data-state", "ready")
     at_viewer.get_by_label("Frame", exact=True).press("End")
     expect(at_viewer.locator(".viewer-said")).to_contain_text("Frame 6 cannot be shown")
 

@@ -48,8 +48,12 @@ async function bring(root: HTMLElement, file: File): Promise<void> {
   try {
     const kept = await call<Kept>("POST", "/api/v1/calibrations", form);
     const sequenceId = root.dataset["sequence"];
-    if (sequenceId) await call("PUT", `/api/v1/sequences/${sequenceId}/calibration`, { calibration_id: kept.id });
-    draw(item, file.name, keptAs(kept, Boolean(sequenceId)));
+    if (sequenceId) {
+      await call("PUT", `/api/v1/sequences/${sequenceId}/calibration`, { calibration_id: kept.id });
+      // Its panel says what was noticed, and a part fetched meanwhile would be older; but no upload is broken off.
+      if (!document.querySelector("[data-uploader]")) return location.reload();
+    }
+    draw(item, file.name, keptAs(kept));
     for (const part of ["#calibrations", "#process"]) if (document.querySelector(part)) await refresh(part);
     root.dispatchEvent(new CustomEvent("calibrated", { bubbles: true, detail: kept }));
   } catch (error) {
@@ -57,11 +61,11 @@ async function bring(root: HTMLElement, file: File): Promise<void> {
   }
 }
 
-function keptAs(kept: Kept, isPinned: boolean): Shown {
+function keptAs(kept: Kept): Shown {
   const noticed = kept.findings.length ? "What was noticed:" : "Every check passed.";
   const line = `${kept.name}, version ${kept.version}: ${kept.sensors.length} sensors, read as ${kept.format}. ${noticed}`;
   const findings = kept.findings.map(({ code, severity, message }) => findingOf(code, severity, message));
-  return { state: "ready", words: isPinned ? "kept and pinned" : "kept", line, link: `/calibrations/${kept.id}`, findings };
+  return { state: "ready", words: "kept", line, link: `/calibrations/${kept.id}`, findings };
 }
 
 function refusedAs(error: unknown): Shown {
