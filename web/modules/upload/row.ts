@@ -101,7 +101,8 @@ export class Row {
     const open = this.part<HTMLAnchorElement>("open");
     if (!open || !sequenceId) return;
     open.href = `/sequences/${sequenceId}`;
-    open.hidden = location.pathname === open.pathname;
+    // Not before the platform has it all: whoever leaves the page breaks the sending off.
+    open.hidden = location.pathname === open.pathname || !(phase === "registered" || phase === "refused");
   }
 
   #findings({ findings, problem }: Transfer): void {
