@@ -29,7 +29,7 @@ from services.runtime.platform import Platform
 from services.runtime.settings import ApiSettings, BrokerSettings
 from services.runtime.statistics import statistics_record
 from tests.api.access.cast import Cast, make_cast
-from tests.api.access.world import make_world
+from tests.api.access.world import World, make_world
 from tests.api.serving import serving
 from tests.servers.fixtures import make_settings, opened
 
@@ -37,6 +37,7 @@ EXAMPLES = int(os.environ.get("STONE_SCHEMATHESIS_EXAMPLES", "3"))
 Operation = APIOperation[Any, Any, Any, Any]
 ROLES = ("anonymous", "participant", "owner", "administrator")
 SUCCEEDING = {"anonymous": 5, "participant": 13, "owner": 32, "administrator": 40}  # operations, of four examples each
+SAFE = ("GET", "HEAD", "OPTIONS")
 STREAMED_S = 0.05
 REFUSING = ["400", "401", "403", "404", "405", "409", "412", "413", "415", "416", "422", "428"]
 PATIENCE_S = 120.0  # splits proposed for all that was made meanwhile take seconds
@@ -101,19 +102,26 @@ class Answered:
 
     wrong: list[str] = field(default_factory=list)
     succeeding: set[str] = field(default_factory=set)
+    world: World | None = None
 
     def ask(self, scene: Scene, session: requests.Session, operation: Operation) -> None:
-        """Requests of this operation until one is answered wrongly, or as many as there are to be."""
+        """Requests of this operation until one is answered wrongly, or as many as there are to be.
+
+        A world serves until something in it was changed.
+        """
         with scene.platform.database.transaction() as database:
             database.execute(delete(Queue))  # whatever an earlier request drained is open again
-        real = make_world(scene.platform, scene.cast.users["owner"]).named if operation.path_parameters else {}
+        self.world = self.world or make_world(scene.platform, scene.cast.users["owner"])
+        real = self.world.named
 
         @seed(20260503)
         @settings(max_examples=EXAMPLES, database=None, deadline=None, suppress_health_check=list(HealthCheck))
         @given(case=cases(operation, real))
         def asked(case: Case[Any]) -> None:
             answer = case.call(base_url=scene.url, session=session)
-            self.succeeding |= {operation.label} if answer.status_code < 400 else set()
+            if answer.status_code < 400:
+                self.succeeding.add(operation.label)
+                self.world = self.world if operation.method.upper() in SAFE else None
             case.validate_response(answer, checks=CHECKS)
 
         try:

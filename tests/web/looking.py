@@ -1,7 +1,8 @@
 """A page as people look at it: light, dark, at phone width; by axe; by screenshots that are kept.
 
 **Conventions.** `look(page, "leaderboard")` fails where axe finds something serious, or where the page is wider than
-the phone. Screenshots go to `build/screenshots/<name>-<light|dark|phone>.png`.
+the phone. All of axe's rules are asked of the light page; of the dark one those of colours, of the phone's those of the
+layout, since nothing else differs. Screenshots go to `build/screenshots/<name>-<light|dark|phone>.png`.
 """
 
 from functools import cache
@@ -17,14 +18,34 @@ PICTURES = ROOT / "build" / "screenshots"
 AXE = ROOT / "web" / "node_modules" / "axe-core" / "axe.min.js"
 SERIOUS = ("serious", "critical")
 RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
+EVERY_RULE: dict[str, Any] = {"runOnly": {"type": "tag", "values": RULES}}
+RULES_OF_COLOUR: dict[str, Any] = {"runOnly": {"type": "rule", "values": ["color-contrast", "link-in-text-block"]}}
+RULES_OF_LAYOUT: dict[str, Any] = {
+    "runOnly": {
+        "type": "rule",
+        "values": [
+            "target-size",
+            "scrollable-region-focusable",
+            "link-name",
+            "button-name",
+            "label",
+            "landmark-unique",
+        ],
+    }
+}
+LOOKS = (
+    ("light", "light", DESKTOP, EVERY_RULE),
+    ("dark", "dark", DESKTOP, RULES_OF_COLOUR),
+    ("phone", "light", PHONE, RULES_OF_LAYOUT),
+)
 
 
 def look(page: Page, name: str) -> None:
     """Look at the page in every way people do. The page is left light, at desktop width."""
-    for kind, scheme, size in (("light", "light", DESKTOP), ("dark", "dark", DESKTOP), ("phone", "light", PHONE)):
+    for kind, scheme, size, rules in LOOKS:
         page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
         page.set_viewport_size(size)  # type: ignore[arg-type]
-        assert serious_findings(page) == [], f"{name}, {kind}"
+        assert serious_findings(page, rules) == [], f"{name}, {kind}"
         overflow_px = page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
         assert overflow_px <= 0, f"{name}, {kind}: {overflow_px} px wider than the window"
         keep(page, f"{name}-{kind}")
@@ -38,10 +59,10 @@ def keep(page: Page, name: str) -> None:
     page.screenshot(path=PICTURES / f"{name}.png", full_page=True)
 
 
-def serious_findings(page: Page) -> list[str]:
+def serious_findings(page: Page, rules: dict[str, Any] = EVERY_RULE) -> list[str]:
     """What axe finds serious: the rule and the first elements."""
     page.evaluate(_axe())
-    options = {"runOnly": {"type": "tag", "values": RULES}, "resultTypes": ["violations"]}
+    options = {**rules, "resultTypes": ["violations"]}
     found: list[dict[str, Any]] = page.evaluate(
         "options => axe.run(document, options).then(r => r.violations)", options
     )
