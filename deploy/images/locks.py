@@ -21,8 +21,6 @@ ROOT = Path(__file__).resolve().parents[2]
 LOCKS = Path(__file__).parent
 ROLES = ("api", "ingest", "labeler", "eval")
 HEAD = "# Of requirements.lock and the group role-{role} of pyproject.toml, by deploy/images/locks.py; do not edit.\n"
-    "# Made by deploy/images/locks.py of requirements.lock and the group role-{role} of pyproject.toml; do not edit.\n"
-)
 ENTRY = re.compile(r"^([A-Za-z0-9._-]+)==\S+.*\n(?:    --hash=\S+.*\n)+", re.MULTILINE)
 
 
