@@ -30,7 +30,7 @@ QUEUES = ("ingest", "labeler", "eval")
 
 def make_app(settings: Settings) -> Celery:
     """The application for these settings; sending needs none of the services, working imports their tasks."""
-    app = Celery("stone", broker=settings.broker.url, include=[f"services.{name}.tasks" for name in QUEUES])
+    app = Celery("stone", broker=settings.broker.address, include=[f"services.{name}.tasks" for name in QUEUES])
     app.conf.update(
         task_ignore_result=True,
         task_acks_late=False,  # a bell not yet acked when Redis ends makes kombu 5.7 end the worker, and its jobs
