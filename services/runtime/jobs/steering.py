@@ -71,6 +71,7 @@ def retry(session: Session, root_id: str, max_attempts: int) -> Job:
         job.failure_code = job.failure = job.cancel_reason = ""
         job.needs_left = _needs_left(session, job.id)
         if job.needs_left == 0:
+            job.ready_ns = now_ns()
             ring_after_commit(session, job.queue)
     return run
 

@@ -20,6 +20,7 @@ from services.runtime.orm.people import Team, TeamInvitation, TeamMember, Token,
 from services.runtime.orm.recordings import Preview, Recording, RecordingFile
 from services.runtime.orm.sequences import Calibration, Profile, Sequence, Upload
 from services.runtime.orm.submissions import Alarm, PhaseTeam, Score, ScorePart, ScoringEntry, Submission
+from services.runtime.orm.telemetry import ChoreRow, Figure, Tally
 
 __all__ = [
     "Activation",
@@ -30,12 +31,14 @@ __all__ = [
     "Benchmark",
     "Blob",
     "Calibration",
+    "ChoreRow",
     "Dataset",
     "DatasetMember",
     "DatasetPack",
     "DatasetPart",
     "Export",
     "ExportPack",
+    "Figure",
     "GroundTruth",
     "IdempotentReply",
     "Job",
@@ -64,6 +67,7 @@ __all__ = [
     "SplitMember",
     "Splits",
     "Submission",
+    "Tally",
     "Team",
     "TeamInvitation",
     "TeamMember",

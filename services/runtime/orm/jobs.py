@@ -6,14 +6,21 @@ always by compare-and-set. A job whose `queue` is empty is a run: it holds its c
 
 from typing import Any
 
-from sqlalchemy import JSON, ForeignKey, Index, String
+from sqlalchemy import JSON, ForeignKey, Index, String, text
 from sqlalchemy.orm import Mapped, mapped_column
 
 from services.runtime.orm.base import Base, Bytes, Count, Id, Ns, Record, new_id, now_ns
+from services.runtime.telemetry.origins import origin_request, origin_trace
+
+READY = text("state = 'queued' AND needs_left = 0")
 
 
 class Job(Base):
-    """`needs_left` jobs must succeed before this one is ready; `heartbeats` grows while an attempt lives."""
+    """`needs_left` jobs must succeed before this one is ready; `heartbeats` grows while an attempt lives.
+
+    `ready_ns` is since when a worker may take it, null before that. `traceparent` and `request_id` are those it was
+    queued in.
+    """
 
     __tablename__ = "jobs"
     id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
@@ -38,11 +45,15 @@ class Job(Base):
     failure_code: Mapped[str] = mapped_column(String(64), default="")
     failure: Mapped[str] = mapped_column(String(2000), default="")
     revision: Mapped[int] = mapped_column(default=1)
+    traceparent: Mapped[str] = mapped_column(String(55), default=origin_trace, server_default=text("''"))
+    request_id: Mapped[str] = mapped_column(String(64), default=origin_request, server_default=text("''"))
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
+    ready_ns: Mapped[Ns | None]
     started_ns: Mapped[Ns | None]
     finished_ns: Mapped[Ns | None]
 
     __table_args__ = (
+        Index("ix_jobs_ready_since", "queue", "ready_ns", sqlite_where=READY, postgresql_where=READY),
         Index("ix_jobs_ready", "queue", "state", "needs_left", "priority", "id"),
         Index("ix_jobs_owner_state", "owner_id", "state"),
         Index("ix_jobs_state", "state", "id", "root_id"),

@@ -6,6 +6,7 @@ from sqlalchemy import JSON, ForeignKey, Index, String, false, text
 from sqlalchemy.orm import Mapped, mapped_column
 
 from services.runtime.orm.base import Base, Bytes, Id, Ns, new_id, now_ns
+from services.runtime.telemetry.origins import origin_trace
 
 
 class Calibration(Base):
@@ -95,5 +96,6 @@ class Upload(Base):
     sha256: Mapped[str] = mapped_column(String(64), default="", index=True)
     state: Mapped[str] = mapped_column(String(16), default="open", index=True)
     detail: Mapped[str] = mapped_column(String(512), default="")
+    traceparent: Mapped[str] = mapped_column(String(55), default=origin_trace, server_default=text("''"))
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
     expires_ns: Mapped[Ns]
