@@ -29,8 +29,8 @@ QUEUES = ("ingest", "labeler", "eval")
 
 
 def make_app(settings: Settings) -> Celery:
-    """The application for these settings; sending needs none of the services, working imports their tasks."""
-    app = Celery("stone", broker=settings.broker.address, include=[f"services.{name}.tasks" for name in QUEUES])
+    """The application for these settings; a worker says which services' tasks it loads (`processes/worker.py`)."""
+    app = Celery("stone", broker=settings.broker.address)
     app.conf.update(
         task_ignore_result=True,
         task_acks_late=False,  # a bell not yet acked when Redis ends makes kombu 5.7 end the worker, and its jobs

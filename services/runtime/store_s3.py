@@ -59,7 +59,7 @@ class S3Store:
 
     def __init__(self, settings: Settings) -> None:
         self.bucket = settings.store.s3_bucket
-        self._client = _client(settings.store)
+        self._client = client_of(settings.store)
         self.cache = Cache(settings.root / "cache", settings.store.cache_bytes)
 
     def write(self, key: str, source: Path) -> None:
@@ -169,7 +169,7 @@ class S3Store:
             raise StoreAwayError(self._place, str(error)) from error
 
 
-def _client(store: StoreSettings) -> "S3Client":
+def client_of(store: StoreSettings) -> "S3Client":
     """Keys that are empty are looked for where AWS's own tools look."""
     return boto3.client(
         "s3",

@@ -22,10 +22,12 @@ from services.runtime.jobs.presence import forget_silent
 from services.runtime.jobs.sweeping import Sweeper
 from services.runtime.log_lines import speak_json
 from services.runtime.platform import Platform, platform
+from services.runtime.processes.pulse import Pulse
 from services.runtime.uploads import expire
 
 MINUTE_S = 60.0
 LONGEST_PAUSE_S = 0.5
+PULSE_S = 5.0
 
 log = structlog.get_logger(__name__)
 
@@ -91,8 +93,13 @@ class Wish:
 
 
 def main() -> None:
+    from services.runtime.processes.awaiting import await_schema  # Alembic is needed once
+
     speak_json()
-    sweep(chores_of(platform()), Wish())
+    await_schema(platform().settings)
+    pulse = Pulse(platform().settings.root)
+    sweep((Chore("pulse", PULSE_S, pulse.beat), *chores_of(platform())), Wish())
+    pulse.stop()
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ from services.runtime.jobs.claiming import worker_name
 from services.runtime.orm import Worker
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
+from services.runtime.processes.pulse import Pulse
 from services.runtime.usage import disk, held_bytes, memory
 
 FORGOTTEN_S = 3600.0
@@ -46,6 +47,7 @@ class Presence:
     def __init__(self, platform: Platform, queues: Sequence[str]) -> None:
         self._platform = platform
         self._queues = ",".join(sorted(queues))
+        self._pulse = Pulse(platform.settings.root)
         self._started_ns = now_ns()
         self._leaving = Event()
         self._thread = Thread(target=self._tell_on, name="presence", daemon=True)
@@ -56,6 +58,7 @@ class Presence:
     def leave(self) -> None:
         self._leaving.set()
         self._thread.join(timeout=self._platform.settings.jobs.heartbeat_s)
+        self._pulse.stop()
         try:
             with self._platform.database.transaction() as session:
                 session.execute(delete(Worker).where(Worker.name == worker_name()))
@@ -80,6 +83,7 @@ class Presence:
         beat_s = self._platform.settings.jobs.heartbeat_s
         while not self._leaving.is_set():
             begin_s = time.monotonic()
+            self._pulse.beat()
             try:
                 self.tell()
             except SQLAlchemyError as error:
