@@ -11,11 +11,13 @@ from dataclasses import dataclass, field
 
 import structlog
 from redis import RedisError
-from sqlalchemy import func, select
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 
+from services.runtime.celery_app import QUEUES
 from services.runtime.jobs.claiming import Claim
 from services.runtime.jobs.finishing import Failure, lose
+from services.runtime.jobs.ready import bells_wanted
 from services.runtime.orm import Job, Queue
 from services.runtime.platform import Platform
 
@@ -85,11 +87,7 @@ class Sweeper:
 
 
 def _ready(session: Session) -> dict[str, int]:
-    """Ready jobs per queue that is not paused."""
-    paused = select(Queue.name).where(Queue.mode == "paused")
-    ready = (
-        select(Job.queue, func.count())
-        .where(Job.state == "queued", Job.needs_left == 0, Job.queue != "", Job.queue.not_in(paused))
-        .group_by(Job.queue)
-    )
-    return dict(session.execute(ready).all())
+    """Ready jobs per queue that is not paused, as many as are worth ringing for."""
+    paused = set(session.scalars(select(Queue.name).where(Queue.mode == "paused")))
+    counted = {queue: bells_wanted(session, queue) for queue in QUEUES if queue not in paused}
+    return {queue: jobs for queue, jobs in counted.items() if jobs}

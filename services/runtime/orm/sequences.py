@@ -55,7 +55,7 @@ class Sequence(Base):
 
     __tablename__ = "sequences"
     id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
-    owner_id: Mapped[Id] = mapped_column(ForeignKey("users.id"), index=True)
+    owner_id: Mapped[Id] = mapped_column(ForeignKey("users.id"))
     name: Mapped[str] = mapped_column(String(100))
     environment: Mapped[str] = mapped_column(String(64), default="")
     illumination: Mapped[str] = mapped_column(String(64), default="")
@@ -76,6 +76,9 @@ class Sequence(Base):
             sqlite_where=text("deleted_ns IS NULL"),
             postgresql_where=text("deleted_ns IS NULL"),
         ),
+        Index("ix_sequences_owner", "owner_id", "id"),
+        Index("ix_sequences_public", "id", sqlite_where=text("is_public = 1"), postgresql_where=text("is_public")),
+        *(Index(f"ix_sequences_{name}", name, "id") for name in ("environment", "illumination", "region", "platform")),
     )
 
 
