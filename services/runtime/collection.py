@@ -2,7 +2,8 @@
 
 **Conventions.** A blob's row goes before its object, in one transaction with the object's condemnation, so a crash at
 any point leaves something that the next collection ends. The grace only spares work; what may be deleted is decided by
-who takes out the row of `loose_objects` (`services/runtime/blobs.py`).
+who takes out the row of `loose_objects` (`services/runtime/blobs.py`). While somebody holds the collection
+(`services/runtime/holding.py`), rows go and no object does.
 """
 
 from collections.abc import Sequence
@@ -12,6 +13,7 @@ from itertools import groupby, islice
 from sqlalchemy import ColumnElement, delete, exists, or_, select, union_all, update
 from sqlalchemy.orm import Session
 
+from services.runtime.holding import is_held
 from services.runtime.inserting import insert_new
 from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import Base, Blob, Job, LooseObject
@@ -104,7 +106,8 @@ def _delete_condemned(platform: Platform) -> int:
     deleted = 0
     while True:
         with platform.database.reading() as session:
-            keys = session.scalars(select(LooseObject.object_key).where(LooseObject.is_condemned).limit(BATCH)).all()
+            condemned = select(LooseObject.object_key).where(LooseObject.is_condemned, ~is_held())
+            keys = session.scalars(condemned.limit(BATCH)).all()
         for key in keys:
             platform.store.delete(key)
         with platform.database.transaction() as session:
@@ -127,10 +130,11 @@ def _delete_work(platform: Platform, before_ns: int) -> int:
 
 def _is_over(platform: Platform, root_id: str, is_old: bool) -> bool:
     """Whether no job of the run will ask for its work again; of a run nobody knows, whether it is old."""
+    asked = select(is_held(), Job.state, Job.finished_ns).where(Job.id == root_id)
     with platform.database.reading() as session:
-        run = session.get(Job, root_id)
-    if run is None:
-        return is_old
-    return run.state == "succeeded" or (
-        run.finished_ns is not None and run.state in TERMINAL and run.finished_ns <= now_ns() - KEPT_FAILED_NS
-    )
+        known = session.execute(asked).one_or_none()
+        if known is None:
+            return is_old and not session.scalar(select(is_held()))
+    held, state, finished_ns = known
+    is_forgotten = finished_ns is not None and finished_ns <= now_ns() - KEPT_FAILED_NS
+    return not held and (state == "succeeded" or (state in TERMINAL and is_forgotten))

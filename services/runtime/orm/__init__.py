@@ -15,6 +15,7 @@ from services.runtime.orm.benchmarks import (
 from services.runtime.orm.books import AuditEntry, IdempotentReply, QuotaEntry
 from services.runtime.orm.datasets import Dataset, DatasetMember, DatasetPack, DatasetPart, SplitMember, Splits
 from services.runtime.orm.exports import Export, ExportPack
+from services.runtime.orm.holds import CollectionHold
 from services.runtime.orm.jobs import Job, JobAttempt, JobLine, JobNeed, Queue, Worker
 from services.runtime.orm.people import Team, TeamInvitation, TeamMember, Token, User, WebSession
 from services.runtime.orm.recordings import Preview, Recording, RecordingFile
@@ -31,6 +32,7 @@ __all__ = [
     "Benchmark",
     "Blob",
     "Calibration",
+    "CollectionHold",
     "ChoreRow",
     "Dataset",
     "DatasetMember",
