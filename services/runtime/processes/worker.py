@@ -15,6 +15,7 @@ import sys
 import time
 from collections.abc import Sequence
 from contextlib import suppress
+from pathlib import Path
 from threading import Thread
 
 import structlog
@@ -86,6 +87,8 @@ def main() -> None:
     from services.runtime.processes.awaiting import await_schema  # Alembic is needed once, not in every child
 
     speak_json()
+    if "TMPDIR" in os.environ:  # a volume that was empty a moment ago; without it all temporary files went to memory
+        Path(os.environ["TMPDIR"]).mkdir(parents=True, exist_ok=True)
     settings, queues = Settings(), sys.argv[1:]
     argv = arguments(queues, settings.concurrency)
     await_schema(settings)
