@@ -1,6 +1,6 @@
-# make install | demo | serve | test | check | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-platform | bench-pages | bench-truth | season
+# make install | demo | serve | test | check | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-platform | bench-pages | bench-truth | bench-decisions | season | images
 # Each installs first, which costs nothing when nothing changed.
-.PHONY: install test-clients demo serve test check chaos fuzz bench bench-eval bench-label bench-read bench-platform bench-pages bench-truth season
+.PHONY: install test-clients demo serve test check docs chaos fuzz bench bench-eval bench-label bench-read bench-platform bench-pages bench-truth bench-decisions season images
 .DELETE_ON_ERROR:
 
 BIN := .venv/bin
@@ -41,6 +41,9 @@ check: test-clients
 	$(BIN)/lint-imports
 	$(BIN)/pytest $(BESIDE)
 
+docs: install
+	$(BIN)/mkdocs build
+
 chaos: install
 	$(BIN)/python -m chaos
 	$(BIN)/python -m chaos.scoring
@@ -73,5 +76,11 @@ bench-pages: test-clients
 bench-truth: install
 	$(BIN)/python -m benchmarks.truth
 
+bench-decisions: install
+	$(BIN)/python -m benchmarks.decisions
+
 season: install
 	$(BIN)/python -m benchmarks.season
+
+images:
+	deploy/images/build.sh
