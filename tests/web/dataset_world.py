@@ -58,7 +58,11 @@ def driven(platform: Platform, owner: Person, number: int) -> Driven:
 def put_apart(platform: Platform, sequences: tuple[Driven, ...]) -> Split:
     """Put the splits that keep every rule."""
     of = {part: tuple(one.id for one in sequences if APART[one.region] == part) for part in ("train", "val", "test")}
-    split = Split(**of)
+    return put(platform, Split(**of))
+
+
+def put(platform: Platform, split: Split) -> Split:
+    """Put these splits, whatever the rules say."""
     with platform.database.transaction() as session:
         replace_splits(session, lock_splits(session), split)
     return split

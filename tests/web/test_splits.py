@@ -11,7 +11,7 @@ from services.runtime.splits import current_splits
 from stone.splits import Split
 from tests.api.serving import Person
 from tests.web.browsing import Site
-from tests.web.dataset_world import Driven, campaign, put_apart
+from tests.web.dataset_world import Driven, campaign, put, put_apart
 from tests.web.looking import look
 
 URL = "/dataset/splits"
@@ -59,6 +59,26 @@ def test_sequences_are_moved_by_keys_judged_at_once_and_saved_with_a_reason(
         page.get_by_role("dialog").get_by_role("button", name="Save").click()
         expect(page.locator("[data-changes]")).to_have_text("Revision 2")
     assert plot.id not in {one for ids in standing(site.platform).parts.values() for one in ids}
+
+
+SHIFTED = """() => new Promise(resolve => {
+  let sum = 0;
+  new PerformanceObserver(list => list.getEntries().forEach(one => { sum += one.value; }))
+    .observe({ type: "layout-shift", buffered: true });
+  setTimeout(() => resolve(sum), 200);  // the observer is told of the past in a task of its own
+})"""
+
+
+def test_nothing_moves_when_the_rules_have_answered(
+    site: Site, administrator: Person, sequences: tuple[Driven, ...]
+) -> None:
+    """Also where what stands breaks rules by now."""
+    near = [one.id for one in sequences if one.region == "Gyeonggi"]
+    put(site.platform, Split(train=(near[0],), val=(), test=tuple(near[1:])))
+    with site.visit(administrator) as page:
+        page.goto(URL)
+        expect(page.locator("[data-verdict]")).to_contain_text("broken")
+        assert page.evaluate(SHIFTED) < 0.01
 
 
 def test_arrows_walk_space_picks_several_and_undo_takes_back(
