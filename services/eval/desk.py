@@ -9,6 +9,8 @@ from services.eval.examining import Examination, Examined, Span, examine
 from services.runtime.benchmarks.pairs import Pair
 from services.runtime.jobs.specs import Attempt
 from services.runtime.platform import Platform
+from services.runtime.telemetry.meters import FRAMES
+from services.runtime.telemetry.tallies import tallies
 from services.runtime.workspace import Workspace
 
 
@@ -46,7 +48,10 @@ class Desk:
         store = self.platform.store
         tokens = case.truth.manifest(self.platform).tokens
         pack = None if case.is_validation else store.local(case.truth.pack_key)
-        return examine(Examination(store.local(case.kept_key()), tokens, span, pack), self._watch(span))
+        found = examine(Examination(store.local(case.kept_key()), tokens, span, pack), self._watch(span))
+        if found.counts is not None:
+            tallies().add(FRAMES, ("scored",), span[1] - span[0])
+        return found
 
     def _watch(self, span: Span) -> Watch:
         """What the child says is passed on; while it says nothing, what it said last: so the wish to stop is heard."""

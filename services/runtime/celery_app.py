@@ -21,6 +21,7 @@ from sqlalchemy.orm import configure_mappers
 from services.runtime.log_lines import speak_json
 from services.runtime.parent_death import die_with
 from services.runtime.settings import Settings
+from services.runtime.telemetry.tracing import close_tracing, open_tracing
 
 if TYPE_CHECKING:
     from services.runtime.jobs.presence import Presence
@@ -72,6 +73,7 @@ def _say_here(**_: object) -> None:
     from services.runtime.jobs.presence import Presence
     from services.runtime.platform import platform
 
+    open_tracing("stone-worker")  # here: a process that forks takes no exporter with it
     queues = list(current_app.amqp.queues.consume_from)  # first: the platform's bell is an application too
     presence = Presence(platform(), queues)
     presence.start()
@@ -82,6 +84,7 @@ def _say_here(**_: object) -> None:
 def _say_gone(**_: object) -> None:
     for presence in _HERE:
         presence.leave()
+    close_tracing()
 
 
 @worker_init.connect

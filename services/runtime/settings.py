@@ -123,6 +123,9 @@ class ApiSettings:
     Whoever shows `metrics_token` may read `/metrics`; empty: administrators only.
 
     `first_password` is the password of the administrator whom `prepare` adds where there is none.
+
+    With `trusts_traceparent` a request's span continues the trace that the request names: only behind a proxy of ours
+    that sets the header itself.
     """
 
     host: str = "127.0.0.1"
@@ -135,6 +138,7 @@ class ApiSettings:
     session_s: float = 12 * 3600.0
     token_s: float = 365 * 86400.0
     metrics_token: SecretStr = field(default=SecretStr(""))
+    trusts_traceparent: bool = False
     first_password: SecretStr = field(default=SecretStr(""))
 
 

@@ -142,7 +142,7 @@ def test_counts_name_routes_not_ids_and_what_the_queues_hold(platform_on: Platfo
     assert samples["stone_requests_total", "/api/v1/tokens/{token_id}", "404", "DELETE"] == 2
     assert samples["stone_requests_total", "404", "GET", "unmatched"] == 1
     assert samples["stone_requests_total", "404", "other", "unmatched"] == 1
-    assert samples["stone_jobs", "ingest", "queued"] == 3
+    assert samples["stone_jobs", "ingest", "ready"] == 3
     assert samples["stone_uploads_open",] == 0
     assert samples["stone_broker_up",] == 1
     assert samples["stone_queue_bells", "ingest"] == 0

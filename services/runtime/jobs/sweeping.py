@@ -18,8 +18,11 @@ from services.runtime.celery_app import QUEUES
 from services.runtime.jobs.claiming import Claim
 from services.runtime.jobs.finishing import Failure, lose
 from services.runtime.jobs.ready import bells_wanted
+from services.runtime.jobs.telling import tell_silence
 from services.runtime.orm import Job, Queue
 from services.runtime.platform import Platform
+from services.runtime.telemetry.meters import BELLS_RUNG_AGAIN
+from services.runtime.telemetry.tallies import tallies
 
 log = structlog.get_logger(__name__)
 
@@ -73,6 +76,7 @@ class Sweeper:
             lost = min(count, self._quiet.get(queue, 0))
             if lost:
                 self.ring(queue, lost)
+                tallies().add(BELLS_RUNG_AGAIN, (queue,), lost)
         self._quiet = missing
 
     def _lose(self, job: Job) -> None:
@@ -83,7 +87,8 @@ class Sweeper:
             if session.get_one(Job, job.id).heartbeats != job.heartbeats:
                 return
             lose(session, claim, failure)
-        log.warning("attempt lost", job_id=job.id, kind=job.kind, attempt=job.attempt)
+        tell_silence(job)
+        log.warning("attempt lost", job_id=job.id, run_id=job.root_id, kind=job.kind, attempt=job.attempt)
 
 
 def _ready(session: Session) -> dict[str, int]:

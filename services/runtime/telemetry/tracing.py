@@ -1,4 +1,4 @@
-"""Spans by OpenTelemetry, sent by OTLP over HTTP; switched on by its own variables, and nothing of it is loaded before.
+"""Spans by OpenTelemetry, sent by OTLP over HTTP; switched on by its own variables, and not even loaded before.
 
 **Conventions.** `open_tracing` is for entry points, after the last fork; what calls it not (tests, tools) has no spans.
 It is on when `OTEL_EXPORTER_OTLP_ENDPOINT` (or `…_TRACES_ENDPOINT`) is set or `OTEL_TRACES_EXPORTER` is `otlp`;
@@ -9,9 +9,10 @@ of the SDK's variables. A traceparent is that of W3C Trace Context: `00-<32 hex>
 import atexit
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
-from threading import Thread
+from dataclasses import dataclass, field
+from threading import Lock, Thread
 from typing import Protocol
 
 import structlog
@@ -46,10 +47,10 @@ class Traced(Protocol):
 class Spans(Protocol):
     """Where spans come from: the seam to OpenTelemetry (`otlp.py`)."""
 
-    def span(self, name: str, kind: str, parent: str, facts: Mapping[str, Fact]) -> AbstractContextManager[Traced]: ...
+    def span(self, spec: "SpanSpec") -> AbstractContextManager[Traced]: ...
 
-    def begin(self, name: str, facts: Mapping[str, Fact]) -> tuple[Traced, "Ender"]:
-        """A span within the current one that is not made the current one itself."""
+    def begin(self, name: str, parent: str) -> Callable[[], None]:
+        """A span within `parent` that is not made the current one; what ends it."""
         ...
 
     def current(self) -> Traced | None: ...
@@ -57,10 +58,6 @@ class Spans(Protocol):
     def traceparent(self) -> str: ...
 
     def close(self) -> None: ...
-
-
-class Ender(Protocol):
-    def __call__(self) -> None: ...
 
 
 class _Nothing:
@@ -77,6 +74,10 @@ class _Nothing:
 
     def fault(self, code: str) -> None:
         pass
+
+
+def _nothing_to_end() -> None:
+    pass
 
 
 NOTHING: Traced = _Nothing()
@@ -116,11 +117,37 @@ def is_tracing() -> bool:
     return bool(_OPENED)
 
 
-def span(
-    name: str, *, kind: str = "internal", parent: str = "", facts: Mapping[str, Fact] | None = None
-) -> AbstractContextManager[Traced]:
-    """`with span(…) as traced:`, within `parent` or else the current one; `kind` as OpenTelemetry has them."""
-    return _OPENED[0].span(name, kind, parent, facts or {}) if _OPENED else _IN_NOTHING
+@dataclass(frozen=True)
+class SpanSpec:
+    """A span to be, within `parent` or, where that is none, the current one; `kind`: internal, server, consumer."""
+
+    name: str
+    kind: str = "internal"
+    parent: str = ""
+    facts: Mapping[str, Fact] = field(default_factory=dict)
+
+
+def span(spec: SpanSpec) -> AbstractContextManager[Traced]:
+    """`with span(SpanSpec(…)) as traced:`."""
+    return _OPENED[0].span(spec) if _OPENED else _IN_NOTHING
+
+
+class Steps:
+    """The stages of an attempt as spans within the current one, each ended by the next; any thread may enter them."""
+
+    def __init__(self) -> None:
+        self._parent = current_traceparent()
+        self._name, self._lock = "", Lock()
+        self._end: Callable[[], None] = _nothing_to_end
+
+    def enter(self, name: str) -> None:
+        """From now on it is at `name`, until another is entered."""
+        if not self._parent or name == self._name:
+            return
+        with self._lock:
+            self._end()
+            self._end = _OPENED[0].begin(name, self._parent) if _OPENED and name else _nothing_to_end
+            self._name = name
 
 
 def current_traceparent() -> str:
