@@ -24,6 +24,7 @@ test-clients: install
 	deploy/install-test-clients.sh
 	deploy/install-devkit.sh
 	deploy/install-browser.sh
+	deploy/install-helm.sh
 
 demo: install
 	$(BIN)/stone demo
