@@ -32,6 +32,7 @@ from services.runtime.jobs.specs import Attempt, Outcome
 from services.runtime.orm import Recording
 from services.runtime.platform import Platform
 from services.runtime.previews import PreparedPreview, Shown, prepared_previews, replace_previews
+from services.runtime.uploads.places import remove_bytes
 from services.runtime.workspace import Workspace
 from stone.errors import StoneError
 from stone.findings import Finding
@@ -64,7 +65,11 @@ class _Kept:
 
 def register(platform: Platform, attempt: Attempt) -> Outcome:
     """Inspect the recording and keep it as blobs. Raises the `BAG-*` refusals, `RecordingChangedError`."""
-    brought = received(platform, str(attempt.arguments["recording_id"]))
+    with received(platform, str(attempt.arguments["recording_id"])) as brought:
+        return _read_and_kept(platform, attempt, brought)
+
+
+def _read_and_kept(platform: Platform, attempt: Attempt, brought: Received) -> Outcome:
     work = Workspace(platform.store, platform.settings, attempt.root_id).folder
     attempt.progress("inspect", 0, STEPS)
     try:
@@ -147,5 +152,4 @@ def _refuse(platform: Platform, brought: Received, error: StoneError) -> None:
         recording.findings = [Finding(error.code, "error", "", str(error)[:2000]).as_record()]
         for file in brought.files:
             quota.release(session, file.upload_id, "recording refused")
-    for file in brought.files:
-        file.path.unlink(missing_ok=True)
+    remove_bytes(platform, [file.upload_id for file in brought.files])

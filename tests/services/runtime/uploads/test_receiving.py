@@ -247,7 +247,7 @@ def test_the_whole_is_flushed_before_it_is_acknowledged_and_pieces_every_so_ofte
         flushed.append(os.fstat(descriptor).st_size)
 
     monkeypatch.setattr("os.fdatasync", noting)
-    monkeypatch.setattr("services.runtime.uploads.receiving.FLUSHED_BYTES", 1000)
+    monkeypatch.setattr("services.runtime.uploads.files.FLUSHED_BYTES", 1000)
     upload = made(platform, make_owner(platform), CONTENT[:2500])
     for offset in range(0, 2500, 400):
         before = list(flushed)
