@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from services.eval.cases import Case, case_of
-from services.eval.confined import Watch
 from services.eval.examining import Examination, Examined, Span, examine
 from services.runtime.benchmarks.pairs import Pair
+from services.runtime.confined import Watch
 from services.runtime.jobs.specs import Attempt
 from services.runtime.platform import Platform
 from services.runtime.telemetry.meters import FRAMES

@@ -11,7 +11,7 @@ import pytest
 
 PARENT = """
 import os, sys, time
-from services.eval.confined import confined
+from services.runtime.confined import confined
 def work():
     os.write(1, f"{os.getpid()}\\n".encode())
     time.sleep(600)
@@ -21,15 +21,15 @@ confined(work)
 WORKER = """
 import threading, time
 import billiard
-from services.eval.confined import Limits, confined
-from services.eval.errors import ScoringCrashedError
+from services.runtime.confined import Limits, confined
+from services.runtime.confined.errors import ConfinedCrashedError
 import os
 def task(answers):
     threading.Thread(target=time.sleep, args=(60,), daemon=True).start()
     answers.put(confined(lambda: b"answered"))
     try:
         confined(lambda: os.abort(), Limits(cpu_s=1))
-    except ScoringCrashedError as error:
+    except ConfinedCrashedError as error:
         answers.put(str(error))
 if __name__ == "__main__":
     context = billiard.get_context("fork")

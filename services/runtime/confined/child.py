@@ -1,4 +1,4 @@
-"""The child's side of `services/eval/confined.py`: take the limits on, work, say one last word, end.
+"""The child's side of `services/runtime/confined/running.py`: take the limits on, work, say one last word, end.
 
 **Conventions.** Nothing goes up the stack from here, which is the parent's; nothing of the parent's is finalised, since
 its connections and files are shared. Linux: the address space is read from `/proc/self/statm` (proc(5)).
@@ -17,7 +17,18 @@ from itertools import count, islice
 from pathlib import Path
 from typing import NoReturn
 
-from services.eval.confined_words import ANSWER, CRASH, FLOODED, MACHINE, MEMORY, REFUSAL, TICK, say, texts_of, tick_of
+from services.runtime.confined.words import (
+    ANSWER,
+    CRASH,
+    FLOODED,
+    MACHINE,
+    MEMORY,
+    REFUSAL,
+    TICK,
+    say,
+    texts_of,
+    tick_of,
+)
 from services.runtime.parent_death import die_with
 from stone.errors import StoneError
 

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.eval.confined_words import (
+from services.runtime.confined.errors import ConfinedCrashedError
+from services.runtime.confined.words import (
     ANSWER,
     HEAD,
     LONGEST_JSON_BYTES,
@@ -21,7 +22,6 @@ from services.eval.confined_words import (
     texts_of,
     tick_of,
 )
-from services.eval.errors import ScoringCrashedError
 
 ANSWER_BYTES = 100
 WORDS = st.lists(st.builds(Word, st.sampled_from([TICK, ANSWER, REFUSAL]), st.binary(max_size=ANSWER_BYTES)))
@@ -72,7 +72,7 @@ def test_what_is_said_is_what_is_heard() -> None:
     ],
 )
 def test_what_is_no_word_is_refused_by_its_head(noise: bytes) -> None:
-    with pytest.raises(ScoringCrashedError, match="said something of kind"):
+    with pytest.raises(ConfinedCrashedError, match="said something of kind"):
         heard([noise])
 
 
@@ -82,7 +82,7 @@ def test_a_word_that_breaks_off_is_not_heard() -> None:
 
 @pytest.mark.parametrize("payload", [b"", b"{}", b"[1]", b'["s", 1, "2"]', b'["s", 1, 2, 3]', b"[" * 50_000, b"\xff"])
 def test_progress_that_is_none_is_refused(payload: bytes) -> None:
-    with pytest.raises(ScoringCrashedError, match="told no progress"):
+    with pytest.raises(ConfinedCrashedError, match="told no progress"):
         Word(TICK, payload).tick()
 
 

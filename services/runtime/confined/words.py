@@ -11,7 +11,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from services.eval.errors import ScoringCrashedError
+from services.runtime.confined.errors import ConfinedCrashedError
 
 TICK, ANSWER, REFUSAL, MEMORY, CRASH, MACHINE, FLOODED = range(7)
 HEAD = struct.Struct("<BQ")
@@ -28,11 +28,11 @@ class Word:
     payload: bytes
 
     def tick(self) -> tuple[str, int, int]:
-        """Stage, done, total. Raises `ScoringCrashedError`."""
+        """Stage, done, total. Raises `ConfinedCrashedError`."""
         match _json(self.payload):
             case [str(stage), int(done), int(total)]:
                 return stage[:LONGEST_STAGE], done, total
-        raise ScoringCrashedError("told no progress but something else")
+        raise ConfinedCrashedError("told no progress but something else")
 
     def texts(self) -> dict[str, str]:
         """Texts by name; empty where it is something else."""
@@ -49,7 +49,7 @@ class Inbox:
         self.is_closed = False
 
     def words(self) -> Iterator[Word]:
-        """What has come by now, in order. Raises `ScoringCrashedError` for what is no word."""
+        """What has come by now, in order. Raises `ConfinedCrashedError` for what is no word."""
         while not self.is_closed:
             try:
                 chunk = os.read(self._reading, CHUNK_BYTES)
@@ -63,7 +63,7 @@ class Inbox:
         while len(self._kept) >= HEAD.size:
             kind, length = HEAD.unpack_from(self._kept)
             if kind > FLOODED or length > (self._answer_bytes if kind == ANSWER else LONGEST_JSON_BYTES):
-                raise ScoringCrashedError(f"said something of kind {kind} and {length} bytes")
+                raise ConfinedCrashedError(f"said something of kind {kind} and {length} bytes")
             stop = HEAD.size + length
             if len(self._kept) < stop:
                 return

@@ -17,8 +17,9 @@ from pathlib import Path
 
 import pytest
 
-from services.eval.confined import Limits, Progress, Watch, confined, confined_telling
-from services.eval.errors import CorruptError, ScoringCrashedError, ScoringInterruptedError
+from services.eval.errors import CorruptError
+from services.runtime.confined import Limits, Progress, Watch, confined, confined_telling
+from services.runtime.confined.errors import ConfinedCrashedError, ConfinedInterruptedError
 from services.runtime.errors import PlatformFaultError
 from stone.errors import StoneError
 
@@ -112,15 +113,15 @@ CRASHES: dict[str, tuple[Work, str]] = {
 @pytest.mark.parametrize("case", CRASHES)
 def test_what_the_input_breaks_is_refused_and_not_tried_again(case: str) -> None:
     work, fate = CRASHES[case]
-    with pytest.raises(ScoringCrashedError, match=fate) as raised:
+    with pytest.raises(ConfinedCrashedError, match=fate) as raised:
         confined(work, SMALL)
-    assert raised.value.code == "scoring_crashed"
+    assert raised.value.code == "reader_crashed"
     assert not isinstance(raised.value, PlatformFaultError)
     assert "secret" not in str(raised.value)
 
 
 def test_a_file_cannot_grow(tmp_path: Path) -> None:
-    with pytest.raises(ScoringCrashedError, match="raised OSError"):
+    with pytest.raises(ConfinedCrashedError, match="raised OSError"):
         confined(lambda: bytes((tmp_path / "dropped").write_bytes(b"more")), SMALL)
     assert (tmp_path / "dropped").read_bytes() == b""
 
@@ -135,9 +136,9 @@ FAULTS: dict[str, tuple[Work, Limits, str]] = {
 @pytest.mark.parametrize("case", FAULTS)
 def test_what_the_machine_breaks_is_tried_again(case: str) -> None:
     work, limits, fate = FAULTS[case]
-    with pytest.raises(ScoringInterruptedError, match=fate):
+    with pytest.raises(ConfinedInterruptedError, match=fate):
         confined(work, limits)
-    assert issubclass(ScoringInterruptedError, PlatformFaultError)
+    assert issubclass(ConfinedInterruptedError, PlatformFaultError)
 
 
 def test_the_answer_comes_back_whole() -> None:
@@ -164,7 +165,7 @@ def test_a_leaf_that_only_the_child_knows_is_a_crash() -> None:
 
         raise StrangeError("a sentence")
 
-    with pytest.raises(ScoringCrashedError, match="a refusal that nobody knows"):
+    with pytest.raises(ConfinedCrashedError, match="a refusal that nobody knows"):
         confined(refuse)
 
 
@@ -211,7 +212,7 @@ def test_children_of_many_threads_do_not_wait_for_each_other() -> None:
         barrier.wait(60)
         if number == 0:
             return confined(lambda: asleep(0.3)).decode()
-        with pytest.raises(ScoringCrashedError, match="code 3"):
+        with pytest.raises(ConfinedCrashedError, match="code 3"):
             confined(lambda: os._exit(3))
         return "crashed"
 
@@ -248,7 +249,7 @@ def test_signals_of_the_parent_are_not_answered_by_the_child() -> None:
     heard: list[int] = []
     before = signal.signal(signal.SIGUSR1, lambda number, _: heard.append(number))
     try:
-        with pytest.raises(ScoringCrashedError, match="SIGUSR1"):
+        with pytest.raises(ConfinedCrashedError, match="SIGUSR1"):
             confined(lambda: killed(signal.SIGUSR1))
     finally:
         signal.signal(signal.SIGUSR1, before)

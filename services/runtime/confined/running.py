@@ -7,9 +7,9 @@ reaped whatever happens: no orphan, no zombie, no descriptor stays. It is a fenc
 against native code of the attacker's choice.
 
 What limits kill is a refusal and is not tried again: memory and processor are counted in the child alone, so the same
-bytes would meet them again (`ScoringCrashedError`). A kill from outside, the wall clock and a failing disk say nothing
+bytes would meet them again (`ConfinedCrashedError`). A kill from outside, the wall clock and a failing disk say nothing
 about the input: they are faults of the platform, tried again until the attempts are used up
-(`ScoringInterruptedError`).
+(`ConfinedInterruptedError`).
 
 Kernels are compiled before: the child could not keep what it compiles, and would pay for it out of its limits.
 """
@@ -25,9 +25,9 @@ from dataclasses import dataclass
 
 import structlog
 
-from services.eval.confined_child import Answer, Limits, Progress, live
-from services.eval.confined_words import ANSWER, FLOODED, MACHINE, MEMORY, REFUSAL, TICK, Inbox, Word
-from services.eval.errors import ScoringCrashedError, ScoringInterruptedError
+from services.runtime.confined.child import Answer, Limits, Progress, live
+from services.runtime.confined.errors import ConfinedCrashedError, ConfinedInterruptedError
+from services.runtime.confined.words import ANSWER, FLOODED, MACHINE, MEMORY, REFUSAL, TICK, Inbox, Word
 from stone.errors import StoneError
 
 __all__ = ["LIMITS", "UNWATCHED", "Limits", "Progress", "Watch", "confined", "confined_telling"]
@@ -54,8 +54,8 @@ LIMITS, UNWATCHED = Limits(), Watch()
 def confined(work: Callable[[], bytes], limits: Limits = LIMITS, watch: Watch = UNWATCHED) -> bytes:
     """The answer of `work()`, run apart.
 
-    Raises the `StoneError` leaf that `work` raises (code and sentence; its facts stay behind), `ScoringCrashedError`,
-    `ScoringInterruptedError`, and what `watch` raises.
+    Raises the `StoneError` leaf that `work` raises (code and sentence; its facts stay behind), `ConfinedCrashedError`,
+    `ConfinedInterruptedError`, and what `watch` raises.
     """
     return confined_telling(lambda _: work(), limits, watch)
 
@@ -87,7 +87,7 @@ class _Child:
         os.set_blocking(self._reading, False)
 
     def listen(self, watch: Watch) -> Word | None:
-        """Its last word; None where it ended without one. Raises `ScoringInterruptedError` when time is up."""
+        """Its last word; None where it ended without one. Raises `ConfinedInterruptedError` when time is up."""
         inbox = Inbox(self._reading, self._limits.answer_bytes)
         ended = os.pidfd_open(self._pid)
         try:
@@ -118,7 +118,7 @@ class _Child:
 
     def _stop_when_late(self) -> None:
         if time.monotonic() - self._begin_s > self._limits.wall_s:
-            raise ScoringInterruptedError(f"took longer than {self._limits.wall_s:g} s of wall time")
+            raise ConfinedInterruptedError(f"took longer than {self._limits.wall_s:g} s of wall time")
 
 
 def _ready(ended: int, reading: int | None) -> bool:
@@ -145,24 +145,24 @@ def _answered(word: Word | None, child: _Child, limits: Limits) -> bytes:
     if word.kind == REFUSAL:
         raise _refusal(word)
     if word.kind == MEMORY:
-        raise ScoringCrashedError(f"needed more than {limits.memory_bytes >> 20} MiB")
+        raise ConfinedCrashedError(f"needed more than {limits.memory_bytes >> 20} MiB")
     if word.kind == FLOODED:
-        raise ScoringCrashedError(f"answered more than {limits.answer_bytes} bytes")
+        raise ConfinedCrashedError(f"answered more than {limits.answer_bytes} bytes")
     said = word.texts()
     log.warning("confined work raised", traceback=said.get("traceback", ""))
     if word.kind == MACHINE:
-        raise ScoringInterruptedError(f"met {said.get('exception', 'an error')} of the machine")
-    raise ScoringCrashedError(f"raised {said.get('exception', 'an error')}")
+        raise ConfinedInterruptedError(f"met {said.get('exception', 'an error')} of the machine")
+    raise ConfinedCrashedError(f"raised {said.get('exception', 'an error')}")
 
 
 def _ended(status: int, limits: Limits) -> StoneError:
     """Why it went without a word."""
     code = os.waitstatus_to_exitcode(status)
     if code == -signal.SIGXCPU:
-        return ScoringCrashedError(f"took longer than {limits.cpu_s} s of processor time")
+        return ConfinedCrashedError(f"took longer than {limits.cpu_s} s of processor time")
     if code == -signal.SIGKILL:
-        return ScoringInterruptedError("was killed from outside (is the machine short of memory?)")
-    return ScoringCrashedError(f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with code {code}")
+        return ConfinedInterruptedError("was killed from outside (is the machine short of memory?)")
+    return ConfinedCrashedError(f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with code {code}")
 
 
 def _refusal(word: Word) -> StoneError:
@@ -173,7 +173,7 @@ def _refusal(word: Word) -> StoneError:
             error = leaf.__new__(leaf)
             StoneError.__init__(error, said.get("sentence", ""))
             return error
-    return ScoringCrashedError("gave a refusal that nobody knows")
+    return ConfinedCrashedError("gave a refusal that nobody knows")
 
 
 def _leaves(root: type[StoneError]) -> list[type[StoneError]]:
