@@ -64,7 +64,7 @@ def test_the_labeler_can_read_recordings(loaded: dict[str, object]) -> None:
 
 @pytest.mark.parametrize(
     ("queue", "services"),
-    [("ingest", ["ingest"]), ("labeler", ["ingest", "labeler"]), ("eval", ["eval"])],
+    [("labeler", ["ingest", "labeler"]), ("eval", ["eval"])],
 )
 def test_a_worker_of_one_queue_loads_no_other_service_than_it_reads_through(
     tmp_path: Path, queue: str, services: list[str]
