@@ -8,6 +8,7 @@ Sizes of tables and depths of indexes say how the figures go on with more rows. 
 
 import argparse
 import json
+import logging
 import sys
 import time
 from dataclasses import asdict, dataclass
@@ -17,6 +18,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+import structlog
 from rich.console import Console
 from rich.table import Table
 from sqlalchemy import Connection, Engine
@@ -97,7 +99,13 @@ def _fill(platform: Platform, amounts: Amounts) -> None:
         analyse(connection)
 
 
+def _quietly() -> None:
+    """No line for every request."""
+    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.ERROR))
+
+
 def _answers(platform: Platform, amounts: Amounts, repeats: int) -> list[Answered]:
+    _quietly()
     people = people_of(platform)
     with client_of(platform) as client, platform.database.engine.connect() as connection:
         kit = Kit(platform, client, people, amounts)

@@ -6,14 +6,15 @@ back. `who` calls: the administrator, somebody with a fifth of all sequences (`r
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from hashlib import md5
 from random import Random
 
 import httpx
-from sqlalchemy import select, text
-from sqlalchemy.orm import Session
+from sqlalchemy import select
 
 from api.queue_views import running_items, worker_items
 from benchmarks.rows import boards, kinds
+from benchmarks.rows.filling import hex_id
 from services.runtime import quota
 from services.runtime.access import roles, tokens
 from services.runtime.benchmarks.board import board_order
@@ -39,9 +40,6 @@ class Kit:
     client: httpx.Client
     people: dict[str, Person]
     amounts: kinds.Amounts
-
-    def id(self, session: Session, kind: int, number: int) -> str:
-        return str(session.scalar(text("SELECT hex_id(:kind, :number)"), {"kind": kind, "number": number}))
 
 
 @dataclass(frozen=True)
@@ -75,19 +73,14 @@ def _route(name: str, who: str, path: str, bound: str = "") -> Question:
         number = chance.randrange(1, kit.amounts.sequences - kit.amounts.backlog - 1000)
         of_run = kit.amounts.jobs_each + 1
         ids = {"sequence": (kinds.SEQUENCE, number), "run": (kinds.JOB, number * of_run), "phase": (boards.PHASE, 3)}
-        with kit.platform.database.reading() as session:
-            filled = {key: kit.id(session, *value) for key, value in ids.items() if f"{{{key}}}" in path}
-            filled |= {"modest": kit.people["modest"].user_id, "token": _token(session, number)}
+        filled = {key: hex_id(*value) for key, value in ids.items()}
+        filled |= {"modest": kit.people["modest"].user_id, "token": md5(f"frame{number}:0".encode()).hexdigest()}
         headers = kit.people[who].headers if who in kit.people else {}
         reply = kit.client.get(f"/api/v1{path.format(**filled)}", headers=headers)
         if reply.status_code != httpx.codes.OK:
             raise RuntimeError(f"{name}: {reply.status_code} {reply.text[:500]}")
 
     return Question(name, ask, bound)
-
-
-def _token(session: Session, number: int) -> str:
-    return str(session.scalar(text("SELECT md5('frame' || :number || ':0')"), {"number": str(number)}))
 
 
 def _lists() -> tuple[Question, ...]:
@@ -113,9 +106,9 @@ def _lists() -> tuple[Question, ...]:
         _route("jobs of an owner", "administrator", "/admin/jobs?owner=person-2"),
         _route("counts of jobs by state", "administrator", "/admin/jobs/counts", all_of),
         _route("queues", "administrator", "/admin/queues", "a count of what waits"),
-        _route("audit log of a rare act", "administrator", "/audit-log?act=token.revoke"),
-        _route("audit log of one person", "administrator", "/audit-log?actor=person-2"),
-        _route("audit log of one thing", "administrator", "/audit-log?subject_id={sequence}"),
+        _route("audit log of a rare act", "administrator", "/admin/audit-log?act=token.revoke"),
+        _route("audit log of one person", "administrator", "/admin/audit-log?actor=person-2"),
+        _route("audit log of one thing", "administrator", "/admin/audit-log?subject_id={sequence}"),
         _route("submissions, all", "administrator", "/submissions"),
         _route("submissions of one's teams", "many", "/submissions"),
         _route("submissions of a phase", "administrator", "/submissions?phase_id={phase}&state=failed"),
@@ -154,20 +147,20 @@ def _of_boards() -> tuple[Question, ...]:
 
 def _board(kit: Kit, number: int) -> None:
     with kit.platform.database.reading() as session:
-        phase = session.get_one(Phase, kit.id(session, boards.PHASE, number))
-        board_order(session, phase, Pair(kit.id(session, boards.TRUTH, number), boards.METRIC), BoardQuery())
+        phase = session.get_one(Phase, hex_id(boards.PHASE, number))
+        board_order(session, phase, Pair(hex_id(boards.TRUTH, number), boards.METRIC), BoardQuery())
 
 
 def _history(kit: Kit, number: int) -> None:
     with kit.platform.database.reading() as session:
-        phase = session.get_one(Phase, kit.id(session, boards.PHASE, number))
+        phase = session.get_one(Phase, hex_id(boards.PHASE, number))
         history(session, phase)
         tracks_with_rows(session, phase)
 
 
 def _expected(kit: Kit, _chance: Random) -> None:
     with kit.platform.database.reading() as session:
-        row = session.get_one(Submission, kit.id(session, boards.SUBMISSION, kit.amounts.submissions))
+        row = session.get_one(Submission, hex_id(boards.SUBMISSION, kit.amounts.submissions))
         expected_s(session, row)
 
 

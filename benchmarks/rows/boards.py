@@ -8,7 +8,7 @@ from sqlalchemy import Connection
 
 from benchmarks.rows.filling import lay, numbers
 
-USER, SEQUENCE, LABELS, TEAM = 1, 2, 6, 10
+USER, SEQUENCE, JOB, LABELS, TEAM = 1, 2, 3, 6, 10
 BENCHMARK, PHASE, TRUTH, SUBMISSION, SCORE, DATASET, ACTIVATION, LEDGER = range(12, 20)
 TEAMS, PHASES = 1000, 20
 SECOND_NS = 10**9
@@ -32,8 +32,11 @@ def lay_dataset(connection: Connection, members: int) -> None:
     lay(connection, "split_members", numbers(members), {"sequence_id": f"hex_id({SEQUENCE}, n)", "part": part})
 
 
-def lay_boards(connection: Connection, submissions: int) -> None:
-    """A benchmark, its phases with a ground truth each in force, and all that was sent in."""
+def lay_boards(connection: Connection, submissions: int, runs: tuple[int, int]) -> None:
+    """A benchmark, its phases with a ground truth each in force, and all that was sent in.
+
+    `runs`: how many runs there are, the last of which wait, and how many jobs each is of.
+    """
     lay(connection, "benchmarks", numbers(1), {
         "id": f"hex_id({BENCHMARK}, 0)", "name": "'stone'", "title": "'Stone'", "is_public": "true",
         "created_by": f"hex_id({USER}, 0)",
@@ -52,17 +55,19 @@ def lay_boards(connection: Connection, submissions: int) -> None:
         "id": f"hex_id({ACTIVATION}, n)", "phase_id": f"hex_id({PHASE}, n)", "truth_id": f"hex_id({TRUTH}, n)",
         "metric": f"'{METRIC}'", "activated_by": f"hex_id({USER}, 0)", "activated_ns": str(SINCE_NS),
     })  # fmt: skip
-    _submissions(connection, submissions)
+    _submissions(connection, submissions, runs)
 
 
-def _submissions(connection: Connection, count: int) -> None:
+def _submissions(connection: Connection, count: int, runs: tuple[int, int]) -> None:
     waits = f"n > {count} - 100"
+    run = f"CASE WHEN {waits} THEN n + {runs[0] - count} ELSE least(n, {runs[0] - 1000}) END"
     at_ns = f"{SINCE_NS} + n * {SECOND_NS}"
     of = {"phase_id": f"hex_id({PHASE}, {PHASE_OF})", "team_id": f"hex_id({TEAM}, 1 + n % {TEAMS})"}
     lay(connection, "submissions", numbers(count), {
         "id": f"hex_id({SUBMISSION}, n)", **of, "user_id": f"hex_id({USER}, 1 + n % 999)", "method": "'method-' || n",
         "modality": "(ARRAY['C','L','C+L'])[1 + n % 3]", "declared_sha256": f"hex_sha({SUBMISSION}, n)",
-        "size_bytes": "70000000", "finalized_ns": at_ns, "settled_ns": f"CASE WHEN NOT ({waits}) THEN {at_ns} END",
+        "size_bytes": "70000000", "job_id": f"hex_id({JOB}, ({run}) * {runs[1]})",
+        "finalized_ns": at_ns, "settled_ns": f"CASE WHEN NOT ({waits}) THEN {at_ns} END",
         "state": f"CASE WHEN {waits} THEN 'queued' WHEN n % 10 = 4 THEN 'failed' ELSE 'scored' END",
         "withdrawn_ns": f"CASE WHEN n % 10 = 7 AND NOT ({waits}) THEN {at_ns} END", "created_ns": at_ns,
     })  # fmt: skip

@@ -8,9 +8,10 @@ keys are not checked and plain indexes made afterwards; both only for the time i
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from hashlib import md5
 from typing import Any
 
-from sqlalchemy import Column, Connection, text
+from sqlalchemy import JSON, Column, Connection, text
 
 from services.runtime.orm import Base
 from services.runtime.orm.base import now_ns
@@ -21,6 +22,11 @@ FUNCTIONS = (
     """CREATE FUNCTION hex_sha(kind int, n bigint) RETURNS text LANGUAGE sql IMMUTABLE PARALLEL SAFE AS
     $$ SELECT encode(sha256((kind::text || ':' || n::text)::bytea), 'hex') $$""",
 )
+
+
+def hex_id(kind: int, number: int) -> str:
+    """As the function of that name in the database."""
+    return f"{number * 32 + kind:016x}{md5(f'{kind}:{number}'.encode()).hexdigest()[:16]}"
 
 
 def prepare(connection: Connection) -> None:
@@ -77,9 +83,12 @@ def _default(column: Column[Any]) -> str:
     if column.nullable:
         return "NULL"
     default = getattr(column.default, "arg", None)
-    if default is None or callable(default):
-        kind = column.type.python_type
-        default = {str: "", int: now_ns(), dict: {}, list: [], bool: False, bytes: b""}.get(kind)
+    if callable(default):
+        default = default(None)
+    elif default is None and not isinstance(column.type, JSON):
+        default = {str: "", int: now_ns(), bool: False, bytes: b""}.get(column.type.python_type)
+    elif default is None:
+        default = {}
     return _literal(default, column)
 
 

@@ -42,7 +42,7 @@ def fill(connection: Connection, amounts: Amounts) -> None:
         _made(connection, amounts)
         _books(connection, amounts)
     lay_dataset(connection, amounts.members)
-    lay_boards(connection, amounts.submissions)
+    lay_boards(connection, amounts.submissions, (amounts.sequences, amounts.jobs_each + 1))
     connection.execute(text("SET session_replication_role = origin"))
 
 

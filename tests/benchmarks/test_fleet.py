@@ -28,7 +28,7 @@ def chance_of_waiting(servers: int, load: float) -> float:
     return last / (total + last)
 
 
-@pytest.mark.parametrize(("servers", "rate_hz"), [(1, 0.5), (2, 1.2), (8, 6.0)])
+@pytest.mark.parametrize(("servers", "rate_hz"), [(1, 0.5), (2, 1.2), (4, 2.4)])
 def test_poisson_arrivals_wait_as_erlang_says(servers: int, rate_hz: float) -> None:
     chance, at_s, arrivals = Random(servers), 0.0, []
     for _ in range(60_000):
