@@ -17,7 +17,8 @@ USER 0:0
 COPY --from=packages /srv/stone /srv/stone
 COPY --from=packages /sbom.json /sbom.json
 RUN --mount=type=bind,from=wheel,source=/,target=/wheel \
-    python3 -m pip --python /srv/stone/bin/python install --no-cache-dir --no-deps --no-index --compile /wheel/*.whl
+    --mount=type=bind,from=packages,source=/srv/tools,target=/srv/tools \
+    /srv/tools/bin/pip --python /srv/stone/bin/python install --no-cache-dir --no-deps --no-index --compile /wheel/*.whl
 USER 10001:10001
 ENV STONE_API__HOST=0.0.0.0
 EXPOSE 8080

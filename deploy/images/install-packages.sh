@@ -5,7 +5,7 @@
 set -eu
 
 python3 -m venv --without-pip /srv/stone
-python3 -m pip --python /srv/stone/bin/python install --no-cache-dir --no-deps --compile --require-hashes \
+/srv/tools/bin/pip --python /srv/stone/bin/python install --no-cache-dir --no-deps --compile --require-hashes \
     --requirement "$1"
 packages=$(/srv/stone/bin/python -c 'import sysconfig; print(sysconfig.get_path("platlib"))')
 find "$packages" -type d -name tests -prune -exec rm -rf {} +

@@ -4,6 +4,6 @@ FROM ${PYTHON_IMAGE}
 ENV XDG_CONFIG_HOME=/config XDG_DATA_HOME=/data
 # hadolint ignore=DL3008
 RUN apt-get update && apt-get install --yes --no-install-recommends caddy wget && rm -rf /var/lib/apt/lists/* \
-    && mkdir -p /config /data && setcap cap_net_bind_service=+ep /usr/bin/caddy
+    && mkdir -p /config /data
 WORKDIR /srv
 CMD ["caddy", "run", "--config", "/etc/caddy/Caddyfile", "--adapter", "caddyfile"]

@@ -53,14 +53,13 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 def test_the_wheel_serves_the_first_page_where_there_is_no_checkout(wheel: Path, tmp_path: Path) -> None:
     site = tmp_path / "site"
-    install = [sys.executable, "-m", "pip", "install", "--no-deps", "--no-index", "--target", str(site), str(wheel)]
-    subprocess.run(install, check=True, capture_output=True, timeout=120)
+    zipfile.ZipFile(wheel).extractall(site)  # which is all that installing it would do
     environment = {**os.environ, "PYTHONPATH": str(site), "STONE_DATA_FOLDER": str(tmp_path / "data")}
     outcome = subprocess.run(
         [sys.executable, "-P", "-c", ASKED], check=False, capture_output=True, text=True, env=environment, cwd=tmp_path
     )
     assert outcome.returncode == 0, outcome.stderr
-    told = json.loads(outcome.stdout)
+    told = json.loads(outcome.stdout.splitlines()[-1])
     assert told["web"].startswith(str(site)), "the wheel's own, not the checkout's"
     assert (told["status"], told["is_page"]) == (200, True)
     assert len(told["assets"]) > 3
