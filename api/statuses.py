@@ -137,6 +137,7 @@ STATUS_OF: dict[type[StoneError], int] = {
     uploads.FileMismatchError: 460,
     uploads.OffsetMismatchError: 409,
     uploads.OverLengthError: 413,
+    uploads.TooManySlabsError: 413,
     uploads.UndeclaredUploadError: 409,
     uploads.UploadGoneError: 410,
     uploads.UploadLockedError: 423,

@@ -8,7 +8,7 @@ who takes out the row of `loose_objects` (`services/runtime/blobs.py`). While so
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import groupby, islice
+from itertools import chain, groupby, islice
 
 from sqlalchemy import ColumnElement, delete, exists, or_, select, union_all, update
 from sqlalchemy.orm import Session
@@ -16,15 +16,18 @@ from sqlalchemy.orm import Session
 from services.runtime.holding import is_held
 from services.runtime.inserting import insert_new
 from services.runtime.jobs.specs import TERMINAL
-from services.runtime.orm import Base, Blob, Job, LooseObject
+from services.runtime.orm import Base, Blob, Job, LooseObject, UploadSlab
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from services.runtime.workspace import Workspace
 
 BLOBS = "blobs/"
+UPLOADS = "uploads/"
 WORK = "work/"
 BATCH = 500
 SLOWEST_WRITE_S = 86_400.0
+NAMING = (Blob.object_key, UploadSlab.object_key)
+"""Where rows say that they need an object."""
 UNSYNCHRONISED = {"synchronize_session": False}
 KEPT_FAILED_NS = 7 * 86_400 * 10**9
 
@@ -81,7 +84,8 @@ def _condemn_loose(platform: Platform, before_ns: int) -> None:
 
 def _condemn_unknown(platform: Platform, before_ns: int) -> None:
     """Objects no row speaks of: of transactions rolled back, of a database restored to an earlier day."""
-    found = (stored for stored in platform.store.listed(BLOBS) if stored.modified_ns <= before_ns)
+    listed = chain.from_iterable(platform.store.listed(kind) for kind in (BLOBS, UPLOADS))
+    found = (stored for stored in listed if stored.modified_ns <= before_ns)
     while batch := [stored.key for stored in islice(found, BATCH)]:
         with platform.database.reading() as session:
             unknown = sorted(set(batch) - _known(session, batch))
@@ -91,14 +95,14 @@ def _condemn_unknown(platform: Platform, before_ns: int) -> None:
 
 
 def _known(session: Session, keys: Sequence[str]) -> set[str]:
-    """Keys that a row speaks of; one statement, since a key may go from one table to the other between two."""
-    loose = select(LooseObject.object_key).where(LooseObject.object_key.in_(keys))
-    return set(session.scalars(union_all(loose, select(Blob.object_key).where(Blob.object_key.in_(keys)))))
+    """Keys that a row speaks of; one statement, since a key may go from one table to another between two."""
+    columns = (LooseObject.object_key, *NAMING)
+    return set(session.scalars(union_all(*(select(column).where(column.in_(keys)) for column in columns))))
 
 
 def _spare(session: Session, condemned: Sequence[str]) -> None:
     """Take back the condemnation of what was named by a transaction that ours had to wait for."""
-    named = select(Blob.object_key).where(Blob.object_key.in_(condemned))
+    named = union_all(*(select(column).where(column.in_(condemned)) for column in NAMING))
     session.execute(delete(LooseObject).where(LooseObject.object_key.in_(named)).execution_options(**UNSYNCHRONISED))
 
 

@@ -11,9 +11,10 @@ import os
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Annotated, Literal
 from urllib.parse import quote, urlsplit
 
-from pydantic import SecretStr
+from pydantic import Field, SecretStr
 from pydantic_settings import (
     BaseSettings,
     NestedSecretsSettingsSource,
@@ -92,13 +93,19 @@ class JobSettings:
 @dataclass(frozen=True)
 class UploadSettings:
     """Bounds on what comes in. `owner_bytes` is what one owner may have stored or under way; a client that sends
-    nothing for `idle_s` is taken for gone."""
+    nothing for `idle_s` is taken for gone.
+
+    `place` is where bytes under way lie: `folder`, which API and workers then share, or `store`, in objects of at most
+    `slab_bytes`. It is of uploads that are created from now on; those under way stay where they are.
+    """
 
     max_bytes: int = 512 * GIB
     owner_bytes: int = 1024 * GIB
     expires_s: float = 7 * 86400.0
     form_bytes: int = 64 * 2**20
     idle_s: float = 60.0
+    place: Literal["folder", "store"] = "folder"
+    slab_bytes: Annotated[int, Field(ge=64 * 2**10, le=64 * 2**20)] = 8 * 2**20
 
 
 @dataclass(frozen=True)

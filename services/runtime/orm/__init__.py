@@ -20,6 +20,7 @@ from services.runtime.orm.jobs import Job, JobAttempt, JobLine, JobNeed, Queue, 
 from services.runtime.orm.people import Team, TeamInvitation, TeamMember, Token, User, WebSession
 from services.runtime.orm.recordings import Preview, Recording, RecordingFile
 from services.runtime.orm.sequences import Calibration, Profile, Sequence, Upload
+from services.runtime.orm.slabs import UploadSlab
 from services.runtime.orm.submissions import Alarm, PhaseTeam, Score, ScorePart, ScoringEntry, Submission
 from services.runtime.orm.telemetry import ChoreRow, Figure, Tally
 
@@ -32,8 +33,8 @@ __all__ = [
     "Benchmark",
     "Blob",
     "Calibration",
-    "CollectionHold",
     "ChoreRow",
+    "CollectionHold",
     "Dataset",
     "DatasetMember",
     "DatasetPack",
@@ -75,6 +76,7 @@ __all__ = [
     "TeamMember",
     "Token",
     "Upload",
+    "UploadSlab",
     "User",
     "WebSession",
     "Worker",

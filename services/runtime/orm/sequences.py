@@ -83,7 +83,7 @@ class Sequence(Base):
 
 
 class Upload(Base):
-    """A file under way. Its offset is the number of bytes on disk, never a column.
+    """A file under way. Its offset is the number of bytes that are here, never a column; `place`: folder or store.
 
     `state`: open, complete (all bytes there, sha256 verified), consumed (by a recording), failed, expired, terminated.
     """
@@ -99,6 +99,7 @@ class Upload(Base):
     sha256: Mapped[str] = mapped_column(String(64), default="", index=True)
     state: Mapped[str] = mapped_column(String(16), default="open", index=True)
     detail: Mapped[str] = mapped_column(String(512), default="")
+    place: Mapped[str] = mapped_column(String(8), default="folder", server_default=text("'folder'"))
     traceparent: Mapped[str] = mapped_column(String(55), default=origin_trace, server_default=text("''"))
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
     expires_ns: Mapped[Ns]

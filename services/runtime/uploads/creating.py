@@ -28,13 +28,15 @@ def create(platform: Platform, owner: Owner, declared: Declared) -> Upload:
     refuse_foreign_target(platform, owner, declared)
     upload = _row(platform, owner, declared)
     place = place_of(platform, upload)
-    if place.begin(upload):
-        upload.state, upload.sha256 = "complete", declared.sha256
+    is_here = place.begin(upload)
     try:
         with platform.database.transaction() as session:
             limit_bytes = owner_limit_bytes(platform, owner)
             reserve(session, owner.user_id, upload.length_bytes, upload.id, "upload", limit_bytes)
             session.add(upload)
+            session.flush()
+            if is_here or place.enter(session, upload):
+                upload.state, upload.sha256 = "complete", declared.sha256
     except BaseException:
         place.remove(upload.id)
         raise
@@ -53,6 +55,7 @@ def _row(platform: Platform, owner: Owner, declared: Declared) -> Upload:
         owner_id=owner.user_id,
         purpose=declared.purpose,
         target_id=declared.target_id,
+        place=platform.settings.uploads.place,
         filename=declared.filename,
         length_bytes=declared.length_bytes,
         declared_sha256=declared.sha256,

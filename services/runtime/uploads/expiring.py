@@ -12,10 +12,10 @@ from services.runtime.orm import RecordingFile, Submission, Upload
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from services.runtime.uploads.errors import FileMismatchError, UploadLockedError
-from services.runtime.uploads.finishing import end, settle_if_whole
+from services.runtime.uploads.finishing import settle_if_whole
 from services.runtime.uploads.place import Place
 from services.runtime.uploads.places import place_of, places
-from services.runtime.uploads.rows import GONE
+from services.runtime.uploads.rows import GONE, leave
 
 log = structlog.get_logger(__name__)
 
@@ -44,10 +44,20 @@ def _expire(platform: Platform, upload: Upload) -> bool:
     except FileNotFoundError:
         held = None
     try:
-        return end(platform, upload, "expired", detail)
+        return _end_overdue(platform, upload, detail)
     finally:
         if held is not None:
             held.close()
+
+
+def _end_overdue(platform: Platform, upload: Upload, detail: str) -> bool:
+    """False when somebody else was first, or bytes came in and put its end off."""
+    with platform.database.transaction() as session:
+        current = session.get_one(Upload, upload.id, with_for_update={"key_share": True})
+        moved = current.expires_ns <= now_ns() and leave(session, upload, "expired", detail)
+    if moved:
+        place_of(platform, upload).remove(upload.id)
+    return moved
 
 
 def _settle(platform: Platform) -> None:

@@ -1,7 +1,8 @@
 """All bytes are there: the file is what it was declared to be and complete, or it is not and goes.
 
-**Conventions.** Whoever settles holds the upload's bytes, so it happens once. A process that dies before the row has
-changed leaves an open upload with all its bytes; the next look at it, or the sweeper, settles it.
+**Conventions.** Whoever settles holds the upload's bytes; where processes do not lock each other out, the row's
+compare-and-set lets it happen once. A process that dies before the row has changed leaves an open upload with all its
+bytes; the next look at it, or the sweeper, settles it.
 """
 
 from services.runtime.orm import Upload
@@ -23,9 +24,11 @@ def settle(platform: Platform, upload: Upload, held: HeldBytes, sha256: str = ""
         end(platform, upload, "failed", str(mismatch))
         raise mismatch
     with platform.database.transaction() as session:
-        if not move(session, upload, "complete", sha256=found, expires_ns=expiry_ns(platform)):
-            raise UploadStateError(upload.id, "no longer open", "completed", "open")
-    return find(platform.database, upload.id, upload.owner_id)
+        moved = move(session, upload, "complete", sha256=found, expires_ns=expiry_ns(platform))
+    current = find(platform.database, upload.id, upload.owner_id)
+    if not moved and current.state not in WHOLE:  # another process may have settled it: then it is complete as well
+        raise UploadStateError(upload.id, current.state, "completed", "open")
+    return current
 
 
 def end(platform: Platform, upload: Upload, state: str, detail: str = "") -> bool:

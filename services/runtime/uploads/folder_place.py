@@ -7,6 +7,8 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from sqlalchemy.orm import Session
+
 from services.runtime.orm import Upload
 from services.runtime.platform import Platform
 from services.runtime.uploads.files import HeldFile, make_file, offset_of, remove_file, sync_folder, upload_file
@@ -31,6 +33,9 @@ class FolderPlace:
         if self._link_twin(upload, path):
             return True
         make_file(path)
+        return False
+
+    def enter(self, session: Session, upload: Upload) -> bool:
         return False
 
     def offset_of(self, upload_id: str) -> int:

@@ -1,4 +1,4 @@
-"""Where bytes under way lie: a seam whose first implementation is a folder that all processes share.
+"""Where bytes under way lie: a seam with two real implementations, a folder that processes share, and the store.
 
 **Conventions.** An upload's row says in which place its bytes are. A place knows bytes and offsets; states, quotas and
 owners are the rows' (`rows.py`), and a row changes before its bytes go. Whoever holds bytes reads the row again.
@@ -8,6 +8,8 @@ from collections.abc import Iterable, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Protocol
+
+from sqlalchemy.orm import Session
 
 from services.runtime.orm import Upload
 
@@ -53,6 +55,10 @@ class Place(Protocol):
 
         Raises `DiskFullError`.
         """
+        ...
+
+    def enter(self, session: Session, upload: Upload) -> bool:
+        """Within the transaction that makes the row, after it: as `begin`, for a place whose bytes have rows."""
         ...
 
     def offset_of(self, upload_id: str) -> int:

@@ -79,10 +79,11 @@ class Reception:
             return self._end()
 
     def break_off(self) -> None:
-        """The client is gone: what came counts, unless a checksum was to cover it."""
+        """The client is gone: what came counts, unless a checksum was to cover it. Raises what `accept` raises."""
         with self._guard:
             self._give_up_unverified()
             if self._checksum is None:
+                self._held.accept(is_whole=False)
                 self._remember()
 
     def close(self) -> None:
