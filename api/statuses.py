@@ -23,6 +23,7 @@ from services.runtime.benchmarks import rescore_errors as rescores
 from services.runtime.benchmarks import result_errors as results
 from services.runtime.benchmarks import submission_errors as submissions
 from services.runtime.benchmarks import team_errors as teams
+from services.runtime.confined import errors as confined
 from services.runtime.jobs import errors as jobs
 from services.runtime.uploads import errors as uploads
 from stone import metric
@@ -54,6 +55,8 @@ STATUS_OF: dict[type[StoneError], int] = {
     archives.BadMemberError: 409,
     bag_files.BadBagFilesError: 422,
     choices.ChoiceError: 422,
+    confined.ConfinedCrashedError: 422,
+    confined.ConfinedInterruptedError: 503,
     datasets.BrokenSplitsError: 409,
     datasets.HiddenPartError: 404,
     datasets.NoSplitsError: 409,

@@ -1,25 +1,24 @@
-"""The child's side of `services/runtime/confined/running.py`: take the limits on, work, say one last word, end.
+"""The child's side of `services/runtime/confined/running.py`: be shut in, work, say one last word, end.
 
 **Conventions.** Nothing goes up the stack from here, which is the parent's; nothing of the parent's is finalised, since
-its connections and files are shared. Linux: the address space is read from `/proc/self/statm` (proc(5)).
+its connections and files are shared.
 """
 
-import ctypes
 import errno
 import gc
 import os
-import resource
 import signal
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import count, islice
-from pathlib import Path
 from typing import NoReturn
 
+from services.runtime.confined.fences import let_go_of_descriptors, raise_fences
+from services.runtime.confined.limits import Limits, take_on
 from services.runtime.confined.words import (
     ANSWER,
     CRASH,
+    FENCED,
     FLOODED,
     MACHINE,
     MEMORY,
@@ -34,21 +33,8 @@ from stone.errors import StoneError
 
 Progress = Callable[[str, int, int], None]
 
-STATM, DESCRIPTORS = Path("/proc/self/statm"), "/proc/self/fd"
-M_ARENA_MAX = -8  # mallopt(3)
-# What the limits of files and descriptors answer with; other errors of the system are the machine's.
-OF_OUR_LIMITS = (errno.EFBIG, errno.EMFILE, errno.ENOMEM)
-
-
-@dataclass(frozen=True)
-class Limits:
-    """What the child may take: address space beyond the parent's, processor and wall time, files opened at once."""
-
-    memory_bytes: int = 256 * 2**20
-    cpu_s: int = 120
-    wall_s: float = 1800.0
-    answer_bytes: int = 64 * 2**20
-    descriptors: int = 32
+# What our limits and fences answer with; other errors of the system are the machine's.
+OF_OUR_LIMITS = (errno.EFBIG, errno.EMFILE, errno.ENOMEM, errno.EPERM)
 
 
 @dataclass(frozen=True)
@@ -84,7 +70,9 @@ def live(answer: Answer, parent: int) -> NoReturn:
     try:
         die_with(parent)
         _forget_the_parent()
-        _limit(answer.limits)
+        let_go_of_descriptors(answer.writing)
+        take_on(answer.limits)
+        say(answer.writing, FENCED, texts_of(**raise_fences(answer.limits.folder)))
         say(answer.writing, *answer.told())
         status = 0
     finally:
@@ -100,30 +88,6 @@ def _forget_the_parent() -> None:
             signal.signal(number, signal.SIG_DFL)
     signal.signal(signal.SIGXCPU, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_SETMASK, ())
-
-
-def _limit(limits: Limits) -> None:
-    """No core is written: it would hold the ground truth. One arena: others reserve 64 MiB of the allowance each."""
-    ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)
-    taken = {int(name) for name in os.listdir(DESCRIPTORS)}
-    free = islice((number for number in count() if number not in taken), limits.descriptors)
-    held_bytes = int(STATM.read_text().split()[0]) * resource.getpagesize()
-    _lower(resource.RLIMIT_NOFILE, max(free))  # it bounds the number of the next one, not how many there are
-    _lower(resource.RLIMIT_FSIZE, 0)
-    _lower(resource.RLIMIT_CORE, 0)
-    _lower(resource.RLIMIT_CPU, limits.cpu_s, hard=limits.cpu_s + 1)
-    _lower(resource.RLIMIT_AS, held_bytes + limits.memory_bytes)
-
-
-def _lower(which: int, limit: int, *, hard: int | None = None) -> None:
-    """Never above what holds already."""
-    standing = resource.getrlimit(which)
-    wished = (limit, limit if hard is None else hard)
-    soft, most = (
-        value if held == resource.RLIM_INFINITY else min(value, held)
-        for value, held in zip(wished, standing, strict=True)
-    )
-    resource.setrlimit(which, (soft, most))
 
 
 def _exception(error: BaseException) -> bytes:

@@ -1,10 +1,11 @@
-"""Runs work on hostile bytes in a forked child with limits of memory, processor, files and time.
+"""Runs work on hostile bytes in a forked child with limits of memory, processor, files and time, and shut in.
 
-**Conventions.** `memory_bytes` is address space beyond what the process has when it is forked; `cpu_s` is the child's
-own. The child sees everything of the parent by copy, so arguments cost nothing; what it changes is gone with it, and of
-its errors only code and sentence come back. It may not write a file, dies with the thread that waits for it, and is
-reaped whatever happens: no orphan, no zombie, no descriptor stays. It is a fence against crashes and floods, not
-against native code of the attacker's choice.
+**Conventions.** The child sees everything of the parent by copy, so arguments cost nothing; what it changes is gone
+with it, and of its errors only code and sentence come back. It has no network, starts no process, signals nobody and
+writes no file but below a folder that it is given (`fences` says by which means and where those end); the parent's
+connections are not its own. It dies with the thread that waits for it, and is reaped whatever happens: no orphan, no
+zombie, no descriptor stays. What native code of the attacker's choice still could: read files and the copy of the
+parent's memory, and answer with what it found there, in the form that the parent believes.
 
 What limits kill is a refusal and is not tried again: memory and processor are counted in the child alone, so the same
 bytes would meet them again (`ConfinedCrashedError`). A kill from outside, the wall clock and a failing disk say nothing
@@ -25,14 +26,16 @@ from dataclasses import dataclass
 
 import structlog
 
-from services.runtime.confined.child import Answer, Limits, Progress, live
+from services.runtime.confined.child import Answer, Progress, live
 from services.runtime.confined.errors import ConfinedCrashedError, ConfinedInterruptedError
-from services.runtime.confined.words import ANSWER, FLOODED, MACHINE, MEMORY, REFUSAL, TICK, Inbox, Word
+from services.runtime.confined.fences import NONE, Fences
+from services.runtime.confined.limits import Limits
+from services.runtime.confined.words import ANSWER, FENCED, FLOODED, MACHINE, MEMORY, REFUSAL, TICK, Inbox, Word
 from stone.errors import StoneError
 
-__all__ = ["LIMITS", "UNWATCHED", "Limits", "Progress", "Watch", "confined", "confined_telling"]
-
 GLANCE_MS = 200
+MOST_NOTED = 16
+_NOTED: set[tuple[tuple[str, str], ...]] = set()
 
 log = structlog.get_logger(__name__)
 
@@ -94,9 +97,12 @@ class _Child:
             while True:
                 is_over = bool(_ready(ended, None if inbox.is_closed else self._reading))
                 for word in inbox.words():
-                    if word.kind != TICK:
+                    if word.kind == FENCED:
+                        _note(word.texts())
+                    elif word.kind == TICK:
+                        watch.progress(*word.tick())
+                    else:
                         return word
-                    watch.progress(*word.tick())
                 if is_over:
                     return None
                 watch.glance()
@@ -135,6 +141,15 @@ def _forked() -> int:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         return os.fork()
+
+
+def _note(fences: Fences) -> None:
+    """Say once a process which fences stand on this machine."""
+    known = tuple(sorted(fences.items()))
+    if known in _NOTED or len(_NOTED) >= MOST_NOTED:
+        return
+    _NOTED.add(known)
+    (log.warning if NONE in fences.values() else log.info)("confined work is fenced", **dict(known))
 
 
 def _answered(word: Word | None, child: _Child, limits: Limits) -> bytes:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from services.runtime.confined.errors import ConfinedCrashedError
 
-TICK, ANSWER, REFUSAL, MEMORY, CRASH, MACHINE, FLOODED = range(7)
+TICK, ANSWER, REFUSAL, MEMORY, CRASH, MACHINE, FLOODED, FENCED = range(8)
 HEAD = struct.Struct("<BQ")
 LONGEST_JSON_BYTES = 128 * 2**10
 LONGEST_TEXT, LONGEST_STAGE = 2000, 100
@@ -62,7 +62,7 @@ class Inbox:
     def _whole(self) -> Iterator[Word]:
         while len(self._kept) >= HEAD.size:
             kind, length = HEAD.unpack_from(self._kept)
-            if kind > FLOODED or length > (self._answer_bytes if kind == ANSWER else LONGEST_JSON_BYTES):
+            if kind > FENCED or length > (self._answer_bytes if kind == ANSWER else LONGEST_JSON_BYTES):
                 raise ConfinedCrashedError(f"said something of kind {kind} and {length} bytes")
             stop = HEAD.size + length
             if len(self._kept) < stop:

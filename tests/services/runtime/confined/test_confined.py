@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -121,8 +122,9 @@ def test_what_the_input_breaks_is_refused_and_not_tried_again(case: str) -> None
 
 
 def test_a_file_cannot_grow(tmp_path: Path) -> None:
+    limits = replace(SMALL, folder=tmp_path)
     with pytest.raises(ConfinedCrashedError, match="raised OSError"):
-        confined(lambda: bytes((tmp_path / "dropped").write_bytes(b"more")), SMALL)
+        confined(lambda: bytes((tmp_path / "dropped").write_bytes(b"more")), limits)
     assert (tmp_path / "dropped").read_bytes() == b""
 
 
