@@ -13,8 +13,8 @@ from api.paging import Page, PageDep
 from api.people_views import tokens_page, user_item, user_of, users_page
 from api.schemas.admin import ReasonBody
 from api.schemas.base import PLAIN, IdPath
-from api.schemas.people import Password, TokenItem, UserBody, UserChange, UserItem
-from services.runtime.access import passwords, users
+from api.schemas.people import Password, RevokedItem, TokenItem, UserBody, UserChange, UserItem
+from services.runtime.access import passwords, sessions, tokens, users
 from services.runtime.access.roles import Role
 from services.runtime.orm import Token
 
@@ -76,6 +76,20 @@ def revoke_token(
             raise NotFoundError("token", token_id)
         facts = {"token_id": token_id, "name": name}
         audit.record_admin_act(session, caller, "user.token_revoke", user_id, body.reason, facts)
+
+
+@router.post(
+    "/{user_id}/credentials/revoke", summary="End all of a user's tokens and sessions", responses=refusals(404)
+)
+def revoke_credentials(user_id: IdPath, body: ReasonBody, caller: Administrator, platform: PlatformDep) -> RevokedItem:
+    """Whatever uses them is answered 401 from now on. The credential that asks is spared, and the password stays."""
+    with platform.database.transaction() as session:
+        user_of(session, user_id, is_locked=True)
+        ended = tokens.revoke_others(session, user_id, caller.credential_id)
+        closed = sessions.close_others(session, user_id, caller.credential_id)
+        facts = {"tokens": ended, "browsers": closed}
+        audit.record_admin_act(session, caller, "user.credentials_revoke", user_id, body.reason, facts)
+    return RevokedItem(tokens=ended, browsers=closed)
 
 
 def _hashed(password: Password | None) -> str | None:

@@ -127,7 +127,7 @@ class ApiSettings:
 
     With `pages` off there are no pages, and nothing of theirs is loaded.
 
-    Whoever shows `metrics_token` may read `/metrics`; empty: administrators only.
+    Whoever shows `metrics_token` (or one of several, between blanks) may read `/metrics`; empty: administrators only.
 
     `first_password` is the password of the administrator whom `prepare` adds where there is none.
 
