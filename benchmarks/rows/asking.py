@@ -105,7 +105,7 @@ def _lists() -> tuple[Question, ...]:
         _route("jobs of a kind nobody has", "administrator", "/admin/jobs?kind=labeler.export"),
         _route("jobs of an owner", "administrator", "/admin/jobs?owner=person-2"),
         _route("counts of jobs by state", "administrator", "/admin/jobs/counts", all_of),
-        _route("queues", "administrator", "/admin/queues", "a count of what waits"),
+        _route("queues", "administrator", "/admin/queues", "a count of what waits and of what ended lately"),
         _route("audit log of a rare act", "administrator", "/admin/audit-log?act=token.revoke"),
         _route("audit log of one person", "administrator", "/admin/audit-log?actor=person-2"),
         _route("audit log of one thing", "administrator", "/admin/audit-log?subject_id={sequence}"),

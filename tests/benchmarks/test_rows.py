@@ -20,7 +20,7 @@ from tests.servers.fixtures import make_settings, opened
 from tests.servers.postgres import PostgresServer
 
 SMALL = Amounts(sequences=2400, submissions=1500, backlog=300, members=1200)
-LARGE_ROWS = 1000
+LARGE_ROWS = 1100
 
 
 @pytest.fixture(scope="module")
