@@ -37,7 +37,7 @@ def sign_in(body: SignInBody, request: Request, response: Response, platform: Pl
         user = users.find_user(session, body.name)
     is_right = sessions.is_password_of(user, body.password.get_secret_value())
     if user is None or not is_right:
-        log.warning("sign-in refused", name=body.name)
+        log.warning("sign-in refused", name=user.name if user else "")  # no name: perhaps a password in the wrong field
         raise WrongPasswordError()
     with platform.database.transaction() as session:
         if session.get_one(User, user.id).password_hash != user.password_hash:  # changed while it was checked

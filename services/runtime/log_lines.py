@@ -13,7 +13,9 @@ from structlog.types import EventDict, Processor
 
 from services.runtime.telemetry.tracing import current_ids
 
-LIBRARIES = ("uvicorn", "uvicorn.error", "uvicorn.access")
+LIBRARIES = ("uvicorn", "uvicorn.error")
+SILENT = ("uvicorn.access",)
+"""Its lines have whole queries; ours (`api/entry.py`) say the same without."""
 
 
 def _name_span(_logger: object, _method: str, line: EventDict) -> EventDict:
@@ -52,3 +54,7 @@ def speak_json(level: int = logging.INFO) -> None:
         logger = logging.getLogger(name)
         logger.handlers.clear()
         logger.propagate = True
+    for name in SILENT:
+        logger = logging.getLogger(name)
+        logger.handlers.clear()
+        logger.propagate = False  # uvicorn asks whether anybody would hear, and a parent would
