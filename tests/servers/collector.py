@@ -8,11 +8,14 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from threading import Thread
 from typing import Any
 
+import pytest
 from opentelemetry.proto.collector.trace.v1.trace_service_pb2 import (
     ExportTraceServiceRequest,
     ExportTraceServiceResponse,
 )
 from opentelemetry.proto.trace.v1.trace_pb2 import Span
+
+from services.runtime.telemetry.tracing import close_tracing, open_tracing
 
 
 @dataclass
@@ -43,6 +46,16 @@ class Collector:
 def facts_of(described: Any) -> dict[str, Any]:
     """The attributes of a span or a resource."""
     return {fact.key: getattr(fact.value, fact.value.WhichOneof("value")) for fact in described.attributes}
+
+
+@contextmanager
+def collecting(monkeypatch: pytest.MonkeyPatch) -> Iterator[Collector]:
+    """A collector to which this process sends its spans; they have all come after `close_tracing()`."""
+    with running_collector() as running:
+        monkeypatch.setenv("OTEL_EXPORTER_OTLP_ENDPOINT", running.url)
+        open_tracing("stone-test")
+        yield running
+        close_tracing()
 
 
 @contextmanager

@@ -24,7 +24,7 @@ from services.runtime.telemetry.tracing import (
     open_tracing,
     span,
 )
-from tests.servers.collector import Collector, facts_of, running_collector
+from tests.servers.collector import Collector, collecting, facts_of
 from tests.servers.process import free_port
 from tests.services.runtime.jobs.steps import HANDLERS, a_job, a_run, an_owner, job
 
@@ -33,12 +33,8 @@ ON = {"OTEL_EXPORTER_OTLP_ENDPOINT": "http://127.0.0.1:4318"}
 
 @pytest.fixture
 def collector(monkeypatch: pytest.MonkeyPatch) -> Iterator[Collector]:
-    """A collector to which this process sends its spans; they have all come after `close_tracing()`."""
-    with running_collector() as running:
-        monkeypatch.setenv("OTEL_EXPORTER_OTLP_ENDPOINT", running.url)
-        open_tracing("stone-test")
+    with collecting(monkeypatch) as running:
         yield running
-        close_tracing()
 
 
 @pytest.mark.parametrize(
