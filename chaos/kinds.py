@@ -25,6 +25,7 @@ class Kind:
     play: Callable[[Turn], Brought]
     on_postgres: bool = False
     on_s3: bool = False
+    uploads_in_store: bool = False
 
 
 def undisturbed(turn: Turn) -> Brought:
@@ -51,6 +52,14 @@ def _under_load(turn: Turn) -> Brought:
 KINDS = (
     Kind("worker", "kill −9 a worker", lambda turn: _during_run(turn, kill_worker)),
     Kind("api", "kill −9 the API mid-PATCH", kill_api),
+    Kind(
+        "slabs",
+        "kill −9 the API mid-PATCH, uploads in the S3 store",
+        kill_api,
+        on_postgres=True,
+        on_s3=True,
+        uploads_in_store=True,
+    ),
     Kind("client", "kill −9 the client mid-upload", kill_client),
     Kind("redis", "kill −9 Redis with bells queued", lambda turn: _during_run(turn, kill_redis)),
     Kind("sweeper", "kill −9 the sweeper, with lost work to take up", lambda turn: _during_run(turn, kill_sweeper)),

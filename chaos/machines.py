@@ -49,6 +49,7 @@ from tests.servers.s3 import running_s3
 SKIPPED = 77
 AFTER_JOBS = 4
 PATIENCE_S = 900.0
+START_S = 240.0
 CONSOLE = Console(highlight=False, markup=False, soft_wrap=True)
 
 
@@ -180,7 +181,7 @@ def _process(
     place = folder / role
     place.mkdir(parents=True)
     command = [sys.executable, "-P", "-m", MODULES[role], *words]
-    server = Server(command, place, is_ready, environment=environment_of(settings))
+    server = Server(command, place, is_ready, environment=environment_of(settings), patience_s=START_S)
     server.start()
     try:
         yield

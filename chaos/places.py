@@ -26,6 +26,7 @@ from services.runtime.settings import (
     JobSettings,
     Settings,
     StoreSettings,
+    UploadSettings,
     ViewingSettings,
 )
 from tests.servers.postgres import PostgresServer, running_postgres
@@ -35,6 +36,7 @@ WORKERS = 2
 BUCKET = "chaos"
 JOBS = JobSettings(lease_s=2.0, heartbeat_s=0.4, progress_s=0.2, sweep_s=0.25)
 STORE = StoreSettings(grace_s=5.0)
+UPLOADS_IN_STORE = UploadSettings(place="store", slab_bytes=2**20)  # of a short recording there are several
 VIEWING = ViewingSettings(makes_playback=False)  # a round is the run that was asked for, and over with it
 API = ApiSettings(port=0, requests_per_minute=10**6)
 SCOPES = ("read", "upload", "submit")
@@ -94,7 +96,13 @@ class Place:
 
 @contextmanager
 def opened_place(
-    folder: Path, inputs: Inputs, told: Callable[[str], None], *, on_postgres: bool, on_s3: bool = False
+    folder: Path,
+    inputs: Inputs,
+    told: Callable[[str], None],
+    *,
+    on_postgres: bool,
+    on_s3: bool = False,
+    uploads_in_store: bool = False,
 ) -> Iterator[Place]:
     """A platform in `folder`, drained at the end; the folder goes unless it is to be kept, or something was raised."""
     with ExitStack() as stack:
@@ -107,6 +115,7 @@ def opened_place(
             database=DatabaseSettings(url),
             jobs=JOBS,
             store=replace(s3.settings(BUCKET), grace_s=STORE.grace_s) if s3 else STORE,
+            uploads=UPLOADS_IN_STORE if uploads_in_store else UploadSettings(),
             api=API,
             viewing=VIEWING,
         )

@@ -82,7 +82,7 @@ def play(suite: Suite, kind: Kind, made: Made | None = None) -> Series:
     while _goes_on(suite, series):
         opened += 1
         folder = suite.folder / f"{kind.name}-{opened}"
-        where = {"on_postgres": kind.on_postgres, "on_s3": kind.on_s3}
+        where = {name: getattr(kind, name) for name in ("on_postgres", "on_s3", "uploads_in_store")}
         with opened_place(folder, suite.inputs, suite.told, **where) as place:
             _run_undisturbed(suite, series, place)
             while _goes_on(suite, series) and not place.is_kept:

@@ -55,18 +55,6 @@ class TargetNotEmptyError(StoneError):
         super().__init__(f"{place} holds {found}; a backup is restored onto an empty platform only")
 
 
-class PlaceDiffersError(StoneError):
-    """Uploads under way were kept another way than they are to be now."""
-
-    code = "uploads_place_differs"
-
-    def __init__(self, taken: str, wanted: str) -> None:
-        super().__init__(
-            f"the backup was taken with STONE_UPLOADS__PLACE={taken} and uploads are under way in it, this platform "
-            f"has {wanted}; restore with {taken} and change it once they have ended"
-        )
-
-
 class SourceDamagedError(PlatformFaultError):
     """The store's object is not what its row says."""
 

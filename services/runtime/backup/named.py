@@ -1,7 +1,8 @@
 """What a state of the database names outside of it: blobs, the work of runs that are not over, uploads under way.
 
-**Conventions.** Asked within the snapshot's own transaction, except for blobs, which are read from the rows that were
-written. A run is over when it succeeded, or failed so long ago that its work is not kept (`collection`).
+**Conventions.** Asked within the snapshot's own transaction, except for what may be much: blobs and slabs (bytes under
+way that lie in the store) are read from the rows that were written. Of uploads only those in the folder are told. A run
+is over when it succeeded, or failed so long ago that its work is not kept (`collection`).
 """
 
 from dataclasses import dataclass
@@ -11,11 +12,12 @@ from sqlalchemy import Connection, and_, or_, select
 from services.runtime.collection import KEPT_FAILED_NS
 from services.runtime.orm import Job, RecordingFile, Submission, Upload
 from services.runtime.orm.base import now_ns
+from services.runtime.uploads.slab_rows import STORE
 
 
 @dataclass(frozen=True)
 class NamedUpload:
-    """An upload whose bytes are not in the store yet; `sha256` is empty until all of them are there."""
+    """An upload whose bytes lie in the folder only; `sha256` is empty until all of them are there."""
 
     id: str
     sha256: str
@@ -50,5 +52,7 @@ def _uploads(connection: Connection) -> list[NamedUpload]:
         and_(used, Upload.purpose == "recording", Upload.id.in_(recorded)),
         and_(used, Upload.purpose == "submission", Upload.id.in_(submitted)),
     )
-    found = connection.execute(select(Upload.id, Upload.sha256).where(needed).order_by(Upload.id))
+    found = connection.execute(
+        select(Upload.id, Upload.sha256).where(Upload.place != STORE, needed).order_by(Upload.id)
+    )
     return [NamedUpload(upload_id, sha256) for upload_id, sha256 in found]

@@ -13,7 +13,7 @@ from pathlib import Path
 from sqlalchemy import inspect, text
 
 from services.runtime.atomic import flush
-from services.runtime.backup.errors import DamagedBackupError, PlaceDiffersError, TargetNotEmptyError
+from services.runtime.backup.errors import DamagedBackupError, TargetNotEmptyError
 from services.runtime.backup.folder import BackupFolder, Content, pieces_of
 from services.runtime.backup.snapshot import KeptFile, Snapshot, read_snapshot
 from services.runtime.backup.tables import checked_tables, dumped_rows, load
@@ -46,12 +46,12 @@ class Restored:
 def restore(platform: Platform, folder: BackupFolder, name: str = "") -> Restored:
     """Bring back the snapshot `name`, the newest unless named; no process of the platform may run meanwhile.
 
-    Raises `SnapshotMissingError`, `DamagedBackupError`, `TargetNotEmptyError`, `NewerSchemaError`,
-    `PlaceDiffersError`, `StoreFullError`, `StoreAwayError`.
+    Raises `SnapshotMissingError`, `DamagedBackupError`, `TargetNotEmptyError`, `NewerSchemaError`, `StoreFullError`,
+    `StoreAwayError`.
     """
     place = folder.snapshot(name)
     snapshot, files = read_snapshot(place)
-    _refuse(platform, snapshot, files)
+    _refuse(platform, snapshot)
     checked_tables(place, snapshot.tables)
     wanted = dict(_wanted(place, snapshot, files))
     present = {stored.key: stored for stored in platform.store.listed("")}
@@ -68,11 +68,9 @@ def restore(platform: Platform, folder: BackupFolder, name: str = "") -> Restore
     return Restored(snapshot, rows, len(wanted), len(uploads), queued_again, flawed)
 
 
-def _refuse(platform: Platform, snapshot: Snapshot, files: tuple[KeptFile, ...]) -> None:
+def _refuse(platform: Platform, snapshot: Snapshot) -> None:
     if not is_known(snapshot.revision):
         raise NewerSchemaError(snapshot.revision, head_revision())
-    if snapshot.uploads_place != "folder" and any(file.place == "upload" for file in files):
-        raise PlaceDiffersError(snapshot.uploads_place, "folder")
     if tables := inspect(platform.database.engine).get_table_names():
         raise TargetNotEmptyError("the database", f"{len(tables)} tables")
 

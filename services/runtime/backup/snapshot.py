@@ -19,7 +19,7 @@ SNAPSHOT, FILES = "snapshot.json", "files.json"
 
 @dataclass(frozen=True)
 class KeptFile:
-    """A file that is no blob: an object of the store by its key, or the bytes of an upload by its id."""
+    """A file that is no blob: an object of the store by its key, or the bytes in the uploads folder by upload."""
 
     place: Literal["object", "upload"]
     name: str
@@ -33,7 +33,6 @@ class Snapshot:
     revision: str
     code_version: str
     made_ns: int
-    uploads_place: str
     tables: tuple[TableFacts, ...]
     files_sha256: str
     flaws: tuple[str, ...] = ()

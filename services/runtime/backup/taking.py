@@ -20,7 +20,7 @@ from services.runtime.backup.tables import TableFacts, dump, dumped_rows, snapsh
 from services.runtime.collection import WORK
 from services.runtime.holding import collection_held
 from services.runtime.migrate import head_revision
-from services.runtime.orm import Blob, Upload
+from services.runtime.orm import Base, Blob, Upload, UploadSlab
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from services.runtime.recipes import CODE_VERSION
@@ -66,6 +66,14 @@ class _Haul:
                     self.flaws.append(flaw)
                 elif content is not None:
                     self._count(content)
+
+    def bring_slabs(self, rows: Iterable[list[object]]) -> None:
+        """`rows` are (object_key, blob_sha256); several may name one object, and that of a blob is brought already."""
+        for key in sorted({str(key) for key, blob_sha256 in rows if blob_sha256 is None}):
+            try:
+                self._keep(KeptFile("object", key, self.folder.add(key, self.platform.store.read(key))))
+            except ObjectMissingError as error:
+                self.flaws.append(str(error))
 
     def bring_work(self, runs: frozenset[str]) -> None:
         store = self.platform.store
@@ -130,8 +138,8 @@ def take(platform: Platform, folder: BackupFolder) -> Taken:
     with folder.writing(), collection_held(platform.database, "backup") as hold, folder.new_snapshot() as place:
         made_ns = now_ns()
         tables, named = _frozen(platform, place)
-        blobs = next(table for table in tables if table.name == Blob.__tablename__)
-        haul.bring_blobs(dumped_rows(place, blobs, ("sha256", "object_key", "size_bytes")))
+        haul.bring_blobs(dumped_rows(place, _named(tables, Blob), ("sha256", "object_key", "size_bytes")))
+        haul.bring_slabs(dumped_rows(place, _named(tables, UploadSlab), ("object_key", "blob_sha256")))
         haul.bring_work(named.runs)
         for upload in named.uploads:
             haul.bring_upload(upload)
@@ -139,7 +147,6 @@ def take(platform: Platform, folder: BackupFolder) -> Taken:
             head_revision(),
             CODE_VERSION,
             made_ns,
-            "folder",
             tables,
             write_files(place, tuple(haul.files)),
             tuple(haul.flaws),
@@ -148,6 +155,10 @@ def take(platform: Platform, folder: BackupFolder) -> Taken:
         write_snapshot(place, snapshot)
         hold.check()
     return Taken(folder.snapshot(), snapshot, haul.blobs, haul.brought, haul.brought_bytes)
+
+
+def _named(tables: tuple[TableFacts, ...], row: type[Base]) -> TableFacts:
+    return next(table for table in tables if table.name == row.__tablename__)
 
 
 def _frozen(platform: Platform, place: Path) -> tuple[tuple[TableFacts, ...], Named]:

@@ -20,7 +20,7 @@ from services.runtime.embedded.first_start import ensure_keys
 from services.runtime.migrate import upgrade
 from services.runtime.orm import Job
 from services.runtime.platform import Platform
-from services.runtime.settings import DatabaseSettings
+from services.runtime.settings import DatabaseSettings, Settings, UploadSettings
 from tests.servers.fixtures import make_settings, opened
 from tests.servers.postgres import PostgresServer
 from tests.services.runtime.backup.laid import (
@@ -33,6 +33,7 @@ from tests.services.runtime.backup.laid import (
     upload_path,
     uploads_of,
 )
+from tests.services.runtime.uploads.sending import made, send, sha256_of
 
 Emptied = Callable[[str, str], Platform]
 
@@ -45,7 +46,7 @@ def folder(tmp_path: Path) -> BackupFolder:
 @pytest.fixture
 def empty(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Emptied]:
     """Platforms on which nothing is, by kind of database and store."""
-    made: list[Platform] = []
+    platforms: list[Platform] = []
     servers = []
 
     def make(database: str = "sqlite", store: str = "folder") -> Platform:
@@ -56,11 +57,11 @@ def empty(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Emptied]:
             groups["database"] = DatabaseSettings(servers[-1].__enter__())
         if store == "s3":
             groups["store"] = request.getfixturevalue("s3_settings")
-        made.append(opened(make_settings(tmp_path / f"target-{len(made)}", **groups), []))
-        return made[-1]
+        platforms.append(opened(make_settings(tmp_path / f"target-{len(platforms)}", **groups), []))
+        return platforms[-1]
 
     yield make
-    for platform in made:
+    for platform in platforms:
         platform.database.close()
     for server_context in servers:
         server_context.__exit__(None, None, None)
@@ -90,6 +91,22 @@ def test_a_wiped_platform_comes_back_row_for_row_and_byte_for_byte(
     with target.database.reading() as session:
         job, run = session.get_one(Job, laid.job_id), session.get_one(Job, laid.run_id)
     assert (job.state, job.attempts_left, run.state) == ("queued", 1, "running")
+
+
+def test_bytes_under_way_that_lie_in_the_store_come_back(
+    platform: Platform, laid: Laid, folder: BackupFolder, empty: Emptied
+) -> None:
+    in_store = Settings(**{**dict(platform.settings), "uploads": UploadSettings(place="store")})
+    elsewhere = Platform(in_store, platform.database, platform.store)
+    half = made(elsewhere, laid.owner, HALF_SENT * 2 + b"!")
+    send(elsewhere, half, 0, HALF_SENT)
+    taken = take(platform, folder)
+    assert taken.snapshot.flaws == ()
+    target = empty("sqlite", "folder")
+    restore(target, folder)
+    assert objects_of(target) == objects_of(platform)
+    whole = send(target, half, len(HALF_SENT), HALF_SENT + b"!")
+    assert (whole.state, whole.sha256) == ("complete", sha256_of(HALF_SENT * 2 + b"!"))
 
 
 def test_the_next_backup_brings_only_what_is_new(
