@@ -48,6 +48,11 @@ docs: install
 chaos: install
 	$(BIN)/python -m chaos
 	$(BIN)/python -m chaos.scoring
+	$(BIN)/python -m chaos.restore
+	$(BIN)/python -m chaos.restore --postgres --s3
+	$(BIN)/python -m chaos.upgrade
+	$(BIN)/python -m chaos.upgrade --postgres --kill
+	$(BIN)/python -m chaos.machines || test $$? = 77  # no namespaces here: said, and skipped
 
 fuzz: install
 	$(BIN)/python -m fuzz
