@@ -4,13 +4,15 @@ from collections.abc import Sequence
 
 import pytest
 
-from tests.deploy.kubernetes.rendering import Manifest, rendered
+from tests.deploy.kubernetes.rendering import BACKUPS, Manifest, rendered
 
 OFFERED = {
     "small": ("small",),
     "production": ("production",),
     "stopped": ("production", "stopped=true"),
     "scaled by bells": ("small", "autoscaling.by=redis"),
+    "backed up": ("small", "backup.enabled=true", BACKUPS),
+    "restoring": ("small", "stopped=true", "backup.restore=true", BACKUPS),
 }
 
 

@@ -22,6 +22,7 @@ CHART = KUBERNETES / "stone"
 RELEASE, NAMESPACE = "stone", "stone"
 ROLE = "app.kubernetes.io/component"
 HELM_FOR = "1.33.0"
+BACKUPS = "backup.volume.persistentVolumeClaim.claimName=backups"
 
 Manifest = Mapping[str, Any]
 
@@ -70,6 +71,8 @@ def pods(manifests: Sequence[Manifest]) -> Iterator[tuple[str, Manifest]]:
     """Role and pod template of everything that runs pods."""
     for manifest in of_kind(manifests, "Deployment", "Job"):
         yield role_of(manifest), manifest["spec"]["template"]
+    for manifest in of_kind(manifests, "CronJob"):
+        yield role_of(manifest), manifest["spec"]["jobTemplate"]["spec"]["template"]
 
 
 def containers(manifests: Sequence[Manifest]) -> Iterator[tuple[str, Manifest]]:

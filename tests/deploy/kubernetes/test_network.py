@@ -5,23 +5,29 @@ from typing import Any
 
 import pytest
 
-from tests.deploy.kubernetes.rendering import Manifest, of_kind, pods, rendered, roles_selected, selects
+from tests.deploy.kubernetes.rendering import BACKUPS, Manifest, of_kind, pods, rendered, roles_selected, selects
 
 Arrow = tuple[str, str, int]
 
 WORKING = ("api", "ingest", "labeler", "eval", "beat")
 OURS = (*WORKING, "prepare")
-EVERYWHERE: set[Arrow] = {
-    ("ingress", "api", 8080),
-    ("monitoring", "api", 8080),
-    *((role, "dns", 53) for role in OURS),
-    *((role, "database", 5432) for role in OURS),
-    *((role, "store", 443) for role in OURS),
-}
+
+
+def outward(*roles: str) -> set[Arrow]:
+    return {(role, place, port) for role in roles for place, port in (("dns", 53), ("database", 5432), ("store", 443))}
+
+
+INWARD: set[Arrow] = {("ingress", "api", 8080), ("monitoring", "api", 8080)}
+EVERYWHERE = INWARD | outward(*OURS)
 OWN_REDIS: set[Arrow] = {(role, "redis", 6379) for role in WORKING}
 DESIGNED: dict[str, tuple[tuple[str, ...], set[Arrow]]] = {
     "small": (("small",), EVERYWHERE | OWN_REDIS),
     "scaled by bells": (("small", "autoscaling.by=redis"), EVERYWHERE | OWN_REDIS | {("keda", "redis", 6379)}),
+    "backed up": (("small", "backup.enabled=true", BACKUPS), EVERYWHERE | OWN_REDIS | outward("backup")),
+    "restoring": (
+        ("small", "stopped=true", "backup.restore=true", BACKUPS),
+        INWARD | outward(*WORKING, "backup") | OWN_REDIS,
+    ),
     "production": (
         ("production",),
         EVERYWHERE | {(role, "broker", 6379) for role in WORKING} | {(role, "traces", 4318) for role in WORKING},

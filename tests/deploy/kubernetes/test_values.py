@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.deploy.kubernetes.rendering import rendered, template
+from tests.deploy.kubernetes.rendering import BACKUPS, rendered, template
 from tests.deploy.kubernetes.test_pods import environment, ours
 
 REFUSED = {
@@ -10,6 +10,9 @@ REFUSED = {
     "an image without a fixed version": ("image.tag=latest", "tag"),
     "a secret among the settings": ("settings.database.password=x", "password"),
     "a way of scaling that is none": ("autoscaling.by=cpu", "by"),
+    "a backup to nowhere": ("backup.enabled=true", "backup.volume"),
+    "a backup that goes with its pod": ("backup.enabled=true,backup.volume.emptyDir.medium=Memory", "volume"),
+    "a restore under a platform that works": (f"backup.restore=true,{BACKUPS}", "stopped"),
     "a size without a unit": ("api.scratch=100", "scratch"),
     "a database that everybody would be": ("network.database.to=null", "network.database"),
 }

@@ -96,6 +96,9 @@ def test_a_stopped_platform_runs_nothing_and_scales_nothing_up() -> None:
 
 def test_the_schema_is_brought_up_before_anything_of_a_release_changes(manifests: Sequence[Manifest]) -> None:
     [job] = of_kind(manifests, "Job")
+    if job["metadata"]["name"] == "stone-restore":
+        assert role_of(job) == "backup", "what is restored brings its own schema, onto nothing"
+        return
     assert role_of(job) == "prepare"
     assert job["metadata"]["annotations"]["helm.sh/hook"] == "pre-install,pre-upgrade"
     images = {container["image"] for role, container in containers(manifests) if role in ("api", "prepare")}

@@ -37,7 +37,7 @@
 {{- define "stone.secrets" -}}
 {{- $names := list "stone_database__password" -}}
 {{- $names = concat $names (list "stone_store__s3_key_id" "stone_store__s3_secret") -}}
-{{- if ne .role "prepare" }}{{ $names = append $names "stone_broker__password" }}{{ end -}}
+{{- if not (has .role (list "prepare" "backup")) }}{{ $names = append $names "stone_broker__password" }}{{ end -}}
 {{- if eq .role "api" }}{{ $names = append $names "stone_api__metrics_token" }}{{ end -}}
 {{- if eq .role "prepare" }}{{ $names = append $names "stone_api__first_password" }}{{ end -}}
 secretName: {{ .root.Values.secrets.existing }}

@@ -15,7 +15,7 @@ capabilities: { drop: [ALL] }
 {{- end }}
 
 {{/* What every pod of ours says: root, role, settings (of the role), command, grace_s, and optionally processes, probes,
-     ports, before_stop_s. */}}
+     ports, before_stop_s, backups (a volume source). */}}
 {{- define "stone.pod" -}}
 automountServiceAccountToken: false
 enableServiceLinks: false
@@ -33,7 +33,7 @@ containers:
   - name: {{ .role }}
     image: {{ include "stone.image" . }}
     imagePullPolicy: {{ .root.Values.image.pullPolicy }}
-    command: {{ toJson .command }}
+    command: {{ toRawJson .command }}
     env:
       {{- include "stone.environment" . | nindent 6 }}
     {{- with .probes }}
@@ -56,6 +56,9 @@ containers:
       - { name: scratch, mountPath: /data }
       - { name: temporary, mountPath: /tmp }
       - { name: secrets, mountPath: /run/secrets, readOnly: true }
+      {{- if .backups }}
+      - { name: backups, mountPath: /backups }
+      {{- end }}
 volumes:
   - name: scratch
     emptyDir: { sizeLimit: {{ .settings.scratch }} }
@@ -64,6 +67,10 @@ volumes:
   - name: secrets
     secret:
       {{- include "stone.secrets" . | nindent 6 }}
+  {{- with .backups }}
+  - name: backups
+    {{- toYaml . | nindent 4 }}
+  {{- end }}
 {{- end }}
 
 {{/* Where it may run. */}}
