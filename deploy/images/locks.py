@@ -14,6 +14,7 @@ from importlib.metadata import requires
 from pathlib import Path
 from typing import Any
 
+from packaging.markers import Marker, default_environment
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
@@ -21,6 +22,7 @@ ROOT = Path(__file__).resolve().parents[2]
 LOCKS = Path(__file__).parent
 ROLES = ("api", "ingest", "labeler", "eval")
 HEAD = "# Of requirements.lock and the group role-{role} of pyproject.toml, by deploy/images/locks.py; do not edit.\n"
+OLDEST = {"python_version": "3.11", "python_full_version": "3.11.0"}
 ENTRY = re.compile(r"^([A-Za-z0-9._-]+)==\S+.*\n(?:    --hash=\S+.*\n)+", re.MULTILINE)
 
 
@@ -68,9 +70,15 @@ def _lines(groups: Mapping[str, Any], group: str) -> Iterator[str]:
 def _needs(name: str, extras: frozenset[str]) -> Iterator[Requirement]:
     for line in requires(name) or ():
         requirement = Requirement(line)
-        marker = requirement.marker
-        if marker is None or any(marker.evaluate({"extra": extra}) for extra in extras | {""}):
+        if requirement.marker is None or _holds_somewhere(requirement.marker, extras):
             yield requirement
+
+
+def _holds_somewhere(marker: Marker, extras: frozenset[str]) -> bool:
+    """On this Python or on the oldest that the project runs on, with any of the extras or none."""
+    here: dict[str, str] = {**default_environment(), "extra": ""}  # type: ignore[dict-item]
+    wanted = [{**here, "extra": extra, **python} for extra in extras | {""} for python in ({}, OLDEST)]
+    return any(marker.evaluate(environment) for environment in wanted)
 
 
 def _unescaped(lines: str) -> str:

@@ -38,8 +38,16 @@ print(json.dumps({
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Built as the images build it; the build backend is fetched, so without a network there is none."""
+def sources() -> set[str]:
+    """Every module of the project, as it was before the wheel was made."""
+    folders = ("stone", "services", "simulator", "client", "api", "web")
+    found = [path for folder in folders for path in (ROOT / folder).rglob("*.py")]
+    return {path.relative_to(ROOT).as_posix() for path in found if "node_modules" not in path.parts}
+
+
+@pytest.fixture(scope="module")
+def wheel(sources: set[str], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Built of all `sources` as the images build it; its build backend is fetched, so without a network there is none."""
     folder = tmp_path_factory.mktemp("wheel")
     command = [sys.executable, "-m", "pip", "wheel", "--no-deps", "--wheel-dir", str(folder), str(ROOT)]
     outcome = subprocess.run(command, check=False, capture_output=True, text=True, timeout=300, cwd=folder)
@@ -67,13 +75,12 @@ def test_the_wheel_serves_the_first_page_where_there_is_no_checkout(wheel: Path,
 
 
 @pytest.mark.slow
-def test_the_wheel_holds_what_runs_and_nothing_it_was_made_of(wheel: Path) -> None:
+def test_the_wheel_holds_what_runs_and_nothing_it_was_made_of(wheel: Path, sources: set[str]) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
     assert {f"web/node_modules/{place}" for place in LIBRARIES.values()} == {
         name for name in names if name.startswith("web/node_modules/")
     }
-    packages = {path.relative_to(ROOT).as_posix() for path in _sources()}
-    assert packages <= names, "every module, every migration"
+    assert sources <= names, "every module, every migration"
     assert not [name for name in names if name.endswith((".ts", ".pyc")) or "tests/" in name]
     assert any(name.startswith("web/templates/") for name in names)
     assert any(name.startswith("web/styles/") for name in names)
@@ -84,9 +91,3 @@ def test_the_wheel_is_told_which_files_of_others_browsers_load() -> None:
     artifacts = project["tool"]["hatch"]["build"]["targets"]["wheel"]["artifacts"]
     named = {name for name in artifacts if name.startswith("/web/node_modules/")}
     assert named == {f"/web/node_modules/{place}" for place in LIBRARIES.values()}
-
-
-def _sources() -> list[Path]:
-    folders = ("stone", "services", "simulator", "client", "api", "web")
-    found = [path for folder in folders for path in (ROOT / folder).rglob("*.py")]
-    return [path for path in found if "node_modules" not in path.parts]
