@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from dataclasses import dataclass, field
+from functools import cached_property
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -49,6 +50,7 @@ class Built:
     folder: Path
     printed: str
 
+    @cached_property
     def pages(self) -> list[Page]:
         return [Page(path) for path in sorted(self.folder.rglob("*.html"))]
 

@@ -10,6 +10,7 @@ from api.statuses import STATUS_OF
 from client.main import app
 from docsite.api_pages import document
 from docsite.codes_page import all_codes
+from docsite.included import relinked
 from docsite.navigation import spread
 from docsite.pages import made_pages
 from docsite.programs_page import programs
@@ -95,6 +96,14 @@ def test_a_page_stands_where_it_is_named_else_where_it_is_matched_first() -> Non
         {"Book": ["operations/runbook.md", "operations/b.md"]},
         {"First": "operations/a.md"},
     ]
+
+
+def test_a_page_from_elsewhere_leads_to_pages_of_the_site_and_keeps_only_the_words_of_what_is_none() -> None:
+    said = "[images](../images/README.md), [keys](../../docs/operations/keys.md#now), [chart](stone/Chart.yaml)"
+    assert relinked(said, "deploy/kubernetes/README.md", "install/cluster.md") == (
+        "[images](images.md), [keys](../operations/keys.md#now), chart"
+    )
+    assert relinked("[tus](https://tus.io)", "deploy/images/README.md", "install/images.md") == "[tus](https://tus.io)"
 
 
 def _is_known(name: str, known: set[str]) -> bool:

@@ -37,11 +37,11 @@ def url(built: Built) -> Iterator[str]:
 
 def test_the_build_warns_of_nothing(built: Built) -> None:
     assert not re.search(r"(?m)^(WARNING|ERROR)", built.printed), built.printed
-    assert len(built.pages()) > 40
+    assert len(built.pages) > 40
 
 
 def test_every_link_and_picture_leads_to_a_file_and_to_a_place_in_it(built: Built) -> None:
-    pages = {page.path: page for page in built.pages()}
+    pages = {page.path: page for page in built.pages}
     broken = []
     for page in pages.values():
         for link in (*page.links, *page.loaded):
@@ -59,11 +59,11 @@ def test_every_link_and_picture_leads_to_a_file_and_to_a_place_in_it(built: Buil
 
 def test_nothing_is_loaded_from_another_host(built: Built) -> None:
     outside = re.compile(r"""(?:url\(|@import)\s*["']?(?:https?:)?//""")
-    loaded = {(page.path.name, one) for page in built.pages() for one in page.loaded}
+    loaded = {(page.path.name, one) for page in built.pages for one in page.loaded}
     assert {one for one in loaded if urlsplit(one[1]).netloc or urlsplit(one[1]).scheme in ("http", "https")} == set()
     assert [path.name for path in built.folder.rglob("*.css") if outside.search(path.read_text("utf-8"))] == []
     # What the theme would fetch from a CDN for it, were it there.
-    assert "mermaid" not in {name for page in built.pages() for name in page.classes}
+    assert "mermaid" not in {name for page in built.pages for name in page.classes}
 
 
 @pytest.mark.parametrize("path", LOOKED_AT)
