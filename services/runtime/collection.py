@@ -6,13 +6,15 @@ who takes out the row of `loose_objects` (`services/runtime/blobs.py`). While so
 (`services/runtime/holding.py`), rows go and no object does.
 """
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain, groupby, islice
 
-from sqlalchemy import ColumnElement, delete, exists, or_, select, union_all, update
+from sqlalchemy import ColumnElement, and_, delete, exists, or_, select, union_all, update
 from sqlalchemy.orm import Session
 
+from services.runtime.collection_turn import Turn
 from services.runtime.holding import is_held
 from services.runtime.inserting import insert_new
 from services.runtime.jobs.specs import TERMINAL
@@ -40,23 +42,40 @@ class Collected:
     objects: int
 
 
-def collect(platform: Platform) -> Collected:
-    """Remove what is older than the grace and needed by nobody. Any number may run at once."""
+def collect(platform: Platform, turn: Turn | None = None) -> Collected:
+    """Remove what is older than the grace and needed by nobody. Any number may run at once.
+
+    With a `turn` some of it: what fits into its share of time, going on where it ended before.
+    """
     before_ns = now_ns() - int(platform.settings.store.grace_s * 1e9)
-    rows = _release_blobs(platform, before_ns)
+    rows = _release_blobs(platform, before_ns, turn or Turn(share_s=float("inf")))
     _condemn_loose(platform, before_ns)
-    _condemn_unknown(platform, before_ns)
+    _condemn_unknown(platform, before_ns, BLOBS if turn is None else turn.next_shard(BLOBS))
     objects = _delete_condemned(platform) + _delete_work(platform, before_ns)
     return Collected(rows, objects + platform.store.tidy(max(platform.settings.store.grace_s, SLOWEST_WRITE_S)))
 
 
-def _release_blobs(platform: Platform, before_ns: int) -> int:
+def _release_blobs(platform: Platform, before_ns: int, turn: Turn) -> int:
+    """Delete rows without a reference, a slice of all blobs after another."""
+    released, until_s = 0, turn.until_s()
+    while True:
+        ordered = select(Blob.sha256).where(Blob.sha256 > turn.after_sha256).order_by(Blob.sha256)
+        with platform.database.reading() as session:
+            last = session.scalar(ordered.offset(turn.slice_rows - 1).limit(1))
+        slice_of = (Blob.sha256 > turn.after_sha256, *((Blob.sha256 <= last,) if last else ()))
+        released += _release_among(platform, and_(Blob.created_ns <= before_ns, *slice_of))
+        turn.after_sha256 = last or ""
+        if last is None or time.monotonic() >= until_s:
+            return released
+
+
+def _release_among(platform: Platform, claim: ColumnElement[bool]) -> int:
     """Delete rows without a reference, condemning their objects.
 
     On PostgreSQL two statements are needed: rows are locked first, against new references; then those are looked for.
     """
     released = 0
-    old = select(Blob.sha256).where(Blob.created_ns <= before_ns, ~_is_referenced())
+    old = select(Blob.sha256).where(claim, ~_is_referenced())
     while True:
         with platform.database.transaction() as session:
             shas = session.scalars(old.limit(BATCH).with_for_update(skip_locked=True)).all()
@@ -82,9 +101,9 @@ def _condemn_loose(platform: Platform, before_ns: int) -> None:
         session.execute(forgotten.values(is_condemned=True))
 
 
-def _condemn_unknown(platform: Platform, before_ns: int) -> None:
+def _condemn_unknown(platform: Platform, before_ns: int, blobs: str) -> None:
     """Objects no row speaks of: of transactions rolled back, of a database restored to an earlier day."""
-    listed = chain.from_iterable(platform.store.listed(kind) for kind in (BLOBS, UPLOADS))
+    listed = chain.from_iterable(platform.store.listed(kind) for kind in (blobs, UPLOADS))
     found = (stored for stored in listed if stored.modified_ns <= before_ns)
     while batch := [stored.key for stored in islice(found, BATCH)]:
         with platform.database.reading() as session:

@@ -17,6 +17,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from services.runtime.bell import ring, waiting
 from services.runtime.benchmarks.submission_chores import settle_ended, tidy_submissions
 from services.runtime.collection import collect
+from services.runtime.collection_turn import Turn
 from services.runtime.errors import PlatformFaultError
 from services.runtime.jobs.presence import forget_silent
 from services.runtime.jobs.sweeping import Sweeper
@@ -70,13 +71,13 @@ class Chore:
 def chores_of(platform: Platform) -> tuple[Chore, ...]:
     """What the sweeper does on this platform."""
     settings = platform.settings
-    sweeper = Sweeper(platform, waiting(settings), ring(settings))
+    sweeper, turn = Sweeper(platform, waiting(settings), ring(settings)), Turn()
     return (
         Chore("jobs", settings.jobs.sweep_s, sweeper.sweep),
         Chore("submissions", settings.jobs.sweep_s, lambda: settle_ended(platform)),
         Chore("submitted files", MINUTE_S, lambda: tidy_submissions(platform)),
         Chore("uploads", MINUTE_S, lambda: expire(platform)),
-        Chore("blobs", MINUTE_S, lambda: collect(platform)),
+        Chore("blobs", MINUTE_S, lambda: collect(platform, turn)),
         Chore("workers", MINUTE_S, lambda: forget_silent(platform)),
     )
 
