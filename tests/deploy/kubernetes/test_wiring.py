@@ -1,8 +1,11 @@
 """What refers to something refers to something that is there."""
 
+import re
 from collections.abc import Sequence
 
+from api.metrics import Meters
 from services.runtime.celery_app import QUEUES
+from services.runtime.platform import Platform
 from tests.deploy.kubernetes.rendering import (
     Manifest,
     containers,
@@ -13,6 +16,8 @@ from tests.deploy.kubernetes.rendering import (
     roles_selected,
     selects,
 )
+
+QUERY = re.compile(r'^sum\(max by \(state\) \((\w+)\{queue="(\w+)",state=~"([\w|]+)"\}\)\)$')
 
 
 def test_every_selector_chooses_the_pods_of_its_own_role_and_no_others(manifests: Sequence[Manifest]) -> None:
@@ -72,6 +77,16 @@ def test_workers_scale_between_their_bounds_by_what_waits_for_them() -> None:
             [trigger] = one["spec"]["triggers"]
             asked = trigger["metadata"]
             assert f'queue="{role_of(one)}"' in asked.get("query", "") or asked.get("listName") == role_of(one)
+
+
+def test_what_is_asked_of_prometheus_is_told_by_the_api_also_when_there_is_nothing(platform: Platform) -> None:
+    told = Meters(platform).exposition().decode()
+    for one in of_kind(rendered("production"), "ScaledObject"):
+        asked = one["spec"]["triggers"][0]["metadata"]
+        [(name, queue, states)] = QUERY.findall(asked["query"])
+        assert asked["ignoreNullValues"] == "false", "an outage is no lack of jobs"
+        for state in states.split("|"):
+            assert f'{name}{{queue="{queue}",state="{state}"}} 0.0' in told
 
 
 def test_bells_are_counted_with_the_password_of_the_redis_that_is_counted() -> None:
