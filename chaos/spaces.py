@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 CLONE_NEWNET = 0x40000000
 QUEUE_MS = 400
+NOBODY = "02:00:00:00:00:ff"
 _LIBC = ctypes.CDLL(None, use_errno=True)
 
 
@@ -47,19 +48,24 @@ class Link:
     ends: tuple[Space, Space]
 
     def cut(self) -> None:
-        self._shape("netem", "loss", "100%")
+        """Each end sends to a station that is not there: no kernel needs a module for that (netem is often missing)."""
+        for end, other in self._both_ways():
+            where = ("neigh", "replace", other.address, "lladdr", NOBODY, "dev", end.interface, "nud", "permanent")
+            _run("ip", "-n", end.name, *where)
 
     def slow(self, bytes_per_s: int) -> None:
-        bits = f"{bytes_per_s * 8}bit"
-        self._shape("tbf", "rate", bits, "burst", "32kb", "latency", f"{QUEUE_MS}ms")
-
-    def mend(self) -> None:
-        for end in self.ends:
-            _run("ip", "netns", "exec", end.name, "tc", "qdisc", "del", "dev", end.interface, "root", check=False)
-
-    def _shape(self, *how: str) -> None:
+        how = ("tbf", "rate", f"{bytes_per_s * 8}bit", "burst", "32kb", "latency", f"{QUEUE_MS}ms")
         for end in self.ends:
             _run("ip", "netns", "exec", end.name, "tc", "qdisc", "replace", "dev", end.interface, "root", *how)
+
+    def mend(self) -> None:
+        for end, other in self._both_ways():
+            _run("ip", "-n", end.name, "neigh", "del", other.address, "dev", end.interface, check=False)
+            _run("ip", "netns", "exec", end.name, "tc", "qdisc", "del", "dev", end.interface, "root", check=False)
+
+    def _both_ways(self) -> tuple[tuple[Space, Space], tuple[Space, Space]]:
+        first, second = self.ends
+        return (first, second), (second, first)
 
 
 def why_not() -> str:
