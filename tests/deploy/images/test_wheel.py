@@ -47,7 +47,7 @@ def sources() -> set[str]:
 
 @pytest.fixture(scope="module")
 def wheel(sources: set[str], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Built of all `sources` as the images build it; its build backend is fetched, so without a network there is none."""
+    """Built of all `sources` as the images build it; without a network there is no backend for it."""
     folder = tmp_path_factory.mktemp("wheel")
     command = [sys.executable, "-m", "pip", "wheel", "--no-deps", "--wheel-dir", str(folder), str(ROOT)]
     outcome = subprocess.run(command, check=False, capture_output=True, text=True, timeout=300, cwd=folder)
