@@ -48,6 +48,7 @@ STATUS_OF: dict[type[StoneError], int] = {
     api.UnauthenticatedError: 401,
     access.BadNameError: 422,
     access.BusyError: 503,
+    access.GuessablePasswordError: 422,
     access.LastAdministratorError: 409,
     access.NameTakenError: 409,
     access.UnknownRoleError: 422,

@@ -24,7 +24,7 @@ def calibration_record(calibration: Calibration) -> dict[str, Any]:
 
 
 def calibration_of(record: dict[str, Any]) -> Calibration:
-    """What `calibration_record` wrote. Raises `KeyError`, `TypeError`, `ValueError`, `ShapeError` for something else."""
+    """What `calibration_record` wrote. Raises `KeyError`, `TypeError`, `ValueError`, `ShapeError` for other things."""
     return Calibration(
         name=record["name"],
         ego_from_lidar=SE3(np.array(record["ego_from_lidar"])),

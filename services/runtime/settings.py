@@ -125,6 +125,8 @@ class SubmissionSettings:
 class ApiSettings:
     """`url` is where browsers and commands reach the API; it also decides whether cookies are `Secure`.
 
+    A browser is signed out `session_s` after it signed in, and `session_idle_s` after its last request.
+
     With `pages` off there are no pages, and nothing of theirs is loaded.
 
     Whoever shows `metrics_token` (or one of several, between blanks) may read `/metrics`; empty: administrators only.
@@ -143,10 +145,19 @@ class ApiSettings:
     requests_per_minute: int = 1200
     sign_ins_per_minute: int = 10
     session_s: float = 12 * 3600.0
+    session_idle_s: float = 30 * 60.0
     token_s: float = 365 * 86400.0
     metrics_token: SecretStr = field(default=SecretStr(""))
     trusts_traceparent: bool = False
     first_password: SecretStr = field(default=SecretStr(""))
+
+
+@dataclass(frozen=True)
+class RetentionSettings:
+    """How long what nobody asked to be deleted is kept. Lines of the audit log older than `audit_s` go, and the chain
+    goes on from where it was cut; 0 keeps them for ever."""
+
+    audit_s: Annotated[float, Field(ge=0)] = 0.0
 
 
 @dataclass(frozen=True)
@@ -177,6 +188,7 @@ class Settings(BaseSettings):
     submissions: SubmissionSettings = SubmissionSettings()
     api: ApiSettings = ApiSettings()
     viewing: ViewingSettings = ViewingSettings()
+    retention: RetentionSettings = RetentionSettings()
 
     @classmethod
     def settings_customise_sources(

@@ -14,6 +14,8 @@ import structlog
 from redis import RedisError
 from sqlalchemy.exc import SQLAlchemyError
 
+from services.runtime.access.forgetting import forget_ended
+from services.runtime.audit_retention import cut_audit
 from services.runtime.bell import ring, waiting
 from services.runtime.benchmarks.submission_chores import settle_ended, tidy_submissions
 from services.runtime.collection import collect
@@ -78,6 +80,8 @@ def chores_of(platform: Platform) -> tuple[Chore, ...]:
         Chore("submitted files", MINUTE_S, lambda: tidy_submissions(platform)),
         Chore("uploads", MINUTE_S, lambda: expire(platform)),
         Chore("blobs", MINUTE_S, lambda: collect(platform, turn)),
+        Chore("credentials", MINUTE_S, lambda: forget_ended(platform)),
+        Chore("audit log", MINUTE_S, lambda: cut_audit(platform)),
         Chore("workers", MINUTE_S, lambda: forget_silent(platform)),
     )
 

@@ -43,6 +43,15 @@ class AuditEntry(Base):
     )
 
 
+class AuditAnchor(Base):
+    """The audit log begins behind the line of this number, whose hash its first line follows from."""
+
+    __tablename__ = "audit_anchors"
+    number: Mapped[int] = mapped_column(Integer, primary_key=True, autoincrement=False)
+    hash: Mapped[str] = mapped_column(String(64))
+    cut_ns: Mapped[Ns] = mapped_column(default=now_ns)
+
+
 class IdempotentReply(Base):
     """The answer to a request that carried an Idempotency-Key; `status` 0 while the first one is being worked on."""
 
