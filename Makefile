@@ -1,6 +1,6 @@
-# make install | demo | serve | test | check | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-platform | bench-pages | bench-truth | bench-decisions | season | images
+# make install | demo | serve | test | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-platform | bench-pages | bench-truth | bench-decisions | season | images
 # Each installs first, which costs nothing when nothing changed.
-.PHONY: install test-clients demo serve test check docs chaos fuzz bench bench-eval bench-label bench-read bench-platform bench-pages bench-truth bench-decisions season images
+.PHONY: install test-clients demo serve test check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-platform bench-pages bench-truth bench-decisions season images
 .DELETE_ON_ERROR:
 
 BIN := .venv/bin
@@ -53,6 +53,9 @@ chaos: install
 	$(BIN)/python -m chaos.upgrade
 	$(BIN)/python -m chaos.upgrade --postgres --kill
 	$(BIN)/python -m chaos.machines || test $$? = 77  # no namespaces here: said, and skipped
+
+audit: install
+	$(BIN)/python deploy/audit.py
 
 fuzz: install
 	$(BIN)/python -m fuzz
