@@ -1,8 +1,8 @@
 """The application: one page that says what a request passes and which routes there are.
 
-**Conventions.** A request passes, from outside in: `entry` (id, log, metrics, security headers, faults), `limits`
-(rate), `bodies` (size), `idempotency`, then the router. Routes live under `/api/v1`, a module per noun; probes at the
-root.
+**Conventions.** A request passes, from outside in: `https` where the platform is reached so, `entry` (id, log, metrics,
+security headers, faults), `limits` (rate), `bodies` (size), `idempotency`, then the router. Routes live under
+`/api/v1`, a module per noun; probes at the root.
 """
 
 from fastapi import APIRouter, FastAPI
@@ -11,6 +11,7 @@ from fastapi.telemetry import TelemetryConfig
 from api import problems
 from api.bodies import BodyLimit
 from api.entry import Entry
+from api.https import Https
 from api.idempotency import Idempotency
 from api.limits import Limits, RateLimit
 from api.metrics import Meters
@@ -115,6 +116,8 @@ def make_api(platform: Platform, shown: problems.Shown = problems.as_it_is) -> F
     api.add_middleware(RateLimit, limits=api.state.limits)
     trusts = platform.settings.api.trusts_traceparent
     api.add_middleware(Entry, meters=api.state.meters, shown=shown, trusts_traceparent=trusts)
+    if platform.settings.api.url.startswith("https://"):
+        api.add_middleware(Https)
     api.include_router(health.router)
     for router in ROUTERS:
         api.include_router(router, prefix=PREFIX)
