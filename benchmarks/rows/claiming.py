@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from multiprocessing import get_context
+from multiprocessing.synchronize import Barrier as ProcessBarrier
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Barrier, Thread
@@ -94,9 +95,9 @@ def taken_by(url: str, workers: int, seconds: float) -> Taken:
     """What `workers` threads in a few processes take in so many seconds."""
     processes = min(PROCESSES, workers)
     shares = [workers // processes + (number < workers % processes) for number in range(processes)]
-    begin_s = time.time() + 3.0  # all are connected by then
-    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-        jobs = [pool.submit(_share, url, share, (begin_s, seconds)) for share in shares]
+    context = get_context("spawn")
+    with ProcessPoolExecutor(processes, context, _meet_at, (context.Barrier(processes),)) as pool:
+        jobs = [pool.submit(_share, url, share, seconds) for share in shares]
         done = [job.result() for job in jobs]
     ids = [job_id for share in done for job_id in share[0]]
     claims = _spread([value for _, lasted, _ in done for value in lasted])
@@ -104,19 +105,29 @@ def taken_by(url: str, workers: int, seconds: float) -> Taken:
     return Taken(workers, len(ids) / seconds, claims, ends, len(ids) - len(set(ids)))
 
 
-def _share(url: str, threads: int, span: tuple[float, float]) -> tuple[list[str], list[float], list[float]]:
-    """The ids that `threads` threads took, and how long their claims and endings lasted."""
+_MEETING: list[ProcessBarrier] = []
+
+
+def _meet_at(barrier: ProcessBarrier) -> None:
+    _MEETING.append(barrier)
+
+
+def _meet() -> None:
+    _MEETING[0].wait()
+
+
+def _share(url: str, threads: int, seconds: float) -> tuple[list[str], list[float], list[float]]:
+    """The ids that `threads` threads took, and how long their claims and endings lasted, once all are connected."""
     settings = Settings(database=DatabaseSettings(url, pool_size=threads))
-    database, together = Database(settings), Barrier(threads)
+    database, together = Database(settings), Barrier(threads, action=_meet)
     ids, claims, ends = list[str](), list[float](), list[float]()
 
     def work() -> None:
         with database.reading() as session:
             session.connection()
             together.wait()
-            time.sleep(max(0.0, span[0] - time.time()))
-        until_s = span[0] + span[1]
-        while time.time() < until_s and (one := _one_job(database)):
+        until_s = time.monotonic() + seconds
+        while time.monotonic() < until_s and (one := _one_job(database)):
             ids.append(one[0])
             claims.append(one[1])
             ends.append(one[2])
