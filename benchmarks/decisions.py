@@ -97,15 +97,17 @@ def _measured(
 
 
 def _figures(drive: Drive, folder: Path, parameters: LabelParameters) -> Figures:
-    """Label into `folder` and hold it against the truth."""
+    """Label into `folder` and hold it against the truth; what nobody measured, where the surface is another."""
     record = label(drive.sequence, drive.sweeps, folder, LabelOptions(parameters, WORKERS)).as_record()
-    verdict, walker, evidence = judged(drive, folder), walker_counts(drive, folder), evidence_counts(drive, folder)
+    verdict, walker = judged(drive, folder), walker_counts(drive, folder)
+    is_other_surface = replace(parameters.surface, min_frames=1) != PAPER.surface
+    unobserved = {"unobserved": evidence_counts(drive, folder).beyond_reach} if is_other_surface else {}
     return {
         **{name: getattr(verdict, name) or 0.0 for name in ("iou", "precision", "recall")},
         "driven": record["reference"]["voxels"],
         "voxels": record["map"]["voxels"],
         "walker": int(sum(walker.labelled)),
-        "unobserved": evidence.beyond_reach,
+        **unobserved,
     }
 
 
@@ -115,7 +117,7 @@ def _show(title: str, figures: Mapping[str, Figures]) -> None:
     for _, name, _ in ROWS:
         table.add_column(name, justify="right")
     for decision, of_one in figures.items():
-        table.add_row(decision, *(format(of_one[key], form) for key, _, form in ROWS))
+        table.add_row(decision, *(format(of_one[key], form) if key in of_one else "" for key, _, form in ROWS))
     Console(width=max(Console().width, 130)).print(table)
 
 

@@ -6,6 +6,7 @@ is added to what the document says.
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
+from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -38,8 +39,9 @@ Version 1 is below `/api/v1`. A server serves its own document at `/api/v1/opena
 """
 
 
+@cache
 def document() -> dict[str, Any]:
-    """The OpenAPI document of a platform with default settings; nothing of it is left behind."""
+    """The OpenAPI document of a platform with default settings, made once; nothing of it is left behind."""
     with TemporaryDirectory() as folder:
         platform = open_platform(Settings(data_folder=Path(folder)))
         try:

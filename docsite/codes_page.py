@@ -76,9 +76,10 @@ def _codes_of(path: Path) -> Iterator[Code]:
 
 
 def _is_code(said: ast.stmt) -> bool:
-    if not isinstance(said, ast.Assign) or not isinstance(said.value, ast.Constant):
+    if not isinstance(said, ast.Assign | ast.AnnAssign) or not isinstance(said.value, ast.Constant):
         return False
-    names = [target.id for target in said.targets if isinstance(target, ast.Name)]
+    targets = said.targets if isinstance(said, ast.Assign) else [said.target]
+    names = [target.id for target in targets if isinstance(target, ast.Name)]
     return names == ["code"] and isinstance(said.value.value, str) and bool(said.value.value)
 
 

@@ -15,7 +15,7 @@ from tests.docsite.conftest import Built
 from tests.web.browsing import DESKTOP, PATIENCE_MS, Watch
 from tests.web.looking import look
 
-LOOKED_AT = ("index.html", "method/index.html", "administrator.html", "reference/api/sequences.html")
+LOOKED_AT = ("index.html", "method/index.html", "reference/api/sequences.html")
 
 
 class Quiet(SimpleHTTPRequestHandler):
