@@ -13,7 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from sqlalchemy import delete, exists, select
+from sqlalchemy import Select, delete, exists, select
 from sqlalchemy.orm import Session
 
 from services.runtime import quota
@@ -103,7 +103,7 @@ def _forget(session: Session, sequence_id: str, gone: set[str]) -> int:
     return len(exports) + len(label_sets)
 
 
-def _labels_with(gone: set[str]):  # type: ignore[no-untyped-def]  # Select has no name for "of one column"
+def _labels_with(gone: set[str]) -> Select[str]:
     return select(LabelSet.id).where(
         exists().where(Artefact.label_set_id == LabelSet.id, Artefact.blob_sha256.in_(gone))
     )
