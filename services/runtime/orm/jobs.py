@@ -13,6 +13,7 @@ from services.runtime.orm.base import Base, Bytes, Count, Id, Ns, Record, new_id
 from services.runtime.telemetry.origins import origin_request, origin_trace
 
 IS_READY = "state = 'queued' AND needs_left = 0"
+IS_WAITING = "state = 'queued' AND needs_left > 0"
 IS_RUNNING = "state = 'running'"
 IS_RUN = "id = root_id"
 """What the partial indexes are of. A query uses one only if it says the very same, in literals: a generic plan of a
@@ -60,6 +61,7 @@ class Job(Base):
     __table_args__ = (
         Index("ix_jobs_ready_since", "queue", "ready_ns", sqlite_where=READY, postgresql_where=READY),
         partial_index("ix_jobs_ready", IS_READY, "queue", "owner_id", "priority", "root_id", "id"),
+        partial_index("ix_jobs_waiting", IS_WAITING, "queue"),
         partial_index("ix_jobs_running", IS_RUNNING, "queue", "owner_id"),
         partial_index("ix_jobs_runs", IS_RUN, "owner_id", "id"),
         partial_index("ix_jobs_run_kinds", IS_RUN, "kind", "id"),

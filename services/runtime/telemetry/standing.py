@@ -8,7 +8,7 @@ what has ended is not counted here at all but by the processes that ended it. Pr
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from sqlalchemy import ColumnElement, Subquery, func, literal_column, select, text
+from sqlalchemy import ColumnElement, func, literal_column, select, text
 from sqlalchemy.orm import Session
 
 from services.runtime.celery_app import QUEUES
@@ -16,10 +16,11 @@ from services.runtime.database_clock import database_ns
 from services.runtime.jobs.presence import Seen, workers_seen
 from services.runtime.orm import ChoreRow, Figure, Job, Queue, Upload
 from services.runtime.orm.base import now_ns
-from services.runtime.orm.jobs import IS_READY, IS_RUNNING
+from services.runtime.orm.jobs import IS_READY, IS_RUNNING, IS_WAITING
 
 MOST = 10_000
 MOST_WORKERS = 5_000
+STATES = (("ready", IS_READY), ("waiting", IS_WAITING), ("running", IS_RUNNING))
 ONE: ColumnElement[int] = literal_column("1")
 
 
@@ -39,7 +40,7 @@ class Standing:
 def standing(session: Session, heartbeat_s: float) -> Standing:
     """As it is now; every queue is named, however empty."""
     return Standing(
-        jobs={**_ready(session), **_waiting(session), **_running(session)},
+        jobs={key: count for state, one in STATES for key, count in _counted(session, state, one).items()},
         oldest_ready_s={queue: _oldest_s(session, queue) for queue in QUEUES},
         paused=frozenset(session.scalars(select(Queue.name).where(Queue.mode == "paused"))),
         uploads_open=_uploads_open(session),
@@ -53,28 +54,13 @@ def _age() -> ColumnElement[int]:
     return database_ns() - ChoreRow.done_ns
 
 
-def _ready(session: Session) -> dict[tuple[str, str], int]:
+def _counted(session: Session, state: str, predicate: str) -> dict[tuple[str, str], int]:
+    """By queue, off the index that is partial by the predicate."""
     found = {}
     for queue in QUEUES:
-        some = select(ONE).select_from(Job).where(Job.queue == queue, text(IS_READY)).limit(MOST).subquery()
-        found[queue, "ready"] = session.scalar(select(func.count()).select_from(some)) or 0
+        some = select(ONE).select_from(Job).where(Job.queue == queue, text(predicate)).limit(MOST).subquery()
+        found[queue, state] = session.scalar(select(func.count()).select_from(some)) or 0
     return found
-
-
-def _waiting(session: Session) -> dict[tuple[str, str], int]:
-    queued = select(Job.queue).where(Job.state == "queued", Job.needs_left > 0).limit(MOST).subquery()
-    return _by_queue(session, queued, "waiting")
-
-
-def _running(session: Session) -> dict[tuple[str, str], int]:
-    running = select(Job.queue).where(text(IS_RUNNING)).limit(MOST).subquery()
-    return _by_queue(session, running, "running")
-
-
-def _by_queue(session: Session, some: Subquery, state: str) -> dict[tuple[str, str], int]:
-    rows = session.execute(select(some.c.queue, func.count()).group_by(some.c.queue)).all()
-    counted: dict[str, int] = {queue: count for queue, count in rows}
-    return {(queue, state): counted.get(queue, 0) for queue in QUEUES}
 
 
 def _oldest_s(session: Session, queue: str) -> float:
