@@ -29,7 +29,7 @@ from services.runtime.uploads.slab_rows import Slab
 from services.runtime.uploads.spool import Spool, split
 from stone.errors import StoneError
 
-UNDER_WAY = 2
+UNDER_WAY = 1
 OLD_S = 10.0
 MOST_SLABS = 200_000
 STORING = ThreadPoolExecutor(8, thread_name_prefix="slab")
