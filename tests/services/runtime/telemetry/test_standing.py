@@ -1,8 +1,11 @@
 """How things stand, on both databases: what waits, since when, who works, what was swept; found by steps, not scans."""
 
+from pathlib import Path
+
 import pytest
 from sqlalchemy import update
 
+from benchmarks.rows.plans import explained, taken_down
 from services.runtime.jobs.claiming import claim
 from services.runtime.jobs.presence import Presence
 from services.runtime.jobs.running import run_next
@@ -11,10 +14,12 @@ from services.runtime.jobs.steering import set_mode
 from services.runtime.orm import Blob, Job
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
+from services.runtime.settings import DatabaseSettings
 from services.runtime.sweeper import Chore, booked
 from services.runtime.telemetry import standing as standing_module
 from services.runtime.telemetry.standing import Standing, standing
 from services.runtime.telemetry.sweeper_books import STORED_BLOBS, STORED_BYTES, ChoreBook, StoreSum
+from tests.servers.fixtures import make_settings, opened
 from tests.services.runtime.jobs.steps import HANDLERS, a_job, a_run, an_owner, run_all
 
 
@@ -108,3 +113,17 @@ def test_what_the_store_holds_is_added_up_in_steps(platform_on: Platform) -> Non
     assert not standing_of(platform_on).figures
     stored.step(most=2)
     assert standing_of(platform_on).figures == {STORED_BYTES: 11111, STORED_BLOBS: 5}
+
+
+def test_every_question_about_jobs_is_answered_off_an_index(tmp_path: Path, fresh_postgres_url: str) -> None:
+    platform = opened(make_settings(tmp_path, database=DatabaseSettings(fresh_postgres_url)), [])
+    with taken_down(platform.database.engine) as statements:
+        standing_of(platform)
+    with platform.database.engine.connect() as connection:
+        connection.exec_driver_sql("SET enable_seqscan = off")
+        asked = [one for one in statements if one.is_explained]
+        plans = [explained(connection, one, frozenset({"jobs"}), is_run=False) for one in asked]
+    platform.database.close()
+    assert [plan.faults for plan in plans if plan.faults] == []
+    used = {index for plan in plans for index in plan.indexes}
+    assert {"ix_jobs_ready_since", "ix_jobs_waiting", "ix_jobs_running"} <= used
