@@ -21,6 +21,7 @@ from rich.table import Table
 from sqlalchemy import event, func, select
 
 from services.ingest import stages as ingest
+from services.ingest.stages import open_recording
 from services.labeler import stages as labeler
 from services.runtime.database import Database
 from services.runtime.jobs.running import run_next
@@ -28,6 +29,7 @@ from services.runtime.jobs.specs import TERMINAL
 from services.runtime.migrate import upgrade
 from services.runtime.orm import Artefact, ExportPack, Job, LabelSet
 from services.runtime.platform import Platform
+from services.runtime.sample_sources import provide_samples
 from services.runtime.settings import DatabaseSettings, Settings
 from services.runtime.store_s3 import S3Store
 from services.runtime.sweep_sources import provide_sweeps
@@ -110,7 +112,8 @@ def counted(bag: Path, machines: int) -> dict[str, Any]:
     """By kind what a job asks on average, and what is kept of the sequence in the end."""
     with tempfile.TemporaryDirectory(dir=bag.parent) as folder, _first_machine(Path(folder) / "0") as first:
         count = Count()
-        provide_sweeps(ingest.open_described)
+        provide_sweeps(ingest.open_described)  # as services.ingest.tasks does in a worker
+        provide_samples(open_recording)
         brought = bring(first)
         brought.calibrate(calibration_path(bag))
         brought.add(bag)
