@@ -42,12 +42,10 @@ class BackupFolder:
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         descriptor = os.open(self.root / LOCK, os.O_CREAT | os.O_RDWR, 0o600)
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            self._lock(descriptor)
             for half in (self.root / STAGING).iterdir():
                 half.unlink()
             yield
-        except BlockingIOError:
-            raise BackupBusyError(self.root) from None
         finally:
             os.close(descriptor)
 
@@ -108,6 +106,12 @@ class BackupFolder:
 
     def contents(self) -> Iterator[Path]:
         yield from sorted((self.root / OBJECTS).glob("??/*"))
+
+    def _lock(self, descriptor: int) -> None:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise BackupBusyError(self.root) from None
 
     def _place(self, staging: Path, target: Path) -> None:
         target.parent.mkdir(mode=0o700, exist_ok=True)
