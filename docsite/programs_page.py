@@ -9,7 +9,7 @@ from docsite.markdown import code
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDERS = {"benchmarks": "Measure", "chaos": "Kill and drill", "fuzz": "Fuzz"}
-USED_AS = re.compile(r"`((?:\.venv/bin/)?python (?:-m )?[^`]+)`")
+USED_AS = re.compile(r"(?m)`((?:\.venv/bin/)?python (?:-m )?[^`]+)`|^ {4}(\.venv/bin/python -m .+)$")
 HEAD = """# Programs
 
 What measures, kills and fuzzes: the commands behind every figure of this site, from the repository's root with
@@ -38,7 +38,7 @@ def programs(folder: str) -> Iterator[tuple[str, str]]:
 
 def _told(module: str, words: str) -> str:
     used = USED_AS.search(words)
-    line = used.group(1) if used else f"python -m {module}"
+    line = (used.group(1) or used.group(2)) if used else f"python -m {module}"
     paragraphs = re.split(r"\n\s*\n", USED_AS.sub("", words, count=1))
     prose = [" ".join(one.split()) for one in paragraphs if "**Conventions.**" not in one]
     first = prose[0].replace(": .", ".").replace(" .", ".").rstrip(": ")

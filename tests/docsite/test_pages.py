@@ -20,7 +20,8 @@ from docsite.settings_page import variables
 ROOT = Path(__file__).resolve().parents[2]
 WRITTEN = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 SOURCES = ("stone", "services", "simulator", "client", "api", "web", "benchmarks", "chaos", "fuzz", "deploy", "tests")
-PATHS = re.compile(rf"`((?:{'|'.join(SOURCES)}|examples)/[\w./-]+)`")
+# `deploy/stone-…` is what kubectl calls a deployment.
+PATHS = re.compile(rf"`(?!deploy/stone-)((?:{'|'.join(SOURCES)}|examples)/[\w./-]+)`")
 VARIABLE = re.compile(r"\bSTONE_[A-Z0-9_]*[A-Z0-9]\b")
 NAV = [{"Start": "index.md"}, {"Operations": ["operations/*.md", "scale*.md"]}, {"Security": ["security/*.md"]}]
 
