@@ -23,6 +23,7 @@ from benchmarks.fleet.sharing import Cores, Line
 from benchmarks.fleet.simulation import Database, Fleet
 
 HERE = Path(__file__).parent
+FACTS = {"measured": "benchmarks.scale", "costs": "benchmarks.job_costs", "database": "benchmarks.rows.claiming"}
 COUNTS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 4000)
 
 
@@ -38,9 +39,7 @@ def main() -> None:
     parser.add_argument("--pictures", type=Path)
     parser.add_argument("--json", type=Path, default=Path("build") / "fleet.json")
     options = parser.parse_args()
-    measured, costs, database = (
-        json.loads((HERE / f"{name}.json").read_text("utf-8")) for name in ("measured", "costs", "database")
-    )
+    measured, costs, database = (_fact(name, command) for name, command in FACTS.items())
     graph = fed(measured, costs)
     steps = list(grown(graph, fleet_of(measured, database, options), options.workers, options.each))
     options.json.parent.mkdir(parents=True, exist_ok=True)
@@ -50,6 +49,14 @@ def main() -> None:
         draw_growth(steps, options.pictures / "scale-workers.png")
         foretold = [Forecast(**one) for one in measured["forecasts"]]
         draw_forecasts(measured_of(measured["base"]).wall_s, foretold, options.pictures / "scale-forecasts.png")
+
+
+def _fact(name: str, command: str) -> dict[str, Any]:
+    path = HERE / f"{name}.json"
+    if not path.exists():
+        raise SystemExit(f"{path.name} is missing: run `python -m {command} --keep` first")
+    found: dict[str, Any] = json.loads(path.read_text("utf-8"))
+    return found
 
 
 def fed(measured: dict[str, Any], costs: dict[str, Any]) -> Graph:

@@ -8,6 +8,7 @@ says when each is through, whenever others come and go, and only the next to lea
 from collections.abc import Callable
 from dataclasses import dataclass
 from heapq import heappop, heappush
+from math import isinf
 
 from simpy import Environment, Event
 
@@ -57,9 +58,9 @@ class Shared:
         self.used = 0.0
 
     def use(self, amount: float) -> Event:
-        """Done at once where it is nothing."""
+        """Done at once where it is nothing, or where there is no end of speed."""
         event = self._env.event()
-        if amount <= 0:
+        if amount <= 0 or isinf(self._speed(1)):
             return event.succeed()
         self._wind()
         self.used += amount

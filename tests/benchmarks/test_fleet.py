@@ -36,7 +36,7 @@ def test_poisson_arrivals_wait_as_erlang_says(servers: int, rate_hz: float) -> N
         arrivals.append((at_s, one_job(chance.expovariate(1.0))))
     course = simulate(Fleet(servers), arrivals)
     waited_s = sum(course.ages_s) / len(course.ages_s)
-    assert waited_s == pytest.approx(chance_of_waiting(servers, rate_hz) / (servers - rate_hz), rel=0.08)
+    assert waited_s == pytest.approx(chance_of_waiting(servers, rate_hz) / (servers - rate_hz), rel=0.12)
 
 
 def test_regular_arrivals_that_are_served_in_time_never_wait() -> None:
