@@ -43,8 +43,8 @@ def begin_run(api: Api, sequence: dict[str, Any], inputs: Inputs) -> Brought:
     return Brought(sequence["owner_id"], sequence["id"], run["id"], inputs.sha256, inputs.size_bytes)
 
 
-def await_jobs(api: Api, run_id: str, jobs: int) -> int:
-    """Until so many jobs of the run have ended, or all; how many had."""
+def await_jobs(api: Api, run_id: str, jobs: int, within_s: float = 600.0) -> int:
+    """Until so many jobs of the run ended, or all; how many. Long: fresh sources compile their kernels first."""
     done: list[int] = []
 
     def are_done() -> bool:
@@ -52,7 +52,7 @@ def await_jobs(api: Api, run_id: str, jobs: int) -> int:
         done[:] = [run["progress"]["done"]]
         return done[0] >= jobs or run["state"] in ENDED
 
-    await_true(f"{jobs} jobs of run {run_id}", are_done, every_s=0.05)
+    await_true(f"{jobs} jobs of run {run_id}", are_done, every_s=0.05, within_s=within_s)
     return done[0]
 
 
