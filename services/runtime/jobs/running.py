@@ -17,7 +17,6 @@ from services.runtime.jobs.errors import JobCancelledError, LostAttemptError, Un
 from services.runtime.jobs.finishing import Failure, cancelled, fail, lose, succeed
 from services.runtime.jobs.reporter import Reporter
 from services.runtime.jobs.specs import RETICENT, Handlers, Outcome, queue_of
-from services.runtime.jobs.telling import origin_of, told
 from services.runtime.platform import Platform
 from stone.errors import StoneError
 
@@ -32,34 +31,26 @@ def run_next(platform: Platform, queue: str, handlers: Handlers) -> bool:
         return False
     with platform.database.transaction() as session:
         start_run(session, taken)
-        origin = origin_of(session, taken)
-    with told(taken, origin) as telling, Reporter(platform, taken) as reporter:
-        telling.ended(*_attempt(platform, taken, handlers, reporter))
-        log.info("attempt ended", outcome=telling.outcome)
+    with Reporter(platform, taken) as reporter:
+        _attempt(platform, taken, handlers, reporter)
     return True
 
 
-def _attempt(platform: Platform, taken: Claim, handlers: Handlers, reporter: Reporter) -> tuple[str, str]:
-    """How it ended, and the code of its failure."""
+def _attempt(platform: Platform, taken: Claim, handlers: Handlers, reporter: Reporter) -> None:
     try:
         _succeed(platform, taken, _answer(taken, handlers, reporter))
     except LostAttemptError as error:
-        log.warning("attempt lost", reason=str(error))
-        return "lost", error.code
+        log.warning("attempt lost", job_id=taken.job_id, attempt=taken.attempt, reason=str(error))
     except JobCancelledError as error:
         reporter.log(str(error), "warning")
         with platform.database.transaction() as session:
             cancelled(session, taken)
-        return "cancelled", error.code
     except Exception as error:
-        failure = _failure_of(error, taken.kind)
         if is_refusal(error):
-            _fail(platform, taken, reporter, failure)
-            return "failed", failure.code
+            _fail(platform, taken, reporter, _failure_of(error, taken.kind))
+            return
         with platform.database.transaction() as session:
-            lose(session, taken, failure)
-        return "lost", failure.code
-    return "succeeded", ""
+            lose(session, taken, _failure_of(error, taken.kind))
 
 
 def _answer(taken: Claim, handlers: Handlers, reporter: Reporter) -> Outcome:

@@ -6,7 +6,6 @@ from sqlalchemy import JSON, ForeignKey, Index, String, false, text
 from sqlalchemy.orm import Mapped, mapped_column
 
 from services.runtime.orm.base import Base, Bytes, Id, Ns, new_id, now_ns
-from services.runtime.telemetry.origins import origin_trace
 
 
 class Calibration(Base):
@@ -55,7 +54,7 @@ class Sequence(Base):
 
     __tablename__ = "sequences"
     id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
-    owner_id: Mapped[Id] = mapped_column(ForeignKey("users.id"))
+    owner_id: Mapped[Id] = mapped_column(ForeignKey("users.id"), index=True)
     name: Mapped[str] = mapped_column(String(100))
     environment: Mapped[str] = mapped_column(String(64), default="")
     illumination: Mapped[str] = mapped_column(String(64), default="")
@@ -76,14 +75,11 @@ class Sequence(Base):
             sqlite_where=text("deleted_ns IS NULL"),
             postgresql_where=text("deleted_ns IS NULL"),
         ),
-        Index("ix_sequences_owner", "owner_id", "id"),
-        Index("ix_sequences_public", "id", sqlite_where=text("is_public = 1"), postgresql_where=text("is_public")),
-        *(Index(f"ix_sequences_{name}", name, "id") for name in ("environment", "illumination", "region", "platform")),
     )
 
 
 class Upload(Base):
-    """A file under way. Its offset is the number of bytes that are here, never a column; `place`: folder or store.
+    """A file under way. Its offset is the number of bytes on disk, never a column.
 
     `state`: open, complete (all bytes there, sha256 verified), consumed (by a recording), failed, expired, terminated.
     """
@@ -99,7 +95,5 @@ class Upload(Base):
     sha256: Mapped[str] = mapped_column(String(64), default="", index=True)
     state: Mapped[str] = mapped_column(String(16), default="open", index=True)
     detail: Mapped[str] = mapped_column(String(512), default="")
-    place: Mapped[str] = mapped_column(String(8), default="folder", server_default=text("'folder'"))
-    traceparent: Mapped[str] = mapped_column(String(55), default=origin_trace, server_default=text("''"))
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
     expires_ns: Mapped[Ns]

@@ -10,8 +10,8 @@ import resource
 import sys
 from pathlib import Path
 
+from services.eval.confined import Limits, confined
 from services.eval.pipeline import validate
-from services.runtime.confined import Limits, confined
 from stone.errors import StoneError
 
 LIMITS = Limits(memory_bytes=64 * 2**20, cpu_s=1)
