@@ -1,8 +1,8 @@
 """A page as people look at it: light, dark, at phone width; by axe; by screenshots that are kept.
 
 **Conventions.** `look(page, "leaderboard")` fails where axe finds something serious, or where the page is wider than
-the phone. All of axe's rules are asked of the light page at both widths; of the dark one those of colours, for it differs
-by tokens only. Screenshots go to `build/screenshots/<name>-<light|dark|phone>.png`.
+the phone. All of axe's rules are asked of the light page at both widths; of the dark one those of colours, for it
+differs by tokens only. Screenshots go to `build/screenshots/<name>-<light|dark|phone>.png`.
 """
 
 from functools import cache
