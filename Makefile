@@ -1,6 +1,6 @@
-# make install | demo | serve | test | check | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-platform | bench-pages | bench-truth | season
+# make install | demo | serve | test | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-platform | bench-pages | bench-truth | bench-decisions | season | images
 # Each installs first, which costs nothing when nothing changed.
-.PHONY: install test-clients demo serve test check chaos fuzz bench bench-eval bench-label bench-read bench-platform bench-pages bench-truth season
+.PHONY: install test-clients demo serve test check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-platform bench-pages bench-truth bench-decisions season images
 .DELETE_ON_ERROR:
 
 BIN := .venv/bin
@@ -24,6 +24,7 @@ test-clients: install
 	deploy/install-test-clients.sh
 	deploy/install-devkit.sh
 	deploy/install-browser.sh
+	deploy/install-helm.sh
 
 demo: install
 	$(BIN)/stone demo
@@ -41,9 +42,20 @@ check: test-clients
 	$(BIN)/lint-imports
 	$(BIN)/pytest $(BESIDE)
 
+docs: install
+	$(BIN)/mkdocs build
+
 chaos: install
 	$(BIN)/python -m chaos
 	$(BIN)/python -m chaos.scoring
+	$(BIN)/python -m chaos.restore
+	$(BIN)/python -m chaos.restore --postgres --s3
+	$(BIN)/python -m chaos.upgrade
+	$(BIN)/python -m chaos.upgrade --postgres --kill
+	$(BIN)/python -m chaos.machines || test $$? = 77  # no namespaces here: said, and skipped
+
+audit: install
+	$(BIN)/python deploy/audit.py
 
 fuzz: install
 	$(BIN)/python -m fuzz
@@ -73,5 +85,11 @@ bench-pages: test-clients
 bench-truth: install
 	$(BIN)/python -m benchmarks.truth
 
+bench-decisions: install
+	$(BIN)/python -m benchmarks.decisions
+
 season: install
 	$(BIN)/python -m benchmarks.season
+
+images:
+	deploy/images/build.sh

@@ -20,7 +20,7 @@ from sqlalchemy.orm import Session
 from api.context import request_id
 from api.deps import Caller
 from api.errors import ReasonMissingError
-from services.runtime.orm import AuditEntry
+from services.runtime.orm import AuditAnchor, AuditEntry
 from services.runtime.orm.base import now_ns
 
 LOCK = 0x4155444954  # "AUDIT": the advisory lock's number, shared by every process of the platform
@@ -71,8 +71,12 @@ def record_admin_act(
 
 
 def verify(session: Session) -> int | None:
-    """The number of the first line that does not follow from the one before it; None when all do."""
-    previous, expected = "", 1
+    """The number of the first line that does not follow from the one before it; None when all do.
+
+    Lines are counted on from the anchor where the log was cut.
+    """
+    begin = cut(session)
+    previous, expected = begin.hash, begin.number + 1
     for entry in _all(session):
         if entry.number != expected or entry.hash != hash_of(entry, previous):
             return expected
@@ -82,7 +86,13 @@ def verify(session: Session) -> int | None:
 
 def head(session: Session) -> Head:
     last = session.scalars(select(AuditEntry).order_by(AuditEntry.number.desc()).limit(1)).one_or_none()
-    return Head(last.number, last.hash) if last else Head(0, "")
+    return Head(last.number, last.hash) if last else cut(session)
+
+
+def cut(session: Session) -> Head:
+    """The last line that was kept as long as lines are (`services/runtime/audit_retention.py`), where there is one."""
+    anchor = session.scalars(select(AuditAnchor).order_by(AuditAnchor.number.desc()).limit(1)).one_or_none()
+    return Head(anchor.number, anchor.hash) if anchor else Head(0, "")
 
 
 def hash_of(entry: AuditEntry, previous: str) -> str:

@@ -1,12 +1,14 @@
-"""A calibration file from outside: bounded, read by a few threads at most, refused with coded findings.
+"""A calibration file from outside: bounded, read by a few confined children at most, refused with coded findings.
 
 **Conventions.** Reading a hostile megabyte costs up to three seconds of one core, so no more than `AT_ONCE` are read at
-a time and the others wait, briefly; then they are told to come back.
+a time and the others wait, briefly; then they are told to come back. The parsers run in a child without network, files
+to write or the API's connections (`services/runtime/confined`), and answer with one JSON object.
 """
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import datetime, timedelta
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,15 +21,21 @@ from api.files import safe_name
 from api.schemas.base import EPOCH
 from services.ingest.calibration_errors import CalibrationKeyError, ValidityError
 from services.ingest.calibration_file import CalibrationRead, read_calibration_files
+from services.runtime.calibration_record import calibration_of, calibration_record
 from services.runtime.calibrations import ReadCalibration, Validity
+from services.runtime.confined import ConfinedCrashedError, Limits, confined
+from services.runtime.confined.parcel import packed, unpacked
+from services.runtime.errors import PlatformFaultError
 from services.runtime.store import Store
 from stone.calibration import Calibration
 from stone.errors import StoneError
+from stone.findings import Finding
 
 LARGEST_BYTES = 2**20
 AT_ONCE = 2
 PATIENCE_S = 10.0
 PER_MINUTE = 60.0
+LIMITS = Limits(memory_bytes=512 * 2**20, cpu_s=10, wall_s=30.0)
 FORM = "the form"
 
 _turns = BoundedSemaphore(AT_ONCE)
@@ -57,18 +65,37 @@ def read(path: Path) -> ReadCalibration:
 def understood(path: Path) -> CalibrationRead:
     """The calibration in a file or a zip.
 
-    Raises `CalibrationRefusedError`; `RateLimitedError` when too many are being read.
+    Raises `CalibrationRefusedError`; `RateLimitedError` when too many are being read; `ConfinedInterruptedError`.
     """
     if not _turns.acquire(timeout=PATIENCE_S):
         raise RateLimitedError(PER_MINUTE, int(PATIENCE_S))
     try:
-        found = read_calibration_files(path)
+        found = _believed(path.name, confined(partial(_read, path), LIMITS))
         _check_names(path.name, found.calibration)
+    except PlatformFaultError:
+        raise
     except StoneError as reason:
         raise CalibrationRefusedError(path.name, reason) from reason
     finally:
         _turns.release()
     return found
+
+
+def _read(path: Path) -> bytes:
+    """The child's part."""
+    found = read_calibration_files(path)
+    findings = [finding.as_record() for finding in found.findings]
+    read = {"calibration": calibration_record(found.calibration), "findings": findings, "format": found.format}
+    return packed(read)
+
+
+def _believed(name: str, answer: bytes) -> CalibrationRead:
+    record = unpacked(answer).record
+    try:
+        findings = tuple(Finding(**finding) for finding in record["findings"])
+        return CalibrationRead(calibration_of(record["calibration"]), findings, record["format"])
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ConfinedCrashedError(f"answered something else than the calibration {name}") from error
 
 
 def stored(store: Store, object_key: str, filename: str) -> Calibration:

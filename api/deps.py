@@ -16,6 +16,7 @@ import structlog
 from fastapi import Depends, Request, Security
 from fastapi.security import APIKeyCookie, HTTPAuthorizationCredentials, HTTPBearer
 from sqlalchemy.exc import OperationalError
+from sqlalchemy.orm import Session
 
 from api.context import COOKIE
 from api.errors import CsrfError, ForbiddenError, UnauthenticatedError
@@ -159,25 +160,27 @@ def _by_token(platform: Platform, header: str) -> Caller:
     if token is None:
         raise UnauthenticatedError("the token is unknown, has expired or was revoked")
     if tokens.is_use_due(token):
-        _note_use(platform, token.id)
+        _note_use(platform, tokens.note_use, token.id)
     user, held = token.user, roles.scopes_in_force(token.user.role, token.scopes)
     return Caller(user.id, user.name, user.role, held, False, token.expires_ns, token.id)
 
 
-def _note_use(platform: Platform, token_id: str) -> None:
+def _note_use(platform: Platform, note: Callable[[Session, str], None], credential_id: str) -> None:
     """A database that cannot be written to, its disk being full, may still be read, and what fills it deleted."""
     try:
         with platform.database.transaction() as session:
-            tokens.note_use(session, token_id)
+            note(session, credential_id)
     except OperationalError as error:
-        log.warning("last use of a token not noted", token_id=token_id, reason=str(error.orig))
+        log.warning("last use of a credential not noted", credential_id=credential_id, reason=str(error.orig))
 
 
 def _by_session(platform: Platform, secret: str) -> Caller:
     with platform.database.reading() as session:
-        row = sessions.find_session(session, secret)
+        row = sessions.find_session(session, secret, platform.settings.api.session_idle_s)
     if row is None:
         raise UnauthenticatedError("the session is unknown or has ended")
+    if sessions.is_use_due(row):
+        _note_use(platform, sessions.note_use, row.id)
     user = row.user
     held = roles.SCOPES_OF[user.role]
     return Caller(user.id, user.name, user.role, held, True, row.expires_ns, row.id, row.csrf_token)

@@ -2,11 +2,15 @@
 
 **Conventions.** Outermost of all: whatever is raised inside becomes a problem here at the latest. An answer that a
 route gave a header of its own keeps it. The access log has one line a request, with the route's template, never the
-query (cursors and names are nobody's business) and never a credential.
+query (cursors and names are nobody's business) and never a credential; so has its span. A `traceparent` from outside
+becomes a link, and the span's parent only where `STONE_API__TRUSTS_TRACEPARENT` says that a proxy of ours sets it:
+strangers shall neither name our traces nor decide which are kept.
 """
 
 import re
 import time
+from contextlib import AbstractContextManager, nullcontext
+from http import HTTPStatus
 from typing import Any
 
 import structlog
@@ -18,6 +22,7 @@ from structlog.contextvars import bound_contextvars
 from api.context import begin
 from api.metrics import Meters
 from api.problems import Shown, respond
+from services.runtime.telemetry.tracing import NOTHING, SpanSpec, Traced, is_tracing, span
 
 HEADERS = {
     "X-Content-Type-Options": "nosniff",
@@ -28,6 +33,7 @@ HEADERS = {
     "Cache-Control": "private, no-cache",
 }
 CLIENT_LEFT = 499
+UNTRACED = ("/healthz", "/readyz", "/metrics")
 
 log = structlog.get_logger("access")
 
@@ -35,18 +41,31 @@ log = structlog.get_logger("access")
 class Entry:
     """`Entry(app, meters, shown)`, an ASGI application around another; `shown` as in `api/problems.py`."""
 
-    def __init__(self, app: ASGIApp, meters: Meters, shown: Shown) -> None:
+    def __init__(self, app: ASGIApp, meters: Meters, shown: Shown, *, trusts_traceparent: bool) -> None:
         self._app, self._meters, self._shown = app, meters, shown
+        self._trusts_traceparent = trusts_traceparent
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        request_id = begin(Headers(scope=scope).get("x-request-id", ""))
-        with bound_contextvars(request_id=request_id):
-            await self._answer(scope, receive, _Outgoing(send, request_id))
+        headers = Headers(scope=scope)
+        request_id = begin(headers.get("x-request-id", ""))
+        with bound_contextvars(request_id=request_id), self._span(scope, headers) as traced:
+            if not self._trusts_traceparent:
+                traced.link(headers.get("traceparent", ""))
+            outgoing = _Outgoing(send, request_id)
+            await self._answer(scope, _Incoming(receive), outgoing)
+            _tell(traced, scope, outgoing.status, request_id)
 
-    async def _answer(self, scope: Scope, receive: Receive, outgoing: "_Outgoing") -> None:
+    def _span(self, scope: Scope, headers: Headers) -> AbstractContextManager[Traced]:
+        """Of what people and programs ask; not of probes. Its name and attributes follow when the route is known."""
+        if not is_tracing() or scope["path"] in UNTRACED:
+            return nullcontext(NOTHING)
+        offered = headers.get("traceparent", "")
+        return span(SpanSpec(scope["method"], "server", offered if self._trusts_traceparent else ""))
+
+    async def _answer(self, scope: Scope, receive: "_Incoming", outgoing: "_Outgoing") -> None:
         begun = time.perf_counter()
         try:
             await self._app(scope, receive, outgoing)
@@ -59,6 +78,7 @@ class Entry:
             await response(scope, receive, outgoing)
         finally:
             self._note(scope, outgoing.status, time.perf_counter() - begun)
+            self._meters.note_bytes(receive.came_bytes, outgoing.went_bytes)
 
     def _note(self, scope: Scope, status: int, lasted_s: float) -> None:
         route = template_of(scope)
@@ -69,12 +89,25 @@ class Entry:
         log.info("request", lasted_ms=round(lasted_s * 1e3, 2), **facts)
 
 
+class _Incoming:
+    """The way in: counts what came."""
+
+    def __init__(self, receive: Receive) -> None:
+        self._receive = receive
+        self.came_bytes = 0
+
+    async def __call__(self) -> Message:
+        message = await self._receive()
+        self.came_bytes += len(message.get("body", b""))
+        return message
+
+
 class _Outgoing:
-    """The way out: sets the headers every answer has, and remembers the status."""
+    """The way out: sets the headers every answer has, and remembers the status and how much went."""
 
     def __init__(self, send: Send, request_id: str) -> None:
         self._send, self._request_id = send, request_id
-        self.status = 0
+        self.status = self.went_bytes = 0
 
     async def __call__(self, message: Message) -> None:
         if message["type"] == "http.response.start":
@@ -84,6 +117,17 @@ class _Outgoing:
             for name, value in HEADERS.items():
                 headers.setdefault(name, value)
         await self._send(message)
+        self.went_bytes += len(message.get("body", b""))
+
+
+def _tell(traced: Traced, scope: Scope, status: int, request_id: str) -> None:
+    """What was asked and answered; never the path itself or the query, which name things of people's."""
+    method, route = scope["method"], template_of(scope)
+    traced.rename(f"{method} {route}")
+    asked = {"http.request.method": method, "http.route": route, "stone.request.id": request_id}
+    traced.note({**asked, "http.response.status_code": status})
+    if status >= HTTPStatus.INTERNAL_SERVER_ERROR:
+        traced.fault(str(status))
 
 
 def template_of(scope: Scope) -> str:

@@ -167,6 +167,16 @@ class RateLimitedError(ApiError):
         return {"Retry-After": str(self.retry_after_s)}
 
 
+class GuessedTooOftenError(RateLimitedError):
+    """Too many wrong passwords, for this name or from this address: the next try waits."""
+
+    code = "guessed_too_often"
+
+    def __init__(self, retry_after_s: int) -> None:
+        StoneError.__init__(self, f"too many wrong passwords; try again in {retry_after_s} s, or ask an administrator")
+        self.retry_after_s = retry_after_s
+
+
 class BadIdempotencyKeyError(ApiError):
     """The Idempotency-Key cannot be one."""
 

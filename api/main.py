@@ -1,15 +1,17 @@
 """The application: one page that says what a request passes and which routes there are.
 
-**Conventions.** A request passes, from outside in: `entry` (id, log, metrics, security headers, faults), `limits`
-(rate), `bodies` (size), `idempotency`, then the router. Routes live under `/api/v1`, a module per noun; probes at the
-root.
+**Conventions.** A request passes, from outside in: `https` where the platform is reached so, `entry` (id, log, metrics,
+security headers, faults), `limits` (rate), `bodies` (size), `idempotency`, then the router. Routes live under
+`/api/v1`, a module per noun; probes at the root.
 """
 
 from fastapi import APIRouter, FastAPI
+from fastapi.telemetry import TelemetryConfig
 
 from api import problems
 from api.bodies import BodyLimit
 from api.entry import Entry
+from api.https import Https
 from api.idempotency import Idempotency
 from api.limits import Limits, RateLimit
 from api.metrics import Meters
@@ -53,6 +55,7 @@ from api.routes import problems as problem_routes
 from services.runtime.log_lines import speak_json
 from services.runtime.platform import Platform, open_platform
 from services.runtime.settings import Settings
+from services.runtime.telemetry.tracing import open_tracing
 
 ROUTERS: tuple[APIRouter, ...] = (
     docs.router,
@@ -101,6 +104,7 @@ def make_api(platform: Platform, shown: problems.Shown = problems.as_it_is) -> F
         redoc_url=None,
         redirect_slashes=False,  # a redirect would go where the Host header says
         generate_unique_id_function=operation_id,
+        telemetry=UNTOLD,
     )
     api.openapi = documented(api)  # type: ignore[method-assign]  # as FastAPI's own pages say to
     api.state.platform, api.state.limits = platform, Limits(platform.settings)
@@ -110,7 +114,10 @@ def make_api(platform: Platform, shown: problems.Shown = problems.as_it_is) -> F
     api.add_middleware(Idempotency)
     api.add_middleware(BodyLimit, settings=platform.settings)
     api.add_middleware(RateLimit, limits=api.state.limits)
-    api.add_middleware(Entry, meters=api.state.meters, shown=shown)
+    trusts = platform.settings.api.trusts_traceparent
+    api.add_middleware(Entry, meters=api.state.meters, shown=shown, trusts_traceparent=trusts)
+    if platform.settings.api.url.startswith("https://"):
+        api.add_middleware(Https)
     api.include_router(health.router)
     for router in ROUTERS:
         api.include_router(router, prefix=PREFIX)
@@ -123,8 +130,18 @@ def from_environment() -> FastAPI:
     `uvicorn --factory api.main:from_environment --http api.heads:BoundedHeads --no-server-header`
     """
     speak_json()
-    return make_api(open_platform(Settings()))
+    return told(make_api(open_platform(Settings())))
 
+
+def told(api: FastAPI) -> FastAPI:
+    """The application of a process of its own, whose spans and counts others hear of."""
+    open_tracing("stone-api")
+    api.state.meters.tell_on()
+    return api
+
+
+UNTOLD: TelemetryConfig = {"tracing": False, "metrics": False, "logs": False, "auto_configure": False}
+"""FastAPI's own spans hold paths, queries and bodies' faults; ours are made in `entry`."""
 
 DESCRIPTION = """Recordings of field robots in, 3D traversability labels out.
 

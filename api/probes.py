@@ -34,7 +34,7 @@ class Probes:
 
     def __init__(self, platform: Platform) -> None:
         self._platform = platform
-        self._broker = Redis.from_url(platform.settings.broker.url, socket_connect_timeout=2, socket_timeout=2)
+        self._broker = Redis.from_url(platform.settings.broker.address, socket_connect_timeout=2, socket_timeout=2)
         self._asked: dict[str, tuple[Future[float], float]] = {}
         self._key = f"probes/{token_hex(8)}"
         self._threads = ThreadPoolExecutor(len(PART_NAMES), thread_name_prefix="probe")

@@ -5,8 +5,9 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
-from sqlalchemy import func, select
+from sqlalchemy import BindParameter, bindparam, func, select
 from sqlalchemy.orm import Session
 
 from api.deps import VISITOR, Caller
@@ -19,6 +20,27 @@ from services.runtime.orm import Artefact, Job, LabelSet, Recording, Sequence, S
 
 UNLISTED = ("labels/", "scene/")
 PICTURES = ("bev.png", "thumbnail.jpg")
+
+# Built once: to build a statement for fifty ids costs more than to run it.
+IDS: BindParameter[Any] = bindparam("ids", expanding=True)
+RECORDINGS = (
+    select(Recording.sequence_id, func.count()).where(Recording.sequence_id.in_(IDS)).group_by(Recording.sequence_id)
+)
+_IS_RUN = (Job.sequence_id.in_(IDS), Job.id == Job.root_id, Job.kind != EXPORT)
+NEWEST_RUNS = select(Job.sequence_id, Job.id, Job.kind, Job.state).where(
+    Job.id.in_(select(func.max(Job.id)).where(*_IS_RUN).group_by(Job.sequence_id))
+)
+_PLACE = func.row_number().over(
+    partition_by=LabelSet.sequence_id, order_by=(LabelSet.chosen_ns.desc(), LabelSet.id.desc())
+)
+_PLACED = select(LabelSet.id, _PLACE.label("place")).where(LabelSet.sequence_id.in_(IDS)).subquery()
+COUNTING_LABELS = select(LabelSet).where(LabelSet.id.in_(select(_PLACED.c.id).where(_PLACED.c.place == 1)))
+SPLITS = select(SplitMember.sequence_id, SplitMember.part).where(SplitMember.sequence_id.in_(IDS))
+NAMED_PICTURES = (
+    select(Artefact.label_set_id, Artefact.name)
+    .where(Artefact.label_set_id.in_(IDS), Artefact.name.in_(PICTURES))
+    .order_by(Artefact.name)
+)
 
 
 @dataclass(frozen=True)
@@ -87,38 +109,30 @@ def _labels(row: LabelSet) -> LabelGlance:
 
 
 def _recordings(session: Session, ids: list[str]) -> dict[str, int]:
-    counted = select(Recording.sequence_id, func.count()).where(Recording.sequence_id.in_(ids))
-    return dict(session.execute(counted.group_by(Recording.sequence_id)).all())
+    return dict(session.execute(RECORDINGS, {"ids": ids}).all())
 
 
 def _newest_runs(session: Session, ids: list[str]) -> dict[str, JobGlance]:
     """Of what is done to a sequence itself; an export has a state of its own."""
-    is_run = (Job.sequence_id.in_(ids), Job.id == Job.root_id, Job.kind != EXPORT)
-    newest = select(func.max(Job.id)).where(*is_run).group_by(Job.sequence_id)
-    found = select(Job.sequence_id, Job.id, Job.kind, Job.state).where(Job.id.in_(newest))
-    return {of: JobGlance(id=id, kind=kind, state=state) for of, id, kind, state in session.execute(found) if of}
+    found = session.execute(NEWEST_RUNS, {"ids": ids})
+    return {of: JobGlance(id=id, kind=kind, state=state) for of, id, kind, state in found if of}
 
 
 def _counting_labels(session: Session, ids: list[str]) -> dict[str, LabelSet]:
     """Of several label sets the one that was asked for last, as `counting_labels` has it for one sequence."""
-    order = (LabelSet.chosen_ns.desc(), LabelSet.id.desc())
-    place = func.row_number().over(partition_by=LabelSet.sequence_id, order_by=order).label("place")
-    placed = select(LabelSet.id, place).where(LabelSet.sequence_id.in_(ids)).subquery()
-    first = select(placed.c.id).where(placed.c.place == 1)
-    return {row.sequence_id: row for row in session.scalars(select(LabelSet).where(LabelSet.id.in_(first)))}
+    return {row.sequence_id: row for row in session.scalars(COUNTING_LABELS, {"ids": ids})}
 
 
 def _splits(session: Session, ids: list[str]) -> dict[str, str]:
     """The part of the splits under discussion that each is in."""
-    members = select(SplitMember.sequence_id, SplitMember.part).where(SplitMember.sequence_id.in_(ids))
-    return dict(session.execute(members).all()) if ids else {}
+    return dict(session.execute(SPLITS, {"ids": ids}).all()) if ids else {}
 
 
 def _pictures(session: Session, label_set_ids: list[str]) -> dict[str, str]:
     """The name of the smallest picture that shows each label set from above."""
-    named = select(Artefact.label_set_id, Artefact.name).where(Artefact.label_set_id.in_(label_set_ids))
-    found = session.execute(named.where(Artefact.name.in_(PICTURES)).order_by(Artefact.name)).all()
-    return dict(found)  # thumbnail.jpg comes last and counts
+    if not label_set_ids:
+        return {}
+    return dict(session.execute(NAMED_PICTURES, {"ids": label_set_ids}).all())  # thumbnail.jpg comes last and counts
 
 
 def _artefacts(session: Session, label_set_id: str) -> list[ArtefactItem]:

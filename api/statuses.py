@@ -23,6 +23,7 @@ from services.runtime.benchmarks import rescore_errors as rescores
 from services.runtime.benchmarks import result_errors as results
 from services.runtime.benchmarks import submission_errors as submissions
 from services.runtime.benchmarks import team_errors as teams
+from services.runtime.confined import errors as confined
 from services.runtime.jobs import errors as jobs
 from services.runtime.uploads import errors as uploads
 from stone import metric
@@ -47,6 +48,7 @@ STATUS_OF: dict[type[StoneError], int] = {
     api.UnauthenticatedError: 401,
     access.BadNameError: 422,
     access.BusyError: 503,
+    access.GuessablePasswordError: 422,
     access.LastAdministratorError: 409,
     access.NameTakenError: 409,
     access.UnknownRoleError: 422,
@@ -54,6 +56,8 @@ STATUS_OF: dict[type[StoneError], int] = {
     archives.BadMemberError: 409,
     bag_files.BadBagFilesError: 422,
     choices.ChoiceError: 422,
+    confined.ConfinedCrashedError: 422,
+    confined.ConfinedInterruptedError: 503,
     datasets.BrokenSplitsError: 409,
     datasets.HiddenPartError: 404,
     datasets.NoSplitsError: 409,
@@ -137,6 +141,7 @@ STATUS_OF: dict[type[StoneError], int] = {
     uploads.FileMismatchError: 460,
     uploads.OffsetMismatchError: 409,
     uploads.OverLengthError: 413,
+    uploads.TooManySlabsError: 413,
     uploads.UndeclaredUploadError: 409,
     uploads.UploadGoneError: 410,
     uploads.UploadLockedError: 423,

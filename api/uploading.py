@@ -7,6 +7,8 @@ disk and database is done in threads of this module's own, so that a stalled dis
 import asyncio
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
+from functools import partial
 from typing import ParamSpec, TypeVar
 
 from fastapi import Request
@@ -27,8 +29,10 @@ T = TypeVar("T")
 
 
 async def in_thread(function: Callable[P, T], *arguments: P.args, **options: P.kwargs) -> T:
-    """Its result, without holding up the event loop."""
-    return await asyncio.get_running_loop().run_in_executor(THREADS, lambda: function(*arguments, **options))
+    """Its result, without holding up the event loop; what it makes and says is this request's."""
+    in_context = copy_context().run
+    work = partial(in_context, function, *arguments, **options)
+    return await asyncio.get_running_loop().run_in_executor(THREADS, work)
 
 
 async def receive_body(request: Request, platform: Platform, upload: tuple[str, str], piece: Piece) -> Upload:

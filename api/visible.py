@@ -58,7 +58,9 @@ def sequences_shown_to(caller: Caller) -> Select[Sequence]:
     everything = select(Sequence).where(Sequence.deleted_ns.is_(None))
     if caller.is_administrator:
         return everything
-    is_shown = and_(Sequence.is_public, Sequence.id.not_in(hidden_truths()))
+    # Looked up for each public one; as EXISTS it would be answered from a table of all members, made for each list.
+    hidden = hidden_truths().where(DatasetMember.sequence_id == Sequence.id).limit(1).scalar_subquery()
+    is_shown = and_(Sequence.is_public, hidden.is_(None))
     return everything.where(or_(Sequence.owner_id == caller.user_id, is_shown))
 
 

@@ -12,6 +12,7 @@ OWNERS = 8
 SEQUENCES = 2000
 JOBS_OF_A_SEQUENCE = 5
 STATES = ("succeeded", "failed", "running", "queued")
+ENDED = ("succeeded", "failed")
 
 
 @dataclass(frozen=True)
@@ -21,12 +22,15 @@ class Reader:
     secret: str
 
 
-def fill(database: Database, readers: int) -> list[Reader]:
-    """2,000 sequences, each with a run of four jobs; `readers` tokens, dealt out among the owners."""
+def fill(database: Database, readers: int, states: tuple[str, ...] = STATES) -> list[Reader]:
+    """2,000 sequences, each with a run of four jobs in these states; `readers` tokens, dealt out among the owners.
+
+    Where workers look on, the states are `ENDED`: they would try what is queued, and be tried by it.
+    """
     with database.transaction() as session:
         owners = [users.create_user(session, f"owner-{number}", "curator") for number in range(OWNERS)]
         sequences = [_sequence(number, owners[number % OWNERS]) for number in range(SEQUENCES)]
-        runs = [_run(number, sequence) for number, sequence in enumerate(sequences)]
+        runs = [_run(sequence, states[number % len(states)]) for number, sequence in enumerate(sequences)]
         for rows in (sequences, runs, [job for run in runs for job in _jobs(run)]):
             session.add_all(rows)
             session.flush()
@@ -38,9 +42,9 @@ def _sequence(number: int, owner: User) -> Sequence:
     return Sequence(id=new_id(), owner_id=owner.id, name=name, environment="forest", region="Gyeonggi")
 
 
-def _run(number: int, sequence: Sequence) -> Job:
+def _run(sequence: Sequence, state: str) -> Job:
     run = Job(id=new_id(), owner_id=sequence.owner_id, sequence_id=sequence.id, kind="sequence.process")
-    run.root_id, run.state = run.id, STATES[number % len(STATES)]
+    run.root_id, run.state = run.id, state
     return run
 
 

@@ -17,10 +17,10 @@ from rich.table import Table
 from sqlalchemy import func, select
 
 from client.api import Api
+from client.bags import hashed_bag
 from client.credentials import Server
 from client.following import follow
 from client.remote import add_recording, ensure_sequence, pin_calibration, start_run
-from client.tus import hashed
 from services.runtime.embedded.supervisor import running_platform
 from services.runtime.orm import Job, JobAttempt, JobNeed
 from services.runtime.platform import Platform
@@ -80,7 +80,7 @@ def measured(bag: Path, workers: int) -> Measured:
         with running_platform(settings) as running, Api(Server(running.url, running.keys.token)) as api:
             sequence = ensure_sequence(api, "benchmark")
             pin_calibration(api, sequence, calibration_path(bag))
-            add_recording(api, sequence, hashed(bag, _silent), _silent)
+            add_recording(api, sequence, hashed_bag(bag, _silent), _silent)
             job_id = start_run(api, sequence, {})["id"]
             follow(api, job_id, _silent)
             return _read(running.platform, job_id, workers)

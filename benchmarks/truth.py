@@ -51,7 +51,7 @@ def main() -> None:
 
 def _figures(folder: Path, seed: int, seconds: float) -> dict[str, Figures]:
     """Every figure of one world, by profile."""
-    drive = _simulated(folder / f"world-{seed}-{seconds:g}s.mcap", SimulateOptions(seconds, seed, cameras=False))
+    drive = simulated(folder / f"world-{seed}-{seconds:g}s.mcap", SimulateOptions(seconds, seed, cameras=False))
     figures, folders = dict[str, Figures](), dict[str, Path]()
     profiles: tuple[Profile, ...] = ("paper", "local")
     for profile in profiles:
@@ -72,7 +72,7 @@ def _figures(folder: Path, seed: int, seconds: float) -> dict[str, Figures]:
     return figures
 
 
-def _simulated(bag: Path, options: SimulateOptions) -> Drive:
+def simulated(bag: Path, options: SimulateOptions) -> Drive:
     """The drive of these options, from an earlier run where there is one."""
     truth_dir = bag.with_suffix(".truth")
     if not (bag.exists() and truth_dir.exists()):

@@ -1,8 +1,10 @@
-"""Uploads through a real uvicorn beside a plain write of the same bytes: `python -m benchmarks.upload`.
+"""Uploads through a real uvicorn beside a plain write of the same bytes: `python -m benchmarks.upload [--place …]`.
 
-Both read the same file, which the page cache holds, write into the same folder, and are done when the bytes are on the
-disk (fsync; the upload also has its sha256 by then). They take turns in one run. The client is one process sending one
-PATCH by `sendfile`, which costs as little as a client can; the API's memory and processor time are the kernel's word.
+Both read the same file, which the page cache holds, write to the same disk, and are done when the bytes are on it
+(fsync; the upload also has its sha256 by then). They take turns in one run. The client is one process sending one PATCH
+by `sendfile`, which costs as little as a client can; the API's memory and processor time are the kernel's word. Places:
+the uploads folder; the store as a folder; the store as a real S3 server on this machine, which shares its cores and
+answers before its disk has the bytes.
 """
 
 import argparse
@@ -11,21 +13,26 @@ import os
 import socket
 import statistics
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import httpx
 from rich.console import Console
 from rich.table import Table
 
 from services.runtime.access import tokens, users
+from services.runtime.collection import collect
 from services.runtime.migrate import upgrade
 from services.runtime.platform import Platform, open_platform
-from services.runtime.settings import Settings
+from services.runtime.settings import Settings, UploadSettings
 from tests.api.process import ApiProcess, running_api
 from tests.api.serving import Person
 from tests.api.tus import TUS, checksum, created, shown
+from tests.servers.s3 import running_s3
 
 MIB = 1 << 20
 PLAIN = "plain write + fsync"
@@ -52,7 +59,7 @@ class Bench:
     sha256: str
     process: ApiProcess
     owner: Person
-    uploads: Path
+    platform: Platform
 
     @property
     def size_bytes(self) -> int:
@@ -60,7 +67,7 @@ class Bench:
 
     def write_plainly(self) -> None:
         """What one would do without any of this."""
-        target = self.uploads / "plain"
+        target = self.platform.settings.uploads_folder / "plain"
         with self.source.open("rb") as source, target.open("wb") as file:
             while block := source.read(MIB):
                 file.write(block)
@@ -109,6 +116,7 @@ def compare(bench: Bench, turns: int) -> dict[str, Clock]:
             bench.write_plainly() if way == PLAIN else bench.upload(way)
             clock.wall_s.append(time.perf_counter() - begun_s)
             clock.processor_s.append(processor() - spent_s)
+            collect(bench.platform)  # or what was in the store fills the disk
     return clocks
 
 
@@ -146,26 +154,39 @@ def table_of(clocks: dict[str, Clock], size_bytes: int) -> Table:
     return table
 
 
+@contextmanager
+def placed(place: str) -> Iterator[dict[str, Any]]:
+    """The settings of the place, by group."""
+    in_store = {"uploads": UploadSettings(place="store")}
+    if place == "s3":
+        with running_s3() as server:
+            yield {**in_store, "store": server.settings()}
+    else:
+        yield in_store if place == "store" else {}
+
+
 def main() -> None:
     asked = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     asked.add_argument("--mib", type=int, default=1024)
     asked.add_argument("--turns", type=int, default=3)
     asked.add_argument("--folder", type=Path, default=None, help="where to write; a temporary folder if not given")
+    asked.add_argument("--place", choices=["folder", "store", "s3"], default="folder", help="where uploads lie")
     chosen = asked.parse_args()
-    with TemporaryDirectory(prefix="stone-bench-", dir=chosen.folder) as name:
+    with TemporaryDirectory(prefix="stone-bench-", dir=chosen.folder) as name, placed(chosen.place) as groups:
         folder = Path(name)
-        settings = Settings(data_folder=folder / "data")
+        settings = Settings(data_folder=folder / "data", **groups)
         upgrade(settings)
         platform = open_platform(settings)
         settings.uploads_folder.mkdir(parents=True, exist_ok=True)
         sha256 = make_source(folder / "source", chosen.mib * MIB)
         with running_api(settings, folder / "api.log") as process:
             idle_bytes = process.peak_bytes()
-            bench = Bench(folder / "source", sha256, process, make_owner(platform), settings.uploads_folder)
+            bench = Bench(folder / "source", sha256, process, make_owner(platform), platform)
             clocks = compare(bench, chosen.turns)
             peak_bytes = process.peak_bytes()
         platform.database.close()
     console = Console()
+    console.print(f"Uploads in: {chosen.place}")
     console.print(table_of(clocks, chosen.mib * MIB))
     console.print(f"Load of this machine: {os.getloadavg()[0]:.1f} on {len(os.sched_getaffinity(0))} cores")
     console.print(f"API memory: {peak_bytes / MIB:.0f} MiB at most, {idle_bytes / MIB:.0f} MiB before the first upload")

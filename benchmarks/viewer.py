@@ -24,7 +24,7 @@ from services.runtime.orm import Sequence
 from services.runtime.platform import Platform, open_platform
 from services.runtime.settings import Settings
 from tests.api.serving import person, serving
-from tests.web.conftest import ARGUMENTS
+from tests.chromium import ARGUMENTS
 from tests.web.viewer_world import Run, viewed
 from web.main import make_site
 

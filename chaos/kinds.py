@@ -1,4 +1,4 @@
-"""The five ways to kill: each plays one round and answers with what was brought.
+"""The ways to kill: each plays one round and answers with what was brought.
 
 **Conventions.** A kind draws its moment and its victim by the round's chance, notes right before the kill whether work
 is under way there, and waits until the owner has what they came for. A kill that hits nothing is told, not hidden.
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from chaos.load import under_load
 from chaos.made import Brought
 from chaos.sending import kill_api, kill_client
-from chaos.striking import kill_redis, kill_worker, restart_postgres
+from chaos.striking import kill_redis, kill_sweeper, kill_worker, restart_postgres, restart_s3
 from chaos.turns import Turn, await_end
 
 Strike = Callable[[Turn, str], None]
@@ -24,6 +24,8 @@ class Kind:
     title: str
     play: Callable[[Turn], Brought]
     on_postgres: bool = False
+    on_s3: bool = False
+    uploads_in_store: bool = False
 
 
 def undisturbed(turn: Turn) -> Brought:
@@ -50,7 +52,17 @@ def _under_load(turn: Turn) -> Brought:
 KINDS = (
     Kind("worker", "kill −9 a worker", lambda turn: _during_run(turn, kill_worker)),
     Kind("api", "kill −9 the API mid-PATCH", kill_api),
+    Kind(
+        "slabs",
+        "kill −9 the API mid-PATCH, uploads in the S3 store",
+        kill_api,
+        on_postgres=True,
+        on_s3=True,
+        uploads_in_store=True,
+    ),
     Kind("client", "kill −9 the client mid-upload", kill_client),
     Kind("redis", "kill −9 Redis with bells queued", lambda turn: _during_run(turn, kill_redis)),
+    Kind("sweeper", "kill −9 the sweeper, with lost work to take up", lambda turn: _during_run(turn, kill_sweeper)),
     Kind("postgres", "restart PostgreSQL under load", _under_load, on_postgres=True),
+    Kind("s3", "kill −9 the S3 store", lambda turn: _during_run(turn, restart_s3), on_postgres=True, on_s3=True),
 )

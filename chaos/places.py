@@ -10,7 +10,7 @@ import shutil
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from chaos.inputs import Inputs
@@ -26,13 +26,17 @@ from services.runtime.settings import (
     JobSettings,
     Settings,
     StoreSettings,
+    UploadSettings,
     ViewingSettings,
 )
 from tests.servers.postgres import PostgresServer, running_postgres
+from tests.servers.s3 import S3Server, running_s3
 
 WORKERS = 2
+BUCKET = "chaos"
 JOBS = JobSettings(lease_s=2.0, heartbeat_s=0.4, progress_s=0.2, sweep_s=0.25)
 STORE = StoreSettings(grace_s=5.0)
+UPLOADS_IN_STORE = UploadSettings(place="store", slab_bytes=2**20)  # of a short recording there are several
 VIEWING = ViewingSettings(makes_playback=False)  # a round is the run that was asked for, and over with it
 API = ApiSettings(port=0, requests_per_minute=10**6)
 SCOPES = ("read", "upload", "submit")
@@ -49,11 +53,12 @@ class Owner:
 
 @dataclass(frozen=True)
 class Place:
-    """A platform that is up; `postgres` where that is its database."""
+    """A platform that is up; `postgres` where that is its database, `s3` where that is its store."""
 
     running: Running
     inputs: Inputs
     postgres: PostgresServer | None = None
+    s3: S3Server | None = None
 
     @property
     def platform(self) -> Platform:
@@ -90,21 +95,31 @@ class Place:
 
 
 @contextmanager
-def opened_place(folder: Path, inputs: Inputs, told: Callable[[str], None], *, on_postgres: bool) -> Iterator[Place]:
+def opened_place(
+    folder: Path,
+    inputs: Inputs,
+    told: Callable[[str], None],
+    *,
+    on_postgres: bool,
+    on_s3: bool = False,
+    uploads_in_store: bool = False,
+) -> Iterator[Place]:
     """A platform in `folder`, drained at the end; the folder goes unless it is to be kept, or something was raised."""
     with ExitStack() as stack:
         postgres = stack.enter_context(_postgres(folder)) if on_postgres else None
         url = postgres.url() if postgres else ""
+        s3 = stack.enter_context(_s3(folder)) if on_s3 else None
         settings = Settings(
             data_folder=folder,
             workers=WORKERS,
             database=DatabaseSettings(url),
             jobs=JOBS,
-            store=STORE,
+            store=replace(s3.settings(BUCKET), grace_s=STORE.grace_s) if s3 else STORE,
+            uploads=UPLOADS_IN_STORE if uploads_in_store else UploadSettings(),
             api=API,
             viewing=VIEWING,
         )
-        place = Place(stack.enter_context(running_platform(settings, told)), inputs, postgres)
+        place = Place(stack.enter_context(running_platform(settings, told)), inputs, postgres, s3)
         yield place
     if not place.is_kept:
         shutil.rmtree(folder)
@@ -118,3 +133,11 @@ def _postgres(folder: Path) -> Iterator[PostgresServer]:
         yield server
         server.stop()
         shutil.copytree(server.folder / "cluster", folder / "postgres")
+
+
+@contextmanager
+def _s3(folder: Path) -> Iterator[S3Server]:
+    """A server whose bucket is kept where the folder is."""
+    with running_s3() as server:
+        yield server
+        shutil.copytree(server.buckets / BUCKET, folder / BUCKET)

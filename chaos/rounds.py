@@ -82,7 +82,8 @@ def play(suite: Suite, kind: Kind, made: Made | None = None) -> Series:
     while _goes_on(suite, series):
         opened += 1
         folder = suite.folder / f"{kind.name}-{opened}"
-        with opened_place(folder, suite.inputs, suite.told, on_postgres=kind.on_postgres) as place:
+        where = {name: getattr(kind, name) for name in ("on_postgres", "on_s3", "uploads_in_store")}
+        with opened_place(folder, suite.inputs, suite.told, **where) as place:
             _run_undisturbed(suite, series, place)
             while _goes_on(suite, series) and not place.is_kept:
                 ended = _play_round(suite, series, place)

@@ -1,7 +1,7 @@
 """Killed while a file is being sent: the API that receives it, or the client that sends it.
 
-**Conventions.** A slow line makes a request last; the kill comes when as many bytes are on the server's disk as the
-round's chance said. It hits when the upload is then neither untouched nor whole.
+**Conventions.** A slow line makes a request last; the kill comes when as many bytes are on the server's disk, or in
+the store, as the round's chance said. It hits when the upload is then neither untouched nor whole.
 """
 
 import json
@@ -21,6 +21,7 @@ from chaos.made import Brought
 from chaos.throttle import slow_line
 from chaos.turns import PATIENCE_S, Turn, await_end, await_true
 from client.remote import find_sequence
+from services.runtime.collection import UPLOADS
 from services.runtime.orm import Upload
 from services.runtime.uploads.files import upload_file
 
@@ -84,12 +85,16 @@ def _wait_for_share(turn: Turn, is_over: Callable[[], bool]) -> None:
 
 
 def _bytes_here(turn: Turn) -> int:
-    """How much of the owner's upload lies on the server's disk, verified or not."""
+    """How much of the owner's upload lies on the server's disk or in the store, verified or not."""
     platform = turn.place.platform
     with platform.database.reading() as session:
         upload_id = session.scalar(select(Upload.id).where(Upload.owner_id == turn.owner.user_id))
-    path = upload_file(platform.settings, upload_id) if upload_id else None
-    return path.stat().st_size if path and path.exists() else 0
+    if upload_id is None:
+        return 0
+    if platform.settings.uploads.place == "store":
+        return sum(stored.size_bytes for stored in platform.store.listed(f"{UPLOADS}{upload_id}/"))
+    path = upload_file(platform.settings, upload_id)
+    return path.stat().st_size if path.exists() else 0
 
 
 def _command(turn: Turn, url: str) -> list[str]:

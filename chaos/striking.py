@@ -47,6 +47,31 @@ def kill_redis(turn: Turn, run_id: str) -> None:
         _wipe(turn.place.platform.settings.root / "redis")
 
 
+def kill_sweeper(turn: Turn, run_id: str) -> None:
+    """A process of the pool that works, and a moment later, before or while its job is taken up, the sweeper."""
+    later_s = turn.chance.uniform(0.0, 1.5) * turn.place.platform.settings.jobs.lease_s
+    turn.wait_for_moment(run_id)
+    pool = _children_of(turn.place.child("worker").pid)
+    busy = [pid for pid in _await_work(turn, run_id) if pid in pool]
+    if busy:
+        os.kill(turn.chance.choice(busy), signal.SIGKILL)
+        time.sleep(later_s)
+    turn.note(f"{later_s:.1f} s after a pool process", is_hit=bool(busy) and _is_running(turn, run_id))
+    turn.place.kill("sweeper")
+
+
+def restart_s3(turn: Turn, run_id: str) -> None:
+    """Kill the store's server, and start it again after a while."""
+    if (server := turn.place.s3) is None:
+        raise ValueError("this place has no S3 store")
+    away_s = turn.chance.uniform(0.0, 2.0)
+    turn.wait_for_moment(run_id)
+    turn.note(f"away for {away_s:.1f} s", is_hit=bool(_await_work(turn, run_id)))
+    server.kill()
+    time.sleep(away_s)
+    server.start()
+
+
 def restart_postgres(turn: Turn, run_id: str) -> None:
     """Stop it at once, as a crash would, and start it again after a while."""
     if (server := turn.place.postgres) is None:

@@ -18,6 +18,7 @@ from services.runtime import quota
 from services.runtime.orm import Blob, Job, JobAttempt, LabelSet, Recording, Upload
 from services.runtime.platform import Platform
 from services.runtime.uploads.files import upload_file
+from services.runtime.uploads.slab_rows import slabs_of
 
 Sort = Literal["lost", "doubled", "differing"]
 Name = TypeVar("Name", str, tuple[int, str])
@@ -129,8 +130,7 @@ def _judge_uploads(platform: Platform, brought: Brought) -> Iterator[Violation]:
     if "consumed" not in states:
         yield Violation("lost", f"no upload arrived: {states}")
     for upload in uploads:
-        path = upload_file(platform.settings, upload.id)
-        content = path.read_bytes() if path.exists() else None
+        content = _content(platform, upload)
         if upload.state == "open" and not content:
             continue
         if upload.state != "consumed":
@@ -138,7 +138,17 @@ def _judge_uploads(platform: Platform, brought: Brought) -> Iterator[Violation]:
         elif upload.sha256 != brought.sha256:
             yield Violation("differing", f"upload {upload.id} says {upload.sha256}, sent was {brought.sha256}")
         elif content is not None and sha256(content).hexdigest() != brought.sha256:
-            yield Violation("differing", f"upload {upload.id} is something else on disk than what was sent")
+            yield Violation("differing", f"upload {upload.id} is kept as something else than what was sent")
+
+
+def _content(platform: Platform, upload: Upload) -> bytes | None:
+    """What there is of it in the folder or in the store; None when it is gone."""
+    if upload.place == "folder":
+        path = upload_file(platform.settings, upload.id)
+        return path.read_bytes() if path.exists() else None
+    with platform.database.reading() as session:
+        slabs = slabs_of(session, upload.id)
+    return b"".join(object_bytes(platform.store, slab.key) or b"" for slab in slabs) if slabs else None
 
 
 def _judge_made(made: Made, undisturbed: Made) -> Iterator[Violation]:

@@ -15,6 +15,7 @@ from client.bags import LocalBag, hashed_bag
 from client.baseline import BaselinePlan, write_baseline
 from client.credentials import Server
 from client.demo_benchmark import enter_benchmark
+from client.demo_place import place_of
 from client.downloading import download_labels
 from client.exports import download_archive, make_export
 from client.following import follow
@@ -45,10 +46,10 @@ THREADS = 2
 
 @dataclass(frozen=True)
 class DemoPlan:
-    """What to simulate, and the platform to label it, which may still be starting."""
+    """What to simulate, and the platform to label it: one of our own, which may still be starting, or a server."""
 
     simulation: SimulateOptions
-    running: Running
+    platform: Running | Server
 
 
 @dataclass(frozen=True)
@@ -68,17 +69,17 @@ class Recorded:
 
 def run_demo(folder: Path, plan: DemoPlan, progress: Report) -> dict[str, Any]:
     """Fill `folder` and return the record that `demo.json` keeps."""
-    recorded, running = Recorded(folder), plan.running
+    recorded = Recorded(folder)
     simulate(recorded.bag, plan.simulation, folder / "truth", progress)
-    running.wait_until_ready()
-    with Api(Server(running.url, running.keys.token)) as api:
+    place = place_of(plan.platform)
+    with Api(place.server) as api:
         sequence = label_on_server(api, recorded, progress)
         exported = export_on_server(api, sequence, folder, progress)
     scores = score_baseline(folder, progress)
-    benchmark = enter_benchmark(running, sequence, folder / SUBMISSION, progress)
+    benchmark = enter_benchmark(place, sequence, folder / SUBMISSION, progress)
     labels = json.loads((folder / "labels" / "report.json").read_text("utf-8"))
     record = {
-        "url": running.url,
+        "url": place.server.url,
         "sequence": sequence["name"],
         "labels": labels,
         "export": exported,

@@ -14,21 +14,18 @@ from client.api import Api
 from client.benchmarks import phase_path
 from client.boards import BoardAsked, read_board
 from client.datasets import publish_dataset, read_dataset
+from client.demo_place import Place
 from client.errors import ServerRefusedError
 from client.following import follow
 from client.progress import Report
 from client.remote import Item
-from client.signing_in import administering
 from client.splits import current
 from client.submitting import Entry, settled, submit
-from services.runtime.embedded.first_start import PASSWORD_FILE
-from services.runtime.embedded.supervisor import Running
 from stone.splits import PARTS
 
 PHASE, TEAM, METHOD = "val", "demo", "single sweep, no training"
 LICENCE, REASON = "CC0-1.0", "demo"
-ABSENT, UNKNOWN_PASSWORD = 404, 401
-REFUSED_SPLITS = 422
+ABSENT, REFUSED_SPLITS = 404, 422
 
 
 @dataclass(frozen=True)
@@ -39,23 +36,14 @@ class Stand:
     phase_id: str
 
 
-def enter_benchmark(running: Running, sequence: Item, path: Path, progress: Report) -> dict[str, Any] | None:
-    """Submit the zip at `path` to a benchmark of this one sequence, as this machine's administrator.
+def enter_benchmark(place: Place, sequence: Item, path: Path, progress: Report) -> dict[str, Any] | None:
+    """Submit the zip at `path` to a benchmark of this one sequence, as an administrator.
 
-    None where the platform has splits of its own, where a run is too short for any, or where the password that the
-    first start wrote down is not the administrator's any more.
+    None where the platform has splits of its own, where a run is too short for any, or where we are no administrator.
     """
-    password = running.platform.settings.root / PASSWORD_FILE
-    if not password.exists():
-        return None
-    try:
-        with administering(running.url, running.keys.name, password.read_text("utf-8").strip()) as api:
-            stand = benchmark_on_server(api, sequence, progress)
-            return submit_baseline(api, stand, path, progress) if stand else None
-    except ServerRefusedError as error:
-        if error.status != UNKNOWN_PASSWORD:
-            raise
-        return None
+    with place.administering() as api:
+        stand = benchmark_on_server(api, sequence, progress) if api else None
+        return submit_baseline(api, stand, path, progress) if api and stand else None
 
 
 def benchmark_on_server(api: Api, sequence: Item, progress: Report) -> Stand | None:

@@ -7,7 +7,7 @@ that the API's routes answer with. Pages live at the root, the API under `/api/v
 
 from fastapi import APIRouter, FastAPI
 
-from api.main import make_api
+from api.main import make_api, told
 from services.runtime.log_lines import speak_json
 from services.runtime.platform import Platform, open_platform
 from services.runtime.settings import Settings
@@ -71,4 +71,4 @@ def make_site(platform: Platform) -> FastAPI:
 def from_environment() -> FastAPI:
     """The site of this process: `uvicorn --factory web.main:from_environment --http api.heads:BoundedHeads`."""
     speak_json()
-    return make_site(open_platform(Settings()))
+    return told(make_site(open_platform(Settings())))

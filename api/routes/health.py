@@ -47,9 +47,9 @@ def may_read_metrics(
     request: Request, _bearer: Annotated[HTTPAuthorizationCredentials | None, Security(bearer, scopes=WATCHERS)]
 ) -> None:
     """Raises `UnauthenticatedError` or `ForbiddenError` for all but the monitoring token and administrators."""
-    expected = platform_of(request).settings.api.metrics_token.get_secret_value()
+    expected = platform_of(request).settings.api.metrics_token.get_secret_value().split()
     offered = request.headers.get("authorization", "").partition(" ")[2]
-    if expected and compare_digest(offered.encode(), expected.encode()):
+    if any([compare_digest(offered.encode(), one.encode()) for one in expected]):
         return
     caller = identify(request)
     if caller is None:

@@ -6,6 +6,7 @@ changes nothing that a stranger's page could want changed, so it needs none. An 
 wrong password.
 """
 
+from math import ceil
 from typing import Annotated
 
 import structlog
@@ -15,13 +16,15 @@ from api import audit
 from api.answers import refusals
 from api.context import COOKIE
 from api.deps import Caller, PlatformDep, require
-from api.errors import ConflictError, WrongPasswordError
+from api.errors import ConflictError, GuessedTooOftenError, WrongPasswordError
+from api.limits import address_of
 from api.people_views import browsers_of
 from api.schemas.base import instant
 from api.schemas.people import BrowserItem, MeItem, PasswordBody, SessionItem, SignInBody
-from services.runtime.access import passwords, sessions, users
+from services.runtime.access import guesses, passwords, sessions, users
 from services.runtime.access.sessions import SignedIn
 from services.runtime.orm import User
+from services.runtime.platform import Platform
 from services.runtime.settings import Settings
 
 router = APIRouter(tags=["people"])
@@ -32,16 +35,17 @@ Anybody = Annotated[Caller, Depends(require("read"))]
 
 @router.post("/sessions", status_code=201, summary="Sign a browser in", responses=refusals(401))
 def sign_in(body: SignInBody, request: Request, response: Response, platform: PlatformDep) -> SessionItem:
-    request.app.state.limits.admit_sign_in(request, body.name)
+    tried = _counted_try(request, platform, body.name)
     with platform.database.reading() as session:
         user = users.find_user(session, body.name)
     is_right = sessions.is_password_of(user, body.password.get_secret_value())
     if user is None or not is_right:
-        log.warning("sign-in refused", name=body.name)
+        log.warning("sign-in refused", name=user.name if user else "")  # no name: perhaps a password in the wrong field
         raise WrongPasswordError()
     with platform.database.transaction() as session:
         if session.get_one(User, user.id).password_hash != user.password_hash:  # changed while it was checked
             raise WrongPasswordError()
+        guesses.take_back(session, **tried)
         opened = sessions.open_session(session, user, platform.settings.api.session_s)
         audit.record(session, _as_caller(user), "session.open", user.id)
     _give_cookie(response, opened, platform.settings)
@@ -60,6 +64,7 @@ def sign_out(caller: Anybody, response: Response, platform: PlatformDep) -> None
         raise ConflictError("a token is no session; revoke it by DELETE /tokens/{id}")
     with platform.database.transaction() as session:
         sessions.close_session(session, caller.credential_id)
+        audit.record(session, caller, "session.close", caller.user_id)
     response.delete_cookie(COOKIE, path="/", httponly=True, samesite="lax", secure=_is_https(platform.settings))
 
 
@@ -92,15 +97,28 @@ def me(caller: Anybody) -> MeItem:
 
 @router.put("/me/password", status_code=204, summary="Change one's own password", responses=refusals(401))
 def change_own_password(body: PasswordBody, caller: Anybody, request: Request, platform: PlatformDep) -> None:
-    request.app.state.limits.admit_sign_in(request, caller.name)
+    tried = _counted_try(request, platform, caller.name)
     with platform.database.reading() as session:
         user = session.get_one(User, caller.user_id)
     if not sessions.is_password_of(user, body.current.get_secret_value()):
         raise WrongPasswordError()
-    password_hash = passwords.hash_password(body.new.get_secret_value())
+    password_hash = passwords.hash_password(body.new.get_secret_value(), caller.name)
     with platform.database.transaction() as session:
+        guesses.take_back(session, **tried)
         users.change_password(session, session.get_one(User, caller.user_id), password_hash)
         audit.record(session, caller, "user.password", caller.user_id)
+
+
+def _counted_try(request: Request, platform: Platform, name: str) -> dict[str, str]:
+    """What the try was counted by. Raises `RateLimitedError`, `GuessedTooOftenError`."""
+    request.app.state.limits.admit_sign_in(request, name)
+    tried = {"name": name, "address": address_of(request)}
+    with platform.database.transaction() as session:
+        wait_s = guesses.count_try(session, **tried)
+    if wait_s:
+        log.warning("sign-in not tried, too many were wrong", name=name)
+        raise GuessedTooOftenError(ceil(wait_s))
+    return tried
 
 
 def _give_cookie(response: Response, opened: SignedIn, settings: Settings) -> None:

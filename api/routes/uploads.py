@@ -22,6 +22,7 @@ from api.tus_headers import EXTENSIONS, count_of, piece_of, speak_tus, upload_he
 from api.tus_route import TusRoute
 from api.uploading import in_thread, receive_body
 from services.runtime.orm import Upload
+from services.runtime.telemetry.tracing import link
 from services.runtime.uploads.finishing import bytes_here, settle_if_whole, terminate
 from services.runtime.uploads.receiving import ALGORITHMS
 from services.runtime.uploads.rows import find
@@ -106,6 +107,7 @@ async def send_bytes(
     if "upload" not in caller.scopes:
         await in_thread(find_own, platform, upload_id, caller)
     upload = await receive_body(request, platform, (upload_id, caller.user_id), piece)
+    link(upload.traceparent)
     offset_bytes = await in_thread(bytes_here, platform, upload)
     return Response(status_code=204, headers=upload_headers(upload, offset_bytes))
 

@@ -13,8 +13,9 @@ from api.paging import Page, PageDep
 from api.people_views import tokens_page, user_item, user_of, users_page
 from api.schemas.admin import ReasonBody
 from api.schemas.base import PLAIN, IdPath
-from api.schemas.people import Password, TokenItem, UserBody, UserChange, UserItem
-from services.runtime.access import passwords, users
+from api.schemas.people import Password, RevokedItem, TokenItem, UserBody, UserChange, UserItem
+from services.runtime.access import guesses, passwords, sessions, tokens, users
+from services.runtime.access.erasing import erase_user
 from services.runtime.access.roles import Role
 from services.runtime.orm import Token
 
@@ -27,7 +28,7 @@ RoleQuery = Annotated[Role | None, Query()]
 
 @router.post("", status_code=201, summary="Add a user", responses=refusals(409))
 def add(body: UserBody, caller: Administrator, platform: PlatformDep) -> UserItem:
-    password_hash = _hashed(body.password)
+    password_hash = _hashed(body.password, body.name)
     with platform.database.transaction() as session:
         user = users.create_user(session, body.name, body.role)
         user.password_hash = password_hash or ""
@@ -46,13 +47,26 @@ def listed(
 
 @router.patch("/{user_id}", summary="Change a user's role, password or access", responses=refusals(404, 409))
 def change(user_id: IdPath, body: UserChange, caller: Administrator, platform: PlatformDep) -> UserItem:
-    password_hash = _hashed(body.password)
+    with platform.database.reading() as session:
+        name = user_of(session, user_id).name
+    password_hash = _hashed(body.password, name)
     with platform.database.transaction() as session:
         user = user_of(session, user_id, is_locked=True)
         users.change_user(session, user, body.role, body.is_active)
         if password_hash is not None:
             users.change_password(session, user, password_hash)
+            guesses.forgive_name(session, user.name)
         audit.record_admin_act(session, caller, "user.change", user_id, body.reason, _changes(body))
+    return user_item(user)
+
+
+@router.post("/{user_id}/erase", summary="Erase a user's account for good", responses=refusals(404, 409))
+def erase(user_id: IdPath, body: ReasonBody, caller: Administrator, platform: PlatformDep) -> UserItem:
+    """Name, password, tokens and browsers go at once; what they made stays, under no name."""
+    with platform.database.transaction() as session:
+        user = user_of(session, user_id, is_locked=True)
+        erase_user(session, user)
+        audit.record_admin_act(session, caller, "user.erase", user_id, body.reason)
     return user_item(user)
 
 
@@ -78,9 +92,23 @@ def revoke_token(
         audit.record_admin_act(session, caller, "user.token_revoke", user_id, body.reason, facts)
 
 
-def _hashed(password: Password | None) -> str | None:
+@router.post(
+    "/{user_id}/credentials/revoke", summary="End all of a user's tokens and sessions", responses=refusals(404)
+)
+def revoke_credentials(user_id: IdPath, body: ReasonBody, caller: Administrator, platform: PlatformDep) -> RevokedItem:
+    """Whatever uses them is answered 401 from now on. The credential that asks is spared, and the password stays."""
+    with platform.database.transaction() as session:
+        user_of(session, user_id, is_locked=True)
+        ended = tokens.revoke_others(session, user_id, caller.credential_id)
+        closed = sessions.close_others(session, user_id, caller.credential_id)
+        facts = {"tokens": ended, "browsers": closed}
+        audit.record_admin_act(session, caller, "user.credentials_revoke", user_id, body.reason, facts)
+    return RevokedItem(tokens=ended, browsers=closed)
+
+
+def _hashed(password: Password | None, name: str) -> str | None:
     """Slow, so before the transaction."""
-    return None if password is None else passwords.hash_password(password.get_secret_value())
+    return None if password is None else passwords.hash_password(password.get_secret_value(), name)
 
 
 def _changes(body: UserChange) -> dict[str, Any]:

@@ -190,6 +190,15 @@ class UserItem(Answer):
     created_at: datetime
 
 
+class RevokedItem(Answer):
+    """How many tokens of a user ended, and out of how many browsers they were signed."""
+
+    model_config = example(tokens=3, browsers=1)
+
+    tokens: int
+    browsers: int
+
+
 class TeamBody(Body):
     """A team to be; its maker owns it."""
 

@@ -4,11 +4,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from services.eval.cases import Case, case_of
-from services.eval.confined import Watch
 from services.eval.examining import Examination, Examined, Span, examine
 from services.runtime.benchmarks.pairs import Pair
+from services.runtime.confined.watching import watching
 from services.runtime.jobs.specs import Attempt
 from services.runtime.platform import Platform
+from services.runtime.telemetry.meters import FRAMES
+from services.runtime.telemetry.tallies import tallies
 from services.runtime.workspace import Workspace
 
 
@@ -46,14 +48,8 @@ class Desk:
         store = self.platform.store
         tokens = case.truth.manifest(self.platform).tokens
         pack = None if case.is_validation else store.local(case.truth.pack_key)
-        return examine(Examination(store.local(case.kept_key()), tokens, span, pack), self._watch(span))
-
-    def _watch(self, span: Span) -> Watch:
-        """What the child says is passed on; while it says nothing, what it said last: so the wish to stop is heard."""
-        last = [("check", 0, span[1] - span[0])]
-
-        def told(stage: str, done: int, total: int) -> None:
-            last[0] = (stage, done, total)
-            self.attempt.progress(*last[0])
-
-        return Watch(glance=lambda: self.attempt.progress(*last[0]), progress=told)
+        watch = watching(self.attempt, "check", span[1] - span[0])
+        found = examine(Examination(store.local(case.kept_key()), tokens, span, pack), watch)
+        if found.counts is not None:
+            tallies().add(FRAMES, ("scored",), span[1] - span[0])
+        return found

@@ -17,16 +17,22 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
-from services.eval.confined import Limits, Watch, confined_telling
-from services.eval.confined_child import Progress
 from services.eval.counting import Counted, check_range, count_range
-from services.eval.errors import ScoringCrashedError, UnreadableInputError
+from services.eval.errors import ScoringCrashedError, ScoringInterruptedError, UnreadableInputError
 from services.eval.manifest import Manifest
 from services.eval.problems import validation_of
 from services.eval.scoring_errors import TruthDamagedError
 from services.eval.submission_zip import Submission, open_submission
 from services.eval.truth_pack import TruthPack, TruthPackError, write_truth_pack
 from services.eval.validation import Validation, verdict
+from services.runtime.confined import (
+    ConfinedCrashedError,
+    ConfinedInterruptedError,
+    Limits,
+    Progress,
+    Watch,
+    confined_telling,
+)
 from stone.bitplanes import RINGS, frame_counts, truth_planes
 from stone.grid import GRID_SHAPE
 from stone.metric import CLASSES
@@ -85,7 +91,12 @@ def examine(examination: Examination, watch: Watch) -> Examined:
     Raises `ScoringCrashedError` where the child broke its limits, `ScoringInterruptedError`, and what `watch` raises.
     """
     _warm()
-    answer = confined_telling(partial(_looked_at, examination), examination.limits, watch)
+    try:
+        answer = confined_telling(partial(_looked_at, examination), examination.limits, watch)
+    except ConfinedCrashedError as error:
+        raise ScoringCrashedError(error.fate) from error
+    except ConfinedInterruptedError as error:
+        raise ScoringInterruptedError(error.fate) from error
     try:
         return _believed(answer, examination)
     except (ValueError, TypeError, KeyError, AttributeError, struct.error) as error:

@@ -4,15 +4,19 @@
 and an attempt that is killed afterwards finds it kept.
 """
 
+from contextlib import ExitStack, suppress
+from pathlib import Path
+
 from sqlalchemy import update
 from sqlalchemy.orm import Session
 
 from services.eval.scoring_errors import UploadDamagedError
 from services.runtime.benchmarks.submissions import mark_scoring
 from services.runtime.blobs import PreparedBlob, link, prepare
-from services.runtime.orm import Submission
+from services.runtime.orm import Submission, Upload
 from services.runtime.platform import Platform
-from services.runtime.uploads.files import remove_file, upload_file
+from services.runtime.store_keys import ObjectMissingError
+from services.runtime.uploads.places import place_of, remove_bytes
 
 
 def keep_file(platform: Platform, submission: Submission) -> None:
@@ -26,19 +30,27 @@ def keep_file(platform: Platform, submission: Submission) -> None:
         with platform.database.transaction() as session:
             mark_scoring(session, submission.id)
     if submission.upload_id:
-        remove_file(upload_file(platform.settings, submission.upload_id))
+        remove_bytes(platform, [submission.upload_id])
 
 
 def _keep(platform: Platform, submission: Submission) -> None:
     declared = submission.declared_sha256
-    path = upload_file(platform.settings, submission.upload_id or "")
-    if not path.is_file():
-        raise UploadDamagedError("", declared)
-    prepared = prepare(platform.store, platform.database, path, adopt=True)
-    if prepared.sha256 != declared:
-        raise UploadDamagedError(prepared.sha256, declared)
-    with platform.database.transaction() as session:
-        _write(session, submission.id, prepared)
+    with ExitStack() as copies:
+        prepared = prepare(platform.store, platform.database, _received(platform, submission, copies), adopt=True)
+        if prepared.sha256 != declared:
+            raise UploadDamagedError(prepared.sha256, declared)
+        with platform.database.transaction() as session:
+            _write(session, submission.id, prepared)
+
+
+def _received(platform: Platform, submission: Submission, copies: ExitStack) -> Path:
+    """The file on this machine. Raises `UploadDamagedError` when it is gone."""
+    with platform.database.reading() as session:
+        upload = session.get(Upload, submission.upload_id or "")
+    if upload is not None:
+        with suppress(FileNotFoundError, ObjectMissingError):
+            return copies.enter_context(place_of(platform, upload).local(upload))
+    raise UploadDamagedError("", submission.declared_sha256)
 
 
 def _write(session: Session, submission_id: str, prepared: PreparedBlob) -> None:

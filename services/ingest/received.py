@@ -1,6 +1,7 @@
 """What was received of a recording: its files on this machine, and the bag that they are."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,10 +11,11 @@ from services.ingest.named import named, named_folder
 from services.ingest.profiles import Profile
 from services.ingest.recording_errors import RecordingFileMissingError, RecordingRefusedError
 from services.runtime.jobs.errors import JobCancelledError
-from services.runtime.orm import Blob, Recording, RecordingFile, Sequence
+from services.runtime.orm import Blob, Recording, RecordingFile, Sequence, Upload
 from services.runtime.platform import Platform
 from services.runtime.profiles import topics_of
-from services.runtime.uploads import upload_file
+from services.runtime.store_keys import ObjectMissingError
+from services.runtime.uploads.places import place_of
 
 NAMES_FOLDER = "names"
 
@@ -52,25 +54,52 @@ class Received:
         return named(self.folder, *read[0]) if len(read) == 1 else named_folder(self.folder, read, self.name)
 
 
-def received(platform: Platform, recording_id: str) -> Received:
-    """Raises `JobCancelledError` (deleted), `RecordingRefusedError`, `RecordingFileMissingError`."""
+@dataclass(frozen=True)
+class _Kept:
+    """Where rows say that the bytes of a file are: in a blob, or else in an upload."""
+
+    row: RecordingFile
+    blob: Blob | None
+    upload: Upload | None
+
+
+@contextmanager
+def received(platform: Platform, recording_id: str) -> Iterator[Received]:
+    """The recording with its files on this machine; copies that were made for it go with the block.
+
+    Raises `JobCancelledError` (deleted), `RecordingRefusedError`, `RecordingFileMissingError`, what the store raises.
+    """
     with platform.database.reading() as session:
         recording = session.get(Recording, recording_id)
         if recording is None:
             raise JobCancelledError("its recording was deleted")
-        files = tuple(_file(session, platform, row) for row in recording.files)
+        kept = [_kept(session, row) for row in recording.files]
         sequence = session.get_one(Sequence, recording.sequence_id)
         profile = Profile(topics_of(session, sequence), sequence.platform)
-    if missing := [file for file in files if not file.path.is_file()]:
-        if recording.state == "refused":  # by an attempt that was killed before it could say so
-            raise RecordingRefusedError(recording.filename, recording.findings[0]["message"])
-        raise RecordingFileMissingError(missing[0].filename, missing[0].upload_id)
     folder = platform.settings.root / NAMES_FOLDER
-    return Received(recording_id, sequence.id, recording.filename, files, folder, profile)
+    with ExitStack() as copies:
+        files = tuple(_file(recording, file.row, _path(platform, file, copies)) for file in kept)
+        yield Received(recording_id, sequence.id, recording.filename, files, folder, profile)
 
 
-def _file(session: Session, platform: Platform, row: RecordingFile) -> ReceivedFile:
+def _kept(session: Session, row: RecordingFile) -> _Kept:
     blob = session.get(Blob, row.blob_sha256) if row.blob_sha256 else None
-    upload_id = row.upload_id or ""
-    path = platform.store.local(blob.object_key) if blob else upload_file(platform.settings, upload_id)
-    return ReceivedFile(row.id, upload_id, row.filename, row.sha256, path)
+    return _Kept(row, blob, session.get(Upload, row.upload_id) if row.upload_id else None)
+
+
+def _path(platform: Platform, kept: _Kept, copies: ExitStack) -> Path | None:
+    """Where the bytes are; nothing when they are gone."""
+    with suppress(FileNotFoundError, ObjectMissingError):
+        if kept.blob is not None:
+            return platform.store.local(kept.blob.object_key)
+        if kept.upload is not None:
+            return copies.enter_context(place_of(platform, kept.upload).local(kept.upload))
+    return None
+
+
+def _file(recording: Recording, row: RecordingFile, path: Path | None) -> ReceivedFile:
+    if path is not None:
+        return ReceivedFile(row.id, row.upload_id or "", row.filename, row.sha256, path)
+    if recording.state == "refused":  # by an attempt that was killed before it could say so
+        raise RecordingRefusedError(recording.filename, recording.findings[0]["message"])
+    raise RecordingFileMissingError(row.filename, row.upload_id or "")

@@ -3,27 +3,22 @@
     files → (what was cut off is recovered) → inspection → quality → previews → blobs → rows
 
 **Conventions.** The uploads' files stay until blobs hold their bytes, so an attempt killed anywhere is repeated from
-the start and makes the same; the sweeper removes the files afterwards. A refusal is written before the job fails by it,
-in the same words.
+the start and makes the same; the sweeper removes the files afterwards. A confined child does all the reading
+(`seeing`), so what breaks its reader fails the job and nothing else, and the recording stays as it was received. A
+refusal is written before the job fails by it, in the same words.
 """
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sqlalchemy.orm import Session
 
-from services.ingest.bag import open_bag
-from services.ingest.cut_files import RecoveredFile, recovered_files
-from services.ingest.errors import CutBagError, IngestError
-from services.ingest.inspection import Inspection, inspect
-from services.ingest.inspection_record import inspection_record
-from services.ingest.previews.pictures import previews_of
-from services.ingest.quality.page import quality_page
-from services.ingest.quality.report import Quality, quality_of
+from services.ingest.apart import Apart, folder_apart
+from services.ingest.errors import IngestError
 from services.ingest.received import Received, ReceivedFile, received
 from services.ingest.recording_errors import RecordingChangedError
+from services.ingest.seeing import RECOVERED, STEPS, Seen, seen
 from services.runtime import quota
 from services.runtime.blobs import PreparedBlob, link_all, prepare
 from services.runtime.errors import PlatformFaultError
@@ -32,22 +27,10 @@ from services.runtime.jobs.specs import Attempt, Outcome
 from services.runtime.orm import Recording
 from services.runtime.platform import Platform
 from services.runtime.previews import PreparedPreview, Shown, prepared_previews, replace_previews
+from services.runtime.uploads.places import remove_bytes
 from services.runtime.workspace import Workspace
 from stone.errors import StoneError
 from stone.findings import Finding
-
-QUALITY_RECORD, QUALITY_PAGE = "quality.json", "quality.html"
-STEPS = 4
-
-
-@dataclass(frozen=True)
-class _Seen:
-    """What was seen in the bag; `recovered` is read in the place of what was cut off."""
-
-    inspection: Inspection
-    quality: Quality
-    recovered: Mapping[str, RecoveredFile]
-    pictures: tuple[tuple[str, str, bytes], ...]
 
 
 @dataclass(frozen=True)
@@ -63,12 +46,17 @@ class _Kept:
 
 
 def register(platform: Platform, attempt: Attempt) -> Outcome:
-    """Inspect the recording and keep it as blobs. Raises the `BAG-*` refusals, `RecordingChangedError`."""
-    brought = received(platform, str(attempt.arguments["recording_id"]))
+    """Inspect the recording and keep it as blobs. Raises the `BAG-*` refusals, `RecordingChangedError`, what `seen`
+    raises."""
+    with received(platform, str(attempt.arguments["recording_id"])) as brought:
+        return _read_and_kept(platform, attempt, brought)
+
+
+def _read_and_kept(platform: Platform, attempt: Attempt, brought: Received) -> Outcome:
     work = Workspace(platform.store, platform.settings, attempt.root_id).folder
     attempt.progress("inspect", 0, STEPS)
     try:
-        seen = _seen(brought, work, attempt)
+        found = _seen(platform, attempt, brought, work)
         attempt.progress("keep", 2, STEPS)
         originals = {file.row_id: _prepared(platform, file) for file in brought.files}
     except PlatformFaultError:  # a disk that is full, a store that is away: no fault of the recording
@@ -78,40 +66,28 @@ def register(platform: Platform, attempt: Attempt) -> Outcome:
         raise
     attempt.progress("keep", 3, STEPS)
     recovered = {
-        row_id: prepare(platform.store, platform.database, file.path, adopt=True)
-        for row_id, file in seen.recovered.items()
+        row_id: prepare(platform.store, platform.database, path, adopt=True) for row_id, path in found.recovered.items()
     }
-    kept = _Kept(originals, recovered, prepared_previews(platform, work, _drawn(brought.name, seen)))
+    kept = _Kept(originals, recovered, prepared_previews(platform, work, found.drawn))
     attempt.progress("keep", STEPS, STEPS)
-    topics, findings = len(seen.inspection.topics), len(seen.inspection.findings)
-    attempt.log("inspected", topics=topics, findings=findings, score=seen.quality.score, recovered=len(recovered))
-    result = {"recording_id": brought.recording_id, "topics": topics, "score": seen.quality.score}
-    return Outcome(result, commit=lambda session: _register(session, brought, seen, kept))
+    score = found.quality["score"]
+    attempt.log("inspected", topics=found.topics, findings=found.findings, score=score, recovered=len(recovered))
+    result = {"recording_id": brought.recording_id, "topics": found.topics, "score": score}
+    return Outcome(result, commit=lambda session: _register(session, brought, found, kept))
 
 
-def _seen(brought: Received, work: Path, attempt: Attempt) -> _Seen:
-    path, recovered = brought.bag(), {}
-    try:
-        inspection = inspect(path, brought.profile)
-    except CutBagError:
-        recovered = recovered_files(brought, work / "recovered")
-        if not recovered:
-            raise
-        path = brought.bag({row_id: file.path for row_id, file in recovered.items()})
-        inspection = inspect(path, brought.profile)
-    said = tuple(file.finding for file in recovered.values())
-    inspection = replace(inspection, findings=(*said, *inspection.findings))
-    attempt.progress("measure", 1, STEPS)
-    with open_bag(path) as bag:
-        quality = quality_of(bag, inspection)
-        return _Seen(inspection, quality, recovered, tuple(previews_of(bag, inspection)))
+def _seen(platform: Platform, attempt: Attempt, brought: Received, work: Path) -> Seen:
+    """What was recovered lies below `work` then, until the run is collected."""
+    with folder_apart(work) as folder:
+        apart = Apart(folder, tuple(file.path for file in brought.files), attempt, platform.settings)
+        found = seen(brought, apart)
+        return replace(found, recovered={row_id: _moved(path, work) for row_id, path in found.recovered.items()})
 
 
-def _drawn(name: str, seen: _Seen) -> tuple[tuple[str, str, bytes], ...]:
-    """The previews, with the quality for programs and for people."""
-    record = json.dumps(seen.quality.as_record(), indent=1, allow_nan=False).encode()
-    page = quality_page(name, seen.inspection, seen.quality, seen.pictures)
-    return ((QUALITY_RECORD, "application/json", record), (QUALITY_PAGE, "text/html", page), *seen.pictures)
+def _moved(path: Path, work: Path) -> Path:
+    target = work / RECOVERED / path.name
+    target.parent.mkdir(exist_ok=True)
+    return path.replace(target)
 
 
 def _prepared(platform: Platform, file: ReceivedFile) -> PreparedBlob:
@@ -122,7 +98,7 @@ def _prepared(platform: Platform, file: ReceivedFile) -> PreparedBlob:
     return prepared
 
 
-def _register(session: Session, brought: Received, seen: _Seen, kept: _Kept) -> None:
+def _register(session: Session, brought: Received, found: Seen, kept: _Kept) -> None:
     recording = session.get(Recording, brought.recording_id, with_for_update=True)
     if recording is None:
         raise JobCancelledError("its recording was deleted")
@@ -130,10 +106,10 @@ def _register(session: Session, brought: Received, seen: _Seen, kept: _Kept) -> 
     for file in recording.files:
         file.blob_sha256 = kept.originals[file.id].sha256
         file.recovered_blob_sha256 = kept.recovered[file.id].sha256 if file.id in kept.recovered else None
-    record = inspection_record(seen.inspection)
+    inspection = dict(found.inspection)
     recording.state = "registered"
-    recording.findings = record.pop("findings")
-    recording.inspection, recording.quality = record, seen.quality.as_record()
+    recording.findings = inspection.pop("findings")
+    recording.inspection, recording.quality = inspection, found.quality
     replace_previews(session, Shown(recording.sequence_id, recording.id), kept.previews)
 
 
@@ -147,5 +123,4 @@ def _refuse(platform: Platform, brought: Received, error: StoneError) -> None:
         recording.findings = [Finding(error.code, "error", "", str(error)[:2000]).as_record()]
         for file in brought.files:
             quota.release(session, file.upload_id, "recording refused")
-    for file in brought.files:
-        file.path.unlink(missing_ok=True)
+    remove_bytes(platform, [file.upload_id for file in brought.files])

@@ -4,26 +4,23 @@
 anywhere, and leaves the same bytes. Files for the labeler lie in the workspace of the run.
 """
 
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from sqlalchemy.orm import Session
 
-from services.ingest.bag import open_bag
+from services.ingest.apart import Apart, folder_apart
+from services.ingest.fingerprint import bag_parts
 from services.ingest.named import named, named_folder
-from services.ingest.opening import open_sequence
-from services.ingest.overlay import overlays_of
 from services.ingest.pipeline import SynchroniseOptions
 from services.ingest.received import NAMES_FOLDER
 from services.ingest.registering import register
 from services.ingest.samples import BagSamples
-from services.ingest.sweep_file import Kept, KeptFile, read_sweeps, sweeps_bytes
+from services.ingest.sweep_file import Kept, KeptFile, read_sweeps
 from services.ingest.sweeps import BagSweeps
-from services.ingest.validity import validity_findings
-from services.runtime.atomic import atomic_file
+from services.ingest.synchronising import SYNCHRONISED, Asked, synchronised
+from services.runtime.atomic import flush
 from services.runtime.blobs import link_all
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.specs import Attempt, Handlers, JobSpec, Outcome
@@ -33,13 +30,9 @@ from services.runtime.previews import PreparedPreview, Shown, prepared_previews,
 from services.runtime.processing import LABEL, REGISTER, SYNCHRONISE
 from services.runtime.run_files import SEQUENCE_FILE, SWEEPS_FILE
 from services.runtime.sample_sources import RecordingDeletedError
-from services.runtime.sequence_file import sequence_bytes
 from services.runtime.stages import standing_sequence
 from services.runtime.workspace import Workspace
-from stone.findings import Finding
 from stone.sequence import Sequence
-
-MOST_FINDINGS = 100
 
 
 @dataclass(frozen=True)
@@ -59,37 +52,31 @@ def handlers(platform: Platform) -> Handlers:
 
 
 def synchronise_recording(platform: Platform, attempt: Attempt) -> Outcome:
-    """Leave the sequence and the description of its sweeps in the workspace. Raises what `open_sequence` raises."""
+    """Leave the sequence and the description of its sweeps in the workspace. Raises what `synchronised` raises."""
     inputs = _inputs(platform, attempt)
-    attempt.progress("synchronise", 0, 2)
+    attempt.progress(SYNCHRONISED, 0, 2)
     options = SynchroniseOptions(
         odometry_topic=attempt.arguments["odometry_topic"] or None,
         lidar_topic=attempt.arguments["lidar_topic"] or None,
         topics=attempt.arguments.get("topics", {}),
         recording_sha256=inputs.recording_sha256,
-        progress=attempt.progress,
     )
     path, calibration = locate(platform, inputs.recording), locate_file(platform, inputs.calibration)
-    sequence, sweeps = open_sequence(path, calibration, inputs.name, options)
-    sequence = replace(sequence, findings=(*sequence.findings, *validity_findings(sequence, *inputs.valid_ns)))
-    attempt.progress("synchronise", 1, 2)
+    asked = Asked(path, calibration, inputs.name, inputs.recording, inputs.valid_ns, options)
     workspace = Workspace(platform.store, platform.settings, attempt.root_id)
-    with open_bag(path) as bag:
-        overlays = prepared_previews(platform, workspace.folder, overlays_of(bag, sequence, sweeps))
-    _write(workspace.folder / SEQUENCE_FILE, sequence_bytes(sequence))
-    _write(workspace.folder / SWEEPS_FILE, sweeps_bytes(sweeps, inputs.recording))
+    with folder_apart(workspace.folder) as folder:
+        made = synchronised(asked, Apart(folder, tuple(bag_parts(path)), attempt, platform.settings))
+        attempt.progress(SYNCHRONISED, 1, 2)
+        overlays = prepared_previews(platform, workspace.folder, made.overlays)
+        for name, made_file in made.files.items():
+            flush(made_file)
+            made_file.replace(workspace.folder / name)
     workspace.push(SEQUENCE_FILE, SWEEPS_FILE)
-    attempt.progress("synchronise", 2, 2)
-    result = {
-        "frames": len(sequence.frames),
-        "excluded": len(sequence.excluded),
-        "pose_source": sequence.pose_source,
-        "findings": _findings(sequence.findings),
-    }
-    attempt.log("synchronised", frames=len(sequence.frames), excluded=len(sequence.excluded))
+    attempt.progress(SYNCHRONISED, 2, 2)
+    attempt.log("synchronised", frames=made.result["frames"], excluded=made.result["excluded"])
     then = (JobSpec(LABEL),) if "label" in attempt.arguments["stages"] else ()
     shown = Shown(attempt.sequence_id or "", recipe=attempt.arguments["recipe"])
-    return Outcome(result, then=then, commit=lambda session: _show(session, shown, overlays))
+    return Outcome(made.result, then=then, commit=lambda session: _show(session, shown, overlays))
 
 
 def open_described(platform: Platform, description: bytes) -> BagSweeps:
@@ -146,14 +133,3 @@ def _kept_file(session: Session, file: RecordingFile) -> KeptFile:
     """What is read of a file: what was recovered of it, where it was cut off."""
     blob = session.get_one(Blob, file.recovered_blob_sha256 or file.blob_sha256)
     return KeptFile(blob.object_key, file.filename)
-
-
-def _findings(findings: Iterable[Finding]) -> list[dict[str, Any]]:
-    """The first of them, each short enough for a row."""
-    short = (replace(finding, message=finding.message[:300], topic=finding.topic[:300]) for finding in findings)
-    return [finding.as_record() for finding, _ in zip(short, range(MOST_FINDINGS), strict=False)]
-
-
-def _write(path: Path, payload: bytes) -> None:
-    with atomic_file(path) as staging:
-        staging.write_bytes(payload)

@@ -39,6 +39,8 @@ from services.runtime.exports import EXPORT
 from services.runtime.jobs.specs import Attempt, Handlers, JobSpec, Outcome
 from services.runtime.platform import Platform
 from services.runtime.processing import LABEL
+from services.runtime.telemetry.meters import FRAMES
+from services.runtime.telemetry.tallies import tallies
 
 Stage = Callable[[Desk], Outcome]
 
@@ -138,6 +140,7 @@ def label_part(desk: Desk) -> Outcome:
     write_pack(desk.run, part, labelled_frames(desk.run, part, reference), desk.step("frames"))
     desk.push(pack_path(desk.run, part), index_path(desk.run, part))
     desk.attempt.log("labelled", frames=part[1] - part[0], pack_bytes=pack_path(desk.run, part).stat().st_size)
+    tallies().add(FRAMES, ("labelled",), part[1] - part[0])
     return Outcome({"frames": part[1] - part[0]})
 
 

@@ -32,7 +32,7 @@ def ring(settings: Settings) -> Callable[[str, int], None]:
 
 def waiting(settings: Settings) -> Callable[[str], int]:
     """The function that tells how many bells lie unheard in a queue. Raises `redis.RedisError` without a broker."""
-    client = Redis.from_url(settings.broker.url, socket_connect_timeout=2, socket_timeout=5)
+    client = Redis.from_url(settings.broker.address, socket_connect_timeout=2, socket_timeout=5)
 
     def waiting_in(queue: str) -> int:
         return int(client.llen(queue))

@@ -11,10 +11,12 @@ itself always stays: remove it after the commit.
 
 import hashlib
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from secrets import token_hex
 
+import structlog
 from sqlalchemy import delete, select
 from sqlalchemy.orm import Session
 
@@ -24,10 +26,13 @@ from services.runtime.inserting import insert_new
 from services.runtime.orm import Blob, LooseObject
 from services.runtime.orm.base import now_ns
 from services.runtime.store import Store
+from services.runtime.store_keys import ObjectMissingError
 
 __all__ = ["Collected", "PreparedBlob", "collect", "keep", "link", "link_all", "prepare"]
 
 SLOW_BYTES_PER_S = 2**20
+
+log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True)
@@ -47,17 +52,21 @@ def keep(session: Session, store: Store, path: Path, *, adopt: bool = False) -> 
 
     For large ones `prepare` before the transaction and `link` inside it.
     """
-    return link(session, _hashed(store, path, adopt))
+    prepared = _hashed(store, path, adopt)
+    _mended(prepared, session)
+    return link(session, prepared)
 
 
 def prepare(store: Store, database: Database, path: Path, *, adopt: bool = False) -> PreparedBlob:
     """Hash `path` and store its content unless a blob has it; call it outside transactions, then `link`.
 
+    Where a blob has it and its object is gone, which only others than us can have done, the object is put back.
+
     What is never linked is collected after the grace. Raises `StoreFullError`, `StoreAwayError`.
     """
     prepared = _hashed(store, path, adopt)
     with database.reading() as session:
-        if session.get(Blob, prepared.sha256) is not None:
+        if _mended(prepared, session):
             return prepared
     key = _fresh_key(prepared.sha256)
     with database.transaction() as session:
@@ -117,6 +126,22 @@ def _hashed(store: Store, path: Path, adopt: bool) -> PreparedBlob:
 def _store(prepared: PreparedBlob, key: str) -> None:
     place = prepared.store.adopt if prepared.is_adopted else prepared.store.write
     place(key, prepared.path)
+
+
+def _mended(prepared: PreparedBlob, session: Session) -> bool:
+    """Whether a blob has the content; its object is stored again where it is gone.
+
+    Should the collection take the blob meanwhile, it comes upon the object as one that no row speaks of.
+    """
+    key = session.scalar(select(Blob.object_key).where(Blob.sha256 == prepared.sha256))
+    if key is None:
+        return False
+    with suppress(ObjectMissingError):
+        if prepared.store.size_bytes(key) == prepared.size_bytes:
+            return True
+    log.warning("lost object put back", object_key=key)
+    prepared.store.write(key, prepared.path)
+    return True
 
 
 def _fresh_key(sha256: str) -> str:

@@ -21,6 +21,7 @@ from sqlalchemy.orm import configure_mappers
 from services.runtime.log_lines import speak_json
 from services.runtime.parent_death import die_with
 from services.runtime.settings import Settings
+from services.runtime.telemetry.tracing import close_tracing, open_tracing
 
 if TYPE_CHECKING:
     from services.runtime.jobs.presence import Presence
@@ -29,8 +30,8 @@ QUEUES = ("ingest", "labeler", "eval")
 
 
 def make_app(settings: Settings) -> Celery:
-    """The application for these settings; sending needs none of the services, working imports their tasks."""
-    app = Celery("stone", broker=settings.broker.url, include=[f"services.{name}.tasks" for name in QUEUES])
+    """The application for these settings; a worker says which services' tasks it loads (`processes/worker.py`)."""
+    app = Celery("stone", broker=settings.broker.address)
     app.conf.update(
         task_ignore_result=True,
         task_acks_late=False,  # a bell not yet acked when Redis ends makes kombu 5.7 end the worker, and its jobs
@@ -72,6 +73,7 @@ def _say_here(**_: object) -> None:
     from services.runtime.jobs.presence import Presence
     from services.runtime.platform import platform
 
+    open_tracing("stone-worker")  # here: a process that forks takes no exporter with it
     queues = list(current_app.amqp.queues.consume_from)  # first: the platform's bell is an application too
     presence = Presence(platform(), queues)
     presence.start()
@@ -82,6 +84,7 @@ def _say_here(**_: object) -> None:
 def _say_gone(**_: object) -> None:
     for presence in _HERE:
         presence.leave()
+    close_tracing()
 
 
 @worker_init.connect

@@ -2,27 +2,34 @@
 
 **Conventions.** A blob's row goes before its object, in one transaction with the object's condemnation, so a crash at
 any point leaves something that the next collection ends. The grace only spares work; what may be deleted is decided by
-who takes out the row of `loose_objects` (`services/runtime/blobs.py`).
+who takes out the row of `loose_objects` (`services/runtime/blobs.py`). While somebody holds the collection
+(`services/runtime/holding.py`), rows go and no object does.
 """
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import groupby, islice
+from itertools import chain, groupby, islice
 
-from sqlalchemy import ColumnElement, delete, exists, or_, select, union_all, update
+from sqlalchemy import ColumnElement, and_, delete, exists, or_, select, union_all, update
 from sqlalchemy.orm import Session
 
+from services.runtime.collection_turn import Turn
+from services.runtime.holding import is_held
 from services.runtime.inserting import insert_new
 from services.runtime.jobs.specs import TERMINAL
-from services.runtime.orm import Base, Blob, Job, LooseObject
+from services.runtime.orm import Base, Blob, Job, LooseObject, UploadSlab
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from services.runtime.workspace import Workspace
 
 BLOBS = "blobs/"
+UPLOADS = "uploads/"
 WORK = "work/"
 BATCH = 500
 SLOWEST_WRITE_S = 86_400.0
+NAMING = (Blob.object_key, UploadSlab.object_key)
+"""Where rows say that they need an object."""
 UNSYNCHRONISED = {"synchronize_session": False}
 KEPT_FAILED_NS = 7 * 86_400 * 10**9
 
@@ -35,23 +42,40 @@ class Collected:
     objects: int
 
 
-def collect(platform: Platform) -> Collected:
-    """Remove what is older than the grace and needed by nobody. Any number may run at once."""
+def collect(platform: Platform, turn: Turn | None = None) -> Collected:
+    """Remove what is older than the grace and needed by nobody. Any number may run at once.
+
+    With a `turn` some of it: what fits into its share of time, going on where it ended before.
+    """
     before_ns = now_ns() - int(platform.settings.store.grace_s * 1e9)
-    rows = _release_blobs(platform, before_ns)
+    rows = _release_blobs(platform, before_ns, turn or Turn(share_s=float("inf")))
     _condemn_loose(platform, before_ns)
-    _condemn_unknown(platform, before_ns)
+    _condemn_unknown(platform, before_ns, BLOBS if turn is None else turn.next_shard(BLOBS))
     objects = _delete_condemned(platform) + _delete_work(platform, before_ns)
     return Collected(rows, objects + platform.store.tidy(max(platform.settings.store.grace_s, SLOWEST_WRITE_S)))
 
 
-def _release_blobs(platform: Platform, before_ns: int) -> int:
+def _release_blobs(platform: Platform, before_ns: int, turn: Turn) -> int:
+    """Delete rows without a reference, a slice of all blobs after another."""
+    released, until_s = 0, turn.until_s()
+    while True:
+        ordered = select(Blob.sha256).where(Blob.sha256 > turn.after_sha256).order_by(Blob.sha256)
+        with platform.database.reading() as session:
+            last = session.scalar(ordered.offset(turn.slice_rows - 1).limit(1))
+        slice_of = (Blob.sha256 > turn.after_sha256, *((Blob.sha256 <= last,) if last else ()))
+        released += _release_among(platform, and_(Blob.created_ns <= before_ns, *slice_of))
+        turn.after_sha256 = last or ""
+        if last is None or time.monotonic() >= until_s:
+            return released
+
+
+def _release_among(platform: Platform, claim: ColumnElement[bool]) -> int:
     """Delete rows without a reference, condemning their objects.
 
     On PostgreSQL two statements are needed: rows are locked first, against new references; then those are looked for.
     """
     released = 0
-    old = select(Blob.sha256).where(Blob.created_ns <= before_ns, ~_is_referenced())
+    old = select(Blob.sha256).where(claim, ~_is_referenced())
     while True:
         with platform.database.transaction() as session:
             shas = session.scalars(old.limit(BATCH).with_for_update(skip_locked=True)).all()
@@ -77,9 +101,10 @@ def _condemn_loose(platform: Platform, before_ns: int) -> None:
         session.execute(forgotten.values(is_condemned=True))
 
 
-def _condemn_unknown(platform: Platform, before_ns: int) -> None:
+def _condemn_unknown(platform: Platform, before_ns: int, blobs: str) -> None:
     """Objects no row speaks of: of transactions rolled back, of a database restored to an earlier day."""
-    found = (stored for stored in platform.store.listed(BLOBS) if stored.modified_ns <= before_ns)
+    listed = chain.from_iterable(platform.store.listed(kind) for kind in (blobs, UPLOADS))
+    found = (stored for stored in listed if stored.modified_ns <= before_ns)
     while batch := [stored.key for stored in islice(found, BATCH)]:
         with platform.database.reading() as session:
             unknown = sorted(set(batch) - _known(session, batch))
@@ -89,14 +114,14 @@ def _condemn_unknown(platform: Platform, before_ns: int) -> None:
 
 
 def _known(session: Session, keys: Sequence[str]) -> set[str]:
-    """Keys that a row speaks of; one statement, since a key may go from one table to the other between two."""
-    loose = select(LooseObject.object_key).where(LooseObject.object_key.in_(keys))
-    return set(session.scalars(union_all(loose, select(Blob.object_key).where(Blob.object_key.in_(keys)))))
+    """Keys that a row speaks of; one statement, since a key may go from one table to another between two."""
+    columns = (LooseObject.object_key, *NAMING)
+    return set(session.scalars(union_all(*(select(column).where(column.in_(keys)) for column in columns))))
 
 
 def _spare(session: Session, condemned: Sequence[str]) -> None:
     """Take back the condemnation of what was named by a transaction that ours had to wait for."""
-    named = select(Blob.object_key).where(Blob.object_key.in_(condemned))
+    named = union_all(*(select(column).where(column.in_(condemned)) for column in NAMING))
     session.execute(delete(LooseObject).where(LooseObject.object_key.in_(named)).execution_options(**UNSYNCHRONISED))
 
 
@@ -104,7 +129,8 @@ def _delete_condemned(platform: Platform) -> int:
     deleted = 0
     while True:
         with platform.database.reading() as session:
-            keys = session.scalars(select(LooseObject.object_key).where(LooseObject.is_condemned).limit(BATCH)).all()
+            condemned = select(LooseObject.object_key).where(LooseObject.is_condemned, ~is_held())
+            keys = session.scalars(condemned.limit(BATCH)).all()
         for key in keys:
             platform.store.delete(key)
         with platform.database.transaction() as session:
@@ -127,10 +153,11 @@ def _delete_work(platform: Platform, before_ns: int) -> int:
 
 def _is_over(platform: Platform, root_id: str, is_old: bool) -> bool:
     """Whether no job of the run will ask for its work again; of a run nobody knows, whether it is old."""
+    asked = select(is_held(), Job.state, Job.finished_ns).where(Job.id == root_id)
     with platform.database.reading() as session:
-        run = session.get(Job, root_id)
-    if run is None:
-        return is_old
-    return run.state == "succeeded" or (
-        run.finished_ns is not None and run.state in TERMINAL and run.finished_ns <= now_ns() - KEPT_FAILED_NS
-    )
+        known = session.execute(asked).one_or_none()
+        if known is None:
+            return is_old and not session.scalar(select(is_held()))
+    held, state, finished_ns = known
+    is_forgotten = finished_ns is not None and finished_ns <= now_ns() - KEPT_FAILED_NS
+    return not held and (state == "succeeded" or (state in TERMINAL and is_forgotten))

@@ -69,7 +69,8 @@ def _engine(settings: Settings) -> Engine:
         event.listen(engine, "connect", _prepare_sqlite)
         event.listen(engine, "begin", _begin_sqlite)
         return engine
-    url = url.set(drivername="postgresql+psycopg")
+    password = settings.database.password.get_secret_value() or url.password
+    url = url.set(drivername="postgresql+psycopg", password=password)
     # What is written may be a secret, so errors and logs show statements without it.
     return create_engine(
         url, connect_args={"connect_timeout": CONNECT_S}, hide_parameters=True, pool_pre_ping=True, **pool

@@ -37,6 +37,7 @@ from services.runtime.processing import lock_sequence
 from services.runtime.recipes import CODE_VERSION, recipe_of
 from services.runtime.run_files import SEQUENCE_FILE
 from services.runtime.stages import standing_sequence
+from services.runtime.telemetry.stories import link_job
 from stone.errors import StoneError
 
 EXPORT = "labeler.export"
@@ -89,6 +90,7 @@ def start_export(session: Session, sequence: Sequence, form: str) -> tuple[Expor
         raise UnknownExportFormatError(form)
     sequence = lock_sequence(session, sequence.id)
     labels = _exportable_labels(session, sequence, form)
+    link_job(session, labels.job_id)
     recipe = _recipe(labels, form)
     export = _standing(session, sequence, recipe)
     if export is not None:

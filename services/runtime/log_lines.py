@@ -1,20 +1,31 @@
 """What processes say, one JSON object a line: time, level, logger, event, and the facts beside it.
 
 **Conventions.** Everything goes to stderr, ours (structlog) and what libraries say (logging) in the same shape. What is
-bound to the context (`request_id`) is in every line. `speak_json()` is for entry points; tests and tools are left
-alone.
+bound to the context (`request_id`; of an attempt `job_id`, `run_id`, `kind`, `attempt` too) is in every line, and
+`trace_id` and `span_id` where there is a span. `speak_json()` is for entry points; tests and tools are left alone.
 """
 
 import logging
 import sys
 
 import structlog
-from structlog.types import Processor
+from structlog.types import EventDict, Processor
 
-LIBRARIES = ("uvicorn", "uvicorn.error", "uvicorn.access")
+from services.runtime.telemetry.tracing import current_ids
+
+LIBRARIES = ("uvicorn", "uvicorn.error")
+SILENT = ("uvicorn.access",)
+"""Its lines have whole queries; ours (`api/entry.py`) say the same without."""
+
+
+def _name_span(_logger: object, _method: str, line: EventDict) -> EventDict:
+    line.update(current_ids())
+    return line
+
 
 _SHARED: tuple[Processor, ...] = (
     structlog.contextvars.merge_contextvars,
+    _name_span,
     structlog.stdlib.add_logger_name,
     structlog.stdlib.add_log_level,
     structlog.processors.TimeStamper(fmt="iso", utc=True),
@@ -43,3 +54,7 @@ def speak_json(level: int = logging.INFO) -> None:
         logger = logging.getLogger(name)
         logger.handlers.clear()
         logger.propagate = True
+    for name in SILENT:
+        logger = logging.getLogger(name)
+        logger.handlers.clear()
+        logger.propagate = False  # uvicorn asks whether anybody would hear, and a parent would

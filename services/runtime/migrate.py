@@ -30,17 +30,32 @@ def upgrade(settings: Settings) -> None:
     Raises `NewerSchemaError` when a newer version of this code has migrated it, `BrokenReferenceError` when a
     revision left a row that refers to nothing (and nothing is changed then).
     """
-    config = Config(attributes={})
-    config.set_main_option("script_location", str(MIGRATIONS).replace("%", "%%"))
-    script = ScriptDirectory.from_config(config)
     with schema_connection(settings) as connection:
+        config = alembic_on(connection)
+        script = ScriptDirectory.from_config(config)
         stands = MigrationContext.configure(connection).get_current_revision()
         if stands == script.get_current_head():
             return
         if stands not in {None, *(revision.revision for revision in script.walk_revisions())}:
             raise NewerSchemaError(str(stands), str(script.get_current_head()))
-        config.attributes["connection"] = connection
         command.upgrade(config, "head")
+
+
+def alembic_on(connection: Connection) -> Config:
+    """What Alembic's commands are told, to work in the connection's transaction."""
+    config = Config(attributes={"connection": connection})
+    config.set_main_option("script_location", str(MIGRATIONS).replace("%", "%%"))
+    return config
+
+
+def head_revision() -> str:
+    """The revision this code is of."""
+    return str(ScriptDirectory(str(MIGRATIONS)).get_current_head())
+
+
+def is_known(revision: str) -> bool:
+    """Whether this code knows the way from `revision` to its own."""
+    return revision in {known.revision for known in ScriptDirectory(str(MIGRATIONS)).walk_revisions()}
 
 
 @contextmanager

@@ -32,6 +32,7 @@ from services.runtime.processing_errors import (
 )
 from services.runtime.profiles import topics_of
 from services.runtime.recipes import CODE_VERSION, recipe_of
+from services.runtime.telemetry.stories import link_uploads_of
 
 PROCESS = "sequence.process"
 REGISTER = "ingest.register"
@@ -74,6 +75,7 @@ def start_processing(session: Session, sequence: Sequence, request: ProcessReque
     sequence = lock_sequence(session, sequence.id)
     calibration, recording = _inputs(session, sequence)
     request = replace(request, topics=topics_of(session, sequence))
+    link_uploads_of(session, recording.id)
     arguments = _arguments(request, calibration, recording)
     recipe = _recipe(sequence, request, calibration, recording)
     standing = _standing(session, sequence, recipe)

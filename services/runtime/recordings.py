@@ -18,6 +18,7 @@ from services.runtime.jobs.specs import TERMINAL
 from services.runtime.jobs.steering import cancel
 from services.runtime.orm import Job, Recording, RecordingFile, Sequence, Upload
 from services.runtime.processing import PROCESS, REGISTER, lock_sequence, register
+from services.runtime.telemetry.stories import link_uploads_of
 from services.runtime.uploads import consume
 from stone.errors import StoneError
 
@@ -65,6 +66,7 @@ def add_recording(session: Session, sequence: Sequence, received: Received, uplo
     recording = _recording_of(sequence, uploads, received.name)
     session.add(recording)
     session.flush()
+    link_uploads_of(session, recording.id)
     return recording, register(session, recording)
 
 

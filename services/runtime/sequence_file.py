@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from services.runtime.calibration_record import calibration_of, calibration_record
 from services.runtime.npz import npz_bytes
-from stone.calibration import Box, Calibration, CameraIntrinsics, Footprint, Mount
 from stone.findings import Finding
 from stone.pose_quality import PoseQuality
 from stone.se3 import SE3
@@ -58,7 +58,7 @@ def read_sequence(payload: bytes) -> Sequence:
         name=record["name"],
         frames=frames,
         excluded=tuple(ExcludedFrame(**frame) for frame in record["excluded"]),
-        calibration=_calibration(record["calibration"]),
+        calibration=calibration_of(record["calibration"]),
         pose_source=record["pose_source"],
         map_origin_deg_m=_floats(record["map_origin_deg_m"]),
         inputs=record["inputs"],
@@ -99,52 +99,13 @@ def _record(sequence: Sequence) -> dict[str, Any]:
         "slices": [[key, between.topic] for key, between in frames.slices.items()],
         "sweeps": frames.sweeps.topic if frames.sweeps is not None else None,
         "excluded": [asdict(frame) for frame in sequence.excluded],
-        "calibration": _calibration_record(sequence.calibration),
+        "calibration": calibration_record(sequence.calibration),
         "pose_source": sequence.pose_source,
         "map_origin_deg_m": sequence.map_origin_deg_m,
         "inputs": dict(sequence.inputs),
         "findings": [finding.as_record() for finding in sequence.findings],
         "max_pose_gap_ns": sequence.max_pose_gap_ns,
     }
-
-
-def _calibration_record(calibration: Calibration) -> dict[str, Any]:
-    return {
-        "name": calibration.name,
-        "ego_from_lidar": calibration.ego_from_lidar.wxyz_xyz.tolist(),
-        "mounts": [_mount_record(mount) for mount in calibration.mounts],
-        "footprint": asdict(calibration.footprint),
-        "self_boxes_ego": [asdict(box) for box in calibration.self_boxes_ego],
-    }
-
-
-def _mount_record(mount: Mount) -> dict[str, Any]:
-    return {
-        "name": mount.name,
-        "kind": mount.kind,
-        "lidar_from_sensor": mount.lidar_from_sensor.wxyz_xyz.tolist(),
-        "frame_id": mount.frame_id,
-        "time_offset_ns": mount.time_offset_ns,
-        "intrinsics": asdict(mount.intrinsics) if mount.intrinsics else None,
-    }
-
-
-def _calibration(record: dict[str, Any]) -> Calibration:
-    return Calibration(
-        name=record["name"],
-        ego_from_lidar=SE3(np.array(record["ego_from_lidar"])),
-        mounts=tuple(_mount(mount) for mount in record["mounts"]),
-        footprint=Footprint(**record["footprint"]),
-        self_boxes_ego=tuple(Box(tuple(box["min_m"]), tuple(box["max_m"])) for box in record["self_boxes_ego"]),
-    )
-
-
-def _mount(record: dict[str, Any]) -> Mount:
-    intrinsics = record["intrinsics"]
-    if intrinsics is not None:
-        intrinsics = CameraIntrinsics(**{**intrinsics, "distortion": tuple(intrinsics["distortion"])})
-    pose = SE3(np.array(record["lidar_from_sensor"]))
-    return Mount(**{**record, "lidar_from_sensor": pose, "intrinsics": intrinsics})
 
 
 def _floats(values: list[float] | None) -> tuple[float, float, float] | None:

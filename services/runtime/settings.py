@@ -1,6 +1,8 @@
-"""Everything a process may be told from outside, in one value read from the environment.
+"""Everything a process may be told from outside, in one value read from the environment and from secret files.
 
 **Conventions.** `STONE_<GROUP>__<NAME>`, for instance `STONE_DATABASE__URL`; groups are the nested dataclasses below.
+What the environment does not say may be a file of the same name in small letters, `stone_database__password`, in
+`/run/secrets` or the folder that `STONE_SECRETS_DIR` names; blanks around its text are dropped.
 Without any variable the settings are those of the embedded platform: SQLite and a local folder under `data_folder`.
 Durations end in `_s`, sizes in `_bytes`.
 """
@@ -9,20 +11,33 @@ import os
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Annotated, Literal
+from urllib.parse import quote, urlsplit
 
-from pydantic import SecretStr
-from pydantic_settings import BaseSettings, SettingsConfigDict
+from pydantic import Field, SecretStr
+from pydantic_settings import (
+    BaseSettings,
+    NestedSecretsSettingsSource,
+    PydanticBaseSettingsSource,
+    SettingsConfigDict,
+)
 
 GIB = 2**30
+SECRETS, SECRETS_VARIABLE = "/run/secrets", "STONE_SECRETS_DIR"
 
 
 @dataclass(frozen=True)
 class DatabaseSettings:
-    """Where the truth lives; empty: `stone.sqlite3` in the data folder."""
+    """Where the truth lives; empty: `stone.sqlite3` in the data folder.
+
+    `password` comes before one in `url`. A role that starts waits `awaited_s` for the schema of its code.
+    """
 
     url: str = ""
+    password: SecretStr = field(default=SecretStr(""))
     busy_timeout_s: float = 30.0
     pool_size: int = 20
+    awaited_s: float = 120.0
 
 
 @dataclass(frozen=True)
@@ -40,15 +55,29 @@ class StoreSettings:
 
 @dataclass(frozen=True)
 class BrokerSettings:
-    """The bell. A message lost here is rung again by the sweeper."""
+    """The bell. A message lost here is rung again by the sweeper. `password` comes before one in `url`."""
 
     url: str = "redis://127.0.0.1:6379/0"
+    password: SecretStr = field(default=SecretStr(""))
     visibility_timeout_s: int = 3600
+
+    @property
+    def address(self) -> str:
+        """`url` with the password in it: for whoever connects, never for a log."""
+        password = self.password.get_secret_value()
+        if not password:
+            return self.url
+        parts = urlsplit(self.url)
+        place = parts.netloc.rpartition("@")[2]
+        return parts._replace(netloc=f"{parts.username or ''}:{quote(password, safe='')}@{place}").geturl()
 
 
 @dataclass(frozen=True)
 class JobSettings:
-    """An attempt whose heartbeat stands still for `lease_s` is lost; a job has `max_attempts`."""
+    """An attempt whose heartbeat stands still for `lease_s` is lost; a job has `max_attempts`.
+
+    A worker that is told to stop gives what it runs `drain_s`, then gives it back.
+    """
 
     lease_s: float = 20.0
     heartbeat_s: float = 4.0
@@ -56,6 +85,7 @@ class JobSettings:
     sweep_s: float = 1.0
     max_attempts: int = 3
     rest_s: float = 2.0
+    drain_s: float = 120.0
     time_limit_s: float = 1800.0
     log_lines_per_attempt: int = 5000
 
@@ -63,13 +93,19 @@ class JobSettings:
 @dataclass(frozen=True)
 class UploadSettings:
     """Bounds on what comes in. `owner_bytes` is what one owner may have stored or under way; a client that sends
-    nothing for `idle_s` is taken for gone."""
+    nothing for `idle_s` is taken for gone.
+
+    `place` is where bytes under way lie: `folder`, which API and workers then share, or `store`, in objects of at most
+    `slab_bytes`. It is of uploads that are created from now on; those under way stay where they are.
+    """
 
     max_bytes: int = 512 * GIB
     owner_bytes: int = 1024 * GIB
     expires_s: float = 7 * 86400.0
     form_bytes: int = 64 * 2**20
     idle_s: float = 60.0
+    place: Literal["folder", "store"] = "folder"
+    slab_bytes: Annotated[int, Field(ge=64 * 2**10, le=64 * 2**20)] = 8 * 2**20
 
 
 @dataclass(frozen=True)
@@ -89,9 +125,16 @@ class SubmissionSettings:
 class ApiSettings:
     """`url` is where browsers and commands reach the API; it also decides whether cookies are `Secure`.
 
+    A browser is signed out `session_s` after it signed in, and `session_idle_s` after its last request.
+
     With `pages` off there are no pages, and nothing of theirs is loaded.
 
-    Whoever shows `metrics_token` may read `/metrics`; empty: administrators only.
+    Whoever shows `metrics_token` (or one of several, between blanks) may read `/metrics`; empty: administrators only.
+
+    `first_password` is the password of the administrator whom `prepare` adds where there is none.
+
+    With `trusts_traceparent` a request's span continues the trace that the request names: only behind a proxy of ours
+    that sets the header itself.
     """
 
     host: str = "127.0.0.1"
@@ -102,8 +145,19 @@ class ApiSettings:
     requests_per_minute: int = 1200
     sign_ins_per_minute: int = 10
     session_s: float = 12 * 3600.0
+    session_idle_s: float = 30 * 60.0
     token_s: float = 365 * 86400.0
     metrics_token: SecretStr = field(default=SecretStr(""))
+    trusts_traceparent: bool = False
+    first_password: SecretStr = field(default=SecretStr(""))
+
+
+@dataclass(frozen=True)
+class RetentionSettings:
+    """How long what nobody asked to be deleted is kept. Lines of the audit log older than `audit_s` go, and the chain
+    goes on from where it was cut; 0 keeps them for ever."""
+
+    audit_s: Annotated[float, Field(ge=0)] = 0.0
 
 
 @dataclass(frozen=True)
@@ -134,6 +188,17 @@ class Settings(BaseSettings):
     submissions: SubmissionSettings = SubmissionSettings()
     api: ApiSettings = ApiSettings()
     viewing: ViewingSettings = ViewingSettings()
+    retention: RetentionSettings = RetentionSettings()
+
+    @classmethod
+    def settings_customise_sources(
+        cls, settings_cls: type[BaseSettings], *_: PydanticBaseSettingsSource, **sources: PydanticBaseSettingsSource
+    ) -> tuple[PydanticBaseSettingsSource, ...]:
+        """First what the code says, then the environment, then secret files."""
+        folder = os.environ.get(SECRETS_VARIABLE, SECRETS)
+        known = sources["file_secret_settings"]
+        files = NestedSecretsSettingsSource(known, secrets_dir=folder, secrets_dir_missing="ok")
+        return sources["init_settings"], sources["env_settings"], files
 
     @cached_property
     def root(self) -> Path:

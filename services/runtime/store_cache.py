@@ -40,6 +40,20 @@ class Cache:
                 self._fill(key, path, download)
         return path
 
+    @contextmanager
+    def borrowed(self, key: str, download: Callable[[str, Path], None]) -> Iterator[Path]:
+        """As `file`; gone at the end unless somebody else has borrowed it too, and not evicted before."""
+        while True:
+            path = self.file(key, download)
+            with _shared(path) as descriptor:
+                if descriptor is None:
+                    continue  # whoever had borrowed it removed it in between
+                try:
+                    yield path
+                finally:
+                    _remove_unless_borrowed(path, descriptor)
+                return
+
     def tidy(self) -> int:
         """Remove what dead downloads left, and mirrors of runs unused for a day; the number removed."""
         removed = 0
@@ -74,8 +88,7 @@ class Cache:
             if total <= self._limit_bytes:
                 return
             with _lock(self._use, fcntl.LOCK_EX):
-                if _unused_s(path) > IN_USE_S:
-                    path.unlink(missing_ok=True)
+                if _unused_s(path) > IN_USE_S and _evicted(path):
                     total -= size
 
 
@@ -93,6 +106,34 @@ def _unused_s(path: Path) -> float:
         return time.time() - path.stat().st_mtime
     except FileNotFoundError:
         return 0.0
+
+
+@contextmanager
+def _shared(path: Path) -> Iterator[int | None]:
+    """A descriptor that holds the file's lock together with others; None when it is gone."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY)
+    except FileNotFoundError:
+        yield None
+        return
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH)
+        yield descriptor if _is_file_of(descriptor, path) else None
+    finally:
+        os.close(descriptor)
+
+
+def _remove_unless_borrowed(path: Path, descriptor: int) -> bool:
+    with suppress(BlockingIOError):
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        path.unlink(missing_ok=True)
+        return True
+    return False
+
+
+def _evicted(path: Path) -> bool:
+    with _shared(path) as descriptor:
+        return descriptor is None or _remove_unless_borrowed(path, descriptor)
 
 
 @contextmanager

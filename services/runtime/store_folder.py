@@ -24,6 +24,8 @@ from services.runtime.store_keys import (
     checked_range,
     is_key,
 )
+from services.runtime.telemetry.meters import STORE_BYTES
+from services.runtime.telemetry.tallies import tallies
 
 PIECE_BYTES = 2**20
 NO_LINK = {errno.EEXIST, errno.EXDEV, errno.EPERM, errno.EMLINK, errno.EOPNOTSUPP, errno.ENOSYS}
@@ -43,7 +45,9 @@ class FolderStore:
         with refusing_full(self.root), self._staged() as staging:
             shutil.copyfile(source, staging)
             flush(staging)
+            size_bytes = staging.stat().st_size
             _placed(lambda: os.replace(staging, target), staging, target)
+        tallies().add(STORE_BYTES, ("in",), size_bytes)
 
     def adopt(self, key: str, source: Path) -> None:
         """Store `source` by a hard link where the filesystem allows it, else as a copy; `source` stays."""
@@ -53,6 +57,7 @@ class FolderStore:
         try:
             with refusing_full(self.root):
                 _placed(lambda: os.link(source, target), source, target)
+            tallies().add(STORE_BYTES, ("in",), source.stat().st_size)
         except OSError as error:
             if error.errno not in NO_LINK:
                 raise
@@ -98,6 +103,7 @@ class FolderStore:
             file.seek(start)
             while start < stop and (piece := file.read(min(PIECE_BYTES, stop - start))):
                 start += len(piece)
+                tallies().add(STORE_BYTES, ("out",), len(piece))
                 yield piece
 
     def _walk(self, folder: str, prefix: str) -> Iterator[Stored]:

@@ -31,6 +31,9 @@ from services.runtime.store_keys import (
     checked_prefix,
     checked_range,
 )
+from services.runtime.telemetry.meters import STORE_BYTES
+from services.runtime.telemetry.tallies import tallies
+from services.runtime.telemetry.tracing import SpanSpec, span
 
 if TYPE_CHECKING:
     from types_boto3_s3 import S3Client
@@ -59,13 +62,16 @@ class S3Store:
 
     def __init__(self, settings: Settings) -> None:
         self.bucket = settings.store.s3_bucket
-        self._client = _client(settings.store)
+        self._client = client_of(settings.store)
         self.cache = Cache(settings.root / "cache", settings.store.cache_bytes)
 
     def write(self, key: str, source: Path) -> None:
         """Upload `source`, in parts when it is large. Raises `StoreFullError`."""
-        with self._translated(checked(key)):
+        size_bytes = source.stat().st_size
+        facts = {"stone.size_bytes": size_bytes}
+        with self._translated(checked(key)), span(SpanSpec("store write", facts=facts)):
             self._client.upload_file(str(source), self.bucket, key, Config=TRANSFER)
+        tallies().add(STORE_BYTES, ("in",), size_bytes)
 
     def adopt(self, key: str, source: Path) -> None:
         """Upload `source`; it stays."""
@@ -94,7 +100,12 @@ class S3Store:
         Ranges side by side, each resumed where it broke off (boto3's own download hung when a header broke off).
         """
         starts = range(0, self.size_bytes(key), PART_BYTES)
-        with refusing_full(target.parent), target.open("wb") as file, ThreadPoolExecutor(TRANSFERS) as pool:
+        with (
+            span(SpanSpec("store download", facts={"stone.size_bytes": starts.stop})),
+            refusing_full(target.parent),
+            target.open("wb") as file,
+            ThreadPoolExecutor(TRANSFERS) as pool,
+        ):
             list(pool.map(lambda start: self._fetch(key, file.fileno(), start), starts))
             os.fsync(file.fileno())
 
@@ -138,6 +149,7 @@ class S3Store:
             try:
                 for piece in self._opened(key, start, stop)["Body"].iter_chunks(PIECE_BYTES):
                     start += len(piece)
+                    tallies().add(STORE_BYTES, ("out",), len(piece))
                     yield piece
             except BotoCoreError as error:
                 reason = str(error)
@@ -169,7 +181,7 @@ class S3Store:
             raise StoreAwayError(self._place, str(error)) from error
 
 
-def _client(store: StoreSettings) -> "S3Client":
+def client_of(store: StoreSettings) -> "S3Client":
     """Keys that are empty are looked for where AWS's own tools look."""
     return boto3.client(
         "s3",

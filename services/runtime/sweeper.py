@@ -7,37 +7,53 @@ finds everything that was missed. SIGTERM ends it between two rounds.
 import signal
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import FrameType
 
 import structlog
 from redis import RedisError
 from sqlalchemy.exc import SQLAlchemyError
 
+from services.runtime.access.forgetting import forget_ended
+from services.runtime.audit_retention import cut_audit
 from services.runtime.bell import ring, waiting
 from services.runtime.benchmarks.submission_chores import settle_ended, tidy_submissions
 from services.runtime.collection import collect
+from services.runtime.collection_turn import Turn
 from services.runtime.errors import PlatformFaultError
 from services.runtime.jobs.presence import forget_silent
 from services.runtime.jobs.sweeping import Sweeper
 from services.runtime.log_lines import speak_json
 from services.runtime.platform import Platform, platform
+from services.runtime.processes.pulse import Pulse
+from services.runtime.telemetry.meters import CHORE_FAILURES
+from services.runtime.telemetry.sweeper_books import ChoreBook, StoreSum
+from services.runtime.telemetry.tallies import tallies
+from services.runtime.telemetry.tally_rows import fold
+from services.runtime.telemetry.tracing import close_tracing, open_tracing
 from services.runtime.uploads import expire
 
 MINUTE_S = 60.0
 LONGEST_PAUSE_S = 0.5
+PULSE_S = 5.0
+BOOK_S = 10.0
 
 log = structlog.get_logger(__name__)
 
 
+def nobody(_name: str) -> None:
+    """Told to nobody."""
+
+
 @dataclass
 class Chore:
-    """Something done every `every_s`; `due_s` is on the monotonic clock."""
+    """Something done every `every_s`; `due_s` is on the monotonic clock. `told` hears its name when it was done."""
 
     name: str
     every_s: float
     work: Callable[[], object]
     due_s: float = 0.0
+    told: Callable[[str], None] = nobody
 
     def run_if_due(self, now_s: float) -> bool:
         """Do it when its time has come; false when an outage kept it from being done."""
@@ -48,21 +64,37 @@ class Chore:
             self.work()
         except (SQLAlchemyError, RedisError, PlatformFaultError, OSError) as error:
             log.warning("not done this time", chore=self.name, reason=f"{type(error).__name__}: {error}"[:500])
+            tallies().add(CHORE_FAILURES, (self.name,))
             return False
+        self.told(self.name)
         return True
 
 
 def chores_of(platform: Platform) -> tuple[Chore, ...]:
     """What the sweeper does on this platform."""
     settings = platform.settings
-    sweeper = Sweeper(platform, waiting(settings), ring(settings))
+    sweeper, turn = Sweeper(platform, waiting(settings), ring(settings)), Turn()
     return (
         Chore("jobs", settings.jobs.sweep_s, sweeper.sweep),
         Chore("submissions", settings.jobs.sweep_s, lambda: settle_ended(platform)),
         Chore("submitted files", MINUTE_S, lambda: tidy_submissions(platform)),
         Chore("uploads", MINUTE_S, lambda: expire(platform)),
-        Chore("blobs", MINUTE_S, lambda: collect(platform)),
+        Chore("blobs", MINUTE_S, lambda: collect(platform, turn)),
+        Chore("credentials", MINUTE_S, lambda: forget_ended(platform)),
+        Chore("audit log", MINUTE_S, lambda: cut_audit(platform)),
         Chore("workers", MINUTE_S, lambda: forget_silent(platform)),
+    )
+
+
+def booked(platform: Platform, chores: tuple[Chore, ...]) -> tuple[Chore, ...]:
+    """These, each written down when it was done; and what is told of the platform by nobody else."""
+    book, stored = ChoreBook(platform), StoreSum(platform)
+    told = tuple(replace(chore, told=book.note) for chore in chores)
+    return (
+        *told,
+        Chore("size of the store", BOOK_S, stored.step, told=book.note),
+        Chore("counts", MINUTE_S, lambda: fold(platform), told=book.note),
+        Chore("books", BOOK_S, book.write),
     )
 
 
@@ -91,8 +123,15 @@ class Wish:
 
 
 def main() -> None:
+    from services.runtime.processes.awaiting import await_schema  # Alembic is needed once
+
     speak_json()
-    sweep(chores_of(platform()), Wish())
+    await_schema(platform().settings)
+    pulse = Pulse(platform().settings.root)
+    open_tracing("stone-sweeper")
+    sweep((Chore("pulse", PULSE_S, pulse.beat), *booked(platform(), chores_of(platform()))), Wish())
+    pulse.stop()
+    close_tracing()
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ import pytest
 
 from services.runtime.platform import Platform
 from tests.api.serving import Person, client_of, person
+from tests.services.runtime.uploads.conftest import with_place
 
 
 @pytest.fixture
@@ -20,6 +21,17 @@ def api(platform: Platform) -> Iterator[httpx.Client]:
 def api_on(platform_on: Platform) -> Iterator[httpx.Client]:
     with client_of(platform_on) as client:
         yield client
+
+
+@pytest.fixture(params=["folder", "store"])
+def placed(request: pytest.FixtureRequest, platform: Platform) -> Platform:
+    """`platform`, whose uploads lie in one place or the other, there in slabs of 1 MiB."""
+    return with_place(platform, request.param, 1 << 20)
+
+
+@pytest.fixture(params=["folder", "store"])
+def placed_on(request: pytest.FixtureRequest, platform_on: Platform) -> Platform:
+    return with_place(platform_on, request.param, 1000)
 
 
 @pytest.fixture

@@ -1,5 +1,6 @@
 """Calibrations: what comes in is read before it is kept, hostile files cost little, what is kept never changes."""
 
+import socket
 import threading
 from collections.abc import Mapping
 from hashlib import sha256
@@ -9,6 +10,8 @@ from typing import Any
 import httpx
 import pytest
 
+from api import calibration_reading
+from services.runtime.confined.parcel import packed
 from services.runtime.platform import Platform
 from tests.api.made import NOBODY, sequence
 from tests.api.serving import Person, client_of, person
@@ -217,3 +220,17 @@ def slightly_off(content: bytes) -> bytes:
     head, key, rest = content.partition(b"translation_m: [")
     _, comma, tail = rest.partition(b",")
     return head + key + b"20.0" + comma + tail
+
+
+def test_a_file_that_takes_over_its_reader_reaches_nothing(
+    api: httpx.Client, curator: Person, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(calibration_reading, "read_calibration_files", lambda _: socket.create_connection(("::1", 9)))
+    answer = posted(api, curator)
+    assert answer.status_code == 422
+    assert [error["code"] for error in answer.json()["errors"]] == ["reader_crashed"]
+    assert "raised PermissionError" in answer.json()["detail"]
+    monkeypatch.setattr(
+        calibration_reading, "_read", lambda _: packed({"calibration": {}, "findings": [], "format": ""})
+    )
+    assert posted(api, curator).json()["errors"][0]["code"] == "reader_crashed"

@@ -118,6 +118,14 @@ def test_counts_are_not_public(platform: Platform, redis_url: str, curator: Pers
             assert api.get("/metrics", headers=allowed).status_code == 200
 
 
+def test_a_monitoring_token_is_exchanged_while_the_old_one_still_works(platform: Platform, redis_url: str) -> None:
+    watched = with_broker(platform, redis_url)
+    both = watched.settings.model_copy(update={"api": ApiSettings(metrics_token=SecretStr(f"{WATCHING} next-token\n"))})
+    with client_of(replace(watched, settings=both)) as api:
+        for token, status in ((WATCHING, 200), ("next-token", 200), (f"{WATCHING} next-token", 401), ("next", 401)):
+            assert api.get("/metrics", headers={"Authorization": f"Bearer {token}"}).status_code == status, token
+
+
 def test_without_a_monitoring_token_an_empty_one_opens_nothing(api: httpx.Client) -> None:
     for header in ("Bearer", "Bearer  ", "Basic Og=="):
         assert api.get("/metrics", headers={"Authorization": header.strip()}).status_code == 401
@@ -142,7 +150,7 @@ def test_counts_name_routes_not_ids_and_what_the_queues_hold(platform_on: Platfo
     assert samples["stone_requests_total", "/api/v1/tokens/{token_id}", "404", "DELETE"] == 2
     assert samples["stone_requests_total", "404", "GET", "unmatched"] == 1
     assert samples["stone_requests_total", "404", "other", "unmatched"] == 1
-    assert samples["stone_jobs", "ingest", "queued"] == 3
+    assert samples["stone_jobs", "ingest", "ready"] == 3
     assert samples["stone_uploads_open",] == 0
     assert samples["stone_broker_up",] == 1
     assert samples["stone_queue_bells", "ingest"] == 0

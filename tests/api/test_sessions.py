@@ -1,17 +1,18 @@
 """Browsers: a cookie that scripts cannot read, and no change without the token only our pages know."""
 
+import json
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
 import httpx
 import pytest
-from sqlalchemy import update
+from sqlalchemy import select, update
 
 from api.limits import Limits
-from services.runtime.access import sessions
+from services.runtime.access import guesses, sessions
 from services.runtime.access.users import create_user
-from services.runtime.orm import User
+from services.runtime.orm import AuditEntry, User, WebSession
 from services.runtime.platform import Platform
 from services.runtime.settings import ApiSettings
 from tests.api.serving import Person, client_of
@@ -168,3 +169,44 @@ def test_a_token_signs_every_browser_of_its_own_user_out(
     with client_of(platform, curator) as api:
         assert api.delete(f"{SESSIONS}/others").status_code == 204
     assert browser.get(ME).status_code == 200, "another user's browser stays"
+
+
+def test_wrong_passwords_make_the_next_wait_whoever_asks_and_from_any_process(
+    platform: Platform, ada: dict[str, str], browser: httpx.Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(guesses, "pause_s", lambda kind, failures: 600 * (kind == "name" and failures >= 2))
+    wrong = {**ada, "password": "wrong password"}
+    assert [browser.post(SESSIONS, json=wrong).status_code for _ in range(2)] == [401, 401]
+    with client_of(platform) as other:
+        refused = other.post(SESSIONS, json=ada)
+    assert (refused.status_code, refused.json()["code"]) == (429, "guessed_too_often")
+    assert 500 < int(refused.headers["retry-after"]) <= 600
+    assert browser.get(ME).status_code == 200, "who is in stays in"
+
+
+def test_a_browser_that_nobody_uses_is_signed_out(platform: Platform, browser: httpx.Client) -> None:
+    assert browser.get(ME).status_code == 200
+    with platform.database.transaction() as session:
+        session.execute(update(WebSession).values(used_ns=WebSession.used_ns - 1801 * 10**9))
+    assert browser.get(ME).status_code == 401
+
+
+def test_signing_out_is_in_the_audit_log(platform: Platform, browser: httpx.Client) -> None:
+    browser.delete(f"{SESSIONS}/current", headers=csrf_of(browser))
+    with platform.database.reading() as session:
+        acts = list(session.scalars(select(AuditEntry.act).order_by(AuditEntry.number)))
+    assert acts == ["session.open", "session.close"]
+
+
+def test_a_form_of_a_strangers_page_signs_nobody_in(api: httpx.Client, ada: dict[str, str]) -> None:
+    """Such a form may send text/plain without asking us first; it would sign its visitor in as its author."""
+    answer = api.post(SESSIONS, content=json.dumps(ada), headers={"Content-Type": "text/plain"})
+    assert answer.status_code == 415
+    assert "set-cookie" not in answer.headers
+
+
+def test_a_new_password_is_refused_where_it_would_be_tried_first(browser: httpx.Client) -> None:
+    changed = {"current": PASSWORD, "new": "dragon123456"}
+    refused = browser.put(f"{ME}/password", json=changed, headers=csrf_of(browser))
+    assert (refused.status_code, refused.json()["code"]) == (422, "guessable_password")
+    assert "dragon" not in refused.text

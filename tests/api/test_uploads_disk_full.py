@@ -25,6 +25,7 @@ from tests.api.tus import (
     sha256_of,
     shown,
 )
+from tests.services.runtime.uploads.conftest import with_place
 
 DISK_BYTES = 8 << 20
 CONTENT = os.urandom(6 << 20)
@@ -116,3 +117,16 @@ def test_an_upload_can_be_given_up_on_a_full_disk(disk: Path, platform: Platform
         assert create(api, curator, 1).status_code in (201, 507)
         assert api.delete(where, headers={**TUS, **curator.headers}).status_code == 204
         assert create(api, curator, 1).status_code == 201
+
+
+def test_what_fitted_before_it_could_be_stored_goes_to_the_store(
+    disk: Path, platform: Platform, curator: Person
+) -> None:
+    with client_of(with_place(platform, "store", DISK_BYTES)) as api:
+        where = created(api, curator, len(CONTENT), sha256=sha256_of(CONTENT))
+        assert refuses_for_want_of_room(patch(api, curator, where, 0, CONTENT))
+        offset = offset_of(api, curator, where)
+        assert 1 << 20 <= offset < len(CONTENT)
+        assert [path.name for path in disk.iterdir()] == ["of-somebody-else"]
+        assert patch(api, curator, where, offset, CONTENT[offset:]).status_code == 204
+        assert shown(api, curator, where)["sha256"] == sha256_of(CONTENT)

@@ -1,4 +1,4 @@
-"""Two processes on one uploads folder and one database, and clients that leave: nothing is written twice or lost."""
+"""Two processes on one place and one database, and clients that leave: nothing is written twice or lost."""
 
 import os
 import random
@@ -12,18 +12,19 @@ import httpx
 import pytest
 
 from services.runtime.platform import Platform
-from services.runtime.uploads import upload_file
+from services.runtime.uploads.rows import find
 from tests.api.process import running_api
 from tests.api.serving import Person, client_of
 from tests.api.tus import created, offset_of, patch, sha256_of, shown
+from tests.services.runtime.uploads.sending import kept
 
 
 @pytest.fixture
-def two(platform: Platform, tmp_path: Path) -> Iterator[tuple[httpx.Client, httpx.Client]]:
+def two(placed: Platform, tmp_path: Path) -> Iterator[tuple[httpx.Client, httpx.Client]]:
     """One client of a server in this process, one of another process."""
     with (
-        client_of(platform) as here,
-        running_api(platform.settings, tmp_path / "api.log") as process,
+        client_of(placed) as here,
+        running_api(placed.settings, tmp_path / "api.log") as process,
         httpx.Client(base_url=process.url, timeout=30) as there,
     ):
         yield here, there
@@ -39,10 +40,10 @@ def test_pieces_may_go_to_either(two: tuple[httpx.Client, httpx.Client], curator
 
 
 def test_clients_that_fight_over_an_upload_leave_it_right(
-    two: tuple[httpx.Client, httpx.Client], platform: Platform, curator: Person
+    two: tuple[httpx.Client, httpx.Client], placed: Platform, curator: Person
 ) -> None:
     for seed in range(3):
-        let_fight(two, platform, curator, seed)
+        let_fight(two, placed, curator, seed)
 
 
 def let_fight(two: tuple[httpx.Client, httpx.Client], platform: Platform, curator: Person, seed: int) -> None:
@@ -62,10 +63,16 @@ def let_fight(two: tuple[httpx.Client, httpx.Client], platform: Platform, curato
     with ThreadPoolExecutor(4) as pool:
         list(pool.map(fight, range(4)))
     assert shown(two[0], curator, where)["sha256"] == sha256_of(content)
-    assert upload_file(platform.settings, where.rpartition("/")[2]).read_bytes() == content
+    upload = find(platform.database, where.rpartition("/")[2], curator.user_id)
+    assert kept(platform, upload) == content
 
 
-def test_a_client_that_leaves_keeps_what_arrived(api: httpx.Client, curator: Person) -> None:
+def test_a_client_that_leaves_keeps_what_arrived(placed: Platform, curator: Person) -> None:
+    with client_of(placed) as api:
+        leave_and_come_back(api, curator)
+
+
+def leave_and_come_back(api: httpx.Client, curator: Person) -> None:
     content = os.urandom(3 << 20)
     where = created(api, curator, len(content), sha256=sha256_of(content))
     head = f"PATCH {where} HTTP/1.1\r\nHost: localhost\r\nTus-Resumable: 1.0.0\r\nUpload-Offset: 0\r\n"

@@ -3,6 +3,9 @@
 import httpx
 import pytest
 
+from api.context import COOKIE
+from services.runtime.access import sessions, tokens
+from services.runtime.orm import User
 from services.runtime.platform import Platform
 from tests.api.serving import Person, person
 
@@ -114,3 +117,27 @@ def test_a_token_is_revoked_of_its_own_user_only(api: httpx.Client, platform: Pl
     other = f"{USERS}/{ben.user_id}/tokens/{token['id']}/revoke"
     assert api.post(other, json={"reason": "wrong one"}, headers=administrator.headers).status_code == 404
     assert api.get(f"{USERS}/{'0' * 32}/tokens", headers=administrator.headers).status_code == 404
+
+
+def test_all_of_a_users_credentials_end_at_once_and_the_one_that_asks_stays(
+    api_on: httpx.Client, platform_on: Platform
+) -> None:
+    root, ada = person(platform_on, "administrator"), person(platform_on, "curator", "ada")
+    with platform_on.database.transaction() as session:
+        signed_in = sessions.open_session(session, session.get_one(User, ada.user_id), 3600.0)
+        tokens.issue(session, session.get_one(User, root.user_id), "another", ["read"], 3600.0)
+    browser = {"Cookie": f"{COOKIE}={signed_in.secret}"}
+    assert api_on.get("/api/v1/me", headers=browser).status_code == 200
+    answer = api_on.post(
+        f"{USERS}/{ada.user_id}/credentials/revoke", json={"reason": "a laptop was stolen"}, headers=root.headers
+    )
+    assert (answer.status_code, answer.json()) == (200, {"tokens": 1, "browsers": 1})
+    for headers in (ada.headers, browser):
+        assert api_on.get("/api/v1/me", headers=headers).status_code == 401
+    own = api_on.post(f"{USERS}/{root.user_id}/credentials/revoke", json={"reason": "too"}, headers=root.headers)
+    assert own.json() == {"tokens": 1, "browsers": 0}
+    assert api_on.get("/api/v1/me", headers=root.headers).status_code == 200
+    log = api_on.get("/api/v1/admin/audit-log", params={"subject_id": ada.user_id}, headers=root.headers).json()
+    assert (log["items"][0]["act"], log["items"][0]["reason"]) == ("user.credentials_revoke", "a laptop was stolen")
+    nobody = api_on.post(f"{USERS}/{'0' * 32}/credentials/revoke", json={"reason": "x"}, headers=root.headers)
+    assert nobody.status_code == 404

@@ -11,6 +11,8 @@ from tests.api.serving import Person
 TUS = {"Tus-Resumable": "1.0.0"}
 PIECE = {**TUS, "Content-Type": "application/offset+octet-stream"}
 UPLOADS = "/api/v1/uploads"
+CONTENT = bytes(range(256)) * 40
+FORM = {"purpose": "recording"}
 
 
 def metadata(**values: str) -> str:
@@ -58,3 +60,15 @@ def shown(api: httpx.Client, owner: Person, where: str) -> dict[str, Any]:
     assert reply.status_code == 200, reply.text
     body: dict[str, Any] = reply.json()
     return body
+
+
+def send_form(api: httpx.Client, owner: Person, content: bytes, **fields: str) -> httpx.Response:
+    return api.post(
+        f"{UPLOADS}/form", data={**FORM, **fields}, files={"file": ("a.mcap", content)}, headers=owner.headers
+    )
+
+
+def code_of(reply: httpx.Response) -> tuple[int, str]:
+    assert reply.headers["content-type"] == "application/problem+json"
+    assert reply.headers["Tus-Resumable"] == "1.0.0"
+    return reply.status_code, reply.json()["code"]

@@ -1,5 +1,6 @@
 """Rounds with real processes, as `python -m chaos.scoring` plays them."""
 
+import re
 import sys
 from pathlib import Path
 
@@ -16,5 +17,5 @@ def test_no_kill_costs_a_score_or_a_scoring(
     code = scoring.main()
     said = capsys.readouterr().out
     assert code == 0, said
-    assert "3 rounds, 3 hit work" in said
+    assert re.search(r"\d rounds, 3 hit work", said), said  # a round that hits nothing is played again
     assert "lost 0, doubled 0, differing 0" in said

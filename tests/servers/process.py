@@ -33,11 +33,11 @@ def free_port() -> int:
             return port
 
 
-def answers(port: int) -> bool:
+def answers(port: int, address: str = "127.0.0.1") -> bool:
     """Whether somebody accepts connections there."""
     with socket.socket() as probe:
         probe.settimeout(1)
-        return probe.connect_ex(("127.0.0.1", port)) == 0
+        return probe.connect_ex((address, port)) == 0
 
 
 @dataclass
@@ -50,6 +50,7 @@ class Server:
     user: str | None = None
     stop_signal: signal.Signals = signal.SIGTERM
     environment: Mapping[str, str] = field(default_factory=dict)
+    patience_s: float = PATIENCE_S
     _child: subprocess.Popen[bytes] | None = None
 
     @property
@@ -76,7 +77,7 @@ class Server:
                 extra_groups=None if self.user is None else [],
                 preexec_fn=lambda: _LIBC.prctl(_PR_SET_PDEATHSIG, self.stop_signal),
             )
-        deadline_s = time.monotonic() + PATIENCE_S
+        deadline_s = time.monotonic() + self.patience_s
         while not self.is_ready():
             if self._child.poll() is not None or time.monotonic() > deadline_s:
                 self.kill()

@@ -14,23 +14,24 @@ from tests.servers.process import Server, free_port
 
 @dataclass
 class RedisServer(Server):
-    """A server without password on 127.0.0.1."""
+    """A server without password on an address of this machine."""
 
     port: int = 0
+    address: str = "127.0.0.1"
 
     @property
     def url(self) -> str:
-        return f"redis://127.0.0.1:{self.port}/0"
+        return f"redis://{self.address}:{self.port}/0"
 
 
 @contextmanager
-def running_redis() -> Iterator[RedisServer]:
+def running_redis(address: str = "127.0.0.1") -> Iterator[RedisServer]:
     """A started server; ended, and its folder removed, on the way out."""
     folder = Path(tempfile.mkdtemp(prefix="stone-redis-"))
     port = free_port()
-    command: list[str | Path] = [_binary(), "--port", str(port), "--bind", "127.0.0.1", "--dir", folder, "--save", ""]
-    command += ["--appendonly", "yes", "--appendfsync", "everysec", "--loglevel", "notice"]
-    server = RedisServer(command=command, folder=folder, is_ready=lambda: _answers(port), port=port)
+    command: list[str | Path] = [_binary(), "--port", str(port), "--bind", address, "--dir", folder, "--save", ""]
+    command += ["--appendonly", "yes", "--appendfsync", "everysec", "--loglevel", "notice", "--protected-mode", "no"]
+    server = RedisServer(command, folder, lambda: _answers(address, port), port=port, address=address)
     try:
         server.start()
         yield server
@@ -47,8 +48,8 @@ def _binary() -> str:
     return str(__redis_executable__)
 
 
-def _answers(port: int) -> bool:
-    with Redis(port=port, socket_connect_timeout=1, socket_timeout=1) as client:
+def _answers(address: str, port: int) -> bool:
+    with Redis(address, port, socket_connect_timeout=1, socket_timeout=1) as client:
         try:
             return bool(client.ping())
         except RedisError:

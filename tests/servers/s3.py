@@ -30,6 +30,7 @@ class S3Server(Server):
     """`settings(bucket)` reach it with its keys; a bucket is a folder below `buckets`."""
 
     port: int = 0
+    address: str = "127.0.0.1"
     key_id: str = ""
     secret: str = ""
 
@@ -39,7 +40,7 @@ class S3Server(Server):
 
     def settings(self, bucket: str = "") -> StoreSettings:
         """Settings of a bucket, which is made; a fresh one unless named."""
-        name, endpoint = bucket or f"bucket-{token_hex(6)}", f"http://127.0.0.1:{self.port}"
+        name, endpoint = bucket or f"bucket-{token_hex(6)}", f"http://{self.address}:{self.port}"
         if not (self.buckets / name).exists():
             self._client(endpoint).create_bucket(Bucket=name)
         return StoreSettings(name, endpoint, s3_key_id=self.key_id, s3_secret=SecretStr(self.secret))
@@ -59,14 +60,15 @@ class S3Server(Server):
 
 
 @contextmanager
-def running_s3() -> Iterator[S3Server]:
+def running_s3(address: str = "127.0.0.1") -> Iterator[S3Server]:
     """A started server; ended, and its folder removed, on the way out."""
     folder = Path(tempfile.mkdtemp(prefix="stone-s3-"))
     (folder / "buckets").mkdir()
     port, key_id, secret = free_port(), token_hex(8), token_hex(16)
-    command: list[str | Path] = [_binary(), "serve", "s3", "--addr", f"127.0.0.1:{port}"]
+    command: list[str | Path] = [_binary(), "serve", "s3", "--addr", f"{address}:{port}"]
     command += ["--auth-key", f"{key_id},{secret}", "--config", folder / "rclone.conf", folder / "buckets"]
-    server = S3Server(command, folder, lambda: answers(port), port=port, key_id=key_id, secret=secret)
+    server = S3Server(command, folder, lambda: answers(port, address), port=port, address=address)
+    server.key_id, server.secret = key_id, secret
     try:
         server.start()
         yield server

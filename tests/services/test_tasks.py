@@ -8,14 +8,16 @@ from pathlib import Path
 
 import pytest
 
+from services.runtime.processes.worker import UnknownQueueError, arguments
+
 ROOT = Path(__file__).resolve().parents[2]
 ALLOCATOR = "jemalloc_bg_thd"  # pyarrow's, which starts again in the children by itself
 ASKED = """
 import json, os, sys, threading
-from services.runtime.celery_app import app
-app.loader.import_default_modules()
-import numpy
-from services.ingest.stages import open_described
+from services.runtime.processes.worker import app, arguments
+modules = arguments(sys.argv[1:], 1)
+for module in modules[modules.index("--include") + 1].split(","):
+    app.loader.import_task_module(module)
 from services.runtime import sweep_sources
 print(json.dumps({
     "tasks": sorted(name for name in app.tasks if name.endswith(".work")),
@@ -23,21 +25,26 @@ print(json.dumps({
     "has_kernels": "stone.screened" in sys.modules,
     "has_open3d": "open3d" in sys.modules,
     "running": [open(f"/proc/self/task/{task}/comm").read().strip() for task in os.listdir("/proc/self/task")],
-    "reads_sweeps": sweep_sources._PROVIDED == [open_described],
+    "reads_sweeps": [one.__module__ for one in sweep_sources._PROVIDED] == ["services.ingest.stages"],
+    "services": sorted({name.split(".")[1] for name in sys.modules if name.startswith("services.")}),
 }))
 """
 
 
-@pytest.fixture(scope="module")
-def loaded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
+def loaded_for(queues: tuple[str, ...], data: Path) -> dict[str, object]:
+    """What a worker of these queues has, when it would fork."""
     names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "MKL_NUM_THREADS")
     environment = {name: value for name, value in os.environ.items() if name not in names}
-    environment |= {"PYTHONPATH": str(ROOT), "STONE_DATA_FOLDER": str(tmp_path_factory.mktemp("data"))}
-    outcome = subprocess.run(
-        [sys.executable, "-c", ASKED], env=environment, check=True, capture_output=True, text=True, timeout=120
-    )
+    environment |= {"PYTHONPATH": str(ROOT), "STONE_DATA_FOLDER": str(data)}
+    command = [sys.executable, "-c", ASKED, *queues]
+    outcome = subprocess.run(command, env=environment, check=True, capture_output=True, text=True, timeout=120)
     record: dict[str, object] = json.loads(outcome.stdout)
     return record
+
+
+@pytest.fixture(scope="module")
+def loaded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
+    return loaded_for(("ingest", "labeler", "eval"), tmp_path_factory.mktemp("data"))
 
 
 def test_every_queue_has_its_bell(loaded: dict[str, object]) -> None:
@@ -53,3 +60,21 @@ def test_libraries_have_one_thread_and_the_kernels_are_there_before_the_fork(loa
 
 def test_the_labeler_can_read_recordings(loaded: dict[str, object]) -> None:
     assert loaded["reads_sweeps"]
+
+
+@pytest.mark.parametrize(
+    ("queue", "services"),
+    [("labeler", ["ingest", "labeler"]), ("eval", ["eval"])],
+)
+def test_a_worker_of_one_queue_loads_no_other_service_than_it_reads_through(
+    tmp_path: Path, queue: str, services: list[str]
+) -> None:
+    loaded = loaded_for((queue,), tmp_path)
+    assert loaded["services"] == sorted([*services, "runtime"])
+    assert loaded["reads_sweeps"] == ("ingest" in services)
+
+
+@pytest.mark.parametrize("queues", [(), ("ingest", "labels")])
+def test_a_worker_of_no_queue_or_of_an_unknown_one_is_refused(queues: tuple[str, ...]) -> None:
+    with pytest.raises(UnknownQueueError, match="ingest, labeler, eval"):
+        arguments(queues, 1)

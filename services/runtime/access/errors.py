@@ -14,6 +14,15 @@ class WeakPasswordError(StoneError):
         super().__init__(f"the password has {length} characters; it must have {shortest} to {longest}")
 
 
+class GuessablePasswordError(StoneError):
+    """A password is among the first that somebody would try."""
+
+    code = "guessable_password"
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(f"the password {reason}; take several words that have nothing to do with each other")
+
+
 class BadNameError(StoneError):
     """A name for a user has characters that would be mistaken for something else."""
 

@@ -15,6 +15,7 @@ from argon2 import PasswordHasher
 from argon2.exceptions import InvalidHashError, VerificationError
 
 from services.runtime.access.errors import BusyError, WeakPasswordError
+from services.runtime.access.guessable import refuse_guessable
 
 SHORTEST = 12
 LONGEST = 1024  # argon2 hashes any length; nobody remembers more
@@ -26,10 +27,14 @@ _turns = BoundedSemaphore(AT_ONCE)
 _places = BoundedSemaphore(MOST_WAITING)
 
 
-def hash_password(password: str) -> str:
-    """The argon2id hash to keep. Raises `WeakPasswordError` below 12 or above 1024 characters, `BusyError`."""
+def hash_password(password: str, name: str = "") -> str:
+    """The argon2id hash to keep for the user of this name.
+
+    Raises `WeakPasswordError` below 12 or above 1024 characters, `GuessablePasswordError`, `BusyError`.
+    """
     if not SHORTEST <= len(password) <= LONGEST:
         raise WeakPasswordError(len(password), SHORTEST, LONGEST)
+    refuse_guessable(password, name)
     with _turn():
         return _hasher.hash(password)
 

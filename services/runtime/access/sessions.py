@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 from secrets import token_urlsafe
 
-from sqlalchemy import delete, select
+from sqlalchemy import delete, select, update
 from sqlalchemy.orm import Session
 
 from services.runtime.access.passwords import verify_password
-from services.runtime.access.tokens import hash_of
+from services.runtime.access.tokens import USED_EVERY_NS, hash_of
 from services.runtime.orm import User, WebSession
 from services.runtime.orm.base import now_ns
 
@@ -41,12 +41,24 @@ def open_session(session: Session, user: User, lasts_s: float) -> SignedIn:
     return opened
 
 
-def find_session(session: Session, secret: str) -> WebSession | None:
-    """The session of this cookie, if it has not expired and its user is active."""
+def find_session(session: Session, secret: str, idle_s: float) -> WebSession | None:
+    """The session of this cookie, if it has not expired, was used within `idle_s`, and its user is active."""
     if not 0 < len(secret) <= LONGEST_SECRET:
         return None
     row = session.scalars(select(WebSession).where(WebSession.secret_hash == hash_of(secret))).one_or_none()
-    return row if row and row.user.is_active and row.expires_ns > now_ns() else None
+    now = now_ns()
+    is_open = row and row.user.is_active and row.expires_ns > now and row.used_ns > now - int(idle_s * 1e9)
+    return row if is_open else None
+
+
+def is_use_due(row: WebSession) -> bool:
+    """Whether its last use is worth writing: at most once a minute."""
+    return abs(now_ns() - row.used_ns) >= USED_EVERY_NS
+
+
+def note_use(session: Session, session_id: str) -> None:
+    """Write that the session is used now."""
+    session.execute(update(WebSession).where(WebSession.id == session_id).values(used_ns=now_ns()))
 
 
 def close_session(session: Session, session_id: str) -> None:

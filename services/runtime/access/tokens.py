@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from hashlib import sha256
 from secrets import token_urlsafe
 
-from sqlalchemy import select, update
+from sqlalchemy import delete, select, update
 from sqlalchemy.orm import Session
 
 from services.runtime.orm import Token, User
@@ -56,6 +56,12 @@ def is_use_due(token: Token) -> bool:
 def note_use(session: Session, token_id: str) -> None:
     """Write that the token is used now."""
     session.execute(update(Token).where(Token.id == token_id).values(used_ns=now_ns()))
+
+
+def revoke_others(session: Session, user_id: str, kept_id: str) -> int:
+    """End every token of a user but that of `kept_id`; how many those were."""
+    others = delete(Token).where(Token.user_id == user_id, Token.id != kept_id)
+    return len(session.scalars(others.returning(Token.id)).all())
 
 
 def hash_of(secret: str) -> str:

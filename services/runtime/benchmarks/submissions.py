@@ -43,6 +43,7 @@ from services.runtime.jobs.specs import Context
 from services.runtime.jobs.steering import cancel as cancel_run
 from services.runtime.orm import GroundTruth, Job, Phase, PhaseTeam, Submission, Upload
 from services.runtime.orm.base import now_ns
+from services.runtime.telemetry.tracing import link
 from services.runtime.uploads import consume
 from services.runtime.uploads.errors import UploadMissingError
 
@@ -136,6 +137,7 @@ def finalise(session: Session, submission: Submission, upload_id: str) -> Job:
     elif submission.kind == "validation":
         lock_team(session, submission.team_id)
         _refuse_exhausted(session, phase, submission.team_id)
+    link(upload.traceparent)
     run = enqueue_run(session, RUN, submission_specs(submission), Context(upload.owner_id))
     run.arguments = {"submission_id": submission.id}
     submission.state, submission.finalized_ns = "queued", now_ns()

@@ -8,23 +8,13 @@ import sys
 
 import uvicorn
 
+from services.runtime.processes.api import application, options
 from services.runtime.settings import Settings
-
-SITE, API = "web.main:from_environment", "api.main:from_environment"
-PROTOCOL = "api.heads:BoundedHeads"
 
 
 def main(descriptor: int, replies_s: int) -> None:
     """Answer until SIGTERM, with pages unless the settings say otherwise; then replies may take `replies_s` more."""
-    config = uvicorn.Config(
-        SITE if Settings().api.pages else API,
-        factory=True,
-        loop="uvloop",
-        http=PROTOCOL,
-        timeout_graceful_shutdown=replies_s,
-        server_header=False,
-        access_log=False,
-    )
+    config = uvicorn.Config(application(Settings()), **options(replies_s))
     uvicorn.Server(config).run(sockets=[socket.socket(fileno=descriptor)])
 
 

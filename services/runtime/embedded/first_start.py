@@ -37,7 +37,7 @@ def ensure_keys(platform: Platform) -> Keys:
     root = platform.settings.root
     password = ""
     with platform.database.transaction() as session:
-        user = _administrator(session)
+        user = find_administrator(session)
         if user is None:
             password = _kept_secret(root / PASSWORD_FILE) or _keep(root / PASSWORD_FILE, token_urlsafe(15))
             user = create_user(session, ADMINISTRATOR, "administrator", password)
@@ -48,7 +48,8 @@ def ensure_keys(platform: Platform) -> Keys:
         return Keys(user.name, password, secret)
 
 
-def _administrator(session: Session) -> User | None:
+def find_administrator(session: Session) -> User | None:
+    """The first who administers; None where nobody does."""
     active = select(User).where(User.role == "administrator", User.is_active).order_by(User.id)
     return session.scalars(active.limit(1)).first()
 

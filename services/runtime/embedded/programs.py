@@ -41,11 +41,7 @@ def api_program(settings: Settings, descriptor: int) -> Program:
 
 def worker_program(settings: Settings) -> Program:
     """One Celery worker for all queues; it forks `settings.concurrency` processes."""
-    argv = _python(
-        *("celery", "-A", "services.runtime.celery_app", "worker", "--pool", "prefork", "--loglevel", "INFO"),
-        *("--concurrency", str(settings.concurrency), "--queues", ",".join(QUEUES)),
-        *("--without-gossip", "--without-mingle", "--without-heartbeat"),
-    )
+    argv = _python("services.runtime.processes.worker", *QUEUES)
     return Program("worker", argv, environment_of(settings) | ONE_THREAD, settings.root, DRAIN_S)
 
 

@@ -29,7 +29,7 @@ from services.runtime.migrate import upgrade
 from services.runtime.platform import Platform, open_platform
 from services.runtime.settings import ApiSettings, Settings
 
-READY_S = 60.0
+READY_S = 180.0  # on a machine that is busy otherwise the imports alone take a minute
 LOOK_S = 0.2
 
 

@@ -1,19 +1,18 @@
-"""A worker that heard a bell takes the next job: the most urgent, of the owner with least running, the oldest."""
+"""A worker that heard a bell takes the next job: the most urgent, of who has least running, of the oldest run."""
 
 import os
 import socket
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Select, func, select, update
-from sqlalchemy.orm import Session, aliased
+from sqlalchemy import select, update
+from sqlalchemy.orm import Session
 
 from services.runtime.jobs.changes import rows_changed
+from services.runtime.jobs.ready import next_job
 from services.runtime.orm import Job, JobAttempt, Queue
 from services.runtime.orm.base import now_ns
 from services.runtime.usage import used_cpu_s
-
-CANDIDATES = 16
 
 
 @dataclass(frozen=True)
@@ -37,39 +36,23 @@ def claim(session: Session, queue: str) -> Claim | None:
     """Take the next ready job of `queue`; None when there is none, or when the queue is paused."""
     if session.scalar(select(Queue.mode).where(Queue.name == queue)) == "paused":
         return None
-    for job in session.scalars(_ready(queue)).all():
-        taken = update(Job).where(Job.id == job.id, Job.state == "queued", Job.attempt == job.attempt)
-        now = now_ns()
-        values = {"state": "running", "attempt": job.attempt + 1, "attempts_left": job.attempts_left - 1}
-        clean = {"started_ns": now, "stage": "", "done": 0, "total": 0, "heartbeats": 0, "revision": Job.revision + 1}
-        if rows_changed(session, taken.values(**values, **clean)):
-            session.add(JobAttempt(job_id=job.id, number=job.attempt + 1, worker=worker_name(), started_ns=now))
-            at = (job.id, job.root_id, job.sequence_id, job.kind, job.attempt + 1)
-            return Claim(*at, dict(job.arguments), job.attempts_left - 1, used_cpu_s())
-    return None
+    job = next_job(session, queue)
+    if job is None:
+        return None
+    taken = update(Job).where(Job.id == job.id, Job.state == "queued", Job.attempt == job.attempt)
+    now = now_ns()
+    values = {"state": "running", "attempt": job.attempt + 1, "attempts_left": job.attempts_left - 1}
+    clean = {"started_ns": now, "stage": "", "done": 0, "total": 0, "heartbeats": 0, "revision": Job.revision + 1}
+    if not rows_changed(session, taken.values(**values, **clean)):
+        return None
+    session.add(JobAttempt(job_id=job.id, number=job.attempt + 1, worker=worker_name(), started_ns=now))
+    at = (job.id, job.root_id, job.sequence_id, job.kind, job.attempt + 1)
+    return Claim(*at, dict(job.arguments), job.attempts_left - 1, used_cpu_s())
 
 
 def worker_name() -> str:
     """Host and pid: enough for an administrator to find the process."""
     return f"{socket.gethostname()}:{os.getpid()}"
-
-
-def _ready(queue: str) -> Select[Job]:
-    busy = aliased(Job)
-    running = (
-        select(busy.owner_id, func.count().label("jobs"))
-        .where(busy.queue == queue, busy.state == "running")
-        .group_by(busy.owner_id)
-        .subquery()
-    )
-    return (
-        select(Job)
-        .outerjoin(running, running.c.owner_id == Job.owner_id)
-        .where(Job.queue == queue, Job.state == "queued", Job.needs_left == 0)
-        .order_by(Job.priority.desc(), func.coalesce(running.c.jobs, 0), Job.id)
-        .limit(CANDIDATES)
-        .execution_options(populate_existing=True)
-    )
 
 
 def start_run(session: Session, taken: Claim) -> None:

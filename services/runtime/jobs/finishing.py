@@ -80,7 +80,7 @@ def lose(session: Session, claim: Claim, failure: Failure) -> bool:
     if run.cancel_reason:
         return cancelled(session, claim)
     held = _held(claim).where(Job.attempts_left > 0)
-    if not rows_changed(session, held.values(state="queued", revision=Job.revision + 1)):
+    if not rows_changed(session, held.values(state="queued", ready_ns=now_ns(), revision=Job.revision + 1)):
         return fail(session, claim, failure)
     _note(session, claim, "lost", failure)
     ring_after_commit(session, claim.kind.partition(".")[0])
@@ -132,7 +132,7 @@ def _release(session: Session, job_id: str) -> None:
     """Count this success off in every job that waits for it; those that wait for nothing more are rung for."""
     waiting = select(JobNeed.job_id).where(JobNeed.needed_id == job_id)
     session.execute(
-        update(Job).where(Job.id.in_(waiting)).values(needs_left=Job.needs_left - 1),
+        update(Job).where(Job.id.in_(waiting)).values(needs_left=Job.needs_left - 1, ready_ns=now_ns()),
         execution_options={"synchronize_session": False},
     )
     ready = select(Job.queue).where(Job.id.in_(waiting), Job.needs_left == 0, Job.state == "queued")

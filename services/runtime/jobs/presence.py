@@ -6,7 +6,7 @@ that ends in order takes its row away, one that was killed falls silent and is f
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from threading import Event, Thread
 from typing import Any
@@ -22,6 +22,9 @@ from services.runtime.jobs.claiming import worker_name
 from services.runtime.orm import Worker
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
+from services.runtime.processes.pulse import Pulse
+from services.runtime.telemetry.tallies import tallies
+from services.runtime.telemetry.tally_rows import TallyRow
 from services.runtime.usage import disk, held_bytes, memory
 
 FORGOTTEN_S = 3600.0
@@ -46,7 +49,9 @@ class Presence:
     def __init__(self, platform: Platform, queues: Sequence[str]) -> None:
         self._platform = platform
         self._queues = ",".join(sorted(queues))
+        self._pulse = Pulse(platform.settings.root)
         self._started_ns = now_ns()
+        self._tally = TallyRow(tallies())
         self._leaving = Event()
         self._thread = Thread(target=self._tell_on, name="presence", daemon=True)
 
@@ -56,30 +61,38 @@ class Presence:
     def leave(self) -> None:
         self._leaving.set()
         self._thread.join(timeout=self._platform.settings.jobs.heartbeat_s)
+        self._pulse.stop()
         try:
             with self._platform.database.transaction() as session:
                 session.execute(delete(Worker).where(Worker.name == worker_name()))
+                self._tally.tell(session)
         except SQLAlchemyError as error:
             log.warning("presence not taken back; it will be forgotten", reason=str(error)[:200])
 
     def tell(self) -> None:
-        """Write the row as the process is now."""
+        """Write the row as the process is now, and what it counted."""
         ram, data = memory(), disk(self._platform.settings.root)
         values: dict[str, Any] = {"held_bytes": held_bytes(), "beat_ns": database_ns()}
         values |= {"memory_free_bytes": ram.free_bytes, "memory_bytes": ram.total_bytes}
         values |= {"disk_free_bytes": data.free_bytes, "disk_bytes": data.total_bytes}
-        name = worker_name()
         with self._platform.database.transaction() as session:
-            again = update(Worker).where(Worker.name == name, Worker.started_ns == self._started_ns)
-            if rows_changed(session, again.values(**values, beats=Worker.beats + 1)):
-                return
-            session.execute(delete(Worker).where(Worker.name == name))  # of a process whose pid came round again
-            session.add(Worker(name=name, queues=self._queues, started_ns=self._started_ns, beats=1, **values))
+            self._write(session, values)
+            counts_told = self._tally.tell(session)
+        counts_told()
+
+    def _write(self, session: Session, values: Mapping[str, Any]) -> None:
+        name = worker_name()
+        again = update(Worker).where(Worker.name == name, Worker.started_ns == self._started_ns)
+        if rows_changed(session, again.values(**values, beats=Worker.beats + 1)):
+            return
+        session.execute(delete(Worker).where(Worker.name == name))  # of a process whose pid came round again
+        session.add(Worker(name=name, queues=self._queues, started_ns=self._started_ns, beats=1, **values))
 
     def _tell_on(self) -> None:
         beat_s = self._platform.settings.jobs.heartbeat_s
         while not self._leaving.is_set():
             begin_s = time.monotonic()
+            self._pulse.beat()
             try:
                 self.tell()
             except SQLAlchemyError as error:

@@ -9,6 +9,7 @@ from services.runtime.database import ring_after_commit
 from services.runtime.jobs.errors import QueueDrainingError
 from services.runtime.jobs.specs import Context, JobSpec
 from services.runtime.orm import Job, JobNeed, Queue, new_id
+from services.runtime.orm.base import now_ns
 
 
 def enqueue(session: Session, spec: JobSpec, context: Context, max_attempts: int = 3) -> Job:
@@ -71,5 +72,6 @@ def _job(spec: JobSpec, context: Context, max_attempts: int, root_id: str = "") 
         priority=context.priority,
         arguments=dict(spec.arguments),
         needs_left=len(spec.needs),
+        ready_ns=None if spec.needs else now_ns(),
         attempts_left=max_attempts,
     )

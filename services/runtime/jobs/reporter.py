@@ -9,6 +9,7 @@ for a while silences the attempt, which goes on; if it stays away longer than a 
 import os
 import time
 from collections.abc import Mapping
+from contextvars import copy_context
 from dataclasses import dataclass
 from threading import Event, Lock, Thread
 from typing import Any
@@ -25,6 +26,7 @@ from services.runtime.jobs.finishing import Failure, fail
 from services.runtime.orm import Job, JobLine
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
+from services.runtime.telemetry.tracing import Steps
 
 LONGEST_EVENT = 1000
 LOST = 70  # EX_SOFTWARE: the exit code of a worker process that ended itself
@@ -54,7 +56,10 @@ class Reporter:
         self._begin = time.monotonic()
         self._is_ending = False
         self._leaving = Event()
-        self._thread = Thread(target=self._speak, name=f"reporter-{claim.job_id[:8]}", daemon=True)
+        self._steps = Steps()
+        # With this attempt's context, so that what the thread says is told as this attempt's too.
+        name, in_context = f"reporter-{claim.job_id[:8]}", copy_context().run
+        self._thread = Thread(target=in_context, args=(self._speak,), name=name, daemon=True)
 
     @property
     def job_id(self) -> str:
@@ -81,6 +86,7 @@ class Reporter:
 
     def progress(self, stage: str, done: int, total: int) -> None:
         """Note how far the job is. Raises `JobCancelledError` when it is to stop."""
+        self._steps.enter(stage)
         with self._lock:
             self._progress = (stage, done, total)
         self.stop_if_asked()
@@ -96,6 +102,7 @@ class Reporter:
         That the job is held no more is from now on found by whoever records the end.
         """
         self._is_ending = True
+        self._steps.enter("")
         self._leaving.set()
         self._thread.join()
         self._flush(is_last=False)

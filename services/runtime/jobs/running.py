@@ -17,6 +17,7 @@ from services.runtime.jobs.errors import JobCancelledError, LostAttemptError, Un
 from services.runtime.jobs.finishing import Failure, cancelled, fail, lose, succeed
 from services.runtime.jobs.reporter import Reporter
 from services.runtime.jobs.specs import RETICENT, Handlers, Outcome, queue_of
+from services.runtime.jobs.telling import origin_of, told
 from services.runtime.platform import Platform
 from stone.errors import StoneError
 
@@ -31,26 +32,34 @@ def run_next(platform: Platform, queue: str, handlers: Handlers) -> bool:
         return False
     with platform.database.transaction() as session:
         start_run(session, taken)
-    with Reporter(platform, taken) as reporter:
-        _attempt(platform, taken, handlers, reporter)
+        origin = origin_of(session, taken)
+    with told(taken, origin) as telling, Reporter(platform, taken) as reporter:
+        telling.ended(*_attempt(platform, taken, handlers, reporter))
+        log.info("attempt ended", outcome=telling.outcome)
     return True
 
 
-def _attempt(platform: Platform, taken: Claim, handlers: Handlers, reporter: Reporter) -> None:
+def _attempt(platform: Platform, taken: Claim, handlers: Handlers, reporter: Reporter) -> tuple[str, str]:
+    """How it ended, and the code of its failure."""
     try:
         _succeed(platform, taken, _answer(taken, handlers, reporter))
     except LostAttemptError as error:
-        log.warning("attempt lost", job_id=taken.job_id, attempt=taken.attempt, reason=str(error))
+        log.warning("attempt lost", reason=str(error))
+        return "lost", error.code
     except JobCancelledError as error:
         reporter.log(str(error), "warning")
         with platform.database.transaction() as session:
             cancelled(session, taken)
+        return "cancelled", error.code
     except Exception as error:
+        failure = _failure_of(error, taken.kind)
         if is_refusal(error):
-            _fail(platform, taken, reporter, _failure_of(error, taken.kind))
-            return
+            _fail(platform, taken, reporter, failure)
+            return "failed", failure.code
         with platform.database.transaction() as session:
-            lose(session, taken, _failure_of(error, taken.kind))
+            lose(session, taken, failure)
+        return "lost", failure.code
+    return "succeeded", ""
 
 
 def _answer(taken: Claim, handlers: Handlers, reporter: Reporter) -> Outcome:

@@ -11,6 +11,7 @@ from services.runtime.database import ring_after_commit
 from services.runtime.jobs.changes import lock_run
 from services.runtime.jobs.errors import JobStateError
 from services.runtime.jobs.finishing import cancel_queued, settle
+from services.runtime.jobs.ready import bells_wanted
 from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import Job, JobAttempt, JobNeed, Queue
 from services.runtime.orm.base import now_ns
@@ -71,6 +72,7 @@ def retry(session: Session, root_id: str, max_attempts: int) -> Job:
         job.failure_code = job.failure = job.cancel_reason = ""
         job.needs_left = _needs_left(session, job.id)
         if job.needs_left == 0:
+            job.ready_ns = now_ns()
             ring_after_commit(session, job.queue)
     return run
 
@@ -82,8 +84,7 @@ def set_mode(session: Session, queue: str, mode: str) -> Queue:
     session.add(row)
     session.flush()
     if mode != "paused":
-        ready = select(func.count()).where(Job.queue == queue, Job.state == "queued", Job.needs_left == 0)
-        ring_after_commit(session, queue, session.scalar(ready) or 0)
+        ring_after_commit(session, queue, bells_wanted(session, queue))
     return row
 
 

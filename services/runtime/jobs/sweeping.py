@@ -11,13 +11,18 @@ from dataclasses import dataclass, field
 
 import structlog
 from redis import RedisError
-from sqlalchemy import func, select
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 
+from services.runtime.celery_app import QUEUES
 from services.runtime.jobs.claiming import Claim
 from services.runtime.jobs.finishing import Failure, lose
+from services.runtime.jobs.ready import bells_wanted
+from services.runtime.jobs.telling import tell_silence
 from services.runtime.orm import Job, Queue
 from services.runtime.platform import Platform
+from services.runtime.telemetry.meters import BELLS_RUNG_AGAIN
+from services.runtime.telemetry.tallies import tallies
 
 log = structlog.get_logger(__name__)
 
@@ -71,6 +76,7 @@ class Sweeper:
             lost = min(count, self._quiet.get(queue, 0))
             if lost:
                 self.ring(queue, lost)
+                tallies().add(BELLS_RUNG_AGAIN, (queue,), lost)
         self._quiet = missing
 
     def _lose(self, job: Job) -> None:
@@ -81,15 +87,12 @@ class Sweeper:
             if session.get_one(Job, job.id).heartbeats != job.heartbeats:
                 return
             lose(session, claim, failure)
-        log.warning("attempt lost", job_id=job.id, kind=job.kind, attempt=job.attempt)
+        tell_silence(job)
+        log.warning("attempt lost", job_id=job.id, run_id=job.root_id, kind=job.kind, attempt=job.attempt)
 
 
 def _ready(session: Session) -> dict[str, int]:
-    """Ready jobs per queue that is not paused."""
-    paused = select(Queue.name).where(Queue.mode == "paused")
-    ready = (
-        select(Job.queue, func.count())
-        .where(Job.state == "queued", Job.needs_left == 0, Job.queue != "", Job.queue.not_in(paused))
-        .group_by(Job.queue)
-    )
-    return dict(session.execute(ready).all())
+    """Ready jobs per queue that is not paused, as many as are worth ringing for."""
+    paused = set(session.scalars(select(Queue.name).where(Queue.mode == "paused")))
+    counted = {queue: bells_wanted(session, queue) for queue in QUEUES if queue not in paused}
+    return {queue: jobs for queue, jobs in counted.items() if jobs}

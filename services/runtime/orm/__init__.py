@@ -12,30 +12,37 @@ from services.runtime.orm.benchmarks import (
     Reported,
     Rescore,
 )
-from services.runtime.orm.books import AuditEntry, IdempotentReply, QuotaEntry
+from services.runtime.orm.books import AuditAnchor, AuditEntry, IdempotentReply, QuotaEntry
 from services.runtime.orm.datasets import Dataset, DatasetMember, DatasetPack, DatasetPart, SplitMember, Splits
 from services.runtime.orm.exports import Export, ExportPack
+from services.runtime.orm.holds import CollectionHold
 from services.runtime.orm.jobs import Job, JobAttempt, JobLine, JobNeed, Queue, Worker
-from services.runtime.orm.people import Team, TeamInvitation, TeamMember, Token, User, WebSession
+from services.runtime.orm.people import SignInGuess, Team, TeamInvitation, TeamMember, Token, User, WebSession
 from services.runtime.orm.recordings import Preview, Recording, RecordingFile
 from services.runtime.orm.sequences import Calibration, Profile, Sequence, Upload
+from services.runtime.orm.slabs import UploadSlab
 from services.runtime.orm.submissions import Alarm, PhaseTeam, Score, ScorePart, ScoringEntry, Submission
+from services.runtime.orm.telemetry import ChoreRow, Figure, Tally
 
 __all__ = [
     "Activation",
     "Alarm",
     "Artefact",
+    "AuditAnchor",
     "AuditEntry",
     "Base",
     "Benchmark",
     "Blob",
     "Calibration",
+    "ChoreRow",
+    "CollectionHold",
     "Dataset",
     "DatasetMember",
     "DatasetPack",
     "DatasetPart",
     "Export",
     "ExportPack",
+    "Figure",
     "GroundTruth",
     "IdempotentReply",
     "Job",
@@ -61,14 +68,17 @@ __all__ = [
     "ScorePart",
     "ScoringEntry",
     "Sequence",
+    "SignInGuess",
     "SplitMember",
     "Splits",
     "Submission",
+    "Tally",
     "Team",
     "TeamInvitation",
     "TeamMember",
     "Token",
     "Upload",
+    "UploadSlab",
     "User",
     "WebSession",
     "Worker",

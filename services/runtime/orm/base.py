@@ -10,7 +10,7 @@ from secrets import token_hex
 from threading import Lock
 from typing import Annotated, Any, ClassVar
 
-from sqlalchemy import JSON, BigInteger, MetaData, String
+from sqlalchemy import JSON, BigInteger, Index, MetaData, String, text
 from sqlalchemy.orm import DeclarativeBase, mapped_column
 
 Id = Annotated[str, mapped_column(String(32))]
@@ -56,3 +56,8 @@ _IDS = _Ids()
 def new_id() -> str:
     """A fresh id: sortable by age, not guessable. Ids made by one process sort in the order they were made."""
     return _IDS.next()
+
+
+def partial_index(name: str, where: str, *columns: str) -> Index:
+    """An index of the rows alone for which `where` holds, in literals that both databases understand."""
+    return Index(name, *columns, sqlite_where=text(where), postgresql_where=text(where))

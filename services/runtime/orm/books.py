@@ -11,12 +11,15 @@ class QuotaEntry(Base):
 
     __tablename__ = "quota_ledger"
     id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
-    owner_id: Mapped[Id] = mapped_column(ForeignKey("users.id"), index=True)
+    owner_id: Mapped[Id] = mapped_column(ForeignKey("users.id"))
     kind: Mapped[str] = mapped_column(String(16))
     amount: Mapped[int] = mapped_column(BigInteger)
     subject_id: Mapped[str] = mapped_column(String(64), index=True)
     reason: Mapped[str] = mapped_column(String(64))
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
+
+    # With the amounts in the index a balance is summed without looking at a row.
+    __table_args__ = (Index("ix_quota_ledger_owner_amount", "owner_id", "amount"),)
 
 
 class AuditEntry(Base):
@@ -33,6 +36,20 @@ class AuditEntry(Base):
     request_id: Mapped[str] = mapped_column(String(64), default="")
     logged_ns: Mapped[Ns] = mapped_column(default=now_ns)
     hash: Mapped[str] = mapped_column(String(64), unique=True)
+
+    __table_args__ = (
+        Index("ix_audit_log_act_number", "act", "number"),
+        Index("ix_audit_log_actor_number", "actor", "number"),
+    )
+
+
+class AuditAnchor(Base):
+    """The audit log begins behind the line of this number, whose hash its first line follows from."""
+
+    __tablename__ = "audit_anchors"
+    number: Mapped[int] = mapped_column(Integer, primary_key=True, autoincrement=False)
+    hash: Mapped[str] = mapped_column(String(64))
+    cut_ns: Mapped[Ns] = mapped_column(default=now_ns)
 
 
 class IdempotentReply(Base):

@@ -50,7 +50,7 @@ class DatasetMember(Base):
 
     __tablename__ = "dataset_members"
     dataset_id: Mapped[Id] = mapped_column(ForeignKey("datasets.id", ondelete="CASCADE"), primary_key=True)
-    sequence_id: Mapped[Id] = mapped_column(primary_key=True)
+    sequence_id: Mapped[Id] = mapped_column(primary_key=True, index=True)
     label_set_id: Mapped[Id]
     part: Mapped[str] = mapped_column(String(8))
     name: Mapped[str] = mapped_column(String(100))

@@ -6,19 +6,32 @@ always by compare-and-set. A job whose `queue` is empty is a run: it holds its c
 
 from typing import Any
 
-from sqlalchemy import JSON, ForeignKey, Index, String
+from sqlalchemy import JSON, ForeignKey, Index, String, text
 from sqlalchemy.orm import Mapped, mapped_column
 
-from services.runtime.orm.base import Base, Bytes, Count, Id, Ns, Record, new_id, now_ns
+from services.runtime.orm.base import Base, Bytes, Count, Id, Ns, Record, new_id, now_ns, partial_index
+from services.runtime.telemetry.origins import origin_request, origin_trace
+
+IS_READY = "state = 'queued' AND needs_left = 0"
+IS_WAITING = "state = 'queued' AND needs_left > 0"
+IS_RUNNING = "state = 'running'"
+IS_RUN = "id = root_id"
+"""What the partial indexes are of. A query uses one only if it says the very same, in literals: a generic plan of a
+prepared statement does not know its parameters."""
+READY = text(IS_READY)
 
 
 class Job(Base):
-    """`needs_left` jobs must succeed before this one is ready; `heartbeats` grows while an attempt lives."""
+    """`needs_left` jobs must succeed before this one is ready; `heartbeats` grows while an attempt lives.
+
+    `ready_ns` is since when a worker may take it, null before that. `traceparent` and `request_id` are those it was
+    queued in.
+    """
 
     __tablename__ = "jobs"
     id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
     root_id: Mapped[Id] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"), index=True)
-    owner_id: Mapped[Id] = mapped_column(ForeignKey("users.id"), index=True)
+    owner_id: Mapped[Id] = mapped_column(ForeignKey("users.id"))
     sequence_id: Mapped[Id | None] = mapped_column(ForeignKey("sequences.id"), index=True)
     kind: Mapped[str] = mapped_column(String(64))
     queue: Mapped[str] = mapped_column(String(16), default="")
@@ -38,12 +51,20 @@ class Job(Base):
     failure_code: Mapped[str] = mapped_column(String(64), default="")
     failure: Mapped[str] = mapped_column(String(2000), default="")
     revision: Mapped[int] = mapped_column(default=1)
+    traceparent: Mapped[str] = mapped_column(String(55), default=origin_trace, server_default=text("''"))
+    request_id: Mapped[str] = mapped_column(String(64), default=origin_request, server_default=text("''"))
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
+    ready_ns: Mapped[Ns | None]
     started_ns: Mapped[Ns | None]
     finished_ns: Mapped[Ns | None]
 
     __table_args__ = (
-        Index("ix_jobs_ready", "queue", "state", "needs_left", "priority", "id"),
+        Index("ix_jobs_ready_since", "queue", "ready_ns", sqlite_where=READY, postgresql_where=READY),
+        partial_index("ix_jobs_ready", IS_READY, "queue", "owner_id", "priority", "root_id", "id"),
+        partial_index("ix_jobs_waiting", IS_WAITING, "queue"),
+        partial_index("ix_jobs_running", IS_RUNNING, "queue", "owner_id"),
+        partial_index("ix_jobs_runs", IS_RUN, "owner_id", "id"),
+        partial_index("ix_jobs_run_kinds", IS_RUN, "kind", "id"),
         Index("ix_jobs_owner_state", "owner_id", "state"),
         Index("ix_jobs_state", "state", "id", "root_id"),
         Index("ix_jobs_finished", "finished_ns", "queue", "state"),

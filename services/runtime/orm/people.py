@@ -34,7 +34,10 @@ class Token(Base):
 
 
 class WebSession(Base):
-    """A signed-in browser: the cookie's hash, and the CSRF token that unsafe requests must repeat."""
+    """A signed-in browser: the cookie's hash, and the CSRF token that unsafe requests must repeat.
+
+    `used_ns` is written once a minute at most.
+    """
 
     __tablename__ = "web_sessions"
     id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
@@ -43,7 +46,18 @@ class WebSession(Base):
     csrf_token: Mapped[str] = mapped_column(String(64))
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
     expires_ns: Mapped[Ns]
+    used_ns: Mapped[Ns] = mapped_column(default=now_ns)
     user: Mapped[User] = relationship(lazy="joined")
+
+
+class SignInGuess(Base):
+    """Wrong passwords at a name or from an address; `key` is the sha256 of which."""
+
+    __tablename__ = "sign_in_guesses"
+    key: Mapped[str] = mapped_column(String(64), primary_key=True)
+    failures: Mapped[int] = mapped_column(default=0)
+    failed_ns: Mapped[Ns] = mapped_column(index=True)
+    blocked_until_ns: Mapped[Ns] = mapped_column(default=0)
 
 
 class Team(Base):

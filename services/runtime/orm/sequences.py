@@ -6,6 +6,7 @@ from sqlalchemy import JSON, ForeignKey, Index, String, false, text
 from sqlalchemy.orm import Mapped, mapped_column
 
 from services.runtime.orm.base import Base, Bytes, Id, Ns, new_id, now_ns
+from services.runtime.telemetry.origins import origin_trace
 
 
 class Calibration(Base):
@@ -54,7 +55,7 @@ class Sequence(Base):
 
     __tablename__ = "sequences"
     id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
-    owner_id: Mapped[Id] = mapped_column(ForeignKey("users.id"), index=True)
+    owner_id: Mapped[Id] = mapped_column(ForeignKey("users.id"))
     name: Mapped[str] = mapped_column(String(100))
     environment: Mapped[str] = mapped_column(String(64), default="")
     illumination: Mapped[str] = mapped_column(String(64), default="")
@@ -75,11 +76,14 @@ class Sequence(Base):
             sqlite_where=text("deleted_ns IS NULL"),
             postgresql_where=text("deleted_ns IS NULL"),
         ),
+        Index("ix_sequences_owner", "owner_id", "id"),
+        Index("ix_sequences_public", "id", sqlite_where=text("is_public = 1"), postgresql_where=text("is_public")),
+        *(Index(f"ix_sequences_{name}", name, "id") for name in ("environment", "illumination", "region", "platform")),
     )
 
 
 class Upload(Base):
-    """A file under way. Its offset is the number of bytes on disk, never a column.
+    """A file under way. Its offset is the number of bytes that are here, never a column; `place`: folder or store.
 
     `state`: open, complete (all bytes there, sha256 verified), consumed (by a recording), failed, expired, terminated.
     """
@@ -95,5 +99,7 @@ class Upload(Base):
     sha256: Mapped[str] = mapped_column(String(64), default="", index=True)
     state: Mapped[str] = mapped_column(String(16), default="open", index=True)
     detail: Mapped[str] = mapped_column(String(512), default="")
+    place: Mapped[str] = mapped_column(String(8), default="folder", server_default=text("'folder'"))
+    traceparent: Mapped[str] = mapped_column(String(55), default=origin_trace, server_default=text("''"))
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
     expires_ns: Mapped[Ns]

@@ -55,7 +55,11 @@ class Submission(Base):
     hidden_ns: Mapped[Ns | None]
     hidden_reason: Mapped[str] = mapped_column(String(512), default="")
 
-    __table_args__ = (Index("ix_submissions_phase_state", "phase_id", "state"),)
+    __table_args__ = (
+        Index("ix_submissions_phase_state", "phase_id", "state"),
+        Index("ix_submissions_state_settled", "state", "settled_ns"),
+        Index("ix_submissions_settled", "settled_ns"),
+    )
 
 
 class Score(Base):

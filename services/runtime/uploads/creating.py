@@ -1,12 +1,9 @@
-"""An upload comes to be: its file first, then its row with the quota it takes.
+"""An upload comes to be: room for its bytes first, then its row with the quota it takes.
 
-**Conventions.** A file without a row is swept (`expiring`), a row without a file is never made. A file the owner has
-already is not sent again: the new upload gets a second name for the same bytes on disk and is complete at once. What
-others have is never looked at, so nothing can be learnt about it.
+**Conventions.** Bytes without a row are swept (`expiring`), a row whose place knows nothing of it is never made. A file
+the owner has already is not sent again: the new upload is given the same bytes and is complete at once. What others
+have is never looked at, so nothing can be learnt about it.
 """
-
-import os
-from pathlib import Path
 
 from services.runtime.orm import Upload, new_id
 from services.runtime.orm.base import now_ns
@@ -14,10 +11,9 @@ from services.runtime.platform import Platform
 from services.runtime.quota import reserve
 from services.runtime.uploads.declared import Declared
 from services.runtime.uploads.errors import UploadTooLargeError
-from services.runtime.uploads.files import make_file, remove_file, sync_folder, upload_file
-from services.runtime.uploads.rows import Owner
+from services.runtime.uploads.places import place_of
+from services.runtime.uploads.rows import Owner, expiry_ns
 from services.runtime.uploads.targets import refuse_foreign_target
-from services.runtime.uploads.twins import twins_of
 
 
 def create(platform: Platform, owner: Owner, declared: Declared) -> Upload:
@@ -31,25 +27,20 @@ def create(platform: Platform, owner: Owner, declared: Declared) -> Upload:
         raise UploadTooLargeError(declared.length_bytes, limit_bytes)
     refuse_foreign_target(platform, owner, declared)
     upload = _row(platform, owner, declared)
-    path = upload_file(platform.settings, upload.id)
-    if _link_twin(platform, upload, path):
-        upload.state, upload.sha256 = "complete", declared.sha256
-    else:
-        make_file(path)
+    place = place_of(platform, upload)
+    is_here = place.begin(upload)
     try:
         with platform.database.transaction() as session:
             limit_bytes = owner_limit_bytes(platform, owner)
             reserve(session, owner.user_id, upload.length_bytes, upload.id, "upload", limit_bytes)
             session.add(upload)
+            session.flush()
+            if is_here or place.enter(session, upload):
+                upload.state, upload.sha256 = "complete", declared.sha256
     except BaseException:
-        remove_file(path)
+        place.remove(upload.id)
         raise
     return upload
-
-
-def expiry_ns(platform: Platform) -> int:
-    """When an upload that is touched now expires."""
-    return now_ns() + int(platform.settings.uploads.expires_s * 1e9)
 
 
 def owner_limit_bytes(platform: Platform, owner: Owner) -> int:
@@ -64,6 +55,7 @@ def _row(platform: Platform, owner: Owner, declared: Declared) -> Upload:
         owner_id=owner.user_id,
         purpose=declared.purpose,
         target_id=declared.target_id,
+        place=platform.settings.uploads.place,
         filename=declared.filename,
         length_bytes=declared.length_bytes,
         declared_sha256=declared.sha256,
@@ -73,18 +65,3 @@ def _row(platform: Platform, owner: Owner, declared: Declared) -> Upload:
         created_ns=now_ns(),
         expires_ns=expiry_ns(platform),
     )
-
-
-def _link_twin(platform: Platform, upload: Upload, path: Path) -> bool:
-    """Whether the owner had the declared bytes already, and `path` names them now."""
-    if not upload.declared_sha256:
-        return False
-    path.parent.mkdir(parents=True, exist_ok=True)
-    for twin in twins_of(platform, upload):
-        try:
-            os.link(twin, path)
-        except OSError:  # consumed or collected meanwhile, or on another filesystem: then it is sent again
-            continue
-        sync_folder(path.parent)
-        return True
-    return False

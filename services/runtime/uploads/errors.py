@@ -111,6 +111,18 @@ class OverLengthError(StoneError):
         )
 
 
+class TooManySlabsError(StoneError):
+    """The upload came in so many small requests that it is not to be kept in as many objects."""
+
+    code = "too_many_slabs"
+
+    def __init__(self, upload_id: str, limit: int) -> None:
+        super().__init__(
+            f"upload {upload_id} is kept in {limit} objects, more are not made of one file; "
+            "create a new one and send it in larger pieces, of some MiB each"
+        )
+
+
 class ChecksumMismatchError(StoneError):
     """The bytes of this request are not those that were sent; they were cut off again."""
 

@@ -1,14 +1,8 @@
 """The sweeper's part: uploads whose time is over end, those that only lack their last step are given it.
 
 **Conventions.** Several sweepers may run beside the API: what is locked is in use and left alone, every change is a
-compare-and-set. A row changes before its file goes; a file whose row says that it should be gone is removed.
+compare-and-set. A row changes before its bytes go; bytes whose row says that they should be gone are removed.
 """
-
-import re
-import time
-from collections.abc import Iterator
-from contextlib import suppress
-from pathlib import Path
 
 import structlog
 from sqlalchemy import select
@@ -18,22 +12,20 @@ from services.runtime.orm import RecordingFile, Submission, Upload
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from services.runtime.uploads.errors import FileMismatchError, UploadLockedError
-from services.runtime.uploads.files import HeldFile, remove_file, upload_file
-from services.runtime.uploads.finishing import end, settle_if_whole
-from services.runtime.uploads.rows import GONE
+from services.runtime.uploads.finishing import settle_if_whole
+from services.runtime.uploads.place import Place
+from services.runtime.uploads.places import place_of, places
+from services.runtime.uploads.rows import GONE, leave
 
 log = structlog.get_logger(__name__)
 
-OURS = re.compile(r"([0-9a-f]{32})(?:\.unverified)?")
-ORPHAN_S = 3600.0
-
 
 def expire(platform: Platform) -> int:
-    """End what expired, settle what is whole, remove files that belong to nothing; how many uploads expired."""
+    """End what expired, settle what is whole, remove bytes that belong to nothing; how many uploads expired."""
     _settle(platform)
     expired = sum(_expire(platform, upload) for upload in _overdue(platform))
-    for path in _superfluous(platform):
-        remove_file(path)
+    for place in places(platform):
+        _remove_superfluous(platform, place)
     return expired
 
 
@@ -46,16 +38,26 @@ def _overdue(platform: Platform) -> list[Upload]:
 def _expire(platform: Platform, upload: Upload) -> bool:
     detail = "its time was over before it was " + ("finished" if upload.state == "open" else "used")
     try:
-        held = HeldFile(upload_file(platform.settings, upload.id)) if upload.state == "open" else None
+        held = place_of(platform, upload).hold(upload) if upload.state == "open" else None
     except UploadLockedError:  # bytes are coming in
         return False
     except FileNotFoundError:
         held = None
     try:
-        return end(platform, upload, "expired", detail)
+        return _end_overdue(platform, upload, detail)
     finally:
         if held is not None:
             held.close()
+
+
+def _end_overdue(platform: Platform, upload: Upload, detail: str) -> bool:
+    """False when somebody else was first, or bytes came in and put its end off."""
+    with platform.database.transaction() as session:
+        current = session.get_one(Upload, upload.id, with_for_update={"key_share": True})
+        moved = current.expires_ns <= now_ns() and leave(session, upload, "expired", detail)
+    if moved:
+        place_of(platform, upload).remove(upload.id)
+    return moved
 
 
 def _settle(platform: Platform) -> None:
@@ -71,34 +73,21 @@ def _settle(platform: Platform) -> None:
             log.warning("upload without a file", upload_id=upload.id)
 
 
-def _superfluous(platform: Platform) -> Iterator[Path]:
-    """Files of ended uploads, of what is kept as blobs or gone, and of uploads that never were."""
-    folder = platform.settings.uploads_folder
-    found = {match[1] for path in _listed(folder) if (match := OURS.fullmatch(path.name))}
-    for upload_id in sorted(found):
-        path = upload_file(platform.settings, upload_id)
+def _remove_superfluous(platform: Platform, place: Place) -> None:
+    """Bytes of ended uploads, of what is kept as blobs or gone, and of uploads that never were."""
+    for upload_id in place.holding():
         with platform.database.reading() as session:
             upload = session.get(Upload, upload_id)
-            is_superfluous = _is_old(path) if upload is None else _is_needed_no_more(session, upload)
+            is_superfluous = place.is_forgotten(upload_id) if upload is None else _is_needed_no_more(session, upload)
         if is_superfluous:
-            yield path
+            place.remove(upload_id)
 
 
 def _is_needed_no_more(session: Session, upload: Upload) -> bool:
-    """Whether it ended without a file, or what used it has its bytes in the store or is gone."""
+    """Whether it ended without its bytes, or what used it has its bytes in the store or is gone."""
     if upload.state != "consumed" or upload.purpose not in ("recording", "submission"):
         return upload.state in GONE
     recorded = select(RecordingFile.blob_sha256).where(RecordingFile.upload_id == upload.id)
     submitted = select(Submission.blob_sha256).where(Submission.upload_id == upload.id)
     used = session.scalars(recorded if upload.purpose == "recording" else submitted).all()
     return None not in used
-
-
-def _listed(folder: Path) -> list[Path]:
-    return sorted(folder.iterdir()) if folder.is_dir() else []
-
-
-def _is_old(path: Path) -> bool:
-    with suppress(FileNotFoundError):
-        return time.time() - path.stat().st_mtime > ORPHAN_S
-    return True

@@ -3,7 +3,9 @@
 **Conventions.** `<uploads folder>/<upload id>` holds the bytes; `<upload id>.unverified`, where there is one, holds the
 offset at which a request with a checksum began: bytes beyond it do not count until the checksum was right, even when
 the process is killed in between. The lock is a `flock` on the file itself, so it is held between threads, processes
-and (on NFS with Linux ≥ 2.6.12) machines, and goes with whoever dies. Whoever holds it reads the upload's row again.
+and (on NFS with Linux ≥ 2.6.12) machines, and goes with whoever dies. A whole upload is flushed before it is accepted,
+pieces on the way every `FLUSHED_BYTES`: a power cut costs at most that much being sent again, and nothing of a file
+that was said to be here.
 """
 
 import errno
@@ -15,10 +17,12 @@ from pathlib import Path
 
 from services.runtime.settings import Settings
 from services.runtime.uploads.errors import DiskFullError, UploadLockedError
+from services.runtime.uploads.hashing import sha256_of
 
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
 MOST_PIECES = 512  # a vectored write takes 1024 (IOV_MAX)
 HANDED_BYTES = 8 << 20
+FLUSHED_BYTES = 64 << 20
 
 
 def upload_file(settings: Settings, upload_id: str) -> Path:
@@ -28,7 +32,7 @@ def upload_file(settings: Settings, upload_id: str) -> Path:
 
 def make_file(path: Path) -> None:
     """An empty file that survives a power cut. Raises `DiskFullError`."""
-    with _refusing_full(lambda: 0):
+    with refusing_full(lambda: 0):
         path.parent.mkdir(parents=True, exist_ok=True)
         os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o640))
         sync_folder(path.parent)
@@ -56,7 +60,7 @@ def offset_of(path: Path) -> int:
 
 
 class HeldFile:
-    """An upload's file, open and locked by this request alone.
+    """`HeldBytes` of an upload's file, open and locked by this request alone.
 
     Raises `UploadLockedError` when another request holds it, `FileNotFoundError` when there is no file.
     """
@@ -67,7 +71,7 @@ class HeldFile:
         try:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             self._discard_unverified()
-            self._handed_bytes = self.size_bytes
+            self._first_byte = self._handed_bytes = self.kept_bytes
         except BlockingIOError:
             self.close()
             raise UploadLockedError(path.name) from None
@@ -76,11 +80,7 @@ class HeldFile:
             raise
 
     @property
-    def descriptor(self) -> int:
-        return self._descriptor
-
-    @property
-    def size_bytes(self) -> int:
+    def kept_bytes(self) -> int:
         return os.fstat(self._descriptor).st_size
 
     def append(self, pieces: Sequence[bytes], offset_bytes: int) -> None:
@@ -89,33 +89,34 @@ class HeldFile:
         What was written is handed to the disk early and need not stay in memory: the flush at the end is short, and a
         bag larger than memory pushes nothing else out of it.
         """
-        views = [memoryview(piece) for piece in pieces]
-        with _refusing_full(lambda: self.size_bytes):
-            while views:
-                written = os.pwritev(self._descriptor, views[:MOST_PIECES], offset_bytes)
-                offset_bytes += written
-                views = _after(views, written)
+        with refusing_full(lambda: self.kept_bytes):
+            offset_bytes = write_all(self._descriptor, [memoryview(piece) for piece in pieces], offset_bytes)
         if offset_bytes - self._handed_bytes >= HANDED_BYTES:
             os.posix_fadvise(self._descriptor, self._handed_bytes, 0, os.POSIX_FADV_DONTNEED)
             self._handed_bytes = offset_bytes
 
-    def cut(self, offset_bytes: int) -> None:
-        """Nothing lies beyond `offset_bytes` any more."""
-        os.ftruncate(self._descriptor, offset_bytes)
-
-    def sync(self) -> None:
-        """What was written survives a power cut. Raises `DiskFullError` where the disk learns of it only now."""
-        with _refusing_full(lambda: self.size_bytes):
-            os.fdatasync(self._descriptor)
-
     def mark_unverified(self) -> None:
-        """What is written from now on does not count until `mark_verified`. Raises `DiskFullError`."""
-        with _refusing_full(lambda: self.size_bytes):
-            _mark_of(self.path).write_text(str(self.size_bytes), "ascii")
+        """What is written from now on does not count until `accept`. Raises `DiskFullError`."""
+        with refusing_full(lambda: self.kept_bytes):
+            _mark_of(self.path).write_text(str(self.kept_bytes), "ascii")
 
-    def mark_verified(self) -> None:
-        """What was written counts. Should a power cut bring the mark back, the client sends again from there."""
-        _mark_of(self.path).unlink(missing_ok=True)
+    def accept(self, *, is_whole: bool) -> None:
+        """What was written counts; it is flushed where it is the last of the file or much has come since.
+
+        Should a power cut bring the mark back, the client sends again from there. Raises `DiskFullError`.
+        """
+        self._mark_verified()
+        if is_whole or self._first_byte // FLUSHED_BYTES != self.kept_bytes // FLUSHED_BYTES:
+            self._sync()
+
+    def discard(self) -> None:
+        """As if this request had never been."""
+        os.ftruncate(self._descriptor, self._first_byte)
+        self._sync()  # or a power cut brings back bytes that nothing marks any more
+        self._mark_verified()
+
+    def sha256(self) -> str:
+        return sha256_of(self._descriptor)
 
     def close(self) -> None:
         """Give the lock back. May be called twice."""
@@ -126,13 +127,32 @@ class HeldFile:
     def _discard_unverified(self) -> None:
         """A request with a checksum was killed here: what it had written does not count."""
         marked = _marked_offset(self.path)
-        if marked is not None and marked < self.size_bytes:
+        if marked is not None and marked < self.kept_bytes:
             os.ftruncate(self._descriptor, marked)
-        self.mark_verified()
+        self._mark_verified()
+
+    def _mark_verified(self) -> None:
+        _mark_of(self.path).unlink(missing_ok=True)
+
+    def _sync(self) -> None:
+        """What was written survives a power cut. Raises `DiskFullError` where the disk learns of it only now."""
+        with refusing_full(lambda: self.kept_bytes):
+            os.fdatasync(self._descriptor)
+
+
+def write_all(descriptor: int, pieces: Sequence[memoryview], offset_bytes: int) -> int:
+    """Write `pieces` at `offset_bytes`; where they end."""
+    left = list(pieces)
+    while left:
+        written = os.pwritev(descriptor, left[:MOST_PIECES], offset_bytes)
+        offset_bytes += written
+        left = _after(left, written)
+    return offset_bytes
 
 
 @contextmanager
-def _refusing_full(kept_bytes: Callable[[], int]) -> Iterator[None]:
+def refusing_full(kept_bytes: Callable[[], int]) -> Iterator[None]:
+    """Turn the operating system's full disk into `DiskFullError`."""
     try:
         yield
     except OSError as error:

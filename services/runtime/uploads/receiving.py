@@ -2,10 +2,8 @@
 
 **Conventions.** `receive` opens, `write` is called piece by piece, then `end` (all came) or `break_off` (the client is
 gone), and always `close`. None of them waits for the network, all of them for the disk or the database: async callers
-use threads, one call at a time. The offset is the size of the file: written at the end, never beyond the declared
-length, so a process killed anywhere leaves a prefix of what was sent. The whole is flushed before it is acknowledged,
-pieces on the way every `FLUSHED_BYTES`: a power cut costs at most that much being sent again, and nothing of a file
-that was said to be here.
+use threads, one call at a time. Bytes are added at the end, never beyond the declared length, so a process killed
+anywhere leaves a prefix of what was sent; where they lie, and what a power cut may take, is the place's (`place.py`).
 """
 
 import hashlib
@@ -16,7 +14,6 @@ from dataclasses import dataclass
 from services.runtime.orm import Upload
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
-from services.runtime.uploads.creating import expiry_ns
 from services.runtime.uploads.errors import (
     ChecksumMismatchError,
     DiskFullError,
@@ -24,13 +21,13 @@ from services.runtime.uploads.errors import (
     OverLengthError,
     UploadGoneError,
 )
-from services.runtime.uploads.files import HeldFile, upload_file
 from services.runtime.uploads.finishing import settle
 from services.runtime.uploads.hashing import ROLLING
-from services.runtime.uploads.rows import WHOLE, find_alive, move, refuse_gone
+from services.runtime.uploads.place import HeldBytes
+from services.runtime.uploads.places import place_of
+from services.runtime.uploads.rows import WHOLE, expiry_ns, find_alive, move, refuse_gone
 
 ALGORITHMS = ("sha1", "sha256")
-FLUSHED_BYTES = 64 << 20
 
 
 @dataclass(frozen=True)
@@ -57,16 +54,16 @@ class Reception:
     perhaps given to another file, while it is used.
     """
 
-    def __init__(self, platform: Platform, upload: Upload, file: HeldFile, piece: Piece) -> None:
+    def __init__(self, platform: Platform, upload: Upload, held: HeldBytes, piece: Piece) -> None:
         self.offset_bytes = self._first_byte = piece.offset_bytes
-        self._platform, self._upload, self._file = platform, upload, file
+        self._platform, self._upload, self._held = platform, upload, held
         self._guard = threading.Lock()
         self._rolling = ROLLING.take(upload.id, piece.offset_bytes)
         self._before = self._rolling.copy() if self._rolling and piece.checksum else None
         self._checksum = piece.checksum
         self._checking = hashlib.new(piece.checksum.algorithm) if piece.checksum else None
         if piece.checksum:
-            file.mark_unverified()
+            held.mark_unverified()
 
     def write(self, pieces: Sequence[bytes]) -> None:
         """Append bytes. Raises `OverLengthError` (this request's bytes are cut off again), `DiskFullError`."""
@@ -82,15 +79,16 @@ class Reception:
             return self._end()
 
     def break_off(self) -> None:
-        """The client is gone: what came counts, unless a checksum was to cover it."""
+        """The client is gone: what came counts, unless a checksum was to cover it. Raises what `accept` raises."""
         with self._guard:
             self._give_up_unverified()
             if self._checksum is None:
+                self._held.accept(is_whole=False)
                 self._remember()
 
     def close(self) -> None:
         with self._guard:
-            self._file.close()
+            self._held.close()
 
     def _write(self, pieces: Sequence[bytes]) -> None:
         reached = self.offset_bytes + sum(map(len, pieces))
@@ -98,14 +96,14 @@ class Reception:
             self._cut()
             raise OverLengthError(reached, self._upload.length_bytes)
         try:
-            self._file.append(pieces, self.offset_bytes)
+            self._held.append(pieces, self.offset_bytes)
         except OSError:
             self._rolling = None
             raise
         except DiskFullError:
             self._rolling = None
             self._give_up_unverified()
-            raise DiskFullError(self._file.size_bytes) from None
+            raise DiskFullError(self._held.kept_bytes) from None
         for piece in pieces:
             for state in (self._rolling, self._checking):
                 if state is not None:
@@ -114,13 +112,10 @@ class Reception:
 
     def _end(self) -> Upload:
         self._verify()
-        if self._checksum is not None:
-            self._file.mark_verified()
         is_whole = self.offset_bytes == self._upload.length_bytes
-        if is_whole or self._first_byte // FLUSHED_BYTES != self.offset_bytes // FLUSHED_BYTES:
-            self._file.sync()
+        self._held.accept(is_whole=is_whole)
         if is_whole:
-            return settle(self._platform, self._upload, self._file, self._rolling.hexdigest() if self._rolling else "")
+            return settle(self._platform, self._upload, self._held, self._rolling.hexdigest() if self._rolling else "")
         self._remember()
         return self._extended()
 
@@ -137,9 +132,7 @@ class Reception:
 
     def _cut(self) -> None:
         """As if this request had never been."""
-        self._file.cut(self._first_byte)
-        self._file.sync()  # or a power cut brings back bytes that nothing marks any more
-        self._file.mark_verified()
+        self._held.discard()
         self.offset_bytes = self._first_byte
         if self._before is not None:
             ROLLING.keep(self._upload.id, self._first_byte, self._before)
@@ -168,23 +161,23 @@ def receive(platform: Platform, upload_id: str, owner_id: str, piece: Piece) -> 
     if upload.state in WHOLE:
         _refuse_misplaced(upload, upload.length_bytes, piece)
         return None
-    file = _held(platform, upload)
+    held = _held(platform, upload)
     try:
         upload = find_alive(platform.database, upload_id, owner_id)
         refuse_gone(upload)
-        _refuse_misplaced(upload, file.size_bytes, piece)
+        _refuse_misplaced(upload, held.kept_bytes, piece)
         if upload.state == "open":
-            return Reception(platform, upload, file, piece)
+            return Reception(platform, upload, held, piece)
     except BaseException:
-        file.close()
+        held.close()
         raise
-    file.close()
+    held.close()
     return None
 
 
-def _held(platform: Platform, upload: Upload) -> HeldFile:
+def _held(platform: Platform, upload: Upload) -> HeldBytes:
     try:
-        return HeldFile(upload_file(platform.settings, upload.id))
+        return place_of(platform, upload).hold(upload)
     except FileNotFoundError:  # it ended between our look at the row and now, or a person removed the file
         refuse_gone(find_alive(platform.database, upload.id, upload.owner_id))
         raise UploadGoneError(upload.id, "lost", "its file is not in the uploads folder") from None

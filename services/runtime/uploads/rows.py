@@ -1,8 +1,8 @@
 """The row of an upload: found by its owner, moved from state to state by compare-and-set.
 
 **Conventions.** States: open, then complete (all bytes there, sha256 known), then consumed; or failed, expired,
-terminated, which have no file and hold no quota. Whoever changes `open` holds the file's lock; complete → consumed and
-complete → expired are decided by the compare-and-set alone.
+terminated, which have no bytes and hold no quota. Whoever changes `open` holds the upload's bytes; complete → consumed
+and complete → expired are decided by the compare-and-set alone.
 """
 
 from dataclasses import dataclass
@@ -14,6 +14,7 @@ from sqlalchemy.orm import Session
 from services.runtime.database import Database
 from services.runtime.orm import Upload
 from services.runtime.orm.base import now_ns
+from services.runtime.platform import Platform
 from services.runtime.quota import release
 from services.runtime.uploads.errors import (
     UploadGoneError,
@@ -33,6 +34,11 @@ class Owner:
     user_id: str
     is_administrator: bool = False
     is_participant: bool = False
+
+
+def expiry_ns(platform: Platform) -> int:
+    """When an upload that is touched now expires."""
+    return now_ns() + int(platform.settings.uploads.expires_s * 1e9)
 
 
 def find(database: Database, upload_id: str, owner_id: str) -> Upload:
@@ -67,7 +73,7 @@ def move(session: Session, upload: Upload, state: str, **columns: Any) -> bool:
 
 
 def leave(session: Session, upload: Upload, state: str, detail: str = "") -> bool:
-    """Move to a state without a file and give the quota back; false when somebody else was first."""
+    """Move to a state without bytes and give the quota back; false when somebody else was first."""
     moved = move(session, upload, state, detail=detail[:512])
     if moved:
         release(session, upload.id, state)

@@ -24,15 +24,16 @@ MOST = 8
 def twins_of(platform: Platform, upload: Upload) -> Iterator[Path]:
     """Files with the declared bytes on this machine: uploads, then what is kept of them in a folder."""
     with platform.database.reading() as session:
-        ids = session.scalars(_uploads(upload).order_by(Upload.id.desc()).limit(MOST)).all()
-        object_key = _kept(session, upload)
+        ids = session.scalars(uploads_like(upload).order_by(Upload.id.desc()).limit(MOST)).all()
+        blob = kept_blob(session, upload)
     yield from (upload_file(platform.settings, twin_id) for twin_id in ids)
-    if object_key is not None and isinstance(platform.store, FolderStore):
+    if blob is not None and isinstance(platform.store, FolderStore):
         with suppress(ObjectMissingError):
-            yield platform.store.local(object_key)
+            yield platform.store.local(blob.object_key)
 
 
-def _uploads(upload: Upload) -> Select[str]:
+def uploads_like(upload: Upload) -> Select[str]:
+    """The ids of its owner's whole uploads of the declared bytes."""
     return select(Upload.id).where(
         Upload.owner_id == upload.owner_id,
         Upload.sha256 == upload.declared_sha256,
@@ -41,9 +42,9 @@ def _uploads(upload: Upload) -> Select[str]:
     )
 
 
-def _kept(session: Session, upload: Upload) -> str | None:
-    """The key of the blob of a recording, or of a submission that the owner sent."""
-    found = select(Blob.object_key).where(Blob.sha256 == upload.declared_sha256, Blob.size_bytes == upload.length_bytes)
+def kept_blob(session: Session, upload: Upload) -> Blob | None:
+    """The blob of a recording, or of a submission that the owner sent."""
+    found = select(Blob).where(Blob.sha256 == upload.declared_sha256, Blob.size_bytes == upload.length_bytes)
     recorded = (
         found.join(RecordingFile, RecordingFile.blob_sha256 == Blob.sha256)
         .join(Recording, Recording.id == RecordingFile.recording_id)

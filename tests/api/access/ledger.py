@@ -1,6 +1,6 @@
 """Everything that is kept, as it stands at a moment: all rows of all tables, all files of the data folder.
 
-**Conventions.** When a token was last used is left out: that changes by looking.
+**Conventions.** When a token was last used is left out, and wrong guesses of a password: both change by looking.
 """
 
 from collections.abc import Iterator, Mapping
@@ -13,6 +13,7 @@ from services.runtime.orm import Base
 from services.runtime.platform import Platform
 
 UNCOUNTED = {"used_ns"}
+UNCOUNTED_TABLE = "sign_in_guesses"
 Key = tuple[str, ...]
 
 
@@ -39,7 +40,7 @@ def ledger_of(platform: Platform) -> Ledger:
 
 def _rows(platform: Platform) -> Iterator[tuple[Key, str]]:
     with platform.database.reading() as session:
-        for table in Base.metadata.sorted_tables:
+        for table in (table for table in Base.metadata.sorted_tables if table.name != UNCOUNTED_TABLE):
             keys = [column.name for column in table.primary_key]
             for row in session.execute(select(table)).mappings():
                 shown = {name: value for name, value in row.items() if name not in UNCOUNTED}

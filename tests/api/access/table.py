@@ -38,6 +38,8 @@ GET    /api/v1/users                                          401  403  403   40
 PATCH  /api/v1/users/{user_id}                                401  403  403   403   200  403 403  401  401  403 403
 GET    /api/v1/users/{user_id}/tokens                         401  403  403   403   200  403 403  401  401  403 403
 POST   /api/v1/users/{user_id}/tokens/{token_id}/revoke       401  403  403   403   204  403 403  401  401  403 403
+POST   /api/v1/users/{user_id}/credentials/revoke             401  403  403   403   200  403 403  401  401  403 403
+POST   /api/v1/users/{user_id}/erase                          401  403  403   403   200  403 403  401  401  403 403
 POST   /api/v1/teams                                          401  201  201   201   201  201 403  401  401  201 403
 GET    /api/v1/teams                                          401  200  200   200   200  200 403  401  401  200 200
 POST   /api/v1/teams/memberships                              401  404  404   404   404  404 403  401  401  404 403

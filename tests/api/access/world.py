@@ -91,8 +91,11 @@ class World:
     ids: frozenset[str]
 
 
-def make_world(platform: Platform, user: User) -> World:
-    """A sequence that is ready to be processed again and has labels, and whatever else there is, of this user."""
+def make_world(platform: Platform, user: User, published: str = "") -> World:
+    """A sequence that is ready to be processed again and has labels, and whatever else there is, of this user.
+
+    With `published`, the name of a version of another world, none is made: for whoever leaves versions alone.
+    """
     owner = Person(user.id, user.name, "")
     calibration_id = _calibration(platform, user.id)
     sequence_id = _sequence(platform, user.id, calibration_id)
@@ -109,7 +112,7 @@ def make_world(platform: Platform, user: User) -> World:
         "token_id": _token(platform, user),
         "user_id": user.id,
         "token": next(iter(labels.frames)),
-        "dataset_name": (dataset_name := _dataset(platform, owner)),
+        "dataset_name": (dataset_name := published or _dataset(platform, owner)),
         "benchmark_name": (benchmark_name := f"stone-{new_id()[-8:]}"),
         "phase_id": _phase(platform, user.id, dataset_name, benchmark_name),
         "export_id": made.export(platform, sequence_id, {"mesh.ply": b"ply\n"}),

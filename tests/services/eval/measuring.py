@@ -10,8 +10,9 @@ import resource
 import sys
 from pathlib import Path
 
-from services.eval.confined import Limits, confined
 from services.eval.pipeline import validate
+from services.runtime.confined import Limits, confined
+from services.runtime.log_lines import speak_json
 from stone.errors import StoneError
 
 LIMITS = Limits(memory_bytes=64 * 2**20, cpu_s=1)
@@ -33,6 +34,7 @@ def measured(path: Path, manifest: Path) -> bytes:
 
 
 def main() -> None:
+    speak_json()  # to stderr: answers are on stdout
     manifest, honest = map(Path, sys.argv[1:])
     validate(honest, manifest)  # what is compiled or imported once is nobody's growth
     for line in sys.stdin:

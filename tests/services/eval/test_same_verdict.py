@@ -14,12 +14,12 @@ import pytest
 from typer.main import get_command
 
 from client.main import app
-from services.eval.confined import Watch
 from services.eval.examining import Examination, examine
 from services.eval.ground_truth import find_ground_truth, read_truth
 from services.eval.manifest import write_manifest
 from services.eval.pipeline import validate
 from services.eval.truth_pack import write_truth_pack
+from services.runtime.confined import Watch
 from services.runtime.npz import npz_bytes
 from tests.services.eval.attacks import FREE, TOKENS
 from tests.services.eval.honest_zips import TOOLS

@@ -4,7 +4,7 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -76,6 +76,15 @@ def is_alive(pid: int) -> bool:
         return False
 
 
+def children_of(pid: int) -> list[int]:
+    """The children that its threads have; none once it is gone."""
+    found: list[int] = []
+    for task in Path(f"/proc/{pid}/task").glob("*/children"):
+        with suppress(OSError):
+            found += map(int, task.read_text().split())
+    return found
+
+
 def give_back_silent(platform: Platform) -> None:
     """What the sweeper does when a lease has gone by without a heartbeat."""
     clock = iter((0.0, platform.settings.jobs.lease_s + 1.0))
@@ -86,18 +95,17 @@ def give_back_silent(platform: Platform) -> None:
 
 @pytest.mark.parametrize("kind", ["eval.open", "eval.part"])
 def test_a_worker_killed_in_the_middle_is_replaced_and_scores_once(
-    world: World, kind: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    world: World, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(scoring_jobs, "PART_FRAMES", 1 if kind == "eval.part" else 500)
     submission_id = send(world, zipped(world, guess(world, turn=len(kind))))
     if kind == "eval.part":
         run_next(world.platform, "eval", handlers(world.platform))
-    reading = tmp_path / "reader"
-    os.mkfifo(reading)  # the confined child may write no file, but a pipe
     with monkeypatch.context() as slowly:
-        slowly.setattr(examining, "count_range", lambda *given, **named: _say_and_sleep(reading))
-        with working(world.platform) as worker, reading.open() as said:
-            reader = int(said.readline())
+        slowly.setattr(examining, "count_range", lambda *given, **named: time.sleep(PATIENCE_S))
+        with working(world.platform) as worker:
+            until(lambda: bool(children_of(worker)), "the worker confines its reader")
+            (reader,) = children_of(worker)
             os.kill(worker, signal.SIGKILL)
             until(lambda: not is_alive(reader), "the child ends with its worker")
     assert [job.state for job in jobs_of(world.platform, submission_id)].count("running") == 1
@@ -116,12 +124,6 @@ def outcomes_of(world: World, submission_id: str, kind: str) -> list[str]:
     job = next(job for job in jobs_of(world.platform, submission_id) if job.kind == kind)
     with world.platform.database.reading() as session:
         return [session.get_one(JobAttempt, (job.id, number)).outcome for number in range(1, job.attempt + 1)]
-
-
-def _say_and_sleep(told: Path) -> None:
-    with told.open("w") as file:
-        file.write(f"{os.getpid()}\n")
-    time.sleep(PATIENCE_S)
 
 
 def test_workers_side_by_side_score_each_submission_once(

@@ -13,6 +13,7 @@ log = structlog.get_logger("ours")
 with structlog.contextvars.bound_contextvars(request_id="r-7"):
     log.info("said", count=3, odd=object())
     logging.getLogger("uvicorn.error").warning("theirs %s", 1)
+    logging.getLogger("uvicorn.access").info("GET /?cursor=whole")
 log.debug("too quiet")
 def fail(password):
     return 1 / 0
@@ -33,3 +34,4 @@ def test_ours_and_the_libraries_lines_are_json_with_the_request() -> None:
     assert fault["exception"][0]["exc_type"] == "ZeroDivisionError"
     assert "request_id" not in fault
     assert "hunter2" not in ended.stderr
+    assert "cursor" not in ended.stderr

@@ -4,6 +4,7 @@ import multiprocessing
 import os
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -147,3 +148,36 @@ def test_the_mirror_of_a_run_that_nobody_used_for_a_day_goes(tmp_path: Path) -> 
     os.utime(cache.work / "old", (time.time() - 90_000, time.time() - 90_000))
     assert cache.tidy() == 1
     assert [path.name for path in cache.work.iterdir()] == ["new"]
+
+
+def test_what_is_borrowed_goes_with_its_last_borrower(tmp_path: Path) -> None:
+    cache, source = Cache(tmp_path, 100), Source()
+    with cache.borrowed("uploads/a", source) as path:
+        with cache.borrowed("uploads/a", source):
+            pass
+        assert path.read_bytes() == b"a" * 10
+    assert files_in(tmp_path) == []
+    assert source.downloads == ["uploads/a"]
+
+
+def test_what_is_borrowed_is_not_evicted_however_long_it_takes(tmp_path: Path) -> None:
+    cache, source = Cache(tmp_path, 15), Source()
+    with cache.borrowed("uploads/a", source) as path:
+        age(path)
+        cache.file("blobs/b", source)
+        assert path.exists()
+    age(cache.file("uploads/c", source))
+    cache.file("blobs/d", source)
+    assert files_in(tmp_path) == ["b", "d"]
+
+
+def test_borrowers_that_come_and_go_never_see_half_a_file(tmp_path: Path) -> None:
+    source = Source()
+
+    def borrow(_number: int) -> bytes:
+        with Cache(tmp_path, 100).borrowed("uploads/a", source) as path:
+            return path.read_bytes()
+
+    with ThreadPoolExecutor(8) as pool:
+        assert set(pool.map(borrow, range(400))) == {b"a" * 10}
+    assert files_in(tmp_path) == []

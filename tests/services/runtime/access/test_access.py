@@ -168,12 +168,12 @@ def test_a_session_is_found_by_its_cookie_until_it_ends(platform_on: Platform, a
         ended = sessions.open_session(session, ada, 0)
         alive = sessions.open_session(session, ada, 60)
     with platform_on.database.reading() as session:
-        assert sessions.find_session(session, ended.secret) is None
-        row = sessions.find_session(session, alive.secret)
+        assert sessions.find_session(session, ended.secret, 60) is None
+        row = sessions.find_session(session, alive.secret, 60)
         assert row is not None
         assert alive.secret not in (row.secret_hash, row.csrf_token)
-        assert sessions.find_session(session, "") is None
-        assert sessions.find_session(session, "x" * 100_000) is None
+        assert sessions.find_session(session, "", 60) is None
+        assert sessions.find_session(session, "x" * 100_000, 60) is None
         assert len(session.scalars(select(WebSession)).all()) == 1, "what has ended is forgotten with the next sign-in"
 
 
@@ -191,7 +191,7 @@ def test_a_new_password_signs_every_browser_out(platform_on: Platform, ada: User
         user = session.get_one(User, ada.id)
         users.change_password(session, user, passwords.hash_password("another horse, another battery"))
     with platform_on.database.reading() as session:
-        assert sessions.find_session(session, opened.secret) is None
+        assert sessions.find_session(session, opened.secret, 60) is None
 
 
 @pytest.mark.parametrize("change", [{"role": "curator", "is_active": None}, {"role": None, "is_active": False}])

@@ -134,7 +134,7 @@ def test_a_worker_that_is_killed_leaves_no_process_behind_and_its_jobs_are_done_
 ) -> None:
     running = up()
     run_id = begin(running, sequence, 21)
-    worker = running.child("celery")
+    worker = running.child("processes.worker")
     pool = worker.children(recursive=True)
     assert len(pool) >= 2
     worker.kill()

@@ -173,6 +173,27 @@ def test_a_job_beyond_its_time_limit_fails_and_says_so(loud: Platform, start: St
     assert "longer than 1 s" in job(loud, job_id).failure
 
 
+def test_a_worker_that_is_told_to_stop_finishes_what_it_can_and_gives_back_the_rest(
+    loud: Platform, start: Start, tmp_path: Path
+) -> None:
+    loud.settings.__dict__["jobs"] = replace(loud.settings.jobs, drain_s=2.0)
+    worker = start()
+    owner = loud_owner(loud)
+    short = a_job(loud, owner, "ingest.note", file=str(tmp_path / "short"), steps=20)
+    endless = a_job(loud, owner, "ingest.freeze", file=str(tmp_path / "endless"))
+    until(lambda: (tmp_path / "short").exists() and (tmp_path / "endless").exists(), "both start")
+    tries = job(loud, endless).attempts_left
+    worker.terminate()
+    late = a_job(loud, owner, "ingest.note", file=str(tmp_path / "late"))
+    assert worker.wait(PATIENCE_S) == 0
+    assert (job(loud, short).state, job(loud, short).attempt) == ("succeeded", 1)
+    assert (job(loud, endless).state, job(loud, endless).attempts_left) == ("queued", tries + 1), "at no cost"
+    assert job(loud, late).state == "queued", "nothing new was begun"
+    with loud.database.reading() as session:
+        ended = session.get_one(JobAttempt, (endless, 1))
+    assert (ended.outcome, ended.failure_code) == ("lost", "worker_stopped")
+
+
 def loud_owner(platform: Platform) -> str:
     """An owner, a new one each time."""
     return an_owner(platform, os.urandom(4).hex())

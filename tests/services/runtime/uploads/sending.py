@@ -8,8 +8,18 @@ from services.runtime.platform import Platform
 from services.runtime.uploads import upload_file
 from services.runtime.uploads.creating import create
 from services.runtime.uploads.declared import Declared
+from services.runtime.uploads.files import offset_of
 from services.runtime.uploads.receiving import Checksum, Piece, receive
 from services.runtime.uploads.rows import Owner, find
+from services.runtime.uploads.slab_rows import slabs_of
+
+CONTENT = bytes(range(256)) * 40
+BAG = b"a bag of bytes" * 100
+WRONG = Checksum("sha1", b"\0" * 20)
+
+
+def right(content: bytes) -> Checksum:
+    return Checksum("sha1", hashlib.sha1(content).digest())
 
 
 def make_owner(platform: Platform, name: str = "ada", role: str = "curator") -> Owner:
@@ -45,6 +55,16 @@ def send(
         return reception.end()
     finally:
         reception.close()
+
+
+def kept(platform: Platform, upload: Upload) -> bytes:
+    """The bytes that count, wherever they are; none when they are gone."""
+    if upload.place == "folder":
+        path = path_of(platform, upload)
+        return path.read_bytes()[: offset_of(path)] if path.exists() else b""
+    with platform.database.reading() as session:
+        slabs = slabs_of(session, upload.id)
+    return b"".join(b"".join(platform.store.read(slab.key)) for slab in slabs)
 
 
 def path_of(platform: Platform, upload: Upload) -> Path:

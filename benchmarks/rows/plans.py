@@ -1,0 +1,106 @@
+"""What a question costs the database: every statement it leads to is taken down, and PostgreSQL explains it.
+
+**Conventions.** A fault is a scan of a whole large table, or of a whole index that no LIMIT ends. Rows read are those
+that scans gave and those that they threw away, of all loops. Explaining runs the statement; it is rolled back.
+"""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import Connection, Engine, event
+
+SCANS = ("Seq Scan", "Index Scan", "Index Only Scan", "Bitmap Heap Scan")
+EXPLAINED = ("SELECT", "WITH", "UPDATE", "DELETE")
+
+
+@dataclass
+class Statement:
+    """As it was sent, and how long its sender waited."""
+
+    sql: str
+    parameters: Any
+    lasted_s: float = 0.0
+
+    @property
+    def is_explained(self) -> bool:
+        return self.sql.lstrip().upper().startswith(EXPLAINED)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """`faults` say what is scanned; `rows_read` is None where the statement was not run."""
+
+    sql: str
+    faults: tuple[str, ...]
+    indexes: tuple[str, ...]
+    rows_read: int | None
+
+
+@contextmanager
+def taken_down(engine: Engine) -> Iterator[list[Statement]]:
+    """The statements that any session of `engine` executes meanwhile, in order."""
+    statements: list[Statement] = []
+    begun_s: dict[int, float] = {}
+
+    def begin(_connection: Any, cursor: Any, sql: str, parameters: Any, _context: Any, _many: bool) -> None:
+        begun_s[id(cursor)] = time.perf_counter()
+
+    def end(_connection: Any, cursor: Any, sql: str, parameters: Any, _context: Any, many: bool) -> None:
+        lasted_s = time.perf_counter() - begun_s.pop(id(cursor), time.perf_counter())
+        statements.append(Statement(sql, parameters[0] if many else parameters, lasted_s))
+
+    event.listen(engine, "before_cursor_execute", begin)
+    event.listen(engine, "after_cursor_execute", end)
+    try:
+        yield statements
+    finally:
+        event.remove(engine, "before_cursor_execute", begin)
+        event.remove(engine, "after_cursor_execute", end)
+
+
+def explained(connection: Connection, statement: Statement, large: frozenset[str], *, is_run: bool = True) -> Plan:
+    """The plan of a statement; with `is_run` it is executed for it. The caller rolls back."""
+    options = "ANALYZE, BUFFERS, FORMAT JSON" if is_run else "FORMAT JSON"
+    found = connection.exec_driver_sql(f"EXPLAIN ({options}) {statement.sql}", statement.parameters).scalar_one()
+    scans = list(_scans(found[0]["Plan"], is_ended=False))
+    faults = tuple(dict.fromkeys(fault for node, ended in scans if (fault := _fault(node, ended, large))))
+    indexes = tuple(dict.fromkeys(node["Index Name"] for node, _ in scans if "Index Name" in node))
+    return Plan(statement.sql, faults, indexes, sum(_rows(node) for node, _ in scans) if is_run else None)
+
+
+def large_tables(connection: Connection, rows: int = 10_000) -> frozenset[str]:
+    """The tables of at least so many rows, by the statistics."""
+    query = f"SELECT relname FROM pg_class WHERE relkind = 'r' AND reltuples >= {rows}"
+    return frozenset(connection.exec_driver_sql(query).scalars())
+
+
+def _scans(node: dict[str, Any], *, is_ended: bool) -> Iterator[tuple[dict[str, Any], bool]]:
+    """Every scan with whether a LIMIT above ends it early: nothing between that would read it to its end first."""
+    if node["Node Type"] in (*SCANS, "Bitmap Index Scan"):
+        yield node, is_ended
+    for child in node.get("Plans", ()):
+        kind = node["Node Type"]
+        passes = kind in ("Limit", "LockRows", "Result", "Subquery Scan", "Append", "Nested Loop", "ModifyTable")
+        reads_all = kind in ("Sort", "Aggregate", "Hash", "Hash Join", "WindowAgg", "Unique")
+        yield from _scans(child, is_ended=kind == "Limit" or (is_ended and passes and not reads_all))
+
+
+def _fault(node: dict[str, Any], is_ended: bool, large: frozenset[str]) -> str:
+    table = node.get("Relation Name", "")
+    if table not in large:
+        return ""
+    if node["Node Type"] == "Seq Scan":
+        return f"reads all of {table}"
+    if node["Node Type"] in ("Index Scan", "Index Only Scan") and "Index Cond" not in node and not is_ended:
+        return f"reads all of {node['Index Name']}"
+    return ""
+
+
+def _rows(node: dict[str, Any]) -> int:
+    if node["Node Type"] == "Bitmap Index Scan":  # counted where its rows are fetched
+        return 0
+    thrown = node.get("Rows Removed by Filter", 0) + node.get("Rows Removed by Index Recheck", 0)
+    return round(float((node.get("Actual Rows", 0) + thrown) * node.get("Actual Loops", 1)))

@@ -1,0 +1,227 @@
+"""Backed up at work, wiped, restored: `python -m chaos.restore [--postgres] [--s3] [--folder DIR]`.
+
+One recording is labelled and one submission scored; then, while a second owner's recording is half labelled, a second
+submission is being scored, a file is half sent and others read and write, backups are taken one after another. The
+platform is killed, its data, database and bucket are emptied, the newest backup is restored onto them, and work goes
+on. Every artefact and score must be equal, what was under way must end as it would have. Ends with 1 otherwise.
+"""
+
+import argparse
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from random import Random
+
+from rich.console import Console
+from sqlalchemy import select
+
+from chaos.bringing import (
+    HalfSent,
+    await_jobs,
+    await_run,
+    begin_run,
+    bring,
+    offset_of,
+    seconds_since,
+    send_half,
+    send_rest,
+)
+from chaos.inputs import Inputs, simulated
+from chaos.load import under_load
+from chaos.made import Brought, Made, made_by
+from chaos.places import API, JOBS, STORE, VIEWING, WORKERS, Owner, Place
+from chaos.scoring_verdict import Came, came_of
+from chaos.scoring_world import files, laid_down
+from chaos.turns import Turn, Undisturbed, await_true
+from chaos.verdict import Violation, judge, judge_blobs
+from client.api import Api
+from services.runtime.backup.folder import BackupFolder
+from services.runtime.backup.keeping import verify
+from services.runtime.backup.restoring import restore
+from services.runtime.backup.taking import take
+from services.runtime.embedded.supervisor import Running, running_platform
+from services.runtime.orm import Job, Submission
+from services.runtime.platform import open_platform
+from services.runtime.settings import DatabaseSettings, Settings, StoreSettings
+from tests.benchmark_world import World
+from tests.servers.postgres import PostgresServer, running_postgres
+from tests.servers.s3 import running_s3
+from tests.services.eval.sending import send
+
+AFTER_JOBS = 5
+BACKUPS = 3
+MIB = 2**20
+CONSOLE = Console(highlight=False, markup=False, soft_wrap=True)
+
+
+@dataclass(frozen=True)
+class Ground:
+    """What can be emptied: settings on which a platform stands, and its servers."""
+
+    settings: Settings
+    postgres: PostgresServer | None
+
+    def empty(self) -> Settings:
+        """Nothing is left: a fresh database and bucket, no data folder."""
+        shutil.rmtree(self.settings.root)
+        if self.postgres is not None:
+            self.postgres.run("DROP DATABASE stone WITH (FORCE)")
+            self.postgres.run("CREATE DATABASE stone")
+        if self.settings.store.s3_bucket:
+            store = open_platform(self.settings).store
+            for stored in list(store.listed("")):
+                store.delete(stored.key)
+        return self.settings
+
+
+@dataclass(frozen=True)
+class Before:
+    """What was there, and what was on its way, when the last backup was taken."""
+
+    done: Brought
+    made: Made
+    under_way: Brought
+    scored_id: str
+    came: Came
+    scoring_id: str
+    half: HalfSent
+    owner: Owner
+
+
+def main() -> int:
+    options = _options()
+    inputs, folder = simulated(options.folder / "inputs"), BackupFolder(options.folder / "backups")
+    with _ground(options) as ground:
+        before = work(ground, inputs, folder)
+        CONSOLE.print(f"verified: {len(verify(folder).damaged)} damaged")
+        begun_s = time.monotonic()
+        platform = open_platform(ground.empty())
+        restored = restore(platform, folder)
+        platform.database.close()
+        CONSOLE.print(
+            f"restored {restored.rows} rows, {restored.objects} objects, {restored.uploads} uploads in "
+            f"{seconds_since(begun_s)}; {restored.queued_again} running jobs queued again"
+        )
+        found = go_on(ground, before)
+    for violation in found:
+        CONSOLE.print(f"{violation.sort}: {violation.sentence}")
+    CONSOLE.print(f"{len(found)} violations; folder {options.folder}")
+    return 1 if found else 0
+
+
+def work(ground: Ground, inputs: Inputs, folder: BackupFolder) -> Before:
+    """Fill the platform, and back it up in the middle of things; killed at the end."""
+    world = laid_down(ground.settings)
+    contents = sorted(files(world).items())
+    with running_platform(ground.settings, CONSOLE.print) as running:
+        world, place = replace(world, platform=running.platform), Place(running, inputs)
+        done = _labelled(place, "first", inputs)
+        scored_id = _scored(world, contents[0][1])
+        owner = place.welcome("second")
+        turn = Turn(place, owner, Random(0), Undisturbed())
+        with turn.connected() as api, under_load(turn):
+            half, under_way = send_half(api), begin_run(api, bring(api, inputs), inputs)
+            await_jobs(api, under_way.run_id, AFTER_JOBS)
+            scoring_id = send(world, contents[1][1], team=1)
+            _back_up(running, folder)
+        for violation in turn.violations:
+            CONSOLE.print(f"under load: {violation.sentence}")
+        made, came = made_by(running.platform, done), came_of(running.platform, scored_id)
+        for child in running.children:
+            child.kill()
+    return Before(done, made, under_way, scored_id, came, scoring_id, half, owner)
+
+
+def go_on(ground: Ground, before: Before) -> list[Violation]:
+    """Start again and hold what is there, and what comes of the rest, against what was."""
+    found: list[Violation] = []
+    with running_platform(ground.settings, CONSOLE.print) as running:
+        platform = running.platform
+        with Api(replace(before.owner.server, url=running.url)) as api:
+            if offset_of(api, before.half) == 0:
+                found.append(Violation("lost", "nothing is left of the file that was half sent"))
+            if (state := send_rest(api, before.half)) != "complete":
+                found.append(Violation("lost", f"the file that was half sent is {state}"))
+            await_run(api, before.under_way.run_id)
+        _await_scored(running, before.scoring_id)
+        if made_by(platform, before.done) != before.made:
+            found.append(Violation("differing", "what was labelled before is not what it was"))
+        if came_of(platform, before.scored_id) != before.came:
+            found.append(Violation("differing", "what was scored before is not what it was"))
+        if (state := came_of(platform, before.scoring_id).state) != before.came.state:
+            found.append(Violation("lost", f"the submission that was being scored is {state}"))
+        judged = judge(platform, before.under_way, before.made)
+        found += [one for one in judged if "beside the one that was used" not in one.sentence]
+        return [*found, *judge_blobs(platform)]
+
+
+def _back_up(running: Running, folder: BackupFolder) -> None:
+    """Several in a row, so that the first is large and others meet what moves."""
+    for _ in range(BACKUPS):
+        begun_s = time.monotonic()
+        taken = take(running.platform, folder)
+        with running.platform.database.reading() as session:
+            jobs = session.scalars(select(Job.state).where(Job.state == "running", Job.queue != "")).all()
+        CONSOLE.print(
+            f"backup of {taken.blobs} blobs in {seconds_since(begun_s)}: {taken.brought} files, "
+            f"{taken.brought_bytes / MIB:.1f} MiB new; {len(jobs)} jobs run now; {len(taken.snapshot.flaws)} flaws"
+        )
+
+
+def _labelled(place: Place, name: str, inputs: Inputs) -> Brought:
+    with Api(place.welcome(name).server) as api:
+        brought = begin_run(api, bring(api, inputs), inputs)
+        await_run(api, brought.run_id)
+        return brought
+
+
+def _scored(world: World, content: bytes) -> str:
+    submission_id = send(world, content)
+    await_true("the first submission's score", lambda: came_of(world.platform, submission_id).scores != ())
+    return submission_id
+
+
+def _await_scored(running: Running, submission_id: str) -> None:
+    def has_ended() -> bool:
+        with running.platform.database.reading() as session:
+            return session.get_one(Submission, submission_id).settled_ns is not None
+
+    await_true("the second submission's end", has_ended)
+
+
+@contextmanager
+def _ground(options: argparse.Namespace) -> Iterator[Ground]:
+    with ExitStack() as stack:
+        postgres = stack.enter_context(running_postgres(synchronous_commit="on")) if options.postgres else None
+        if postgres is not None:
+            postgres.run("CREATE DATABASE stone")
+        store: StoreSettings = stack.enter_context(running_s3()).settings() if options.s3 else StoreSettings()
+        settings = Settings(
+            data_folder=options.folder / "data",
+            workers=WORKERS,
+            database=DatabaseSettings(postgres.url("stone") if postgres else ""),
+            jobs=replace(JOBS, rest_s=0.2),
+            store=replace(store, grace_s=STORE.grace_s),
+            api=API,
+            viewing=VIEWING,
+        )
+        yield Ground(settings, postgres)
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m chaos.restore", description=__doc__)
+    parser.add_argument("--postgres", action="store_true", help="on PostgreSQL instead of SQLite")
+    parser.add_argument("--s3", action="store_true", help="with the store in a bucket instead of a folder")
+    parser.add_argument("--folder", type=Path, help="a temporary one unless named")
+    options = parser.parse_args()
+    options.folder = (options.folder or Path(tempfile.mkdtemp(prefix="stone-restore-"))).absolute()
+    return options
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,182 @@
+"""The previous release is stopped while it works and this one goes on: `python -m chaos.upgrade`.
+
+`[--previous COMMIT] [--postgres] [--kill] [--folder DIR]`. The sources of COMMIT serve a platform (`stone serve`, with
+its pages off) that labels a recording and has a file half sent; in the middle of the run it is drained, or killed with
+`--kill`, and this checkout's `stone serve` starts on the same folder and database, which it migrates. Then every row
+must still be there, the run must end with the bytes that an undisturbed run of this release makes, and the file must
+go on where it stood. Ends with 1 otherwise.
+"""
+
+import argparse
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+from rich.console import Console
+from sqlalchemy import MetaData, create_engine, make_url, select
+
+from chaos.bringing import await_jobs, await_run, begin_run, bring, offset_of, seconds_since, send_half, send_rest
+from chaos.inputs import Inputs, simulated
+from chaos.made import Brought, Made, made_by
+from chaos.verdict import Violation, judge
+from services.runtime.platform import open_platform
+from services.runtime.settings import DatabaseSettings, Settings
+from tests.servers.postgres import running_postgres
+from tests.stone_serve import serving
+
+ROOT = Path(__file__).resolve().parents[1]
+PREVIOUS = "21f5711"
+PACKAGES = ("stone", "services", "simulator", "client", "api", "web")
+AFTER_JOBS = 6
+FAST = {
+    "STONE_API__PAGES": "false",
+    "STONE_VIEWING__MAKES_PLAYBACK": "false",
+    "STONE_JOBS__LEASE_S": "3",
+    "STONE_JOBS__HEARTBEAT_S": "0.5",
+}
+# Rows of processes, and of bytes on their way, go when these do.
+PASSING = {"workers", "loose_objects", "score_parts", "alembic_version", "sqlite_stat1", "idempotent_replies"}
+CONSOLE = Console(highlight=False, markup=False, soft_wrap=True)
+
+Keys = Mapping[str, set[tuple[object, ...]]]
+
+
+def main() -> int:
+    options = _options()
+    previous, inputs = sources(options.previous, options.folder / "previous"), simulated(options.folder / "inputs")
+    made = undisturbed(options.folder / "undisturbed", inputs)
+    CONSOLE.print(f"undisturbed, this release makes {len(made.artefacts)} artefacts, {len(made.frames)} frames")
+    with _database(options.postgres) as url:
+        found = drill(Drill(options.folder / "drill", url, previous, inputs, made, is_killed=options.kill))
+    for violation in found:
+        CONSOLE.print(f"{violation.sort}: {violation.sentence}")
+    CONSOLE.print(f"{len(found)} violations; folder {options.folder}")
+    return 1 if found else 0
+
+
+class Drill:
+    """Where, with which code before, and what is to come of it."""
+
+    def __init__(self, folder: Path, url: str, previous: Path, inputs: Inputs, made: Made, *, is_killed: bool) -> None:
+        self.data, self.url, self.previous = folder / "data", url, previous
+        self.inputs, self.made, self.is_killed = inputs, made, is_killed
+        self.environment = {**FAST, "STONE_DATABASE__URL": url}
+        self.data.mkdir(parents=True)
+
+    @property
+    def settings(self) -> Settings:
+        return Settings(data_folder=self.data, database=DatabaseSettings(self.url))
+
+
+def drill(drill: Drill) -> list[Violation]:
+    """Every way in which something was lost, doubled or different."""
+    with serving(drill.data, **drill.environment, PYTHONPATH=str(drill.previous)) as old, old.api() as api:
+        half = send_half(api)
+        brought = begin_run(api, bring(api, drill.inputs), drill.inputs)
+        done = await_jobs(api, brought.run_id, AFTER_JOBS)
+        begun_s = time.monotonic()
+        if drill.is_killed:
+            old.kill_9()
+        else:
+            old.stop()
+    before = keys_of(drill.settings)
+    CONSOLE.print(f"the previous release ended after {done} jobs, in {seconds_since(begun_s)}; {_counted(before)}")
+    found: list[Violation] = []
+    begun_s = time.monotonic()
+    with serving(drill.data, **drill.environment) as new, new.api() as api:
+        CONSOLE.print(f"this release answers after {seconds_since(begun_s)}")
+        if (offset := offset_of(api, half)) == 0:
+            found.append(Violation("lost", "nothing is left of the file that was half sent"))
+        state = await_run(api, brought.run_id)
+        CONSOLE.print(f"the run is {state} after {seconds_since(begun_s)}; the file goes on at byte {offset}")
+        if (state := send_rest(api, half)) != "complete":
+            found.append(Violation("lost", f"the file that was half sent is {state}"))
+    return [*found, *_lost(before, keys_of(drill.settings)), *_judged(drill, brought)]
+
+
+def undisturbed(folder: Path, inputs: Inputs) -> Made:
+    """What this release makes of the recording."""
+    data = folder / "data"
+    data.mkdir(parents=True)
+    with serving(data, **FAST) as new, new.api() as api:
+        brought = begin_run(api, bring(api, inputs), inputs)
+        await_run(api, brought.run_id)
+    platform = open_platform(Settings(data_folder=data))
+    try:
+        return made_by(platform, brought)
+    finally:
+        platform.database.close()
+
+
+def sources(commit: str, folder: Path) -> Path:
+    """The packages as they were at the commit."""
+    folder.mkdir(parents=True)
+    archive = subprocess.run(["git", "archive", commit, *PACKAGES], cwd=ROOT, check=True, capture_output=True).stdout
+    subprocess.run(["tar", "-x", "-C", folder], input=archive, check=True)
+    return folder
+
+
+def keys_of(settings: Settings) -> Keys:
+    """The primary keys of all rows, whatever release made the tables."""
+    url = make_url(settings.database_url)
+    engine = create_engine(url if url.get_backend_name() == "sqlite" else url.set(drivername="postgresql+psycopg"))
+    metadata = MetaData()
+    metadata.reflect(engine)
+    with engine.connect() as connection:
+        tables = [table for table in metadata.sorted_tables if table.name not in PASSING]
+        keys = {table.name: {tuple(row) for row in connection.execute(select(*table.primary_key))} for table in tables}
+    engine.dispose()
+    return keys
+
+
+def _lost(before: Keys, after: Keys) -> Iterator[Violation]:
+    for table, keys in before.items():
+        gone = keys - after.get(table, set())
+        if gone:
+            yield Violation("lost", f"{len(gone)} of {len(keys)} rows of {table}, among them {min(gone, key=str)}")
+
+
+def _judged(drill: Drill, brought: Brought) -> list[Violation]:
+    """The run as the kill suite judges one; the file half sent is no recording of it and is left out."""
+    platform = open_platform(drill.settings)
+    try:
+        found = judge(platform, brought, drill.made)
+    finally:
+        platform.database.close()
+    return [violation for violation in found if not _is_of_half(violation)]
+
+
+def _is_of_half(violation: Violation) -> bool:
+    return "beside the one that was used" in violation.sentence
+
+
+def _counted(keys: Keys) -> str:
+    return f"{sum(map(len, keys.values()))} rows in {sum(map(bool, keys.values()))} tables"
+
+
+@contextmanager
+def _database(is_postgres: bool) -> Iterator[str]:
+    if not is_postgres:
+        yield ""
+        return
+    with running_postgres(synchronous_commit="on") as server:
+        yield server.url()
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m chaos.upgrade", description=__doc__)
+    parser.add_argument("--previous", default=PREVIOUS, help="the commit of the release that is replaced")
+    parser.add_argument("--postgres", action="store_true", help="on PostgreSQL instead of SQLite")
+    parser.add_argument("--kill", action="store_true", help="kill −9 the previous release instead of draining it")
+    parser.add_argument("--folder", type=Path, help="a temporary one unless named")
+    options = parser.parse_args()
+    options.folder = (options.folder or Path(tempfile.mkdtemp(prefix="stone-upgrade-"))).absolute()
+    return options
+
+
+if __name__ == "__main__":
+    sys.exit(main())

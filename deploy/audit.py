@@ -1,0 +1,115 @@
+"""Ask the advisory services about every dependency: `python deploy/audit.py`, from the project's root.
+
+**Conventions.** pip-audit is asked about requirements.lock, npm about web/package-lock.json; nothing is installed and
+nothing but names and versions is sent. The end says what was found out, and never that all is well when nobody was
+asked: 0 both services know of nothing, 1 at least one knows of a fault, 75 (EX_TEMPFAIL, sysexits.h) one could not be
+asked and the other knows of nothing. What is known and accepted stands in deploy/audit-accepted.txt, a line each: the
+advisory, a blank, the reason.
+"""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+CLEAN, FAULTS, UNASKED = 0, 1, 75
+LONGEST_S = 300
+LOCK, PAGES = Path("requirements.lock"), Path("web")
+ACCEPTED = Path("deploy/audit-accepted.txt")
+PIP_AUDIT = ("--requirement", str(LOCK), "--no-deps", "--disable-pip", "--format", "json", "--progress-spinner", "off")
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What one service said: `faults` a line each; `unasked` is why there is no answer, empty where there is one."""
+
+    name: str
+    faults: tuple[str, ...] = ()
+    asked: int = 0
+    unasked: str = ""
+
+    def lines(self) -> list[str]:
+        if self.unasked:
+            return [f"{self.name}: NOT AUDITED: {self.unasked}"]
+        if not self.faults:
+            return [f"{self.name}: {self.asked} packages, no advisory"]
+        return [f"{self.name}: {line}" for line in self.faults]
+
+
+def main() -> int:
+    os.environ["PATH"] += f"{os.pathsep}{Path('.venv/node/bin').absolute()}"  # where build-pages.sh puts it
+    accepted = _accepted()
+    verdicts = (_python(accepted), _pages(accepted))
+    for verdict in verdicts:
+        sys.stdout.write("\n".join(verdict.lines()) + "\n")
+    if any(verdict.faults for verdict in verdicts):
+        return FAULTS
+    return UNASKED if any(verdict.unasked for verdict in verdicts) else CLEAN
+
+
+def _python(accepted: Mapping[str, str]) -> Verdict:
+    beside = Path(sys.executable).with_name("pip-audit")
+    program = shutil.which("pip-audit") or (str(beside) if beside.exists() else "")
+    said = _said(program, PIP_AUDIT, Path())
+    if isinstance(said, str):
+        return Verdict("python", unasked=said)
+    packages = said.get("dependencies")
+    if not isinstance(packages, list) or not packages:
+        return Verdict("python", unasked="pip-audit told of no package")
+    if skipped := [f"{one['name']} ({one['skip_reason']})" for one in packages if "skip_reason" in one]:
+        return Verdict("python", unasked=f"{len(skipped)} packages were skipped, first {skipped[0]}")
+    known = [(one, fault) for one in packages for fault in one.get("vulns", ())]
+    faults = [
+        f"{one['name']} {one['version']}: {fault['id']}, mended in {', '.join(fault['fix_versions']) or 'no version'}"
+        for one, fault in known
+        if not {fault["id"], *fault.get("aliases", ())} & set(accepted)
+    ]
+    return Verdict("python", tuple(faults), len(packages))
+
+
+def _pages(accepted: Mapping[str, str]) -> Verdict:
+    said = _said(shutil.which("npm") or "", ("audit", "--json", "--package-lock-only"), PAGES)
+    if isinstance(said, str):
+        return Verdict("pages", unasked=said)
+    if "vulnerabilities" not in said:
+        return Verdict("pages", unasked=str(said.get("message") or said.get("error") or "npm gave no verdict")[:300])
+    faults = [
+        f"{name}: {via['title']} ({via['url'].rpartition('/')[2]}, {via['severity']})"
+        for name, one in said["vulnerabilities"].items()
+        for via in one["via"]
+        if isinstance(via, dict) and via["url"].rpartition("/")[2] not in accepted
+    ]
+    return Verdict("pages", tuple(faults), int(said["metadata"]["dependencies"]["total"]))
+
+
+def _said(program: str, arguments: Sequence[str], folder: Path) -> dict[str, Any] | str:
+    """The JSON object it wrote, whatever its exit code; else why there is none, in a line."""
+    if not program:
+        return "the program that would ask is not installed"
+    try:
+        run = subprocess.run([program, *arguments], cwd=folder, capture_output=True, text=True, timeout=LONGEST_S)
+    except subprocess.TimeoutExpired:
+        return f"no answer within {LONGEST_S} s"
+    try:
+        said = json.loads(run.stdout)
+    except ValueError:
+        return next(reversed(run.stderr.strip().splitlines()), f"it ended with {run.returncode} and said nothing")[:300]
+    return said if isinstance(said, dict) else "its answer is no JSON object"
+
+
+def _accepted() -> dict[str, str]:
+    """The reason by advisory. Raises `ValueError` for a line without a reason: nothing is accepted in silence."""
+    lines = ACCEPTED.read_text("utf-8").splitlines() if ACCEPTED.exists() else []
+    pairs = [line.partition(" ") for line in lines if line.strip() and not line.startswith("#")]
+    if bare := [advisory for advisory, _, reason in pairs if not reason.strip()]:
+        raise ValueError(f"{ACCEPTED}: {bare[0]} is accepted for no reason; write it behind")
+    return {advisory: reason.strip() for advisory, _, reason in pairs}
+
+
+if __name__ == "__main__":
+    sys.exit(main())

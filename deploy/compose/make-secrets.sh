@@ -1,0 +1,18 @@
+#!/bin/sh
+# Make the secrets that docker-compose.yml names, each where there is none yet: make-secrets.sh.
+#
+# They lie in deploy/compose/secrets, a folder that is its owner's alone. The files in it may be read by all: a container
+# is shown the files, not the folder, and its user is not the owner.
+set -eu
+
+cd "$(dirname "$0")"
+mkdir -p -m 0700 secrets
+for name in stone_api__first_password stone_api__metrics_token stone_broker__password stone_database__password \
+    stone_store__s3_key_id stone_store__s3_secret; do
+    if [ ! -s "secrets/$name" ]; then
+        od -An -N24 -tx1 /dev/urandom | tr -d ' \n' >"secrets/$name.partial"
+        chmod 0444 "secrets/$name.partial"
+        mv "secrets/$name.partial" "secrets/$name"
+        echo "made $PWD/secrets/$name" >&2
+    fi
+done

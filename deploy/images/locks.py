@@ -1,0 +1,95 @@
+"""The lock of each image: what its dependency group needs, cut out of requirements.lock with versions and hashes.
+
+    python deploy/images/locks.py
+
+**Conventions.** Nothing is resolved here and no network is asked: which distribution needs which is read from what is
+installed, which version and which hashes from `requirements.lock`. So an image holds nothing but what was tested, and
+the locks are the same on every machine with the same environment.
+"""
+
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from importlib.metadata import requires
+from pathlib import Path
+from typing import Any
+
+from packaging.markers import Marker, default_environment
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).resolve().parents[2]
+LOCKS = Path(__file__).parent
+ROLES = ("api", "ingest", "labeler", "eval")
+HEAD = "# Of requirements.lock and the group role-{role} of pyproject.toml, by deploy/images/locks.py; do not edit.\n"
+OLDEST = {"python_version": "3.11", "python_full_version": "3.11.0"}
+ENTRY = re.compile(r"^([A-Za-z0-9._-]+)==\S+.*\n(?:    --hash=\S+.*\n)+", re.MULTILINE)
+
+
+def lock_of(role: str) -> str:
+    """The text of the role's lock, the distributions by name. Raises KeyError for one the main lock lacks."""
+    entries = locked()
+    return HEAD.format(role=role) + "".join(entries[name] for name in sorted(needed(role)))
+
+
+def locked() -> dict[str, str]:
+    """Each distribution's lines in `requirements.lock`, without the remarks on who asked for it."""
+    text = (ROOT / "requirements.lock").read_text("utf-8")
+    return {canonicalize_name(found[1]): _unescaped(found[0]) for found in ENTRY.finditer(text)}
+
+
+def needed(role: str) -> set[str]:
+    """The distributions that the role's group names, and all that those need here."""
+    found: set[str] = set()
+    todo = list(asked(role))
+    seen: set[tuple[str, frozenset[str]]] = set()
+    while todo:
+        requirement = todo.pop()
+        name, extras = canonicalize_name(requirement.name), frozenset(requirement.extras)
+        if (name, extras) not in seen:
+            seen.add((name, extras))
+            found.add(name)
+            todo += _needs(name, extras)
+    return found
+
+
+def asked(role: str) -> list[Requirement]:
+    """What the group `role-<role>` names, groups that it includes too."""
+    groups = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["dependency-groups"]
+    return [Requirement(line) for line in _lines(groups, f"role-{role}")]
+
+
+def _lines(groups: Mapping[str, Any], group: str) -> Iterator[str]:
+    for line in groups[group]:
+        if isinstance(line, str):
+            yield line
+        else:
+            yield from _lines(groups, line["include-group"])
+
+
+def _needs(name: str, extras: frozenset[str]) -> Iterator[Requirement]:
+    for line in requires(name) or ():
+        requirement = Requirement(line)
+        if requirement.marker is None or _holds_somewhere(requirement.marker, extras):
+            yield requirement
+
+
+def _holds_somewhere(marker: Marker, extras: frozenset[str]) -> bool:
+    """On this Python or on the oldest that the project runs on, with any of the extras or none."""
+    here: dict[str, str] = {**default_environment(), "extra": ""}  # type: ignore[dict-item]
+    wanted = [{**here, "extra": extra, **python} for extra in extras | {""} for python in ({}, OLDEST)]
+    return any(marker.evaluate(environment) for environment in wanted)
+
+
+def _unescaped(lines: str) -> str:
+    """The entry alone: its last line continues nothing."""
+    return lines.rstrip().rstrip("\\").rstrip() + "\n"
+
+
+def main() -> None:
+    for role in ROLES:
+        (LOCKS / f"{role}.lock").write_text(lock_of(role), "utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,129 @@
+"""The API reference, from the OpenAPI document that the server itself serves: a page for each noun, one for bodies.
+
+**Conventions.** An operation's anchor is its id; a body's is its name in small letters, on the page `bodies`. Nothing
+is added to what the document says.
+"""
+
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from api.main import make_api
+from api.openapi import Operation, operations
+from docsite.markdown import code, plain, table
+from docsite.schemas import body_link, body_section, type_of
+from services.runtime.platform import open_platform
+from services.runtime.settings import Settings
+
+FOLDER = "reference/api"
+FIRST_REFUSAL = 400
+ANYBODY: tuple[dict[str, list[str]], ...] = ({"": ["anybody"]},)
+INDEX = """# API
+
+Version 1 is below `/api/v1`. A server serves its own document at `/api/v1/openapi.json` and a page of it at
+`/api/v1/docs`; these pages are made of the same document.
+
+- **Who.** `Authorization: Bearer stone_…` with a token of [`POST /tokens`](people.md), or a browser's session with
+  `X-CSRF-Token` on unsafe methods. Each operation says the scope it asks for, and the roles where it asks for one.
+- **Refusals** are `application/problem+json` (RFC 9457) with a stable [code](../codes.md); 404 for what is not yours
+  to know.
+- **Lists** are paged by `cursor` and `limit`; the order never skips or repeats what was there from the beginning.
+- **Again.** Creating POSTs take an `Idempotency-Key`; the same request within a day is answered the same.
+- **Changes.** What changes carries an `ETag`; changing it asks for `If-Match` and answers 412 when somebody was
+  quicker.
+- **Uploads** are [tus 1.0](../../formats/upload.md).
+
+"""
+
+
+@cache
+def document() -> dict[str, Any]:
+    """The OpenAPI document of a platform with default settings, made once; nothing of it is left behind."""
+    with TemporaryDirectory() as folder:
+        platform = open_platform(Settings(data_folder=Path(folder)))
+        try:
+            made: dict[str, Any] = make_api(platform).openapi()
+        finally:
+            platform.database.close()
+    return made
+
+
+def api_pages() -> Mapping[str, str]:
+    """Markdown by path."""
+    said = document()
+    by_tag: dict[str, list[tuple[str, str, Operation]]] = defaultdict(list)
+    for path, method, operation in operations(said):
+        by_tag[operation["tags"][0]].append((path, method, operation))
+    pages = {f"{FOLDER}/{page_name(tag)}.md": _page(tag, listed) for tag, listed in by_tag.items()}
+    schemas = said["components"]["schemas"]
+    bodies = "\n".join(body_section(name, schemas[name]) for name in sorted(schemas))
+    return {
+        f"{FOLDER}/index.md": INDEX + _overview(by_tag),
+        **pages,
+        f"{FOLDER}/bodies.md": f"# Bodies\n\n{bodies}",
+    }
+
+
+def page_name(tag: str) -> str:
+    """The name of the page of a noun."""
+    return tag.replace(" ", "-").lower()
+
+
+def _overview(by_tag: Mapping[str, list[tuple[str, str, Operation]]]) -> str:
+    rows = (
+        (
+            f"**{method.upper()}**",
+            f"[{code(path)}]({page_name(tag)}.md#{operation['operationId']})",
+            operation["summary"],
+        )
+        for tag in sorted(by_tag)
+        for path, method, operation in by_tag[tag]
+    )
+    return table(("", "path", ""), rows)
+
+
+def _page(tag: str, listed: list[tuple[str, str, Operation]]) -> str:
+    return f"# {tag.capitalize()}\n\n" + "\n".join(_operation(*one) for one in listed)
+
+
+def _operation(path: str, method: str, operation: Operation) -> str:
+    head = f"## {plain(operation['summary'])} {{#{operation['operationId']}}}"
+    asked = " · ".join(code(one) for one in next(iter(operation.get("security", ANYBODY)[0].values())))
+    parts = [head, f"**{method.upper()}** {code(path)}", operation.get("description", ""), f"For: {asked}"]
+    parts += [table(("parameter", "in", "type", ""), map(_parameter, operation.get("parameters", ())))]
+    parts += [f"Takes {one}" for one in _contents(operation.get("requestBody", {}))]
+    parts += [table(("status", "answer", ""), _answers(operation)), _refusals(operation)]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _parameter(one: dict[str, Any]) -> tuple[str, str, str, str]:
+    need = "" if one.get("required") else " (optional)"
+    return code(one["name"]), one["in"] + need, type_of(one.get("schema", {})), plain(one.get("description", ""))
+
+
+def _answers(operation: Operation) -> Iterator[tuple[str, str, str]]:
+    for status, answer in operation["responses"].items():
+        if int(status) < FIRST_REFUSAL:
+            yield code(status), ", ".join(_contents(answer)), plain(answer.get("description", ""))
+
+
+def _refusals(operation: Operation) -> str:
+    said = [
+        f"{status} {answer.get('description', '')}"
+        for status, answer in operation["responses"].items()
+        if int(status) >= FIRST_REFUSAL
+    ]
+    return f"Refusals, each a {body_link('Problem')}: {', '.join(said)}." if said else ""
+
+
+def _contents(holder: Mapping[str, Any]) -> list[str]:
+    """Each kind of body: its media type, and what it is."""
+    return [f"{code(kind)} {_content(content)}".strip() for kind, content in holder.get("content", {}).items()]
+
+
+def _content(content: Mapping[str, Any]) -> str:
+    schema = content.get("schema", {})
+    return body_link(schema["$ref"]) if "$ref" in schema else type_of(schema) if schema else ""

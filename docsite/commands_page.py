@@ -1,0 +1,57 @@
+"""The reference of the `stone` command, from its own options: what `--help` says, on one page."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import click
+from typer.main import get_command
+
+from client.main import COMMANDS, app
+from docsite.markdown import code, plain, table
+
+HEAD = """# Commands
+
+What `stone COMMAND --help` says, on one page. Local commands need no server. Exit codes: 0 done, 1 the input is
+refused (coded findings on stderr, under `--json` also on stdout), 2 usage, 130 and 143 interrupted.
+"""
+OTHER_PANEL = "A benchmark"
+
+
+def commands_page() -> str:
+    """The page."""
+    group = get_command(app)
+    context = click.Context(group, info_name="stone")  # type: ignore[arg-type]
+    known: dict[str, Any] = dict(group.commands)  # type: ignore[attr-defined]
+    parts = [HEAD]
+    for panel, functions in COMMANDS.items():
+        names = [function.__name__ for function in functions]
+        names += [name for name in known if panel == OTHER_PANEL and name not in _named()]
+        parts.append(f"## {panel}\n")
+        parts += [part for name in names for part in _told(known[name], context, f"stone {name}")]
+    return "\n".join(parts)
+
+
+def _named() -> set[str]:
+    return {function.__name__ for functions in COMMANDS.values() for function in functions}
+
+
+def _told(command: Any, context: click.Context, path: str) -> Iterator[str]:
+    inside = getattr(command, "commands", None)
+    if inside:
+        for name, one in inside.items():
+            yield from _told(one, context, f"{path} {name}")
+        return
+    own = click.Context(command, info_name=path)
+    usage = " ".join([path, *command.collect_usage_pieces(own)])
+    yield f"### {path}\n\n{plain(command.help or '')}\n\n```\n{usage}\n```\n"
+    yield table(("option", "", "default"), (_row(one) for one in command.params if one.name != "help"))
+
+
+def _row(one: Any) -> tuple[str, str, str]:
+    word = one.metavar or (one.name or "").upper()
+    is_flag = getattr(one, "is_flag", False) or getattr(one, "count", False)
+    name = word if one.param_type_name == "argument" else ", ".join([*one.opts, *one.secondary_opts])
+    value = one.default
+    is_shown = value is not None and value != [] and not isinstance(value, bool) and not callable(value)
+    typed = name if is_flag or name == word else f"{name} {word}"
+    return code(typed), plain(one.help or ""), code(value) if is_shown else ""

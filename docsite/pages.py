@@ -1,0 +1,25 @@
+"""Every made page, by its path in the site."""
+
+from collections.abc import Mapping
+
+from docsite.api_pages import api_pages
+from docsite.codes_page import codes_page
+from docsite.commands_page import commands_page
+from docsite.included import included_pages
+from docsite.programs_page import programs_page
+from docsite.settings_page import settings_page
+from stone.metric import METRICS
+
+
+def made_pages() -> Mapping[str, str]:
+    """Markdown by path; made anew by every call."""
+    metrics = {f"reference/{version}.md": f"{metric.definition}\n" for version, metric in METRICS.items()}
+    return {
+        "reference/commands.md": commands_page(),
+        "reference/configuration.md": settings_page(),
+        "reference/codes.md": codes_page(),
+        "reference/programs.md": programs_page(),
+        **included_pages(),
+        **api_pages(),
+        **metrics,
+    }

@@ -1,0 +1,46 @@
+"""Every program that measures, kills or fuzzes, from its own first words."""
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from docsite.markdown import code
+
+ROOT = Path(__file__).resolve().parents[1]
+FOLDERS = {"benchmarks": "Measure", "chaos": "Kill and drill", "fuzz": "Fuzz"}
+USED_AS = re.compile(r"(?m)`((?:\.venv/bin/)?python (?:-m )?[^`]+)`|^ {4}(\.venv/bin/python -m .+)$")
+HEAD = """# Programs
+
+What measures, kills and fuzzes: the commands behind every figure of this site, from the repository's root with
+`.venv/bin/` before them. The text is each program's own.
+"""
+
+
+def programs_page() -> str:
+    """The page."""
+    parts = [HEAD]
+    for folder, title in FOLDERS.items():
+        parts.append(f"## {title}\n")
+        parts += [_told(*program) for program in programs(folder)]
+    return "\n".join(parts)
+
+
+def programs(folder: str) -> Iterator[tuple[str, str]]:
+    """Module and words of every program in the folder: what says of itself how it is run, and can be."""
+    for path in sorted((ROOT / folder).rglob("*.py")):
+        source = path.read_text("utf-8")
+        words = ast.get_docstring(ast.parse(source)) or ""
+        if USED_AS.search(words) and '__name__ == "__main__"' in source:
+            parts = path.relative_to(ROOT).with_suffix("").parts
+            yield ".".join(part for part in parts if part != "__main__"), words
+
+
+def _told(module: str, words: str) -> str:
+    used = USED_AS.search(words)
+    line = (used.group(1) or used.group(2)) if used else f"python -m {module}"
+    paragraphs = re.split(r"\n\s*\n", USED_AS.sub("", words, count=1))
+    prose = [" ".join(one.split()) for one in paragraphs if "**Conventions.**" not in one]
+    first = prose[0].replace(": .", ".").replace(" .", ".").rstrip(": ")
+    said = "\n\n".join([first, *prose[1:]])
+    return f"### {code(module)}\n\n```\n{line}\n```\n\n{said}\n"

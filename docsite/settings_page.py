@@ -1,0 +1,102 @@
+"""The configuration reference, from the groups of `Settings`: every variable, its type and its default.
+
+**Conventions.** A group's docstring says what its settings mean; a name says its unit. Secrets are named, never shown.
+"""
+
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from inspect import cleandoc, getdoc
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args, get_origin
+
+from pydantic import SecretStr
+
+from docsite.markdown import code, table
+from services.runtime import settings as module
+from services.runtime.settings import Settings
+
+HEAD = """# Configuration
+
+Every process (API, workers, sweeper, migrations) reads the same settings. This page is made of
+`services/runtime/settings.py`, which says:
+
+"""
+SIGNS = (("ge", "≥"), ("gt", ">"), ("le", "≤"), ("lt", "<"))
+UNITS = ((3600.0 * 24, "d"), (3600.0, "h"), (60.0, "min"))
+NAMES = {"SecretStr": "secret", "str": "text", "bool": "true or false", "int": "number", "float": "number"}
+SIZES = ((2**40, "TiB"), (2**30, "GiB"), (2**20, "MiB"), (2**10, "KiB"))
+
+
+def settings_page() -> str:
+    """The page."""
+    parts = [HEAD, cleandoc(module.__doc__ or "") + "\n", _section("The process", "", _own_rows())]
+    for name, field in Settings.model_fields.items():
+        if is_dataclass(field.default):
+            group = type(field.default)
+            parts.append(_section(name.capitalize(), getdoc(group) or "", _group_rows(name, field.default)))
+    return "\n".join(parts)
+
+
+def variables() -> Iterator[str]:
+    """The name of every environment variable that the settings read."""
+    for name, field in Settings.model_fields.items():
+        if is_dataclass(field.default):
+            yield from (_variable(name, one.name) for one in fields(field.default))
+        else:
+            yield f"STONE_{name.upper()}"
+
+
+def _section(title: str, said: str, rows: Iterator[tuple[str, str, str]]) -> str:
+    return f"## {title}\n\n{said}\n\n{table(('variable', 'type', 'default'), rows)}"
+
+
+def _own_rows() -> Iterator[tuple[str, str, str]]:
+    for name, field in Settings.model_fields.items():
+        if not is_dataclass(field.default):
+            yield code(f"STONE_{name.upper()}"), code(_type_name(field.annotation)), _shown(name, field.default)
+
+
+def _group_rows(group: str, defaults: Any) -> Iterator[tuple[str, str, str]]:
+    for one in fields(defaults):
+        shown = _shown(one.name, getattr(defaults, one.name))
+        yield code(_variable(group, one.name)), code(_type_name(one.type)), shown
+
+
+def _variable(group: str, name: str) -> str:
+    return f"STONE_{group.upper()}__{name.upper()}"
+
+
+def _type_name(kind: Any) -> str:
+    """What may be said, in words: bounds of an annotation and choices of a literal included."""
+    if get_origin(kind) is Annotated:
+        inside, *said = get_args(kind)
+        return ", ".join([_type_name(inside), *(bound for one in said for bound in _bounds(one))])
+    if get_origin(kind) is Literal:
+        return " or ".join(map(str, get_args(kind)))
+    name = kind.__name__ if isinstance(kind, type) else str(kind)
+    return NAMES.get(name, name)
+
+
+def _bounds(said: Any) -> list[str]:
+    """The bounds that a pydantic field sets."""
+    found = ((sign, getattr(one, name, None)) for one in getattr(said, "metadata", ()) for name, sign in SIGNS)
+    return [f"{sign} {value}" for sign, value in found if value is not None]
+
+
+def _shown(name: str, value: Any) -> str:
+    if isinstance(value, SecretStr):
+        return "none"
+    if isinstance(value, bool):
+        return code(str(value).lower())
+    if isinstance(value, (int, float)):
+        return code(f"{value:.12g}" if isinstance(value, float) else value) + _for_people(name, value)
+    return code(value.as_posix() if isinstance(value, Path) else value) or "empty"
+
+
+def _for_people(name: str, value: float) -> str:
+    """The value in a unit that people read: ` (64 GiB)`, ` (7 d)`."""
+    units = SIZES if name.endswith("_bytes") else UNITS if name.endswith("_s") else ()
+    for size, unit in units:
+        if value >= size:
+            return f" ({value / size:g} {unit})"
+    return ""

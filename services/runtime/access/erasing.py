@@ -1,0 +1,30 @@
+"""A person's account is erased: nothing by which they were known or let in stays, what they made stays under no name.
+
+**Conventions.** The row stays, since books refer to it by id; its name becomes `erased-` and random letters. Lines of
+the audit log keep the name under which somebody acted, for as long as the log is kept (`audit_retention`): they are
+there to be held against whoever would rather be forgotten. Sequences, calibrations and submissions are deleted by
+themselves, before or after.
+"""
+
+from secrets import token_hex
+
+from sqlalchemy import delete
+from sqlalchemy.orm import Session
+
+from services.runtime.access.guesses import forgive_name
+from services.runtime.access.users import change_user
+from services.runtime.orm import IdempotentReply, TeamInvitation, Token, User, WebSession
+
+ERASED = "erased-"
+
+
+def erase_user(session: Session, user: User) -> None:
+    """Shut out at once, for good. Raises `LastAdministratorError`."""
+    change_user(session, user, None, is_active=False)
+    forgive_name(session, user.name)
+    for held in (Token, WebSession, IdempotentReply):
+        session.execute(delete(held).where(held.user_id == user.id))
+    unused = (TeamInvitation.created_by == user.id, TeamInvitation.used_by.is_(None))
+    session.execute(delete(TeamInvitation).where(*unused))
+    user.name, user.password_hash = f"{ERASED}{token_hex(8)}", ""
+    session.flush()

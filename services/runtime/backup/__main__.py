@@ -1,0 +1,96 @@
+"""`python -m services.runtime.backup to|restore|verify|list|prune FOLDER`: docs/operations/backup.md.
+
+**Conventions.** Which platform is meant is said by `STONE_*`, as to every process. Ends with 0 when all is well, 1 when
+something is refused, damaged or lost (sentences on stderr), 2 when it was asked for what there is not.
+"""
+
+import argparse
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TextIO
+
+from services.runtime.backup import words
+from services.runtime.backup.folder import BackupFolder
+from services.runtime.backup.keeping import prune, verify
+from services.runtime.backup.restoring import restore
+from services.runtime.backup.taking import take
+from services.runtime.embedded.folder_lock import hold_folder
+from services.runtime.platform import Platform, open_platform
+from services.runtime.settings import Settings
+from stone.errors import StoneError
+
+
+def main(arguments: list[str] | None = None) -> int:
+    options = _options(arguments)
+    folder = BackupFolder(options.folder.absolute())
+    try:
+        said, is_well = _acted(options, folder)
+    except StoneError as error:
+        _say([f"{error.code}: {error}"], sys.stderr)
+        return 1
+    _say(said, sys.stdout if is_well else sys.stderr)
+    return 0 if is_well else 1
+
+
+def _acted(options: argparse.Namespace, folder: BackupFolder) -> tuple[list[str], bool]:
+    """What there is to say, and whether all is well."""
+    if options.act == "verify":
+        verified = verify(folder)
+        return words.of_verified(verified), not verified.damaged
+    if options.act == "list":
+        return words.of_list(folder), True
+    if options.act == "prune":
+        return words.of_pruned(prune(folder, options.keep)), True
+    if options.act == "to":
+        with _opened() as platform:
+            taken = take(platform, folder)
+        return words.of_taken(taken), not taken.snapshot.flaws
+    with ExitStack() as stack:
+        stack.enter_context(hold_folder(Settings().root))  # no embedded platform begins meanwhile
+        restored = restore(stack.enter_context(_opened()), folder, options.snapshot)
+        return words.of_restored(restored), not restored.snapshot.flaws
+
+
+@contextmanager
+def _opened() -> Iterator[Platform]:
+    platform = open_platform(Settings())
+    try:
+        yield platform
+    finally:
+        platform.database.close()
+
+
+def _say(said: list[str], stream: TextIO) -> None:
+    stream.writelines(f"{line}\n" for line in said)
+
+
+def _options(arguments: list[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m services.runtime.backup", description=__doc__)
+    acts = parser.add_subparsers(dest="act", required=True)
+    for name, purpose in (
+        ("to", "take a backup of the platform into FOLDER"),
+        ("restore", "bring a backup back onto an empty platform"),
+        ("verify", "read all of FOLDER and compare"),
+        ("list", "say which snapshots there are"),
+        ("prune", "let old snapshots go"),
+    ):
+        act = acts.add_parser(name, help=purpose, description=purpose)
+        act.add_argument("folder", type=Path, metavar="FOLDER")
+        if name == "restore":
+            act.add_argument("--snapshot", default="", help="the newest unless named")
+        if name == "prune":
+            act.add_argument("--keep", type=_positive, required=True, help="how many of the newest stay")
+    return parser.parse_args(arguments)
+
+
+def _positive(word: str) -> int:
+    number = int(word)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"{word} is not at least 1")
+    return number
+
+
+if __name__ == "__main__":
+    sys.exit(main())

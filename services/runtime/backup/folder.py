@@ -1,0 +1,133 @@
+"""The folder of backups: contents by sha256, once for all snapshots, and the snapshots beside them.
+
+**Conventions.** Whoever writes holds the lock of the folder; readers need none, since nothing there is ever changed.
+A content is written beside its place, flushed and renamed.
+"""
+
+import fcntl
+import hashlib
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from secrets import token_hex
+
+from services.runtime.atomic import atomic_directory, flush
+from services.runtime.backup.errors import BackupBusyError, DamagedBackupError, SnapshotMissingError, SourceDamagedError
+
+PIECE_BYTES = 2**20
+OBJECTS, SNAPSHOTS, STAGING, LOCK = "objects", "snapshots", ".staging", "lock"
+
+
+@dataclass(frozen=True)
+class Content:
+    """Bytes by what they are."""
+
+    sha256: str
+    size_bytes: int
+
+
+class BackupFolder:
+    """Backups below `root`; made, for its owner only, by whoever writes first."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+
+    @contextmanager
+    def writing(self) -> Iterator[None]:
+        """Hold the folder; what a dead writer left half goes. Raises `BackupBusyError`."""
+        for folder in (self.root, self.root / OBJECTS, self.root / SNAPSHOTS, self.root / STAGING):
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        descriptor = os.open(self.root / LOCK, os.O_CREAT | os.O_RDWR, 0o600)
+        try:
+            self._lock(descriptor)
+            for half in (self.root / STAGING).iterdir():
+                half.unlink()
+            yield
+        finally:
+            os.close(descriptor)
+
+    def snapshots(self) -> list[str]:
+        """Names of the snapshots that are whole, oldest first."""
+        folder = self.root / SNAPSHOTS
+        return sorted(entry.name for entry in folder.iterdir() if entry.name[0] != ".") if folder.is_dir() else []
+
+    def snapshot(self, name: str = "") -> Path:
+        """The folder of a snapshot; the newest unless named. Raises `SnapshotMissingError`."""
+        names = self.snapshots()
+        if not names or (name and name not in names):
+            raise SnapshotMissingError(self.root, name, names)
+        return self.root / SNAPSHOTS / (name or names[-1])
+
+    @contextmanager
+    def new_snapshot(self) -> Iterator[Path]:
+        """A folder to fill, which becomes a snapshot at the end, or nothing."""
+        name = datetime.now(UTC).strftime("%Y-%m-%dT%H%M%S.%fZ")
+        with atomic_directory(self.root / SNAPSHOTS / name) as staging:
+            yield staging
+
+    def path_of(self, sha256: str) -> Path:
+        return self.root / OBJECTS / sha256[:2] / sha256
+
+    def has(self, content: Content) -> bool:
+        try:
+            return self.path_of(content.sha256).stat().st_size == content.size_bytes
+        except FileNotFoundError:
+            return False
+
+    def add(self, name: str, pieces: Iterable[bytes], expected_sha256: str = "") -> Content:
+        """Keep a content. Raises `SourceDamagedError` when it is another than expected; `name` is said then."""
+        staging, hashed, size_bytes = self.root / STAGING / token_hex(8), hashlib.sha256(), 0
+        try:
+            with staging.open("xb") as file:
+                for piece in pieces:
+                    hashed.update(piece)
+                    size_bytes += file.write(piece)
+                file.flush()
+                os.fsync(file.fileno())
+            found = hashed.hexdigest()
+            if expected_sha256 not in ("", found):
+                raise SourceDamagedError(name, found, expected_sha256)
+            self._place(staging, self.path_of(found))
+            return Content(found, size_bytes)
+        finally:
+            staging.unlink(missing_ok=True)
+
+    def checked(self, content: Content) -> Path:
+        """The file of a content that was read and found to be it. Raises `DamagedBackupError`."""
+        path = self.path_of(content.sha256)
+        if not path.is_file():
+            raise DamagedBackupError(path, "is missing")
+        if sha256_of(path) != content.sha256:
+            raise DamagedBackupError(path, "is not what its name says")
+        return path
+
+    def contents(self) -> Iterator[Path]:
+        yield from sorted((self.root / OBJECTS).glob("??/*"))
+
+    def _lock(self, descriptor: int) -> None:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise BackupBusyError(self.root) from None
+
+    def _place(self, staging: Path, target: Path) -> None:
+        target.parent.mkdir(mode=0o700, exist_ok=True)
+        os.replace(staging, target)
+        flush(target.parent)
+
+
+def sha256_of(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def pieces_of(path: Path, size_bytes: int | None = None) -> Iterator[bytes]:
+    """The first `size_bytes` of a file, all of it unless said."""
+    left = path.stat().st_size if size_bytes is None else size_bytes
+    with path.open("rb") as file:
+        while left and (piece := file.read(min(PIECE_BYTES, left))):
+            left -= len(piece)
+            yield piece

@@ -1,0 +1,67 @@
+"""What a snapshot says of itself, and how it is written down.
+
+**Conventions.** `snapshot.json` carries the hashes of everything beside it, and its own name is said where it is
+restored; a line in it that does not fit is refused, not guessed at.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from pydantic import TypeAdapter, ValidationError
+
+from services.runtime.backup.errors import DamagedBackupError
+from services.runtime.backup.folder import Content, sha256_of
+from services.runtime.backup.tables import TableFacts
+
+SNAPSHOT, FILES = "snapshot.json", "files.json"
+
+
+@dataclass(frozen=True)
+class KeptFile:
+    """A file that is no blob: an object of the store by its key, or the bytes in the uploads folder by upload."""
+
+    place: Literal["object", "upload"]
+    name: str
+    content: Content
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """`flaws` names what the platform itself had lost or damaged; `given_up` uploads that ended meanwhile."""
+
+    revision: str
+    code_version: str
+    made_ns: int
+    tables: tuple[TableFacts, ...]
+    files_sha256: str
+    flaws: tuple[str, ...] = ()
+    given_up: tuple[str, ...] = ()
+    format: Literal[1] = 1
+
+    def table(self, name: str) -> TableFacts:
+        return next(table for table in self.tables if table.name == name)
+
+
+_SNAPSHOT, _FILES = TypeAdapter(Snapshot), TypeAdapter(tuple[KeptFile, ...])
+
+
+def write_files(folder: Path, files: tuple[KeptFile, ...]) -> str:
+    """The sha256 of what was written."""
+    (folder / FILES).write_bytes(_FILES.dump_json(files, indent=1))
+    return sha256_of(folder / FILES)
+
+
+def write_snapshot(folder: Path, snapshot: Snapshot) -> None:
+    (folder / SNAPSHOT).write_bytes(_SNAPSHOT.dump_json(snapshot, indent=1))
+
+
+def read_snapshot(folder: Path) -> tuple[Snapshot, tuple[KeptFile, ...]]:
+    """Raises `DamagedBackupError`."""
+    try:
+        snapshot = _SNAPSHOT.validate_json((folder / SNAPSHOT).read_bytes())
+        if sha256_of(folder / FILES) != snapshot.files_sha256:
+            raise DamagedBackupError(folder / FILES, "is not what the snapshot says")
+        return snapshot, _FILES.validate_json((folder / FILES).read_bytes())
+    except (OSError, ValidationError) as error:
+        raise DamagedBackupError(folder / SNAPSHOT, f"cannot be read: {error}") from error

@@ -1,0 +1,171 @@
+"""Every table in one snapshot of the database, and back into an empty one: SQLite or PostgreSQL, either way round.
+
+**Conventions.** PostgreSQL reads and writes the files itself (COPY), in a REPEATABLE READ transaction; SQLite's WAL
+gives a reader the state of its first statement. The schema is not in the backup but the revision it was of: Alembic
+makes it, the rows follow in the order of their references, then Alembic goes on to what this code is of. All of it is
+one transaction, so a database is restored whole or stays empty.
+"""
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import zstandard
+from alembic import command
+from alembic.runtime.migration import MigrationContext
+from sqlalchemy import Connection, Table, inspect
+
+from services.runtime.backup.copy_text import Kind, kind_of, line_of, lines_of, row_of
+from services.runtime.backup.errors import DamagedBackupError, SchemaNotCurrentError
+from services.runtime.backup.folder import PIECE_BYTES, sha256_of
+from services.runtime.database import Database
+from services.runtime.migrate import alembic_on, head_revision
+from services.runtime.orm import Base
+
+BATCH = 1000
+TABLES = "tables"
+
+
+@dataclass(frozen=True)
+class ColumnFacts:
+    name: str
+    kind: Kind
+
+
+@dataclass(frozen=True)
+class TableFacts:
+    """A table as it was written: `sha256` is that of its file."""
+
+    name: str
+    columns: tuple[ColumnFacts, ...]
+    rows: int
+    sha256: str
+
+    @property
+    def kinds(self) -> tuple[Kind, ...]:
+        return tuple(column.kind for column in self.columns)
+
+
+@contextmanager
+def snapshot_of(database: Database) -> Iterator[Connection]:
+    """A connection that sees one state of the database, that of this moment. Raises `SchemaNotCurrentError`."""
+    options = {} if database.is_sqlite else {"isolation_level": "REPEATABLE READ", "postgresql_readonly": True}
+    with database.engine.connect().execution_options(**options) as connection:
+        stands = MigrationContext.configure(connection).get_current_revision()
+        if stands != head_revision():
+            raise SchemaNotCurrentError(str(stands), head_revision())
+        yield connection
+
+
+def dump(connection: Connection, folder: Path) -> tuple[TableFacts, ...]:
+    """Write every table into `folder/tables`; in the order of their references."""
+    (folder / TABLES).mkdir()
+    return tuple(_dump(connection, folder, table) for table in Base.metadata.sorted_tables)
+
+
+def dumped_rows(folder: Path, table: TableFacts, names: Sequence[str]) -> Iterator[list[Any]]:
+    """The named columns of a table's rows. Raises `DamagedBackupError`."""
+    places = [[column.name for column in table.columns].index(name) for name in names]
+    for line in _lines(_path(folder, table)):
+        row = row_of(line, table.kinds)
+        yield [row[place] for place in places]
+
+
+def checked_tables(folder: Path, tables: Sequence[TableFacts]) -> None:
+    """Raises `DamagedBackupError` unless every file is what was written."""
+    for table in tables:
+        path = _path(folder, table)
+        if not path.is_file() or sha256_of(path) != table.sha256:
+            raise DamagedBackupError(path, "is not what the snapshot says")
+
+
+def load(connection: Connection, folder: Path, revision: str, tables: Sequence[TableFacts]) -> None:
+    """Fill a database without tables, in the connection's transaction. Raises `DamagedBackupError`."""
+    config = alembic_on(connection)
+    command.upgrade(config, revision)
+    known = inspect(connection)
+    for table in tables:
+        columns = {column["name"] for column in known.get_columns(table.name)}
+        if unknown := [column.name for column in table.columns if column.name not in columns]:
+            raise DamagedBackupError(_path(folder, table), f"has columns that revision {revision} lacks: {unknown}")
+        _load(connection, folder, table)
+    command.upgrade(config, "head")
+
+
+def _dump(connection: Connection, folder: Path, table: Table) -> TableFacts:
+    columns = tuple(ColumnFacts(column.name, kind_of(column)) for column in table.columns)
+    path, rows, hashed = folder / TABLES / f"{table.name}.zst", 0, hashlib.sha256()
+    compressor = zstandard.ZstdCompressor(level=3, threads=1).compressobj()
+    with path.open("xb") as file:
+        for piece in _written(connection, TableFacts(table.name, columns, 0, "")):
+            rows += piece.count(b"\n")
+            packed = compressor.compress(piece)
+            hashed.update(packed)
+            file.write(packed)
+        packed = compressor.flush()
+        hashed.update(packed)
+        file.write(packed)
+    return TableFacts(table.name, columns, rows, hashed.hexdigest())
+
+
+def _written(connection: Connection, table: TableFacts) -> Iterator[bytes]:
+    """The table's rows as text, in pieces."""
+    names, place = _quoted(connection, table)
+    if connection.dialect.name == "sqlite":
+        rows = connection.exec_driver_sql(f"SELECT {names} FROM {place}")
+        for batch in rows.partitions(BATCH):
+            yield "".join(line_of(row, table.kinds) + "\n" for row in batch).encode("utf-8")
+        return
+    with _cursor(connection).copy(f"COPY (SELECT {names} FROM {place}) TO STDOUT") as copy:
+        for piece in copy:
+            yield bytes(piece)
+
+
+def _load(connection: Connection, folder: Path, table: TableFacts) -> None:
+    names, place = _quoted(connection, table)
+    path = _path(folder, table)
+    if connection.dialect.name != "sqlite":
+        with _cursor(connection).copy(f"COPY {place} ({names}) FROM STDIN") as copy:
+            for piece in _unpacked(path):
+                copy.write(piece)
+        return
+    marks = ", ".join("?" * len(table.columns))
+    for batch in _batches(path, table.kinds):
+        connection.exec_driver_sql(f"INSERT INTO {place} ({names}) VALUES ({marks})", batch)
+
+
+def _batches(path: Path, kinds: Sequence[Kind]) -> Iterator[list[tuple[Any, ...]]]:
+    rows = (tuple(row_of(line, kinds)) for line in _lines(path))
+    while batch := list(islice(rows, BATCH)):
+        yield batch
+
+
+def _lines(path: Path) -> Iterator[str]:
+    try:
+        yield from lines_of(_unpacked(path))
+    except (ValueError, zstandard.ZstdError) as error:
+        raise DamagedBackupError(path, f"cannot be read: {error}") from error
+
+
+def _unpacked(path: Path) -> Iterator[bytes]:
+    with path.open("rb") as file:
+        yield from zstandard.ZstdDecompressor().read_to_iter(file, write_size=PIECE_BYTES)
+
+
+def _path(folder: Path, table: TableFacts) -> Path:
+    return folder / TABLES / f"{table.name}.zst"
+
+
+def _quoted(connection: Connection, table: TableFacts) -> tuple[str, str]:
+    quote = connection.dialect.identifier_preparer.quote_identifier
+    return ", ".join(quote(column.name) for column in table.columns), quote(table.name)
+
+
+def _cursor(connection: Connection) -> Any:
+    """psycopg's own, in the connection's transaction."""
+    driver: Any = connection.connection.driver_connection
+    return driver.cursor()

@@ -1,0 +1,53 @@
+"""The API's process in a deployment: `python -m services.runtime.processes.api`.
+
+**Conventions.** It listens on `STONE_API__HOST` and `STONE_API__PORT`. Whose word about the client's address is
+believed is uvicorn's `FORWARDED_ALLOW_IPS`, how many processes answer its `WEB_CONCURRENCY`. SIGTERM: no more
+connections; replies may take `REPLIES_S`, then they are cut, uploads at a byte that is known.
+"""
+
+from typing import Any
+
+import uvicorn
+
+from services.runtime.log_lines import speak_json
+from services.runtime.settings import Settings
+
+SITE, API = "web.main:from_environment", "api.main:from_environment"
+PROTOCOL = "api.heads:BoundedHeads"
+REPLIES_S = 20
+
+
+def application(settings: Settings) -> str:
+    """What uvicorn loads: the API, with pages unless the settings say otherwise."""
+    return SITE if settings.api.pages else API
+
+
+def options(replies_s: int) -> dict[str, Any]:
+    """How uvicorn answers, wherever it listens."""
+    return {
+        "factory": True,
+        "loop": "uvloop",
+        "http": PROTOCOL,
+        "timeout_graceful_shutdown": replies_s,
+        "server_header": False,
+        "access_log": False,
+    }
+
+
+def main() -> None:
+    from services.runtime.processes.awaiting import await_schema
+
+    speak_json()
+    settings = Settings()
+    await_schema(settings)
+    uvicorn.run(
+        application(settings),
+        host=settings.api.host,
+        port=settings.api.port,
+        log_config=None,
+        **options(REPLIES_S),
+    )
+
+
+if __name__ == "__main__":
+    main()

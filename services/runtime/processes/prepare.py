@@ -1,0 +1,67 @@
+"""Before a release's processes are started, once: `python -m services.runtime.processes.prepare`.
+
+The bucket where there is none, the database brought to the newest schema, the first administrator where there is none.
+
+**Conventions.** Run again it changes nothing, and two at once are one. What is not up yet is waited for,
+`database.awaited_s` each.
+"""
+
+import sys
+
+import structlog
+
+from services.runtime.access.users import create_user
+from services.runtime.embedded.first_start import ADMINISTRATOR, find_administrator
+from services.runtime.log_lines import speak_json
+from services.runtime.migrate import upgrade
+from services.runtime.platform import Platform, open_platform
+from services.runtime.processes.awaiting import insist
+from services.runtime.settings import Settings
+from stone.errors import StoneError
+
+log = structlog.get_logger(__name__)
+
+
+def prepare(settings: Settings) -> None:
+    """All three. Raises what `insist`, `upgrade`, `ensure_bucket` and `create_user` raise."""
+    if settings.store.s3_bucket:
+        from services.runtime.store_bucket import ensure_bucket
+
+        is_new = insist(lambda: ensure_bucket(settings.store), settings.database.awaited_s)
+        log.info("bucket stands", bucket=settings.store.s3_bucket, is_new=is_new)
+    insist(lambda: upgrade(settings), settings.database.awaited_s)
+    log.info("database is at the schema of this version")
+    platform = open_platform(settings)
+    try:
+        log.info("administrator stands", is_new=ensure_administrator(platform))
+    finally:
+        platform.database.close()
+
+
+def ensure_administrator(platform: Platform) -> bool:
+    """Add the user `admin` with `api.first_password` where nobody administers; whether it was added.
+
+    Without that password nobody is added. Raises what `create_user` raises.
+    """
+    password = platform.settings.api.first_password.get_secret_value()
+    with platform.database.transaction() as session:
+        if find_administrator(session) is not None:
+            return False
+        if not password:
+            log.warning("nobody administers, and STONE_API__FIRST_PASSWORD is not set")
+            return False
+        create_user(session, ADMINISTRATOR, "administrator", password)
+        return True
+
+
+def main() -> None:
+    speak_json()
+    try:
+        prepare(Settings())
+    except StoneError as refusal:
+        log.error("not prepared", code=refusal.code, reason=str(refusal))
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()

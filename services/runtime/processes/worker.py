@@ -1,0 +1,99 @@
+"""A worker's process: `python -m services.runtime.processes.worker QUEUE…`.
+
+**Conventions.** It loads the services of its queues and those they read through, and nothing of the others, so that an
+image holds what its role needs. SIGTERM: no more jobs are taken; what runs has `jobs.drain_s`, then its processes are
+killed and their jobs queued again, without costing them an attempt. A second SIGTERM changes nothing.
+"""
+
+import services.runtime.one_thread  # noqa: F401
+
+# isort: split
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from threading import Thread
+
+import structlog
+from billiard.process import active_children  # type: ignore[import-untyped]
+from celery.signals import worker_shutting_down
+
+from services.runtime.celery_app import QUEUES, app
+from services.runtime.jobs.claiming import worker_name
+from services.runtime.jobs.interrupting import WORKER_STOPPED, give_back_of
+from services.runtime.log_lines import speak_json
+from services.runtime.platform import platform
+from services.runtime.settings import Settings
+from stone.errors import StoneError
+
+READS_THROUGH = {"labeler": ("ingest",)}
+"""The labeler opens recordings by what ingest says of them (`services/runtime/sweep_sources.py`)."""
+
+log = structlog.get_logger(__name__)
+
+
+class UnknownQueueError(StoneError):
+    """A queue that no service works on."""
+
+    code = "unknown_queue"
+
+    def __init__(self, named: Sequence[str]) -> None:
+        super().__init__(f"a worker is started for some of {', '.join(QUEUES)}, not for {', '.join(named) or 'none'}")
+
+
+def services_of(queues: Sequence[str]) -> tuple[str, ...]:
+    """The services that a worker of these queues loads."""
+    needed = {name for queue in queues for name in (queue, *READS_THROUGH.get(queue, ()))}
+    return tuple(name for name in QUEUES if name in needed)
+
+
+def arguments(queues: Sequence[str], concurrency: int) -> list[str]:
+    """Celery's command line. Raises `UnknownQueueError`."""
+    if not queues or not set(queues) <= set(QUEUES):
+        raise UnknownQueueError(queues)
+    loaded = ",".join(f"services.{name}.tasks" for name in services_of(queues))
+    return [
+        *("worker", "--pool", "prefork", "--loglevel", "INFO", "--concurrency", str(concurrency)),
+        *("--queues", ",".join(queues), "--include", loaded),
+        *("--without-gossip", "--without-mingle", "--without-heartbeat"),
+    ]
+
+
+@worker_shutting_down.connect
+def _drain(**_: object) -> None:
+    """Called within a signal handler: a thread does the waiting."""
+    Thread(target=_end_after, args=(Settings().jobs.drain_s,), name="drain", daemon=True).start()
+
+
+def _end_after(drain_s: float) -> None:
+    time.sleep(drain_s)
+    pids = [child.pid for child in active_children()]
+    host = worker_name().rpartition(":")[0]
+    for pid in pids:
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+    try:
+        given_back = give_back_of(platform(), [f"{host}:{pid}" for pid in pids], WORKER_STOPPED)
+        log.warning("stopped before its jobs were done", drain_s=drain_s, given_back=given_back)
+    finally:
+        os._exit(0)
+
+
+def main() -> None:
+    from services.runtime.processes.awaiting import await_schema  # Alembic is needed once, not in every child
+
+    speak_json()
+    if "TMPDIR" in os.environ:  # a volume that was empty a moment ago; without it all temporary files went to memory
+        Path(os.environ["TMPDIR"]).mkdir(parents=True, exist_ok=True)
+    settings, queues = Settings(), sys.argv[1:]
+    argv = arguments(queues, settings.concurrency)
+    await_schema(settings)
+    app.worker_main(argv)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,28 @@
+"""What people do one after another, hours apart, is told as traces that are linked: each with what it goes back to.
+
+    upload ← recording (register) ← processing (synchronise, label) ← export;  upload ← submission (open, part, join)
+
+**Conventions.** A trace is one act of a person with all the jobs it caused; a link goes back to the act before it.
+Nothing is looked up unless spans are sent.
+"""
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from services.runtime.orm import Job, RecordingFile, Upload
+from services.runtime.telemetry.tracing import is_tracing, link
+
+
+def link_uploads_of(session: Session, recording_id: str) -> None:
+    """What is done now is done to the files of this recording."""
+    if is_tracing():
+        of_recording = RecordingFile.recording_id == recording_id
+        sent = select(Upload.traceparent).join(RecordingFile, RecordingFile.upload_id == Upload.id)
+        for traceparent in session.scalars(sent.where(of_recording)):
+            link(traceparent)
+
+
+def link_job(session: Session, job_id: str) -> None:
+    """What is done now is done to what this job, or run, has made."""
+    if is_tracing():
+        link(session.scalar(select(Job.traceparent).where(Job.id == job_id)) or "")

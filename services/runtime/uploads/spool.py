@@ -1,0 +1,51 @@
+"""What a request has brought and the store has not got yet: a file without a name, which goes with its process."""
+
+import os
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from tempfile import TemporaryFile
+
+from services.runtime.uploads.errors import DiskFullError
+from services.runtime.uploads.files import refusing_full, write_all
+
+
+class Spool:
+    """Bytes on this machine's disk, to be stored as one object from `path`."""
+
+    def __init__(self, folder: Path) -> None:
+        """Raises `DiskFullError`."""
+        with refusing_full(lambda: 0):
+            folder.mkdir(parents=True, exist_ok=True)
+            self._file = TemporaryFile(dir=folder, buffering=0)  # noqa: SIM115 - closed by whoever stores it
+        self.size_bytes = 0
+
+    @property
+    def path(self) -> Path:
+        """Leads to the file as long as it is open in this process."""
+        return Path(f"/proc/self/fd/{self._file.fileno()}")
+
+    def write(self, pieces: Sequence[memoryview]) -> None:
+        """Add all of them, or nothing. Raises `DiskFullError`."""
+        try:
+            with refusing_full(lambda: self.size_bytes):
+                self.size_bytes = write_all(self._file.fileno(), pieces, self.size_bytes)
+        except DiskFullError:
+            os.ftruncate(self._file.fileno(), self.size_bytes)
+            raise
+
+    def close(self) -> None:
+        with suppress(OSError):
+            self._file.close()
+
+
+def split(pieces: Sequence[memoryview], room_bytes: int) -> tuple[list[memoryview], list[memoryview]]:
+    """The first `room_bytes` of the pieces, and the rest."""
+    fitting: list[memoryview] = []
+    for index, piece in enumerate(pieces):
+        if len(piece) >= room_bytes:
+            rest = [piece[room_bytes:], *pieces[index + 1 :]]
+            return [*fitting, piece[:room_bytes]], [view for view in rest if view]
+        fitting.append(piece)
+        room_bytes -= len(piece)
+    return fitting, []

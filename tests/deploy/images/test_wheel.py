@@ -1,0 +1,93 @@
+"""The project as a wheel is the whole project: installed where there is no checkout, it serves its pages."""
+
+import json
+import os
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from web.assets import LIBRARIES
+
+ROOT = Path(__file__).resolve().parents[3]
+ASKED = """
+import json, re, sys
+from pathlib import Path
+from fastapi.testclient import TestClient
+import web
+from services.runtime.migrate import upgrade
+from services.runtime.platform import open_platform
+from services.runtime.settings import Settings
+from web.main import make_site
+
+settings = Settings()
+upgrade(settings)
+client = TestClient(make_site(open_platform(settings)))
+page = client.get("/", headers={"Accept": "text/html"})
+assets = re.findall(r'(?:src|href)="(/assets/[^"]+)"', page.text)
+print(json.dumps({
+    "web": web.__file__,
+    "status": page.status_code,
+    "is_page": "</html>" in page.text,
+    "assets": [client.get(path).status_code for path in assets],
+}))
+"""
+
+
+@pytest.fixture(scope="module")
+def sources() -> set[str]:
+    """Every module of the project, as it was before the wheel was made."""
+    folders = ("stone", "services", "simulator", "client", "api", "web")
+    found = [path for folder in folders for path in (ROOT / folder).rglob("*.py")]
+    return {path.relative_to(ROOT).as_posix() for path in found if "node_modules" not in path.parts}
+
+
+@pytest.fixture(scope="module")
+def wheel(sources: set[str], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Built of all `sources` as the images build it; without a network there is no backend for it."""
+    folder = tmp_path_factory.mktemp("wheel")
+    command = [sys.executable, "-m", "pip", "wheel", "--no-deps", "--wheel-dir", str(folder), str(ROOT)]
+    outcome = subprocess.run(command, check=False, capture_output=True, text=True, timeout=300, cwd=folder)
+    if "hatchling" in outcome.stderr and "No matching distribution" in outcome.stderr:
+        pytest.skip("hatchling cannot be fetched here, which builds the wheel")
+    assert outcome.returncode == 0, outcome.stderr
+    (built,) = folder.glob("*.whl")
+    return built
+
+
+@pytest.mark.slow
+def test_the_wheel_serves_the_first_page_where_there_is_no_checkout(wheel: Path, tmp_path: Path) -> None:
+    site = tmp_path / "site"
+    zipfile.ZipFile(wheel).extractall(site)  # which is all that installing it would do
+    environment = {**os.environ, "PYTHONPATH": str(site), "STONE_DATA_FOLDER": str(tmp_path / "data")}
+    outcome = subprocess.run(
+        [sys.executable, "-P", "-c", ASKED], check=False, capture_output=True, text=True, env=environment, cwd=tmp_path
+    )
+    assert outcome.returncode == 0, outcome.stderr
+    told = json.loads(outcome.stdout.splitlines()[-1])
+    assert told["web"].startswith(str(site)), "the wheel's own, not the checkout's"
+    assert (told["status"], told["is_page"]) == (200, True)
+    assert len(told["assets"]) > 3
+    assert set(told["assets"]) == {200}
+
+
+@pytest.mark.slow
+def test_the_wheel_holds_what_runs_and_nothing_it_was_made_of(wheel: Path, sources: set[str]) -> None:
+    names = set(zipfile.ZipFile(wheel).namelist())
+    assert {f"web/node_modules/{place}" for place in LIBRARIES.values()} == {
+        name for name in names if name.startswith("web/node_modules/")
+    }
+    assert sources <= names, "every module, every migration"
+    assert not [name for name in names if name.endswith((".ts", ".pyc")) or "tests/" in name]
+    assert any(name.startswith("web/templates/") for name in names)
+    assert any(name.startswith("web/styles/") for name in names)
+
+
+def test_the_wheel_is_told_which_files_of_others_browsers_load() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+    artifacts = project["tool"]["hatch"]["build"]["targets"]["wheel"]["artifacts"]
+    named = {name for name in artifacts if name.startswith("/web/node_modules/")}
+    assert named == {f"/web/node_modules/{place}" for place in LIBRARIES.values()}

@@ -1,0 +1,45 @@
+"""Values that would do harm are refused before anything is sent to a cluster."""
+
+import pytest
+
+from tests.deploy.kubernetes.rendering import BACKUPS, rendered, template
+from tests.deploy.kubernetes.test_pods import environment, ours
+
+REFUSED = {
+    "a value that nothing reads": ("api.replica=3", "replica"),
+    "an image without a fixed version": ("image.tag=latest", "tag"),
+    "a secret among the settings": ("settings.database.password=x", "password"),
+    "a way of scaling that is none": ("autoscaling.by=cpu", "by"),
+    "a backup to nowhere": ("backup.enabled=true", "backup.volume"),
+    "a backup that goes with its pod": ("backup.enabled=true,backup.volume.emptyDir.medium=Memory", "volume"),
+    "a restore under a platform that works": (f"backup.restore=true,{BACKUPS}", "stopped"),
+    "a size without a unit": ("api.scratch=100", "scratch"),
+    "a database that everybody would be": ("network.database.to=null", "network.database"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_would_do_harm_is_refused(case: str) -> None:
+    value, named = REFUSED[case]
+    outcome = template("small", value)
+    assert outcome.returncode != 0
+    assert named in outcome.stderr
+
+
+def test_bells_of_a_redis_elsewhere_are_not_counted() -> None:
+    outcome = template("production", "autoscaling.by=redis")
+    assert outcome.returncode != 0
+    assert "autoscaling.by" in outcome.stderr
+
+
+def test_peers_that_nobody_named_are_asked_for() -> None:
+    outcome = template("small", "network.store.to=")
+    assert outcome.returncode != 0
+    assert "network" in outcome.stderr
+
+
+def test_one_value_reaches_every_process() -> None:
+    manifests = rendered("small", "settings.jobs.lease_s=30", "settings.uploads.max_bytes=1099511627776")
+    for role, container in ours(manifests):
+        assert environment(container)["STONE_JOBS__LEASE_S"] == "30", role
+        assert environment(container)["STONE_UPLOADS__MAX_BYTES"] == str(2**40), role

@@ -1,0 +1,135 @@
+"""docker-compose.yml says what the platform understands, hides what is secret and lets nothing run that need not."""
+
+import os
+import re
+import subprocess
+import sys
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+from ruamel.yaml import YAML
+
+from services.runtime.settings import Settings
+
+ROOT = Path(__file__).resolve().parents[2]
+COMPOSE: dict[str, Any] = YAML(typ="safe").load((ROOT / "docker-compose.yml").read_text("utf-8"))
+SERVICES: dict[str, dict[str, Any]] = COMPOSE["services"]
+ROLES = ("api", "ingest", "labeler", "eval", "beat", "prepare")
+OF_OTHERS = ("proxy", "redis", "postgres", "store")
+
+
+def setting_names() -> set[str]:
+    """Every variable that the settings read."""
+    settings = Settings()
+    names = {f"STONE_{name.upper()}" for name in Settings.model_fields}
+    groups = {name: getattr(settings, name) for name in Settings.model_fields}
+    return names | {
+        f"STONE_{group.upper()}__{part.name.upper()}"
+        for group, value in groups.items()
+        if is_dataclass(value)
+        for part in fields(value)
+    }
+
+
+def test_the_compose_file_is_one_for_compose_too(tmp_path: Path) -> None:
+    compose = Path(sys.executable).parent / "podman-compose"
+    command: list[str | Path] = [compose, "--file", ROOT / "docker-compose.yml", "config"]
+    outcome = subprocess.run(command, check=False, capture_output=True, text=True, cwd=tmp_path, timeout=60)
+    assert outcome.returncode == 0, outcome.stderr
+    assert "stone-labeler:" in outcome.stdout
+
+
+def test_all_that_the_issue_names_is_there() -> None:
+    assert set(SERVICES) == {*ROLES, *OF_OTHERS}
+
+
+@pytest.mark.parametrize("role", ROLES)
+def test_what_a_role_is_told_is_a_setting(role: str) -> None:
+    told = SERVICES[role]["environment"]
+    assert {name for name in told if name.startswith("STONE_")} <= setting_names()
+    assert "STONE_DATABASE__URL" in told
+
+
+@pytest.mark.parametrize("name", SERVICES)
+def test_nothing_may_do_more_than_it_needs(name: str) -> None:
+    service = SERVICES[name]
+    assert service["cap_drop"] == ["ALL"]
+    assert service["read_only"] is True
+    assert service["security_opt"] == ["no-new-privileges:true"]
+    assert not {"privileged", "network_mode", "pid", "ipc", "devices"} & set(service)
+    assert {"cpus", "memory"} <= set(service["deploy"]["resources"]["limits"])
+    if name in ROLES:
+        assert "cap_add" not in service
+        assert "user" not in service, "the image's own, which is nobody"
+
+
+@pytest.mark.parametrize("name", SERVICES)
+def test_an_image_is_one_version_and_starts_again_by_itself(name: str) -> None:
+    service = SERVICES[name]
+    assert re.search(r":(\$\{STONE_VERSION:-)?\d+\.\d+", service["image"])
+    assert service["restart"] == ("no" if name == "prepare" else "unless-stopped")
+
+
+@pytest.mark.parametrize("name", OF_OTHERS)
+def test_what_is_of_others_is_probed_here_and_ours_in_its_image(name: str) -> None:
+    assert SERVICES[name]["healthcheck"]["test"]
+
+
+def test_the_proxy_alone_is_reached_from_outside() -> None:
+    assert [name for name, service in SERVICES.items() if "ports" in service] == ["proxy"]
+    assert SERVICES["proxy"]["ports"] == ["${STONE_PORTS:-127.0.0.1:8080:8080}"]
+    assert SERVICES["proxy"]["networks"] == ["edge"]
+    assert COMPOSE["networks"]["inner"] == {"internal": True}
+    assert [name for name, service in SERVICES.items() if "edge" in service["networks"]] == ["proxy", "api"]
+
+
+def test_no_secret_is_in_the_file_or_in_an_environment() -> None:
+    named = {secret for service in SERVICES.values() for secret in service.get("secrets", [])}
+    assert named == set(COMPOSE["secrets"])
+    for name, source in COMPOSE["secrets"].items():
+        assert source == {"file": f"./deploy/compose/secrets/{name}"}
+        assert name.upper() in setting_names()
+    for service in SERVICES.values():
+        words = {name for name in service.get("environment", {}) if re.search("PASSWORD|SECRET|TOKEN|KEY", name)}
+        assert words <= {"POSTGRES_PASSWORD_FILE"}
+
+
+def test_what_comes_in_is_where_those_who_take_it_in_find_it() -> None:
+    shared = [name for name, service in SERVICES.items() if "uploads:/data/uploads" in service.get("volumes", [])]
+    assert shared == ["api", "ingest", "eval", "beat"]
+
+
+def test_every_role_waits_until_the_release_is_prepared() -> None:
+    for role in ROLES[:-1]:
+        assert SERVICES[role]["depends_on"]["prepare"] == {"condition": "service_completed_successfully"}
+
+
+def test_a_stop_lasts_longer_than_a_drain() -> None:
+    for worker in ("ingest", "labeler", "eval"):
+        assert float(SERVICES[worker]["stop_grace_period"].rstrip("s")) > Settings().jobs.drain_s
+
+
+def test_the_example_of_an_environment_names_what_the_file_reads_with_its_defaults() -> None:
+    example = (ROOT / "deploy" / "compose" / "env.example").read_text("utf-8")
+    shown = dict(re.findall(r"(?m)^(\w+)=(.*)$", example))
+    read = dict(re.findall(r"\$\{(\w+):-([^}]*)\}", (ROOT / "docker-compose.yml").read_text("utf-8")))
+    assert shown == read
+
+
+def test_secrets_are_made_once_and_are_long(tmp_path: Path) -> None:
+    script = tmp_path / "make-secrets.sh"
+    script.write_bytes((ROOT / "deploy" / "compose" / "make-secrets.sh").read_bytes())
+    script.chmod(0o755)
+    made = [_secrets_after(script) for _ in range(2)]
+    assert set(made[0]) == set(COMPOSE["secrets"])
+    assert made[0] == made[1], "what is there stays"
+    assert len(set(made[0].values())) == len(made[0])
+    assert all(re.fullmatch("[0-9a-f]{48}", secret) for secret in made[0].values())
+    assert (tmp_path / "secrets").stat().st_mode & 0o777 == 0o700
+
+
+def _secrets_after(script: Path) -> dict[str, str]:
+    subprocess.run([script], check=True, capture_output=True, env={"PATH": os.environ["PATH"]})
+    return {path.name: path.read_text() for path in (script.parent / "secrets").iterdir()}

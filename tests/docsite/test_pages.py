@@ -1,0 +1,117 @@
+"""What pages say of commands, settings, routes, codes and files is so: made of the code, or held against it."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from api.openapi import operations
+from api.statuses import STATUS_OF
+from client.main import app
+from docsite.api_pages import document
+from docsite.codes_page import all_codes
+from docsite.included import relinked
+from docsite.navigation import spread
+from docsite.pages import made_pages
+from docsite.programs_page import programs
+from docsite.schemas import anchor_of
+from docsite.settings_page import variables
+
+ROOT = Path(__file__).resolve().parents[2]
+WRITTEN = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+SOURCES = ("stone", "services", "simulator", "client", "api", "web", "benchmarks", "chaos", "fuzz", "deploy", "tests")
+# `deploy/stone-…` is what kubectl calls a deployment.
+PATHS = re.compile(rf"`(?!deploy/stone-)((?:{'|'.join(SOURCES)}|examples)/[\w./-]+)`")
+VARIABLE = re.compile(r"\bSTONE_[A-Z0-9_]*[A-Z0-9]\b")
+NAV = [{"Start": "index.md"}, {"Operations": ["operations/*.md", "scale*.md"]}, {"Security": ["security/*.md"]}]
+
+
+@pytest.fixture(scope="module")
+def made() -> dict[str, str]:
+    return dict(made_pages())
+
+
+@pytest.fixture(scope="module")
+def known_variables() -> set[str]:
+    """Those of the settings, and whatever a source reads."""
+    paths = [path for folder in SOURCES for path in (ROOT / folder).rglob("*") if path.suffix in (".py", ".sh")]
+    read = {name for path in paths if "node_modules" not in path.parts for name in VARIABLE.findall(path.read_text())}
+    return read | set(variables())
+
+
+def test_every_setting_is_in_the_configuration_reference(made: dict[str, str]) -> None:
+    page = made["reference/configuration.md"]
+    assert [name for name in variables() if f"`{name}`" not in page] == []
+    assert "`STONE_UPLOADS__OWNER_BYTES` | `number` | `1099511627776` (1 TiB)" in page
+
+
+def test_a_secret_is_named_and_its_value_is_not(made: dict[str, str]) -> None:
+    assert "`STONE_STORE__S3_SECRET` | `secret` | none" in made["reference/configuration.md"]
+
+
+def test_every_operation_is_in_the_api_reference(made: dict[str, str]) -> None:
+    pages = "\n".join(text for name, text in made.items() if name.startswith("reference/api/"))
+    said = document()
+    listed = [(path, method) for path, method, _ in operations(said)]
+    assert len(listed) > 100
+    assert [one for one in listed if f"**{one[1].upper()}** `{one[0]}`" not in pages] == []
+    assert [name for name in said["components"]["schemas"] if f"{{#{anchor_of(name)}}}" not in pages] == []
+
+
+def test_every_command_and_code_is_on_its_page(made: dict[str, str]) -> None:
+    commands = {command.callback.__name__ for command in app.registered_commands if command.callback}
+    assert [name for name in commands if f"### stone {name}\n" not in made["reference/commands.md"]] == []
+    assert "### stone teams found\n" in made["reference/commands.md"]
+    codes = {one.code for one in all_codes()} | {base.code for base in STATUS_OF if base.code}
+    assert [one for one in codes if f"`{one}`" not in made["reference/codes.md"]] == []
+
+
+def test_every_program_that_measures_says_how_it_is_run(made: dict[str, str]) -> None:
+    mains = [path.stem for path in (ROOT / "benchmarks").glob("*.py") if "__name__ ==" in path.read_text("utf-8")]
+    told = {module.rpartition(".")[2] for module, _ in programs("benchmarks")}
+    assert sorted(set(mains) - told) == []
+    assert "### `chaos`" in made["reference/programs.md"]
+
+
+@pytest.mark.parametrize("page", WRITTEN, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_a_page_names_only_settings_files_and_modules_that_exist(page: Path, known_variables: set[str]) -> None:
+    text = page.read_text("utf-8")
+    named = {name for name in VARIABLE.findall(text) if not name.endswith("__")}
+    assert {name for name in named if not _is_known(name, known_variables)} == set()
+    assert [path for path in PATHS.findall(text) if not (ROOT / path).exists()] == []
+    modules = re.findall(r"python -m ((?:benchmarks|chaos|fuzz|services|simulator)[\w.]*\w)", text)
+    assert [name for name in modules if not _is_module(name)] == []
+
+
+def test_patterns_of_the_navigation_stand_for_the_pages_that_are_there() -> None:
+    pages = ["index.md", "operations/a.md", "operations/index.md", "scale.md"]
+    assert spread(NAV, pages) == [
+        {"Start": "index.md"},
+        {"Operations": ["operations/index.md", "operations/a.md", "scale.md"]},
+    ]
+
+
+def test_a_page_stands_where_it_is_named_else_where_it_is_matched_first() -> None:
+    nav = [{"Book": ["operations/run*.md", "operations/*.md"]}, {"First": "operations/a.md"}]
+    assert spread(nav, ["operations/a.md", "operations/b.md", "operations/runbook.md"]) == [
+        {"Book": ["operations/runbook.md", "operations/b.md"]},
+        {"First": "operations/a.md"},
+    ]
+
+
+def test_a_page_from_elsewhere_leads_to_pages_of_the_site_and_keeps_only_the_words_of_what_is_none() -> None:
+    said = "[images](../images/README.md), [keys](../../docs/operations/keys.md#now), [chart](stone/Chart.yaml)"
+    assert relinked(said, "deploy/kubernetes/README.md", "install/cluster.md") == (
+        "[images](images.md), [keys](../operations/keys.md#now), chart"
+    )
+    assert relinked("[tus](https://tus.io)", "deploy/images/README.md", "install/images.md") == "[tus](https://tus.io)"
+
+
+def _is_known(name: str, known: set[str]) -> bool:
+    """A group alone (`STONE_JOBS`) stands for its settings."""
+    return name in known or any(one.startswith(f"{name}__") for one in known)
+
+
+def _is_module(name: str) -> bool:
+    path = ROOT.joinpath(*name.split("."))
+    return path.with_suffix(".py").is_file() or (path / "__main__.py").is_file()

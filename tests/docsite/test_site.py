@@ -1,0 +1,99 @@
+"""The docs site: built strictly, whole by itself, and looked at."""
+
+import re
+from collections.abc import Iterator
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Thread
+from urllib.parse import unquote, urlsplit
+
+import pytest
+from playwright.sync_api import Browser, expect
+
+from tests.docsite.conftest import Built
+from tests.web.browsing import DESKTOP, PATIENCE_MS, Watch
+from tests.web.looking import look
+
+LOOKED_AT = ("index.html", "method/index.html", "reference/api/sequences.html")
+
+
+class Quiet(SimpleHTTPRequestHandler):
+    """Serves files and says nothing."""
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
+@pytest.fixture(scope="module")
+def url(built: Built) -> Iterator[str]:
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(built.folder))) as server:
+        thread = Thread(target=server.serve_forever, daemon=True)
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
+        thread.join()
+
+
+def test_the_build_warns_of_nothing(built: Built) -> None:
+    assert not re.search(r"(?m)^(WARNING|ERROR)", built.printed), built.printed
+    assert len(built.pages) > 40
+
+
+def test_every_link_and_picture_leads_to_a_file_and_to_a_place_in_it(built: Built) -> None:
+    pages = {page.path: page for page in built.pages}
+    broken = []
+    for page in pages.values():
+        for link in (*page.links, *page.loaded):
+            parts = urlsplit(link)
+            if parts.scheme or parts.netloc or link.startswith(("#__", "data:")) or page.path.name == "404.html":
+                continue
+            target = (page.path.parent / unquote(parts.path)).resolve() if parts.path else page.path
+            is_there = target.is_file() or (target / "index.html").is_file()
+            if target in pages and parts.fragment:
+                is_there = unquote(parts.fragment) in pages[target].places
+            if not is_there:
+                broken.append((page.path.relative_to(built.folder).as_posix(), link))
+    assert broken == []
+
+
+def test_nothing_is_loaded_from_another_host(built: Built) -> None:
+    outside = re.compile(r"""(?:url\(|@import)\s*["']?(?:https?:)?//""")
+    loaded = {(page.path.name, one) for page in built.pages for one in page.loaded}
+    assert {one for one in loaded if urlsplit(one[1]).netloc or urlsplit(one[1]).scheme in ("http", "https")} == set()
+    assert [path.name for path in built.folder.rglob("*.css") if outside.search(path.read_text("utf-8"))] == []
+    # What the theme would fetch from a CDN for it, were it there.
+    assert "mermaid" not in {name for page in built.pages for name in page.classes}
+
+
+@pytest.mark.parametrize("path", LOOKED_AT)
+def test_the_pages_are_looked_at(url: str, browser: Browser, path: str) -> None:
+    context = browser.new_context(base_url=url, viewport=DESKTOP, reduced_motion="reduce")  # type: ignore[arg-type]
+    context.set_default_timeout(PATIENCE_MS)
+    watch = Watch(url)
+    page = context.new_page()
+    page.on("console", watch.console)
+    page.on("request", watch.request)
+    try:
+        page.goto(f"/{path}")
+        expect(page.locator("h1").first).to_be_visible()
+        look(page, f"docs-{Path(path).with_suffix('').as_posix().replace('/', '-')}")
+        assert watch.unexpected() == []
+    finally:
+        context.close()
+
+
+def test_a_word_of_a_made_page_is_found_without_another_host(url: str, browser: Browser) -> None:
+    context = browser.new_context(base_url=url, viewport=DESKTOP)  # type: ignore[arg-type]
+    context.set_default_timeout(PATIENCE_MS)
+    watch = Watch(url)
+    page = context.new_page()
+    page.on("request", watch.request)
+    try:
+        page.goto("/index.html")
+        page.locator("[data-md-component='search-query']").fill("STONE_JOBS__LEASE_S")
+        found = page.locator(".md-search-result__item a[href*='reference/configuration.html']")
+        expect(found.first).to_be_attached()
+        assert watch.unexpected() == []
+    finally:
+        context.close()

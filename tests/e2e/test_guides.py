@@ -1,0 +1,189 @@
+"""The three guides, line by line: what is printed there is typed here, against a platform with real data."""
+
+import json
+import shutil
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from structlog.testing import capture_logs
+
+from client.credentials import remember
+from services.eval.stages import handlers as eval_handlers
+from services.ingest import stages as ingest
+from services.ingest.calibration_file import read_calibration
+from services.labeler import stages as labeler
+from services.runtime.access.passwords import hash_password
+from services.runtime.benchmarks.inputs import start_inputs
+from services.runtime.benchmarks.phases import NewBenchmark, NewPhase, create_benchmark, create_phase
+from services.runtime.benchmarks.truths import start_truth
+from services.runtime.dataset_reading import dataset_named
+from services.runtime.embedded.first_start import ensure_keys
+from services.runtime.migrate import upgrade
+from services.runtime.orm import LabelSet, Sequence, User
+from services.runtime.platform import Platform
+from services.runtime.sample_sources import provide_samples
+from services.runtime.sweep_sources import provide_sweeps
+from simulator.options import SimulateOptions
+from simulator.pipeline import simulate
+from tests.api.published import dataset
+from tests.api.serving import person, serving
+from tests.benchmark_world import run_eval
+from tests.client.participating import answered
+from tests.e2e.pasting import ADDRESS, PASSWORD, Shell, shell_in
+from tests.servers.fixtures import make_settings, opened
+from tests.services.runs import bring_ready, run_all
+from tests.working import working
+
+RUN = SimulateOptions(seconds=1.5, channels=16, columns=180, cameras=False)
+PARTS = {"train": "meadow", "val": "forest", "test": "lake"}
+SAID_S = 25.0  # how long the catalogue says that each run lasted: the dataset's rules ask for 20 s
+SERVE = ".venv/bin/stone serve"
+
+
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The data folder of a platform with an administrator and three driven and labelled sequences; to be copied."""
+    _provide()
+    root = tmp_path_factory.mktemp("driven")
+    platform = opened(make_settings(root), [])
+    upgrade(platform.settings)
+    ensure_keys(platform)
+    for seed, (part, region) in enumerate(PARTS.items(), start=3):
+        bag = root / f"{part}.mcap"
+        simulate(bag, SimulateOptions(**{**vars(RUN), "seed": seed}))
+        brought = bring_ready(platform, bag, f"n-{part}")
+        brought.process()
+        run_all(platform)
+        _say(platform, brought.sequence_id, region)
+    platform.database.close()
+    return platform.settings.root
+
+
+@pytest.fixture
+def field(driven: Path, tmp_path: Path) -> Iterator[Platform]:
+    """A platform of the test's own with those sequences; its folder is also where a guide expects it."""
+    _provide()
+    settings = make_settings(tmp_path)
+    shutil.copytree(driven, settings.root)
+    (tmp_path / "stone-data").symlink_to(settings.root)
+    platform = opened(settings, [])
+    yield platform
+    platform.database.close()
+
+
+@pytest.mark.slow
+def test_the_field_engineers_guide_works_line_by_line(
+    field: Platform, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with _pasted(field, tmp_path, monkeypatch, short=True) as shell:
+        assert shell.paste("field-engineer.md", elsewhere={SERVE}) > 12
+    assert {path.name for path in tmp_path.iterdir()} >= {"quality.html", "labels", "labels-nuscenes", "forest.tar"}
+    for example in ("my-robot.yaml", "robot.yaml"):
+        read_calibration(tmp_path / example)
+    here = sorted(path.relative_to(tmp_path) for path in tmp_path.glob("labels/gts/*/*/labels.npz"))
+    assert len(here) > 10
+    assert json.loads((tmp_path / "labels" / "report.json").read_text())["frames"] == len(here)
+
+
+@pytest.mark.slow
+def test_the_administrators_guide_works_line_by_line(
+    field: Platform, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if shutil.which("curl") is None:
+        pytest.skip("the guide's requests are curl's, which is not on this machine")
+    with _pasted(field, tmp_path, monkeypatch) as shell:
+        assert shell.paste("administrator.md", elsewhere=_elsewhere("administrator.md")) > 40
+        said = json.loads(shell.printed[-1])
+        (ours,) = answered("benchmarks", "stone")["benchmarks"]
+    assert said["scorings"] == 2
+    assert {phase["name"] for phase in ours["phases"]} == {"val", "test", "val-lidar"}
+    assert json.loads((tmp_path / "manifest.json").read_text())["sequences"]
+
+
+@pytest.mark.slow
+def test_the_participants_guide_works_line_by_line(
+    field: Platform, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _benchmark(field)
+    with _pasted(field, tmp_path, monkeypatch) as shell:
+        assert shell.paste("participant.md") > 20
+        check_what_was_printed(shell)
+
+
+def check_what_was_printed(shell: Shell) -> None:
+    said = "\n".join(shell.printed)
+    assert "valid\nvalid\n" in said.replace("\n\n", "\n")
+    assert "Sweep (L) in stone / val" in said
+    assert Path("board.tex").read_text().count("Sweep") == 1
+    listed = answered("results")["submissions"]
+    assert [one["method"] for one in listed] == ["Sweep", "Sweep", "Flat"], "the SDK's was the same, not another"
+    on_server = answered("results", "latest~1")["total"]
+    here = answered("score", "sweep.zip", "--ground-truth", "labels")["total"]
+    assert on_server == here
+    ranked = answered("leaderboard", "stone", "val", "--all")["rows"]
+    assert [row["method"] for row in ranked] == ["Sweep", "Flat"], "geometry beats a plane"
+    assert json.loads(Path("val.json").read_text())["sequences"].keys() == {"n-val"}
+
+
+@contextmanager
+def _pasted(platform: Platform, folder: Path, patch: pytest.MonkeyPatch, *, short: bool = False) -> Iterator[Shell]:
+    """A shell beside the served platform, whose three queues are worked on; `short`: the simulated run is."""
+    queues: dict[str, Any] = {"ingest": ingest.handlers, "labeler": labeler.handlers, "eval": eval_handlers}
+    with ExitStack() as stack:
+        stack.enter_context(capture_logs())
+        url = stack.enter_context(serving(platform))
+        for queue, handlers in queues.items():
+            stack.enter_context(working(platform, queue, handlers))
+        said = {ADDRESS: url, "--propose 31,7,5": "--propose 1,1,1"}
+        if short:
+            said["simulate run.mcap"] = "simulate run.mcap --seconds 2 --channels 16 --columns 180"
+        shell = stack.enter_context(shell_in(folder, said, patch))
+        token = (platform.settings.root / "local-token").read_text().strip()
+        remember(url, token, as_default=True)  # as `stone serve` does
+        yield shell
+
+
+def _elsewhere(page: str) -> set[str]:
+    """Lines that other tests run: what installs, and what serves until it is stopped."""
+    from tests.e2e.pasting import blocks, statements
+
+    lines = {line for kind, block in blocks(page) if not kind for line in statements(block)}
+    return {line for line in lines if line.startswith(("make ", "apt-get ", "    python3", SERVE))}
+
+
+def _provide() -> None:
+    provide_samples(ingest.open_recording)
+    provide_sweeps(ingest.open_described)
+
+
+def _say(platform: Platform, sequence_id: str, region: str) -> None:
+    """Give the sequence what the dataset's rules ask for."""
+    with platform.database.transaction() as session:
+        row = session.get_one(Sequence, sequence_id)
+        row.environment, row.illumination, row.region = "mountain", "day", region
+        labels = session.query(LabelSet).filter_by(sequence_id=sequence_id).one()
+        labels.duration_ns = int(SAID_S * 1e9)
+
+
+def _benchmark(platform: Platform) -> None:
+    """A benchmark called `stone` over a version of all three, and its participant."""
+    with platform.database.reading() as session:
+        ids = {part: [session.query(Sequence).filter_by(name=f"n-{part}").one().id] for part in PARTS}
+        user_id = session.query(User).filter_by(role="administrator").one().id
+    version_name = dataset(platform, user_id, ids, "stone-1.0")
+    with platform.database.transaction() as session:
+        version = dataset_named(session, version_name)
+        assert version is not None
+        benchmark = create_benchmark(session, NewBenchmark("stone", "STONE", "", user_id))
+        for phase in (NewPhase("val", "val", is_hidden=False), NewPhase("test", "test", is_hidden=True)):
+            row = create_phase(session, benchmark, version, phase)
+            start_truth(session, row, version, user_id)
+            start_inputs(session, row, user_id)
+    run_eval(platform)
+    run_all(platform)
+    ada = person(platform, "participant", "ada")
+    with platform.database.transaction() as session:
+        session.get_one(User, ada.user_id).password_hash = hash_password(PASSWORD)

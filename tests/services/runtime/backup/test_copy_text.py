@@ -1,0 +1,84 @@
+"""Rows as text: read back as they were, and written as PostgreSQL writes them."""
+
+import math
+
+import psycopg
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from services.runtime.backup.copy_text import Kind, kind_of, line_of, lines_of, row_of
+from services.runtime.orm import Base
+
+KINDS: tuple[Kind, ...] = ("text", "integer", "float", "boolean", "json", "bytes")
+TEXTS = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]))
+ROWS = st.tuples(
+    st.none() | TEXTS,
+    st.none() | st.integers(-(2**63), 2**63 - 1),
+    st.none() | st.floats(allow_nan=False),
+    st.none() | st.sampled_from([0, 1]),
+    st.none() | TEXTS,
+    st.none() | st.binary(),
+)
+
+
+@given(st.lists(ROWS, max_size=5), st.integers(1, 7))
+def test_rows_are_read_back_as_they_were_in_whatever_pieces_they_come(
+    rows: list[tuple[object, ...]], piece_bytes: int
+) -> None:
+    text = "".join(line_of(row, KINDS) + "\n" for row in rows).encode()
+    pieces = [text[start : start + piece_bytes] for start in range(0, len(text), piece_bytes)]
+    assert [tuple(row_of(line, KINDS)) for line in lines_of(pieces)] == rows
+
+
+@pytest.mark.parametrize(
+    ("value", "kind", "literal"),
+    [
+        ("a\tb\\c\nd\re", "text", "E'a\\tb\\\\c\\nd\\re'"),
+        ("\b\f\v", "text", "E'\\b\\f\\x0b'"),
+        ("\\N", "text", "'\\N'"),
+        ("", "text", "''"),
+        (None, "text", "NULL::text"),
+        (-(2**63), "integer", "(-9223372036854775807 - 1)::bigint"),
+        (0.1 + 0.2, "float", "0.30000000000000004::float8"),
+        (5e-324, "float", "5e-324::float8"),
+        (1.0, "float", "1::float8"),
+        (1, "boolean", "true"),
+        (0, "boolean", "false"),
+        ('{"a":  [1, "\\u00e9"]}', "json", '\'{"a":  [1, "\\u00e9"]}\'::json'),
+        ("null", "json", "'null'::json"),
+        (b"\x00\\\n\xff", "bytes", "'\\x005c0aff'::bytea"),
+    ],
+)
+def test_postgresql_writes_what_we_read_and_reads_what_we_write(
+    postgres_url: str, value: object, kind: Kind, literal: str
+) -> None:
+    with psycopg.connect(postgres_url) as connection, connection.cursor() as cursor:
+        with cursor.copy(f"COPY (SELECT {literal} AS v) TO STDOUT".encode()) as copy:
+            (line,) = lines_of([bytes(piece) for piece in copy])
+        assert row_of(line, [kind]) == [value]
+        cursor.execute(f"CREATE TEMP TABLE written AS SELECT {literal} AS v WITH NO DATA".encode())
+        with cursor.copy("COPY written FROM STDIN") as copy:
+            copy.write(line_of([value], [kind]) + "\n")
+        cursor.execute(f"SELECT v::text IS NOT DISTINCT FROM ({literal})::text FROM written".encode())
+        assert cursor.fetchone() == (True,)
+
+
+def test_infinities_survive() -> None:
+    values = [math.inf, -math.inf]
+    assert [row_of(line_of([value], ["float"]), ["float"]) for value in values] == [[value] for value in values]
+
+
+def test_a_file_without_an_end_is_no_file() -> None:
+    with pytest.raises(ValueError, match="the last line has no end"):
+        list(lines_of([b"a\nb"]))
+
+
+def test_a_line_of_another_table_is_refused() -> None:
+    with pytest.raises(ValueError, match="zip"):
+        row_of("a\tb", ["text"])
+
+
+def test_every_column_of_every_table_has_a_kind() -> None:
+    kinds = {kind_of(column) for table in Base.metadata.tables.values() for column in table.columns}
+    assert kinds == set(KINDS)
