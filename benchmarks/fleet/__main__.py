@@ -103,7 +103,7 @@ def _show(steps: list[Step], graph: Graph, kept_bytes: float) -> None:
         cost = cost_of(one.frames_per_s, one.workers, kept_bytes, Prices())
         table.add_row(
             f"{one.workers:,}", f"{one.sequences_per_h:,.0f}", f"{one.frames_per_s:,.0f}", f"{one.efficiency:.0%}",
-            _pair(one.ages_s), _pair(one.stays_s), str(one.most_open), f"{one.transactions_per_s:,.1f}",
+            _pair(one.ages_s), _pair(one.labelled_s), str(one.most_open), f"{one.transactions_per_s:,.1f}",
             f"{one.bytes_per_s / 1e9:.3f}", f"{one.database_ratio:.0%}", f"{one.line_ratio:.0%}",
             f"{one.million_days():,.1f}", _dollars(cost),
         )  # fmt: skip

@@ -29,6 +29,11 @@ class StageJob:
         """Alone on its machine."""
         return self.cpu_s + self.wait_s
 
+    @property
+    def is_usual(self) -> bool:
+        """Not of those that come when nothing else waits."""
+        return self.priority >= 0
+
 
 @dataclass(frozen=True)
 class Graph:

@@ -23,7 +23,7 @@ EDGE = 0.2
 class Step:
     """What so many workers do; ratios are of what is to be had.
 
-    p50 and p95 at four fifths of the pace: `ages_s` of jobs, `stays_s` of sequences until their labels are there.
+    p50 and p95 at four fifths of the pace: `ages_s` of jobs, `labelled_s` of sequences until their labels are there.
     """
 
     workers: int
@@ -32,7 +32,7 @@ class Step:
     frames_per_s: float
     efficiency: float
     ages_s: tuple[float, float]
-    stays_s: tuple[float, float]
+    labelled_s: tuple[float, float]
     most_open: int
     transactions_per_s: float
     bytes_per_s: float
@@ -65,7 +65,7 @@ def step(graph: Graph, fleet: Fleet, sequences: int) -> Step:
         frames_per_s=rate_hz * graph.frames,
         efficiency=rate_hz * graph.work_s / fleet.workers,
         ages_s=_spread(usual.ages_s),
-        stays_s=_spread(usual.labelled_s),
+        labelled_s=_spread(usual.labelled_s),
         most_open=full.most_open,
         transactions_per_s=rate_hz * asked,
         bytes_per_s=rate_hz * moved,

@@ -79,7 +79,7 @@ class _Run:
         self.number, self.came_s, self.graph = number, came_s, graph
         self.needs_left = [len(job.needs) for job in graph.jobs]
         self.left = len(graph.jobs)
-        self.usual_left = sum(job.priority >= 0 for job in graph.jobs)
+        self.usual_left = sum(job.is_usual for job in graph.jobs)
         self.is_begun = False
 
 
@@ -167,9 +167,10 @@ class Simulation:
 
     def _end(self, run: _Run, place: int) -> None:
         run.left -= 1
-        run.usual_left -= run.graph.jobs[place].priority >= 0
-        if run.usual_left == 0 and run.graph.jobs[place].priority >= 0:
-            self.course.labelled_s.append(self._env.now - run.came_s)
+        if run.graph.jobs[place].is_usual:
+            run.usual_left -= 1
+            if run.usual_left == 0:
+                self.course.labelled_s.append(self._env.now - run.came_s)
         for waiting in run.graph.dependents[place]:
             run.needs_left[waiting] -= 1
             if run.needs_left[waiting] == 0:

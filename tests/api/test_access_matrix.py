@@ -39,11 +39,10 @@ class Scene:
     cast: Cast
     world: World
 
-    def fresh(self, path: str = "{dataset_name}") -> tuple[Cast, World]:
-        """People and things that may be changed, by a request to `path`."""
+    def fresh(self) -> tuple[Cast, World]:
+        """People and things that may be changed; published versions, which nothing changes, are the scene's."""
         cast = make_cast(self.platform)
-        published = "" if "{dataset_name}" in path else self.world.named["dataset_name"]
-        return cast, make_world(self.platform, cast.users["owner"], published)
+        return cast, make_world(self.platform, cast.users["owner"], self.world.named["dataset_name"])
 
 
 @contextmanager
@@ -98,7 +97,7 @@ def test_every_cell_is_as_the_table_says(
     before = ledger_of(scene.platform)
     for operation in operations_in(scene.matrix.document):
         is_changing = operation[0] not in SAFE and scene.matrix.table[operation][caller] < 400
-        cast, world = scene.fresh(operation[1]) if is_changing and caller in SUCCEEDING else (scene.cast, scene.world)
+        cast, world = scene.fresh() if is_changing and caller in SUCCEEDING else (scene.cast, scene.world)
         found += scene.matrix.findings(caller, cast, world, operation)
         cells += 1
     assert "\n".join(found) == ""

@@ -24,7 +24,7 @@ from tests.api.serving import Person
 from tests.api.tus import checksum, created, offset_of, patch, sha256_of, shown
 from tests.services.runtime.uploads.sending import kept
 
-ROUNDS = int(os.environ.get("STONE_CRASH_ROUNDS", "4"))
+ROUNDS = int(os.environ.get("STONE_CRASH_ROUNDS", "8"))
 SEED = int(os.environ.get("STONE_CRASH_SEED", "20261121"))
 SLICE_BYTES = 1 << 16
 
