@@ -5,8 +5,11 @@ security headers, faults), `limits` (rate), `bodies` (size), `idempotency`, then
 `/api/v1`, a module per noun; probes at the root.
 """
 
+from functools import cache
+
 from fastapi import APIRouter, FastAPI
 from fastapi.telemetry import TelemetryConfig
+from starlette.routing import BaseRoute
 
 from api import problems
 from api.bodies import BodyLimit
@@ -96,6 +99,7 @@ ROUTERS: tuple[APIRouter, ...] = (
 def make_api(platform: Platform, shown: problems.Shown = problems.as_it_is) -> FastAPI:
     """The application on this platform; refusals and faults are answered as `shown` shows them."""
     api = FastAPI(
+        routes=list(_routes()),
         title="STONE",
         version="1",
         description=DESCRIPTION,
@@ -118,10 +122,17 @@ def make_api(platform: Platform, shown: problems.Shown = problems.as_it_is) -> F
     api.add_middleware(Entry, meters=api.state.meters, shown=shown, trusts_traceparent=trusts)
     if platform.settings.api.url.startswith("https://"):
         api.add_middleware(Https)
-    api.include_router(health.router)
-    for router in ROUTERS:
-        api.include_router(router, prefix=PREFIX)
     return api
+
+
+@cache
+def _routes() -> tuple[BaseRoute, ...]:
+    """All applications of a process share them: each takes shape once, when it is first asked for."""
+    whole = APIRouter(redirect_slashes=False, generate_unique_id_function=operation_id)
+    whole.include_router(health.router)
+    for router in ROUTERS:
+        whole.include_router(router, prefix=PREFIX)
+    return tuple(whole.routes)
 
 
 def from_environment() -> FastAPI:

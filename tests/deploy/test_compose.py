@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 from dataclasses import fields, is_dataclass
@@ -33,6 +34,7 @@ def setting_names() -> set[str]:
     }
 
 
+@pytest.mark.skipif(shutil.which("podman") is None, reason="podman is not on PATH: apt-get install podman")
 def test_the_compose_file_is_one_for_compose_too(tmp_path: Path) -> None:
     compose = Path(sys.executable).parent / "podman-compose"
     command: list[str | Path] = [compose, "--file", ROOT / "docker-compose.yml", "config"]
