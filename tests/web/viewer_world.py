@@ -7,7 +7,7 @@ of the map as ego grids. `reach_m` bounds how far around each pose there are vox
 
 import json
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -141,8 +141,7 @@ def viewed(platform: Platform, owner: Person, run: Run | None = None, *, has_clo
         session.add(row)
         session.flush()
         facts = {"id": row.id, "name": row.name, "owner_id": owner.user_id}
-    contents = [_labels(grid) for grid in run.grids]
-    labels = made.labels(platform, facts, seed=row.id.encode(), contents=contents)
+    labels = made.labels(platform, facts, seed=row.id.encode(), contents=_label_files(run))
     tokens = [frame_token(facts["name"], made.START_NS + index) for index in range(run.frames)]
     _replace_scene(platform, labels.id, scene_files(facts["name"], tokens, run))
     if has_clouds:
@@ -197,6 +196,12 @@ def _cloud(run: Run, number: int) -> bytes:
     x, y, z = run.poses[number, :3]
     up = height_m(flat[:, 0] + x, flat[:, 1] + y) - z
     return cloud_bytes(np.column_stack([flat, up]), random.uniform(0, 255, 4000))
+
+
+@cache
+def _label_files(run: Run) -> list[bytes]:
+    """Of each frame; cut once for all tests of a process."""
+    return [_labels(grid) for grid in run.grids]
 
 
 def _labels(grid: Grid) -> bytes:
