@@ -46,7 +46,7 @@ from services.runtime.backup.restoring import restore
 from services.runtime.backup.taking import take
 from services.runtime.embedded.supervisor import Running, running_platform
 from services.runtime.orm import Job, Submission
-from services.runtime.platform import open_platform
+from services.runtime.platform import open_platform, open_silent_platform
 from services.runtime.settings import DatabaseSettings, Settings, StoreSettings
 from tests.benchmark_world import World
 from tests.servers.postgres import PostgresServer, running_postgres
@@ -100,7 +100,7 @@ def main() -> int:
         before = work(ground, inputs, folder)
         CONSOLE.print(f"verified: {len(verify(folder).damaged)} damaged")
         begun_s = time.monotonic()
-        platform = open_platform(ground.empty())
+        platform = open_silent_platform(ground.empty())
         restored = restore(platform, folder)
         platform.database.close()
         CONSOLE.print(

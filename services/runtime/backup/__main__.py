@@ -17,7 +17,7 @@ from services.runtime.backup.keeping import prune, verify
 from services.runtime.backup.restoring import restore
 from services.runtime.backup.taking import take
 from services.runtime.embedded.folder_lock import hold_folder
-from services.runtime.platform import Platform, open_platform
+from services.runtime.platform import Platform, open_silent_platform
 from services.runtime.settings import Settings
 from stone.errors import StoneError
 
@@ -55,7 +55,7 @@ def _acted(options: argparse.Namespace, folder: BackupFolder) -> tuple[list[str]
 
 @contextmanager
 def _opened() -> Iterator[Platform]:
-    platform = open_platform(Settings())
+    platform = open_silent_platform(Settings())
     try:
         yield platform
     finally:
