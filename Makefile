@@ -1,13 +1,13 @@
-# make install | demo | serve | test | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-platform | bench-pages | bench-truth | bench-decisions | season | images
+# make install | demo | serve | test | test-all | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-platform | bench-pages | bench-truth | bench-decisions | season | images
 # Each installs first, which costs nothing when nothing changed.
-.PHONY: install test-clients demo serve test check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-platform bench-pages bench-truth bench-decisions season images
+.PHONY: install test-clients demo serve test test-all check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-platform bench-pages bench-truth bench-decisions season images
 .DELETE_ON_ERROR:
 
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 BUILT := web/built/app.js
-# One more than cores: tests wait for the servers that they start.
-BESIDE = --numprocesses $(shell n=$$(nproc); echo $$((n < 5 ? n + 1 : 6))) --dist loadscope
+# One more than cores: tests wait for the servers that they start. Whole files, so that what a file makes is made once.
+BESIDE = --numprocesses $(shell n=$$(nproc); echo $$((n < 5 ? n + 1 : 6))) --dist loadfile --no-loadscope-reorder
 MODULES := $(shell find web/modules web/libraries -name '*.ts' -o -name '*.js')
 
 install: $(INSTALLED) $(BUILT)
@@ -32,7 +32,11 @@ demo: install
 serve: install
 	$(BIN)/stone serve
 
-test: test-clients
+test: install
+	deploy/install-browser.sh
+	$(BIN)/pytest $(BESIDE) -m "not whole"
+
+test-all: test-clients
 	$(BIN)/pytest $(BESIDE)
 
 check: test-clients
@@ -40,7 +44,9 @@ check: test-clients
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/pytest $(BESIDE)
+	$(BIN)/deptry stone stone_files stone_recordings stone_submissions services simulator stone_client api web
+	$(BIN)/deptry --ignore DEP002,DEP004 benchmarks chaos deploy docsite fuzz testing tests
+	$(MAKE) --no-print-directory test-all
 
 docs: install
 	$(BIN)/mkdocs build

@@ -1,4 +1,4 @@
-"""What a route's documentation says of its refusals: every status it may answer with, in the one shape.
+"""OpenAPI responses for refusals: each status a route may answer with, all as one problem document.
 
 **Conventions.** `responses=refusals(409, 412)` names what is particular to a route. What follows from its form (401
 where it asks for a caller, 422 where it reads anything, 429 and 503 always) is added to the whole document by
@@ -15,7 +15,7 @@ SCHEMA = {"$ref": "#/components/schemas/Problem"}
 
 
 def refusal(status: int) -> dict[str, Any]:
-    """How the document describes an answer of this status."""
+    """The OpenAPI response of this status."""
     return {"description": phrase_of(status), "content": {MEDIA_TYPE: {"schema": SCHEMA}}}
 
 

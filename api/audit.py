@@ -1,4 +1,4 @@
-"""The audit log: who did what to what and why; lines are only added, and each one carries the hash of the one before.
+"""The audit log: who did what to what and why, in append-only lines chained by hashes.
 
 **Conventions.** `hash` = sha256 of the canonical JSON (sorted keys, no spaces, UTF-8) of the line with `previous`, the
 hash before it ("" for the first); numbers count from 1. An act and its line are one transaction. The line is written
@@ -17,9 +17,9 @@ import structlog
 from sqlalchemy import event, select, text
 from sqlalchemy.orm import Session
 
-from api.context import request_id
 from api.deps import Caller
 from api.errors import ReasonMissingError
+from api.middleware.context import request_id
 from services.runtime.orm import AuditAnchor, AuditEntry
 from services.runtime.orm.base import now_ns
 
@@ -31,7 +31,7 @@ log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True)
-class Head:
+class AuditHead:
     """The last line of the chain; number 0 and an empty hash where there is none."""
 
     number: int
@@ -84,15 +84,15 @@ def verify(session: Session) -> int | None:
     return None
 
 
-def head(session: Session) -> Head:
+def head(session: Session) -> AuditHead:
     last = session.scalars(select(AuditEntry).order_by(AuditEntry.number.desc()).limit(1)).one_or_none()
-    return Head(last.number, last.hash) if last else cut(session)
+    return AuditHead(last.number, last.hash) if last else cut(session)
 
 
-def cut(session: Session) -> Head:
-    """The last line that was kept as long as lines are (`services/runtime/audit_retention.py`), where there is one."""
+def cut(session: Session) -> AuditHead:
+    """The last line that was kept as long as lines are (`runtime/access/audit_retention.py`), where there is one."""
     anchor = session.scalars(select(AuditAnchor).order_by(AuditAnchor.number.desc()).limit(1)).one_or_none()
-    return Head(anchor.number, anchor.hash) if anchor else Head(0, "")
+    return AuditHead(anchor.number, anchor.hash) if anchor else AuditHead(0, "")
 
 
 def hash_of(entry: AuditEntry, previous: str) -> str:
@@ -119,7 +119,7 @@ def _write(session: Session) -> None:
     for entry in entries:
         entry.number = last.number + 1
         entry.hash = hash_of(entry, last.hash)
-        last = Head(entry.number, entry.hash)
+        last = AuditHead(entry.number, entry.hash)
     session.add_all(entries)
     log.info("audited", number=last.number, hash=last.hash, acts=[entry.act for entry in entries])
     session.info[PENDING] = []

@@ -1,4 +1,4 @@
-"""Who may call what, by the names routes use."""
+"""Dependency types that name who may call a route: reader, submitter, curator, administrator."""
 
 from typing import Annotated
 

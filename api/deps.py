@@ -1,4 +1,4 @@
-"""What routes are given: the platform, and who is calling.
+"""FastAPI dependencies: the platform, and the authenticated caller.
 
 **Conventions.** `Depends(require(scope, *roles))` answers 401 to nobody and 403 to somebody whose scopes or role do not
 reach; a higher role always may what a lower one may. A browser's session holds the scopes of its user's role, and an
@@ -18,8 +18,8 @@ from fastapi.security import APIKeyCookie, HTTPAuthorizationCredentials, HTTPBea
 from sqlalchemy.exc import OperationalError
 from sqlalchemy.orm import Session
 
-from api.context import COOKIE
 from api.errors import CsrfError, ForbiddenError, UnauthenticatedError
+from api.middleware.context import COOKIE
 from services.runtime.access import roles, sessions, tokens
 from services.runtime.platform import Platform
 
@@ -37,7 +37,7 @@ cookie = APIKeyCookie(
 
 @dataclass(frozen=True)
 class Caller:
-    """Who is calling, and what they may now. `expires_ns` is when the token or session ends."""
+    """The authenticated caller with the scopes in force. `expires_ns` is when the token or session ends."""
 
     user_id: str
     name: str
@@ -85,7 +85,7 @@ def at_once(kind: Callable[..., T]) -> Callable[..., Awaitable[T]]:
 
 
 def identify(request: Request) -> Caller | None:
-    """Who calls: by token, else by session; None without either. Raises `UnauthenticatedError` for a false one."""
+    """The caller by token, else by session; None without either. Raises `UnauthenticatedError` for a false one."""
     if not hasattr(request.state, "caller"):
         platform = platform_of(request)
         header = request.headers.get("authorization")
@@ -107,7 +107,7 @@ def require(scope: str, *accepted: str) -> Callable[..., Caller]:
 
 
 def require_one(scopes: tuple[str, ...], *accepted: str) -> Callable[..., Caller]:
-    """As `require`, of somebody who holds any of `scopes`; the document names the first."""
+    """As `require`, for callers who hold any of `scopes`; the document names the first."""
     asked = [scopes[0], *accepted]  # for the document only
 
     def caller_who_may(

@@ -1,4 +1,4 @@
-"""Why a request is refused.
+"""Errors that refuse a request: authentication, permission, preconditions, limits.
 
 **Conventions.** A route raises a leaf of `StoneError`, its own or one of a service; `api/statuses.py` is the one table
 that says with which status, `api/problems.py` writes the answer. A leaf's first docstring line is the problem's title,
@@ -18,12 +18,12 @@ class ApiError(StoneError):
 
     @property
     def headers(self) -> dict[str, str]:
-        """What the answer's head says beside the problem."""
+        """Response headers that belong to the problem."""
         return {}
 
     @property
     def findings(self) -> tuple[Mapping[str, Any], ...]:
-        """What is wrong, one by one, where there is more than one thing: `{code, where, expected}`."""
+        """The single faults, where there is more than one: `{code, where, expected}`."""
         return ()
 
 
@@ -167,7 +167,7 @@ class RateLimitedError(ApiError):
         return {"Retry-After": str(self.retry_after_s)}
 
 
-class GuessedTooOftenError(RateLimitedError):
+class TooManyFailedSignInsError(RateLimitedError):
     """Too many wrong passwords, for this name or from this address: the next try waits."""
 
     code = "guessed_too_often"

@@ -1,4 +1,4 @@
-"""Which state of a thing a request means: ETag, If-Match, If-None-Match (RFC 9110 §13).
+"""Conditional requests: ETag, If-Match and If-None-Match (RFC 9110 §13).
 
 **Conventions.** A tag is the thing's revision, or the sha256 of its bytes, in quotes; strong. A change without If-Match
 is 428, with another tag 412, so nobody overwrites what they have not read.

@@ -1,4 +1,4 @@
-"""Why a file is not served as asked, or not taken."""
+"""Errors of file downloads and file uploads."""
 
 from collections.abc import Mapping
 from typing import Any

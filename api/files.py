@@ -1,4 +1,4 @@
-"""Answering with a file of the store: whole, one range of it, or nothing when the caller has it already.
+"""Responses from stored files: whole, one byte range, or 304 Not Modified.
 
 **Conventions.** The ETag is the sha256 of the whole representation, so it never lies; `Repr-Digest` (RFC 9530) says it
 too, and `Content-Digest` where the whole is sent. One range is served (206), one
@@ -21,7 +21,7 @@ from fastapi.responses import StreamingResponse
 from api.answers import Responses, refusals
 from api.etags import etag, is_unchanged
 from api.file_errors import RangeError
-from services.runtime.store import Store
+from services.runtime.store.protocol import Store
 
 ONE_RANGE = re.compile(r"bytes=(\d{0,18})-(\d{0,18})")
 UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
@@ -50,7 +50,7 @@ class StoredFile:
 
 
 @dataclass(frozen=True)
-class Served:
+class ServedFile:
     """Bytes to answer with, of which `read(start, stop)` gives any range in pieces, and how they are called outside.
 
     What `is_lasting` is at its address for good: a browser asks for it once.
@@ -65,8 +65,8 @@ class Served:
 
 
 @dataclass(frozen=True)
-class MadeFile:
-    """How bytes that no store holds are called outside."""
+class GeneratedFile:
+    """A file that no store holds: its name and media type for downloads."""
 
     media_type: str
     filename: str
@@ -74,7 +74,7 @@ class MadeFile:
 
 
 def file_responses(*media_types: str) -> Responses:
-    """What the document says of a route that answers with a file."""
+    """The OpenAPI responses of a route that answers with a file."""
     content = {media_type: {"schema": OBJECT if media_type in STRUCTURED else BINARY} for media_type in media_types}
     whole = {"description": "The whole file", "content": content}
     part = {"description": "The range asked for", "content": content}
@@ -88,21 +88,23 @@ def answer_file(request: Request, store: Store, file: StoredFile) -> Response:
     def read(start: int, stop: int) -> Iterator[bytes]:
         return store.read(file.object_key, begin + start, begin + stop)
 
-    served = Served(file.size_bytes, file.sha256, file.media_type, file.filename, read, file.is_lasting)
+    served = ServedFile(file.size_bytes, file.sha256, file.media_type, file.filename, read, file.is_lasting)
     return answer_bytes(request, served)
 
 
-def answer_made(request: Request, content: bytes, facts: MadeFile) -> Response:
+def answer_made(request: Request, content: bytes, facts: GeneratedFile) -> Response:
     """Bytes that were made just now, as `answer_bytes` answers. Raises `RangeError` (416)."""
     digest = sha256(content).hexdigest()
 
     def read(start: int, stop: int) -> Iterator[bytes]:
         yield content[start:stop]
 
-    return answer_bytes(request, Served(len(content), digest, facts.media_type, facts.filename, read, facts.is_lasting))
+    return answer_bytes(
+        request, ServedFile(len(content), digest, facts.media_type, facts.filename, read, facts.is_lasting)
+    )
 
 
-def answer_bytes(request: Request, file: Served) -> Response:
+def answer_bytes(request: Request, file: ServedFile) -> Response:
     """The bytes as 200, 206 or 304; to HEAD the same head alone. Raises `RangeError` (416), and what reading raises."""
     headers = _headers(file)
     if is_unchanged(request, file.sha256):
@@ -126,7 +128,7 @@ def safe_name(name: str) -> str:
     return UNSAFE.sub("_", name).strip("._")[:150] or "file"
 
 
-def _headers(file: Served) -> dict[str, str]:
+def _headers(file: ServedFile) -> dict[str, str]:
     shown = "inline" if file.media_type in INLINE else "attachment"
     spelled = quote(file.filename[:150], safe="")
     return {
@@ -141,7 +143,7 @@ def _headers(file: Served) -> dict[str, str]:
     }
 
 
-def _range(request: Request, file: Served) -> tuple[int, int] | None:
+def _range(request: Request, file: ServedFile) -> tuple[int, int] | None:
     """The half-open range asked for; None: the whole. Raises `RangeError`."""
     found = ONE_RANGE.fullmatch(request.headers.get("range", "").strip())
     if found is None or found.group() == "bytes=-" or not _is_same(request, file):
@@ -158,7 +160,7 @@ def _range(request: Request, file: Served) -> tuple[int, int] | None:
     return start, stop
 
 
-def _is_same(request: Request, file: Served) -> bool:
+def _is_same(request: Request, file: ServedFile) -> bool:
     """Whether the range is of the file the caller has in mind, if it says which (RFC 9110 §13.1.5: strongly)."""
     return request.headers.get("if-range", etag(file.sha256)) == etag(file.sha256)
 

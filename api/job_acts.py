@@ -1,4 +1,4 @@
-"""An administrator's acts on runs: one, or the same on many with what came of each."""
+"""Administrators' actions on runs: cancel, terminate, retry, for one run or many."""
 
 from sqlalchemy.orm import Session
 
@@ -7,24 +7,24 @@ from api.deps import Caller
 from api.schemas.admin import JobAct, JobActItem, JobActsBody
 from api.schemas.jobs import FailureItem
 from api.visible import job_of
-from services.runtime.benchmarks.submission_states import reopen
-from services.runtime.jobs import steering
+from services.domain.benchmarks.submissions.states import reopen
+from services.runtime.jobs import control
 from services.runtime.orm import Job
 from services.runtime.platform import Platform
 from stone.errors import StoneError
 
 
-def steer(session: Session, platform: Platform, act: JobAct, root_id: str, reason: str) -> Job:
+def control_run(session: Session, platform: Platform, act: JobAct, root_id: str, reason: str) -> Job:
     """The run after the act. Raises `JobStateError`."""
     if act == "retry":
-        run = steering.retry(session, root_id, platform.settings.jobs.max_attempts)
+        run = control.retry(session, root_id, platform.settings.jobs.max_attempts)
         reopen(session, run)
         return run
-    return (steering.cancel if act == "cancel" else steering.terminate)(session, root_id, reason)
+    return (control.cancel if act == "cancel" else control.terminate)(session, root_id, reason)
 
 
 def act_on_each(platform: Platform, caller: Caller, body: JobActsBody) -> list[JobActItem]:
-    """What came of each, in the order asked; each is a transaction and a line of the audit log of its own.
+    """The result of one act on each run, in the order asked; each is a transaction and an audit line of its own.
 
     Jobs of one run are one act; what is refused keeps nothing of the rest from being done.
     """
@@ -41,7 +41,7 @@ def _acted(
             root_id = job_of(session, caller, job_id).root_id
             if root_id in done:
                 return done[root_id].model_copy(update={"job_id": job_id})
-            run = steer(session, platform, body.act, root_id, body.reason)
+            run = control_run(session, platform, body.act, root_id, body.reason)
             audit.record_admin_act(session, caller, f"job.{body.act}", root_id, body.reason)
             session.flush()
             item = JobActItem(job_id=job_id, root_id=root_id, state=run.state, failure=None)

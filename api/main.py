@@ -1,4 +1,4 @@
-"""The application: one page that says what a request passes and which routes there are.
+"""The FastAPI application: its middleware and routes.
 
 **Conventions.** A request passes, from outside in: `https` where the platform is reached so, `entry` (id, log, metrics,
 security headers, faults), `limits` (rate), `bodies` (size), `idempotency`, then the router. Routes live under
@@ -12,20 +12,15 @@ from fastapi.telemetry import TelemetryConfig
 from starlette.routing import BaseRoute
 
 from api import problems
-from api.bodies import BodyLimit
-from api.entry import Entry
-from api.https import Https
-from api.idempotency import Idempotency
-from api.limits import Limits, RateLimit
-from api.metrics import Meters
+from api.metrics import RequestMetrics
+from api.middleware.bodies import BodyLimit
+from api.middleware.entry import RequestMiddleware
+from api.middleware.https import Https
+from api.middleware.idempotency import Idempotency
+from api.middleware.limits import RateLimit, RequestLimits
 from api.openapi import PREFIX, documented, operation_id
 from api.probes import Probes
 from api.routes import (
-    admin_alarms,
-    admin_benchmarks,
-    admin_jobs,
-    admin_rescores,
-    admin_truths,
     audit,
     benchmarks,
     calibrations,
@@ -55,10 +50,11 @@ from api.routes import (
     users,
 )
 from api.routes import problems as problem_routes
-from services.runtime.log_lines import speak_json
+from api.routes.admin import admin_alarms, admin_benchmarks, admin_jobs, admin_rescores, admin_truths
 from services.runtime.platform import Platform, open_platform
 from services.runtime.settings import Settings
-from services.runtime.telemetry.tracing import open_tracing
+from services.runtime.telemetry.log_lines import speak_json
+from services.runtime.telemetry.tracing import setup_tracing
 
 ROUTERS: tuple[APIRouter, ...] = (
     docs.router,
@@ -111,15 +107,15 @@ def make_api(platform: Platform, shown: problems.Shown = problems.as_it_is) -> F
         telemetry=UNTOLD,
     )
     api.openapi = documented(api)  # type: ignore[method-assign]  # as FastAPI's own pages say to
-    api.state.platform, api.state.limits = platform, Limits(platform.settings)
-    api.state.meters, api.state.probes = Meters(platform), Probes(platform)
+    api.state.platform, api.state.limits = platform, RequestLimits(platform.settings)
+    api.state.meters, api.state.probes = RequestMetrics(platform), Probes(platform)
     problems.install(api, shown)
     # What is added last is met first.
     api.add_middleware(Idempotency)
     api.add_middleware(BodyLimit, settings=platform.settings)
     api.add_middleware(RateLimit, limits=api.state.limits)
     trusts = platform.settings.api.trusts_traceparent
-    api.add_middleware(Entry, meters=api.state.meters, shown=shown, trusts_traceparent=trusts)
+    api.add_middleware(RequestMiddleware, meters=api.state.meters, shown=shown, trusts_traceparent=trusts)
     if platform.settings.api.url.startswith("https://"):
         api.add_middleware(Https)
     return api
@@ -138,7 +134,7 @@ def _routes() -> tuple[BaseRoute, ...]:
 def from_environment() -> FastAPI:
     """The application of this process.
 
-    `uvicorn --factory api.main:from_environment --http api.heads:BoundedHeads --no-server-header`
+    `uvicorn --factory api.main:from_environment --http api.middleware.heads:BoundedHeads --no-server-header`
     """
     speak_json()
     return told(make_api(open_platform(Settings())))
@@ -146,8 +142,8 @@ def from_environment() -> FastAPI:
 
 def told(api: FastAPI) -> FastAPI:
     """The application of a process of its own, whose spans and counts others hear of."""
-    open_tracing("stone-api")
-    api.state.meters.tell_on()
+    setup_tracing("stone-api")
+    api.state.meters.keep_writing()
     return api
 
 

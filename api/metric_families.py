@@ -1,7 +1,7 @@
-"""Counts and standings in the words of Prometheus.
+"""Counters and status figures as Prometheus metric families.
 
-**Conventions.** Names begin with `stone_` and end in their unit. What processes counted (`…_total`, histograms) and how
-the platform stands are the same whichever API process is asked: of several, take the largest. Of the process asked
+**Conventions.** Names begin with `stone_` and end in their unit. What processes counted (`…_total`, histograms) and the
+platform's status are the same whichever API process is asked: of several, take the largest. Of the process asked
 alone are `process_*`, `stone_database_connections` and `stone_disk_*`.
 """
 
@@ -11,21 +11,21 @@ from itertools import accumulate
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
 from prometheus_client.utils import floatToGoString
 
-from services.runtime.jobs.presence import Seen
-from services.runtime.telemetry.meters import METERS, Meter
-from services.runtime.telemetry.standing import MOST, Standing
-from services.runtime.telemetry.sweeper_books import STORED_BLOBS, STORED_BYTES
-from services.runtime.telemetry.tallies import BETWEEN, Counts, Value
+from services.runtime.jobs.worker_presence import WorkerPresence
+from services.runtime.telemetry.counters import BETWEEN, Counts, Value
+from services.runtime.telemetry.metric_names import METERS, RENAMED, MetricDefinition
+from services.runtime.telemetry.platform_status import MOST, PlatformStatus
+from services.runtime.telemetry.sweeper_statistics import STORED_BLOBS, STORED_BYTES
 
 
-def counted(counts: Counts) -> Iterator[Metric]:
+def counter_metrics(counts: Counts) -> Iterator[Metric]:
     """A family for every meter, also for those that counted nothing yet."""
     for meter in METERS:
         of_meter = counts.get(meter.name, {})
         yield _histogram(meter, of_meter) if meter.bounds else _counter(meter, of_meter)
 
 
-def standings(now: Standing) -> Iterator[Metric]:
+def status_metrics(now: PlatformStatus) -> Iterator[Metric]:
     """Jobs, queues, uploads, workers, chores, and what the store holds."""
     jobs = GaugeMetricFamily("stone_jobs", f"Jobs that have not ended; {MOST}: at least", labels=("queue", "state"))
     for (queue, state), count in now.jobs.items():
@@ -42,10 +42,23 @@ def standings(now: Standing) -> Iterator[Metric]:
     yield from _workers(now.workers, now.oldest_ready_s)
 
 
-def _workers(seen: Iterable[Seen], queues: Iterable[str]) -> Iterator[Metric]:
+def under_both_names(family: Metric) -> Iterator[Metric]:
+    """The family, and what the release before called it, if it had another name then."""
+    yield family
+    for old, new in RENAMED.items():
+        if family.name == new:
+            alias = Metric(old, f"Deprecated: use {new}", family.type)
+            for sample in family.samples:
+                alias.add_sample(old + sample.name.removeprefix(new), sample.labels, sample.value, sample.timestamp)
+            yield alias
+
+
+def _workers(seen: Iterable[WorkerPresence], queues: Iterable[str]) -> Iterator[Metric]:
     alive = [one.worker for one in seen if not one.is_silent]
     silent = [one.worker for one in seen if one.is_silent]
-    family = GaugeMetricFamily("stone_workers", "Worker processes by the queues they hear", labels=("queue", "state"))
+    family = GaugeMetricFamily(
+        "stone_workers", "Worker processes by the queues they listen to", labels=("queue", "state")
+    )
     for queue in queues:
         for state, workers in (("alive", alive), ("silent", silent)):
             family.add_metric((queue, state), sum(queue in worker.queues.split(",") for worker in workers))
@@ -68,7 +81,7 @@ def _gauges(name: str, told: str, label: str, values: Mapping[str, float]) -> Ga
     return family
 
 
-def _counter(meter: Meter, counts: Mapping[str, Value]) -> CounterMetricFamily:
+def _counter(meter: MetricDefinition, counts: Mapping[str, Value]) -> CounterMetricFamily:
     family = CounterMetricFamily(meter.name, meter.told, labels=meter.labels)
     for key, value in counts.items():
         labels = key.split(BETWEEN)
@@ -77,7 +90,7 @@ def _counter(meter: Meter, counts: Mapping[str, Value]) -> CounterMetricFamily:
     return family
 
 
-def _histogram(meter: Meter, counts: Mapping[str, Value]) -> HistogramMetricFamily:
+def _histogram(meter: MetricDefinition, counts: Mapping[str, Value]) -> HistogramMetricFamily:
     family = HistogramMetricFamily(meter.name, meter.told, labels=meter.labels)
     ends = [*map(floatToGoString, meter.bounds), "+Inf"]
     for key, value in counts.items():

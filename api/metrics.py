@@ -1,13 +1,15 @@
-"""What the platform tells Prometheus: what all its processes counted, and how things stand when it asks.
+"""The Prometheus endpoint: counters of all processes, and the platform's status when it is scraped.
 
 **Conventions.** Labels take few values: methods, route templates, statuses, queues, kinds; never an id or a name. Each
-application counts for itself and, with `tell_on`, lets the others know. What is shown is what was told, and only that:
+application counts for itself and, with `keep_writing`, lets the others know. What is shown is what was told, and only
+that:
 whichever process is asked, a count never falls, which Prometheus would take for a beginning anew. So with the database
 away there are no counts, but a line that says so. Names and units: `metric_families.py`.
 """
 
 import time
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from tempfile import gettempdir
 from threading import Lock, Thread
@@ -20,15 +22,15 @@ from redis import RedisError
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.pool import QueuePool
 
-from api.metric_families import counted, standings
-from services.runtime.bell import waiting
-from services.runtime.celery_app import QUEUES
+from api.metric_families import counter_metrics, status_metrics, under_both_names
+from services.runtime.jobs.broker_app import QUEUES
+from services.runtime.jobs.wakeup import wake_up_counter
 from services.runtime.platform import Platform
-from services.runtime.telemetry.meters import REQUEST_BYTES, REQUEST_SECONDS, REQUESTS
-from services.runtime.telemetry.standing import standing
-from services.runtime.telemetry.tallies import Counts, Tallies, summed, tallies
-from services.runtime.telemetry.tally_rows import TallyRow, told_by_all
-from services.runtime.usage import disk
+from services.runtime.telemetry.counter_rows import CounterWriter, counters_of_all_processes
+from services.runtime.telemetry.counters import Counts, ProcessCounters, process_counters, summed
+from services.runtime.telemetry.metric_names import REQUEST_BYTES, REQUEST_SECONDS, REQUESTS
+from services.runtime.telemetry.platform_status import platform_status
+from services.runtime.telemetry.process_usage import disk
 
 METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS")
 TELL_S = 5.0
@@ -36,36 +38,36 @@ TELL_S = 5.0
 log = structlog.get_logger(__name__)
 
 
-class Meters:
+class RequestMetrics:
     """Counts requests; `exposition()` is the text that Prometheus reads."""
 
     def __init__(self, platform: Platform) -> None:
         self._platform = platform
-        self._tallies = Tallies()
-        self._row = TallyRow(self._tallies, tallies())
-        self._telling, self._is_heard = Lock(), False
+        self._counters = ProcessCounters()
+        self._row = CounterWriter(self._counters, process_counters())
+        self._write_lock, self._is_heard = Lock(), False
         self._registry = CollectorRegistry()
         ProcessCollector(registry=self._registry)
-        self._registry.register(_Collected(platform, self))
+        self._registry.register(_MetricsCollector(platform, self))
 
     def note(self, method: str, route: str, status: int, lasted_s: float) -> None:
         known = method if method in METHODS else "other"
-        self._tallies.add(REQUESTS, (known, route, str(status)))
-        self._tallies.observe(REQUEST_SECONDS, (known, route), lasted_s)
+        self._counters.add(REQUESTS, (known, route, str(status)))
+        self._counters.observe(REQUEST_SECONDS, (known, route), lasted_s)
 
     def note_bytes(self, came: int, went: int) -> None:
         """Bytes of the bodies of a request and of its answer."""
-        self._tallies.add(REQUEST_BYTES, ("in",), came)
-        self._tallies.add(REQUEST_BYTES, ("out",), went)
+        self._counters.add(REQUEST_BYTES, ("in",), came)
+        self._counters.add(REQUEST_BYTES, ("out",), went)
 
-    def tell_on(self) -> None:
-        """From now on tell the other processes every `TELL_S`, by a thread."""
+    def keep_writing(self) -> None:
+        """Start a thread that writes this process's counters for the others every `TELL_S`."""
         self._is_heard = True
-        Thread(target=self._tell_on, name="counts", daemon=True).start()
+        Thread(target=self._keep_writing, name="counts", daemon=True).start()
 
     def tell(self) -> None:
         """Tell once. Raises `SQLAlchemyError` when the database is away."""
-        with self._telling:
+        with self._write_lock:
             with self._platform.database.transaction() as session:
                 committed = self._row.tell(session)
             committed()
@@ -74,21 +76,21 @@ class Meters:
         return generate_latest(self._registry)
 
     def families(self) -> Iterator[Metric]:
-        """Counts and standings; of an application that tells nobody its own are added."""
+        """Counts and status; of an application that tells nobody its own are added."""
         heartbeat_s = self._platform.settings.jobs.heartbeat_s
         own: Counts = {} if self._is_heard else self._row.counted()
         try:
             with self._platform.database.reading() as session:
-                counts, now = summed((told_by_all(session), own)), standing(session, heartbeat_s)
+                counts, now = summed((counters_of_all_processes(session), own)), platform_status(session, heartbeat_s)
         except SQLAlchemyError as error:
             log.warning("database away", reason=str(error)[:200])
             yield GaugeMetricFamily("stone_database_up", "Whether the database answers", 0.0)
             return
-        yield from counted(counts)
-        yield from standings(now)
+        yield from counter_metrics(counts)
+        yield from status_metrics(now)
         yield GaugeMetricFamily("stone_database_up", "Whether the database answers", 1.0)
 
-    def _tell_on(self) -> None:
+    def _keep_writing(self) -> None:
         while True:
             time.sleep(TELL_S)
             try:
@@ -97,12 +99,12 @@ class Meters:
                 log.warning("counts not told; they will be", reason=str(error)[:200])
 
 
-class _Collected(Collector):
+class _MetricsCollector(Collector):
     """Asked when Prometheus asks."""
 
-    def __init__(self, platform: Platform, meters: Meters) -> None:
+    def __init__(self, platform: Platform, meters: RequestMetrics) -> None:
         self._platform, self._meters = platform, meters
-        self._waiting = waiting(platform.settings)
+        self._waiting = wake_up_counter(platform.settings)
 
     def describe(self) -> Iterator[Metric]:
         """Nothing: registering must not read the database."""
@@ -110,8 +112,8 @@ class _Collected(Collector):
 
     def collect(self) -> Iterator[Metric]:
         yield from self._connections()  # before this very question takes one
-        yield from self._meters.families()
-        yield from self._bells()
+        for family in chain(self._meters.families(), self._wake_ups()):
+            yield from under_both_names(family)
         yield from self._disks()
 
     def _connections(self) -> Iterator[Metric]:
@@ -135,8 +137,8 @@ class _Collected(Collector):
         yield free
         yield size
 
-    def _bells(self) -> Iterator[Metric]:
-        family = GaugeMetricFamily("stone_queue_bells", "Bells not yet heard, by queue", labels=("queue",))
+    def _wake_ups(self) -> Iterator[Metric]:
+        family = GaugeMetricFamily("stone_queue_wake_ups", "Wake-ups not yet received, by queue", labels=("queue",))
         is_up = True
         try:
             for queue in QUEUES:

@@ -1,10 +1,11 @@
-"""The OpenAPI document: what FastAPI reads off the routes, and what every route has in common.
+"""The OpenAPI document: FastAPI's, completed with what every route has in common.
 
 **Conventions.** Each operation names every status it can be answered with: what is particular to it stands at the route
 (`refusals(…)`), the rest follows from its form and is added here. `security` names, beside the scheme, the scope and
 the roles that are asked for.
 """
 
+import json
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -14,7 +15,7 @@ from fastapi.routing import APIRoute
 from pydantic.json_schema import models_json_schema
 
 from api.answers import refusal
-from api.problems import Finding, Problem
+from api.problems import Problem, ProblemFinding
 
 PREFIX = "/api/v1"
 METHODS = ("get", "put", "post", "delete", "patch", "options", "head")
@@ -69,15 +70,21 @@ def operations(document: dict[str, Any]) -> Iterator[tuple[str, str, Operation]]
 def _document(api: FastAPI) -> dict[str, Any]:
     document = get_openapi(title=api.title, version=api.version, description=api.description, routes=api.routes)
     schemas = document.setdefault("components", {}).setdefault("schemas", {})
-    _, ours = models_json_schema(
-        [(model, "serialization") for model in (Problem, Finding)], ref_template="#/components/schemas/{model}"
-    )
-    schemas |= ours["$defs"]
+    schemas |= _problem_schemas()
     for name in ("HTTPValidationError", "ValidationError"):  # FastAPI's own shape of a 422, which is not ours
         schemas.pop(name, None)
     for path, method, operation in operations(document):
         _complete(path, method, operation)
     return document
+
+
+def _problem_schemas() -> dict[str, Any]:
+    """The schemas of a problem and of its findings, which clients know as `Finding`."""
+    _, schemas = models_json_schema(
+        [(model, "serialization") for model in (Problem, ProblemFinding)], ref_template="#/components/schemas/{model}"
+    )
+    published: dict[str, Any] = json.loads(json.dumps(schemas["$defs"]).replace("ProblemFinding", "Finding"))
+    return dict(sorted(published.items()))
 
 
 def _complete(path: str, method: str, operation: Operation) -> None:

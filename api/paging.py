@@ -1,4 +1,4 @@
-"""Lists by pages: a cursor says after which row to go on, so that rows that come and go meanwhile shift nothing.
+"""Cursor pagination: stable pages while rows are added and deleted.
 
 **Conventions.** The order column is unique and not null (an id). A cursor is opaque: base64url of the JSON of the last
 row's value in that column. It grants nothing, since every page is the list's own query again; whatever else is sent as
@@ -54,14 +54,14 @@ class Page(BaseModel, Generic[T]):
 
 
 @dataclass(frozen=True)
-class Rows(Generic[Row]):
+class PageRows(Generic[Row]):
     """The rows of a page and the cursor of the next."""
 
     rows: Sequence[Row]
     next: str | None
 
     def shown(self, as_body: Callable[[Row], T]) -> Page[T]:
-        """The page with every row in the shape that leaves the house."""
+        """The page with every row in the shape of its response body."""
         return Page[Any](items=[as_body(row) for row in self.rows], next=self.next)
 
 
@@ -70,7 +70,7 @@ def page(
     statement: Select[Row],
     order: InstrumentedAttribute[Any] | UnaryExpression[Any],
     query: PageQuery,
-) -> Rows[Row]:
+) -> PageRows[Row]:
     """One page of `statement`, ordered by the unique column `order` (`Sequence.id`, or `Sequence.id.desc()`).
 
     Raises `BadCursorError`.
@@ -83,7 +83,7 @@ def page(
     found = session.scalars(statement.order_by(None).order_by(order).limit(query.limit + 1)).all()
     rows = found[: query.limit]
     is_last = len(found) <= query.limit
-    return Rows(rows, None if is_last else _encode(getattr(rows[-1], column.key)))
+    return PageRows(rows, None if is_last else _encode(getattr(rows[-1], column.key)))
 
 
 def place_of_page(total: int, query: PageQuery) -> tuple[range, str | None]:

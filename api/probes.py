@@ -1,4 +1,4 @@
-"""Whether what the API stands on answers: database, broker, store, each with the milliseconds it took.
+"""Readiness probes: whether database, broker and store answer, and in how many milliseconds.
 
 **Conventions.** Each is asked in a thread of its own, and by one question at a time: a part that hangs is away for
 everybody who asks meanwhile, and costs one thread, not one per question. An answer holds for `FRESH_S`, so whoever asks
@@ -40,7 +40,7 @@ class Probes:
         self._threads = ThreadPoolExecutor(len(PART_NAMES), thread_name_prefix="probe")
 
     def ask(self) -> dict[str, PartState]:
-        """How each part is; takes `PATIENCE_S` at most."""
+        """The health of each part; takes `PATIENCE_S` at most."""
         questions = zip(PART_NAMES, (self._database, self._ping, self._store), strict=True)
         asked = {name: self._ask(name, question) for name, question in questions}
         deadline_s = time.monotonic() + PATIENCE_S

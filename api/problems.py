@@ -1,4 +1,4 @@
-"""Refusals as `application/problem+json` (RFC 9457): one shape for every answer that is not the one asked for.
+"""Error responses as `application/problem+json` (RFC 9457).
 
 **Conventions.** `type` is `/api/v1/problems/<code>`, which describes it; `detail` is one sentence; `errors` are the
 first hundred findings of `errors_total`. Nothing of what was sent is repeated but names and lengths, and nothing of our
@@ -19,7 +19,6 @@ from sqlalchemy.exc import DataError, IntegrityError, InterfaceError, Operationa
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from starlette.exceptions import HTTPException
 
-from api.context import request_id
 from api.errors import (
     ApiError,
     BodyTooLargeError,
@@ -28,11 +27,12 @@ from api.errors import (
     NotFoundError,
     UnauthenticatedError,
 )
-from api.methods import allowed
+from api.middleware.context import request_id
+from api.middleware.methods import allowed
 from api.schemas.base import instant
 from api.statuses import phrase_of, status_of
-from api.tus_errors import UnsupportedMediaTypeError
-from services.runtime.benchmarks.submission_errors import ExhaustedError
+from api.tus.errors import UnsupportedMediaTypeError
+from services.domain.benchmarks.submissions.errors import ExhaustedError
 from services.runtime.orm.base import now_ns
 from stone.errors import StoneError
 
@@ -49,7 +49,7 @@ Shown = Callable[[Request, Response], Response]
 log = structlog.get_logger(__name__)
 
 
-class Finding(BaseModel):
+class ProblemFinding(BaseModel):
     """One thing that is wrong."""
 
     code: str
@@ -69,7 +69,7 @@ class Problem(BaseModel):
     detail: str
     code: str = Field(examples=["not_found"])
     request_id: str
-    errors: list[Finding] = []
+    errors: list[ProblemFinding] = []
     errors_total: int = 0
     next_slot_at: datetime | None = Field(
         default=None, description="when it may be asked for again, where that is known"
@@ -100,7 +100,7 @@ def answer_to(error: StoneError) -> JSONResponse:
         return _exhausted(body, error)
     if not isinstance(error, ApiError):
         return answer(body)
-    body.errors = [Finding.model_validate(finding) for finding in error.findings[:MOST_FINDINGS]]
+    body.errors = [ProblemFinding.model_validate(finding) for finding in error.findings[:MOST_FINDINGS]]
     body.errors_total = getattr(error, "total", len(error.findings))
     return answer(body, error.headers)
 
@@ -115,7 +115,7 @@ def _exhausted(body: Problem, error: ExhaustedError) -> JSONResponse:
 
 
 def internal_error() -> JSONResponse:
-    """A fault of ours: the request's id is all that leaves the house."""
+    """A fault of ours: the response holds the request's id and nothing more."""
     return answer(problem(500, "internal_error", "a fault of ours; quote request_id when you report it"))
 
 
@@ -130,7 +130,7 @@ def as_it_is(_request: Request, answer: Response) -> Response:
 
 
 def install(app: FastAPI, shown: Shown = as_it_is) -> None:
-    """Answer what routes raise with problems; what is raised outside of routes, `api/entry.py` hands to `respond`."""
+    """Answer what routes raise with problems; what is raised outside, `middleware/entry.py` hands to `respond`."""
 
     def answered(request: Request, error: Exception) -> Response:
         response = respond(_told(request, error))
@@ -143,7 +143,7 @@ def install(app: FastAPI, shown: Shown = as_it_is) -> None:
 
 
 def _told(request: Request, error: Exception) -> Exception:
-    """The error as this caller is told of it: what a visitor does not find, they are asked to sign in for."""
+    """The error as this caller may see it: where a visitor finds nothing, they are asked to sign in."""
     is_visiting = getattr(getattr(request.state, "caller", None), "is_visitor", False)
     return UnauthenticatedError() if is_visiting and isinstance(error, NotFoundError | ForbiddenError) else error
 
@@ -166,7 +166,7 @@ def _invalid(error: Any) -> JSONResponse:
 
 
 def _finding(raw: Mapping[str, Any]) -> dict[str, str]:
-    """Where and what was expected; never the input, which may be a secret or a megabyte."""
+    """Place and expectation of a validation error; never the input, which may be a secret or a megabyte."""
     where = ".".join(str(part)[:64] for part in raw["loc"][:8])
     return {"code": str(raw["type"])[:64], "where": where, "expected": str(raw["msg"])[:MOST_WORDS]}
 

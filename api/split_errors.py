@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from api.errors import ApiError
-from stone.splits import RuleFinding
+from stone.splits.splits import RuleFinding
 
 NAMED = 8
 

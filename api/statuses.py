@@ -1,4 +1,4 @@
-"""The one table: with which status each refusal is answered (RFC 9110, RFC 6585; 423 RFC 4918; 460 tus 1.0).
+"""The table of HTTP statuses by error class (RFC 9110, RFC 6585; 423 RFC 4918; 460 tus 1.0).
 
 **Conventions.** The nearest class of a refusal's bases counts. What is not in the table is no refusal but a fault of
 ours: 500, with the sentence in the log only. A module that brings refusals brings their lines here.
@@ -9,26 +9,33 @@ from http import HTTPStatus
 from api import errors as api
 from api import file_errors as files
 from api import split_errors as splits
-from api import tus_errors as tus
-from services.ingest import profile_errors as profiles
-from services.runtime import archives, bag_files, exported, exports, quota, recordings, store_keys
-from services.runtime import dataset_errors as datasets
-from services.runtime import label_choices as choices
-from services.runtime import processing_errors as processing
-from services.runtime import view_errors as views
+from api.tus import errors as tus
+from services.domain.benchmarks.phases import errors as phases
+from services.domain.benchmarks.phases import inputs, reported_results
+from services.domain.benchmarks.rescores import errors as rescores
+from services.domain.benchmarks.submissions import errors as submissions
+from services.domain.benchmarks.submissions import result_errors as results
+from services.domain.benchmarks.teams import errors as teams
+from services.domain.benchmarks.teams import names as team_names
+from services.domain.datasets import errors as datasets
+from services.domain.exports import requests
+from services.domain.sequences import label_choices as choices
+from services.domain.sequences import processing_errors as processing
+from services.domain.sequences import recordings
+from services.domain.viewer import errors as views
 from services.runtime.access import errors as access
-from services.runtime.benchmarks import inputs, reported, team_names
-from services.runtime.benchmarks import phase_errors as phases
-from services.runtime.benchmarks import rescore_errors as rescores
-from services.runtime.benchmarks import result_errors as results
-from services.runtime.benchmarks import submission_errors as submissions
-from services.runtime.benchmarks import team_errors as teams
-from services.runtime.confined import errors as confined
+from services.runtime.access import storage_quota
 from services.runtime.jobs import errors as jobs
+from services.runtime.sandbox import errors as sandbox
+from services.runtime.store import keys as store_keys
+from services.runtime.store import pack_archive
 from services.runtime.uploads import errors as uploads
-from stone import metric
-from stone import splits as splitting
 from stone.errors import StoneError
+from stone.scoring import metric
+from stone.splits import splits as splitting
+from stone_files import virtual_archive
+from stone_recordings.bags import file_sets
+from stone_recordings.topics import profile_errors as profiles
 
 STATUS_OF: dict[type[StoneError], int] = {
     api.InvalidRequestError: 422,
@@ -53,18 +60,18 @@ STATUS_OF: dict[type[StoneError], int] = {
     access.NameTakenError: 409,
     access.UnknownRoleError: 422,
     access.WeakPasswordError: 422,
-    archives.BadMemberError: 409,
-    bag_files.BadBagFilesError: 422,
+    virtual_archive.BadMemberError: 409,
+    file_sets.BadBagFilesError: 422,
     choices.ChoiceError: 422,
-    confined.ConfinedCrashedError: 422,
-    confined.ConfinedInterruptedError: 503,
+    sandbox.SandboxCrashedError: 422,
+    sandbox.SandboxInterruptedError: 503,
     datasets.BrokenSplitsError: 409,
     datasets.HiddenPartError: 404,
     datasets.NoSplitsError: 409,
     datasets.SplitsChangedError: 409,
-    exported.ExportUnfinishedError: 409,
-    exports.NothingToExportError: 409,
-    exports.UnknownExportFormatError: 422,
+    pack_archive.ExportUnfinishedError: 409,
+    requests.NothingToExportError: 409,
+    requests.UnknownExportFormatError: 422,
     files.CalibrationRefusedError: 422,
     files.RangeError: 416,
     inputs.InputsImpossibleError: 409,
@@ -89,7 +96,7 @@ STATUS_OF: dict[type[StoneError], int] = {
     processing.UnknownStagesError: 422,
     profiles.BadProfileError: 422,
     recordings.ForeignTargetError: 409,
-    reported.ReportedTwiceError: 422,
+    reported_results.ReportedTwiceError: 422,
     recordings.RecordingInUseError: 409,
     rescores.AlarmDismissedError: 409,
     rescores.AlarmMissingError: 404,
@@ -99,7 +106,7 @@ STATUS_OF: dict[type[StoneError], int] = {
     rescores.RescoreIncompleteError: 409,
     rescores.RescoreStateError: 409,
     rescores.TruthNotReadyError: 409,
-    quota.QuotaExceededError: 413,
+    storage_quota.QuotaExceededError: 413,
     results.NotComparableError: 409,
     results.NotScoredError: 409,
     results.ScoreMissingError: 404,
@@ -141,7 +148,7 @@ STATUS_OF: dict[type[StoneError], int] = {
     uploads.FileMismatchError: 460,
     uploads.OffsetMismatchError: 409,
     uploads.OverLengthError: 413,
-    uploads.TooManySlabsError: 413,
+    uploads.TooManyUploadPartsError: 413,
     uploads.UndeclaredUploadError: 409,
     uploads.UploadGoneError: 410,
     uploads.UploadLockedError: 423,

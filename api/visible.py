@@ -1,4 +1,4 @@
-"""What a caller may know of: what is theirs, and for an administrator everything.
+"""Visibility queries: what a caller may see; administrators see everything.
 
 **Conventions.** What is somebody else's is looked up in the same way as what does not exist, and answered in the same
 way: 404. A deleted sequence exists for nobody. What its owner made public is `shown_to` everybody, and theirs still;
@@ -12,23 +12,23 @@ from sqlalchemy.orm import InstrumentedAttribute, Session, aliased
 
 from api.deps import Caller
 from api.errors import NotFoundError
-from services.runtime.benchmarks.phases import HIDDEN_PART, phase_named
-from services.runtime.benchmarks.teams import is_member
-from services.runtime.dataset_reading import dataset_named
-from services.runtime.exports import counting_labels
+from services.domain.benchmarks.phases.phases import HIDDEN_PART, phase_named
+from services.domain.benchmarks.teams.teams import is_member
+from services.domain.datasets.queries import dataset_named
+from services.domain.exports.requests import counting_labels
 from services.runtime.orm import (
     Benchmark,
-    Calibration,
+    CalibrationRow,
     Dataset,
     DatasetMember,
     Export,
     Job,
-    LabelledFrame,
+    LabelledFrameRow,
     LabelSet,
     Phase,
     Recording,
-    Sequence,
-    Submission,
+    SequenceRow,
+    SubmissionRow,
     Team,
     TeamMember,
 )
@@ -43,30 +43,30 @@ def theirs(statement: Select[Row], caller: Caller, owner: InstrumentedAttribute[
     return statement if caller.is_administrator else statement.where(owner == caller.user_id)
 
 
-def sequences_of(caller: Caller) -> Select[Sequence]:
-    return theirs(select(Sequence).where(Sequence.deleted_ns.is_(None)), caller, Sequence.owner_id)
+def sequences_of(caller: Caller) -> Select[SequenceRow]:
+    return theirs(select(SequenceRow).where(SequenceRow.deleted_ns.is_(None)), caller, SequenceRow.owner_id)
 
 
-def sequence_of(session: Session, caller: Caller, sequence_id: str) -> Sequence:
+def sequence_of(session: Session, caller: Caller, sequence_id: str) -> SequenceRow:
     """Raises `NotFoundError`."""
-    found = session.scalars(sequences_of(caller).where(Sequence.id == sequence_id)).one_or_none()
+    found = session.scalars(sequences_of(caller).where(SequenceRow.id == sequence_id)).one_or_none()
     return _known(found, "sequence", sequence_id)
 
 
-def sequences_shown_to(caller: Caller) -> Select[Sequence]:
+def sequences_shown_to(caller: Caller) -> Select[SequenceRow]:
     """The caller's own sequences and the public ones."""
-    everything = select(Sequence).where(Sequence.deleted_ns.is_(None))
+    everything = select(SequenceRow).where(SequenceRow.deleted_ns.is_(None))
     if caller.is_administrator:
         return everything
     # Looked up for each public one; as EXISTS it would be answered from a table of all members, made for each list.
-    hidden = hidden_truths().where(DatasetMember.sequence_id == Sequence.id).limit(1).scalar_subquery()
-    is_shown = and_(Sequence.is_public, hidden.is_(None))
-    return everything.where(or_(Sequence.owner_id == caller.user_id, is_shown))
+    hidden = hidden_truths().where(DatasetMember.sequence_id == SequenceRow.id).limit(1).scalar_subquery()
+    is_shown = and_(SequenceRow.is_public, hidden.is_(None))
+    return everything.where(or_(SequenceRow.owner_id == caller.user_id, is_shown))
 
 
-def shown_sequence(session: Session, caller: Caller, sequence_id: str) -> Sequence:
+def shown_sequence(session: Session, caller: Caller, sequence_id: str) -> SequenceRow:
     """A sequence that the caller may look at. Raises `NotFoundError`."""
-    found = session.scalars(sequences_shown_to(caller).where(Sequence.id == sequence_id)).one_or_none()
+    found = session.scalars(sequences_shown_to(caller).where(SequenceRow.id == sequence_id)).one_or_none()
     return _known(found, "sequence", sequence_id)
 
 
@@ -77,10 +77,10 @@ def hidden_truths() -> Select[str]:
     return members.where(or_(DatasetMember.part == HIDDEN_PART, Phase.id.is_not(None)))
 
 
-def calibration_of(session: Session, caller: Caller, calibration_id: str) -> Calibration:
+def calibration_of(session: Session, caller: Caller, calibration_id: str) -> CalibrationRow:
     """Raises `NotFoundError`."""
-    mine = theirs(select(Calibration), caller, Calibration.owner_id)
-    found = session.scalars(mine.where(Calibration.id == calibration_id)).one_or_none()
+    mine = theirs(select(CalibrationRow), caller, CalibrationRow.owner_id)
+    found = session.scalars(mine.where(CalibrationRow.id == calibration_id)).one_or_none()
     return _known(found, "calibration", calibration_id)
 
 
@@ -114,7 +114,7 @@ def newest_label_set(session: Session, sequence_id: str) -> LabelSet:
     return _known(labels_of(session, sequence_id), "label set of sequence", sequence_id)
 
 
-def frame_of(session: Session, caller: Caller, token: str) -> tuple[LabelledFrame, LabelSet]:
+def frame_of(session: Session, caller: Caller, token: str) -> tuple[LabelledFrameRow, LabelSet]:
     """The frame in the newest label set of its sequence; of several sequences that share it, the newest labels.
 
     Tokens are made of the sequence's name and the stamp, so two owners may have the same one. Raises `NotFoundError`.
@@ -128,15 +128,15 @@ def frame_of(session: Session, caller: Caller, token: str) -> tuple[LabelledFram
         .scalar_subquery()
     )
     found = (
-        select(LabelledFrame, LabelSet)
-        .join(LabelSet, LabelSet.id == LabelledFrame.label_set_id)
-        .join(Sequence, Sequence.id == LabelSet.sequence_id)
-        .where(LabelledFrame.token == token, LabelSet.id == newest, Sequence.deleted_ns.is_(None))
-        .order_by(*_NEWEST, LabelledFrame.ordinal)
+        select(LabelledFrameRow, LabelSet)
+        .join(LabelSet, LabelSet.id == LabelledFrameRow.label_set_id)
+        .join(SequenceRow, SequenceRow.id == LabelSet.sequence_id)
+        .where(LabelledFrameRow.token == token, LabelSet.id == newest, SequenceRow.deleted_ns.is_(None))
+        .order_by(*_NEWEST, LabelledFrameRow.ordinal)
         .limit(1)
     )
-    shown = sequences_shown_to(caller).with_only_columns(Sequence.id)
-    row = session.execute(found.where(Sequence.id.in_(shown))).one_or_none()
+    shown = sequences_shown_to(caller).with_only_columns(SequenceRow.id)
+    row = session.execute(found.where(SequenceRow.id.in_(shown))).one_or_none()
     return _known(row, "frame", token)
 
 
@@ -184,16 +184,16 @@ def member_team_of(session: Session, caller: Caller, team_id: str) -> Team:
     return _known(team, "team", team_id)
 
 
-def submissions_of(caller: Caller) -> Select[Submission]:
+def submissions_of(caller: Caller) -> Select[SubmissionRow]:
     """The submissions of the caller's teams; for administrators all."""
     own = select(TeamMember.team_id).where(TeamMember.user_id == caller.user_id)
-    found = select(Submission)
-    return found if caller.is_administrator else found.where(Submission.team_id.in_(own))
+    found = select(SubmissionRow)
+    return found if caller.is_administrator else found.where(SubmissionRow.team_id.in_(own))
 
 
-def submission_of(session: Session, caller: Caller, submission_id: str) -> Submission:
+def submission_of(session: Session, caller: Caller, submission_id: str) -> SubmissionRow:
     """Raises `NotFoundError`."""
-    found = session.scalars(submissions_of(caller).where(Submission.id == submission_id)).one_or_none()
+    found = session.scalars(submissions_of(caller).where(SubmissionRow.id == submission_id)).one_or_none()
     return _known(found, "submission", submission_id)
 
 

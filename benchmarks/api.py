@@ -24,10 +24,10 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.api_rows import Reader, fill
-from services.runtime.database import Database
-from services.runtime.migrate import upgrade
+from services.runtime.database.migrate import upgrade
+from services.runtime.database.transactions import Database
 from services.runtime.settings import DatabaseSettings, Settings
-from tests.servers.postgres import running_postgres
+from testing.servers.postgres import running_postgres
 
 FLOOR = "/healthz"
 PATHS = (FLOOR, "/api/v1/sequences", "/api/v1/jobs", "/api/v1/me")
@@ -36,7 +36,7 @@ COLUMNS = ("database", "route", "bytes", "p50 ms", "p99 ms", "a second", "CPU ms
 
 
 @dataclass
-class Taken:
+class RouteTimes:
     """What was measured of one route: seconds waited, and CPU seconds of the API, over all rounds."""
 
     waited_s: list[float] = field(default_factory=list)
@@ -74,7 +74,7 @@ def measured(settings: Settings, options: argparse.Namespace) -> Iterator[tuple[
     database = Database(settings)
     readers = fill(database, options.readers)
     database.close()
-    taken = {path: Taken() for path in PATHS}
+    taken = {path: RouteTimes() for path in PATHS}
     with serving(settings) as (port, pid):
         asyncio.run(ask(port, "/api/v1/me", readers, options.readers * 4))  # warm
         for _ in range(options.rounds):
@@ -85,7 +85,7 @@ def measured(settings: Settings, options: argparse.Namespace) -> Iterator[tuple[
         yield shown(path, taken[path], floor)
 
 
-def note(taken: Taken, port: int, pid: int, path: str, readers: list[Reader], requests: int) -> None:
+def note(taken: RouteTimes, port: int, pid: int, path: str, readers: list[Reader], requests: int) -> None:
     cpu_s, begun_s = cpu_of(pid), time.perf_counter()
     waited_s, taken.answer_bytes = asyncio.run(ask(port, path, readers, requests))
     taken.waited_s += waited_s
@@ -93,7 +93,7 @@ def note(taken: Taken, port: int, pid: int, path: str, readers: list[Reader], re
     taken.cpu_s += cpu_of(pid) - cpu_s
 
 
-def shown(path: str, taken: Taken, floor: np.ndarray) -> tuple[str, ...]:
+def shown(path: str, taken: RouteTimes, floor: np.ndarray) -> tuple[str, ...]:
     p50, p99 = np.percentile(taken.waited_s, [50, 99])
     count = len(taken.waited_s)
     figures = (p50 * 1e3, p99 * 1e3, count / taken.wall_s, taken.cpu_s / count * 1e3)

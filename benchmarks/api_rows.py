@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from sqlalchemy.orm import Session
 
 from services.runtime.access import roles, tokens, users
-from services.runtime.database import Database
-from services.runtime.orm import Job, Sequence, User, new_id
+from services.runtime.database.transactions import Database
+from services.runtime.orm import Job, SequenceRow, User, new_id
 
 OWNERS = 8
 SEQUENCES = 2000
@@ -37,12 +37,12 @@ def fill(database: Database, readers: int, states: tuple[str, ...] = STATES) -> 
         return [_reader(session, owners[number % OWNERS], number) for number in range(readers)]
 
 
-def _sequence(number: int, owner: User) -> Sequence:
+def _sequence(number: int, owner: User) -> SequenceRow:
     name = f"forest-{number}"
-    return Sequence(id=new_id(), owner_id=owner.id, name=name, environment="forest", region="Gyeonggi")
+    return SequenceRow(id=new_id(), owner_id=owner.id, name=name, environment="forest", region="Gyeonggi")
 
 
-def _run(sequence: Sequence, state: str) -> Job:
+def _run(sequence: SequenceRow, state: str) -> Job:
     run = Job(id=new_id(), owner_id=sequence.owner_id, sequence_id=sequence.id, kind="sequence.process")
     run.root_id, run.state = run.id, state
     return run

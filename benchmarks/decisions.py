@@ -1,4 +1,4 @@
-"""What the points on which the paper is silent are worth: `python -m benchmarks.decisions [--seeds 1 2]`.
+"""The effect of each choice that the paper leaves open: `python -m benchmarks.decisions [--seeds 1 2]`.
 
 A simulated world of 64 × 900 rays is labelled again and again, each time with one decision taken otherwise, and every
 label set is held against the exact truth (as `benchmarks.truth` does): T ∪ P against drivable ground in every fifth
@@ -18,10 +18,10 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.truth import simulated
-from benchmarks.truth_checks import Drive, evidence_counts, judged, walker_counts
+from benchmarks.truth.__main__ import simulated
+from benchmarks.truth.checks import Drive, evidence_counts, judged, walker_counts
+from services.labeler.local_run import LabelOptions, label
 from services.labeler.parameters import LabelParameters, parameters_for
-from services.labeler.pipeline import LabelOptions, label
 from simulator.options import SimulateOptions
 
 WORKERS = 2

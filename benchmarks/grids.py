@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stone.grid import GRID_SHAPE, Grid
+from stone.labels.grid import GRID_SHAPE, Grid
 
 X, Y, Z = GRID_SHAPE
 WORLD = 1024
@@ -21,7 +21,7 @@ Field = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
-class World:
+class GridWorld:
     """Per square: ground height in voxels, class 1–3, height of bushes in voxels."""
 
     height: Field
@@ -37,16 +37,16 @@ def fractal(random: np.random.Generator, size: int, roughness: float, coarsest: 
     return np.asarray(noise / noise.std(), dtype=np.float32)
 
 
-def world(random: np.random.Generator) -> World:
+def world(random: np.random.Generator) -> GridWorld:
     height = 3 * fractal(random, WORLD, 2.4, 400)
     slope = np.hypot(*np.gradient(height))
     difficulty = fractal(random, WORLD, 1.8, 200) + 2 * (slope - 0.3)
     classes = 1 + (difficulty > 0.2).astype(np.uint8) + (difficulty > 1.5)
     bushes = np.clip(6 * (fractal(random, WORLD, 1.5, 40) - 1.6), 0, 14) * (classes > 1)
-    return World(height, classes, bushes)
+    return GridWorld(height, classes, bushes)
 
 
-def render(random: np.random.Generator, seen: World, floor: float, porous_ratio: float) -> Grid:
+def render(random: np.random.Generator, seen: GridWorld, floor: float, porous_ratio: float) -> Grid:
     """The ground as a sheet of 1–3 voxels, bushes above it as a porous mass."""
     above = LAYERS - (seen.height - floor)[..., None]
     is_bush = (above > 0) & (above < seen.bushes[..., None])
@@ -55,12 +55,12 @@ def render(random: np.random.Generator, seen: World, floor: float, porous_ratio:
     return np.where(np.abs(above) <= 0.9, seen.classes[..., None], np.where(is_bush, solid, 0)).astype(np.uint8)
 
 
-def mistaken(random: np.random.Generator, truth: World) -> World:
+def mistaken(random: np.random.Generator, truth: GridWorld) -> GridWorld:
     """What a network would see: heights off by half a voxel, patches of another class, bushes missed and invented."""
     errors = [fractal(random, X, 1.5, 60) for _ in range(3)]
     classes = np.where(errors[1] > 1.1, truth.classes % 3 + 1, truth.classes).astype(np.uint8)
     bushes = np.clip(truth.bushes + 1.5 * errors[2] * (truth.bushes > 0), 0, None)
-    return World(truth.height + 0.5 * errors[0], classes, np.where(errors[2] > 2.2, 3, bushes).astype(np.float32))
+    return GridWorld(truth.height + 0.5 * errors[0], classes, np.where(errors[2] > 2.2, 3, bushes).astype(np.float32))
 
 
 def frames(count: int, seed: int = 1) -> Iterator[tuple[Grid, Grid]]:
@@ -70,7 +70,7 @@ def frames(count: int, seed: int = 1) -> Iterator[tuple[Grid, Grid]]:
     for index in range(count):
         rows, columns = (np.arange(n) + STEP * index for n in (X, Y))
         cut = np.ix_(rows % WORLD, columns % WORLD)
-        seen = World(whole.height[cut], whole.classes[cut], whole.bushes[cut])
+        seen = GridWorld(whole.height[cut], whole.classes[cut], whole.bushes[cut])
         floor = float(np.median(seen.height[112:144, 112:144])) - 10
         yield render(random, seen, floor, 0.35), render(random, mistaken(random, seen), floor, 0.05)
 

@@ -21,13 +21,13 @@ from playwright.sync_api import Browser, sync_playwright
 from rich.console import Console
 from rich.table import Table
 
-from client.demo import DemoPlan, run_demo
 from services.runtime.embedded.first_start import PASSWORD_FILE
 from services.runtime.embedded.supervisor import running_platform
 from services.runtime.settings import ApiSettings, Settings
 from simulator.options import SimulateOptions
-from tests.web.browsing import DESKTOP
-from tests.web.crawling import crawled
+from stone_client.demo.pipeline import DemoPlan, run_demo
+from testing.web.browsing import DESKTOP
+from testing.web.crawling import crawled
 
 SMALL = SimulateOptions(seconds=20.0, seed=3, channels=64, columns=900, cameras=True)
 SETTLES_MS = 1500
@@ -65,7 +65,7 @@ READ = """() => {
 
 
 @dataclass(frozen=True)
-class Place:
+class PageServer:
     """A platform to look at, and how to sign in there."""
 
     url: str
@@ -80,22 +80,22 @@ def main() -> None:
     parser.add_argument("--turns", type=int, default=3)
     options = parser.parse_args()
     table = Table(*COLUMNS, title=f"each page in a fresh browser, median of {options.turns}")
-    with standing(options.url, options.data) as place, sync_playwright() as playwright:
+    with page_server(options.url, options.data) as demo_server, sync_playwright() as playwright:
         chromium = playwright.chromium.launch(
             executable_path=shutil.which("chromium"), args=["--no-sandbox", "--use-angle=swiftshader"]
         )
-        cookie = signed_in(place)
-        for shape, path in pages_of(place, cookie):
-            table.add_row(shape, *told(chromium, place.url + path, cookie, options.turns))
+        cookie = signed_in(demo_server)
+        for shape, path in pages_of(demo_server, cookie):
+            table.add_row(shape, *page_figures(chromium, demo_server.url + path, cookie, options.turns))
         chromium.close()
     Console(width=150).print(table)
 
 
 @contextmanager
-def standing(url: str | None, data: Path | None) -> Iterator[Place]:
+def page_server(url: str | None, data: Path | None) -> Iterator[PageServer]:
     """The platform that is named, or a demo's own."""
     if url is not None and data is not None:
-        yield Place(url, "admin", (data / PASSWORD_FILE).read_text().strip())
+        yield PageServer(url, "admin", (data / PASSWORD_FILE).read_text().strip())
         return
     with tempfile.TemporaryDirectory() as folder:
         base = Path(folder)
@@ -103,24 +103,26 @@ def standing(url: str | None, data: Path | None) -> Iterator[Place]:
         settings = Settings(data_folder=base / "data", workers=2, api=ApiSettings(port=0))
         with running_platform(settings, is_awaited=False) as running:
             run_demo(base / "demo", DemoPlan(SMALL, running), lambda *_: None)
-            yield Place(running.url, running.keys.name, (base / "data" / PASSWORD_FILE).read_text().strip())
+            yield PageServer(running.url, running.keys.name, (base / "data" / PASSWORD_FILE).read_text().strip())
 
 
-def signed_in(place: Place) -> dict[str, str]:
-    answer = httpx.post(f"{place.url}/api/v1/sessions", json={"name": place.name, "password": place.password})
+def signed_in(demo_server: PageServer) -> dict[str, str]:
+    answer = httpx.post(
+        f"{demo_server.url}/api/v1/sessions", json={"name": demo_server.name, "password": demo_server.password}
+    )
     answer.raise_for_status()
     return dict(answer.cookies)
 
 
-def pages_of(place: Place, cookie: dict[str, str]) -> list[tuple[str, str]]:
+def pages_of(demo_server: PageServer, cookie: dict[str, str]) -> list[tuple[str, str]]:
     """(shape, path) of one page of each shape, in the order of the shapes."""
     header = {"Cookie": "; ".join(f"{name}={value}" for name, value in cookie.items())}
-    with httpx.Client(base_url=place.url, timeout=60.0) as client:
+    with httpx.Client(base_url=demo_server.url, timeout=60.0) as client:
         found = {one.shape: one.path for one in crawled(client, header) if one.is_page and "/api/" not in one.path}
     return sorted(found.items())
 
 
-def told(chromium: Browser, url: str, cookie: dict[str, str], turns: int) -> list[str]:
+def page_figures(chromium: Browser, url: str, cookie: dict[str, str], turns: int) -> list[str]:
     """The row of a page."""
     loads = [loaded(chromium, url, cookie) for _ in range(turns)]
     median = {key: statistics.median(load[key] for load in loads) for key in loads[0]}

@@ -14,12 +14,12 @@ from pathlib import Path
 
 from playwright.sync_api import expect, sync_playwright
 
-from services.runtime.migrate import upgrade
+from services.runtime.database.migrate import upgrade
 from services.runtime.platform import open_platform
 from services.runtime.settings import Settings
-from tests.api.process import running_api
-from tests.api.serving import person
-from tests.web.browsing import Site
+from testing.api.process import running_api
+from testing.api.serving import person
+from testing.web.browsing import Site
 
 BLOCK = 1 << 20
 LONGEST_MS = 600_000

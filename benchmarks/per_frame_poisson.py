@@ -1,4 +1,4 @@
-"""The usual way to dense labels, as a measure: the surface of every frame reconstructed for itself.
+"""A baseline for dense labels: the surface of every frame reconstructed separately.
 
 After SurroundOcc (Wei et al., ICCV 2023, `generate_occupancy_nuscenes`): the whole aggregated cloud is moved into the
 frame, cropped, given normals towards the sensor by 20 neighbours, reconstructed by Poisson at depth 10, freed of the
@@ -14,18 +14,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from services.ingest.opening import open_sequence
-from services.labeler.apart import apart
-from services.labeler.fuse import fuse
+from services.ingest.sequence import open_sequence
+from services.labeler.map.fuse import fuse
 from services.labeler.parameters import parameters_for
 from services.labeler.plan import plan_of
-from services.labeler.run import Run
+from services.labeler.run import LabelRun
 from services.labeler.scratch import load_points, tile_named
-from services.runtime.usage import used_cpu_s
-from stone.grid import GRID_MAX_M, GRID_MIN_M
-from stone.pointmap import merge
-from stone.se3 import SE3
-from stone.voxels import VOXEL_M
+from services.labeler.separate_process import apart
+from services.runtime.telemetry.process_usage import used_cpu_s
+from stone.geometry.se3 import SE3
+from stone.labels.grid import GRID_MAX_M, GRID_MIN_M
+from stone.labels.voxels import VOXEL_M
+from stone.surface.pointmap import merge
 
 NEIGHBOURS, DEPTH, LEAST_DENSE = 20, 10, 0.1
 EVERYWHERE_M = 1e5  # the map's lattice ends there
@@ -42,7 +42,7 @@ class PerFrame:
 def per_frame_poisson(bag: Path, calibration: Path, frames: int, folder: Path) -> PerFrame:
     """Reconstruct so many frames, spread evenly over the run, one by one; aggregation is not counted."""
     sequence, sweeps = open_sequence(bag, calibration, bag.stem)
-    run = Run(sequence, sweeps, parameters_for("paper"), folder)
+    run = LabelRun(sequence, sweeps, parameters_for("paper"), folder)
     for part in plan_of(run).parts:
         fuse(run, part)
     cloud = _aggregated(run)
@@ -55,7 +55,7 @@ def per_frame_poisson(bag: Path, calibration: Path, frames: int, folder: Path) -
     return PerFrame(tuple(taken), tuple(found))
 
 
-def _aggregated(run: Run) -> NDArray[np.float64]:
+def _aggregated(run: LabelRun) -> NDArray[np.float64]:
     """All points of the run in the map frame, one for each voxel of 0.1 m."""
     everywhere = (np.full(2, -EVERYWHERE_M), np.full(2, EVERYWHERE_M))
     tiles = [tile_named(folder.name) for folder in sorted((run.scratch / "fused").iterdir())]

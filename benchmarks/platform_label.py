@@ -16,23 +16,23 @@ from rich.console import Console
 from rich.table import Table
 from sqlalchemy import func, select
 
-from client.api import Api
-from client.bags import hashed_bag
-from client.credentials import Server
-from client.following import follow
-from client.remote import add_recording, ensure_sequence, pin_calibration, start_run
 from services.runtime.embedded.supervisor import running_platform
 from services.runtime.orm import Job, JobAttempt, JobNeed
 from services.runtime.platform import Platform
 from services.runtime.settings import ApiSettings, Settings
 from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate
+from stone_client.api import Api
+from stone_client.credentials import Server
+from stone_client.files.bags import hashed_bag
+from stone_client.server.job_following import follow
+from stone_client.server.sequences import add_recording, ensure_sequence, pin_calibration, start_run
 
 LISTERS = ("ingest.synchronise", "labeler.parts")
 
 
 @dataclass(frozen=True)
-class Done:
+class JobMeasurement:
     """One job of a run; `needs` are indices of jobs before it."""
 
     kind: str
@@ -42,12 +42,12 @@ class Done:
 
 
 @dataclass(frozen=True)
-class Measured:
+class PlatformRunMeasurement:
     """One run with so many workers."""
 
     workers: int
     wall_s: float
-    jobs: tuple[Done, ...]
+    jobs: tuple[JobMeasurement, ...]
 
     @property
     def cpu_s(self) -> float:
@@ -73,7 +73,7 @@ def main() -> None:
     _show(runs, options.seconds)
 
 
-def measured(bag: Path, workers: int) -> Measured:
+def measured(bag: Path, workers: int) -> PlatformRunMeasurement:
     """Bring the bag to a fresh platform and have it labelled."""
     with tempfile.TemporaryDirectory(dir=bag.parent) as folder:
         settings = Settings(data_folder=Path(folder), workers=workers, api=ApiSettings(port=0))
@@ -86,7 +86,7 @@ def measured(bag: Path, workers: int) -> Measured:
             return _read(running.platform, job_id, workers)
 
 
-def shortest_s(jobs: tuple[Done, ...], workers: int) -> float:
+def shortest_s(jobs: tuple[JobMeasurement, ...], workers: int) -> float:
     """When the last job ends if every free worker takes the first job that is ready, each for its processor time."""
     ends: dict[int, float] = {}
     free = [0.0] * workers
@@ -102,7 +102,7 @@ def shortest_s(jobs: tuple[Done, ...], workers: int) -> float:
     return max(ends.values())
 
 
-def _read(platform: Platform, root_id: str, workers: int) -> Measured:
+def _read(platform: Platform, root_id: str, workers: int) -> PlatformRunMeasurement:
     with platform.database.reading() as session:
         rows = session.scalars(select(Job).where(Job.root_id == root_id, Job.queue != "").order_by(Job.id)).all()
         needs = session.execute(select(JobNeed.job_id, JobNeed.needed_id)).all()
@@ -116,18 +116,18 @@ def _read(platform: Platform, root_id: str, workers: int) -> Measured:
     jobs, lister = [], -1
     for number, row in enumerate(rows):
         follows = tuple(needed[row.id]) or ((lister,) if lister >= 0 else ())
-        jobs.append(Done(row.kind, float(cpu_s[row.id] or 0), _wall_s(row), follows))
+        jobs.append(JobMeasurement(row.kind, float(cpu_s[row.id] or 0), _wall_s(row), follows))
         if row.kind in LISTERS:
             lister = number  # what comes after was named by this one
     begin, end = min(row.started_ns or 0 for row in rows), max(row.finished_ns or 0 for row in rows)
-    return Measured(workers, (end - begin) / 1e9, tuple(jobs))
+    return PlatformRunMeasurement(workers, (end - begin) / 1e9, tuple(jobs))
 
 
 def _wall_s(row: Job) -> float:
     return ((row.finished_ns or 0) - (row.started_ns or 0)) / 1e9
 
 
-def _show(runs: list[Measured], recorded_s: float) -> None:
+def _show(runs: list[PlatformRunMeasurement], recorded_s: float) -> None:
     console = Console()
     table = Table(title=f"{recorded_s:g} s recorded, through the platform")
     for column in ("workers", "wall s", "× real time", "CPU s", "idle worker-s", "shortest s", "jobs"):
@@ -145,7 +145,7 @@ def _show(runs: list[Measured], recorded_s: float) -> None:
         console.print(f"{ideal:.2f}× by the processor times of the run with {first.workers}: what the division allows")
 
 
-def _show_stages(console: Console, runs: list[Measured]) -> None:
+def _show_stages(console: Console, runs: list[PlatformRunMeasurement]) -> None:
     table = Table(title="per stage: jobs, CPU s, longest job's CPU s")
     table.add_column("stage")
     for run in runs:

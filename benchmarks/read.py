@@ -1,4 +1,4 @@
-"""Reading recordings beside the two libraries that everybody uses: `python -m benchmarks.read [--rounds 5]`.
+"""Speed of reading recordings, beside two common libraries: `python -m benchmarks.read [--rounds 5]`.
 
 The ways take turns in one run, each in a process of its own; a figure is the best of its rounds, a ratio is ours to the
 peer's in this run. Clouds: xyz of all points ends as contiguous (N, 3) float32, so all bytes are touched; ours is what
@@ -37,11 +37,11 @@ from benchmarks.recordings import (
     write_lists,
 )
 from fuzz.limits import memory
-from services.ingest.bag import open_bag
-from services.ingest.messages.pointcloud2 import decode_cloud, lidar_points
-from services.ingest.messages.radar import decode_radar
-from services.ingest.messages.registry import typestore
-from services.ingest.scan import scan_of
+from stone_recordings.bags.bag import open_bag
+from stone_recordings.messages.pointcloud2 import decode_cloud, lidar_points
+from stone_recordings.messages.radars.radar import decode_radar
+from stone_recordings.messages.types.registry import typestore
+from stone_recordings.report.scan import scan_of
 
 PEER_LISTS = 400
 CLOUD_BYTES = POINTS * POINT.itemsize
@@ -49,7 +49,7 @@ OURS, MCAP, ROSBAGS = "ours", "mcap-ros2-support", "rosbags"
 
 
 @dataclass(frozen=True)
-class Turn:
+class ReadTurn:
     """What one turn took; `share` of the work was done."""
 
     seconds: float
@@ -64,7 +64,7 @@ class Work:
     name: str
     path: Path
     ways: dict[str, Callable[[Path], float]]
-    turns: dict[str, list[Turn]] = field(default_factory=dict)
+    turns: dict[str, list[ReadTurn]] = field(default_factory=dict)
 
     def best_s(self, way: str) -> float:
         """Seconds for the whole."""
@@ -148,20 +148,20 @@ def _xyz(data: object) -> None:
         out[:, place] = points[axis]
 
 
-def _turn(way: Callable[[Path], float], path: Path) -> Turn:
+def _turn(way: Callable[[Path], float], path: Path) -> ReadTurn:
     """In a process that does it for the second time, as a worker would: kernels are compiled, memory was touched."""
     with get_context("spawn").Pool(1) as pool:
         return pool.apply(_measured, (way, path))
 
 
-def _measured(way: Callable[[Path], float], path: Path) -> Turn:
+def _measured(way: Callable[[Path], float], path: Path) -> ReadTurn:
     typestore()
     lidar_points(decode_cloud(memoryview(cloud_payload(0))))
     before = memory()
     way(path)
     growth_bytes, begun_s = memory().peak - before.held, perf_counter()
     share = way(path)
-    return Turn(perf_counter() - begun_s, growth_bytes, share)
+    return ReadTurn(perf_counter() - begun_s, growth_bytes, share)
 
 
 def works(folder: Path) -> list[Work]:

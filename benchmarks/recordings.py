@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
-from services.ingest.messages.registry import message_definition, typestore
 from simulator import ros_messages
+from stone_recordings.messages.types.registry import message_definition, typestore
 
 CLOUDS, POINTS, LISTS = 60, 230_400, 36_000
 SCANNED_BYTES = 400_000_000

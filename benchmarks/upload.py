@@ -25,14 +25,14 @@ from rich.console import Console
 from rich.table import Table
 
 from services.runtime.access import tokens, users
-from services.runtime.collection import collect
-from services.runtime.migrate import upgrade
+from services.runtime.database.migrate import upgrade
 from services.runtime.platform import Platform, open_platform
 from services.runtime.settings import Settings, UploadSettings
-from tests.api.process import ApiProcess, running_api
-from tests.api.serving import Person
-from tests.api.tus import TUS, checksum, created, shown
-from tests.servers.s3 import running_s3
+from services.runtime.store.garbage_collection import collect_garbage
+from testing.api.process import ApiProcess, running_api
+from testing.api.serving import Person
+from testing.api.tus import TUS, checksum, created, shown
+from testing.servers.s3 import running_s3
 
 MIB = 1 << 20
 PLAIN = "plain write + fsync"
@@ -40,7 +40,7 @@ WAYS = ("one PATCH", "one PATCH, sha256 declared", "PATCHes of 16 MiB, sha256 of
 
 
 @dataclass
-class Clock:
+class UploadTimes:
     """What each turn of one way took."""
 
     wall_s: list[float] = field(default_factory=list)
@@ -103,20 +103,20 @@ class Bench:
             raise SystemExit(answer.decode())
 
 
-def compare(bench: Bench, turns: int) -> dict[str, Clock]:
+def compare(bench: Bench, turns: int) -> dict[str, UploadTimes]:
     """Every way in turn, `turns` times; the first round only warms up."""
-    clocks: dict[str, Clock] = {}
+    clocks: dict[str, UploadTimes] = {}
     for turn in range(turns + 1):
         if turn == 1:
             clocks = {}
         for way in (PLAIN, *WAYS):
-            clock = clocks.setdefault(way, Clock())
+            clock = clocks.setdefault(way, UploadTimes())
             processor = time.process_time if way == PLAIN else bench.process.processor_s
             spent_s, begun_s = processor(), time.perf_counter()
             bench.write_plainly() if way == PLAIN else bench.upload(way)
             clock.wall_s.append(time.perf_counter() - begun_s)
             clock.processor_s.append(processor() - spent_s)
-            collect(bench.platform)  # or what was in the store fills the disk
+            collect_garbage(bench.platform)  # or what was in the store fills the disk
     return clocks
 
 
@@ -139,7 +139,7 @@ def make_source(path: Path, size_bytes: int) -> str:
     return whole.hexdigest()
 
 
-def table_of(clocks: dict[str, Clock], size_bytes: int) -> Table:
+def table_of(clocks: dict[str, UploadTimes], size_bytes: int) -> Table:
     table = Table(title=f"{size_bytes / 2**30:.3g} GiB, medians of {len(clocks[PLAIN].wall_s)} turns")
     for column in ("way", "MB/s", "of plain", "slowest turn, of plain's", "processor s"):
         table.add_column(column, justify="left" if column == "way" else "right")
@@ -155,9 +155,9 @@ def table_of(clocks: dict[str, Clock], size_bytes: int) -> Table:
 
 
 @contextmanager
-def placed(place: str) -> Iterator[dict[str, Any]]:
+def upload_rig(place: str) -> Iterator[dict[str, Any]]:
     """The settings of the place, by group."""
-    in_store = {"uploads": UploadSettings(place="store")}
+    in_store = {"uploads": UploadSettings(backend="store")}
     if place == "s3":
         with running_s3() as server:
             yield {**in_store, "store": server.settings()}
@@ -172,7 +172,7 @@ def main() -> None:
     asked.add_argument("--folder", type=Path, default=None, help="where to write; a temporary folder if not given")
     asked.add_argument("--place", choices=["folder", "store", "s3"], default="folder", help="where uploads lie")
     chosen = asked.parse_args()
-    with TemporaryDirectory(prefix="stone-bench-", dir=chosen.folder) as name, placed(chosen.place) as groups:
+    with TemporaryDirectory(prefix="stone-bench-", dir=chosen.folder) as name, upload_rig(chosen.place) as groups:
         folder = Path(name)
         settings = Settings(data_folder=folder / "data", **groups)
         upgrade(settings)

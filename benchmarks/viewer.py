@@ -19,13 +19,13 @@ from playwright.sync_api import Browser, BrowserContext, Page, sync_playwright
 from rich.console import Console
 from rich.table import Table
 
-from services.runtime.migrate import upgrade
-from services.runtime.orm import Sequence
+from services.runtime.database.migrate import upgrade
+from services.runtime.orm import SequenceRow
 from services.runtime.platform import Platform, open_platform
 from services.runtime.settings import Settings
-from tests.api.serving import person, serving
-from tests.chromium import ARGUMENTS
-from tests.web.viewer_world import Run, viewed
+from testing.api.serving import person, serving
+from testing.web.chromium import ARGUMENTS
+from testing.worlds.viewer_world import Run, viewed
 from web.main import make_site
 
 WHOLE = Path(__file__).resolve().parents[1] / "web" / "node_modules" / "three" / "build"  # ours leaves boxes out
@@ -92,7 +92,7 @@ def site(run: Run) -> Iterator[tuple[str, dict[str, Any]]]:
         platform: Platform = open_platform(settings)
         made = viewed(platform, person(platform, "curator"), run)
         with platform.database.transaction() as session:
-            session.get_one(Sequence, made["id"]).is_public = True
+            session.get_one(SequenceRow, made["id"]).is_public = True
         with serving(platform, make_site(platform)) as url:
             yield url, made
         platform.database.close()

@@ -17,12 +17,14 @@ from rich.console import Console
 
 from chaos.inputs import simulated
 from chaos.kinds import KINDS
-from chaos.made import Made
-from chaos.rounds import Series, Suite, play
+from chaos.result_hashes import RunArtefacts
+from chaos.rounds import RoundSeries, Suite, play
 from chaos.table import table_of
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("stone", "services", "simulator", "client", "api")
+PACKAGES = (
+    "stone", "stone_files", "stone_recordings", "stone_submissions", "services", "simulator", "stone_client", "api",
+)  # fmt: skip
 CONSOLE = Console(highlight=False, markup=False, soft_wrap=True)
 
 
@@ -34,8 +36,8 @@ def main() -> int:
     inputs = simulated(options.folder / "inputs")
     until_s = begun_s + options.minutes * 60.0
     suite = Suite(options.seed, options.rounds, options.folder, inputs, until_s, CONSOLE.print)
-    played: list[Series] = []
-    made: Made | None = None
+    played: list[RoundSeries] = []
+    made: RunArtefacts | None = None
     for kind in KINDS:
         if not options.only or kind.name in options.only:
             played.append(play(suite, kind, made))

@@ -1,4 +1,4 @@
-"""What is brought to the platform in every round: one simulated recording, the same for all kinds and rounds.
+"""The input of every round: one simulated recording.
 
 **Conventions.** The drive is just longer than a part of frames, its world wide enough for several tiles: a run then has
 every stage of a long one, some of them side by side, in a few seconds. Few rays: what costs is their number.

@@ -1,4 +1,4 @@
-"""The ways to kill: each plays one round and answers with what was brought.
+"""The kinds of kills: each plays one round and returns the owner's run.
 
 **Conventions.** A kind draws its moment and its victim by the round's chance, notes right before the kill whether work
 is under way there, and waits until the owner has what they came for. A kill that hits nothing is told, not hidden.
@@ -8,12 +8,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from chaos.load import under_load
-from chaos.made import Brought
-from chaos.sending import kill_api, kill_client
-from chaos.striking import kill_redis, kill_sweeper, kill_worker, restart_postgres, restart_s3
-from chaos.turns import Turn, await_end
+from chaos.process_kills import kill_redis, kill_sweeper, kill_worker, restart_postgres, restart_s3
+from chaos.result_hashes import OwnerRun
+from chaos.turns import OwnerRound, await_end
+from chaos.upload_kills import kill_api, kill_client
 
-Strike = Callable[[Turn, str], None]
+Kill = Callable[[OwnerRound, str], None]
 
 
 @dataclass(frozen=True)
@@ -22,18 +22,18 @@ class Kind:
 
     name: str
     title: str
-    play: Callable[[Turn], Brought]
+    play: Callable[[OwnerRound], OwnerRun]
     on_postgres: bool = False
     on_s3: bool = False
     uploads_in_store: bool = False
 
 
-def undisturbed(turn: Turn) -> Brought:
+def undisturbed(turn: OwnerRound) -> OwnerRun:
     """The same without a kill."""
     return _during_run(turn, lambda turn, run_id: None)
 
 
-def _during_run(turn: Turn, strike: Strike) -> Brought:
+def _during_run(turn: OwnerRound, strike: Kill) -> OwnerRun:
     """Bring the recording, start the run, strike at some moment, wait for the end."""
     with turn.connected() as api:
         sequence = turn.announce(api)
@@ -44,7 +44,7 @@ def _during_run(turn: Turn, strike: Strike) -> Brought:
         return brought
 
 
-def _under_load(turn: Turn) -> Brought:
+def _under_load(turn: OwnerRound) -> OwnerRun:
     with under_load(turn):
         return _during_run(turn, restart_postgres)
 
@@ -53,7 +53,7 @@ KINDS = (
     Kind("worker", "kill −9 a worker", lambda turn: _during_run(turn, kill_worker)),
     Kind("api", "kill −9 the API mid-PATCH", kill_api),
     Kind(
-        "slabs",
+        "parts",
         "kill −9 the API mid-PATCH, uploads in the S3 store",
         kill_api,
         on_postgres=True,
@@ -61,7 +61,7 @@ KINDS = (
         uploads_in_store=True,
     ),
     Kind("client", "kill −9 the client mid-upload", kill_client),
-    Kind("redis", "kill −9 Redis with bells queued", lambda turn: _during_run(turn, kill_redis)),
+    Kind("redis", "kill −9 Redis with wake-ups queued", lambda turn: _during_run(turn, kill_redis)),
     Kind("sweeper", "kill −9 the sweeper, with lost work to take up", lambda turn: _during_run(turn, kill_sweeper)),
     Kind("postgres", "restart PostgreSQL under load", _under_load, on_postgres=True),
     Kind("s3", "kill −9 the S3 store", lambda turn: _during_run(turn, restart_s3), on_postgres=True, on_s3=True),

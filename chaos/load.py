@@ -1,4 +1,4 @@
-"""Others who use the platform meanwhile: readers of lists, and a writer whose every acknowledged write must last.
+"""Background load for the kill suite: readers of lists, and a writer whose writes must not be lost.
 
 **Conventions.** They use the client, which asks again where that is safe; an answer that an outage does not excuse (a
 fault of the server's, a refusal) is a violation. A write is acknowledged once its answer has arrived, or the server
@@ -13,24 +13,24 @@ from threading import Event, Thread
 
 from sqlalchemy import select
 
-from chaos.places import Owner
-from chaos.turns import PATIENCE_S, Turn
+from chaos.places import RoundOwner
+from chaos.turns import PATIENCE_S, OwnerRound
 from chaos.verdict import Sort, Violation
-from client.api import Api
-from client.errors import ServerRefusedError
-from services.runtime.orm import Sequence
+from services.runtime.orm import SequenceRow
 from stone.errors import StoneError
+from stone_client.api import Api
+from stone_client.errors import ServerRefusedError
 
 READERS = 2
 PAUSE_S = 0.05
-TOLD_TO_LOOK = "reply_not_kept"
+REPLY_NOT_KEPT = "reply_not_kept"
 
 
 @dataclass
 class _Load:
     """What the others have been told."""
 
-    owner: Owner
+    owner: RoundOwner
     over: Event = field(default_factory=Event)
     acknowledged: list[str] = field(default_factory=list)
     violations: list[Violation] = field(default_factory=list)
@@ -44,7 +44,7 @@ class _Load:
         try:
             api.create("/sequences", {"name": name})
         except ServerRefusedError as error:
-            if error.code != TOLD_TO_LOOK:
+            if error.code != REPLY_NOT_KEPT:
                 raise
         self.acknowledged.append(name)
 
@@ -59,9 +59,9 @@ class _Load:
 
 
 @contextmanager
-def under_load(turn: Turn) -> Iterator[None]:
+def under_load(turn: OwnerRound) -> Iterator[None]:
     """Others are busy inside; afterwards each of their acknowledged writes is looked for."""
-    load = _Load(turn.place.welcome(f"load-{turn.owner.user_id}"))
+    load = _Load(turn.target.welcome(f"load-{turn.owner.user_id}"))
     acts = [load.read] * READERS + [load.write]
     threads = [Thread(target=load.repeat, args=(act,), name=f"load {act.__name__}") for act in acts]
     for thread in threads:
@@ -75,10 +75,10 @@ def under_load(turn: Turn) -> Iterator[None]:
     turn.violations.extend([*load.violations, *_judge(turn, load)])
 
 
-def _judge(turn: Turn, load: _Load) -> Iterator[Violation]:
+def _judge(turn: OwnerRound, load: _Load) -> Iterator[Violation]:
     """Each acknowledged sequence is there, once."""
-    with turn.place.platform.database.reading() as session:
-        names = Counter(session.scalars(select(Sequence.name).where(Sequence.owner_id == load.owner.user_id)))
+    with turn.target.platform.database.reading() as session:
+        names = Counter(session.scalars(select(SequenceRow.name).where(SequenceRow.owner_id == load.owner.user_id)))
     for name in load.acknowledged:
         if names[name] != 1:
             sort: Sort = "doubled" if names[name] else "lost"

@@ -1,4 +1,4 @@
-"""Two machines and what joins them: `python -m chaos.machines [--cut-s 60] [--bytes-per-s 1000000] [--folder DIR]`.
+"""Two machines on a link that is cut and slowed: `python -m chaos.machines [--cut-s 60] [--bytes-per-s 1000000]`.
 
 On one (a network namespace of its own) PostgreSQL, Redis, the S3 store, API and sweeper; on the other the workers, with
 a disk of their own. After an undisturbed run the link is cut in the middle of a second one for so long, and in the
@@ -18,18 +18,16 @@ from pathlib import Path
 from rich.console import Console
 from sqlalchemy import func, make_url, select
 
-from chaos.bringing import await_jobs, await_run, begin_run, bring, seconds_since
+from chaos.api_calls import await_jobs, await_run, begin_run, seconds_since, upload_sequence
 from chaos.inputs import Inputs, simulated
-from chaos.made import Brought, Made, made_by
 from chaos.places import SCOPES
+from chaos.result_hashes import OwnerRun, RunArtefacts, made_by
 from chaos.spaces import Link, Space, two_machines, why_not
 from chaos.verdict import Violation, judge
-from client.api import Api
-from client.credentials import Server as Address
 from services.runtime.access.tokens import issue
 from services.runtime.access.users import create_user
+from services.runtime.database.migrate import upgrade
 from services.runtime.embedded.programs import environment_of
-from services.runtime.migrate import upgrade
 from services.runtime.orm import Job, JobAttempt
 from services.runtime.platform import Platform, open_platform
 from services.runtime.settings import (
@@ -41,10 +39,12 @@ from services.runtime.settings import (
     UploadSettings,
     ViewingSettings,
 )
-from tests.servers.postgres import running_postgres
-from tests.servers.process import Server, answers, free_port
-from tests.servers.redis import running_redis
-from tests.servers.s3 import running_s3
+from stone_client.api import Api
+from stone_client.credentials import Server as Address
+from testing.servers.postgres import running_postgres
+from testing.servers.process import ServerProcess, answers, free_port
+from testing.servers.redis import running_redis
+from testing.servers.s3 import running_s3
 
 SKIPPED = 77
 AFTER_JOBS = 4
@@ -54,7 +54,7 @@ CONSOLE = Console(highlight=False, markup=False, soft_wrap=True)
 
 
 @dataclass(frozen=True)
-class Deployed:
+class DeployedPlatform:
     """A platform on two machines, as whoever sits at the first one sees it."""
 
     platform: Platform
@@ -88,7 +88,7 @@ def main() -> int:
     return 1 if found else 0
 
 
-def _violated(there: Deployed, made: Made, name: str, strike: Callable[[], None]) -> list[Violation]:
+def _violated(there: DeployedPlatform, made: RunArtefacts, name: str, strike: Callable[[], None]) -> list[Violation]:
     brought = _run(there, name, strike)
     with there.platform.database.reading() as session:
         of_run = select(func.count()).select_from(JobAttempt).join(Job, Job.id == JobAttempt.job_id)
@@ -97,11 +97,11 @@ def _violated(there: Deployed, made: Made, name: str, strike: Callable[[], None]
     return judge(there.platform, brought, made)
 
 
-def _run(there: Deployed, name: str, strike: Callable[[], None]) -> Brought:
+def _run(there: DeployedPlatform, name: str, strike: Callable[[], None]) -> OwnerRun:
     """Bring the recording as a new owner, strike in the middle of the run, wait for its end."""
     begun_s = time.monotonic()
     with there.owner(name) as api:
-        brought = begin_run(api, bring(api, there.inputs), there.inputs)
+        brought = begin_run(api, upload_sequence(api, there.inputs), there.inputs)
         brought_s = seconds_since(begun_s)
         begun_s = time.monotonic()
         done = await_jobs(api, brought.run_id, AFTER_JOBS)
@@ -118,7 +118,7 @@ def _cut(link: Link, cut_s: float) -> None:
 
 
 @contextmanager
-def deployed(link: Link, folder: Path, inputs: Inputs) -> Iterator[Deployed]:
+def deployed(link: Link, folder: Path, inputs: Inputs) -> Iterator[DeployedPlatform]:
     """Servers, API and sweeper on the first machine, a worker with two processes on the second."""
     first, second = link.ends
     with ExitStack() as stack:
@@ -134,7 +134,7 @@ def deployed(link: Link, folder: Path, inputs: Inputs) -> Iterator[Deployed]:
             elsewhere = settings.model_copy(update={"data_folder": folder / "second"})
             queues = ("ingest", "labeler", "eval")
             stack.enter_context(_process(elsewhere, folder, "worker", lambda: True, queues))
-        yield Deployed(platform, settings.api.url, inputs)
+        yield DeployedPlatform(platform, settings.api.url, inputs)
 
 
 @contextmanager
@@ -156,7 +156,7 @@ def _servers(space: Space, folder: Path) -> Iterator[Settings]:
             store=s3.settings("machines"),
             broker=BrokerSettings(redis.url),
             jobs=JobSettings(),
-            uploads=replace(UploadSettings(), place="store"),
+            uploads=replace(UploadSettings(), backend="store"),
             api=ApiSettings(host="127.0.0.1", port=port, url=f"http://127.0.0.1:{port}", pages=False),
             viewing=ViewingSettings(makes_playback=False),
         )
@@ -169,7 +169,7 @@ def _at(url: str, space: Space) -> str:
 MODULES: Mapping[str, str] = {
     "api": "services.runtime.processes.api",
     "worker": "services.runtime.processes.worker",
-    "sweeper": "services.runtime.sweeper",
+    "sweeper": "services.maintenance.sweeper",
 }
 
 
@@ -181,7 +181,7 @@ def _process(
     place = folder / role
     place.mkdir(parents=True)
     command = [sys.executable, "-P", "-m", MODULES[role], *words]
-    server = Server(command, place, is_ready, environment=environment_of(settings), patience_s=START_S)
+    server = ServerProcess(command, place, is_ready, environment=environment_of(settings), patience_s=START_S)
     server.start()
     try:
         yield

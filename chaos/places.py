@@ -1,7 +1,7 @@
-"""Where rounds take place: a platform of real processes that stays up, and the hands that reach its processes.
+"""The platform under test: real server processes that stay up between rounds and can be killed.
 
-**Conventions.** Leases are short, so that recovery is seen in seconds; the grace of the collection is too, so that it
-runs among the rounds. A child that was killed on purpose is not punished with a longer pause each time. PostgreSQL
+**Conventions.** Leases are short, so that recovery is seen in seconds; the grace of garbage collection is too, so that
+it runs among the rounds. A child that was killed on purpose is not punished with a longer pause each time. PostgreSQL
 tells every commit to the operating system before it answers: it may be killed, the machine may not.
 """
 
@@ -14,11 +14,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from chaos.inputs import Inputs
-from client.credentials import Server
 from services.runtime.access.tokens import issue
 from services.runtime.access.users import create_user
-from services.runtime.embedded.children import Child
-from services.runtime.embedded.supervisor import Running, running_platform
+from services.runtime.embedded.child_process import Child
+from services.runtime.embedded.supervisor import RunningPlatform, running_platform
 from services.runtime.platform import Platform
 from services.runtime.settings import (
     ApiSettings,
@@ -29,14 +28,15 @@ from services.runtime.settings import (
     UploadSettings,
     ViewingSettings,
 )
-from tests.servers.postgres import PostgresServer, running_postgres
-from tests.servers.s3 import S3Server, running_s3
+from stone_client.credentials import Server
+from testing.servers.postgres import PostgresServer, running_postgres
+from testing.servers.s3 import S3Server, running_s3
 
 WORKERS = 2
 BUCKET = "chaos"
 JOBS = JobSettings(lease_s=2.0, heartbeat_s=0.4, progress_s=0.2, sweep_s=0.25)
 STORE = StoreSettings(grace_s=5.0)
-UPLOADS_IN_STORE = UploadSettings(place="store", slab_bytes=2**20)  # of a short recording there are several
+UPLOADS_IN_STORE = UploadSettings(backend="store", part_bytes=2**20)  # of a short recording there are several
 VIEWING = ViewingSettings(makes_playback=False)  # a round is the run that was asked for, and over with it
 API = ApiSettings(port=0, requests_per_minute=10**6)
 SCOPES = ("read", "upload", "submit")
@@ -44,7 +44,7 @@ DAY_S = 86_400.0
 
 
 @dataclass(frozen=True)
-class Owner:
+class RoundOwner:
     """A user of one round, and how the platform is reached as them."""
 
     user_id: str
@@ -52,10 +52,10 @@ class Owner:
 
 
 @dataclass(frozen=True)
-class Place:
+class PlatformUnderTest:
     """A platform that is up; `postgres` where that is its database, `s3` where that is its store."""
 
-    running: Running
+    running: RunningPlatform
     inputs: Inputs
     postgres: PostgresServer | None = None
     s3: S3Server | None = None
@@ -87,15 +87,15 @@ class Place:
         child.forgive()
         os.killpg(child.pid, signal.SIGKILL)
 
-    def welcome(self, name: str) -> Owner:
+    def welcome(self, name: str) -> RoundOwner:
         """A new curator with a token of their own."""
         with self.platform.database.transaction() as session:
             user = create_user(session, name, "curator")
-            return Owner(user.id, Server(self.running.url, issue(session, user, "chaos", SCOPES, DAY_S)))
+            return RoundOwner(user.id, Server(self.running.url, issue(session, user, "chaos", SCOPES, DAY_S)))
 
 
 @contextmanager
-def opened_place(
+def platform_under_test(
     folder: Path,
     inputs: Inputs,
     told: Callable[[str], None],
@@ -103,7 +103,7 @@ def opened_place(
     on_postgres: bool,
     on_s3: bool = False,
     uploads_in_store: bool = False,
-) -> Iterator[Place]:
+) -> Iterator[PlatformUnderTest]:
     """A platform in `folder`, drained at the end; the folder goes unless it is to be kept, or something was raised."""
     with ExitStack() as stack:
         postgres = stack.enter_context(_postgres(folder)) if on_postgres else None
@@ -119,7 +119,7 @@ def opened_place(
             api=API,
             viewing=VIEWING,
         )
-        place = Place(stack.enter_context(running_platform(settings, told)), inputs, postgres, s3)
+        place = PlatformUnderTest(stack.enter_context(running_platform(settings, told)), inputs, postgres, s3)
         yield place
     if not place.is_kept:
         shutil.rmtree(folder)

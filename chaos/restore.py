@@ -1,4 +1,4 @@
-"""Backed up at work, wiped, restored: `python -m chaos.restore [--postgres] [--s3] [--folder DIR]`.
+"""A drill of backup and restore under load: `python -m chaos.restore [--postgres] [--s3] [--folder DIR]`.
 
 One recording is labelled and one submission scored; then, while a second owner's recording is half labelled, a second
 submission is being scored, a file is half sent and others read and write, backups are taken one after another. The
@@ -20,38 +20,38 @@ from random import Random
 from rich.console import Console
 from sqlalchemy import select
 
-from chaos.bringing import (
+from chaos.api_calls import (
     HalfSent,
     await_jobs,
     await_run,
     begin_run,
-    bring,
     offset_of,
     seconds_since,
     send_half,
     send_rest,
+    upload_sequence,
 )
 from chaos.inputs import Inputs, simulated
 from chaos.load import under_load
-from chaos.made import Brought, Made, made_by
-from chaos.places import API, JOBS, STORE, VIEWING, WORKERS, Owner, Place
-from chaos.scoring_verdict import Came, came_of
-from chaos.scoring_world import files, laid_down
-from chaos.turns import Turn, Undisturbed, await_true
+from chaos.places import API, JOBS, STORE, VIEWING, WORKERS, PlatformUnderTest, RoundOwner
+from chaos.result_hashes import OwnerRun, RunArtefacts, made_by
+from chaos.scoring_verdict import SubmissionOutcome, came_of
+from chaos.scoring_world import build_scoring_world, files
+from chaos.turns import OwnerRound, UndisturbedRun, await_true
 from chaos.verdict import Violation, judge, judge_blobs
-from client.api import Api
+from services.runtime.backup.capture import make_backup
 from services.runtime.backup.folder import BackupFolder
-from services.runtime.backup.keeping import verify
-from services.runtime.backup.restoring import restore
-from services.runtime.backup.taking import take
-from services.runtime.embedded.supervisor import Running, running_platform
-from services.runtime.orm import Job, Submission
+from services.runtime.backup.restore import restore
+from services.runtime.backup.retention import verify
+from services.runtime.embedded.supervisor import RunningPlatform, running_platform
+from services.runtime.orm import Job, SubmissionRow
 from services.runtime.platform import open_platform, open_silent_platform
 from services.runtime.settings import DatabaseSettings, Settings, StoreSettings
-from tests.benchmark_world import World
-from tests.servers.postgres import PostgresServer, running_postgres
-from tests.servers.s3 import running_s3
-from tests.services.eval.sending import send
+from stone_client.api import Api
+from testing.servers.postgres import PostgresServer, running_postgres
+from testing.servers.s3 import running_s3
+from testing.worlds.benchmark_world import World
+from testing.worlds.sending import send
 
 AFTER_JOBS = 5
 BACKUPS = 3
@@ -60,7 +60,7 @@ CONSOLE = Console(highlight=False, markup=False, soft_wrap=True)
 
 
 @dataclass(frozen=True)
-class Ground:
+class RestoreTarget:
     """What can be emptied: settings on which a platform stands, and its servers."""
 
     settings: Settings
@@ -80,17 +80,17 @@ class Ground:
 
 
 @dataclass(frozen=True)
-class Before:
+class BackedUpState:
     """What was there, and what was on its way, when the last backup was taken."""
 
-    done: Brought
-    made: Made
-    under_way: Brought
+    done: OwnerRun
+    made: RunArtefacts
+    under_way: OwnerRun
     scored_id: str
-    came: Came
+    came: SubmissionOutcome
     scoring_id: str
     half: HalfSent
-    owner: Owner
+    owner: RoundOwner
 
 
 def main() -> int:
@@ -114,18 +114,18 @@ def main() -> int:
     return 1 if found else 0
 
 
-def work(ground: Ground, inputs: Inputs, folder: BackupFolder) -> Before:
+def work(ground: RestoreTarget, inputs: Inputs, folder: BackupFolder) -> BackedUpState:
     """Fill the platform, and back it up in the middle of things; killed at the end."""
-    world = laid_down(ground.settings)
+    world = build_scoring_world(ground.settings)
     contents = sorted(files(world).items())
     with running_platform(ground.settings, CONSOLE.print) as running:
-        world, place = replace(world, platform=running.platform), Place(running, inputs)
-        done = _labelled(place, "first", inputs)
+        world, target = replace(world, platform=running.platform), PlatformUnderTest(running, inputs)
+        done = _labelled(target, "first", inputs)
         scored_id = _scored(world, contents[0][1])
-        owner = place.welcome("second")
-        turn = Turn(place, owner, Random(0), Undisturbed())
+        owner = target.welcome("second")
+        turn = OwnerRound(target, owner, Random(0), UndisturbedRun())
         with turn.connected() as api, under_load(turn):
-            half, under_way = send_half(api), begin_run(api, bring(api, inputs), inputs)
+            half, under_way = send_half(api), begin_run(api, upload_sequence(api, inputs), inputs)
             await_jobs(api, under_way.run_id, AFTER_JOBS)
             scoring_id = send(world, contents[1][1], team=1)
             _back_up(running, folder)
@@ -134,10 +134,10 @@ def work(ground: Ground, inputs: Inputs, folder: BackupFolder) -> Before:
         made, came = made_by(running.platform, done), came_of(running.platform, scored_id)
         for child in running.children:
             child.kill()
-    return Before(done, made, under_way, scored_id, came, scoring_id, half, owner)
+    return BackedUpState(done, made, under_way, scored_id, came, scoring_id, half, owner)
 
 
-def go_on(ground: Ground, before: Before) -> list[Violation]:
+def go_on(ground: RestoreTarget, before: BackedUpState) -> list[Violation]:
     """Start again and hold what is there, and what comes of the rest, against what was."""
     found: list[Violation] = []
     with running_platform(ground.settings, CONSOLE.print) as running:
@@ -160,11 +160,11 @@ def go_on(ground: Ground, before: Before) -> list[Violation]:
         return [*found, *judge_blobs(platform)]
 
 
-def _back_up(running: Running, folder: BackupFolder) -> None:
+def _back_up(running: RunningPlatform, folder: BackupFolder) -> None:
     """Several in a row, so that the first is large and others meet what moves."""
     for _ in range(BACKUPS):
         begun_s = time.monotonic()
-        taken = take(running.platform, folder)
+        taken = make_backup(running.platform, folder)
         with running.platform.database.reading() as session:
             jobs = session.scalars(select(Job.state).where(Job.state == "running", Job.queue != "")).all()
         CONSOLE.print(
@@ -173,9 +173,9 @@ def _back_up(running: Running, folder: BackupFolder) -> None:
         )
 
 
-def _labelled(place: Place, name: str, inputs: Inputs) -> Brought:
-    with Api(place.welcome(name).server) as api:
-        brought = begin_run(api, bring(api, inputs), inputs)
+def _labelled(target: PlatformUnderTest, name: str, inputs: Inputs) -> OwnerRun:
+    with Api(target.welcome(name).server) as api:
+        brought = begin_run(api, upload_sequence(api, inputs), inputs)
         await_run(api, brought.run_id)
         return brought
 
@@ -186,16 +186,16 @@ def _scored(world: World, content: bytes) -> str:
     return submission_id
 
 
-def _await_scored(running: Running, submission_id: str) -> None:
+def _await_scored(running: RunningPlatform, submission_id: str) -> None:
     def has_ended() -> bool:
         with running.platform.database.reading() as session:
-            return session.get_one(Submission, submission_id).settled_ns is not None
+            return session.get_one(SubmissionRow, submission_id).settled_ns is not None
 
     await_true("the second submission's end", has_ended)
 
 
 @contextmanager
-def _ground(options: argparse.Namespace) -> Iterator[Ground]:
+def _ground(options: argparse.Namespace) -> Iterator[RestoreTarget]:
     with ExitStack() as stack:
         postgres = stack.enter_context(running_postgres(synchronous_commit="on")) if options.postgres else None
         if postgres is not None:
@@ -210,7 +210,7 @@ def _ground(options: argparse.Namespace) -> Iterator[Ground]:
             api=API,
             viewing=VIEWING,
         )
-        yield Ground(settings, postgres)
+        yield RestoreTarget(settings, postgres)
 
 
 def _options() -> argparse.Namespace:

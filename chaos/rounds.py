@@ -14,12 +14,12 @@ from random import Random
 
 from chaos.inputs import Inputs
 from chaos.kinds import Kind, undisturbed
-from chaos.made import Made, made_by
-from chaos.places import Place, opened_place
-from chaos.turns import Struck, Turn, Undisturbed
+from chaos.places import PlatformUnderTest, platform_under_test
+from chaos.result_hashes import RunArtefacts, made_by
+from chaos.turns import OwnerRound, RoundKill, UndisturbedRun
 from chaos.verdict import Violation, judge
+from services.domain.sequences.processing import PROCESS, REGISTER
 from services.runtime.orm import Job
-from services.runtime.processing import PROCESS, REGISTER
 
 
 @dataclass(frozen=True)
@@ -36,11 +36,11 @@ class Suite:
 
 
 @dataclass(frozen=True)
-class Round:
+class KillRound:
     """How one ended. `recovered_s` is from the kill until the owner had what they came for; None: never."""
 
     number: int
-    struck: tuple[Struck, ...]
+    struck: tuple[RoundKill, ...]
     violations: tuple[Violation, ...]
     recovered_s: float | None
 
@@ -51,13 +51,13 @@ class Round:
 
 
 @dataclass
-class Series:
+class RoundSeries:
     """The rounds of one kind so far, what undisturbed runs make, and what they take."""
 
     kind: Kind
-    made: Made | None = None
-    rounds: list[Round] = field(default_factory=list)
-    undisturbed: Undisturbed = field(default_factory=Undisturbed)
+    made: RunArtefacts | None = None
+    rounds: list[KillRound] = field(default_factory=list)
+    undisturbed: UndisturbedRun = field(default_factory=UndisturbedRun)
 
     @property
     def is_proven(self) -> bool:
@@ -73,73 +73,73 @@ class UndisturbedError(Exception):
         super().__init__(f"undisturbed, before the rounds of {kind!r}: {'; '.join(v.sentence for v in violations)}")
 
 
-def play(suite: Suite, kind: Kind, made: Made | None = None) -> Series:
+def play(suite: Suite, kind: Kind, made: RunArtefacts | None = None) -> RoundSeries:
     """All rounds of a kind, in as many places as it takes: one, unless something is violated.
 
     `made` is what undisturbed runs made elsewhere. Raises `UndisturbedError`.
     """
-    series, opened = Series(kind, made), 0
+    series, opened = RoundSeries(kind, made), 0
     while _goes_on(suite, series):
         opened += 1
         folder = suite.folder / f"{kind.name}-{opened}"
         where = {name: getattr(kind, name) for name in ("on_postgres", "on_s3", "uploads_in_store")}
-        with opened_place(folder, suite.inputs, suite.told, **where) as place:
-            _run_undisturbed(suite, series, place)
-            while _goes_on(suite, series) and not place.is_kept:
-                ended = _play_round(suite, series, place)
+        with platform_under_test(folder, suite.inputs, suite.told, **where) as target:
+            _run_undisturbed(suite, series, target)
+            while _goes_on(suite, series) and not target.is_kept:
+                ended = _play_round(suite, series, target)
                 series.rounds.append(ended)
                 suite.told(_sentence(suite, series, ended))
                 if ended.violations:
-                    place.keep(_evidence(suite, series, ended))
+                    target.keep(_evidence(suite, series, ended))
     return series
 
 
-def _goes_on(suite: Suite, series: Series) -> bool:
+def _goes_on(suite: Suite, series: RoundSeries) -> bool:
     return len(series.rounds) < suite.rounds and time.monotonic() < suite.until_s
 
 
-def _run_undisturbed(suite: Suite, series: Series, place: Place) -> None:
+def _run_undisturbed(suite: Suite, series: RoundSeries, target: PlatformUnderTest) -> None:
     """The first run of a place warms it up, the last one's time counts, and all must make the same."""
     for number in range(suite.undisturbed_runs):
-        turn = Turn(place, place.welcome(f"undisturbed-{number}"), Random(0), series.undisturbed)
+        turn = OwnerRound(target, target.welcome(f"undisturbed-{number}"), Random(0), series.undisturbed)
         brought = undisturbed(turn)
-        series.made = series.made or made_by(place.platform, brought)
-        violations = judge(place.platform, brought, series.made)
+        series.made = series.made or made_by(target.platform, brought)
+        violations = judge(target.platform, brought, series.made)
         if violations:
             raise UndisturbedError(series.kind.name, violations)
-        with place.platform.database.reading() as session:
+        with target.platform.database.reading() as session:
             run = session.get_one(Job, brought.run_id)
         run_s = ((run.finished_ns or 0) - run.created_ns) / 1e9
-        series.undisturbed = Undisturbed(run_s, _jobs_of(series.made))
+        series.undisturbed = UndisturbedRun(run_s, _jobs_of(series.made))
 
 
-def _jobs_of(made: Made) -> int:
+def _jobs_of(made: RunArtefacts) -> int:
     """Of the run itself."""
     return sum(count for kind, count in made.jobs.items() if kind not in (PROCESS, REGISTER))
 
 
-def _play_round(suite: Suite, series: Series, place: Place) -> Round:
+def _play_round(suite: Suite, series: RoundSeries, target: PlatformUnderTest) -> KillRound:
     number = len(series.rounds) + 1
     chance = Random(f"{suite.seed} {series.kind.name} {number}")
-    turn = Turn(place, place.welcome(f"{series.kind.name}-{number}"), chance, series.undisturbed)
+    turn = OwnerRound(target, target.welcome(f"{series.kind.name}-{number}"), chance, series.undisturbed)
     recovered_s = None
     try:
         brought = series.kind.play(turn)
         recovered_s = time.monotonic() - turn.struck[-1].at_s
-        found = [*turn.violations, *judge(place.platform, brought, series.made or Made())]
+        found = [*turn.violations, *judge(target.platform, brought, series.made or RunArtefacts())]
     except Exception as error:
         reason = "".join(traceback.format_exception(error, limit=-6)).strip()
         found = [*turn.violations, Violation("lost", f"the round did not end: {reason}")]
-    return Round(number, tuple(turn.struck), tuple(found), recovered_s)
+    return KillRound(number, tuple(turn.struck), tuple(found), recovered_s)
 
 
-def _sentence(suite: Suite, series: Series, ended: Round) -> str:
+def _sentence(suite: Suite, series: RoundSeries, ended: KillRound) -> str:
     struck = ", ".join(f"{one.what}{'' if one.is_hit else ' (idle)'}" for one in ended.struck) or "nothing was struck"
     after = "never" if ended.recovered_s is None else f"after {ended.recovered_s:.1f} s"
     said = f"{series.kind.name} {ended.number}/{suite.rounds}: {struck}; recovered {after}"
     return "\n".join([said, *(f"  {one.sort}: {one.sentence}" for one in ended.violations)])
 
 
-def _evidence(suite: Suite, series: Series, ended: Round) -> str:
+def _evidence(suite: Suite, series: RoundSeries, ended: KillRound) -> str:
     how = f"python -m chaos --only {series.kind.name} --seed {suite.seed} --rounds {ended.number}"
     return f"{how}\n{_sentence(suite, series, ended)}\n"

@@ -1,7 +1,7 @@
 """kill −9 while submissions are scored: `python -m chaos.scoring [--rounds 50] [--seed N] [--folder DIR]`.
 
 Each round sends a file in, strikes at some moment of its scoring (a process of the pool, the worker with its whole
-pool, or the confined child that reads the file), waits for the end and holds everything against what an undisturbed
+pool, or the sandboxed child that reads the file), waits for the end and holds everything against what an undisturbed
 submission of the same file came to. Ends with 1 when anything was lost, doubled or different, or too little was hit.
 """
 
@@ -23,26 +23,26 @@ from rich.console import Console
 from sqlalchemy import select
 
 from chaos.places import API, JOBS, STORE, WORKERS
-from chaos.scoring_verdict import Came, came_of, judge, judge_quota
-from chaos.scoring_world import files, laid_down
+from chaos.scoring_verdict import SubmissionOutcome, came_of, judge, judge_quota
+from chaos.scoring_world import build_scoring_world, files
 from chaos.turns import TERMINAL, await_true
 from chaos.verdict import Violation, judge_blobs
-from services.runtime.embedded.children import Child
-from services.runtime.embedded.supervisor import Running, running_platform
-from services.runtime.orm import Job, JobAttempt, Submission
+from services.runtime.embedded.child_process import Child
+from services.runtime.embedded.supervisor import RunningPlatform, running_platform
+from services.runtime.orm import Job, JobAttempt, SubmissionRow
 from services.runtime.platform import Platform
 from services.runtime.settings import Settings
-from tests.benchmark_world import World
-from tests.services.eval.sending import send
+from testing.worlds.benchmark_world import World
+from testing.worlds.sending import send
 
-VICTIMS = {"pool process": 2, "confined child": 2, "worker and pool": 1}  # how often of five
+VICTIMS = {"pool process": 2, "sandboxed child": 2, "worker and pool": 1}  # how often of five
 MOST_TRIES = 3  # a round in which nothing was under way is played again, so many times as many in all
 LOOK_S = 0.002
 CONSOLE = Console(highlight=False, markup=False, soft_wrap=True)
 
 
 @dataclass(frozen=True)
-class Struck:
+class ScoringKill:
     """Who was killed, and in what kind of job; empty where nothing was under way."""
 
     victim: str
@@ -51,22 +51,22 @@ class Struck:
 
 
 @dataclass(frozen=True)
-class Round:
+class ScoringRound:
     """How one ended; `recovered_s` is from the kill to the end of the run."""
 
-    struck: Struck
+    struck: ScoringKill
     recovered_s: float
     violations: tuple[Violation, ...]
 
 
 @dataclass(frozen=True, eq=False)
-class Arena:
+class ScoringPlatform:
     """A platform that is up, what is sent in, and what it comes to undisturbed, with how long that takes."""
 
-    running: Running
+    running: RunningPlatform
     world: World
     contents: Mapping[str, bytes]
-    expected: dict[str, Came] = field(default_factory=dict)
+    expected: dict[str, SubmissionOutcome] = field(default_factory=dict)
     run_s: dict[str, float] = field(default_factory=dict)
 
     @property
@@ -80,8 +80,8 @@ class Arena:
     def state(self, submission_id: str) -> str:
         """Of the run."""
         with self.platform.database.reading() as session:
-            run = select(Job.state).join(Submission, Submission.job_id == Job.id)
-            return session.scalars(run.where(Submission.id == submission_id)).one()
+            run = select(Job.state).join(SubmissionRow, SubmissionRow.job_id == Job.id)
+            return session.scalars(run.where(SubmissionRow.id == submission_id)).one()
 
     def finish(self, submission_id: str) -> None:
         await_true(f"the end of submission {submission_id}", lambda: self.state(submission_id) in TERMINAL)
@@ -91,8 +91,8 @@ class Arena:
         running = (
             select(Job.kind, JobAttempt.worker)
             .join(JobAttempt, (JobAttempt.job_id == Job.id) & (JobAttempt.number == Job.attempt))
-            .join(Submission, Submission.job_id == Job.root_id)
-            .where(Submission.id == submission_id, Job.state == "running", Job.queue != "")
+            .join(SubmissionRow, SubmissionRow.job_id == Job.root_id)
+            .where(SubmissionRow.id == submission_id, Job.state == "running", Job.queue != "")
         )
         with self.platform.database.reading() as session:
             found = session.execute(running.limit(1)).first()
@@ -100,12 +100,12 @@ class Arena:
 
     def ended_jobs(self, submission_id: str) -> int:
         with self.platform.database.reading() as session:
-            of_run = select(Job.state).join(Submission, Submission.job_id == Job.root_id)
-            states = session.scalars(of_run.where(Submission.id == submission_id, Job.queue != "")).all()
+            of_run = select(Job.state).join(SubmissionRow, SubmissionRow.job_id == Job.root_id)
+            states = session.scalars(of_run.where(SubmissionRow.id == submission_id, Job.queue != "")).all()
         return sum(state in TERMINAL for state in states)
 
 
-def rehearse(arena: Arena) -> None:
+def rehearse(arena: ScoringPlatform) -> None:
     """What each file comes to when nobody is killed; the second time counts, when the workers are warm."""
     for name, content in arena.contents.items():
         for _ in range(2):
@@ -119,27 +119,27 @@ def rehearse(arena: Arena) -> None:
         raise RuntimeError(f"undisturbed, the files came to {states}")
 
 
-def play(arena: Arena, chance: Random) -> Round:
+def play(arena: ScoringPlatform, chance: Random) -> ScoringRound:
     """One round: send, strike, wait, judge."""
     name, team = chance.choice(sorted(arena.contents)), chance.randrange(2)
     submission_id = send(arena.world, arena.contents[name], team=team)
-    struck = strike(arena, submission_id, name, chance)
+    struck = kill_one(arena, submission_id, name, chance)
     arena.finish(submission_id)
     recovered_s = time.monotonic() - struck.at_s
     quota = judge_quota(arena.platform, arena.world.val, arena.world.teams[team])
-    return Round(struck, recovered_s, (*judge(arena.platform, submission_id, arena.expected[name]), *quota))
+    return ScoringRound(struck, recovered_s, (*judge(arena.platform, submission_id, arena.expected[name]), *quota))
 
 
-def strike(arena: Arena, submission_id: str, name: str, chance: Random) -> Struck:
+def kill_one(arena: ScoringPlatform, submission_id: str, name: str, chance: Random) -> ScoringKill:
     """Kill somebody at work for the submission, some time after so many of its jobs have ended."""
     (victim,), jobs = chance.choices(list(VICTIMS), list(VICTIMS.values())), sum(arena.expected[name].jobs.values())
-    is_reading = victim == "confined child"  # no join reads the file again, and no child reads for long
+    is_reading = victim == "sandboxed child"  # no join reads the file again, and no child reads for long
     after = chance.randrange(jobs - is_reading)
     await_true("so many jobs", lambda: arena.ended_jobs(submission_id) >= after, every_s=LOOK_S)
     time.sleep(0.0 if is_reading else chance.random() * arena.run_s[name] / jobs / 2)
     found = _await_work(arena, submission_id, is_reading=is_reading)
     if found is None:
-        return Struck(victim, "", time.monotonic())
+        return ScoringKill(victim, "", time.monotonic())
     kind, pid = found
     if victim == "worker and pool":
         arena.worker.forgive()
@@ -147,17 +147,17 @@ def strike(arena: Arena, submission_id: str, name: str, chance: Random) -> Struc
     else:
         with suppress(ProcessLookupError):
             os.kill(pid, signal.SIGKILL)
-    return Struck(victim, kind, time.monotonic())
+    return ScoringKill(victim, kind, time.monotonic())
 
 
-def told(number: int, rounds: int, ended: Round) -> str:
+def lines_of_round(number: int, rounds: int, ended: ScoringRound) -> str:
     """A line for each round, and one for each violation."""
     what = f"{ended.struck.victim} in {ended.struck.kind}" if ended.struck.kind else "nothing was under way"
     said = f"{number}/{rounds}: {what}; ended {ended.recovered_s:.1f} s later"
     return "\n".join([said, *(f"  {one.sort}: {one.sentence}" for one in ended.violations)])
 
 
-def summary(played: list[Round], blobs: list[Violation]) -> str:
+def summary(played: list[ScoringRound], blobs: list[Violation]) -> str:
     """What was hit how often, what was violated, how long it took."""
     hits = Counter(f"{ended.struck.victim} in {ended.struck.kind}" for ended in played if ended.struck.kind)
     violations = [one for ended in played for one in ended.violations] + blobs
@@ -177,25 +177,25 @@ def main() -> int:
     settings = Settings(
         data_folder=options.folder, workers=WORKERS, jobs=replace(JOBS, rest_s=0.2), store=STORE, api=API
     )
-    world = laid_down(settings)
-    contents, played = files(world), list[Round]()
+    world = build_scoring_world(settings)
+    contents, played = files(world), list[ScoringRound]()
     with running_platform(settings, lambda line: None) as running:
-        arena = Arena(running, replace(world, platform=running.platform), contents)
+        arena = ScoringPlatform(running, replace(world, platform=running.platform), contents)
         rehearse(arena)
         while _hits(played) < options.rounds and len(played) < MOST_TRIES * options.rounds:
             played.append(play(arena, Random(f"{options.seed} {len(played)}")))
-            CONSOLE.print(told(_hits(played), options.rounds, played[-1]))
+            CONSOLE.print(lines_of_round(_hits(played), options.rounds, played[-1]))
         blobs = list(judge_blobs(running.platform))
     CONSOLE.print(summary(played, blobs))
     is_proven = _hits(played) == options.rounds and not blobs
     return 0 if is_proven and not any(ended.violations for ended in played) else 1
 
 
-def _hits(played: list[Round]) -> int:
+def _hits(played: list[ScoringRound]) -> int:
     return sum(bool(ended.struck.kind) for ended in played)
 
 
-def _await_work(arena: Arena, submission_id: str, *, is_reading: bool) -> tuple[str, int] | None:
+def _await_work(arena: ScoringPlatform, submission_id: str, *, is_reading: bool) -> tuple[str, int] | None:
     """The kind and the process of a job at work, or the child by which it reads the file; None once the run is over."""
     while arena.state(submission_id) not in TERMINAL:
         found = arena.at_work(submission_id)

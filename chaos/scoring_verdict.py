@@ -13,16 +13,16 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from chaos.verdict import Violation
-from services.runtime.benchmarks.scorings import standing
-from services.runtime.orm import Job, JobAttempt, Phase, Score, ScorePart, ScoringEntry, Submission
+from services.domain.benchmarks.submissions.scoring_quota import scoring_quota
+from services.runtime.orm import Job, JobAttempt, Phase, Score, ScorePart, ScoringEntry, SubmissionRow
 from services.runtime.platform import Platform
 from services.runtime.uploads import upload_file
 
-SCORE_COLUMNS = ("metric", "signature", "miou", "confusions_sha256", "draws_sha256", "content_sha256", "record")
+SCORE_COLUMNS = ("metric", "signature", "miou", "confusions_sha256", "replicates_sha256", "content_sha256", "record")
 
 
 @dataclass(frozen=True)
-class Came:
+class SubmissionOutcome:
     """What a submission came to: its state and problems, its scores, its entries in the ledger, its jobs by kind."""
 
     state: str
@@ -33,14 +33,14 @@ class Came:
     jobs: Mapping[str, int]
 
 
-def came_of(platform: Platform, submission_id: str) -> Came:
+def came_of(platform: Platform, submission_id: str) -> SubmissionOutcome:
     """As the rows have it now."""
     with platform.database.reading() as session:
-        row = session.get_one(Submission, submission_id)
+        row = session.get_one(SubmissionRow, submission_id)
         scores = session.scalars(select(Score).where(Score.submission_id == row.id).order_by(Score.id)).all()
         entries = select(ScoringEntry).where(ScoringEntry.submission_id == row.id).order_by(ScoringEntry.id)
         kinds = session.scalars(select(Job.kind).where(Job.root_id == row.job_id, Job.queue != "")).all()
-        return Came(
+        return SubmissionOutcome(
             state=row.state,
             failure=row.failure,
             problems=row.problems,
@@ -50,11 +50,11 @@ def came_of(platform: Platform, submission_id: str) -> Came:
         )
 
 
-def judge(platform: Platform, submission_id: str, expected: Came) -> list[Violation]:
+def judge(platform: Platform, submission_id: str, expected: SubmissionOutcome) -> list[Violation]:
     """Every way in which the submission is not what an undisturbed one came to."""
     found = list(_differences(came_of(platform, submission_id), expected))
     with platform.database.reading() as session:
-        row = session.get_one(Submission, submission_id)
+        row = session.get_one(SubmissionRow, submission_id)
         found += [*_judge_jobs(session, row), *_judge_left(session, row)]
     if upload_file(platform.settings, row.upload_id or "").exists():
         found.append(Violation("doubled", f"the upload of submission {row.id} lies beside its blob"))
@@ -66,21 +66,21 @@ def judge(platform: Platform, submission_id: str, expected: Came) -> list[Violat
 def judge_quota(platform: Platform, phase_id: str, team_id: str) -> Iterator[Violation]:
     """What the team has used is what is scored, and nothing is reserved when nothing is under way."""
     with platform.database.reading() as session:
-        ours = (Submission.phase_id == phase_id, Submission.team_id == team_id, Submission.state == "scored")
-        scored = session.scalar(select(func.count()).select_from(Submission).where(*ours)) or 0
-        now = standing(session, session.get_one(Phase, phase_id), team_id)
+        ours = (SubmissionRow.phase_id == phase_id, SubmissionRow.team_id == team_id, SubmissionRow.state == "scored")
+        scored = session.scalar(select(func.count()).select_from(SubmissionRow).where(*ours)) or 0
+        now = scoring_quota(session, session.get_one(Phase, phase_id), team_id)
     if (now.used, now.reserved) != (scored, 0):
         yield Violation("lost", f"{scored} submissions are scored; {now.used} are counted, {now.reserved} reserved")
 
 
-def _differences(came: Came, expected: Came) -> Iterator[Violation]:
+def _differences(came: SubmissionOutcome, expected: SubmissionOutcome) -> Iterator[Violation]:
     for name, value in vars(expected).items():
         found = getattr(came, name)
         if found != value:
             yield Violation("differing", f"{name}: {str(found)[:200]}, undisturbed {str(value)[:200]}")
 
 
-def _judge_jobs(session: Session, row: Submission) -> Iterator[Violation]:
+def _judge_jobs(session: Session, row: SubmissionRow) -> Iterator[Violation]:
     """Each job was done once; other attempts were lost to kills."""
     of_run = select(Job).where(Job.root_id == row.job_id)
     for job in session.scalars(of_run):
@@ -92,7 +92,7 @@ def _judge_jobs(session: Session, row: Submission) -> Iterator[Violation]:
             yield Violation("doubled", f"{job.kind} ended {dict(outcomes)}")
 
 
-def _judge_left(session: Session, row: Submission) -> Iterator[Violation]:
+def _judge_left(session: Session, row: SubmissionRow) -> Iterator[Violation]:
     parts = session.scalar(select(func.count()).select_from(ScorePart).where(ScorePart.submission_id == row.id))
     if parts:
         yield Violation("doubled", f"{parts} counted parts were left")

@@ -1,4 +1,4 @@
-"""What is scored in every round: an open phase of two parts' worth of frames, and three files to send in.
+"""Inputs of the scoring rounds: an open phase of two parts' worth of frames, and three files to submit.
 
 **Conventions.** Laid down before the platform starts, by the functions that routes and workers call. A few grids take
 turns in the frames, so that the world is made in seconds; two files are sound, one holds a label that is none in each
@@ -11,27 +11,27 @@ from itertools import cycle, islice
 import numpy as np
 from sqlalchemy import select
 
-from services.runtime.benchmarks.phases import NewBenchmark, NewPhase, create_benchmark, create_phase
-from services.runtime.benchmarks.scoring_jobs import PART_FRAMES
-from services.runtime.benchmarks.truths import start_truth
-from services.runtime.database import Database
-from services.runtime.migrate import upgrade
+from services.domain.benchmarks.phases.ground_truths import start_truth
+from services.domain.benchmarks.phases.phases import NewBenchmark, NewPhase, create_benchmark, create_phase
+from services.domain.benchmarks.submissions.scoring_ranges import PART_FRAMES
+from services.runtime.database.migrate import upgrade
+from services.runtime.database.transactions import Database
 from services.runtime.orm import Dataset, Team, TeamMember
 from services.runtime.platform import Platform
 from services.runtime.settings import Settings
-from services.runtime.store import open_store
-from stone.sequence import frame_token
-from tests.api import made, published
-from tests.api.serving import Person, person
-from tests.benchmark_world import Grid, World, ground, labelled, run_eval
-from tests.services.eval.sending import zipped
+from services.runtime.store.factory import open_store
+from stone.sensors.sequence import frame_token
+from testing.api.serving import Person, person
+from testing.worlds import made, published
+from testing.worlds.benchmark_world import Grid, World, ground, labelled, run_eval
+from testing.worlds.sending import zipped
 
 FRAMES = PART_FRAMES * 6 // 10  # of each of two sequences
 GRIDS = 6
 NAMES = ("north", "south")
 
 
-def laid_down(settings: Settings) -> World:
+def build_scoring_world(settings: Settings) -> World:
     """The phase with its ground truth in force, and two teams; on a database that nobody else has open."""
     upgrade(settings)
     platform = Platform(settings, Database(settings), open_store(settings))

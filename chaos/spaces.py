@@ -1,4 +1,4 @@
-"""Machines that are network namespaces: each with interfaces of its own, joined by a link that can be cut and slowed.
+"""Two machines simulated as Linux network namespaces, with a link that can be cut and slowed.
 
 **Conventions.** Linux, as root. A thread enters a namespace and what it starts stays there; other threads are where
 they were. The link is a veth pair; both of its ends are shaped alike, so that a rate holds both ways. A cut link loses

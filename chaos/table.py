@@ -1,4 +1,4 @@
-"""The table at the end: a row per kind, with what was counted and nothing that was not."""
+"""The table of results: a row per kind of kill, with its counts."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -6,12 +6,12 @@ from statistics import median
 
 from rich.table import Table
 
-from chaos.rounds import Series
+from chaos.rounds import RoundSeries
 
 COLUMNS = ("rounds", "hit work", "lost", "doubled", "differing", "recovered, median s", "max s", "undisturbed run s")
 
 
-def table_of(played: Iterable[Series], seed: int, seconds: float) -> Table:
+def table_of(played: Iterable[RoundSeries], seed: int, seconds: float) -> Table:
     """`lost`, `doubled` and `differing` count violations; recovery is from the kill until all was done."""
     table = Table(title=f"seed {seed}, {seconds / 60:.1f} minutes")
     table.add_column("kind")
@@ -22,7 +22,7 @@ def table_of(played: Iterable[Series], seed: int, seconds: float) -> Table:
     return table
 
 
-def _figures(series: Series) -> list[str]:
+def _figures(series: RoundSeries) -> list[str]:
     sorts = Counter(violation.sort for ended in series.rounds for violation in ended.violations)
     seconds = [ended.recovered_s for ended in series.rounds if ended.recovered_s is not None]
     hits = sum(ended.is_hit for ended in series.rounds)

@@ -1,4 +1,4 @@
-"""One round as seen by its owner: bring the recording, have it processed, wait for the end; and be struck meanwhile.
+"""One round of the kill suite: an owner uploads, processes and waits while processes are killed.
 
 **Conventions.** The owner uses what users have, the client's own functions over HTTP. Moments are drawn by `chance`,
 which knows the seed, the kind and the round.
@@ -13,13 +13,13 @@ from typing import Any
 from sqlalchemy import func, select
 
 from chaos.inputs import SEQUENCE
-from chaos.made import Brought
-from chaos.places import Owner, Place
+from chaos.places import PlatformUnderTest, RoundOwner
+from chaos.result_hashes import OwnerRun
 from chaos.verdict import Violation
-from client.api import Api
-from client.bags import hashed_bag
-from client.remote import add_recording, ensure_sequence, pin_calibration, start_run
 from services.runtime.orm import Job, JobAttempt
+from stone_client.api import Api
+from stone_client.files.bags import hashed_bag
+from stone_client.server.sequences import add_recording, ensure_sequence, pin_calibration, start_run
 
 PATIENCE_S = 120.0
 LOOK_S = 0.02
@@ -35,7 +35,7 @@ class StuckError(Exception):
 
 
 @dataclass(frozen=True)
-class Struck:
+class RoundKill:
     """A kill: when (monotonic), whether it hit work that was under way, and what was hit."""
 
     at_s: float
@@ -44,7 +44,7 @@ class Struck:
 
 
 @dataclass(frozen=True)
-class Undisturbed:
+class UndisturbedRun:
     """A run that nobody disturbs: how long it takes, and of how many jobs."""
 
     run_s: float = 1.0
@@ -52,14 +52,14 @@ class Undisturbed:
 
 
 @dataclass(frozen=True)
-class Turn:
+class OwnerRound:
     """An owner's round in a place."""
 
-    place: Place
-    owner: Owner
+    target: PlatformUnderTest
+    owner: RoundOwner
     chance: Random
-    undisturbed: Undisturbed
-    struck: list[Struck] = field(default_factory=list)
+    undisturbed: UndisturbedRun
+    struck: list[RoundKill] = field(default_factory=list)
     violations: list[Violation] = field(default_factory=list)
 
     def connected(self, url: str = "") -> Api:
@@ -70,18 +70,18 @@ class Turn:
     def announce(self, api: Api) -> Item:
         """A sequence with its calibration."""
         sequence = ensure_sequence(api, SEQUENCE)
-        pin_calibration(api, sequence, self.place.inputs.calibration)
+        pin_calibration(api, sequence, self.target.inputs.calibration)
         return sequence
 
     def send(self, api: Api, sequence: Item) -> None:
         """The recording, read and kept when this returns."""
-        add_recording(api, sequence, hashed_bag(self.place.inputs.bag, _silent), _silent)
+        add_recording(api, sequence, hashed_bag(self.target.inputs.bag, _silent), _silent)
 
-    def process(self, api: Api, sequence: Item) -> Brought:
+    def process(self, api: Api, sequence: Item) -> OwnerRun:
         """Start the run; what was brought is complete with it."""
         run = start_run(api, sequence, {})
-        inputs = self.place.inputs
-        return Brought(self.owner.user_id, sequence["id"], run["id"], inputs.sha256, inputs.size_bytes)
+        inputs = self.target.inputs
+        return OwnerRun(self.owner.user_id, sequence["id"], run["id"], inputs.sha256, inputs.size_bytes)
 
     def wait_for_moment(self, run_id: str, latest_ratio: float = 0.95) -> None:
         """Some time within a run: when so many of its jobs are done, and then a bit. Counted in jobs, not in seconds,
@@ -93,20 +93,20 @@ class Turn:
 
     def note(self, what: str, *, is_hit: bool) -> None:
         """Right before the kill."""
-        self.struck.append(Struck(time.monotonic(), is_hit, what))
+        self.struck.append(RoundKill(time.monotonic(), is_hit, what))
 
     def _ended_jobs(self, run_id: str) -> int:
         """How many jobs of the run have ended; all that there are ever to be, once it has failed."""
         run_ended = select(Job.id).where(Job.id == run_id, Job.state.in_(TERMINAL))
         ended = select(func.count()).where(Job.root_id == run_id, Job.id != run_id, Job.state.in_(TERMINAL))
-        with self.place.platform.database.reading() as session:
+        with self.target.platform.database.reading() as session:
             return self.undisturbed.jobs if session.scalar(run_ended) else session.scalar(ended) or 0
 
     def busy_processes(self) -> list[int]:
         """The pids that have a job of this owner's in hand."""
         mine = (Job.owner_id == self.owner.user_id, Job.state == "running", JobAttempt.number == Job.attempt)
         statement = select(JobAttempt.worker).join(Job, Job.id == JobAttempt.job_id).where(*mine)
-        with self.place.platform.database.reading() as session:
+        with self.target.platform.database.reading() as session:
             return [int(worker.rpartition(":")[2]) for worker in session.scalars(statement)]
 
 

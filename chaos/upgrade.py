@@ -1,10 +1,11 @@
-"""The previous release is stopped while it works and this one goes on: `python -m chaos.upgrade`.
+"""An upgrade drill: the previous release is stopped at work, this one goes on: `python -m chaos.upgrade`.
 
 `[--previous COMMIT] [--postgres] [--kill] [--folder DIR]`. The sources of COMMIT serve a platform (`stone serve`, with
 its pages off) that labels a recording and has a file half sent; in the middle of the run it is drained, or killed with
 `--kill`, and this checkout's `stone serve` starts on the same folder and database, which it migrates. Then every row
-must still be there, the run must end with the bytes that an undisturbed run of this release makes, and the file must
-go on where it stood. Ends with 1 otherwise.
+must still be there, the run, or the one that the platform begins in its place where the code of labels changed, must
+end with the bytes that an undisturbed run of this release makes, and the file must go on where it stood. Ends with 1
+otherwise.
 """
 
 import argparse
@@ -14,23 +15,37 @@ import tempfile
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
 from sqlalchemy import MetaData, create_engine, make_url, select
 
-from chaos.bringing import await_jobs, await_run, begin_run, bring, offset_of, seconds_since, send_half, send_rest
+from chaos.api_calls import (
+    await_jobs,
+    await_run,
+    begin_run,
+    offset_of,
+    run_in_place_of,
+    seconds_since,
+    send_half,
+    send_rest,
+    upload_sequence,
+)
 from chaos.inputs import Inputs, simulated
-from chaos.made import Brought, Made, made_by
+from chaos.result_hashes import OwnerRun, RunArtefacts, made_by
 from chaos.verdict import Violation, judge
+from services.runtime.database.migrations.versions.r0019_words import TABLES
 from services.runtime.platform import open_platform
 from services.runtime.settings import DatabaseSettings, Settings
-from tests.servers.postgres import running_postgres
-from tests.stone_serve import serving
+from testing.servers.postgres import running_postgres
+from testing.stone_serve import serving
 
 ROOT = Path(__file__).resolve().parents[1]
-PREVIOUS = "21f5711"
+PREVIOUS = "d5240c7"
 PACKAGES = ("stone", "services", "simulator", "client", "api", "web")
+PREVIOUS_STONE = (sys.executable, "-P", "-m", "client.main")
+STONE = (sys.executable, "-P", "-m", "stone_client.main")
 AFTER_JOBS = 6
 FAST = {
     "STONE_API__PAGES": "false",
@@ -61,7 +76,9 @@ def main() -> int:
 class Drill:
     """Where, with which code before, and what is to come of it."""
 
-    def __init__(self, folder: Path, url: str, previous: Path, inputs: Inputs, made: Made, *, is_killed: bool) -> None:
+    def __init__(
+        self, folder: Path, url: str, previous: Path, inputs: Inputs, made: RunArtefacts, *, is_killed: bool
+    ) -> None:
         self.data, self.url, self.previous = folder / "data", url, previous
         self.inputs, self.made, self.is_killed = inputs, made, is_killed
         self.environment = {**FAST, "STONE_DATABASE__URL": url}
@@ -74,9 +91,10 @@ class Drill:
 
 def drill(drill: Drill) -> list[Violation]:
     """Every way in which something was lost, doubled or different."""
-    with serving(drill.data, **drill.environment, PYTHONPATH=str(drill.previous)) as old, old.api() as api:
+    before_it = {**drill.environment, "PYTHONPATH": str(drill.previous)}
+    with serving(drill.data, PREVIOUS_STONE, **before_it) as old, old.api() as api:
         half = send_half(api)
-        brought = begin_run(api, bring(api, drill.inputs), drill.inputs)
+        brought = begin_run(api, upload_sequence(api, drill.inputs), drill.inputs)
         done = await_jobs(api, brought.run_id, AFTER_JOBS)
         begun_s = time.monotonic()
         if drill.is_killed:
@@ -87,23 +105,27 @@ def drill(drill: Drill) -> list[Violation]:
     CONSOLE.print(f"the previous release ended after {done} jobs, in {seconds_since(begun_s)}; {_counted(before)}")
     found: list[Violation] = []
     begun_s = time.monotonic()
-    with serving(drill.data, **drill.environment) as new, new.api() as api:
+    with serving(drill.data, STONE, **drill.environment, PYTHONPATH=str(ROOT)) as new, new.api() as api:
         CONSOLE.print(f"this release answers after {seconds_since(begun_s)}")
         if (offset := offset_of(api, half)) == 0:
             found.append(Violation("lost", "nothing is left of the file that was half sent"))
         state = await_run(api, brought.run_id)
+        if newer_id := run_in_place_of(api, brought):
+            CONSOLE.print(f"the run is {state} after {seconds_since(begun_s)}, and begun again")
+            brought = replace(brought, run_id=newer_id, replaced_id=brought.run_id)
+            state = await_run(api, newer_id)
         CONSOLE.print(f"the run is {state} after {seconds_since(begun_s)}; the file goes on at byte {offset}")
         if (state := send_rest(api, half)) != "complete":
             found.append(Violation("lost", f"the file that was half sent is {state}"))
     return [*found, *_lost(before, keys_of(drill.settings)), *_judged(drill, brought)]
 
 
-def undisturbed(folder: Path, inputs: Inputs) -> Made:
+def undisturbed(folder: Path, inputs: Inputs) -> RunArtefacts:
     """What this release makes of the recording."""
     data = folder / "data"
     data.mkdir(parents=True)
-    with serving(data, **FAST) as new, new.api() as api:
-        brought = begin_run(api, bring(api, inputs), inputs)
+    with serving(data, STONE, **FAST, PYTHONPATH=str(ROOT)) as new, new.api() as api:
+        brought = begin_run(api, upload_sequence(api, inputs), inputs)
         await_run(api, brought.run_id)
     platform = open_platform(Settings(data_folder=data))
     try:
@@ -135,12 +157,12 @@ def keys_of(settings: Settings) -> Keys:
 
 def _lost(before: Keys, after: Keys) -> Iterator[Violation]:
     for table, keys in before.items():
-        gone = keys - after.get(table, set())
+        gone = keys - after.get(TABLES.get(table, table), set())
         if gone:
             yield Violation("lost", f"{len(gone)} of {len(keys)} rows of {table}, among them {min(gone, key=str)}")
 
 
-def _judged(drill: Drill, brought: Brought) -> list[Violation]:
+def _judged(drill: Drill, brought: OwnerRun) -> list[Violation]:
     """The run as the kill suite judges one; the file half sent is no recording of it and is left out."""
     platform = open_platform(drill.settings)
     try:

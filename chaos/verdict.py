@@ -13,12 +13,12 @@ from typing import Literal, TypeVar
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from chaos.made import Brought, Made, made_by, object_bytes
-from services.runtime import quota
+from chaos.result_hashes import OwnerRun, RunArtefacts, made_by, object_bytes
+from services.runtime.access import storage_quota
 from services.runtime.orm import Blob, Job, JobAttempt, LabelSet, Recording, Upload
 from services.runtime.platform import Platform
 from services.runtime.uploads.files import upload_file
-from services.runtime.uploads.slab_rows import slabs_of
+from services.runtime.uploads.part_rows import upload_parts_of
 
 Sort = Literal["lost", "doubled", "differing"]
 Name = TypeVar("Name", str, tuple[int, str])
@@ -32,7 +32,7 @@ class Violation:
     sentence: str
 
 
-def judge(platform: Platform, brought: Brought, undisturbed: Made) -> list[Violation]:
+def judge(platform: Platform, brought: OwnerRun, undisturbed: RunArtefacts) -> list[Violation]:
     """Every violation of a round that has ended; none is what is hoped for."""
     with platform.database.reading() as session:
         found = [
@@ -58,9 +58,10 @@ def judge_blobs(platform: Platform) -> Iterator[Violation]:
             yield Violation("differing", f"object {blob.object_key} is not what its row says")
 
 
-def _judge_jobs(session: Session, brought: Brought, max_attempts: int) -> Iterator[Violation]:
+def _judge_jobs(session: Session, brought: OwnerRun, max_attempts: int) -> Iterator[Violation]:
     """Every job succeeded, by one attempt, within the attempts it has; the others were lost to kills, nothing else."""
-    jobs = session.scalars(select(Job).where(Job.owner_id == brought.owner_id)).all()
+    judged = (Job.owner_id == brought.owner_id, Job.root_id != brought.replaced_id)
+    jobs = session.scalars(select(Job).where(*judged)).all()
     if not any(job.id == brought.run_id for job in jobs):
         yield Violation("lost", f"there is no run {brought.run_id}")
     for job in jobs:
@@ -87,7 +88,7 @@ def _judge_attempts(job: Job, attempts: Sequence[JobAttempt], max_attempts: int)
         yield Violation("lost", f"{name} has attempts that ended {others}; a kill makes them lost, nothing else")
 
 
-def _judge_label_sets(session: Session, brought: Brought) -> Iterator[Violation]:
+def _judge_label_sets(session: Session, brought: OwnerRun) -> Iterator[Violation]:
     """One label set, made by the run."""
     made_by_run = session.scalars(select(LabelSet.job_id).where(LabelSet.sequence_id == brought.sequence_id)).all()
     if not made_by_run:
@@ -96,7 +97,7 @@ def _judge_label_sets(session: Session, brought: Brought) -> Iterator[Violation]
         yield Violation("doubled", f"sequence {brought.sequence_id} has label sets of the runs {sorted(made_by_run)}")
 
 
-def _judge_recordings(session: Session, brought: Brought) -> Iterator[Violation]:
+def _judge_recordings(session: Session, brought: OwnerRun) -> Iterator[Violation]:
     """One recording, registered, of the bytes that were brought."""
     recordings = session.scalars(select(Recording).where(Recording.sequence_id == brought.sequence_id)).all()
     if not recordings:
@@ -111,18 +112,18 @@ def _judge_recordings(session: Session, brought: Brought) -> Iterator[Violation]
             yield Violation("differing", f"recording {recording.id} is kept as {kept}, not as {brought.sha256}")
 
 
-def _judge_quota(session: Session, brought: Brought) -> Iterator[Violation]:
+def _judge_quota(session: Session, brought: OwnerRun) -> Iterator[Violation]:
     """What is under way or kept is counted, once."""
     holding = select(Upload.length_bytes).where(
         Upload.owner_id == brought.owner_id, Upload.state.in_(("open", "complete", "consumed"))
     )
-    taken_bytes, held_bytes = quota.balance(session, brought.owner_id), sum(session.scalars(holding))
+    taken_bytes, held_bytes = storage_quota.balance(session, brought.owner_id), sum(session.scalars(holding))
     if taken_bytes != held_bytes:
         sort: Sort = "doubled" if taken_bytes > held_bytes else "lost"
         yield Violation(sort, f"{taken_bytes} bytes are counted for uploads of {held_bytes} bytes")
 
 
-def _judge_uploads(platform: Platform, brought: Brought) -> Iterator[Violation]:
+def _judge_uploads(platform: Platform, brought: OwnerRun) -> Iterator[Violation]:
     """One upload is whole and used; of an upload that a killed client forgot nothing has come."""
     with platform.database.reading() as session:
         uploads = session.scalars(select(Upload).where(Upload.owner_id == brought.owner_id)).all()
@@ -143,15 +144,15 @@ def _judge_uploads(platform: Platform, brought: Brought) -> Iterator[Violation]:
 
 def _content(platform: Platform, upload: Upload) -> bytes | None:
     """What there is of it in the folder or in the store; None when it is gone."""
-    if upload.place == "folder":
+    if upload.backend == "folder":
         path = upload_file(platform.settings, upload.id)
         return path.read_bytes() if path.exists() else None
     with platform.database.reading() as session:
-        slabs = slabs_of(session, upload.id)
-    return b"".join(object_bytes(platform.store, slab.key) or b"" for slab in slabs) if slabs else None
+        upload_parts = upload_parts_of(session, upload.id)
+    return b"".join(object_bytes(platform.store, part.key) or b"" for part in upload_parts) if upload_parts else None
 
 
-def _judge_made(made: Made, undisturbed: Made) -> Iterator[Violation]:
+def _judge_made(made: RunArtefacts, undisturbed: RunArtefacts) -> Iterator[Violation]:
     """The same artefacts, the same frames, by as many jobs."""
     if not undisturbed.artefacts or not undisturbed.frames:
         yield Violation("lost", "the undisturbed run made nothing to compare with")

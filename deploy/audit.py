@@ -25,7 +25,7 @@ PIP_AUDIT = ("--requirement", str(LOCK), "--no-deps", "--disable-pip", "--format
 
 
 @dataclass(frozen=True)
-class Verdict:
+class AdvisoryAnswer:
     """What one service said: `faults` a line each; `unasked` is why there is no answer, empty where there is one."""
 
     name: str
@@ -52,39 +52,41 @@ def main() -> int:
     return UNASKED if any(verdict.unasked for verdict in verdicts) else CLEAN
 
 
-def _python(accepted: Mapping[str, str]) -> Verdict:
+def _python(accepted: Mapping[str, str]) -> AdvisoryAnswer:
     beside = Path(sys.executable).with_name("pip-audit")
     program = shutil.which("pip-audit") or (str(beside) if beside.exists() else "")
     said = _said(program, PIP_AUDIT, Path())
     if isinstance(said, str):
-        return Verdict("python", unasked=said)
+        return AdvisoryAnswer("python", unasked=said)
     packages = said.get("dependencies")
     if not isinstance(packages, list) or not packages:
-        return Verdict("python", unasked="pip-audit told of no package")
+        return AdvisoryAnswer("python", unasked="pip-audit told of no package")
     if skipped := [f"{one['name']} ({one['skip_reason']})" for one in packages if "skip_reason" in one]:
-        return Verdict("python", unasked=f"{len(skipped)} packages were skipped, first {skipped[0]}")
+        return AdvisoryAnswer("python", unasked=f"{len(skipped)} packages were skipped, first {skipped[0]}")
     known = [(one, fault) for one in packages for fault in one.get("vulns", ())]
     faults = [
         f"{one['name']} {one['version']}: {fault['id']}, mended in {', '.join(fault['fix_versions']) or 'no version'}"
         for one, fault in known
         if not {fault["id"], *fault.get("aliases", ())} & set(accepted)
     ]
-    return Verdict("python", tuple(faults), len(packages))
+    return AdvisoryAnswer("python", tuple(faults), len(packages))
 
 
-def _pages(accepted: Mapping[str, str]) -> Verdict:
+def _pages(accepted: Mapping[str, str]) -> AdvisoryAnswer:
     said = _said(shutil.which("npm") or "", ("audit", "--json", "--package-lock-only"), PAGES)
     if isinstance(said, str):
-        return Verdict("pages", unasked=said)
+        return AdvisoryAnswer("pages", unasked=said)
     if "vulnerabilities" not in said:
-        return Verdict("pages", unasked=str(said.get("message") or said.get("error") or "npm gave no verdict")[:300])
+        return AdvisoryAnswer(
+            "pages", unasked=str(said.get("message") or said.get("error") or "npm gave no verdict")[:300]
+        )
     faults = [
         f"{name}: {via['title']} ({via['url'].rpartition('/')[2]}, {via['severity']})"
         for name, one in said["vulnerabilities"].items()
         for via in one["via"]
         if isinstance(via, dict) and via["url"].rpartition("/")[2] not in accepted
     ]
-    return Verdict("pages", tuple(faults), int(said["metadata"]["dependencies"]["total"]))
+    return AdvisoryAnswer("pages", tuple(faults), int(said["metadata"]["dependencies"]["total"]))
 
 
 def _said(program: str, arguments: Sequence[str], folder: Path) -> dict[str, Any] | str:

@@ -1,4 +1,4 @@
-"""Every code that is said to people or programs: refusals with their status, findings, failures of jobs.
+"""The reference of all error and finding codes, with the status each is answered with.
 
 **Conventions.** Read off the sources without running them: a class with a `code`, and its docstring's first line.
 """
@@ -14,7 +14,10 @@ from docsite.markdown import code, plain, table
 from stone.errors import StoneError
 
 ROOT = Path(__file__).resolve().parents[1]
-PLACES = ("stone", "services", "simulator", "client", "api")
+CODE_SOURCES = (
+    "stone", "stone_files", "stone_recordings", "stone_submissions", "services", "simulator", "stone_client",
+    "api", "web",
+)  # fmt: skip
 HEAD = """# Codes
 
 Whatever is refused, or found wrong, has a code that does not change, and one sentence with the value, the limit and
@@ -59,7 +62,7 @@ def codes_page() -> str:
 
 def all_codes() -> Iterator[Code]:
     """Every class with a code of its own, wherever it stands."""
-    for place in PLACES:
+    for place in CODE_SOURCES:
         for path in sorted((ROOT / place).rglob("*.py")):
             yield from _codes_of(path)
 

@@ -6,8 +6,8 @@ from typing import Any
 import click
 from typer.main import get_command
 
-from client.main import COMMANDS, app
 from docsite.markdown import code, plain, table
+from stone_client.main import COMMANDS, app
 
 HEAD = """# Commands
 
@@ -27,7 +27,7 @@ def commands_page() -> str:
         names = [function.__name__ for function in functions]
         names += [name for name in known if panel == OTHER_PANEL and name not in _named()]
         parts.append(f"## {panel}\n")
-        parts += [part for name in names for part in _told(known[name], context, f"stone {name}")]
+        parts += [part for name in names for part in _in_words(known[name], context, f"stone {name}")]
     return "\n".join(parts)
 
 
@@ -35,11 +35,11 @@ def _named() -> set[str]:
     return {function.__name__ for functions in COMMANDS.values() for function in functions}
 
 
-def _told(command: Any, context: click.Context, path: str) -> Iterator[str]:
+def _in_words(command: Any, context: click.Context, path: str) -> Iterator[str]:
     inside = getattr(command, "commands", None)
     if inside:
         for name, one in inside.items():
-            yield from _told(one, context, f"{path} {name}")
+            yield from _in_words(one, context, f"{path} {name}")
         return
     own = click.Context(command, info_name=path)
     usage = " ".join([path, *command.collect_usage_pieces(own)])

@@ -1,4 +1,4 @@
-"""Markdown that says just what it is given: tables whose cells may hold anything."""
+"""Markdown tables with escaped cells."""
 
 import re
 from collections.abc import Iterable, Sequence

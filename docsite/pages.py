@@ -1,14 +1,14 @@
-"""Every made page, by its path in the site."""
+"""All generated pages, by their path in the site."""
 
 from collections.abc import Mapping
 
 from docsite.api_pages import api_pages
 from docsite.codes_page import codes_page
 from docsite.commands_page import commands_page
-from docsite.included import included_pages
 from docsite.programs_page import programs_page
+from docsite.readmes import included_pages
 from docsite.settings_page import settings_page
-from stone.metric import METRICS
+from stone.scoring.metric import METRICS
 
 
 def made_pages() -> Mapping[str, str]:

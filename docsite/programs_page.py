@@ -1,4 +1,4 @@
-"""Every program that measures, kills or fuzzes, from its own first words."""
+"""The reference of benchmark, kill and fuzz programs, from their docstrings."""
 
 import ast
 import re
@@ -22,7 +22,7 @@ def programs_page() -> str:
     parts = [HEAD]
     for folder, title in FOLDERS.items():
         parts.append(f"## {title}\n")
-        parts += [_told(*program) for program in programs(folder)]
+        parts += [_in_words(*program) for program in programs(folder)]
     return "\n".join(parts)
 
 
@@ -36,7 +36,7 @@ def programs(folder: str) -> Iterator[tuple[str, str]]:
             yield ".".join(part for part in parts if part != "__main__"), words
 
 
-def _told(module: str, words: str) -> str:
+def _in_words(module: str, words: str) -> str:
     used = USED_AS.search(words)
     line = (used.group(1) or used.group(2)) if used else f"python -m {module}"
     paragraphs = re.split(r"\n\s*\n", USED_AS.sub("", words, count=1))

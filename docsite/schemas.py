@@ -1,4 +1,4 @@
-"""Bodies as tables: what a JSON schema says of each of its keys, in words.
+"""JSON schemas as Markdown tables: a row per key.
 
 **Conventions.** Only what our documents hold is understood: references, unions, lists, maps, constants and enums with
 their bounds; what is left is shown as its type.

@@ -14,12 +14,21 @@ from pydantic import SecretStr
 from docsite.markdown import code, table
 from services.runtime import settings as module
 from services.runtime.settings import Settings
+from services.runtime.settings_checks import BOUNDS
 
 HEAD = """# Configuration
 
 Every process (API, workers, sweeper, migrations) reads the same settings. This page is made of
 `services/runtime/settings.py`, which says:
 
+"""
+REFUSED = """## What is refused
+
+A process that reads a value out of these bounds says so (`impossible_settings`) and ends. `STONE_JOBS__HEARTBEAT_S`
+must also be less than a third of `STONE_JOBS__LEASE_S` and not less than `STONE_JOBS__PROGRESS_S`,
+`STONE_STORE__S3_ENDPOINT` needs `STONE_STORE__S3_BUCKET`, and `STONE_API__URL` begins with `http://` or `https://`. A
+variable or a secret file that is named like a setting and is none is refused, with the nearest that is one
+(`unknown_setting`).
 """
 SIGNS = (("ge", "≥"), ("gt", ">"), ("le", "≤"), ("lt", "<"))
 UNITS = ((3600.0 * 24, "d"), (3600.0, "h"), (60.0, "min"))
@@ -34,16 +43,7 @@ def settings_page() -> str:
         if is_dataclass(field.default):
             group = type(field.default)
             parts.append(_section(name.capitalize(), getdoc(group) or "", _group_rows(name, field.default)))
-    return "\n".join(parts)
-
-
-def variables() -> Iterator[str]:
-    """The name of every environment variable that the settings read."""
-    for name, field in Settings.model_fields.items():
-        if is_dataclass(field.default):
-            yield from (_variable(name, one.name) for one in fields(field.default))
-        else:
-            yield f"STONE_{name.upper()}"
+    return "\n".join([*parts, REFUSED, table(("variable", "must be", "otherwise"), _bound_rows())])
 
 
 def _section(title: str, said: str, rows: Iterator[tuple[str, str, str]]) -> str:
@@ -60,6 +60,12 @@ def _group_rows(group: str, defaults: Any) -> Iterator[tuple[str, str, str]]:
     for one in fields(defaults):
         shown = _shown(one.name, getattr(defaults, one.name))
         yield code(_variable(group, one.name)), code(_type_name(one.type)), shown
+
+
+def _bound_rows() -> Iterator[tuple[str, str, str]]:
+    for bound in BOUNDS:
+        needed = f"{'more than' if bound.is_above else 'at least'} {bound.least:g}"
+        yield code(bound.variable), needed, bound.otherwise
 
 
 def _variable(group: str, name: str) -> str:

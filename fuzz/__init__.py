@@ -1,1 +1,1 @@
-"""Coverage-guided fuzzing of everything that reads what strangers bring; `python -m fuzz`."""
+"""Coverage-guided fuzzing of everything that reads untrusted bytes; `python -m fuzz`."""

@@ -1,8 +1,8 @@
 """Fuzz the parsers: `python -m fuzz [--minutes 10] [--only mcap db3 messages archive frame …] [--folder DIR]`.
 
 `--minutes` is of each target; two run side by side. Ends with 1 when an input crashed a parser, hung it for ten seconds
-or cost it more than 64 MiB. Such an input lies in the folder; once mended it belongs into `tests/fuzz/cases/<target>/`,
-where every test run plays it again.
+or cost it more than 64 MiB. Such an input lies in the folder; once repaired it belongs into
+`tests/fuzz/cases/<target>/`, where every test run plays it again.
 """
 
 import argparse
@@ -31,7 +31,7 @@ CONSOLE = Console(highlight=False, markup=False, soft_wrap=True)
 
 
 @dataclass(frozen=True)
-class Fuzzed:
+class FuzzResult:
     """What a target took: inputs tried, branches met, the inputs that broke it."""
 
     name: str
@@ -53,7 +53,7 @@ def main() -> int:
     return 1 if any(one.broken or one.exit_code for one in fuzzed) else 0
 
 
-def _fuzz(name: str, options: argparse.Namespace) -> Fuzzed:
+def _fuzz(name: str, options: argparse.Namespace) -> FuzzResult:
     folder: Path = options.folder / name
     corpus, found = folder / "corpus", folder / "found"
     for each in (corpus, found):
@@ -67,17 +67,17 @@ def _fuzz(name: str, options: argparse.Namespace) -> Fuzzed:
         "-print_final_stats=1",
     ]
     known = [str(CASES / name)] if (CASES / name).is_dir() else []
-    command = [sys.executable, "-m", "fuzz.fuzzing", name, *limits, *shape, str(corpus), *known]
+    command = [sys.executable, "-m", "fuzz.libfuzzer", name, *limits, *shape, str(corpus), *known]
     log = options.folder / f"{name}.log"
     with log.open("wb") as file:
         ended = subprocess.run(
             command, cwd=ROOT, env={**os.environ, "TMPDIR": options.scratch}, stdout=file, stderr=file
         )
     said = PROGRESS.findall(log.read_text("utf-8", "replace")) or [("0", "0", "0")]
-    return Fuzzed(name, int(said[-1][0]), int(said[-1][2]), tuple(sorted(found.iterdir())), ended.returncode)
+    return FuzzResult(name, int(said[-1][0]), int(said[-1][2]), tuple(sorted(found.iterdir())), ended.returncode)
 
 
-def _table(fuzzed: list[Fuzzed], options: argparse.Namespace) -> Table:
+def _table(fuzzed: list[FuzzResult], options: argparse.Namespace) -> Table:
     table = Table(title=f"{options.minutes:g} minutes each, seed {options.seed}")
     for column in ("parser", "inputs", "branches met", "crashes, hangs, growth over 64 MiB"):
         table.add_column(column, justify="left" if column == "parser" else "right")

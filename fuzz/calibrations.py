@@ -6,7 +6,7 @@ from tempfile import TemporaryDirectory
 
 from fuzz.targets import ENDINGS
 from simulator.calibration_yaml import write_calibration
-from simulator.rig import calibration
+from simulator.sensors.rig import calibration
 
 CAMERA_INFO = """\
 image_width: 640

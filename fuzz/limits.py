@@ -1,4 +1,4 @@
-"""What any input may cost: no exception without a code, and no growth beyond a limit.
+"""Limits that every fuzzed input must keep: coded exceptions only, bounded memory.
 
 **Conventions.** A target is a function of bytes that reads them as a hostile file would be read. `StoneError` is the
 only exception it may end with. Growth is the kernel's peak of this process above what it held before the input; the

@@ -1,29 +1,29 @@
-"""Every decoder of messages, in an order that found cases rely on: new ones are added at the end."""
+"""All message decoders in a stable order: new ones are added at the end."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
 
-from services.ingest.messages.batch import Stamped
-from services.ingest.messages.camera import picture_of
-from services.ingest.messages.camera_info import decode_camera_info
-from services.ingest.messages.gnss import NAVSATFIX, decode_gnss
-from services.ingest.messages.imu import decode_imu
-from services.ingest.messages.novatel import decode_bestpos, decode_inspva
-from services.ingest.messages.novatel_types import decode_novatel
-from services.ingest.messages.odometry import decode_odometry
-from services.ingest.messages.pointcloud2 import decode_cloud, lidar_points
-from services.ingest.messages.radar import decode_radar
-from services.ingest.messages.table import decode_table
-from services.ingest.messages.tf import decode_transforms
+from stone_recordings.messages.batch import StampedMessage
+from stone_recordings.messages.camera import picture_of
+from stone_recordings.messages.camera_info import decode_camera_info
+from stone_recordings.messages.gnss import NAVSATFIX, decode_gnss
+from stone_recordings.messages.imu import decode_imu
+from stone_recordings.messages.novatel import decode_bestpos, decode_inspva
+from stone_recordings.messages.novatel_types import decode_novatel
+from stone_recordings.messages.odometry import decode_odometry
+from stone_recordings.messages.pointcloud2 import decode_cloud, lidar_points
+from stone_recordings.messages.radars.radar import decode_radar
+from stone_recordings.messages.tf import decode_transforms
+from stone_recordings.messages.types.table import decode_table
 
-Decoder = Callable[[Sequence[Stamped]], object]
+Decoder = Callable[[Sequence[StampedMessage]], object]
 
 
-def _cloud(messages: Sequence[Stamped]) -> object:
+def _cloud(messages: Sequence[StampedMessage]) -> object:
     return lidar_points(decode_cloud(messages[0].payload))
 
 
-def _picture(type_name: str, messages: Sequence[Stamped]) -> object:
+def _picture(type_name: str, messages: Sequence[StampedMessage]) -> object:
     return picture_of(type_name, messages[0].payload, 320)
 
 

@@ -1,4 +1,4 @@
-"""Small whole inputs to begin from: a tiny drive of the simulated rig, written by other people's libraries.
+"""Seed inputs for fuzzing: a tiny simulated drive, written by third-party libraries.
 
 **Conventions.** Without checksums, since a mutation must get past the door; libFuzzer takes the inputs apart.
 """
@@ -18,13 +18,13 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 
 from fuzz.calibrations import calibrations
-from fuzz.exported import table_seeds, tar_seeds
+from fuzz.exports import table_seeds, tar_seeds
 from fuzz.messages import DECODERS
 from fuzz.submissions import archive_seeds, frame_seeds, header_seeds, manifest_seeds
-from services.ingest.bag import open_bag
-from services.ingest.messages.registry import message_definition, typestore
 from simulator.options import SimulateOptions
 from simulator.pipeline import simulate
+from stone_recordings.bags.bag import open_bag
+from stone_recordings.messages.types.registry import message_definition, typestore
 
 LONGEST_SEED_BYTES = 50_000
 MESSAGES_EACH = 3

@@ -17,12 +17,12 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from services.eval.errors import SubmissionError
-from services.eval.manifest import Manifest, read_manifest, write_manifest
-from services.eval.npz_frame import parse_header, prediction_grid
-from services.eval.submission_zip import Submission, open_submission
-from services.runtime.npz import npz_bytes
-from stone.grid import GRID_SHAPE
+from stone.labels.grid import GRID_SHAPE
+from stone_files.npz import npz_bytes
+from stone_submissions.archive import SubmissionZip, open_submission
+from stone_submissions.errors import SubmissionError
+from stone_submissions.manifest import Manifest, read_manifest, write_manifest
+from stone_submissions.npz_frame import parse_header, prediction_grid
 
 TOKENS = ("a" * 32, "b" * 32)
 DESCRS = ("'|u1'", "'|O'", "[('a', '<f4'), ('b', '|O')]")
@@ -123,7 +123,7 @@ def _archive(file: BytesIO, method: int, folder: str, *, wide: bool = False) -> 
     return file.getvalue()
 
 
-def _read(submission: Submission, token: str) -> bytes | None:
+def _read(submission: SubmissionZip, token: str) -> bytes | None:
     try:
         return bytes(submission.read(token))
     except SubmissionError:

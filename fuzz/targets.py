@@ -9,19 +9,19 @@ from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from fuzz.exported import read_tables, read_tar
+from fuzz.exports import read_tables, read_tar
 from fuzz.limits import Target
 from fuzz.messages import DECODERS
 from fuzz.submissions import read_archive, read_frame, read_header, read_manifest_file
-from services.ingest.bag import open_bag
-from services.ingest.calibration_file import read_calibration
-from services.ingest.inspection import inspect
-from services.ingest.messages.batch import Stamped
-from services.ingest.messages.registry import resolved
-from services.ingest.messages.table import decode_table
-from services.ingest.recorded import OwnMessage
-from services.ingest.recovery import recover
 from stone.errors import StoneError
+from stone_recordings.bags.bag import open_bag
+from stone_recordings.bags.recovery.recovery import recover
+from stone_recordings.calibrations.file import read_calibration
+from stone_recordings.messages.batch import StampedMessage
+from stone_recordings.messages.types.registry import resolved
+from stone_recordings.messages.types.table import decode_table
+from stone_recordings.report.inspection import inspect
+from stone_recordings.sync.recorded_messages import OwnMessage
 
 DESCRIBED = "field_msgs/msg/Reading"
 ENDINGS = (".yaml", ".json", ".zip", ".txt")
@@ -59,7 +59,7 @@ def read_db3(content: bytes) -> None:
 def read_messages(content: bytes) -> None:
     """One message, twice, for what compares a message with the one before it."""
     if content:
-        payload: Stamped = OwnMessage(memoryview(content[1:]))
+        payload: StampedMessage = OwnMessage(memoryview(content[1:]))
         DECODERS[content[0] % len(DECODERS)]([payload, payload])
 
 

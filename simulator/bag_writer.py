@@ -11,8 +11,8 @@ from pathlib import Path
 
 from mcap.writer import CompressionType, Writer
 
-from services.ingest.messages.registry import message_definition
 from simulator.options import Compression
+from stone_recordings.messages.types.registry import message_definition
 
 COMPRESSIONS = {"none": CompressionType.NONE, "lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD}
 CHUNK_BYTES = 4 << 20

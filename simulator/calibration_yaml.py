@@ -8,8 +8,8 @@ from pathlib import Path
 
 from ruamel.yaml import YAML
 
-from stone.calibration import Calibration, Mount
-from stone.se3 import SE3
+from stone.geometry.se3 import SE3
+from stone.sensors.calibration import Calibration, Mount
 
 
 def write_calibration(calibration: Calibration, path: Path) -> None:

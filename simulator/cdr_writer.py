@@ -17,7 +17,7 @@ CDR_LITTLE_ENDIAN = 0x0100  # bytes 00 01 00 00
 
 
 @dataclass(frozen=True)
-class Member:
+class CdrMember:
     """One primitive, fixed array or array of `stride`-padded structs; `default` fills every new record."""
 
     name: str
@@ -26,7 +26,7 @@ class Member:
 
 
 @dataclass(frozen=True)
-class Text:
+class CdrText:
     """A string that is the same in every message of the layout."""
 
     name: str
@@ -34,7 +34,7 @@ class Text:
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
+class CdrLayout:
     """The record type of one message kind and a template with every constant in place."""
 
     dtype: np.dtype[np.void]
@@ -50,16 +50,16 @@ def tiled(template: bytes, count: int, dtype: np.dtype[np.void]) -> NDArray[np.v
     return np.frombuffer(bytearray(template * count), dtype)
 
 
-def header(frame_id: str) -> tuple[Member | Text, ...]:
+def header(frame_id: str) -> tuple[CdrMember | CdrText, ...]:
     """std_msgs/Header with fields `sec`, `nanosec`."""
-    return (Member("sec", "<i4"), Member("nanosec", "<u4"), Text("frame_id", frame_id))
+    return (CdrMember("sec", "<i4"), CdrMember("nanosec", "<u4"), CdrText("frame_id", frame_id))
 
 
-def sequence_length(name: str, length: int = 0) -> Member:
-    return Member(name, "<u4", length)
+def sequence_length(name: str, length: int = 0) -> CdrMember:
+    return CdrMember(name, "<u4", length)
 
 
-def layout(members: Sequence[Member | Text]) -> Layout:
+def layout(members: Sequence[CdrMember | CdrText]) -> CdrLayout:
     """Offsets by the alignment rule; the record ends where the last member ends."""
     names, offsets, defaults = ["encapsulation"], [0], [np.array(CDR_LITTLE_ENDIAN)]
     formats: list[np.dtype[Any]] = [np.dtype("<u4")]
@@ -78,18 +78,18 @@ def layout(members: Sequence[Member | Text]) -> Layout:
     template = np.zeros(1, record)
     for name, default in zip(names, defaults, strict=True):
         template[name] = default
-    return Layout(record, template.tobytes())
+    return CdrLayout(record, template.tobytes())
 
 
-def _expanded(members: Sequence[Member | Text]) -> list[Member]:
-    flat: list[Member] = []
+def _expanded(members: Sequence[CdrMember | CdrText]) -> list[CdrMember]:
+    flat: list[CdrMember] = []
     for member in members:
-        if isinstance(member, Member):
+        if isinstance(member, CdrMember):
             flat.append(member)
             continue
         text = member.value.encode() + b"\0"
-        flat.append(Member(f"{member.name}_length", "<u4", len(text)))
-        flat.append(Member(member.name, f"S{len(text)}", text))
+        flat.append(CdrMember(f"{member.name}_length", "<u4", len(text)))
+        flat.append(CdrMember(member.name, f"S{len(text)}", text))
     return flat
 
 

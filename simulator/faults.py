@@ -1,4 +1,4 @@
-"""What goes wrong on real robots, each fault a small change of what the recorder is given.
+"""Simulated sensor faults, each a small change of what is recorded.
 
 **Conventions.** A fault changes one part and is the identity on the others, so several compose in the order they are
 named. Record times stay those of the recorder's clock: a fault of a sensor's clock moves header stamps only, a fault
@@ -11,14 +11,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator import rig
-from simulator.cameras import Picture
-from simulator.navigation import FIX_NS, Fixes, Inertia
 from simulator.options import FaultName
-from simulator.rig import CameraSpec
+from simulator.scenery.world import START_NS, generator
+from simulator.sensors import rig
+from simulator.sensors.cameras import SimulatedPicture
+from simulator.sensors.navigation import FIX_NS, Fixes, Inertia
+from simulator.sensors.rig import CameraSpec
 from simulator.topics import BESTPOS_TOPIC, INSPVAX_TOPIC, LIDAR_TOPIC
-from simulator.world import START_NS, generator
-from stone.calibration import Calibration
+from stone.sensors.calibration import Calibration
 
 Stamps = NDArray[np.int64]
 HOST_DELAY_NS = 45_000_000  # less than the 50 ms between two fixes: they never overtake each other
@@ -42,7 +42,7 @@ class Fault:
     fixes: Callable[[Fixes], Fixes] = lambda fixes: fixes
     inertia: Callable[[Inertia], Inertia] = lambda inertia: inertia
     triggers: Callable[[CameraSpec], CameraSpec] = lambda camera: camera
-    pictures: Callable[[list[Picture], int], list[Picture]] = lambda pictures, sweep: pictures
+    pictures: Callable[[list[SimulatedPicture], int], list[SimulatedPicture]] = lambda pictures, sweep: pictures
     clock: Callable[[str, Stamps], Stamps] = lambda topic, stamps_ns: stamps_ns
     calibration: Callable[[Calibration], Calibration] = lambda calibration: calibration
 
@@ -116,13 +116,13 @@ def _late(camera: CameraSpec) -> CameraSpec:
     return replace(camera, phase_ns=camera.phase_ns + LATE_NS) if camera.channel == LATE_CHANNEL else camera
 
 
-def _dropping(pictures: list[Picture], sweep: int) -> list[Picture]:
+def _dropping(pictures: list[SimulatedPicture], sweep: int) -> list[SimulatedPicture]:
     if sweep % DROPS_EVERY != DROPS_EVERY - 1:
         return pictures
     return [picture for picture in pictures if picture.camera.channel != DROPPING_CHANNEL]
 
 
-def _swapped(pictures: list[Picture], sweep: int) -> list[Picture]:
+def _swapped(pictures: list[SimulatedPicture], sweep: int) -> list[SimulatedPicture]:
     """Two plugs exchanged: each picture is published as the other camera's."""
     cameras = {camera.channel: camera for camera in rig.cameras()}
     left, right = SWAPPED_CHANNELS

@@ -1,4 +1,4 @@
-"""What to simulate: one frozen value, checked when it is made.
+"""Options of a simulation: one frozen value, checked when it is made.
 
 **Conventions.** Equal options give equal bytes: the seed draws the world, the noise and the jitter, and nothing reads
 the clock.

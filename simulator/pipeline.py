@@ -9,20 +9,20 @@ from pathlib import Path
 
 import numpy as np
 
-from services.runtime.atomic import atomic_directory, atomic_file
-from simulator import rig
 from simulator.bag_writer import open_bag_writer
 from simulator.calibration_yaml import write_calibration
-from simulator.cameras import build_ring, take_pictures
 from simulator.faults import all_of
-from simulator.lidar import build_lidar, sweep_points
-from simulator.navigation import Fixes, Inertia, take_fixes, take_inertia
 from simulator.options import SimulateOptions
-from simulator.radar import Radars, scan, scan_stamps_ns, stale_detections
 from simulator.recorder import Recorder
-from simulator.scene import Scene
+from simulator.scenery.scene import RayScene
+from simulator.scenery.world import START_NS, SimulatedWorld, build_world, generator
+from simulator.sensors import rig
+from simulator.sensors.cameras import build_ring, take_pictures
+from simulator.sensors.lidar import build_lidar, sweep_points
+from simulator.sensors.navigation import Fixes, Inertia, take_fixes, take_inertia
+from simulator.sensors.radar import Radars, scan, scan_stamps_ns, stale_detections
 from simulator.truth import TRUTH_MARK, truth_of, write_truth
-from simulator.world import START_NS, World, build_world, generator
+from stone_files.atomic import atomic_directory, atomic_file
 
 Progress = Callable[[str, int, int], None]
 LEAD_NS = 215_000_000  # navigation runs before the first sweep; no sweep falls on a fix
@@ -61,8 +61,8 @@ def simulate(out: Path, options: SimulateOptions, truth_dir: Path | None = None,
         _record(staging, options, world, progress)
 
 
-def _record(path: Path, options: SimulateOptions, world: World, progress: Progress) -> None:
-    scene, lidar, ring, fault = Scene(world), build_lidar(options), build_ring(options), all_of(options.faults)
+def _record(path: Path, options: SimulateOptions, world: SimulatedWorld, progress: Progress) -> None:
+    scene, lidar, ring, fault = RayScene(world), build_lidar(options), build_ring(options), all_of(options.faults)
     ring = replace(ring, cameras=tuple(map(fault.triggers, ring.cameras)))
     draws = {part: generator(options.seed, part) for part in ("lidar", "camera", "radar", "fixes", "imu", "stale")}
     stamps = sweep_stamps_ns(options)

@@ -9,18 +9,19 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator import rig, ros_messages
+from simulator import ros_messages
 from simulator.bag_writer import BagWriter
-from simulator.cameras import Picture
-from simulator.cdr_writer import Layout, stamp_parts
+from simulator.cdr_writer import CdrLayout, stamp_parts
 from simulator.faults import Fault
-from simulator.navigation import ACCELERATION_NOISE_M_S2, GYRO_NOISE_RAD_S, UNDULATION_M, Fixes, Inertia
 from simulator.options import SimulateOptions
-from simulator.radar import RadarLists
 from simulator.ros_messages import POINT_STEP_BYTES
+from simulator.scenery.world import generator
+from simulator.sensors import rig
+from simulator.sensors.cameras import SimulatedPicture
+from simulator.sensors.navigation import ACCELERATION_NOISE_M_S2, GYRO_NOISE_RAD_S, UNDULATION_M, Fixes, Inertia
+from simulator.sensors.radar import RadarLists
 from simulator.topics import BESTPOS_TOPIC, IMU_TOPIC, INSPVAX_TOPIC, LIDAR_TOPIC, TF_STATIC_TOPIC, topics
-from simulator.world import generator
-from stone.se3 import SE3
+from stone.geometry.se3 import SE3
 
 BASE_FRAME, LIDAR_FRAME, INS_FRAME, IMU_FRAME = "base_link", "hesai_lidar", "gps", "imu_link"
 LIDAR_DELAY_NS = rig.SWEEP_NS + 8_000_000
@@ -68,7 +69,7 @@ class Recorder:
         record["row_step"] = record["data_length"] = len(points) * POINT_STEP_BYTES
         self._add(LIDAR_TOPIC, stamp_ns + LIDAR_DELAY_NS, record.tobytes() + points.tobytes() + b"\0")
 
-    def picture(self, picture: Picture) -> None:
+    def picture(self, picture: SimulatedPicture) -> None:
         log_time_ns, topic = picture.stamp_ns + CAMERA_DELAY_NS, picture.camera.topic
         shown_ns = self._shown_ns(topic, picture.stamp_ns)
         record = _stamped(self._images[topic], shown_ns)
@@ -119,11 +120,11 @@ class Recorder:
         return int(self._fault.clock(topic, np.array([stamp_ns], np.int64))[0])
 
 
-def _stamped(layout: Layout, stamp_ns: int) -> NDArray[np.void]:
+def _stamped(layout: CdrLayout, stamp_ns: int) -> NDArray[np.void]:
     return _stamped_all(layout, np.array([stamp_ns], np.int64))
 
 
-def _stamped_all(layout: Layout, stamps_ns: NDArray[np.int64]) -> NDArray[np.void]:
+def _stamped_all(layout: CdrLayout, stamps_ns: NDArray[np.int64]) -> NDArray[np.void]:
     records = layout.records(len(stamps_ns))
     records["sec"], records["nanosec"] = stamp_parts(stamps_ns)
     return records
@@ -135,7 +136,7 @@ def _put_transform(record: NDArray[np.void], index: int, parent_from_child: SE3,
     record[f"rotation_xyzw_{index}"] = parent_from_child.wxyz[[1, 2, 3, 0]]
 
 
-def _info_layout(camera: rig.CameraSpec, options: SimulateOptions) -> Layout:
+def _info_layout(camera: rig.CameraSpec, options: SimulateOptions) -> CdrLayout:
     lens = rig.intrinsics(options.camera_width_px)
     layout = ros_messages.camera_info(camera.frame_id, lens.model, len(lens.distortion))
     k = np.array([[lens.fx_px, 0, lens.cx_px], [0, lens.fy_px, lens.cy_px], [0, 0, 1]])
@@ -143,7 +144,7 @@ def _info_layout(camera: rig.CameraSpec, options: SimulateOptions) -> Layout:
     template["width"], template["height"] = lens.width_px, lens.height_px
     template["k"], template["r"] = k.ravel(), np.eye(3).ravel()
     template["p"] = np.concatenate([k, np.zeros((3, 1))], axis=1).ravel()
-    return Layout(layout.dtype, template.tobytes())
+    return CdrLayout(layout.dtype, template.tobytes())
 
 
 def _fill_receiver(

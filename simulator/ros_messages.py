@@ -7,7 +7,7 @@ Sources: sensor_msgs and tf2_msgs (Humble), HesaiLidar_ROS_2.0 (26-byte points),
 
 import numpy as np
 
-from simulator.cdr_writer import Layout, Member, Text, header, layout, sequence_length
+from simulator.cdr_writer import CdrLayout, CdrMember, CdrText, header, layout, sequence_length
 
 POINT_STEP_BYTES = 26
 POINT_OFFSETS_BYTES = {"x": 0, "y": 4, "z": 8, "intensity": 12, "ring": 16, "timestamp": 18}
@@ -40,64 +40,72 @@ DETECTION = np.dtype(
 )  # fmt: skip
 
 
-def cloud_head(frame_id: str) -> Layout:
+def cloud_head(frame_id: str) -> CdrLayout:
     """sensor_msgs/PointCloud2 up to the points; `is_dense` (one byte) follows them."""
-    members: list[Member | Text] = [*header(frame_id), Member("height", "<u4", 1), Member("width", "<u4")]
+    members: list[CdrMember | CdrText] = [*header(frame_id), CdrMember("height", "<u4", 1), CdrMember("width", "<u4")]
     members.append(sequence_length("field_count", len(POINT_FIELD_TYPES)))
     for name, code in POINT_FIELD_TYPES.items():
         members += [
-            Text(f"{name}_name", name),
-            Member(f"{name}_offset", "<u4", POINT_OFFSETS_BYTES[name]),
-            Member(f"{name}_datatype", "u1", code),
-            Member(f"{name}_count", "<u4", 1),
+            CdrText(f"{name}_name", name),
+            CdrMember(f"{name}_offset", "<u4", POINT_OFFSETS_BYTES[name]),
+            CdrMember(f"{name}_datatype", "u1", code),
+            CdrMember(f"{name}_count", "<u4", 1),
         ]
-    members += [Member("is_bigendian", "u1"), Member("point_step", "<u4", POINT_STEP_BYTES), Member("row_step", "<u4")]
+    members += [
+        CdrMember("is_bigendian", "u1"),
+        CdrMember("point_step", "<u4", POINT_STEP_BYTES),
+        CdrMember("row_step", "<u4"),
+    ]
     return layout([*members, sequence_length("data_length")])
 
 
-def compressed_image_head(frame_id: str) -> Layout:
+def compressed_image_head(frame_id: str) -> CdrLayout:
     """sensor_msgs/CompressedImage up to the JPEG bytes."""
-    return layout([*header(frame_id), Text("format", "jpeg"), sequence_length("data_length")])
+    return layout([*header(frame_id), CdrText("format", "jpeg"), sequence_length("data_length")])
 
 
-def camera_info(frame_id: str, model: str, coefficients: int) -> Layout:
+def camera_info(frame_id: str, model: str, coefficients: int) -> CdrLayout:
     """sensor_msgs/CameraInfo."""
-    roi = [Member(f"roi_{name}", "<u4") for name in ("x_offset", "y_offset", "height", "width")]
+    roi = [CdrMember(f"roi_{name}", "<u4") for name in ("x_offset", "y_offset", "height", "width")]
     return layout(
         [
-            *header(frame_id), Member("height", "<u4"), Member("width", "<u4"), Text("distortion_model", model),
-            sequence_length("d_length", coefficients), Member("d", f"({coefficients},)<f8"), Member("k", "(9,)<f8"),
-            Member("r", "(9,)<f8"), Member("p", "(12,)<f8"), Member("binning_x", "<u4"), Member("binning_y", "<u4"),
-            *roi, Member("do_rectify", "u1"),
+            *header(frame_id), CdrMember("height", "<u4"), CdrMember("width", "<u4"), CdrText("distortion_model",
+            model),
+            sequence_length("d_length", coefficients), CdrMember("d", f"({coefficients},)<f8"),
+            CdrMember("k", "(9,)<f8"),
+            CdrMember("r", "(9,)<f8"), CdrMember("p", "(12,)<f8"), CdrMember("binning_x", "<u4"),
+            CdrMember("binning_y", "<u4"),
+            *roi, CdrMember("do_rectify", "u1"),
         ]
     )  # fmt: skip
 
 
-def imu(frame_id: str) -> Layout:
+def imu(frame_id: str) -> CdrLayout:
     """sensor_msgs/Imu; the orientation is marked absent (first covariance −1), as the Epson driver does."""
     absent = np.array([-1.0, 0, 0, 0, 0, 0, 0, 0, 0])
     return layout(
         [
             *header(frame_id),
-            Member("orientation_xyzw", "(4,)<f8", np.array([0.0, 0, 0, 1])),
-            Member("orientation_covariance", "(9,)<f8", absent),
-            Member("angular_velocity", "(3,)<f8"),
-            Member("angular_velocity_covariance", "(9,)<f8"),
-            Member("linear_acceleration", "(3,)<f8"),
-            Member("linear_acceleration_covariance", "(9,)<f8"),
+            CdrMember("orientation_xyzw", "(4,)<f8", np.array([0.0, 0, 0, 1])),
+            CdrMember("orientation_covariance", "(9,)<f8", absent),
+            CdrMember("angular_velocity", "(3,)<f8"),
+            CdrMember("angular_velocity_covariance", "(9,)<f8"),
+            CdrMember("linear_acceleration", "(3,)<f8"),
+            CdrMember("linear_acceleration_covariance", "(9,)<f8"),
         ]
     )
 
 
-def _oem7_header(name: str, message_id: int) -> list[Member | Text]:
+def _oem7_header(name: str, message_id: int) -> list[CdrMember | CdrText]:
     return [
-        Text("message_name", name), Member("message_id", "<u2", message_id), Member("message_type", "u1"),
-        Member("sequence_number", "<u4"), Member("time_status", "u1"), Member("gps_week_number", "<u2"),
-        Member("gps_week_milliseconds", "<u4"), Member("receiver_status", "<u4"), Member("idle_time", "<f4", 40.0),
+        CdrText("message_name", name), CdrMember("message_id", "<u2", message_id), CdrMember("message_type", "u1"),
+        CdrMember("sequence_number", "<u4"), CdrMember("time_status", "u1"), CdrMember("gps_week_number", "<u2"),
+        CdrMember("gps_week_milliseconds", "<u4"), CdrMember("receiver_status", "<u4"),
+        CdrMember("idle_time", "<f4", 40.0),
     ]  # fmt: skip
 
 
-def inspvax(frame_id: str) -> Layout:
+def inspvax(frame_id: str) -> CdrLayout:
     """novatel_oem7_msgs/INSPVAX (log 1465)."""
     doubles = ("latitude", "longitude", "height")
     motion = ("north_velocity", "east_velocity", "up_velocity", "roll", "pitch", "azimuth")
@@ -105,58 +113,60 @@ def inspvax(frame_id: str) -> Layout:
     return layout(
         [
             *header(frame_id), *_oem7_header("INSPVAX", 1465),
-            Member("ins_status", "<u4"), Member("pos_type", "<u4"), *(Member(name, "<f8") for name in doubles),
-            Member("undulation", "<f4"), *(Member(name, "<f8") for name in motion),
-            *(Member(f"{name}_stdev", "<f4") for name in deviations),
-            Member("ext_sol_status", "<u4"), Member("time_since_update", "<u2"),
+            CdrMember("ins_status", "<u4"), CdrMember("pos_type", "<u4"), *(CdrMember(name, "<f8") for name in doubles),
+            CdrMember("undulation", "<f4"), *(CdrMember(name, "<f8") for name in motion),
+            *(CdrMember(f"{name}_stdev", "<f4") for name in deviations),
+            CdrMember("ext_sol_status", "<u4"), CdrMember("time_since_update", "<u2"),
         ]
     )  # fmt: skip
 
 
-def bestpos(frame_id: str) -> Layout:
+def bestpos(frame_id: str) -> CdrLayout:
     """novatel_oem7_msgs/BESTPOS (log 42); `hgt` is above mean sea level."""
     counts = ("num_svs", "num_sol_svs", "num_sol_l1_svs", "num_sol_multi_svs", "reserved", "ext_sol_stat")
     return layout(
         [
             *header(frame_id), *_oem7_header("BESTPOS", 42),
-            Member("sol_status", "<u4"), Member("pos_type", "<u4"), Member("lat", "<f8"), Member("lon", "<f8"),
-            Member("hgt", "<f8"), Member("undulation", "<f4"), Member("datum_id", "<u4", 61),
-            Member("lat_stdev", "<f4"), Member("lon_stdev", "<f4"), Member("hgt_stdev", "<f4"),
-            Member("stn_id", "(4,)i1"), Member("diff_age", "<f4"), Member("sol_age", "<f4"),
-            *(Member(name, "u1") for name in counts),
-            Member("galileo_beidou_sig_mask", "u1"), Member("gps_glonass_sig_mask", "u1"),
+            CdrMember("sol_status", "<u4"), CdrMember("pos_type", "<u4"), CdrMember("lat", "<f8"),
+            CdrMember("lon", "<f8"),
+            CdrMember("hgt", "<f8"), CdrMember("undulation", "<f4"), CdrMember("datum_id", "<u4", 61),
+            CdrMember("lat_stdev", "<f4"), CdrMember("lon_stdev", "<f4"), CdrMember("hgt_stdev", "<f4"),
+            CdrMember("stn_id", "(4,)i1"), CdrMember("diff_age", "<f4"), CdrMember("sol_age", "<f4"),
+            *(CdrMember(name, "u1") for name in counts),
+            CdrMember("galileo_beidou_sig_mask", "u1"), CdrMember("gps_glonass_sig_mask", "u1"),
         ]
     )  # fmt: skip
 
 
-def detection_list(frame_id: str) -> Layout:
+def detection_list(frame_id: str) -> CdrLayout:
     """ars548_messages/DetectionList: 800 slots always, `list_numofdetections` of them valid."""
     pose = ("xpos", "xstd", "ypos", "ystd", "zpos", "zstd", "roll", "rollstd", "pitch", "pitchstd", "yaw", "yawstd")
     return layout(
         [
-            *header(frame_id), Member("crc", "<u8"), Member("length", "<u4"), Member("sqc", "<u4"),
-            Member("dataid", "<u4"), Member("timestamp_nanoseconds", "<u4"), Member("timestamp_seconds", "<u4"),
-            Member("timestamp_syncstatus", "u1", 1), Member("eventdataqualifier", "<u4"),
-            Member("extendedqualifier", "u1"), Member("origin_invalidflags", "<u2"),
-            *(Member(f"origin_{name}", "<f4") for name in pose), Member("list_invalidflags", "u1"),
-            Member("list_detections", (DETECTION, (MAX_DETECTIONS,))),
-            Member("list_radveldomain_min", "<f4", -60.0), Member("list_radveldomain_max", "<f4", 30.0),
-            Member("list_numofdetections", "<u4"), Member("aln_azimuthcorrection", "<f4"),
-            Member("aln_elevationcorrection", "<f4"), Member("aln_status", "u1"),
+            *header(frame_id), CdrMember("crc", "<u8"), CdrMember("length", "<u4"), CdrMember("sqc", "<u4"),
+            CdrMember("dataid", "<u4"), CdrMember("timestamp_nanoseconds", "<u4"),
+            CdrMember("timestamp_seconds", "<u4"),
+            CdrMember("timestamp_syncstatus", "u1", 1), CdrMember("eventdataqualifier", "<u4"),
+            CdrMember("extendedqualifier", "u1"), CdrMember("origin_invalidflags", "<u2"),
+            *(CdrMember(f"origin_{name}", "<f4") for name in pose), CdrMember("list_invalidflags", "u1"),
+            CdrMember("list_detections", (DETECTION, (MAX_DETECTIONS,))),
+            CdrMember("list_radveldomain_min", "<f4", -60.0), CdrMember("list_radveldomain_max", "<f4", 30.0),
+            CdrMember("list_numofdetections", "<u4"), CdrMember("aln_azimuthcorrection", "<f4"),
+            CdrMember("aln_elevationcorrection", "<f4"), CdrMember("aln_status", "u1"),
         ]
     )  # fmt: skip
 
 
-def static_transforms(frame_pairs: list[tuple[str, str]]) -> Layout:
+def static_transforms(frame_pairs: list[tuple[str, str]]) -> CdrLayout:
     """tf2_msgs/TFMessage; pair i gives fields `translation_i` and `rotation_xyzw_i`, parent_from_child."""
-    members: list[Member | Text] = [sequence_length("transform_count", len(frame_pairs))]
+    members: list[CdrMember | CdrText] = [sequence_length("transform_count", len(frame_pairs))]
     for index, (parent, child) in enumerate(frame_pairs):
         members += [
-            Member(f"sec_{index}", "<i4"),
-            Member(f"nanosec_{index}", "<u4"),
-            Text(f"parent_{index}", parent),
-            Text(f"child_{index}", child),
-            Member(f"translation_{index}", "(3,)<f8"),
-            Member(f"rotation_xyzw_{index}", "(4,)<f8"),
+            CdrMember(f"sec_{index}", "<i4"),
+            CdrMember(f"nanosec_{index}", "<u4"),
+            CdrText(f"parent_{index}", parent),
+            CdrText(f"child_{index}", child),
+            CdrMember(f"translation_{index}", "(3,)<f8"),
+            CdrMember(f"rotation_xyzw_{index}", "(4,)<f8"),
         ]
     return layout(members)

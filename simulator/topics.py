@@ -3,8 +3,8 @@
 **Conventions.** Names are those of the drivers of the paper's sensors; the rig names its cameras and radars.
 """
 
-from simulator import rig
 from simulator.options import SimulateOptions
+from simulator.sensors import rig
 
 LIDAR_TOPIC = "/lidar_points"
 INSPVAX_TOPIC, BESTPOS_TOPIC = "/novatel/oem7/inspvax", "/novatel/oem7/bestpos"

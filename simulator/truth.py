@@ -1,4 +1,4 @@
-"""What is really there: exact ground, exact poses, and whether a place may be driven over.
+"""Ground truth of a simulation: exact terrain, exact poses and drivability.
 
 **Conventions.** World = map of the simulation; heights are lattice points (`height_m[i, j]` at origin + (j, i) ·
 resolution). A judged point lies on the ground's surface or inside an obstacle; grass, crowns, the walker's trail and
@@ -15,14 +15,14 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.drivability import drivability
-from simulator.objects import OBSTACLE
 from simulator.options import SimulateOptions
-from simulator.path import POSE_NS, Trajectory
-from simulator.terrain import bilinear
-from simulator.world import ORIGIN_DEG_M, World
+from simulator.scenery.drivability import drivability
+from simulator.scenery.objects import OBSTACLE
+from simulator.scenery.path import POSE_NS, DriveTrajectory
+from simulator.scenery.terrain import bilinear
+from simulator.scenery.world import ORIGIN_DEG_M, SimulatedWorld
 from stone.errors import StoneError
-from stone.se3 import SE3, Array
+from stone.geometry.se3 import SE3, Array
 
 TRUTH_MARK = "world.json"
 NOT_JUDGED, DRIVABLE, NOT_DRIVABLE = 0, 1, 2
@@ -52,7 +52,7 @@ class TruthFolderError(StoneError):
 
 
 @dataclass(frozen=True, eq=False)
-class Truth:
+class SimulationTruth:
     """Lattice fields (ny, nx), the drive, and the sweeps' stamps (S,)."""
 
     height_m: Array
@@ -60,7 +60,7 @@ class Truth:
     is_drivable: NDArray[np.bool_]
     obstacles: NDArray[np.void]
     obstacle_top_m: NDArray[np.float32]
-    trajectory: Trajectory
+    trajectory: DriveTrajectory
     sweep_stamps_ns: NDArray[np.int64]
     origin_m: tuple[float, float]
     resolution_m: float
@@ -106,7 +106,7 @@ class Truth:
 
 
 @dataclass(frozen=True, eq=False)
-class Ground:
+class TruthGround:
     """What the truth is worked out from: heights (ny, nx) on a lattice and the obstacles on them."""
 
     height_m: Array
@@ -115,19 +115,19 @@ class Ground:
     resolution_m: float
 
 
-def truth_of(world: World, sweep_stamps_ns: list[int]) -> Truth:
+def truth_of(world: SimulatedWorld, sweep_stamps_ns: list[int]) -> SimulationTruth:
     """The truth of a world in memory."""
     terrain = world.terrain
-    ground = Ground(terrain.height_m, world.objects.obstacles, terrain.origin_m, terrain.resolution_m)
+    ground = TruthGround(terrain.height_m, world.objects.obstacles, terrain.origin_m, terrain.resolution_m)
     return truth_over(ground, world.trajectory, np.array(sweep_stamps_ns, np.int64))
 
 
-def truth_over(ground: Ground, trajectory: Trajectory, sweep_stamps_ns: NDArray[np.int64]) -> Truth:
+def truth_over(ground: TruthGround, trajectory: DriveTrajectory, sweep_stamps_ns: NDArray[np.int64]) -> SimulationTruth:
     """The truth of a drive over this ground."""
     fields = drivability(ground.height_m, ground.resolution_m)
     rows, columns = ground.height_m.shape
     extent = ((columns - 1) * ground.resolution_m, (rows - 1) * ground.resolution_m)
-    return Truth(
+    return SimulationTruth(
         ground.height_m,
         fields.slope_rad,
         fields.is_drivable,
@@ -159,7 +159,7 @@ def obstacle_tops(
     return tops
 
 
-def write_truth(truth: Truth, options: SimulateOptions, folder: Path) -> None:
+def write_truth(truth: SimulationTruth, options: SimulateOptions, folder: Path) -> None:
     """Fill an empty folder."""
     np.savez_compressed(
         folder / "heightfield.npz",
@@ -180,23 +180,23 @@ def write_truth(truth: Truth, options: SimulateOptions, folder: Path) -> None:
     (folder / TRUTH_MARK).write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
 
 
-def read_truth(folder: Path) -> Truth:
+def read_truth(folder: Path) -> SimulationTruth:
     """The truth `stone simulate --truth` wrote. Raises `TruthFolderError` when it is not one."""
     try:
         json.loads((folder / TRUTH_MARK).read_text(encoding="utf-8"))["stone_truth"]
         with np.load(folder / "heightfield.npz") as ground, np.load(folder / "poses.npz") as drive:
             stamps = drive["stamps_ns"]
             _check_stamps(folder, stamps)
-            trajectory = Trajectory(int(stamps[0]), SE3(drive["map_from_ego"]))
+            trajectory = DriveTrajectory(int(stamps[0]), SE3(drive["map_from_ego"]))
             return truth_over(_ground(ground), trajectory, drive["sweep_stamps_ns"])
     except (OSError, KeyError, TypeError, ValueError, BadZipFile) as error:
         raise TruthFolderError(folder, str(error)) from error
 
 
-def _ground(fields: Mapping[str, NDArray[Any]]) -> Ground:
+def _ground(fields: Mapping[str, NDArray[Any]]) -> TruthGround:
     x, y = fields["origin_m"].tolist()
     obstacles = fields["obstacles"].astype(OBSTACLE)
-    return Ground(fields["height_m"], obstacles, (float(x), float(y)), float(fields["resolution_m"]))
+    return TruthGround(fields["height_m"], obstacles, (float(x), float(y)), float(fields["resolution_m"]))
 
 
 def _check_stamps(folder: Path, stamps_ns: NDArray[np.int64]) -> None:

@@ -41,3 +41,7 @@ class ShapeError(StoneError):
 
     def __init__(self, name: str, shape: tuple[int, ...], expected: str) -> None:
         super().__init__(f"{name} has shape {shape}; expected {expected}")
+
+
+class PlatformFaultError(StoneError):
+    """Not the input is at fault but the machine, for now: a job that meets one of these is tried again."""

@@ -1,4 +1,4 @@
-"""What was noticed about an input: coded, graded, in one sentence each."""
+"""Findings about an input: a code, a grade and a sentence each."""
 
 from dataclasses import asdict, dataclass
 from typing import Literal

@@ -5,7 +5,13 @@ from pathlib import Path
 
 import pytest
 
-pytest_plugins = ["tests.servers.fixtures", "tests.chromium"]
+pytest_plugins = [
+    "testing.servers.fixtures",
+    "testing.web.chromium",
+    "testing.costs",
+    "testing.tiers",
+    "testing.memory",
+]
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from tests.slow_metric import Counts, added, slow_counts, slow_extras, slow_ratios
 
-FOLDER = Path(__file__).resolve().parents[1] / "services" / "runtime" / "benchmarks" / "golden"
+FOLDER = Path(__file__).resolve().parents[1] / "services" / "domain" / "benchmarks" / "golden"
 SHAPE = (256, 256, 32)
 METRICS = ("stone-iou-1", "stone-iou-occupied-1")
 MASKS = ("all", "lidar", "camera")

@@ -1,4 +1,4 @@
-"""The house keeps its shape: the arrow of dependency, small files, plain words, nothing of one machine in it."""
+"""The platform keeps its shape: the arrow of dependency, small files, plain words, nothing of one machine in it."""
 
 import ast
 import os
@@ -7,23 +7,29 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("stone", "services", "simulator", "client", "api", "web")
+PACKAGES = (
+    "stone", "stone_files", "stone_recordings", "stone_submissions",
+    "services", "simulator", "stone_client", "api", "web",
+)  # fmt: skip
 SOURCES = tuple(
     path
-    for package in (*PACKAGES, "chaos", "fuzz")
+    for package in (*PACKAGES, "chaos", "fuzz", "testing")
     for path in sorted((ROOT / package).rglob("*.py"))
     if "node_modules" not in path.parts
 )
 MAX_FILE_LINES = 300
 MAX_FUNCTION_LINES = 50
+MAX_SIBLINGS = 30
 EMPTY_WORDS = {"util", "utils", "helper", "helpers", "manager", "common", "misc"}
 EMPTY_VERBS = ("get_", "do_", "handle_")
+OF_THE_STANDARD_LIBRARY = {"do_GET", "do_POST"}  # as http.server calls them
 # llvmlite is the half of numba that emits instructions; an intrinsic (popcount) needs its types.
 STONE_MAY_IMPORT = {"stone", "numpy", "scipy", "numba", "llvmlite"} | {
     "dataclasses", "typing", "enum", "math", "hashlib", "collections", "functools", "itertools", "abc", "re",
@@ -49,6 +55,17 @@ def lint_imports(folder: Path) -> subprocess.CompletedProcess[str]:
 
 def functions_of(path: Path) -> Iterator[ast.FunctionDef]:
     yield from (node for node in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(node, ast.FunctionDef))
+
+
+def roots_imported_by(path: Path) -> set[str]:
+    """The packages, ours and others', that the module imports anywhere in it."""
+    imported: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.Import):
+            imported |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            imported.add((node.module or ".").split(".")[0])
+    return imported
 
 
 def names_defined_in(path: Path) -> Iterator[str]:
@@ -86,9 +103,11 @@ def test_the_import_contracts_are_kept() -> None:
     [
         ("stone/errors.py", "import pathlib"),
         ("stone/errors.py", "import services.runtime"),
-        ("services/__init__.py", "import client.main"),
+        ("services/__init__.py", "import stone_client.main"),
         ("services/eval/__init__.py", "import services.ingest"),
-        ("client/main.py", "import open3d"),
+        ("services/runtime/__init__.py", "import services.domain"),
+        ("stone_recordings/__init__.py", "import services.runtime"),
+        ("stone_client/main.py", "import open3d"),
     ],
 )
 def test_a_broken_import_contract_is_noticed(tmp_path: Path, module: str, line: str) -> None:
@@ -108,13 +127,17 @@ def test_a_broken_import_contract_is_noticed(tmp_path: Path, module: str, line: 
     "path", [path for path in SOURCES if path.is_relative_to(ROOT / "stone")], ids=lambda p: p.stem
 )
 def test_stone_imports_numbers_and_plain_values_only(path: Path) -> None:
-    imported: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-        if isinstance(node, ast.Import):
-            imported |= {alias.name.split(".")[0] for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            imported.add((node.module or ".").split(".")[0])
-    assert imported <= STONE_MAY_IMPORT
+    assert roots_imported_by(path) <= STONE_MAY_IMPORT
+
+
+def test_nothing_outside_of_the_tests_imports_them_and_what_ships_imports_nothing_that_is_for_trying_it() -> None:
+    of_trials = {"testing", "chaos", "benchmarks", "fuzz", "docsite"}
+    found = []
+    for path in tracked_files():
+        if path.suffix == ".py" and path.relative_to(ROOT).parts[0] != "tests":
+            barred = {"tests"} | (of_trials if path.relative_to(ROOT).parts[0] in PACKAGES else set())
+            found += [f"{path.relative_to(ROOT)} imports {name}" for name in sorted(roots_imported_by(path) & barred)]
+    assert found == []
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.relative_to(ROOT).as_posix())
@@ -123,7 +146,8 @@ def test_a_source_file_is_small_and_plainly_named(path: Path) -> None:
     assert len(source.splitlines()) <= MAX_FILE_LINES
     for name in names_defined_in(path):
         assert noun_of(name) not in EMPTY_WORDS, f"{name} says nothing"
-        assert not name.lstrip("_").startswith(EMPTY_VERBS), f"{name} has an empty verb"
+        verb = name.lstrip("_").startswith(EMPTY_VERBS)
+        assert not verb or name in OF_THE_STANDARD_LIBRARY, f"{name} has an empty verb"
     for function in functions_of(path):
         assert is_kernel(function) or statement_lines(function) <= MAX_FUNCTION_LINES, f"{function.name} is too long"
     assert "# TODO" not in source
@@ -171,8 +195,9 @@ def test_the_lock_covers_what_the_project_asks_for() -> None:
 def test_make_check_runs_every_guard_and_ci_runs_make_check() -> None:
     makefile = (ROOT / "Makefile").read_text("utf-8")
     check = makefile[makefile.index("\ncheck:") :].partition("\n\n")[0]
-    for guard in ("ruff format --check", "ruff check", "mypy", "lint-imports", "pytest"):
+    for guard in ("ruff format --check", "ruff check", "mypy", "lint-imports", "deptry", "test-all"):
         assert guard in check
+    assert re.search(r"(?m)^\t\$\(BIN\)/pytest \$\(BESIDE\)$", makefile), "test-all leaves nothing out"
     assert not re.search(r"\|\||\| |^\t-", check, re.MULTILINE), "a guard's failure must stop make"
     assert "make --no-print-directory check" in (ROOT / ".ci" / "run").read_text("utf-8")
     assert "make check" in (ROOT / "README.md").read_text("utf-8")
@@ -180,7 +205,7 @@ def test_make_check_runs_every_guard_and_ci_runs_make_check() -> None:
 
 def test_every_make_target_that_runs_something_installs_first() -> None:
     makefile = (ROOT / "Makefile").read_text("utf-8")
-    for target in ("demo", "serve", "test-clients", "test", "check", "chaos", "bench"):
+    for target in ("demo", "serve", "test-clients", "test", "test-all", "check", "chaos", "bench"):
         assert re.search(rf"(?m)^{target}: (install|test-clients)$", makefile)
 
 
@@ -194,7 +219,31 @@ def test_the_pages_point_at_what_exists(page: Path) -> None:
 @pytest.mark.parametrize("page", sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]), ids=lambda p: p.name)
 def test_the_pages_name_only_commands_and_targets_that_exist(page: Path) -> None:
     text = page.read_text("utf-8")
-    commands = {path.stem for path in (ROOT / "client" / "commands").glob("*.py")}
-    targets = set(re.findall(r"(?m)^(\w+):", (ROOT / "Makefile").read_text("utf-8")))
+    commands = {path.stem for path in (ROOT / "stone_client" / "commands").rglob("*.py")}
+    targets = set(re.findall(r"(?m)^([\w-]+):", (ROOT / "Makefile").read_text("utf-8")))
     assert set(re.findall(r"bin/stone (\w+)", text)) <= commands
-    assert set(re.findall(r"(?m)(?:`|^)make (\w+)", text)) <= targets
+    assert set(re.findall(r"(?m)(?:`|^)make ([\w-]+)", text)) <= targets
+
+
+def modules_outside_tests(*endings: str) -> Iterator[Path]:
+    """Of the whole tree; what is built, or made by others, is not tracked."""
+    for path in tracked_files():
+        if path.suffix in endings and path.stem != "__init__" and path.relative_to(ROOT).parts[0] != "tests":
+            yield path
+
+
+def test_no_class_name_stands_twice() -> None:
+    places: dict[str, list[str]] = {}
+    for path in modules_outside_tests(".py"):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.ClassDef):
+                places.setdefault(node.name, []).append(f"{path.relative_to(ROOT)}:{node.lineno}")
+    assert len(places) > 500
+    twice = [f"{name}: {', '.join(where)}" for name, where in sorted(places.items()) if len(where) > 1]
+    assert not twice, "\n".join(twice)
+
+
+def test_no_folder_holds_more_modules_than_one_can_look_through() -> None:
+    counts = Counter(path.parent.relative_to(ROOT).as_posix() for path in modules_outside_tests(".py", ".ts"))
+    wide = [f"{folder}: {count}" for folder, count in counts.most_common() if count > MAX_SIBLINGS]
+    assert not wide, "\n".join(wide)

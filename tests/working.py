@@ -4,7 +4,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from services.runtime.jobs.running import run_next
+from services.runtime.jobs.execution import run_next
 from services.runtime.jobs.specs import Handlers
 from services.runtime.platform import Platform
 

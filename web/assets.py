@@ -1,4 +1,4 @@
-"""What browsers load beside pages: one style sheet, our modules, libraries of others, pictures.
+"""Static files of the pages: one style sheet, our modules, libraries of others, pictures.
 
 **Conventions.** Everything is read when the process starts, compressed once, and addressed below a digest of it all, so
 a browser keeps it for ever and never mixes two versions. Libraries are named in `LIBRARIES`; nothing else of
@@ -69,21 +69,21 @@ class Assets:
         return hashed.hexdigest()[:16]
 
     def url(self, path: str) -> str:
-        """Where a page finds the file. Raises KeyError for one that is not there: a fault of ours."""
+        """The URL of the file. Raises KeyError for one that is not there: a fault of ours."""
         if path not in self.files:
             raise KeyError(path)
         return f"/assets/{self.digest}/{path}"
 
     @cached_property
     def import_map(self) -> str:
-        """What bare names in modules mean, as JSON for the page's head."""
+        """The import map for bare names in modules, as JSON for the page's head."""
         imports = {name: self.url(f"libraries/{place}") for name, place in LIBRARIES.items()}
         imports |= {name: self.url(f"modules/libraries/{name}.js") for name in BUNDLED}
         return json.dumps({"imports": imports}, separators=(",", ":"))
 
     @cached_property
     def import_map_hash(self) -> str:
-        """By which the page's policy lets the import map through."""
+        """The hash by which the page's policy lets the import map through."""
         return f"sha256-{b64encode(sha256(self.import_map.encode()).digest()).decode()}"
 
 

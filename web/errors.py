@@ -1,4 +1,4 @@
-"""What the pages refuse on their own."""
+"""Errors of the pages themselves."""
 
 from pathlib import Path
 

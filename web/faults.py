@@ -1,4 +1,4 @@
-"""Refusals as pages: what the API answers as a problem, a person at a page reads in words, with what to do next.
+"""Error pages: refusals of the API in words, with what to do next.
 
 **Conventions.** The same table decides (`api/problems.py`): status, code and sentence are the problem's own. Somebody
 who is not signed in and is not shown a thing is asked to sign in, and comes back to it. Below `/api/` and for whoever

@@ -8,17 +8,16 @@ that the API's routes answer with. Pages live at the root, the API under `/api/v
 from fastapi import APIRouter, FastAPI
 
 from api.main import make_api, told
-from services.runtime.log_lines import speak_json
 from services.runtime.platform import Platform, open_platform
 from services.runtime.settings import Settings
+from services.runtime.telemetry.log_lines import speak_json
 from web import assets, faults
 from web.pages import (
-    administration,
     audit,
     benchmarks,
     boards,
     calibrations,
-    comparing,
+    comparison,
     dataset,
     home,
     methods,
@@ -26,33 +25,34 @@ from web.pages import (
     sequence,
     sequence_own,
     sequences,
-    signing_in,
+    sign_in,
     splits,
+    submission_form,
     submissions,
-    submitting,
     teams,
     viewer,
 )
-from web.rendering import Pages
+from web.pages.admin import administration
+from web.rendering import PageTemplates
 
 ROUTERS: tuple[APIRouter, ...] = (
     assets.router,
     home.router,
-    signing_in.router,
+    sign_in.router,
     administration.router,
     calibrations.router,
     sequences.router,  # before a sequence's own page, which would take `new` for an id
     viewer.router,
     benchmarks.router,
     boards.router,
-    comparing.router,
+    comparison.router,
     methods.router,
     dataset.router,
     splits.router,
     people.router,
     audit.router,
     submissions.router,
-    submitting.router,
+    submission_form.router,
     teams.router,
     sequence.router,  # after all that is below /sequences by a word: `new` is no id
     sequence_own.router,
@@ -62,13 +62,13 @@ ROUTERS: tuple[APIRouter, ...] = (
 def make_site(platform: Platform) -> FastAPI:
     """The API of this platform with its pages. Raises `PagesNotBuiltError`."""
     site = make_api(platform, faults.shown)
-    site.state.pages = Pages(assets.built_assets())
+    site.state.pages = PageTemplates(assets.built_assets())
     for router in ROUTERS:
         site.include_router(router, include_in_schema=False)
     return site
 
 
 def from_environment() -> FastAPI:
-    """The site of this process: `uvicorn --factory web.main:from_environment --http api.heads:BoundedHeads`."""
+    """The site of this process: `uvicorn --factory web.main:from_environment`; `--http`: see `middleware/heads.py`."""
     speak_json()
     return told(make_site(open_platform(Settings())))

@@ -1,4 +1,4 @@
-"""What is wrong with a submission's files, in groups and in words a participant can act on.
+"""Problems of a submission's files, grouped and explained for participants.
 
 **Conventions.** Words are by code, for every code that reading a submission refuses with (a test holds the two
 together); one that is not known is said as it is.

@@ -1,4 +1,4 @@
-"""A page from a template: who looks, what it shows, and the policy it is sent with.
+"""Renders a page from a template, with its caller, its content and its content security policy.
 
 **Conventions.** Templates escape everything; of all strings only the import map, which is ours, is marked safe. A page
 says nothing in `style` attributes (the policy forbids them): lengths that come from data are attributes of SVG. Times
@@ -16,7 +16,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from api.deps import VISITOR, Caller
-from services.runtime.label_choices import BOUNDS
+from services.domain.sequences.label_choices import BOUNDS
 from web import words
 from web.assets import Assets
 from web.zones import zone_of
@@ -49,7 +49,7 @@ NAVIGATION = (
 )
 
 
-class Pages:
+class PageTemplates:
     """The templates of one process, and what they load."""
 
     def __init__(self, assets: Assets) -> None:
@@ -77,7 +77,7 @@ def page(
     request: Request, caller: Caller, template: str, *, status: int = 200, needs_wasm: bool = False, **values: Any
 ) -> HTMLResponse:
     """The template as an answer; beside `values` it knows `me`, `path`, `query`, `zone` and `navigation`."""
-    pages: Pages = request.app.state.pages
+    pages: PageTemplates = request.app.state.pages
     known = {
         "me": caller,
         "path": request.url.path,
@@ -92,6 +92,6 @@ def page(
 
 
 def caller_of(request: Request) -> Caller:
-    """Who looks at a page that anybody may see, as far as it was found out."""
+    """The caller of a page that anybody may see, as far as it was found out."""
     caller: Caller | None = getattr(request.state, "caller", None)
     return caller or VISITOR

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stone.calibration import Calibration, Mount
-from stone.se3 import SE3
+from stone.geometry.se3 import SE3
+from stone.sensors.calibration import Calibration, Mount
 
 Flat = Callable[[tuple[float, float, float]], tuple[float, float]]
 """A point or direction of the ego frame as it is drawn: right and down."""
@@ -48,7 +48,7 @@ class Mark:
 
 
 @dataclass(frozen=True)
-class View:
+class RigView:
     """A side of the robot; `body` is the rectangle (x, y, width, height) of its footprint or of its height."""
 
     title: str
@@ -60,22 +60,22 @@ class View:
 
 
 @dataclass(frozen=True)
-class Rig:
+class RigDrawing:
     """`left_out` are sensors that lie too far away to be drawn."""
 
-    views: tuple[View, ...]
+    views: tuple[RigView, ...]
     places: tuple[tuple[str, str, tuple[float, float, float]], ...]
     left_out: tuple[str, ...]
 
 
 @dataclass(frozen=True)
-class _Placed:
+class _PlacedMount:
     mount: Mount
     at_m: tuple[float, float, float]
     looks: tuple[float, float, float]
 
 
-def rig_of(calibration: Calibration) -> Rig:
+def rig_of(calibration: Calibration) -> RigDrawing:
     """The drawing. The LiDAR is the sensor that all the others are placed by."""
     lidar = Mount("LIDAR", "lidar", SE3.identity())
     every = [lidar, *(mount for mount in calibration.mounts if mount.kind != "lidar")]
@@ -85,18 +85,18 @@ def rig_of(calibration: Calibration) -> Rig:
     top = _view("From above", near, lambda p: (-p[1], -p[0]), (half_m[1], half_m[0]))
     side = _view("From the left", near, lambda p: (p[0], -p[2]), (half_m[0], 0.0))
     left_out = tuple(one.mount.name for one in placed if one not in near)
-    return Rig((top, side), tuple((one.mount.name, one.mount.kind, one.at_m) for one in placed), left_out)
+    return RigDrawing((top, side), tuple((one.mount.name, one.mount.kind, one.at_m) for one in placed), left_out)
 
 
-def _placed(calibration: Calibration, mount: Mount) -> _Placed:
+def _placed(calibration: Calibration, mount: Mount) -> _PlacedMount:
     pose = calibration.ego_from_lidar @ mount.lidar_from_sensor
     axis = np.array([0.0, 0.0, 1.0] if mount.kind == "camera" else [1.0, 0.0, 0.0])
     looks = pose.rotation() @ axis
     x, y, z = (float(value) for value in pose.translation_m)
-    return _Placed(mount, (x, y, z), (float(looks[0]), float(looks[1]), float(looks[2])))
+    return _PlacedMount(mount, (x, y, z), (float(looks[0]), float(looks[1]), float(looks[2])))
 
 
-def _view(title: str, placed: list[_Placed], flat: Flat, half_m: tuple[float, float]) -> View:
+def _view(title: str, placed: list[_PlacedMount], flat: Flat, half_m: tuple[float, float]) -> RigView:
     """The drawing's lengths follow from what is to be drawn."""
     marks = _uncluttered([_mark(one, flat(one.at_m), flat(one.looks)) for one in placed])
     body_height = 2 * half_m[1] * CM
@@ -108,10 +108,10 @@ def _view(title: str, placed: list[_Placed], flat: Flat, half_m: tuple[float, fl
         low, high = min(places) - seen - margin, max(places) + seen + margin
         spans.append((low, high - low))
     (left, width), (top, height) = spans
-    return View(title, f"{left:.1f} {top:.1f} {width:.1f} {height:.1f}", round(width), round(height), body, marks)
+    return RigView(title, f"{left:.1f} {top:.1f} {width:.1f} {height:.1f}", round(width), round(height), body, marks)
 
 
-def _mark(one: _Placed, at: tuple[float, float], looks: tuple[float, float]) -> Mark:
+def _mark(one: _PlacedMount, at: tuple[float, float], looks: tuple[float, float]) -> Mark:
     x, y = at[0] * CM, at[1] * CM
     flat = math.hypot(*looks)
     is_round = one.mount.kind in ("lidar", "imu", "ins") or flat < IN_PLANE
@@ -128,7 +128,7 @@ def _mark(one: _Placed, at: tuple[float, float], looks: tuple[float, float]) -> 
 
 
 def _uncluttered(marks: list[Mark]) -> tuple[Mark, ...]:
-    """Of labels that would stand upon each other the first is kept."""
+    """The labels without those that would overlap an earlier one."""
     taken: list[tuple[float, float, float]] = []
     shown: list[Mark] = []
     for mark in marks:

@@ -1,4 +1,4 @@
-"""A run along time: one row per stage, one bar per job of it, side by side where they ran at once.
+"""Gantt chart of a run: one row per stage, one bar per job.
 
 **Conventions.** Lengths are units of an SVG of `WIDTH`; time runs from the run's making to its end, or to now. What
 never started has no bar. A row has at most `MOST_LANES` lanes; more at once share the last one.
@@ -7,7 +7,7 @@ never started has no bar. A row has at most `MOST_LANES` lanes; more at once sha
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from api.admin_views import Span
+from api.views.admin import JobSpan
 
 WIDTH = 1000.0
 LANE = 10.0
@@ -19,7 +19,7 @@ TICKS = 5
 
 
 @dataclass(frozen=True)
-class Piece:
+class StageBar:
     """A job's bar."""
 
     job_id: str
@@ -38,7 +38,7 @@ class StageRow:
     kind: str
     y: float
     height: float
-    pieces: tuple[Piece, ...]
+    pieces: tuple[StageBar, ...]
     counts: tuple[tuple[str, int], ...]
     total: int
 
@@ -53,7 +53,7 @@ class StagePicture:
     ticks: tuple[tuple[float, float], ...]
 
 
-def stage_picture(spans: Sequence[Span], at_ns: int) -> StagePicture | None:
+def stage_picture(spans: Sequence[JobSpan], at_ns: int) -> StagePicture | None:
     """The picture of these jobs; None where there are none."""
     if not spans:
         return None
@@ -85,9 +85,9 @@ class _Axis:
         return WIDTH * min(1.0, max(0.0, along))
 
 
-def _row(kind: str, spans: Sequence[Span], axis: _Axis, y: float) -> StageRow:
+def _row(kind: str, spans: Sequence[JobSpan], axis: _Axis, y: float) -> StageRow:
     free_from = list[float]()
-    pieces = list[Piece]()
+    pieces = list[StageBar]()
     for span in sorted(spans, key=lambda one: (one.started_ns or axis.end_ns, one.job_id)):
         if span.started_ns is None:
             continue
@@ -98,7 +98,7 @@ def _row(kind: str, spans: Sequence[Span], axis: _Axis, y: float) -> StageRow:
         at = y + lane * (LANE + LANE_GAP)
         lasted_s = max(0, end_ns - span.started_ns) / 1e9
         x = round(min(begin, WIDTH - LEAST), 2)
-        pieces.append(Piece(span.job_id, span.state, span.attempt, x, at, round(width, 2), lasted_s))
+        pieces.append(StageBar(span.job_id, span.state, span.attempt, x, at, round(width, 2), lasted_s))
     counts = dict[str, int]()
     for span in spans:
         counts[span.state] = counts.get(span.state, 0) + 1

@@ -1,4 +1,4 @@
-"""Values as people read them: the filters and tests of every template.
+"""Template filters and tests: values formatted for people.
 
 **Conventions.** Nothing is null to a reader: what is not known is a dash. Ratios are written in percent, bytes in
 powers of 1000 as disks are sold, durations in the two largest units.

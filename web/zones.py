@@ -1,4 +1,4 @@
-"""The reader's time zone, as the page's module told it.
+"""The reader's time zone, from the page's script.
 
 **Conventions.** The cookie holds a name of the IANA database; anything else counts as none.
 """

@@ -1,1 +1,1 @@
-"""The routes, one module per noun."""
+"""The API's routes, one module per noun."""

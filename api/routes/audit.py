@@ -1,15 +1,15 @@
-"""The audit log, for administrators: read, and proven whole."""
+"""Routes for administrators: read the audit log and verify its hash chain."""
 
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query
 
 from api import audit
-from api.audit_views import LinesWanted, audit_page
 from api.deps import Caller, PlatformDep, require
 from api.paging import Page, PageDep
 from api.schemas.audit import AuditLine, AuditVerification
 from api.schemas.base import PLAIN, IdQuery, LineQuery
+from api.views.audit import AuditFilter, audit_page
 
 router = APIRouter(prefix="/admin/audit-log", tags=["administration"])
 
@@ -28,7 +28,7 @@ def lines(
     actor: LineQuery = None,
 ) -> Page[AuditLine]:
     with platform.database.reading() as session:
-        return audit_page(session, query, LinesWanted(act, actor, actor_id, subject_id))
+        return audit_page(session, query, AuditFilter(act, actor, actor_id, subject_id))
 
 
 @router.get("/verification", summary="Whether the log is whole")

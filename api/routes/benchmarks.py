@@ -1,4 +1,4 @@
-"""Benchmarks: what there is to predict, under which rules, by which metric.
+"""Routes of benchmarks, phases and metrics.
 
 **Conventions.** Read by whoever is signed in, the public ones by anybody. A phase is addressed by the names of its
 benchmark and itself here, by its id elsewhere. The manifest is that of the ground truth in force. Ground truth itself
@@ -12,20 +12,20 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from sqlalchemy.orm import Session
 
 from api.answers import Responses, refusals
-from api.benchmark_views import benchmark_detail, benchmark_items, known_metric, metric_item, phase_item
 from api.callers import Looker, Reader
 from api.deps import PlatformDep
 from api.etags import etag
-from api.files import Served, StoredFile, answer_bytes, answer_file, file_responses
+from api.files import ServedFile, StoredFile, answer_bytes, answer_file, file_responses
 from api.paging import Page, PageDep, page
 from api.schemas.base import IdPath
-from api.schemas.benchmark_bodies import BenchmarkName, MetricName, PhaseName
 from api.schemas.benchmarks import BenchmarkDetail, BenchmarkItem, MetricItem, PhaseItem
+from api.schemas.phase_bodies import BenchmarkName, MetricName, PhaseName
+from api.views.benchmarks import benchmark_detail, benchmark_items, known_metric, metric_item, phase_item
 from api.visible import benchmark_of, benchmarks_of, phase_at, phase_of
-from services.runtime.benchmarks import pairs
-from services.runtime.benchmarks.golden import golden_archive
-from services.runtime.benchmarks.phase_errors import NoGroundTruthError
-from services.runtime.orm import Benchmark, Blob, GroundTruth, Phase
+from services.domain.benchmarks.golden import golden_archive
+from services.domain.benchmarks.phases import evaluation_versions
+from services.domain.benchmarks.phases.errors import NoGroundTruthError
+from services.runtime.orm import Benchmark, Blob, GroundTruthRow, Phase
 
 router = APIRouter(tags=["benchmarks"])
 AT = "/benchmarks/{benchmark_name}/phases/{phase_name}"
@@ -83,10 +83,10 @@ def download_manifest(at: AtPhase, platform: PlatformDep, request: Request) -> R
     """Which frames a submission must hold, as `stone validate --manifest` reads it."""
     with platform.database.reading() as session:
         phase = at.find(session)
-        pair = pairs.active(session, phase.id)
+        pair = evaluation_versions.active(session, phase.id)
         if pair is None:
             raise NoGroundTruthError(phase.name)
-        blob = session.get_one(Blob, session.get_one(GroundTruth, pair.truth_id).manifest_sha256)
+        blob = session.get_one(Blob, session.get_one(GroundTruthRow, pair.truth_id).manifest_sha256)
     named = f"{at.benchmark}-{at.phase}.manifest.json"
     file = StoredFile(blob.object_key, blob.size_bytes, blob.sha256, "application/json", named)
     return answer_file(request, platform.store, file)
@@ -110,7 +110,9 @@ def download_vectors(at: AtPhase, metric: MetricName, platform: PlatformDep, req
     named = f"{known_metric(metric).version}.vectors.zip"
     content = golden_archive()
     digest = sha256(content).hexdigest()
-    served = Served(len(content), digest, "application/zip", named, lambda start, stop: iter((content[start:stop],)))
+    served = ServedFile(
+        len(content), digest, "application/zip", named, lambda start, stop: iter((content[start:stop],))
+    )
     return answer_bytes(request, served)
 
 

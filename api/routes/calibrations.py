@@ -1,4 +1,4 @@
-"""Calibrations: a file comes in, is read at once, and is refused or kept for ever."""
+"""Routes of calibrations: upload, list, download, compare; a stored one never changes."""
 
 from dataclasses import replace
 from typing import Annotated
@@ -7,10 +7,8 @@ from fastapi import APIRouter, Depends, File, Form, Query, Request, Response, Up
 from pydantic import AwareDatetime
 from sqlalchemy import select
 
-from api import audit, calibration_reading
+from api import audit
 from api.answers import refusals
-from api.calibration_changes import changes
-from api.calibration_views import calibration_item
 from api.callers import Curator, Reader
 from api.deps import PlatformDep
 from api.etags import etag
@@ -18,11 +16,14 @@ from api.files import StoredFile, answer_file, file_responses
 from api.paging import Page, PageDep, page
 from api.schemas.base import ID_PATTERN, PLAIN, IdPath
 from api.schemas.calibrations import CalibrationDiffItem, CalibrationItem
-from api.tus_errors import UnsupportedMediaTypeError
+from api.tus.errors import UnsupportedMediaTypeError
+from api.views import calibration_reading
+from api.views.calibration_changes import changes
+from api.views.calibrations import calibration_item
 from api.visible import calibration_of, theirs
-from services.runtime import blobs
-from services.runtime.calibrations import Validity, add_calibration
-from services.runtime.orm import Blob, Calibration
+from services.domain.sequences.calibrations import Validity, add_calibration
+from services.runtime.orm import Blob, CalibrationRow
+from services.runtime.store import blobs
 
 router = APIRouter(prefix="/calibrations", tags=["calibrations"])
 YAML, ZIP = "application/yaml", "application/zip"
@@ -82,10 +83,10 @@ def list_calibrations(
     caller: Reader, platform: PlatformDep, query: PageDep, name: NameQuery = None
 ) -> Page[CalibrationItem]:
     """The caller's calibrations, newest first; an administrator sees everybody's."""
-    statement = theirs(select(Calibration), caller, Calibration.owner_id)
-    statement = statement if name is None else statement.where(Calibration.name == name)
+    statement = theirs(select(CalibrationRow), caller, CalibrationRow.owner_id)
+    statement = statement if name is None else statement.where(CalibrationRow.name == name)
     with platform.database.reading() as session:
-        return page(session, statement, Calibration.id.desc(), query).shown(calibration_item)
+        return page(session, statement, CalibrationRow.id.desc(), query).shown(calibration_item)
 
 
 @router.get("/{calibration_id}", responses=refusals(404))

@@ -1,4 +1,4 @@
-"""Versions of the dataset: published by an administrator, read and downloaded by everybody who is signed in.
+"""Routes of dataset versions: publish (administrators), read and download (everybody signed in).
 
 **Conventions.** A version never changes, so its manifest and its archives may be kept for ever. An archive is laid out,
 never built: any range of it is served. Test's labels are in none of these answers, and there is no route to them.
@@ -14,10 +14,9 @@ from sqlalchemy import select
 from api import audit
 from api.answers import refusals
 from api.callers import Administrator, Reader
-from api.dataset_views import dataset_detail, dataset_item
 from api.deps import PlatformDep
 from api.etags import etag
-from api.files import Served, StoredFile, answer_bytes, answer_file, file_responses
+from api.files import ServedFile, StoredFile, answer_bytes, answer_file, file_responses
 from api.paging import Page, PageDep, page
 from api.schemas.datasets import (
     VERSION_PATTERN,
@@ -26,14 +25,15 @@ from api.schemas.datasets import (
     NewDatasetBody,
     OpenPart,
 )
+from api.views.datasets import dataset_detail, dataset_item
 from api.visible import dataset_of
-from services.runtime.archives import MEDIA_TYPES
-from services.runtime.dataset_manifest import NewDataset
-from services.runtime.dataset_reading import locate_part
-from services.runtime.dataset_versions import prepare_dataset, write_dataset
-from services.runtime.exported import archive_of, stored_files
+from services.domain.datasets.manifest import NewDataset
+from services.domain.datasets.queries import locate_part
+from services.domain.datasets.versions import prepare_dataset, write_dataset
 from services.runtime.orm import Blob, Dataset
-from services.runtime.packed_reading import archive_pieces
+from services.runtime.store.pack_archive import archive_of, stored_files
+from services.runtime.store.pack_reading import archive_pieces
+from stone_files.virtual_archive import MEDIA_TYPES
 
 router = APIRouter(prefix="/datasets", tags=["dataset"])
 DatasetName = Annotated[str, Path(pattern=VERSION_PATTERN, examples=["stone-1.0"])]
@@ -100,7 +100,7 @@ def download_part(
         row, located = locate_part(session, dataset_of(session, dataset_name), part)
     stored = stored_files(platform.store, located)
     archive, read = archive_of(stored.files, "tar"), stored.reader(platform.store)
-    served = Served(
+    served = ServedFile(
         size_bytes=archive.size_bytes,
         sha256=row.tar_sha256,
         media_type=MEDIA_TYPES["tar"],

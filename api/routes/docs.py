@@ -1,4 +1,4 @@
-"""The OpenAPI document as one page for people: no script, nothing from another host.
+"""The OpenAPI document as one HTML page, without scripts or foreign hosts.
 
 **Conventions.** Everything shown comes from the document and is escaped; the page's one style is allowed by its hash.
 """

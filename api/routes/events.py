@@ -1,4 +1,4 @@
-"""Events as they happen (server-sent): a job's, those of all jobs of a sequence, or a submission's.
+"""Server-sent events of a job, of a sequence's jobs, or of a submission.
 
 **Conventions.** `id` is the version of what is followed; who comes back with it as Last-Event-ID is told what is new
 since, if anything. An event's data is the job, sequence or submission as its GET route shows it; `event` is
@@ -22,15 +22,15 @@ from starlette.types import Receive, Scope, Send
 from api.answers import Responses, refusals
 from api.callers import Reader
 from api.deps import Caller, PlatformDep
-from api.following import Follower, Snapshot, Subject
-from api.job_views import job_detail
+from api.event_streams import Follower, StreamSnapshot, StreamSubject
 from api.schemas.base import IdPath
-from api.sequence_views import sequence_detail
-from api.submission_views import submission_detail
+from api.views.jobs import job_detail
+from api.views.sequences import sequence_detail
+from api.views.submissions import submission_detail
 from api.visible import job_of, sequence_of, submission_of
-from services.runtime.benchmarks.submission_states import ENDED
+from services.domain.benchmarks.submissions.states import ENDED
 from services.runtime.jobs.specs import TERMINAL
-from services.runtime.orm import Job, Sequence, Submission
+from services.runtime.orm import Job, SequenceRow, SubmissionRow
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 
@@ -61,9 +61,9 @@ async def follow_job(
 ) -> Response:
     """The progress of a job or run, at most twice a second, until it has ended."""
 
-    def subject(session: Session) -> Subject:
+    def subject(session: Session) -> StreamSubject:
         job = job_of(session, caller, job_id)
-        return Subject("run" if job.id == job.root_id else "job", job.id)
+        return StreamSubject("run" if job.id == job.root_id else "job", job.id)
 
     return await _streamed(request, platform, caller, subject, last_event_id)
 
@@ -74,8 +74,8 @@ async def follow_sequence(
 ) -> Response:
     """What happens to a sequence: its runs move on, it changes, it is deleted (then the stream ends)."""
 
-    def subject(session: Session) -> Subject:
-        return Subject("sequence", sequence_of(session, caller, sequence_id).id)
+    def subject(session: Session) -> StreamSubject:
+        return StreamSubject("sequence", sequence_of(session, caller, sequence_id).id)
 
     return await _streamed(request, platform, caller, subject, last_event_id)
 
@@ -86,8 +86,8 @@ async def follow_submission(
 ) -> Response:
     """How far a submission is, until it has ended."""
 
-    def subject(session: Session) -> Subject:
-        return Subject("submission", submission_of(session, caller, submission_id).id)
+    def subject(session: Session) -> StreamSubject:
+        return StreamSubject("submission", submission_of(session, caller, submission_id).id)
 
     return await _streamed(request, platform, caller, subject, last_event_id)
 
@@ -113,12 +113,12 @@ async def _streamed(
     request: Request,
     platform: Platform,
     caller: Caller,
-    find: Callable[[Session], Subject],
+    find: Callable[[Session], StreamSubject],
     last_event_id: str | None,
 ) -> Response:
     follower, seen = _follower(request, platform), None if last_event_id is None else int(last_event_id)
 
-    def look() -> tuple[Subject, Snapshot]:
+    def look() -> tuple[StreamSubject, StreamSnapshot]:
         with platform.database.reading() as session:
             subject = find(session)
         return subject, follower.look(subject)
@@ -131,7 +131,9 @@ async def _streamed(
     return EventStream(_events(follower, subject, seen, lasting_s), lambda: follower.leave(caller.user_id))
 
 
-async def _events(follower: Follower, subject: Subject, seen: int | None, lasting_s: float) -> AsyncGenerator[bytes]:
+async def _events(
+    follower: Follower, subject: StreamSubject, seen: int | None, lasting_s: float
+) -> AsyncGenerator[bytes]:
     until_s = time.monotonic() + lasting_s
     yield format_sse_event(retry=RETRY_MS)
     async with aclosing(follower.snapshots(subject, seen, min(KEEPALIVE_S, lasting_s))) as snapshots:
@@ -141,7 +143,7 @@ async def _events(follower: Follower, subject: Subject, seen: int | None, lastin
                 return
 
 
-def _event(snapshot: Snapshot) -> bytes:
+def _event(snapshot: StreamSnapshot) -> bytes:
     name = "ended" if snapshot.is_over else "progress"
     return format_sse_event(data_str=snapshot.json, event=name, id=str(snapshot.version))
 
@@ -155,15 +157,15 @@ def _follower(request: Request, platform: Platform) -> Follower:
     return follower
 
 
-def load(session: Session, subject: Subject) -> tuple[str, bool]:
+def load(session: Session, subject: StreamSubject) -> tuple[str, bool]:
     """What is followed as its GET route shows it, and whether it is over; what is gone is over."""
     if subject.kind == "sequence":
-        sequence = session.get(Sequence, subject.id)
+        sequence = session.get(SequenceRow, subject.id)
         if sequence is None:
             return "{}", True
         return sequence_detail(session, sequence).model_dump_json(), sequence.deleted_ns is not None
     if subject.kind == "submission":
-        row = session.get(Submission, subject.id)
+        row = session.get(SubmissionRow, subject.id)
         return (submission_detail(session, row).model_dump_json(), row.state in ENDED) if row else ("{}", True)
     job = session.get(Job, subject.id)
     return (job_detail(session, job).model_dump_json(), job.state in TERMINAL) if job else ("{}", True)

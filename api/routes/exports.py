@@ -1,4 +1,4 @@
-"""Exports of a sequence: asked for, followed by their job, downloaded whole or file by file, deleted.
+"""Routes of exports: request, list, download whole or file by file, delete.
 
 **Conventions.** Equal requests are one export: asking again answers with the one that stands, so an unchanged sequence
 is not written twice. Archives are laid out, never built: any range of one is served, and its bytes and sha256 stay the
@@ -15,7 +15,11 @@ from api import audit
 from api.answers import refusals
 from api.callers import Curator, Reader
 from api.deps import Caller, PlatformDep
-from api.export_views import (
+from api.files import answer_bytes, file_responses
+from api.paging import Page, PageDep, page, place_of_page
+from api.schemas.base import IdPath
+from api.schemas.exports import ArchiveKind, ExportAccepted, ExportFileItem, ExportItem, NewExportBody
+from api.views.exports import (
     ARCHIVE_TYPES,
     FILE_TYPE,
     archive_sha256_of,
@@ -23,18 +27,14 @@ from api.export_views import (
     served_archive,
     served_file,
 )
-from api.files import answer_bytes, file_responses
-from api.job_views import job_items
-from api.paging import Page, PageDep, page, place_of_page
-from api.schemas.base import IdPath
-from api.schemas.exports import ArchiveKind, ExportAccepted, ExportFileItem, ExportItem, NewExportBody
+from api.views.jobs import job_items
 from api.visible import export_of, sequence_of
-from services.runtime.archives import MOST_NAME, NAME
-from services.runtime.exported import locate_export, stored_files
-from services.runtime.exports import delete_export, start_export
-from services.runtime.orm import Export, Sequence
-from services.runtime.packed_reading import StoredFiles
+from services.domain.exports.requests import delete_export, start_export
+from services.runtime.orm import Export, SequenceRow
 from services.runtime.platform import Platform
+from services.runtime.store.pack_archive import locate_export, stored_files
+from services.runtime.store.pack_reading import StoredFiles
+from stone_files.virtual_archive import MOST_NAME, NAME
 
 router = APIRouter(prefix="/sequences/{sequence_id}/exports", tags=["exports"])
 FilePath = Annotated[str, Path(pattern=f"^{NAME.pattern}$", max_length=MOST_NAME, examples=["sha256sum.txt"])]
@@ -141,7 +141,7 @@ def describe_archive(
     return download_archive(at, caller, platform, request, kind)
 
 
-def _finished(platform: Platform, caller: Caller, at: ExportPath) -> tuple[StoredFiles, Export, Sequence]:
+def _finished(platform: Platform, caller: Caller, at: ExportPath) -> tuple[StoredFiles, Export, SequenceRow]:
     """The files of an export. Raises `NotFoundError`, `ExportUnfinishedError`."""
     with platform.database.reading() as session:
         sequence = sequence_of(session, caller, at.sequence_id)

@@ -1,7 +1,7 @@
-"""A frame as the viewer shows it: its voxels, its picture from above, what cameras and LiDAR gave.
+"""Routes of the viewer's frame data: voxels, top-down picture, camera images, point cloud.
 
 **Conventions.** Voxels and picture are made of the labels when they are asked for, which takes less than reading a
-stored copy would save; pictures of cameras and sweeps are of the playback (`services/runtime/playback.py`).
+stored copy would save; pictures of cameras and sweeps are of the playback (`services/domain/viewer/playback.py`).
 """
 
 from dataclasses import replace
@@ -12,11 +12,11 @@ from fastapi import APIRouter, Path, Request, Response
 
 from api.callers import Looker
 from api.deps import PlatformDep
-from api.files import MadeFile, answer_bytes, answer_made, file_responses
+from api.files import GeneratedFile, answer_bytes, answer_made, file_responses
 from api.routes.frames import TokenPath
-from api.scene_views import VersionQuery, frame_picture, frame_voxels, labels_file, played_file
-from services.runtime.playback import camera_file, cloud_file
-from services.runtime.view_formats import MEDIA_TYPES
+from api.views.scenes import VersionQuery, frame_picture, frame_voxels, labels_file, played_file
+from services.domain.viewer.formats import MEDIA_TYPES
+from services.domain.viewer.playback import camera_file, cloud_file
 
 router = APIRouter(prefix="/frames/{token}", tags=["viewer"])
 ChannelPath = Annotated[str, Path(pattern=r"^[A-Z][A-Z0-9_]{0,63}$", examples=["CAM_FRONT"])]
@@ -30,7 +30,7 @@ def download_voxels(
     """The classes of all voxels and which were seen, three bits each (`STV1`)."""
     with platform.database.reading() as session:
         file = labels_file(session, caller, token, version)
-    facts = MadeFile(VOXELS, f"{token}-voxels.bin", file.is_lasting)
+    facts = GeneratedFile(VOXELS, f"{token}-voxels.bin", file.is_lasting)
     return answer_made(request, frame_voxels(platform.store, file), facts)
 
 
@@ -41,7 +41,7 @@ def download_picture(
     """The labels from above, forward up; grey is what was never seen."""
     with platform.database.reading() as session:
         file = labels_file(session, caller, token, version)
-    facts = MadeFile(PNG, f"{token}-bev.png", file.is_lasting)
+    facts = GeneratedFile(PNG, f"{token}-bev.png", file.is_lasting)
     return answer_made(request, frame_picture(platform.store, file), facts)
 
 

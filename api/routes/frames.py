@@ -1,4 +1,4 @@
-"""A frame by its token: where it stands, and its labels.
+"""Routes of single frames by token: their place in a sequence, and their labels.
 
 **Conventions.** A token is known to whoever knows the bag, so it opens nothing: frames of others are 404. The labels of
 a frame are a range of a pack, served as a file of its own with its own sha256.
@@ -12,9 +12,9 @@ from api.answers import refusals
 from api.callers import Looker
 from api.deps import PlatformDep
 from api.files import answer_file, file_responses
-from api.scene_views import NPZ, labels_file
 from api.schemas.base import ID_EXAMPLE, ID_PATTERN
 from api.schemas.processing import FrameDetail
+from api.views.scenes import NPZ, labels_file
 from api.visible import frame_of
 
 router = APIRouter(prefix="/frames/{token}", tags=["frames"])

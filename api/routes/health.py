@@ -1,4 +1,4 @@
-"""Probes: does the process live, may it be sent requests, what does it count.
+"""Health routes: liveness, readiness and metrics.
 
 **Conventions.** `/healthz` asks nobody, so that a database that is away does not restart the API. `/readyz` asks all
 three at once, each for at most `PATIENCE_S`. `/metrics` is for the monitoring token of the settings or for an

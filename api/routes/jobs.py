@@ -1,4 +1,4 @@
-"""Jobs of the caller: how far they are, what they said, and a way to stop them."""
+"""Routes of the caller's jobs: progress, logs, cancel."""
 
 from dataclasses import dataclass
 from typing import Annotated, Literal
@@ -10,14 +10,14 @@ from api import audit
 from api.answers import refusals
 from api.callers import Curator, Reader
 from api.deps import PlatformDep, at_once
-from api.job_views import job_detail, job_items
-from api.log_pages import LogQuery, log_page
 from api.paging import Page, PageDep, page
 from api.schemas.admin import CancelBody
 from api.schemas.base import IdPath, IdQuery
 from api.schemas.jobs import JobDetail, JobItem, LogPage
+from api.views.jobs import job_detail, job_items
+from api.views.log_pages import LogQuery, log_page
 from api.visible import job_of
-from services.runtime.jobs import steering
+from services.runtime.jobs import control
 from services.runtime.orm import Job
 
 router = APIRouter(prefix="/jobs", tags=["jobs"])
@@ -84,7 +84,7 @@ def cancel_job(job_id: IdPath, caller: Curator, platform: PlatformDep, body: Can
     """Ask the whole run of a job to stop: what is queued will not start, what runs stops at its next step."""
     reason = body.reason if body else ""
     with platform.database.transaction() as session:
-        run = steering.cancel(session, job_of(session, caller, job_id).root_id, reason)
+        run = control.cancel(session, job_of(session, caller, job_id).root_id, reason)
         audit.record(session, caller, "job.cancel", run.id, reason)
         session.flush()
         return job_detail(session, run)

@@ -1,7 +1,7 @@
-"""The board of a phase, and two of its entries side by side.
+"""Routes of a phase's leaderboard: the board, its history, and the comparison of two entries.
 
 **Conventions.** Read by whoever is signed in, of a public benchmark by anybody; what each may see is decided where
-rows are read (`services/runtime/benchmarks/visibility.py`). The ETag is of the very bytes, so a board that did not
+rows are read (`services/domain/benchmarks/visibility.py`). The ETag is of the very bytes, so a board that did not
 change is not sent again.
 """
 
@@ -10,12 +10,9 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Request, Response
 
 from api.answers import Responses, refusals
-from api.board_views import JSON_TYPE, board_response, comparison_answer, history_answer
 from api.callers import Looker
 from api.deps import PlatformDep
-from api.result_views import known_submission, viewer_for
 from api.routes.benchmarks import AT, AtPhase
-from api.schemas.benchmark_bodies import ns_of
 from api.schemas.leaderboard import (
     AsOfQuery,
     ComparisonAnswer,
@@ -26,10 +23,13 @@ from api.schemas.leaderboard import (
     SubmissionQuery,
     TrackQuery,
 )
-from services.runtime.benchmarks.board import board
-from services.runtime.benchmarks.board_entries import BoardQuery
-from services.runtime.benchmarks.board_tables import MEDIA_TYPES
-from services.runtime.benchmarks.comparing import compare
+from api.schemas.phase_bodies import ns_of
+from api.views.boards import JSON_TYPE, board_response, comparison_answer, history_answer
+from api.views.results import known_submission, viewer_for
+from services.domain.benchmarks.boards.board import board
+from services.domain.benchmarks.boards.comparison import compare
+from services.domain.benchmarks.boards.entries import BoardQuery
+from services.domain.benchmarks.boards.tables import MEDIA_TYPES
 
 router = APIRouter(prefix=AT, tags=["benchmarks"])
 BINARY = {"schema": {"type": "string", "format": "binary"}}
@@ -40,7 +40,7 @@ FORMS = {
 BOARD: Responses = {200: {"content": FORMS}, 304: {"description": "The caller has it already"}, **refusals(404)}
 
 
-class BoardAsked:
+class BoardRequest:
     """Which board, in which form."""
 
     def __init__(
@@ -54,11 +54,13 @@ class BoardAsked:
         self.form = form
 
 
-Asked = Annotated[BoardAsked, Depends(BoardAsked)]
+BoardRequestDep = Annotated[BoardRequest, Depends(BoardRequest)]
 
 
 @router.get("/leaderboard", response_model=LeaderboardAnswer, responses=BOARD)
-def show_leaderboard(at: AtPhase, asked: Asked, caller: Looker, platform: PlatformDep, request: Request) -> Response:
+def show_leaderboard(
+    at: AtPhase, asked: BoardRequestDep, caller: Looker, platform: PlatformDep, request: Request
+) -> Response:
     """The board: ranks with their intervals and ties, baselines and reported results beside them, now or as of then."""
     with platform.database.reading() as session:
         phase_id, viewer = at.find(session).id, viewer_for(session, caller)

@@ -1,4 +1,4 @@
-"""Inputs of a phase: made for an administrator, listed and downloaded by everybody who is signed in.
+"""Routes of phase inputs: create (administrators), list and download (everybody signed in).
 
 **Conventions.** An input is the nuScenes layout of one sequence without anything that was made from labels, and never
 changes. Its tar is laid out, never built: any range of it is served, so that a download goes on where it broke off.
@@ -13,20 +13,20 @@ from api.answers import refusals
 from api.callers import Administrator, Reader
 from api.deps import PlatformDep
 from api.errors import NotFoundError
-from api.export_views import served_archive
 from api.files import answer_bytes, file_responses
-from api.job_views import job_detail
 from api.paging import Page, PageDep, page
 from api.schemas.admin import ReasonBody
 from api.schemas.base import IdPath, instant
 from api.schemas.jobs import JobDetail
 from api.schemas.phase_inputs import PhaseInputItem
+from api.views.exports import served_archive
+from api.views.jobs import job_detail
 from api.visible import phase_of
-from services.runtime.archives import MEDIA_TYPES
-from services.runtime.benchmarks.inputs import inputs_of, locate_input, start_inputs
-from services.runtime.exported import stored_files
+from services.domain.benchmarks.phases.inputs import inputs_of, locate_input, start_inputs
 from services.runtime.orm import PhaseInput
-from stone.sequence import NAME
+from services.runtime.store.pack_archive import stored_files
+from stone.sensors.sequence import NAME
+from stone_files.virtual_archive import MEDIA_TYPES
 
 router = APIRouter(tags=["phase inputs"])
 SequenceName = Annotated[str, Path(pattern=f"^{NAME.pattern}$", examples=["n-forest-07"])]

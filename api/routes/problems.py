@@ -1,4 +1,4 @@
-"""What kinds of refusal there are: where the `type` of a problem leads."""
+"""The catalogue of error types: what the `type` of a problem links to."""
 
 from collections.abc import Iterator
 

@@ -1,4 +1,4 @@
-"""Processing a sequence, and what comes of it: report, frames, mesh, previews.
+"""Routes that process a sequence and serve its products: report, frames, mesh, previews.
 
 **Conventions.** What is shown belongs to the newest labels of the sequence. Equal requests are one run: asking again
 answers with the run that is at it, or that has made it already.
@@ -10,20 +10,20 @@ from sqlalchemy.orm import Session
 
 from api import audit
 from api.answers import refusals
-from api.artefact_files import artefact_file
 from api.callers import Curator, Looker
 from api.deps import Caller, PlatformDep
 from api.errors import NotFoundError
 from api.files import StoredFile, answer_file, file_responses
-from api.job_views import job_detail
 from api.paging import Page, PageDep, page
-from api.preview_files import PICTURE_TYPES, PictureName, sequence_preview
 from api.schemas.base import IdPath
 from api.schemas.jobs import JobDetail
 from api.schemas.processing import FrameItem, ProcessBody
+from api.views.artefact_files import artefact_file
+from api.views.jobs import job_detail
+from api.views.preview_files import PICTURE_TYPES, PictureName, sequence_preview
 from api.visible import labels_of, newest_label_set, sequence_of, shown_sequence
-from services.runtime.orm import LabelledFrame
-from services.runtime.processing import start_processing
+from services.domain.sequences.processing import start_processing
+from services.runtime.orm import LabelledFrameRow
 
 router = APIRouter(prefix="/sequences/{sequence_id}", tags=["processing"])
 
@@ -47,8 +47,8 @@ def list_frames(sequence_id: IdPath, caller: Looker, platform: PlatformDep, quer
     """The labelled frames in the order of time."""
     with platform.database.reading() as session:
         labels = newest_label_set(session, shown_sequence(session, caller, sequence_id).id)
-        statement = select(LabelledFrame).where(LabelledFrame.label_set_id == labels.id)
-        return page(session, statement, LabelledFrame.ordinal, query).shown(_frame)
+        statement = select(LabelledFrameRow).where(LabelledFrameRow.label_set_id == labels.id)
+        return page(session, statement, LabelledFrameRow.ordinal, query).shown(_frame)
 
 
 @router.get("/report", response_class=Response, responses=file_responses("application/json"))
@@ -107,5 +107,5 @@ def _artefact(session: Session, caller: Caller, sequence_id: str, name: str) -> 
     return file
 
 
-def _frame(row: LabelledFrame) -> FrameItem:
+def _frame(row: LabelledFrameRow) -> FrameItem:
     return FrameItem(token=row.token, ordinal=row.ordinal, stamp_ns=row.stamp_ns)

@@ -1,4 +1,4 @@
-"""Profiles of topics by platform, and the dry run that says what they resolve to in a recording.
+"""Routes of topic profiles by robot platform, and the dry run that resolves one against a recording.
 
 **Conventions.** A profile is its owner's, an administrator's not excepted. The dry run needs no job: it reads what the
 recording's inspection kept.
@@ -21,11 +21,11 @@ from api.schemas.base import PLAIN, IdPath, instant
 from api.schemas.calibrations import FindingItem
 from api.schemas.profiles import ProfileBody, ProfileItem, RolesAnswer
 from api.visible import recording_of, sequence_of
-from services.ingest.profile_errors import BadProfileError
-from services.ingest.profiles import LONGEST_TOPIC, MOST_TOPICS, Candidate, resolve
-from services.ingest.profiles import Profile as Chosen
-from services.runtime.orm import Calibration, Profile, Sequence
-from services.runtime.profiles import keep_profile, lock_profile, profile_of, topics_of
+from services.domain.sequences.profiles import keep_profile, lock_profile, profile_of, topics_of
+from services.runtime.orm import CalibrationRow, ProfileRow, SequenceRow
+from stone_recordings.topics.profile_errors import BadProfileError
+from stone_recordings.topics.profiles import LONGEST_TOPIC, MOST_TOPICS, Candidate, resolve
+from stone_recordings.topics.profiles import TopicProfile as Chosen
 
 router = APIRouter(tags=["profiles"])
 PlatformName = Annotated[str, Path(pattern=PLAIN, min_length=1, max_length=64, examples=["warthog-1"])]
@@ -36,9 +36,9 @@ Choices = Annotated[list[Choice], Query(alias="topic", max_length=MOST_TOPICS, e
 @router.get("/profiles", responses=refusals())
 def list_profiles(caller: Reader, platform: PlatformDep, query: PageDep) -> Page[ProfileItem]:
     """The caller's profiles, newest first."""
-    statement = select(Profile).where(Profile.owner_id == caller.user_id)
+    statement = select(ProfileRow).where(ProfileRow.owner_id == caller.user_id)
     with platform.database.reading() as session:
-        return page(session, statement, Profile.id.desc(), query).shown(_item)
+        return page(session, statement, ProfileRow.id.desc(), query).shown(_item)
 
 
 @router.get("/profiles/{platform_name}", responses=refusals(404))
@@ -69,7 +69,7 @@ def save_profile(
         response.status_code = 200 if row is not None else 201
         if row is not None:
             require_match(request, row.revision)
-        row = row or Profile(owner_id=caller.user_id, platform=platform_name)
+        row = row or ProfileRow(owner_id=caller.user_id, platform=platform_name)
         if keep_profile(session, row, topics):
             audit.record(session, caller, "profile.save", row.id, facts={"platform": platform_name})
         shown = _item(row)
@@ -119,15 +119,15 @@ def _candidates(inspection: dict[str, Any]) -> list[Candidate]:
     return [Candidate(**{key: topic[key] for key in keys}, frame_id=topic.get("frame_id", "")) for topic in topics]
 
 
-def _channel_of_frame(session: Session, sequence: Sequence) -> dict[str, str]:
+def _channel_of_frame(session: Session, sequence: SequenceRow) -> dict[str, str]:
     """The channel of each frame_id that the sequence's calibration knows."""
     if sequence.calibration_id is None:
         return {}
-    sensors = session.get_one(Calibration, sequence.calibration_id).sensors
+    sensors = session.get_one(CalibrationRow, sequence.calibration_id).sensors
     return {sensor["frame_id"].strip("/"): sensor["name"] for sensor in sensors if sensor.get("frame_id")}
 
 
-def _item(row: Profile) -> ProfileItem:
+def _item(row: ProfileRow) -> ProfileItem:
     return ProfileItem(
         platform=row.platform, topics=row.topics, revision=row.revision, created_at=instant(row.created_ns)
     )

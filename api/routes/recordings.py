@@ -1,4 +1,4 @@
-"""Recordings of a sequence: a complete upload becomes one, is read by a job, and can be taken away again."""
+"""Routes of a sequence's recordings: create from a complete upload, list, delete."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -11,10 +11,7 @@ from api.answers import refusals
 from api.callers import Curator, Reader
 from api.deps import PlatformDep
 from api.files import answer_file, file_responses
-from api.job_views import job_items
 from api.paging import Page, PageDep, page
-from api.preview_files import PREVIEW_TYPES, PreviewName, recording_preview
-from api.recording_views import recording_detail, recording_item
 from api.schemas.base import IdPath
 from api.schemas.recordings import (
     NewRecordingBody,
@@ -22,9 +19,12 @@ from api.schemas.recordings import (
     RecordingDetail,
     RecordingItem,
 )
+from api.views.jobs import job_items
+from api.views.preview_files import PREVIEW_TYPES, PreviewName, recording_preview
+from api.views.recordings import recording_detail, recording_item
 from api.visible import recording_of, sequence_of
+from services.domain.sequences.recordings import add_recording, remove_recording
 from services.runtime.orm import Recording
-from services.runtime.recordings import add_recording, remove_recording
 
 router = APIRouter(prefix="/sequences/{sequence_id}/recordings", tags=["recordings"])
 

@@ -1,4 +1,4 @@
-"""What a submission scored: totals, breakdowns, provenance, kept counts.
+"""Routes of a submission's results: totals, breakdowns, provenance, confusion counts.
 
 **Conventions.** A submission is known to its team, to administrators and, while it stands on a board, to everybody.
 What of it is shown to whom is decided where it is read; a part that is withheld as a whole is 403. Without `score` it
@@ -11,7 +11,9 @@ from api.answers import refusals
 from api.callers import Looker
 from api.deps import PlatformDep
 from api.files import StoredFile, answer_file, file_responses
-from api.result_views import (
+from api.schemas.base import IdPath
+from api.schemas.results import BreakdownAnswer, ByQuery, ProvenanceAnswer, ResultsAnswer, ScoreQuery
+from api.views.results import (
     breakdown_answer,
     known_score,
     known_submission,
@@ -19,9 +21,7 @@ from api.result_views import (
     results_answer,
     viewer_for,
 )
-from api.schemas.base import IdPath
-from api.schemas.results import BreakdownAnswer, ByQuery, ProvenanceAnswer, ResultsAnswer, ScoreQuery
-from services.runtime.benchmarks.results import breakdown, kept_confusions, provenance, results
+from services.domain.benchmarks.submissions.results import breakdown, kept_confusions, provenance, results
 
 router = APIRouter(prefix="/submissions/{submission_id}", tags=["submissions"])
 NPZ_TYPE = "application/octet-stream"

@@ -1,6 +1,6 @@
-"""The scene of a sequence: what the viewer needs to know of its newest labels, and its map tile by tile.
+"""Routes of the viewer's scene: the labels' metadata, and the map by tiles.
 
-**Conventions.** The binary formats are told in `services/runtime/view_formats.py`. An address with `v`, the label set
+**Conventions.** The binary formats are told in `services/domain/viewer/formats.py`. An address with `v`, the label set
 that is meant, answers for good; without it a browser asks each time whether what it has still counts.
 """
 
@@ -11,10 +11,10 @@ from fastapi import APIRouter, Path, Request, Response
 from api.answers import refusals
 from api.callers import Looker
 from api.deps import PlatformDep
-from api.files import MadeFile, answer_file, answer_made, file_responses
-from api.scene_views import VersionQuery, scene_bytes, scene_file, scene_of
+from api.files import GeneratedFile, answer_file, answer_made, file_responses
 from api.schemas.base import IdPath
 from api.schemas.scenes import SceneDetail
+from api.views.scenes import VersionQuery, scene_bytes, scene_file, scene_of
 
 router = APIRouter(prefix="/sequences/{sequence_id}/scene", tags=["viewer"])
 TilePath = Annotated[str, Path(pattern=r"^-?\d{1,7}_-?\d{1,7}$", examples=["0_-1"])]
@@ -31,7 +31,7 @@ def show_scene(sequence_id: IdPath, caller: Looker, platform: PlatformDep, reque
     """The grid, the frames with their poses, the tiles of the map, and what can be played beside them."""
     with platform.database.reading() as session:
         scene = scene_of(session, caller, sequence_id)
-    return answer_made(request, scene_bytes(platform.store, scene), MadeFile(JSON, scene.file.filename))
+    return answer_made(request, scene_bytes(platform.store, scene), GeneratedFile(JSON, scene.file.filename))
 
 
 @router.get("/tiles/{tile_name}", response_class=Response, responses=file_responses(BINARY))

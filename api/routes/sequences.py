@@ -1,4 +1,4 @@
-"""Sequences: made, listed, changed, given a calibration, deleted.
+"""Routes of sequences: create, list, change, pin a calibration, delete.
 
 **Conventions.** The ETag is the sequence's revision: it moves when what can be changed has changed, not when a job of
 it moves on. PATCH and DELETE ask for it; PUT of the calibration honours it.
@@ -28,19 +28,19 @@ from api.schemas.sequences import (
     SequenceDetail,
     SequenceItem,
 )
-from api.sequence_views import sequence_detail, sequence_items
+from api.views.sequences import sequence_detail, sequence_items
 from api.visible import calibration_of, hidden_truths, sequence_of, sequences_shown_to, shown_sequence
+from services.domain.sequences.processing import PROCESS, delete_sequence, lock_sequence
 from services.runtime.access.errors import NameTakenError
 from services.runtime.jobs.specs import TERMINAL
-from services.runtime.orm import DatasetMember, Job, LabelSet, Sequence
-from services.runtime.processing import PROCESS, delete_sequence, lock_sequence
+from services.runtime.orm import DatasetMember, Job, LabelSet, SequenceRow
 
 router = APIRouter(prefix="/sequences", tags=["sequences"])
 Prefix = Annotated[str | None, Query(pattern=PLAIN, max_length=100)]
 
 
 @dataclass(frozen=True)
-class Filters:
+class SequenceFilters:
     """Which sequences a list shows: equal values, and names that begin with `name`."""
 
     environment: LineQuery = None
@@ -50,14 +50,14 @@ class Filters:
     name: Prefix = None
     owner_id: IdQuery = None
 
-    def narrowed(self, statement: Select[Sequence]) -> Select[Sequence]:
+    def narrowed(self, statement: Select[SequenceRow]) -> Select[SequenceRow]:
         for key in ("environment", "illumination", "region", "platform", "owner_id"):
             value = getattr(self, key)
             if value is not None:
-                statement = statement.where(getattr(Sequence, key) == value)
+                statement = statement.where(getattr(SequenceRow, key) == value)
         if self.name is None:
             return statement
-        return statement.where(func.substr(Sequence.name, 1, len(self.name)) == self.name)
+        return statement.where(func.substr(SequenceRow.name, 1, len(self.name)) == self.name)
 
 
 @router.post("", status_code=201, responses=refusals(409))
@@ -66,7 +66,7 @@ def create_sequence(
 ) -> SequenceDetail:
     """Make a sequence; its name is free among the caller's own."""
     with platform.database.transaction() as session:
-        sequence = Sequence(owner_id=caller.user_id, **body.model_dump())
+        sequence = SequenceRow(owner_id=caller.user_id, **body.model_dump())
         session.add(sequence)
         _flush_named(session, body.name)
         audit.record(session, caller, "sequence.create", sequence.id, facts={"name": sequence.name})
@@ -81,11 +81,11 @@ def list_sequences(
     caller: Looker,
     platform: PlatformDep,
     query: PageDep,
-    filters: Annotated[Filters, Depends(at_once(Filters))],
+    filters: Annotated[SequenceFilters, Depends(at_once(SequenceFilters))],
 ) -> Page[SequenceItem]:
     """The caller's sequences and the public ones, newest first; an administrator sees everybody's."""
     with platform.database.reading() as session:
-        found = page(session, filters.narrowed(sequences_shown_to(caller)), Sequence.id.desc(), query)
+        found = page(session, filters.narrowed(sequences_shown_to(caller)), SequenceRow.id.desc(), query)
         return Page[SequenceItem](items=sequence_items(session, found.rows, caller), next=found.next)
 
 
@@ -160,13 +160,13 @@ def remove_sequence(sequence_id: IdPath, caller: Curator, platform: PlatformDep,
         delete_sequence(session, sequence)
 
 
-def _change(sequence: Sequence, changes: Mapping[str, Any]) -> None:
+def _change(sequence: SequenceRow, changes: Mapping[str, Any]) -> None:
     for key, value in changes.items():
         setattr(sequence, key, value)
     sequence.revision += 1 if changes else 0
 
 
-def _refuse_renaming(session: Session, sequence: Sequence) -> None:
+def _refuse_renaming(session: Session, sequence: SequenceRow) -> None:
     """Raises `ConflictError` where frame tokens carry the old name already."""
     labels = select(LabelSet.id).where(LabelSet.sequence_id == sequence.id)
     runs = select(Job.id).where(Job.sequence_id == sequence.id, Job.kind == PROCESS, Job.state.not_in(TERMINAL))
@@ -174,7 +174,7 @@ def _refuse_renaming(session: Session, sequence: Sequence) -> None:
         raise ConflictError("the sequence has labels, or is getting them, and its frame tokens are made of its name")
 
 
-def _refuse_telling(session: Session, sequence: Sequence) -> None:
+def _refuse_revealing_truth(session: Session, sequence: SequenceRow) -> None:
     """Raises `HiddenTruthError`."""
     if session.scalar(hidden_truths().where(DatasetMember.sequence_id == sequence.id).limit(1)):
         raise HiddenTruthError(sequence.name)

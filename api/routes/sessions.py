@@ -1,4 +1,4 @@
-"""Browsers sign in with a password; everybody may ask who they are.
+"""Routes of browser sessions: sign in, sign out, change the password, who am I.
 
 **Conventions.** The cookie is HttpOnly and SameSite=Lax, so that a link in a mail leads to its page and not to signing
 in, and Secure where the platform is reached by https; what changes anything asks for the CSRF token besides. Signing in
@@ -14,15 +14,15 @@ from fastapi import APIRouter, Depends, Request, Response
 
 from api import audit
 from api.answers import refusals
-from api.context import COOKIE
 from api.deps import Caller, PlatformDep, require
-from api.errors import ConflictError, GuessedTooOftenError, WrongPasswordError
-from api.limits import address_of
-from api.people_views import browsers_of
+from api.errors import ConflictError, TooManyFailedSignInsError, WrongPasswordError
+from api.middleware.context import COOKIE
+from api.middleware.limits import address_of
 from api.schemas.base import instant
 from api.schemas.people import BrowserItem, MeItem, PasswordBody, SessionItem, SignInBody
-from services.runtime.access import guesses, passwords, sessions, users
-from services.runtime.access.sessions import SignedIn
+from api.views.people import browsers_of
+from services.runtime.access import login_throttle, passwords, sessions, users
+from services.runtime.access.sessions import SessionSecrets
 from services.runtime.orm import User
 from services.runtime.platform import Platform
 from services.runtime.settings import Settings
@@ -45,7 +45,7 @@ def sign_in(body: SignInBody, request: Request, response: Response, platform: Pl
     with platform.database.transaction() as session:
         if session.get_one(User, user.id).password_hash != user.password_hash:  # changed while it was checked
             raise WrongPasswordError()
-        guesses.take_back(session, **tried)
+        login_throttle.take_back(session, **tried)
         opened = sessions.open_session(session, user, platform.settings.api.session_s)
         audit.record(session, _as_caller(user), "session.open", user.id)
     _give_cookie(response, opened, platform.settings)
@@ -104,24 +104,24 @@ def change_own_password(body: PasswordBody, caller: Anybody, request: Request, p
         raise WrongPasswordError()
     password_hash = passwords.hash_password(body.new.get_secret_value(), caller.name)
     with platform.database.transaction() as session:
-        guesses.take_back(session, **tried)
+        login_throttle.take_back(session, **tried)
         users.change_password(session, session.get_one(User, caller.user_id), password_hash)
         audit.record(session, caller, "user.password", caller.user_id)
 
 
 def _counted_try(request: Request, platform: Platform, name: str) -> dict[str, str]:
-    """What the try was counted by. Raises `RateLimitedError`, `GuessedTooOftenError`."""
+    """What the try was counted by. Raises `RateLimitedError`, `TooManyFailedSignInsError`."""
     request.app.state.limits.admit_sign_in(request, name)
     tried = {"name": name, "address": address_of(request)}
     with platform.database.transaction() as session:
-        wait_s = guesses.count_try(session, **tried)
+        wait_s = login_throttle.count_try(session, **tried)
     if wait_s:
         log.warning("sign-in not tried, too many were wrong", name=name)
-        raise GuessedTooOftenError(ceil(wait_s))
+        raise TooManyFailedSignInsError(ceil(wait_s))
     return tried
 
 
-def _give_cookie(response: Response, opened: SignedIn, settings: Settings) -> None:
+def _give_cookie(response: Response, opened: SessionSecrets, settings: Settings) -> None:
     lasts_s = int(settings.api.session_s)
     secure = _is_https(settings)
     response.set_cookie(COOKIE, opened.secret, lasts_s, path="/", secure=secure, httponly=True, samesite="lax")

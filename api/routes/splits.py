@@ -1,4 +1,4 @@
-"""The splits under discussion: read, judged, put as a whole, proposed by a solver.
+"""Routes of the draft splits: read, check, replace, propose by a solver.
 
 **Conventions.** There is one set of splits, and administrators put it; everybody sees how large it is, and where their
 own sequences are. What the rules forbid is refused with an error for each rule that is broken; what the data do not
@@ -21,11 +21,11 @@ from api.schemas.splits import (
     VerdictsAnswer,
 )
 from api.split_errors import SplitRefusedError
-from api.split_views import proposal_answer, rule_items, splits_answer
+from api.views.splits import proposal_answer, rule_items, splits_answer
 from api.visible import sequences_of
-from services.runtime.catalogue import entries_of, labelled_sequences
-from services.runtime.splits import current_splits, errors_of, judged, lock_splits, replace_splits
-from stone.splits import Split
+from services.domain.datasets.catalogue import entries_of, labelled_sequences
+from services.domain.datasets.splits import current_splits, errors_of, judged, lock_splits, replace_splits
+from stone.splits.splits import Split
 
 router = APIRouter(prefix="/splits", tags=["dataset"])
 
@@ -75,7 +75,7 @@ def judge_splits(body: SplitsToJudge, _caller: Administrator, platform: Platform
 @router.post("/proposal", responses=refusals(409))
 def propose_splits(body: ProposalBody, caller: Administrator, platform: PlatformDep) -> ProposalAnswer:
     """Splits of these sizes that keep every rule and are alike, or which rules clash. Nothing is saved."""
-    from stone.split_proposal import propose
+    from stone.splits.proposal import propose
 
     left_out = set(body.leave_out)
     with platform.database.reading() as session:

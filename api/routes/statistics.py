@@ -1,4 +1,4 @@
-"""What the dataset is made of, as JSON and as a figure: of a published version, or of the sequences a caller may see.
+"""Routes of dataset statistics, as JSON and as a figure.
 
 **Conventions.** Both come from the same record, so they cannot differ. Of test's labels nothing is told.
 """
@@ -15,10 +15,10 @@ from api.deps import Caller, PlatformDep
 from api.etags import etag, is_unchanged
 from api.schemas.datasets import VERSION_PATTERN
 from api.schemas.statistics import StatisticsAnswer
-from api.statistics_views import composition_record
-from services.runtime.composition_figure import FIGURE_VERSION, composition_png, figure_title
+from api.views.statistics import composition_record
+from services.domain.datasets.composition_figure import FIGURE_VERSION, composition_png, figure_title
+from services.domain.datasets.statistics import Record
 from services.runtime.platform import Platform
-from services.runtime.statistics import Record
 
 router = APIRouter(prefix="/statistics", tags=["dataset"])
 VersionQuery = Annotated[str | None, Query(pattern=VERSION_PATTERN, description="a version of the dataset")]

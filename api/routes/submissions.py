@@ -1,4 +1,4 @@
-"""Submissions: announced, sent to be scored, followed, described, cancelled, withdrawn; and what a team may yet.
+"""Routes of submissions: create, finalize, list, change, cancel, withdraw; and the team's quota.
 
 **Conventions.** What is shown here is for the members of its team and for administrators; to everybody else it does not
 exist (what a board shows of it is the board's). The ETag is the submission's revision: it moves with its state and its
@@ -33,19 +33,19 @@ from api.schemas.submissions import (
     ValidationReport,
     VisibilityBody,
 )
-from api.submission_views import standing_answer, submission_detail, submission_items, validation_report
+from api.views.submissions import quota_answer, submission_detail, submission_items, validation_report
 from api.visible import member_team_of, phase_of, submission_of, submissions_of, team_of
-from services.runtime.benchmarks import submissions
-from services.runtime.benchmarks.submission_states import lock_submission
-from services.runtime.benchmarks.submissions import Draft
-from services.runtime.orm import Submission
+from services.domain.benchmarks.submissions import submissions
+from services.domain.benchmarks.submissions.states import lock_submission
+from services.domain.benchmarks.submissions.submissions import SubmissionDraft
+from services.runtime.orm import SubmissionRow
 from services.runtime.platform import Platform
 
 router = APIRouter(tags=["submissions"])
 
 
 @dataclass(frozen=True)
-class Filters:
+class SubmissionFilters:
     """Which submissions a list shows."""
 
     phase_id: IdQuery = None
@@ -53,7 +53,7 @@ class Filters:
     state: State | None = None
     kind: Kind | None = None
 
-    def narrowed(self, statement: Select[Submission]) -> Select[Submission]:
+    def narrowed(self, statement: Select[SubmissionRow]) -> Select[SubmissionRow]:
         return statement.filter_by(**{key: value for key, value in vars(self).items() if value is not None})
 
 
@@ -93,11 +93,14 @@ def finalize_submission(
 
 @router.get("/submissions")
 def list_submissions(
-    caller: Reader, platform: PlatformDep, query: PageDep, filters: Annotated[Filters, Depends(at_once(Filters))]
+    caller: Reader,
+    platform: PlatformDep,
+    query: PageDep,
+    filters: Annotated[SubmissionFilters, Depends(at_once(SubmissionFilters))],
 ) -> Page[SubmissionItem]:
     """The submissions of the caller's teams, newest first; an administrator sees everybody's."""
     with platform.database.reading() as session:
-        found = page(session, filters.narrowed(submissions_of(caller)), Submission.id.desc(), query)
+        found = page(session, filters.narrowed(submissions_of(caller)), SubmissionRow.id.desc(), query)
         return Page[SubmissionItem](items=submission_items(session, found.rows), next=found.next)
 
 
@@ -168,7 +171,7 @@ def show_quota(phase_id: IdPath, team_id: IdPath, caller: Reader, platform: Plat
     """What the team has had scored, what it may yet, and from when on."""
     with platform.database.reading() as session:
         team = team_of(session, caller, team_id)
-        return standing_answer(session, phase_of(session, phase_id), team.id)
+        return quota_answer(session, phase_of(session, phase_id), team.id)
 
 
 @router.put("/admin/submissions/{submission_id}/visibility", responses=refusals(403, 404))
@@ -193,7 +196,7 @@ def _announced(
         team = member_team_of(session, caller, body.team_id)
         phase = phase_of(session, phase_id)
         said = body.model_dump(exclude={"team_id", "kind"})
-        row = submissions.create_draft(session, Draft(phase.id, team.id, caller.user_id, kind, **said))
+        row = submissions.create_draft(session, SubmissionDraft(phase.id, team.id, caller.user_id, kind, **said))
         facts = {"phase_id": phase.id, "team_id": team.id, "kind": kind, "sha256": body.sha256}
         audit.record(session, caller, "submission.announce", row.id, facts=facts)
         shown = submission_detail(session, row)

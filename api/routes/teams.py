@@ -1,4 +1,4 @@
-"""Teams: made by anybody who may submit, seen by their members and administrators, entered by invitation.
+"""Routes of teams: create, invite, join, leave, hand over.
 
 **Conventions.** A captain invites, removes and hands over; administrators may remove and hand over too, and say why.
 The secret of an invitation is in the answer to its making and nowhere else. A member leaves by removing themselves.
@@ -25,11 +25,11 @@ from api.schemas.teams import (
     MemberName,
     ReasonQuery,
 )
-from api.team_views import invitation_item, team_items
+from api.views.teams import invitation_item, team_items
 from api.visible import team_of, teams_of
+from services.domain.benchmarks.teams import teams
+from services.domain.benchmarks.teams.errors import NotMemberError
 from services.runtime.access.users import find_user
-from services.runtime.benchmarks import teams
-from services.runtime.benchmarks.team_errors import NotMemberError
 from services.runtime.orm import Team, User
 
 router = APIRouter(prefix="/teams", tags=["people"])

@@ -1,4 +1,4 @@
-"""Tokens for programs: issued, listed, revoked by their owner.
+"""Routes of API tokens: issue, list, revoke.
 
 **Conventions.** A token cannot grant what its maker does not hold: neither a scope, nor, when a token makes it, a
 longer life. The secret is in the answer to its making and nowhere else.
@@ -15,9 +15,9 @@ from api.answers import refusals
 from api.deps import Caller, PlatformDep, require
 from api.errors import ConflictError, ForbiddenError, NotFoundError
 from api.paging import Page, PageDep
-from api.people_views import token_item, tokens_page
 from api.schemas.base import IdPath
 from api.schemas.people import IssuedToken, TokenBody, TokenItem
+from api.views.people import token_item, tokens_page
 from services.runtime.access import tokens, users
 from services.runtime.orm import Token, User
 from services.runtime.orm.base import now_ns

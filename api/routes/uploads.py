@@ -1,8 +1,8 @@
-"""Uploads by tus 1.0: create, ask, send, give up; and their state as JSON.
+"""Routes of uploads by tus 1.0, and their state as JSON.
 
 **Conventions.** tus answers carry no body, refusals are problems. Other people's uploads do not exist (404). A
 submission needs the scope `submit`, anything else `upload`; who has either goes on with a submission. A route that
-takes bytes is asynchronous and leaves disk and database to threads (`api/uploading.py`).
+takes bytes is asynchronous and leaves disk and database to threads (`api/tus/body_stream.py`).
 """
 
 from typing import Annotated
@@ -11,20 +11,20 @@ from fastapi import APIRouter, Depends, Header, Request, Response
 from sqlalchemy import select
 
 from api.deps import Caller, PlatformDep, require, require_one
-from api.form_reading import accept_form
 from api.paging import Page, PageDep, page
 from api.schemas.base import IdPath, LineQuery
 from api.schemas.uploads import UploadItem, upload_item
-from api.tus_creation import accept_creation, find_own
-from api.tus_documents import CREATED, FORM, FORMED, GOT, HEAD_SAYS, OPTIONS_SAY, PATCHED, STREAM, TERMINATED
-from api.tus_errors import VERSION, TusHeaderError
-from api.tus_headers import EXTENSIONS, count_of, piece_of, speak_tus, upload_headers
-from api.tus_route import TusRoute
-from api.uploading import in_thread, receive_body
+from api.tus.body_stream import in_thread, receive_body
+from api.tus.creation import accept_creation, find_own
+from api.tus.documents import CREATED, FORM, FORMED, GOT, HEAD_SAYS, OPTIONS_SAY, PATCHED, STREAM, TERMINATED
+from api.tus.errors import VERSION, TusHeaderError
+from api.tus.forms import accept_form
+from api.tus.headers import EXTENSIONS, count_of, piece_of, speak_tus, upload_headers
+from api.tus.route import TusRoute
 from services.runtime.orm import Upload
-from services.runtime.telemetry.tracing import link
-from services.runtime.uploads.finishing import bytes_here, settle_if_whole, terminate
-from services.runtime.uploads.receiving import ALGORITHMS
+from services.runtime.telemetry.origins import link_to
+from services.runtime.uploads.completion import bytes_here, settle_if_whole, terminate
+from services.runtime.uploads.reception import ALGORITHMS
 from services.runtime.uploads.rows import find
 
 router = APIRouter(prefix="/uploads", tags=["uploads"], route_class=TusRoute)
@@ -107,7 +107,7 @@ async def send_bytes(
     if "upload" not in caller.scopes:
         await in_thread(find_own, platform, upload_id, caller)
     upload = await receive_body(request, platform, (upload_id, caller.user_id), piece)
-    link(upload.traceparent)
+    link_to(upload.traceparent)
     offset_bytes = await in_thread(bytes_here, platform, upload)
     return Response(status_code=204, headers=upload_headers(upload, offset_bytes))
 

@@ -1,4 +1,4 @@
-"""Users, for administrators: made, listed, changed; each act with its reason in the audit log."""
+"""Routes for administrators: create, list, change and erase users; every act is audited with its reason."""
 
 from typing import Annotated, Any
 
@@ -10,12 +10,12 @@ from api.answers import refusals
 from api.deps import Caller, PlatformDep, require
 from api.errors import NotFoundError
 from api.paging import Page, PageDep
-from api.people_views import tokens_page, user_item, user_of, users_page
 from api.schemas.admin import ReasonBody
 from api.schemas.base import PLAIN, IdPath
 from api.schemas.people import Password, RevokedItem, TokenItem, UserBody, UserChange, UserItem
-from services.runtime.access import guesses, passwords, sessions, tokens, users
-from services.runtime.access.erasing import erase_user
+from api.views.people import tokens_page, user_item, user_of, users_page
+from services.runtime.access import login_throttle, passwords, sessions, tokens, users
+from services.runtime.access.erasure import erase_user
 from services.runtime.access.roles import Role
 from services.runtime.orm import Token
 
@@ -55,7 +55,7 @@ def change(user_id: IdPath, body: UserChange, caller: Administrator, platform: P
         users.change_user(session, user, body.role, body.is_active)
         if password_hash is not None:
             users.change_password(session, user, password_hash)
-            guesses.forgive_name(session, user.name)
+            login_throttle.forgive_name(session, user.name)
         audit.record_admin_act(session, caller, "user.change", user_id, body.reason, _changes(body))
     return user_item(user)
 

@@ -1,4 +1,4 @@
-"""What bodies are made of: ids, instants, plain text, and the two kinds of model."""
+"""Base models and field types of all request and response bodies."""
 
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta

@@ -1,11 +1,15 @@
-"""Benchmarks, phases and metrics over the wire: what is answered."""
+"""Benchmarks over the wire, what is asked for and answered; phases and metrics as they are answered."""
 
 from datetime import datetime
-from typing import Any, Literal
+from typing import Annotated, Any, Generic, Literal, TypeVar
 
-from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, example
-from api.schemas.benchmark_bodies import NEW_PHASE_EXAMPLE
-from services.runtime.benchmarks.phases import Standing
+from pydantic import Field
+
+from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Body, Reason, example
+from api.schemas.phase_bodies import BENCHMARK_PATTERN, NEW_PHASE_EXAMPLE, Heading, NewPhaseBody, Prose, Version
+from services.domain.benchmarks.phases.phases import NewBenchmark, PhaseStatus
+
+PhaseShown = TypeVar("PhaseShown")
 
 SIGNATURE_EXAMPLE = {"metric": "stone-iou-1", "ground_truth": SHA256_EXAMPLE, "mask": "all"}
 ACTIVE_EXAMPLE: dict[str, Any] = {
@@ -79,7 +83,7 @@ class PhaseItem(Answer):
     part: str
     mask: str
     is_hidden: bool
-    standing: Standing
+    standing: PhaseStatus
     opens_at: datetime | None
     closes_at: datetime | None
     named_from_at: datetime | None
@@ -112,43 +116,72 @@ class PhaseDetail(PhaseItem):
     findings: list[PhaseFinding]
 
 
-class BenchmarkItem(Answer):
+class NewBenchmarkBody(Body):
+    """A benchmark to be made of a version; without `phases` it has `val` (open) and `test` (hidden).
+
+    A phase that names no version is of the benchmark's. `reason` is kept in the audit log.
+    """
+
+    model_config = Body.model_config | example(
+        name="stone", title="STONE", description="", dataset="stone-1.0", reason="first season"
+    )
+
+    name: Annotated[str, Field(pattern=BENCHMARK_PATTERN)]
+    title: Heading = ""
+    description: Prose = ""
+    dataset: Version
+    phases: Annotated[list[NewPhaseBody], Field(min_length=1, max_length=16)] | None = None
+    reason: Reason
+
+    def asked(self, user_id: str) -> NewBenchmark:
+        return NewBenchmark(user_id=user_id, **self.model_dump(exclude={"dataset", "phases", "reason"}))
+
+
+class BenchmarkChange(Body):
+    """What is to change; what is left out or null stays. A public benchmark is read without an account.
+
+    `reason` is kept in the audit log.
+    """
+
+    model_config = Body.model_config | example(is_public=True, reason="the season begins")
+
+    title: Heading | None = None
+    description: Prose | None = None
+    is_public: bool | None = None
+    reason: Reason
+
+    def columns(self) -> dict[str, Any]:
+        """What was said of columns of a benchmark."""
+        return self.model_dump(exclude={"reason"}, exclude_none=True)
+
+
+class BenchmarkShown(Answer, Generic[PhaseShown]):
+    """The fields that every answer about a benchmark has; its phases by name or whole."""
+
+    name: str
+    title: str
+    description: str
+    phases: list[PhaseShown]
+    is_public: bool
+    created_at: datetime
+
+
+class BenchmarkItem(BenchmarkShown[str]):
     """A benchmark as a list shows it, with the names of its phases."""
 
     model_config = example(**BENCHMARK_EXAMPLE)
 
-    name: str
-    title: str
-    description: str
-    phases: list[str]
-    is_public: bool
-    created_at: datetime
 
-
-class BenchmarkDetail(Answer):
+class BenchmarkDetail(BenchmarkShown[PhaseItem]):
     """A benchmark with its phases."""
 
     model_config = example(**BENCHMARK_EXAMPLE | {"phases": [PHASE_EXAMPLE]})
 
-    name: str
-    title: str
-    description: str
-    phases: list[PhaseItem]
-    is_public: bool
-    created_at: datetime
 
-
-class CreatedBenchmark(Answer):
+class CreatedBenchmark(BenchmarkShown[PhaseDetail]):
     """A benchmark with its phases and what was noticed of them."""
 
     model_config = example(**BENCHMARK_EXAMPLE | {"phases": [PHASE_EXAMPLE | {"findings": [FINDING_EXAMPLE]}]})
-
-    name: str
-    title: str
-    description: str
-    phases: list[PhaseDetail]
-    is_public: bool
-    created_at: datetime
 
 
 class MetricItem(Answer):

@@ -5,8 +5,8 @@ from typing import Any, Literal
 
 from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Body, example
 from api.schemas.jobs import JOB_EXAMPLE, FailureItem, JobItem
+from services.domain.exports.requests import ExportFormat
 
-Format = Literal["nuscenes", "inputs", "kitti", "mesh", "mcap", "rrd", "previews", "playback"]
 ArchiveKind = Literal["tar", "zip"]
 
 ARCHIVE_EXAMPLE = {"format": "tar", "size_bytes": 48210432, "sha256": SHA256_EXAMPLE}
@@ -19,7 +19,7 @@ EXPORT_EXAMPLE: dict[str, Any] = {
     "state": "succeeded",
     "is_stale": False,
     "recipe": SHA256_EXAMPLE,
-    "code_version": "0.1.0",
+    "code_version": "0.1.0+71299b6a455d",
     "files": 13216,
     "size_bytes": 41003421,
     "archives": [ARCHIVE_EXAMPLE],
@@ -34,7 +34,7 @@ class NewExportBody(Body):
 
     model_config = example(format="nuscenes")
 
-    format: Format
+    format: ExportFormat
 
 
 class ArchiveItem(Answer):
@@ -59,7 +59,7 @@ class ExportItem(Answer):
     sequence_id: str
     label_set_id: str
     job_id: str
-    format: Format
+    format: ExportFormat
     state: str
     is_stale: bool
     recipe: str

@@ -1,4 +1,4 @@
-"""Jobs over the wire: how far they are, why they failed, what they said."""
+"""Jobs over the wire: progress, failures and log lines."""
 
 from datetime import datetime
 from typing import Any

@@ -6,9 +6,9 @@ from typing import Annotated, Any, Literal
 from fastapi import Query
 
 from api.schemas.base import ID_EXAMPLE, ID_PATTERN, SHA256_EXAMPLE, Answer, example
-from api.schemas.benchmark_bodies import Moment
-from services.runtime.benchmarks.board_entries import Standing, Track, Which
-from services.runtime.benchmarks.visibility import Secrecy
+from api.schemas.phase_bodies import Moment
+from services.domain.benchmarks.boards.entries import EntryStatus, Track, Which
+from services.domain.benchmarks.visibility import Secrecy
 
 SIGNATURE_EXAMPLE = "metric:stone-iou-1|truth:9f86d081884c7d65|mask:all|grid:256x256x32@0.2m|classes:0=free,1=T,2=P,3=N"
 RATIOS_EXAMPLE = {"miou": 0.2431, "iou_occ": 0.4119, "iou_t": 0.3120, "iou_p": 0.1980, "iou_n": 0.2193}
@@ -135,7 +135,7 @@ class BoardRow(Answer):
 
     model_config = example(**ROW_EXAMPLE)
 
-    standing: Standing
+    standing: EntryStatus
     rank: int | None
     rank_interval: tuple[int, int] | None
     tie_group: int | None

@@ -1,4 +1,4 @@
-"""People over the wire: who is calling, sessions, tokens, users, teams; and how the platform is."""
+"""People over the wire: the caller, sessions, tokens, users, teams; and the platform's health."""
 
 from datetime import datetime
 from typing import Annotated, Literal

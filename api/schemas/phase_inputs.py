@@ -1,4 +1,4 @@
-"""Inputs of a phase over the wire: what its sequences looked like to their sensors."""
+"""Inputs of a phase over the wire: the sensor data that participants predict from."""
 
 from datetime import datetime
 from typing import Any

@@ -1,11 +1,11 @@
-"""Processing over the wire: what is asked for, and the frames that come of it."""
+"""Processing over the wire: the request, and the resulting frames."""
 
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, StrictFloat, StrictInt
 
 from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Body, example
-from services.runtime.processing import ProcessRequest
+from services.domain.sequences.processing import ProcessRequest
 
 Topic = Annotated[str, Field(max_length=256, pattern=r"^/?[A-Za-z0-9_][A-Za-z0-9_/]*$")]
 ParameterName = Annotated[str, Field(max_length=64, pattern=r"^[a-z][a-z0-9_.]*$")]

@@ -7,7 +7,7 @@ from pydantic import Field, StringConstraints
 
 from api.schemas.base import PLAIN, Answer, Body, example
 from api.schemas.calibrations import FindingItem
-from services.ingest.profiles import LONGEST_TOPIC, MOST_TOPICS
+from stone_recordings.topics.profiles import LONGEST_TOPIC, MOST_TOPICS
 
 TOPICS_EXAMPLE = {"lidar": "/lidar_points", "pose": "/novatel/oem7/inspvax", "CAM_FRONT": "/camera/front/image_raw"}
 ITEM_EXAMPLE: dict[str, Any] = {

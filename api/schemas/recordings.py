@@ -9,10 +9,10 @@ from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Body, IdText, e
 from api.schemas.calibrations import FindingItem
 from api.schemas.jobs import JOB_EXAMPLE, JobItem
 from api.schemas.previews import PREVIEW_EXAMPLE, PreviewItem
-from services.runtime.bag_files import MOST_FILES
-from services.runtime.recordings import Received
-from services.runtime.uploads.declared import LONGEST_NAME_BYTES, check_filename
+from services.domain.sequences.recordings import NewRecording
+from services.runtime.uploads.declaration import LONGEST_NAME_BYTES, check_filename
 from services.runtime.uploads.errors import BadMetadataError
+from stone_recordings.bags.file_sets import MOST_FILES
 
 FILE_EXAMPLE: dict[str, Any] = {
     "upload_id": ID_EXAMPLE,
@@ -72,11 +72,11 @@ class NewRecordingBody(Body):
             raise ValueError("a bag of several files has a name, one of one file is called as it was uploaded")
         return self
 
-    def received(self) -> Received:
+    def received(self) -> NewRecording:
         """The uploads as the runtime understands them."""
         if self.upload_ids is None:
-            return Received((self.upload_id or "",))
-        return Received(tuple(self.upload_ids), self.name or "")
+            return NewRecording((self.upload_id or "",))
+        return NewRecording(tuple(self.upload_ids), self.name or "")
 
 
 class RecordingFileItem(Answer):

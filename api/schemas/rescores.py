@@ -1,4 +1,4 @@
-"""Re-scores over the wire: what is asked for, how far it is, what it would change."""
+"""Re-scores over the wire: the request, its progress, and the changes it would make."""
 
 from datetime import datetime
 from typing import Annotated, Any, Literal

@@ -15,8 +15,8 @@ from api.schemas.leaderboard import (
     RatiosItem,
     SupportItem,
 )
-from services.runtime.benchmarks.results import By
-from services.runtime.benchmarks.visibility import Secrecy
+from services.domain.benchmarks.submissions.results import By
+from services.domain.benchmarks.visibility import Secrecy
 
 SUPPORT_EXAMPLE = {"free": 2000000, "T": 40000, "P": 30000, "N": 27152}
 EXTRAS_EXAMPLE = {"n_predicted_t_ratio": 0.031, "t_predicted_n_ratio": 0.058, "bev_drivable_iou": 0.61}
@@ -161,7 +161,7 @@ class ProvenanceAnswer(Answer):
         **WHOSE_EXAMPLE,
         manifest_sha256=SHA256_EXAMPLE,
         mask="all",
-        code_version="1.0.0",
+        code_version="0.1.0+5613fe395006",
         prediction_sha256=None,
         size_bytes=None,
         content_sha256=None,

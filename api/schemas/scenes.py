@@ -1,4 +1,4 @@
-"""What the viewer is told of a labelled sequence: its grid, its frames, and which files show its map."""
+"""Scenes over the wire: the grid and frames of a labelled sequence, and the files that show its map."""
 
 from typing import Any, Literal
 

@@ -7,8 +7,8 @@ from pydantic import AfterValidator, Field
 
 from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Body, IdText, Line, coded, example
 from api.schemas.previews import PREVIEW_EXAMPLE, PreviewItem
-from stone.sequence import NAME, SequenceNameError
-from stone.surroundings import (
+from stone.sensors.sequence import NAME, SequenceNameError
+from stone.splits.surroundings import (
     ENVIRONMENTS,
     ILLUMINATIONS,
     REGION,
@@ -35,7 +35,13 @@ SEQUENCE_EXAMPLE: dict[str, Any] = {
     "calibration_id": ID_EXAMPLE,
     "recordings": 1,
     "job": {"id": ID_EXAMPLE, "kind": "sequence.process", "state": "succeeded"},
-    "labels": {"id": ID_EXAMPLE, "job_id": ID_EXAMPLE, "frames": 1200, "created_at": "2026-05-03T10:20:00Z"},
+    "labels": {
+        "id": ID_EXAMPLE,
+        "job_id": ID_EXAMPLE,
+        "frames": 1200,
+        "code_version": "0.1.0+71299b6a455d",
+        "created_at": "2026-05-03T10:20:00Z",
+    },
     "class_voxels": {"t": 812345, "p": 2045312, "n": 4198273},
     "duration_s": 120.1,
     "distance_m": 143.7,
@@ -118,11 +124,12 @@ class JobGlance(Answer):
 
 
 class LabelGlance(Answer):
-    """The newest label set of a sequence."""
+    """The newest label set of a sequence; `code_version` names the sources that made it."""
 
     id: str
     job_id: str
     frames: int
+    code_version: str
     created_at: datetime
 
 

@@ -6,7 +6,7 @@ from pydantic import Field
 
 from api.schemas.base import ID_EXAMPLE, Answer, Body, IdText, Reason, example
 from api.schemas.statistics import VOXELS_EXAMPLE, VoxelRatios, VoxelsItem
-from stone.splits import MOST_SEQUENCES
+from stone.splits.splits import MOST_SEQUENCES
 
 DRIVEN_EXAMPLE: dict[str, Any] = {
     "name": "lake-2026-05-03",

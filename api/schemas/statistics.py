@@ -1,4 +1,4 @@
-"""What a dataset is made of, over the wire: the record of `services/runtime/statistics.py`."""
+"""Dataset statistics over the wire: the record of `services/domain/datasets/statistics.py`."""
 
 from typing import Any
 

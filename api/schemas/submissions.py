@@ -1,4 +1,4 @@
-"""Submissions over the wire: announced, how far they are, what was found, what a team may yet."""
+"""Submissions over the wire: announcement, progress, findings, and the team's quota."""
 
 from datetime import datetime
 from typing import Annotated, Any, Literal
@@ -7,7 +7,7 @@ from pydantic import Field, StringConstraints
 
 from api.schemas.base import ID_EXAMPLE, PLAIN, PROSE, SHA256_EXAMPLE, Answer, Body, IdText, Reason, example
 from api.schemas.jobs import FailureItem
-from services.runtime.benchmarks.modalities import Modality
+from services.domain.benchmarks.modalities import Modality
 
 LARGEST_BYTES = 2**50
 State = Literal["draft", "queued", "scoring", "scored", "valid", "invalid", "failed", "cancelled"]

@@ -6,10 +6,10 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, StringConstraints
 
 from api.schemas.base import ID_EXAMPLE, PLAIN, SHA256_EXAMPLE, Answer, Body, Reason, example
-from api.schemas.benchmark_bodies import Version
 from api.schemas.jobs import JOB_EXAMPLE, JobItem
-from services.runtime.benchmarks.modalities import Modality
-from services.runtime.benchmarks.reported import MOST_ROWS, ReportedRow
+from api.schemas.phase_bodies import Version
+from services.domain.benchmarks.modalities import Modality
+from services.domain.benchmarks.phases.reported_results import MOST_ROWS, ReportedRow
 
 Ratio = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 TRUTH_EXAMPLE: dict[str, Any] = {

@@ -24,15 +24,15 @@ from rich.console import Console
 from rich.table import Table
 from sqlalchemy import Connection, Engine
 
-from benchmarks.rows.asking import Kit, Question, people_of, questions
-from benchmarks.rows.filling import analyse, prepare
+from benchmarks.rows.bulk_inserts import analyse, prepare
 from benchmarks.rows.kinds import Amounts, fill
-from benchmarks.rows.plans import Plan, explained, large_tables, taken_down
-from services.runtime.migrate import upgrade
+from benchmarks.rows.plans import StatementPlan, explained, large_tables, taken_down
+from benchmarks.rows.queries import Kit, Question, people_of, questions
+from services.runtime.database.migrate import upgrade
 from services.runtime.platform import Platform, open_platform
 from services.runtime.settings import ApiSettings, DatabaseSettings, Settings
-from tests.api.serving import client_of
-from tests.servers.postgres import running_postgres
+from testing.api.serving import client_of
+from testing.servers.postgres import running_postgres
 
 MEMORY = {
     "shared_buffers": "1GB",
@@ -47,7 +47,7 @@ PATIENCE_S, ENOUGH_S = 120.0, 30.0
 
 
 @dataclass(frozen=True)
-class Answered:
+class QuestionTimes:
     """One question: times in ms, rows read by its costliest statement, and what was read whole."""
 
     name: str
@@ -106,7 +106,7 @@ def _quietly() -> None:
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.ERROR))
 
 
-def _answers(platform: Platform, amounts: Amounts, repeats: int) -> list[Answered]:
+def _answers(platform: Platform, amounts: Amounts, repeats: int) -> list[QuestionTimes]:
     _quietly()
     people = people_of(platform)
     with client_of(platform) as client, platform.database.engine.connect() as connection:
@@ -120,10 +120,10 @@ def _answers(platform: Platform, amounts: Amounts, repeats: int) -> list[Answere
         return found
 
 
-def answered(kit: Kit, question: Question, at: tuple[Connection, frozenset[str]], repeats: int) -> Answered:
+def answered(kit: Kit, question: Question, at: tuple[Connection, frozenset[str]], repeats: int) -> QuestionTimes:
     """The question asked so often, and its statements explained once."""
     connection, large = at
-    lasted_s, plans, until_s = [], dict[str, Plan](), time.monotonic() + ENOUGH_S
+    lasted_s, plans, until_s = [], dict[str, StatementPlan](), time.monotonic() + ENOUGH_S
     for number in range(repeats):
         with taken_down(kit.platform.database.engine) as statements:
             is_answered = _is_answered(kit, question, Random(number))
@@ -137,7 +137,7 @@ def answered(kit: Kit, question: Question, at: tuple[Connection, frozenset[str]]
     faults = tuple(dict.fromkeys(fault for plan in plans.values() for fault in plan.faults))
     rows_read = max((plan.rows_read or 0 for plan in plans.values()), default=0)
     p50, p95 = (float(np.percentile(lasted_s, share)) * 1e3 for share in (50, 95))
-    return Answered(question.name, len(statements), p50, p95, rows_read, faults, question.bound)
+    return QuestionTimes(question.name, len(statements), p50, p95, rows_read, faults, question.bound)
 
 
 def _is_answered(kit: Kit, question: Question, chance: Random) -> bool:
@@ -158,7 +158,7 @@ def sizes_of(engine: Engine) -> list[dict[str, Any]]:
         return [dict(row) for row in connection.exec_driver_sql(query).mappings()]
 
 
-def _show(answers: list[Answered], sizes: list[dict[str, Any]]) -> int:
+def _show(answers: list[QuestionTimes], sizes: list[dict[str, Any]]) -> int:
     """Print; 1 where something large is read whole without need."""
     console, table = Console(width=150), Table("question", "statements", "p50 ms", "p95 ms", "rows read", "read whole")
     for one in answers:

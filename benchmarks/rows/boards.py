@@ -6,7 +6,7 @@ so that one board is long. Of ten, eight are scored, one failed, one is withdraw
 
 from sqlalchemy import Connection
 
-from benchmarks.rows.filling import lay, numbers
+from benchmarks.rows.bulk_inserts import insert_rows, numbers
 
 USER, SEQUENCE, JOB, LABELS, TEAM = 1, 2, 3, 6, 10
 BENCHMARK, PHASE, TRUTH, SUBMISSION, SCORE, DATASET, ACTIVATION, LEDGER = range(12, 20)
@@ -18,40 +18,40 @@ RATIOS = ("iou_occ", "iou_t", "iou_p", "iou_n", "miou")
 PHASE_OF = f"(CASE WHEN n % 2 = 0 THEN 0 ELSE n % {PHASES} END)"
 
 
-def lay_dataset(connection: Connection, members: int) -> None:
+def insert_dataset(connection: Connection, members: int) -> None:
     """One version; the same sequences are in the splits under discussion."""
     made = {"id": f"hex_id({DATASET}, 0)", "name": "'v1'", "code_version": "'1'", "manifest_bytes": "10"}
     made |= {"manifest_sha256": f"hex_sha({DATASET}, 0)", "created_by": f"hex_id({USER}, 0)"}
-    lay(connection, "datasets", numbers(1), made)
+    insert_rows(connection, "datasets", numbers(1), made)
     part = "(ARRAY['train','train','val','test'])[1 + n % 4]"
-    lay(connection, "dataset_members", numbers(members), {
+    insert_rows(connection, "dataset_members", numbers(members), {
         "dataset_id": f"hex_id({DATASET}, 0)", "sequence_id": f"hex_id({SEQUENCE}, n)", "part": part,
         "label_set_id": f"hex_id({LABELS}, n)", "name": "'run-' || n", "recipe": f"hex_sha({LABELS}, n)",
         "frames": "600", "duration_ns": "60000000000",
     })  # fmt: skip
-    lay(connection, "split_members", numbers(members), {"sequence_id": f"hex_id({SEQUENCE}, n)", "part": part})
+    insert_rows(connection, "split_members", numbers(members), {"sequence_id": f"hex_id({SEQUENCE}, n)", "part": part})
 
 
-def lay_boards(connection: Connection, submissions: int, runs: tuple[int, int]) -> None:
+def insert_boards(connection: Connection, submissions: int, runs: tuple[int, int]) -> None:
     """A benchmark, its phases with a ground truth each in force, and all that was sent in.
 
     `runs`: how many runs there are, the last of which wait, and how many jobs each is of.
     """
-    lay(connection, "benchmarks", numbers(1), {
+    insert_rows(connection, "benchmarks", numbers(1), {
         "id": f"hex_id({BENCHMARK}, 0)", "name": "'stone'", "title": "'Stone'", "is_public": "true",
         "created_by": f"hex_id({USER}, 0)",
     })  # fmt: skip
     each = f"generate_series(0::bigint, {PHASES - 1}) AS n"
-    lay(connection, "phases", each, {
+    insert_rows(connection, "phases", each, {
         "id": f"hex_id({PHASE}, n)", "benchmark_id": f"hex_id({BENCHMARK}, 0)", "name": "'phase-' || n",
         "dataset_id": f"hex_id({DATASET}, 0)", "part": "'val'", "is_hidden": "false", "scorings_per_window": "5",
     })  # fmt: skip
-    lay(connection, "ground_truths", each, {
+    insert_rows(connection, "ground_truths", each, {
         "id": f"hex_id({TRUTH}, n)", "phase_id": f"hex_id({PHASE}, n)", "number": "1", "part": "'val'", "mask": "'all'",
         "dataset_id": f"hex_id({DATASET}, 0)", "created_by": f"hex_id({USER}, 0)", "ready_ns": str(SINCE_NS),
         "frames": "6000",
     })  # fmt: skip
-    lay(connection, "activations", each, {
+    insert_rows(connection, "activations", each, {
         "id": f"hex_id({ACTIVATION}, n)", "phase_id": f"hex_id({PHASE}, n)", "truth_id": f"hex_id({TRUTH}, n)",
         "metric": f"'{METRIC}'", "activated_by": f"hex_id({USER}, 0)", "activated_ns": str(SINCE_NS),
     })  # fmt: skip
@@ -63,7 +63,7 @@ def _submissions(connection: Connection, count: int, runs: tuple[int, int]) -> N
     run = f"CASE WHEN {waits} THEN n + {runs[0] - count} ELSE least(n, {runs[0] - 1000}) END"
     at_ns = f"{SINCE_NS} + n * {SECOND_NS}"
     of = {"phase_id": f"hex_id({PHASE}, {PHASE_OF})", "team_id": f"hex_id({TEAM}, 1 + n % {TEAMS})"}
-    lay(connection, "submissions", numbers(count), {
+    insert_rows(connection, "submissions", numbers(count), {
         "id": f"hex_id({SUBMISSION}, n)", **of, "user_id": f"hex_id({USER}, 1 + n % 999)", "method": "'method-' || n",
         "modality": "(ARRAY['C','L','C+L'])[1 + n % 3]", "declared_sha256": f"hex_sha({SUBMISSION}, n)",
         "size_bytes": "70000000", "job_id": f"hex_id({JOB}, ({run}) * {runs[1]})",
@@ -72,14 +72,14 @@ def _submissions(connection: Connection, count: int, runs: tuple[int, int]) -> N
         "withdrawn_ns": f"CASE WHEN n % 10 = 7 AND NOT ({waits}) THEN {at_ns} END", "created_ns": at_ns,
     })  # fmt: skip
     ratio = "((hashint8(n) & 65535) / 65535.0)"
-    lay(connection, "scores", f"{numbers(count - 100)} WHERE n % 10 <> 4", {
+    insert_rows(connection, "scores", f"{numbers(count - 100)} WHERE n % 10 <> 4", {
         "id": f"hex_id({SCORE}, n)", "submission_id": f"hex_id({SUBMISSION}, n)",
         "truth_id": f"hex_id({TRUTH}, {PHASE_OF})", "metric": f"'{METRIC}'", "signature": "'s'",
         **dict.fromkeys(RATIOS, ratio), "content_sha256": f"hex_sha({SCORE}, n)",
         "record": """'{"intervals": {"block": {}}, "support": {}}'::json""",
-        "confusions_sha256": f"hex_sha({SCORE}, n)", "draws_sha256": f"hex_sha({SCORE}, n)",
+        "confusions_sha256": f"hex_sha({SCORE}, n)", "replicates_sha256": f"hex_sha({SCORE}, n)",
     })  # fmt: skip
-    lay(connection, "scoring_ledger", numbers(count), {
+    insert_rows(connection, "scoring_ledger", numbers(count), {
         "id": f"hex_id({LEDGER}, n)", **of, "submission_id": f"hex_id({SUBMISSION}, n)", "amount": "1",
         "reason": "'reserved'", "created_ns": at_ns,
     })  # fmt: skip

@@ -1,4 +1,4 @@
-"""What the rows are: a house with many sequences, some owners with most of them, boards, and much that is long over.
+"""The generated rows: sequences, owners, boards, jobs and their history.
 
 **Conventions.** A fifth of the sequences is owner 1's, owner 2 has five, the rest are the others'; the run, labels and
 files of the n-th sequence have its number. Person 0 administrates.
@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 from sqlalchemy import Connection, text
 
-from benchmarks.rows.boards import lay_boards, lay_dataset
-from benchmarks.rows.filling import lay, numbers, without_indexes
+from benchmarks.rows.boards import insert_boards, insert_dataset
+from benchmarks.rows.bulk_inserts import insert_rows, numbers, without_indexes
 from services.runtime.orm.base import now_ns
 
 OWNERS, TEAMS, PHASES, WORKERS = 1000, 1000, 20, 1000
@@ -40,9 +40,9 @@ def fill(connection: Connection, amounts: Amounts) -> None:
         _sequences(connection, amounts)
         _jobs(connection, amounts)
         _made(connection, amounts)
-        _books(connection, amounts)
-    lay_dataset(connection, amounts.members)
-    lay_boards(connection, amounts.submissions, (amounts.sequences, amounts.jobs_each + 1))
+        _ledgers(connection, amounts)
+    insert_dataset(connection, amounts.members)
+    insert_boards(connection, amounts.submissions, (amounts.sequences, amounts.jobs_each + 1))
     connection.execute(text("SET session_replication_role = origin"))
 
 
@@ -59,13 +59,15 @@ def _aged(most: int) -> str:
 def _people(connection: Connection) -> None:
     people = f"generate_series(0::bigint, {OWNERS}) AS n"
     role = "CASE WHEN n = 0 THEN 'administrator' ELSE 'curator' END"
-    lay(connection, "users", people, {"id": f"hex_id({USER}, n)", "name": "'person-' || n", "role": role})
-    lay(connection, "teams", numbers(TEAMS), {"id": f"hex_id({TEAM}, n)", "name": "'team-' || n"})
+    insert_rows(connection, "users", people, {"id": f"hex_id({USER}, n)", "name": "'person-' || n", "role": role})
+    insert_rows(connection, "teams", numbers(TEAMS), {"id": f"hex_id({TEAM}, n)", "name": "'team-' || n"})
     member = {"team_id": f"hex_id({TEAM}, n)", "user_id": f"hex_id({USER}, n)", "is_owner": "true"}
-    lay(connection, "team_members", numbers(TEAMS), member)
+    insert_rows(connection, "team_members", numbers(TEAMS), member)
     beat = {"name": "'worker-' || n / 8 || ':' || n", "queues": "'eval,ingest,labeler'", "beat_ns": str(NOW_NS)}
-    lay(connection, "workers", numbers(WORKERS), beat)
-    lay(connection, "loose_objects", numbers(1000), {"object_key": "'blobs/loose/' || n", "expected_ns": str(NOW_NS)})
+    insert_rows(connection, "workers", numbers(WORKERS), beat)
+    insert_rows(
+        connection, "loose_objects", numbers(1000), {"object_key": "'blobs/loose/' || n", "expected_ns": str(NOW_NS)}
+    )
 
 
 def _sequences(connection: Connection, amounts: Amounts) -> None:
@@ -76,12 +78,12 @@ def _sequences(connection: Connection, amounts: Amounts) -> None:
         "region": f"CASE WHEN n % {max(count // 20, 1)} = 7 THEN 'islet' ELSE 'region-' || n % 50 END",
         "platform": "'robot-' || n % 5",
     }
-    lay(connection, "sequences", numbers(count), {
+    insert_rows(connection, "sequences", numbers(count), {
         "id": f"hex_id({SEQUENCE}, n)", "owner_id": owner(count), "name": "'run-' || n", **words,
         "is_public": "n % 500 = 0",
         "deleted_ns": f"CASE WHEN n % 100 = 99 THEN {NOW_NS} END", "created_ns": _aged(count),
     })  # fmt: skip
-    lay(connection, "uploads", numbers(count), {
+    insert_rows(connection, "uploads", numbers(count), {
         "id": f"hex_id({UPLOAD}, n)", "owner_id": owner(count), "purpose": "'recording'",
         "filename": "'run-' || n || '.mcap'", "target_id": f"hex_id({SEQUENCE}, n)",
         "length_bytes": "9000000000", "sha256": f"hex_sha({RECORDING}, n)",
@@ -89,10 +91,10 @@ def _sequences(connection: Connection, amounts: Amounts) -> None:
         "expires_ns": str(NOW_NS + 10**15),
     })  # fmt: skip
     bag = {"filename": "'run-' || n || '.mcap'", "size_bytes": "9000000000", "sha256": f"hex_sha({RECORDING}, n)"}
-    lay(connection, "recordings", numbers(count), {
+    insert_rows(connection, "recordings", numbers(count), {
         "id": f"hex_id({RECORDING}, n)", "sequence_id": f"hex_id({SEQUENCE}, n)", **bag, "state": "'registered'",
     })  # fmt: skip
-    lay(connection, "recording_files", numbers(count), {
+    insert_rows(connection, "recording_files", numbers(count), {
         "id": f"hex_id({OTHER}, n)", "recording_id": f"hex_id({RECORDING}, n)", "ordinal": "0", **bag,
         "upload_id": f"hex_id({UPLOAD}, n)", "blob_sha256": f"hex_sha({RECORDING}, n)",
     })  # fmt: skip
@@ -105,7 +107,7 @@ def _jobs(connection: Connection, amounts: Amounts) -> None:
     source = f"{numbers(count)}, generate_series(0, {last}) AS k"
     waits, runs, ends = _stands(amounts)
     state = f"CASE WHEN {waits} THEN 'queued' WHEN {runs} AND {ends} THEN 'running'"
-    lay(connection, "jobs", source, {
+    insert_rows(connection, "jobs", source, {
         "id": id_of % "k", "root_id": id_of % "0", "owner_id": owner(count), "sequence_id": f"hex_id({SEQUENCE}, n)",
         "kind": "(ARRAY['sequence.process', 'ingest.synchronise', 'labeler.frames'])[1 + least(k, 2)]",
         "queue": "(ARRAY['', 'ingest', 'labeler'])[1 + least(k, 2)]",
@@ -116,7 +118,7 @@ def _jobs(connection: Connection, amounts: Amounts) -> None:
         "finished_ns": f"CASE WHEN NOT ({waits} OR {runs} AND {ends}) THEN {_aged(count)} END",
     }, "1")  # fmt: skip
     begun = f"{source} WHERE k > 0 AND NOT ({waits}) AND (n % 4 = 0 OR {runs})"
-    lay(connection, "job_attempts", begun, {
+    insert_rows(connection, "job_attempts", begun, {
         "job_id": id_of % "k", "number": "1", "worker": "'worker-' || n % 1000", "cpu_s": "1.5",
         "outcome": f"CASE WHEN {runs} AND {ends} THEN '' ELSE 'succeeded' END",
     })  # fmt: skip
@@ -135,44 +137,45 @@ def _made(connection: Connection, amounts: Amounts) -> None:
     of_labels = f"SELECT hex_sha({ARTEFACT}, n) AS sha FROM generate_series(0::bigint, {count * each - 1}) AS n"
     of_bags = f"SELECT hex_sha({RECORDING}, n) FROM {numbers(count)}"
     blob = {"sha256": "sha", "object_key": key, "size_bytes": "1000000", "created_ns": "1"}
-    lay(connection, "blobs", f"({of_labels} UNION ALL {of_bags}) AS every", blob, "1")
-    lay(connection, "label_sets", numbers(count), {
+    insert_rows(connection, "blobs", f"({of_labels} UNION ALL {of_bags}) AS every", blob, "1")
+    insert_rows(connection, "label_sets", numbers(count), {
         "id": f"hex_id({LABELS}, n)", "sequence_id": f"hex_id({SEQUENCE}, n)", "recipe": f"hex_sha({LABELS}, n)",
         "job_id": job_id, "code_version": "'1'", "frames": "600",
         "duration_ns": "60000000000", "distance_m": "80", "t_voxels": "5", "p_voxels": "6", "n_voxels": "7",
         "free_voxels": "8",
     })  # fmt: skip
     files = "(ARRAY['report.json','thumbnail.jpg','mesh.ply','labels/000000.pack'])[1 + k]"
-    lay(connection, "artefacts", f"{numbers(count)}, generate_series(0, {each - 1}) AS k", {
+    insert_rows(connection, "artefacts", f"{numbers(count)}, generate_series(0, {each - 1}) AS k", {
         "id": f"hex_id({ARTEFACT}, n * {each} + k)", "label_set_id": f"hex_id({LABELS}, n)",
         "name": f"COALESCE({files}, 'labels/' || k || '.pack')", "media_type": "'application/octet-stream'",
         "blob_sha256": f"hex_sha({ARTEFACT}, (n - 1) * {each} + k)", "size_bytes": "1000000",
     }, "1")  # fmt: skip
-    lay(connection, "labelled_frames", f"{numbers(count)}, generate_series(0, {amounts.frames_each - 1}) AS k", {
+    frames = f"{numbers(count)}, generate_series(0, {amounts.frames_each - 1}) AS k"
+    insert_rows(connection, "labelled_frames", frames, {
         "label_set_id": f"hex_id({LABELS}, n)", "ordinal": "k", "token": "md5('frame' || n || ':' || k)",
         "stamp_ns": "k * 100000000", "pack_id": f"hex_id({ARTEFACT}, n * {each} + 3)", "offset_bytes": "k * 2000",
         "length_bytes": "2000", "sha256": f"hex_sha({OTHER}, n)",
     })  # fmt: skip
-    lay(connection, "exports", numbers(count) + " WHERE n % 2 = 0", {
+    insert_rows(connection, "exports", numbers(count) + " WHERE n % 2 = 0", {
         "id": f"hex_id({EXPORT}, n)", "sequence_id": f"hex_id({SEQUENCE}, n)", "label_set_id": f"hex_id({LABELS}, n)",
         "job_id": job_id, "format": "'playback'", "recipe": f"hex_sha({EXPORT}, n)",
         "code_version": "'1'", "finished_ns": str(NOW_NS),
     })  # fmt: skip
-    lay(connection, "previews", numbers(count), {
+    insert_rows(connection, "previews", numbers(count), {
         "id": f"hex_id({PREVIEW}, n)", "sequence_id": f"hex_id({SEQUENCE}, n)", "name": "'contact-sheet.jpg'",
         "recording_id": f"hex_id({RECORDING}, n)", "media_type": "'image/jpeg'", "size_bytes": "1000",
         "blob_sha256": f"hex_sha({RECORDING}, n)",
     })  # fmt: skip
 
 
-def _books(connection: Connection, amounts: Amounts) -> None:
+def _ledgers(connection: Connection, amounts: Amounts) -> None:
     count = amounts.sequences
-    lay(connection, "quota_ledger", numbers(count), {
+    insert_rows(connection, "quota_ledger", numbers(count), {
         "id": f"hex_id({OTHER}, n)", "owner_id": owner(count), "kind": "'bytes'", "amount": "1000",
         "reason": "'upload'", "subject_id": f"hex_id({UPLOAD}, n)",
     })  # fmt: skip
     act = "(ARRAY['sequence.create','recording.add','sequence.process'])[1 + n % 3]"
-    lay(connection, "audit_log", numbers(2 * count), {
+    insert_rows(connection, "audit_log", numbers(2 * count), {
         "number": "n", "actor_id": owner(count), "actor": f"'person-' || (n * n) % {OWNERS}",
         "act": f"CASE WHEN n % 100003 = 5 THEN 'token.revoke' ELSE {act} END",
         "subject_id": f"hex_id({SEQUENCE}, n / 2)", "hash": f"hex_sha({OTHER}, n)",

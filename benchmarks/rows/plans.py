@@ -1,4 +1,4 @@
-"""What a question costs the database: every statement it leads to is taken down, and PostgreSQL explains it.
+"""Query plans: every statement of a question is recorded, and PostgreSQL explains it.
 
 **Conventions.** A fault is a scan of a whole large table, or of a whole index that no LIMIT ends. Rows read are those
 that scans gave and those that they threw away, of all loops. Explaining runs the statement; it is rolled back.
@@ -30,7 +30,7 @@ class Statement:
 
 
 @dataclass(frozen=True)
-class Plan:
+class StatementPlan:
     """`faults` say what is scanned; `rows_read` is None where the statement was not run."""
 
     sql: str
@@ -61,14 +61,16 @@ def taken_down(engine: Engine) -> Iterator[list[Statement]]:
         event.remove(engine, "after_cursor_execute", end)
 
 
-def explained(connection: Connection, statement: Statement, large: frozenset[str], *, is_run: bool = True) -> Plan:
+def explained(
+    connection: Connection, statement: Statement, large: frozenset[str], *, is_run: bool = True
+) -> StatementPlan:
     """The plan of a statement; with `is_run` it is executed for it. The caller rolls back."""
     options = "ANALYZE, BUFFERS, FORMAT JSON" if is_run else "FORMAT JSON"
     found = connection.exec_driver_sql(f"EXPLAIN ({options}) {statement.sql}", statement.parameters).scalar_one()
     scans = list(_scans(found[0]["Plan"], is_ended=False))
     faults = tuple(dict.fromkeys(fault for node, ended in scans if (fault := _fault(node, ended, large))))
     indexes = tuple(dict.fromkeys(node["Index Name"] for node, _ in scans if "Index Name" in node))
-    return Plan(statement.sql, faults, indexes, sum(_rows(node) for node, _ in scans) if is_run else None)
+    return StatementPlan(statement.sql, faults, indexes, sum(_rows(node) for node, _ in scans) if is_run else None)
 
 
 def large_tables(connection: Connection, rows: int = 10_000) -> frozenset[str]:

@@ -1,7 +1,7 @@
 #!/bin/sh
 # Redis with its password from a secret file, so that it stands in no command line: start-redis.sh.
 #
-# It keeps what it was told (AOF): a bell lost is rung again within seconds, a queue kept is not even late.
+# It keeps what it was told (AOF): a wake-up lost is sent again within seconds, a queue kept is not even late.
 set -eu
 
 umask 077

@@ -22,7 +22,7 @@ RUN --mount=type=bind,from=wheel,source=/,target=/wheel \
 USER 10001:10001
 ENV STONE_API__HOST=0.0.0.0
 EXPOSE 8080
-HEALTHCHECK --interval=30s --timeout=15s --start-period=150s --retries=3 CMD ["python", "-m", "services.runtime.processes.alive", "http://127.0.0.1:8080/readyz"]
+HEALTHCHECK --interval=30s --timeout=15s --start-period=150s --retries=3 CMD ["python", "-m", "services.runtime.processes.health_check", "http://127.0.0.1:8080/readyz"]
 CMD ["python", "-m", "services.runtime.processes.api"]
 ARG VERSION=0 REVISION=unknown
 LABEL org.opencontainers.image.title="stone-api" \

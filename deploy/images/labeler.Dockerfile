@@ -28,7 +28,7 @@ RUN --mount=type=bind,from=wheel,source=/,target=/wheel \
 USER 10001:10001
 ENV OMP_THREAD_LIMIT=1 \
     TMPDIR=/data/tmp
-HEALTHCHECK --interval=30s --timeout=15s --start-period=150s --retries=3 CMD ["python", "-m", "services.runtime.processes.alive"]
+HEALTHCHECK --interval=30s --timeout=15s --start-period=150s --retries=3 CMD ["python", "-m", "services.runtime.processes.health_check"]
 CMD ["python", "-m", "services.runtime.processes.worker", "labeler"]
 ARG VERSION=0 REVISION=unknown
 LABEL org.opencontainers.image.title="stone-labeler" \

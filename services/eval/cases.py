@@ -1,7 +1,7 @@
-"""A submission held against a ground truth, as the rows have both when a stage begins.
+"""A submission together with the ground truth that it is scored against, read from the database.
 
 **Conventions.** A stage may run twice, and long after its submission has ended: it looks at the state first. Queued and
-scoring submissions are under way; a scored one is only scored again, by another pair.
+scoring submissions are under way; a scored one is only scored again, by another evaluation version.
 """
 
 from collections.abc import Mapping
@@ -11,18 +11,18 @@ from typing import Any
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from services.eval.manifest import Manifest, read_manifest
+from services.domain.benchmarks.submissions.states import LIVE
 from services.eval.scoring_errors import PurgedError, TruthUnreadyError
-from services.runtime.benchmarks.submission_states import LIVE
 from services.runtime.jobs.errors import JobCancelledError
-from services.runtime.orm import Blob, GroundTruth, Score, Submission
+from services.runtime.orm import Blob, GroundTruthRow, Score, SubmissionRow
 from services.runtime.platform import Platform
+from stone_submissions.manifest import Manifest, read_manifest
 
 VALIDATION = "validation"
 
 
 @dataclass(frozen=True)
-class Truth:
+class ReadyTruth:
     """A ground truth that is ready, and the objects it lies in."""
 
     id: str
@@ -50,7 +50,7 @@ class Case:
     state: str
     zip_key: str
     confusions_key: str
-    truth: Truth
+    truth: ReadyTruth
 
     @property
     def is_under_way(self) -> bool:
@@ -68,9 +68,9 @@ class Case:
         return self.zip_key
 
 
-def standing_submission(session: Session, submission_id: str) -> Submission:
+def live_submission(session: Session, submission_id: str) -> SubmissionRow:
     """The row as it is now. Raises `JobCancelledError` when it was deleted."""
-    found = session.get(Submission, submission_id, populate_existing=True)
+    found = session.get(SubmissionRow, submission_id, populate_existing=True)
     if found is None:
         raise JobCancelledError("its submission was deleted")
     return found
@@ -78,7 +78,7 @@ def standing_submission(session: Session, submission_id: str) -> Submission:
 
 def case_of(session: Session, submission_id: str, truth_id: str) -> Case:
     """Raises `JobCancelledError`, `TruthUnreadyError`."""
-    row = standing_submission(session, submission_id)
+    row = live_submission(session, submission_id)
     of_both = (Score.submission_id == row.id, Score.truth_id == truth_id)
     counted = select(Blob.object_key).join(Score, Score.confusions_sha256 == Blob.sha256).where(*of_both)
     return Case(
@@ -92,10 +92,10 @@ def case_of(session: Session, submission_id: str, truth_id: str) -> Case:
     )
 
 
-def truth_of(session: Session, truth_id: str) -> Truth:
+def truth_of(session: Session, truth_id: str) -> ReadyTruth:
     """Raises `TruthUnreadyError`."""
-    row = session.get(GroundTruth, truth_id)
+    row = session.get(GroundTruthRow, truth_id)
     if row is None or row.ready_ns is None:
         raise TruthUnreadyError(f"ground truth {truth_id}")
     manifest, pack = (session.get_one(Blob, sha256).object_key for sha256 in (row.manifest_sha256, row.pack_sha256))
-    return Truth(row.id, row.sha256, row.mask, row.frames, row.facts, manifest, pack)
+    return ReadyTruth(row.id, row.sha256, row.mask, row.frames, row.facts, manifest, pack)

@@ -12,13 +12,13 @@ from typing import TypeVar
 
 import numpy as np
 
-from services.eval.errors import LabelOutOfRangeError, SubmissionError
-from services.eval.npz_frame import prediction_grid
-from services.eval.submission_zip import Submission
-from services.eval.validation import Problem, problem_of
-from stone.bitplanes import RINGS, Confusion, Drivable, LabelRangeError, TruthPlanes, count_by_ring
-from stone.grid import Grid
-from stone.metric import CLASSES
+from stone.labels.grid import Grid
+from stone.scoring.bitplanes import RINGS, Confusion, Drivable, LabelRangeError, TruthPlanes, count_by_ring
+from stone.scoring.metric import CLASSES
+from stone_submissions.archive import SubmissionZip
+from stone_submissions.errors import LabelOutOfRangeError, SubmissionError
+from stone_submissions.npz_frame import prediction_grid
+from stone_submissions.verdict import ValidationProblem, problem_of
 
 Progress = Callable[[str, int, int], None]
 TruthOf = Callable[[str], TruthPlanes]
@@ -30,40 +30,40 @@ HIGHEST_LABEL = CLASSES - 1
 
 
 @dataclass(frozen=True, eq=False)
-class Counted:
+class CountedFrames:
     """Of F frames: `confusions` [F, ring, truth, prediction] and `bev` [F, ring, 3] int32, and what was refused."""
 
     confusions: Confusion
     bev: Drivable
-    problems: tuple[Problem, ...]
+    problems: tuple[ValidationProblem, ...]
 
 
 def silent(stage: str, done: int, total: int) -> None:
     """The progress that tells nobody."""
 
 
-def frame_grid(submission: Submission, token: str) -> Grid:
+def frame_grid(submission: SubmissionZip, token: str) -> Grid:
     """The grid of one frame, its values not yet looked at. Raises leaves of `SubmissionError`."""
     return prediction_grid(submission.read(token))
 
 
 def count_range(
-    submission: Submission,
+    submission: SubmissionZip,
     tokens: Sequence[str],
     truth_of: TruthOf,
     *,
     threads: int = THREADS,
     progress: Progress = silent,
-) -> Counted:
+) -> CountedFrames:
     """The counts of these frames, every check on. What is wrong with the archive as a whole is not told again.
 
     Raises what `truth_of` raises.
     """
-    counted = Counted(
+    counted = CountedFrames(
         np.zeros((len(tokens), RINGS, CLASSES, CLASSES), np.int32), np.zeros((len(tokens), RINGS, 3), np.int32), ()
     )
 
-    def one(index: int) -> Problem | None:
+    def one(index: int) -> ValidationProblem | None:
         if tokens[index] not in submission.frames:
             return None
         truth = truth_of(tokens[index])
@@ -77,8 +77,8 @@ def count_range(
 
 
 def check_range(
-    submission: Submission, tokens: Sequence[str], *, threads: int = THREADS, progress: Progress = silent
-) -> tuple[Problem, ...]:
+    submission: SubmissionZip, tokens: Sequence[str], *, threads: int = THREADS, progress: Progress = silent
+) -> tuple[ValidationProblem, ...]:
     """What is wrong with these frames, short of what only the ground truth knows."""
     here = [token for token in tokens if token in submission.frames]
     found = in_threads(
@@ -87,7 +87,7 @@ def check_range(
     return tuple(problem for problem in found if problem is not None)
 
 
-def validate_frame(submission: Submission, token: str) -> Problem | None:
+def validate_frame(submission: SubmissionZip, token: str) -> ValidationProblem | None:
     """What is wrong with one frame, or None."""
 
     def look() -> None:
@@ -99,8 +99,8 @@ def validate_frame(submission: Submission, token: str) -> Problem | None:
 
 
 def count_frame(
-    submission: Submission, token: str, truth: TruthPlanes, outs: tuple[Confusion, Drivable]
-) -> Problem | None:
+    submission: SubmissionZip, token: str, truth: TruthPlanes, outs: tuple[Confusion, Drivable]
+) -> ValidationProblem | None:
     """Write the confusion (3, 4, 4) and the drivable columns (3, 3) of one frame, or say why it is refused."""
 
     def count() -> None:
@@ -129,7 +129,7 @@ def in_threads(
             yield from results
 
 
-def _refusal(submission: Submission, token: str, work: Callable[[], None]) -> Problem | None:
+def _refusal(submission: SubmissionZip, token: str, work: Callable[[], None]) -> ValidationProblem | None:
     try:
         work()
     except SubmissionError as error:

@@ -11,19 +11,18 @@ from dataclasses import dataclass
 from hashlib import sha256
 from itertools import islice
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 
-from services.eval.bounded_file import read_bounded
-from services.eval.errors import GroundTruthError, SubmissionError, UnreadableInputError
-from services.eval.manifest import MAX_FRAMES, SEQUENCE_NAME, Manifest, is_token
-from services.eval.npz_frame import npz_members, read_grid
-from stone.bitplanes import LabelRangeError, TruthPlanes, truth_planes
-from stone.grid import GRID_SHAPE
+from stone.labels.grid import GRID_SHAPE
+from stone.scoring.bitplanes import LabelRangeError, TruthPlanes, truth_planes
+from stone_submissions.bounded_file import read_bounded
+from stone_submissions.errors import GroundTruthError, SubmissionError, UnreadableInputError
+from stone_submissions.manifest import MAX_FRAMES, SEQUENCE_NAME, Manifest, is_token
+from stone_submissions.npz_frame import npz_members, read_grid
 
 Mask = Literal["all", "lidar", "camera"]
-MASKS: tuple[Mask, ...] = get_args(Mask)
 KEYS = frozenset({"semantics", "mask_lidar", "mask_camera", "distance_squared"})
 MAX_LABELS_BYTES = 8 * 2**20
 

@@ -1,20 +1,31 @@
 """From a submitted zip to a verdict, and from a valid one to scores. Read this first.
 
+    open → part (each range of frames) → join → score
+
+The archive's directory is checked when it is opened; a range
+(`services/domain/benchmarks/submissions/scoring_ranges.py`) is `examined`, counted or only checked; all ranges are
+`joined` (both `services/eval/ranges.py`). Here one range follows the other, its frames on a few threads; the queue
+examines each range in a sandbox, in a job of its own where there are several (`services/eval/stages.py`).
+
 **Conventions.** Nothing here starts a process or keeps state, so it runs as it is in a child with memory and time
-limits. Peak memory does not grow with the submission, but for 192 bytes a frame.
+limits. Peak memory does not grow with the submission, but for the counts: 228 bytes a frame, twice that at the join.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-from services.eval.counting import THREADS, Counted, Progress, TruthOf, check_range, count_range, silent
+from services.domain.benchmarks.submissions.scoring_ranges import ranges_of
+from services.eval.counting import THREADS, Progress, TruthOf, silent
 from services.eval.ground_truth import Mask, find_ground_truth, read_truth, truth_hash, whole_hash
-from services.eval.manifest import read_manifest
-from services.eval.scores import Scores, SequenceFacts, Tally
-from services.eval.submission_zip import Submission, open_submission
-from services.eval.validation import SubmissionRefusedError, Validation, verdict
-from stone.bitplanes import TruthPlanes
-from stone.signature import Signature
+from services.eval.ranges import Counts, ExaminedRange, examined, joined
+from services.eval.scores import Scores, SequenceFacts, SubmissionCounts
+from stone.scoring.bitplanes import TruthPlanes
+from stone.scoring.signature import Signature
+from stone_submissions.archive import SubmissionZip, open_submission
+from stone_submissions.manifest import read_manifest
+from stone_submissions.verdict import SubmissionRefusedError, Validation, verdict
+from stone_submissions.verdict_record import merged
 
 
 def validate(zip_path: Path, manifest_path: Path, *, threads: int = THREADS, progress: Progress = silent) -> Validation:
@@ -24,8 +35,9 @@ def validate(zip_path: Path, manifest_path: Path, *, threads: int = THREADS, pro
     """
     manifest = read_manifest(manifest_path)
     with open_submission(zip_path, manifest.tokens) as submission:
-        found = check_range(submission, manifest.tokens, threads=threads, progress=progress)
-        return verdict([*submission.problems, *found])
+        here = sum(token in submission.frames for token in manifest.tokens)
+        found = _examined(submission, manifest.tokens, None, _Onward(threads, progress, here))
+        return merged([verdict(submission.problems), found.validation])
 
 
 def score(
@@ -51,24 +63,48 @@ def score(
     with open_submission(zip_path, truth.manifest.tokens) as submission:
         counted = count(submission, truth.manifest.tokens, truth_of, threads=threads, progress=progress)
     sequences = tuple(SequenceFacts(name, len(tokens)) for name, tokens in truth.manifest.sequences.items())
-    return Scores(Tally(counted.confusions, counted.bev, sequences), Signature(whole_hash(hashes), truth.mask))
+    return Scores(
+        SubmissionCounts(counted.confusions, counted.bev, sequences), Signature(whole_hash(hashes), truth.mask)
+    )
 
 
 def count(
-    submission: Submission,
+    submission: SubmissionZip,
     tokens: Sequence[str],
     truth_of: TruthOf,
     *,
     threads: int = THREADS,
     progress: Progress = silent,
-) -> Counted:
+) -> Counts:
     """The counts of these frames of a submission that is valid.
 
     Raises `SubmissionRefusedError`; an archive whose names are wrong is refused before any frame is counted.
     """
     if submission.problems:
         raise SubmissionRefusedError(verdict(submission.problems))
-    counted = count_range(submission, tokens, truth_of, threads=threads, progress=progress)
-    if counted.problems:
-        raise SubmissionRefusedError(verdict(counted.problems))
-    return counted
+    found = _examined(submission, tokens, truth_of, _Onward(threads, progress, len(tokens)))
+    if found.counts is None:
+        raise SubmissionRefusedError(found.validation)
+    return found.counts
+
+
+@dataclass
+class _Onward:
+    """The progress of range after range as that of all frames; `before` are those of the ranges that are done."""
+
+    threads: int
+    progress: Progress
+    total: int
+    before: int = 0
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        self.progress(stage, self.before + done, self.total)
+        self.before += total if done == total else 0
+
+
+def _examined(
+    submission: SubmissionZip, tokens: Sequence[str], truth_of: TruthOf | None, onward: _Onward
+) -> ExaminedRange:
+    """All ranges of these frames, one after another, and their join."""
+    ranges = (tokens[slice(*span)] for span in ranges_of(len(tokens)))
+    return joined(examined(submission, range_, truth_of, threads=onward.threads, progress=onward) for range_ in ranges)

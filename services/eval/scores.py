@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from services.eval.draws import Draws, intervals_of, ratio_draws
-from stone.bitplanes import RING_EDGES_M, Confusion, Drivable
-from stone.confusion import extras, named_ratios, supports
-from stone.metric import METRIC_VERSION, OCCUPIED_VERSION
-from stone.signature import Signature
+from services.eval.bootstrap_replicates import ScoreReplicates, intervals_of, ratio_replicates
+from services.runtime.code_version import code_version
+from stone.scoring.bitplanes import RING_EDGES_M, Confusion, Drivable
+from stone.scoring.confusion import extras, named_ratios, supports
+from stone.scoring.metric import METRIC_VERSION, OCCUPIED_VERSION
+from stone.scoring.signature import Signature
 
 Record = dict[str, Any]
 RING_NAMES = tuple(
@@ -36,7 +37,7 @@ class SequenceFacts:
 
 
 @dataclass(frozen=True, eq=False)
-class Tally:
+class SubmissionCounts:
     """All counts of one submission: `confusions` [F, 3, 4, 4] and `bev` [F, 3, 3] int32, the frames of `sequences`."""
 
     confusions: Confusion
@@ -57,40 +58,46 @@ class Tally:
 class Scores:
     """One submission against one ground truth."""
 
-    tally: Tally
+    counts_of_frames: SubmissionCounts
     signature: Signature
 
     def as_record(self) -> Record:
         """What `stone score --json` prints."""
-        tally, metric = self.tally, self.signature.metric
-        draws = ratio_draws(tally.confusions, tally.frames_of_sequence, metric)
-        return {**record_of(tally, draws, metric), "signature": str(self.signature)}
+        counts_of_frames, metric = self.counts_of_frames, self.signature.metric
+        replicates = ratio_replicates(counts_of_frames.confusions, counts_of_frames.frames_of_sequence, metric)
+        return {
+            **record_of(counts_of_frames, replicates, metric),
+            "signature": str(self.signature),
+            "code_version": code_version("scores"),
+        }
 
 
-def record_of(tally: Tally, draws: Draws, metric: str = METRIC_VERSION) -> Record:
-    """All that is said of a score; `draws` are those of the same counts and metric.
+def record_of(counts_of_frames: SubmissionCounts, replicates: ScoreReplicates, metric: str = METRIC_VERSION) -> Record:
+    """All that is said of a score; `replicates` are those of the same counts and metric.
 
     Raises `UnknownMetricError`, and `ShapeError` where frames and sequences disagree.
     """
-    cells = tally.cells()
+    cells = counts_of_frames.cells()
     total = cells.sum(axis=(0, 1))
     return {
-        "frames": len(tally.confusions),
+        "frames": len(counts_of_frames.confusions),
         "total": named_ratios(total, metric),
         "within_occupied": named_ratios(total, OCCUPIED_VERSION),
         "support": supports(total),
         "confusion": total.tolist(),
-        "extras": asdict(extras(total, tally.bev.sum(axis=(0, 1), dtype=np.int64))),
-        "intervals": intervals_of(draws, tally.frames_of_sequence),
-        "by": dict(_breakdowns(tally, cells, metric)),
-        "cells": {s.name: cell.tolist() for s, cell in zip(tally.sequences, cells, strict=True)},
+        "extras": asdict(extras(total, counts_of_frames.bev.sum(axis=(0, 1), dtype=np.int64))),
+        "intervals": intervals_of(replicates, counts_of_frames.frames_of_sequence),
+        "by": dict(_breakdowns(counts_of_frames, cells, metric)),
+        "cells": {s.name: cell.tolist() for s, cell in zip(counts_of_frames.sequences, cells, strict=True)},
     }
 
 
-def _breakdowns(tally: Tally, cells: NDArray[np.int64], metric: str) -> Iterator[tuple[str, Record]]:
+def _breakdowns(
+    counts_of_frames: SubmissionCounts, cells: NDArray[np.int64], metric: str
+) -> Iterator[tuple[str, Record]]:
     """(what by, name → part); what no sequence is known by is left out."""
     rings = zip(RING_NAMES, cells.sum(axis=0), strict=True)
-    yield "distance", {name: _part(ring, len(tally.confusions), metric) for name, ring in rings}
+    yield "distance", {name: _part(ring, len(counts_of_frames.confusions), metric) for name, ring in rings}
     of_sequence = cells.sum(axis=1)
     grouped: tuple[tuple[str, Callable[[SequenceFacts], str | None]], ...] = (
         ("sequence", lambda facts: facts.name),
@@ -98,9 +105,9 @@ def _breakdowns(tally: Tally, cells: NDArray[np.int64], metric: str) -> Iterator
         ("illumination", lambda facts: facts.illumination),
     )
     for what, name_of in grouped:
-        names = [name_of(facts) for facts in tally.sequences]
+        names = [name_of(facts) for facts in counts_of_frames.sequences]
         if any(names):
-            yield what, _by_name(names, tally.frames_of_sequence, of_sequence, metric)
+            yield what, _by_name(names, counts_of_frames.frames_of_sequence, of_sequence, metric)
 
 
 def _by_name(names: Sequence[str | None], frames: Sequence[int], confusions: NDArray[np.int64], metric: str) -> Record:

@@ -1,37 +1,44 @@
-"""Counts → a score: record, intervals and the two files that are kept, ready to be written with the job's success."""
+"""Scores from counts: the record, the intervals and the two stored files of a score."""
 
 from hashlib import sha256
 from secrets import token_hex
 
-from services.eval.cases import Case, Truth
-from services.eval.desk import Desk
-from services.eval.draws import ratio_draws
-from services.eval.examining import Counts
-from services.eval.scores import SequenceFacts, Tally, record_of
-from services.runtime.benchmarks.pairs import Pair
-from services.runtime.benchmarks.scores import NewScore
-from services.runtime.blobs import PreparedBlob, prepare
-from services.runtime.npz import npz_bytes
-from services.runtime.recipes import CODE_VERSION
-from stone.signature import Signature
+from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion
+from services.domain.benchmarks.submissions.scores import NewScore
+from services.eval.bootstrap_replicates import ratio_replicates
+from services.eval.cases import Case, ReadyTruth
+from services.eval.ranges import Counts
+from services.eval.scores import SequenceFacts, SubmissionCounts, record_of
+from services.eval.stage_context import EvalStageContext
+from services.runtime.code_version import code_version
+from services.runtime.store.blobs import PreparedBlob, prepare
+from stone.scoring.signature import Signature
+from stone_files.npz import npz_bytes
 
 
-def made_score(desk: Desk, case: Case, pair: Pair, counts: Counts) -> NewScore:
+def made_score(
+    context: EvalStageContext, case: Case, evaluation_version: EvaluationVersion, counts: Counts
+) -> NewScore:
     """The score of these counts, its files stored. Raises `UnknownMetricError`, and what the store raises."""
-    tally = Tally(counts.confusions, counts.bev, sequences_of(case.truth))
-    draws = ratio_draws(tally.confusions, tally.frames_of_sequence, pair.metric)
+    counts_of_frames = SubmissionCounts(counts.confusions, counts.bev, sequences_of(case.truth))
+    replicates = ratio_replicates(
+        counts_of_frames.confusions, counts_of_frames.frames_of_sequence, evaluation_version.metric
+    )
     return NewScore(
         submission_id=case.submission_id,
-        pair=pair,
-        signature=str(Signature(case.truth.sha256, case.truth.mask, pair.metric)),
-        record={"code_version": CODE_VERSION, **record_of(tally, draws, pair.metric)},
-        confusions=_stored(desk, npz_bytes({"confusions": counts.confusions, "bev": counts.bev})),
-        draws=_stored(desk, draws.npz()),
+        evaluation_version=evaluation_version,
+        signature=str(Signature(case.truth.sha256, case.truth.mask, evaluation_version.metric)),
+        record={
+            "code_version": code_version("scores"),
+            **record_of(counts_of_frames, replicates, evaluation_version.metric),
+        },
+        confusions=_stored(context, npz_bytes({"confusions": counts.confusions, "bev": counts.bev})),
+        replicates=_stored(context, replicates.npz()),
         content_sha256=sha256(counts.confusions.astype("<i4").tobytes()).hexdigest(),
     )
 
 
-def sequences_of(truth: Truth) -> tuple[SequenceFacts, ...]:
+def sequences_of(truth: ReadyTruth) -> tuple[SequenceFacts, ...]:
     """The sequences of a ground truth in the order of its frames."""
     return tuple(
         SequenceFacts(one["name"], one["frames"], one["environment"] or None, one["illumination"] or None)
@@ -39,8 +46,8 @@ def sequences_of(truth: Truth) -> tuple[SequenceFacts, ...]:
     )
 
 
-def _stored(desk: Desk, content: bytes) -> PreparedBlob:
+def _stored(context: EvalStageContext, content: bytes) -> PreparedBlob:
     """Each attempt writes a file of its own: what is stored may share its bytes, so none is written twice."""
-    path = desk.folder / f"{token_hex(8)}.npz"
+    path = context.folder / f"{token_hex(8)}.npz"
     path.write_bytes(content)
-    return prepare(desk.platform.store, desk.platform.database, path, adopt=True)
+    return prepare(context.platform.store, context.platform.database, path, adopt=True)

@@ -3,8 +3,7 @@
 **Conventions.** Sentences go to whoever sent the submission in: none says anything about a label.
 """
 
-from services.runtime.errors import PlatformFaultError
-from stone.errors import StoneError
+from stone.errors import PlatformFaultError, StoneError
 
 
 class UploadDamagedError(StoneError):

@@ -1,4 +1,4 @@
-"""The bell of the queue `eval`: one job per ring.
+"""The Celery task of the queue `eval`: each wake-up runs one job.
 
 **Conventions.** Loaded by the worker's parent before it forks: the kernels are imported once, for all children. One
 thread for every library.
@@ -11,7 +11,7 @@ import services.runtime.one_thread  # noqa: F401
 from celery import shared_task
 
 from services.eval.stages import handlers
-from services.runtime.jobs.running import run_next
+from services.runtime.jobs.execution import run_next
 from services.runtime.platform import platform
 
 

@@ -2,7 +2,8 @@
 
 **Conventions.** Magic, the packed planes of each frame in the order of the manifest, an index (an npz of `tokens`,
 `offsets`, `counts`, `crc32`), then where the index starts and the magic again; little-endian. A frame is the `changes`
-and `columns` of `stone.plane_runs`: on real labels unpacked in a quarter of the time of LZ4 and an eighth of that of
+and `columns` of `stone.scoring.plane_runs`: on real labels unpacked in a quarter of the time of LZ4 and an eighth of
+that of
 zstd, for 1.6 and 3 times the bytes. The same ground truth makes the same bytes. A pack is ours, never a stranger's; its
 checks are against decay.
 """
@@ -23,14 +24,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.eval.counting import THREADS, Progress, silent
-from services.eval.errors import UnreadableInputError
 from services.eval.ground_truth import truth_hash, whole_hash
-from services.eval.manifest import Manifest
-from services.runtime.atomic import atomic_file
-from services.runtime.npz import npz_bytes
-from stone.bitplanes import RINGS, TruthPlanes
 from stone.errors import StoneError
-from stone.plane_runs import CHANGES, PlaneRuns, planes_of, runs_of
+from stone.scoring.bitplanes import RINGS, TruthPlanes
+from stone.scoring.plane_runs import CHANGES, PlaneRuns, planes_of, runs_of
+from stone_files.atomic import atomic_file
+from stone_files.npz import npz_bytes
+from stone_submissions.errors import UnreadableInputError
+from stone_submissions.manifest import Manifest
 
 MAGIC = b"STONEGT1"
 TRAILER = struct.Struct("<Q8s")
@@ -55,7 +56,7 @@ class PackSummary:
 
 
 @dataclass(frozen=True, eq=False)
-class _Packed:
+class _PackedTruthFrame:
     payload: bytes
     counts: NDArray[np.int64]
     hash: bytes
@@ -159,7 +160,7 @@ class _Index:
         self._counts: list[NDArray[np.int64]] = []
         self._crc32: list[int] = []
 
-    def add(self, token: str, packed: _Packed) -> None:
+    def add(self, token: str, packed: _PackedTruthFrame) -> None:
         self.hashes[token] = packed.hash
         self.offsets.append(self.offsets[-1] + len(packed.payload))
         self._counts.append(packed.counts)
@@ -172,6 +173,6 @@ class _Index:
         return npz_bytes({"tokens": tokens, "offsets": offsets, "counts": counts, "crc32": crc32})
 
 
-def _packed(truth: TruthPlanes) -> _Packed:
+def _packed(truth: TruthPlanes) -> _PackedTruthFrame:
     runs = runs_of(truth.planes)
-    return _Packed(runs.changes.tobytes() + runs.columns.tobytes(), truth.counts, truth_hash(truth))
+    return _PackedTruthFrame(runs.changes.tobytes() + runs.columns.tobytes(), truth.counts, truth_hash(truth))

@@ -1,19 +1,19 @@
-"""Files of a recording that were cut off: what is whole in each is written anew, the original stays as it is.
+"""Recovery of truncated recording files: what is whole is written to a new file, the original stays as it is.
 
-**Conventions.** A recovery has the same bytes whenever it is made of the same file (`services/ingest/recovery.py`), so
-an attempt that is repeated makes the same one.
+**Conventions.** A recovery has the same bytes whenever it is made of the same file
+(`stone_recordings/bags/recovery/recovery.py`), so an attempt that is repeated makes the same one.
 """
 
 from dataclasses import dataclass
 from pathlib import Path
 
-from services.ingest.bag import open_bag
-from services.ingest.errors import CutBagError, IngestError
-from services.ingest.named import named
-from services.ingest.received import Received, ReceivedFile
-from services.ingest.recovery import recover
-from services.runtime.errors import PlatformFaultError
+from services.ingest.received_files import ReceivedBag, ReceivedFile
+from services.runtime.store.named_objects import named
+from stone.errors import PlatformFaultError
 from stone.findings import Finding
+from stone_recordings.bags.bag import open_bag
+from stone_recordings.bags.errors import CutBagError, IngestError
+from stone_recordings.bags.recovery.recovery import recover
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class RecoveredFile:
     finding: Finding
 
 
-def recovered_files(received: Received, folder: Path) -> dict[str, RecoveredFile]:
+def recovered_files(received: ReceivedBag, folder: Path) -> dict[str, RecoveredFile]:
     """By the `row_id` of each file that was cut off; written into `folder`.
 
     Raises the refusal of a file of which nothing could be read.
@@ -34,7 +34,7 @@ def recovered_files(received: Received, folder: Path) -> dict[str, RecoveredFile
     return {file.row_id: _recovered(received.folder, file, folder) for file in cut}
 
 
-def _is_cut(received: Received, file: ReceivedFile) -> bool:
+def _is_cut(received: ReceivedBag, file: ReceivedFile) -> bool:
     try:
         open_bag(named(received.folder, file.path, file.filename)).close()
     except CutBagError:

@@ -1,213 +1,35 @@
-"""Why a recording or a message is refused: one leaf per reason, one sentence each.
+"""Why a received recording cannot be kept."""
 
-**Conventions.** `BAG-*` is about the container, `MSG-*` about one message in it. Offsets are bytes from the start
-of the file unless the sentence names a chunk. A leaf takes the facts and quotes them.
-"""
-
-from services.runtime.errors import PlatformFaultError
 from stone.errors import StoneError
 
-SHOWN_BYTES = 16
 
+class RecordingChangedError(StoneError):
+    """The bytes are not those that were uploaded."""
 
-class IngestError(StoneError):
-    """A recording cannot be used as it is."""
+    code = "recording_changed"
 
-
-class NotABagError(IngestError):
-    """The first bytes are those of something else."""
-
-    code = "BAG-001"
-
-    def __init__(self, name: str, first: bytes, looks_like: str) -> None:
-        shown = first[:SHOWN_BYTES]
-        text = "".join(chr(byte) if 32 <= byte < 127 else "." for byte in shown)
-        quoted = f'first bytes {shown.hex(" ")} "{text}"' if shown else "no bytes at all"
-        super().__init__(f"{name} is not an MCAP or SQLite bag ({quoted}); it looks like {looks_like}")
-
-
-class CutBagError(IngestError):
-    """The file ends before its closing magic."""
-
-    code = "BAG-010"
-
-    def __init__(self, name: str, size_bytes: int) -> None:
+    def __init__(self, filename: str, found: str, expected: str) -> None:
         super().__init__(
-            f"{name} was cut off at byte {size_bytes}: the closing MCAP magic is missing; "
-            f"the recorder died or the copy is incomplete, so copy it again, "
-            f"or keep what is whole: stone recover {name} -o recovered.mcap"
+            f"{filename} has sha256 {found} and was received with {expected}; upload it again (is the disk failing?)"
         )
 
 
-class MalformedBagError(IngestError):
-    """A length, offset or value in the container contradicts the file."""
+class RecordingFileMissingError(StoneError):
+    """The uploaded file is not where the workers look for it."""
 
-    code = "BAG-012"
+    code = "recording_file_missing"
 
-    def __init__(self, where: str, problem: str) -> None:
-        super().__init__(f"{where}: {problem}; the file is damaged or was not written by a working recorder")
-
-
-class ChunkTooLargeError(IngestError):
-    """A chunk declares more bytes than a recorder would ever put into one."""
-
-    code = "BAG-013"
-
-    def __init__(self, where: str, declared_bytes: int, limit_bytes: int) -> None:
+    def __init__(self, filename: str, upload_id: str) -> None:
         super().__init__(
-            f"{where} declares {declared_bytes} bytes uncompressed, the limit is {limit_bytes}; "
-            f"record with a chunk size of a few MiB"
+            f"the file of {filename} (upload {upload_id}) is not on this machine; "
+            "do API and ingest workers share the uploads folder?"
         )
 
 
-class EncodingRefusedError(IngestError):
-    """Messages are written in something else than CDR."""
+class RecordingRefusedError(StoneError):
+    """The recording was refused before, for the reason given."""
 
-    code = "BAG-014"
+    code = "recording_refused"
 
-    def __init__(self, name: str, topic: str, encoding: str) -> None:
-        super().__init__(
-            f"{name}: topic {topic!r} is encoded as {encoding!r}, only 'cdr' is read; "
-            f"ROS 1, protobuf and JSON recordings must be converted to ROS 2 first"
-        )
-
-
-class UnknownTopicError(IngestError):
-    """No message of that topic was recorded."""
-
-    code = "BAG-015"
-
-    def __init__(self, name: str, topic: str, known: tuple[str, ...]) -> None:
-        shown = ", ".join(known[:8]) + (", …" if len(known) > 8 else "")
-        super().__init__(f"{name} has no topic {topic!r}; it has {shown or 'no topics at all'}")
-
-
-class ChecksumError(IngestError):
-    """The bytes differ from those that were written."""
-
-    code = "BAG-016"
-
-    def __init__(self, where: str, found: int, declared: int) -> None:
-        super().__init__(
-            f"{where}: CRC-32 is {found:08x}, declared {declared:08x}; the file was damaged after recording"
-        )
-
-
-class CompressionRefusedError(IngestError):
-    """Chunks are packed with an algorithm that MCAP does not register."""
-
-    code = "BAG-017"
-
-    def __init__(self, where: str, compression: str) -> None:
-        super().__init__(f"{where} is compressed with {compression!r}; 'lz4', 'zstd' and none are read")
-
-
-class DefinitionMissingError(IngestError):
-    """No definition of a message type is known here."""
-
-    code = "BAG-020"
-
-    def __init__(self, type_name: str, known: tuple[str, ...]) -> None:
-        super().__init__(
-            f"no definition of {type_name!r} is known (beside ROS 2 Humble's: {', '.join(known)}); "
-            f"record with -s mcap, which embeds it"
-        )
-
-
-class MessageLayoutError(IngestError):
-    """The lengths inside one CDR message contradict its type or its size."""
-
-    code = "MSG-301"
-
-    def __init__(self, type_name: str, problem: str) -> None:
-        super().__init__(f"{type_name}: {problem}; the message is damaged or of another version of its type")
-
-
-class ByteOrderError(IngestError):
-    """Big-endian data; nothing that is recorded today writes it."""
-
-    code = "MSG-302"
-
-    def __init__(self, type_name: str) -> None:
-        super().__init__(f"{type_name} is big-endian; only little-endian data is read, so convert the recording")
-
-
-class CloudLayoutError(IngestError):
-    """The fields, steps or sizes of a PointCloud2 contradict each other."""
-
-    code = "MSG-303"
-
-    def __init__(self, problem: str) -> None:
-        super().__init__(f"sensor_msgs/msg/PointCloud2: {problem}; the driver that wrote it lies about its layout")
-
-
-class MixedFramesError(IngestError):
-    """One topic speaks about several pairs of frames where one is meant."""
-
-    code = "MSG-304"
-
-    def __init__(self, type_name: str, pairs: tuple[str, ...]) -> None:
-        super().__init__(
-            f"{type_name} changes its frames within one topic ({', '.join(pairs[:4])}); "
-            f"two sources publish on it, so choose one"
-        )
-
-
-class PoseValueError(IngestError):
-    """A pose that is no pose: NaN, infinity, or a quaternion of no length."""
-
-    code = "MSG-305"
-
-    def __init__(self, type_name: str, index: int, problem: str) -> None:
-        super().__init__(f"{type_name} number {index} {problem}; the source was not initialised when it was recorded")
-
-
-class DatabaseRefusedError(IngestError):
-    """A `.db3` file is no rosbag2 database, or nothing can be read of it."""
-
-    code = "BAG-018"
-
-    def __init__(self, name: str, reason: str) -> None:
-        quoted = " ".join(reason.split())  # SQLite quotes statements as they were written
-        super().__init__(f"{name} cannot be read as a rosbag2 database: {quoted}")
-
-
-class MembersRefusedError(IngestError):
-    """A folder does not say which of its files are the recording, or none of them is there."""
-
-    code = "BAG-019"
-
-    def __init__(self, name: str, problem: str) -> None:
-        super().__init__(f"{name} cannot be opened as a rosbag2 folder: {problem}")
-
-
-class RecoveryTargetError(IngestError):
-    """A recovery was asked to write over what it reads."""
-
-    code = "BAG-026"
-
-    def __init__(self, name: str) -> None:
-        super().__init__(f"{name} is the original; recover into another file, the original is never written")
-
-
-class PackedTooLargeError(IngestError):
-    """A message or a file that was compressed grows beyond anything a recorder packs."""
-
-    code = "BAG-027"
-
-    def __init__(self, where: str, packed_bytes: int, limit_bytes: int) -> None:
-        super().__init__(
-            f"{where}: its {packed_bytes} compressed bytes grow beyond {limit_bytes}; "
-            f"unpack it elsewhere if it is what it should be"
-        )
-
-
-class NoRoomError(PlatformFaultError, IngestError):
-    """What must be unpacked or copied to be read does not fit the folder for temporary files."""
-
-    code = "BAG-028"
-
-    def __init__(self, name: str, size_bytes: int, free_bytes: int) -> None:
-        super().__init__(
-            f"{name} needs a temporary copy of {size_bytes} bytes, {free_bytes} are free; set TMPDIR to a larger disk"
-        )
+    def __init__(self, filename: str, reason: str) -> None:
+        super().__init__(f"{filename} was refused: {reason}")

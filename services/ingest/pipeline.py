@@ -10,25 +10,25 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from services.ingest.associating import SensorTopics, associate
-from services.ingest.bag import Bag, open_bag
-from services.ingest.clocks.triggers import trigger_findings
-from services.ingest.ego_track import PoseInputs, ego_track, recorded_rig
-from services.ingest.extrinsics import cross_check
-from services.ingest.fingerprint import hashed_meanwhile
-from services.ingest.kiss_odometry import Progress
-from services.ingest.lidar_clock import lidar_clock
-from services.ingest.pose_quality import quality_findings
-from services.ingest.projection_checks import projection_findings
-from services.ingest.recorded import read_recorded
-from services.ingest.sources import choose_sources
-from services.ingest.sweeps import BagSweeps
-from services.ingest.synchronisation import frames_with_pose, usable_finding
-from stone.calibration import Calibration
-from stone.deskew import SweepMount
 from stone.findings import Finding
-from stone.sequence import Sequence
-from stone.trajectory import DEFAULT_MAX_GAP_NS
+from stone.geometry.trajectory import DEFAULT_MAX_GAP_NS
+from stone.sensors.calibration import Calibration
+from stone.sensors.deskew import SweepMount
+from stone.sensors.sequence import Sequence
+from stone_recordings.bags.bag import Bag, open_bag
+from stone_recordings.bags.fingerprint import hashed_meanwhile
+from stone_recordings.clocks.lidar_clock import lidar_clock
+from stone_recordings.clocks.triggers import trigger_findings
+from stone_recordings.poses.ego_track import PoseInputs, ego_track, recorded_rig
+from stone_recordings.poses.extrinsics import cross_check
+from stone_recordings.poses.kiss_odometry import Progress
+from stone_recordings.poses.quality import quality_findings
+from stone_recordings.report.projection_checks import projection_findings
+from stone_recordings.sync.association import SensorTopics, associate
+from stone_recordings.sync.recorded_messages import read_recorded
+from stone_recordings.sync.sweeps import BagSweeps
+from stone_recordings.sync.synchronisation import frames_with_pose, usable_finding
+from stone_recordings.topics.sources import choose_sources
 
 
 def silent(_stage: str, _done: int, _total: int) -> None:
@@ -58,15 +58,22 @@ def synchronise(
 ) -> tuple[Sequence, BagSweeps]:
     """The sequence called `name`, and where its deskewed sweeps come from.
 
-    Raises what opening and decoding raise (BAG-*, MSG-*), the leaves of `services.ingest.synchronisation_errors`
+    Raises what opening and decoding raise (BAG-*, MSG-*), the leaves of `stone_recordings.sync.errors`
     (no LiDAR, no pose source, no usable pose, no frame), and MissingSensorError when an INS has no mount.
     """
+    with open_bag(bag_path) as bag:
+        return synchronise_in(bag, calibration, options, name)
+
+
+def synchronise_in(
+    bag: Bag, calibration: Calibration, options: SynchroniseOptions, name: str
+) -> tuple[Sequence, BagSweeps]:
+    """As `synchronise`, of the recording that the caller has open. Raises as it does, but for opening."""
     if not options.is_hashed:
-        with open_bag(bag_path) as bag:
-            return _checked(bag, calibration, options, name)
-    with open_bag(bag_path) as bag, hashed_meanwhile(bag_path, options.recording_sha256) as sha256:
+        return _checked(bag, calibration, options, name)
+    with hashed_meanwhile(bag.path, options.recording_sha256) as sha256:
         sequence, sweeps = _checked(bag, calibration, options, name)
-        return replace(sequence, inputs={bag_path.name: sha256()}), sweeps
+        return replace(sequence, inputs={bag.path.name: sha256()}), sweeps
 
 
 def _checked(bag: Bag, calibration: Calibration, options: SynchroniseOptions, name: str) -> tuple[Sequence, BagSweeps]:

@@ -1,21 +1,23 @@
-"""What a label set cost: seconds of each stage, of the processors, and memory; measured, so never the same twice."""
+"""The cost of a label set: seconds by stage, processor time and memory."""
 
 from dataclasses import dataclass, field
 from typing import Any
 
-from services.labeler.workers import Done
+from services.labeler.workers import TaskResult
 
 
 @dataclass
-class Meter:
+class CostMeter:
     """Takes down every task that is done; stages overlap, so each is given the time its tasks took, added up."""
 
     busy_s: dict[str, float] = field(default_factory=dict)
     cpu_s: dict[int, float] = field(default_factory=dict)
     peak_bytes: dict[int, int] = field(default_factory=dict)
 
-    def note(self, stage: str, done: Done[Any]) -> None:
-        self.busy_s[stage] = self.busy_s.get(stage, 0.0) + done.busy_s
+    def note(self, stage: str, done: TaskResult[Any]) -> None:
+        """Seconds are not given for a stage called ""."""
+        if stage:
+            self.busy_s[stage] = self.busy_s.get(stage, 0.0) + done.busy_s
         self.cpu_s[done.pid] = max(done.cpu_s, self.cpu_s.get(done.pid, 0.0))
         self.peak_bytes[done.pid] = max(done.peak_bytes, self.peak_bytes.get(done.pid, 0))
 

@@ -1,10 +1,10 @@
 """Why a sequence cannot be labelled."""
 
 from stone.errors import StoneError
-from stone.sequence import Sequence
+from stone.sensors.sequence import Sequence
 
 
-class NoFramesError(StoneError):
+class NoUsableFramesError(StoneError):
     """Every LiDAR stamp was excluded, or there was none."""
 
     code = "no_frames"
@@ -22,12 +22,3 @@ class WorkGoneError(StoneError):
 
     def __init__(self, name: str) -> None:
         super().__init__(f"{name} of this run is gone, so it cannot be continued; process the sequence again")
-
-
-class CodeChangedError(StoneError):
-    """One label set is made by one version of the code."""
-
-    code = "code_changed"
-
-    def __init__(self, begun: str, now: str) -> None:
-        super().__init__(f"this run was begun by version {begun} and this worker is {now}; process the sequence again")

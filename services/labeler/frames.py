@@ -1,32 +1,31 @@
-"""Stage 3, per part: cut the label grid of every frame out of the labelled map and write `labels.npz`."""
+"""Stage 3, per part: cut the label grid of every frame out of the labelled map, as the bytes of `labels.npz`."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from services.labeler.run import Part, Run, Tile, tiles_across
+from services.labeler.run import LabelRun, Part, Tile, tiles_across
 from services.labeler.scratch import Arrays, load, save, sight_path, surface_path
-from services.runtime.npz import npz_bytes
-from stone.columns import Columns, reconcile, spread_out
-from stone.confidence import MapDistances, cut_with_distances, map_distances
-from stone.crops import cut
-from stone.grid import GRID_SHAPE, Bounds, Window, frame_bounds, window_bytes, window_of
-from stone.observed import Observed, union
-from stone.se3 import SE3
-from stone.sight_batches import LANES, SightBatch
-from stone.traversability import Reference, classify, distance_squared
-from stone.visibility import SightLines, sight_lines
+from stone.geometry.se3 import SE3
+from stone.labels.columns import Columns, reconcile, spread_out
+from stone.labels.confidence import MapDistances, cut_with_distances, map_distances
+from stone.labels.crops import cut
+from stone.labels.grid import GRID_SHAPE, Bounds, Window, frame_bounds, window_bytes, window_of
+from stone.labels.observed_voxels import Observed, union
+from stone.labels.sight_batches import LANES, SightBatch
+from stone.labels.traversability import Reference, classify, distance_squared
+from stone.labels.visibility import SightLines, sight_lines
+from stone_files.npz import npz_bytes
 
 MAX_WINDOW_BYTES = 192 * 2**20
 GRIDS = ("semantics", "mask_lidar", "mask_camera")
 
 
 @dataclass(frozen=True, eq=False)
-class FrameCounts:
+class FrameVoxelCounts:
     """Per frame of a part, in order: voxels by class (n, 4), observed by LiDAR and by cameras (n, 2)."""
 
     classes: NDArray[np.int64]
@@ -35,7 +34,7 @@ class FrameCounts:
 
 @dataclass(frozen=True, eq=False)
 class LabelledFrame:
-    """One frame done: its token, the bytes of its `labels.npz`, and its counts (4,) and (2,) as in `FrameCounts`."""
+    """One frame done: its token, the bytes of its `labels.npz`, its counts (4,) and (2,) as in `FrameVoxelCounts`."""
 
     token: str
     payload: bytes
@@ -43,7 +42,7 @@ class LabelledFrame:
     observed: NDArray[np.int64]
 
 
-def lay_sight_lines(run: Run, camera: int) -> None:
+def compute_sight_lines(run: LabelRun, camera: int) -> None:
     """Lay out once per run what the calibration's camera of this number can see; nothing without its intrinsics."""
     mount = run.sequence.calibration.of_kind("camera")[camera]
     if mount.intrinsics is not None:
@@ -51,16 +50,7 @@ def lay_sight_lines(run: Run, camera: int) -> None:
         save(sight_path(run, camera), vars(lines))
 
 
-def frames(run: Run, part: Part, reference: Reference, labels_root: Path) -> FrameCounts:
-    """Write the labels of the frames of `part` under `labels_root`/<frame_token>/."""
-    done = []
-    for frame in labelled_frames(run, part, reference):
-        _write(labels_root / frame.token / "labels.npz", frame.payload)
-        done.append(replace(frame, payload=b""))
-    return counts_of(done)
-
-
-def labelled_frames(run: Run, part: Part, reference: Reference) -> Iterator[LabelledFrame]:
+def labelled_frames(run: LabelRun, part: Part, reference: Reference) -> Iterator[LabelledFrame]:
     """The frames of `part` in order, one at a time."""
     paths = sorted((run.scratch / "sight").glob("[0-9]*.npz"))
     sight = SightBatch([SightLines(**load(path)) for path in paths])  # type: ignore[arg-type]
@@ -70,12 +60,12 @@ def labelled_frames(run: Run, part: Part, reference: Reference) -> Iterator[Labe
             yield from _labelled(run, batch, labelled_map, sight)
 
 
-def counts_of(frames: Sequence[LabelledFrame]) -> FrameCounts:
+def counts_of(frames: Sequence[LabelledFrame]) -> FrameVoxelCounts:
     """The counts of these frames; there is at least one."""
-    return FrameCounts(np.array([f.classes for f in frames]), np.array([f.observed for f in frames]))
+    return FrameVoxelCounts(np.array([f.classes for f in frames]), np.array([f.observed for f in frames]))
 
 
-def _labelled(run: Run, batch: Part, labelled_map: "_LabelledMap", sight: SightBatch) -> Iterator[LabelledFrame]:
+def _labelled(run: LabelRun, batch: Part, labelled_map: "_LabelledMap", sight: SightBatch) -> Iterator[LabelledFrame]:
     poses = run.sequence.frames.map_from_ego
     cuts = [labelled_map.cut(poses[index]) for index in range(*batch)]
     grids = np.empty((len(GRIDS), *GRID_SHAPE), np.uint8)  # the same memory for every frame: fresh pages cost more
@@ -96,7 +86,7 @@ def _batches(part: Part) -> list[Part]:
     return list(pairwise(ends))
 
 
-def _near_together(run: Run, part: Part) -> list[Part]:
+def _near_together(run: LabelRun, part: Part) -> list[Part]:
     """The part cut where its frames lie so far apart that one dense window would not fit the memory."""
     if part[1] - part[0] == 1 or window_bytes(_bounds(run, part)) <= MAX_WINDOW_BYTES:
         return [part]
@@ -104,7 +94,7 @@ def _near_together(run: Run, part: Part) -> list[Part]:
     return _near_together(run, (part[0], middle)) + _near_together(run, (middle, part[1]))
 
 
-def _bounds(run: Run, part: Part) -> Bounds:
+def _bounds(run: LabelRun, part: Part) -> Bounds:
     return frame_bounds(run.sequence.frames.map_from_ego[slice(*part)])
 
 
@@ -123,14 +113,14 @@ class _LabelledMap:
         return columns, {"distance_squared": squared}
 
 
-def labelled_tile(run: Run, tile: Tile, reference: Reference) -> tuple[Arrays, NDArray[np.uint8]]:
+def labelled_tile(run: LabelRun, tile: Tile, reference: Reference) -> tuple[Arrays, NDArray[np.uint8]]:
     """What the surface stage left of this tile, and the class of each of its voxels (K,)."""
     arrays = load(surface_path(run, tile))
     alpha = run.parameters.reference.alpha
     return arrays, classify(arrays["features"], arrays["is_driven"], reference, alpha)  # type: ignore[arg-type]
 
 
-def _map_around(run: Run, bounds: Bounds, reference: Reference) -> _LabelledMap:
+def _map_around(run: LabelRun, bounds: Bounds, reference: Reference) -> _LabelledMap:
     """The labelled map within a range of voxel indices."""
     keys, classes, squared = [np.zeros(0, np.int64)], [np.zeros(0, np.uint8)], [np.zeros(0)]
     seen = [Observed(np.zeros(0, np.int64), np.zeros(0, np.uint64))]
@@ -147,11 +137,6 @@ def _map_around(run: Run, bounds: Bounds, reference: Reference) -> _LabelledMap:
     return _LabelledMap(window, map_distances(np.concatenate(keys), np.concatenate(squared)))
 
 
-def tiles_between(run: Run, low: NDArray[np.int64], high: NDArray[np.int64]) -> list[Tile]:
+def tiles_between(run: LabelRun, low: NDArray[np.int64], high: NDArray[np.int64]) -> list[Tile]:
     """The reconstructed tiles that reach into a range of voxel indices."""
     return [tile for tile in tiles_across(run.parameters, low, high) if surface_path(run, tile).exists()]
-
-
-def _write(path: Path, payload: bytes) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(payload)

@@ -4,14 +4,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, cast
 
-from services.runtime.label_choices import check_choices
-from stone.dynamic import DynamicParameters
-from stone.footprint import BAND_M
-from stone.observed import CarveParameters
-from stone.screened import PoissonParameters
-from stone.selection import SelectionParameters
-from stone.terrain import TerrainParameters
-from stone.traversability import ReferenceParameters
+from services.domain.sequences.label_choices import check_choices
+from stone.labels.footprint import BAND_M
+from stone.labels.observed_voxels import CarveParameters
+from stone.labels.traversability import ReferenceParameters
+from stone.sensors.selection import SelectionParameters
+from stone.surface.dynamic import DynamicParameters
+from stone.surface.screened_poisson import PoissonParameters
+from stone.surface.terrain import TerrainParameters
 
 Profile = Literal["paper", "local"]
 Solver = Literal["lattice", "octree"]
@@ -19,7 +19,7 @@ Solver = Literal["lattice", "octree"]
 
 @dataclass(frozen=True)
 class SurfaceParameters:
-    """Point map and Poisson reconstruction, by the solver of `stone/screened.py` or by Open3D's octree.
+    """Point map and Poisson reconstruction, by the solver of `stone/surface/screened_poisson.py` or by Open3D's octree.
 
     `width_m` is the cell of the lattice the surface is solved on: given as a width, never as an octree's depth, whose
     cell grows with the extent. Vertices farther than `trim_m` from any point are not surface but the solver's guess
@@ -50,7 +50,7 @@ class TilingParameters:
 
 @dataclass(frozen=True)
 class RefinementParameters:
-    """How poses are refined (`services/labeler/refining.py`), where they are.
+    """How poses are refined (`services/labeler/map/refinement.py`), where they are.
 
     Sweeps are thinned to `sampling_m` and aligned with Gaussians of `voxel_m`; a pose is corrected by no more than the
     two limits, which are several times what an RTK receiver or a short odometry is off, and each correction is drawn

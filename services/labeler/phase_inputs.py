@@ -1,19 +1,19 @@
 """The stage that makes an input of a phase: a synchronised sequence and its recording → files → packs in the store.
 
-**Conventions.** As `services/labeler/exporting.py`, but that labels, mesh and report are not even located: what is not
-opened cannot get into what participants are given. Log lines and results say no more than names, files and bytes.
+**Conventions.** As `services/labeler/export_stage.py`, but that labels, mesh and report are not even located: what is
+not opened cannot get into what participants are given. Log lines and results say no more than names, files and bytes.
 """
 
 from functools import partial
 from pathlib import Path
 
-from services.labeler.exporting import LateSamples, attempt_folder, pack_files, stored_packs
+from services.domain.benchmarks.phases.inputs import PhaseInputResult, phase_of_attempt, sequence_key, write_input
+from services.labeler.export_stage import LateSamples, attempt_folder, pack_files, stored_packs
 from services.labeler.exports.inputs import write_sensed
-from services.runtime.benchmarks.inputs import MadeInput, phase_of_attempt, sequence_key, write_input
 from services.runtime.jobs.specs import Attempt, Outcome
-from services.runtime.packed_reading import archive_sha256, local_reader
 from services.runtime.platform import Platform
-from services.runtime.sequence_file import read_sequence
+from services.runtime.store.pack_reading import archive_sha256, local_reader
+from stone_recordings.sync.sequence_file import read_sequence
 
 
 def make_input(platform: Platform, attempt: Attempt) -> Outcome:
@@ -33,7 +33,7 @@ def make_input(platform: Platform, attempt: Attempt) -> Outcome:
     return Outcome(result, commit=lambda session: write_input(session, attempt, made))
 
 
-def _made(platform: Platform, attempt: Attempt, of: tuple[str, str], folder: Path) -> MadeInput:
+def _made(platform: Platform, attempt: Attempt, of: tuple[str, str], folder: Path) -> PhaseInputResult:
     """The files of the sequence called so that lies under this key, in the store."""
     name, key = of
     sequence = read_sequence(b"".join(platform.store.read(key)))
@@ -43,4 +43,4 @@ def _made(platform: Platform, attempt: Attempt, of: tuple[str, str], folder: Pat
     files = pack_files(attempt, folder)
     tar = archive_sha256(files, "tar", local_reader(folder / "packs"), partial(attempt.progress, "tar"))
     index, *packs = stored_packs(platform, attempt, folder, files)
-    return MadeInput(name, files, index, packs, tar)
+    return PhaseInputResult(name, files, index, packs, tar)

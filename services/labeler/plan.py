@@ -13,18 +13,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from services.labeler.fuse import labelled_box
+from services.labeler.map.fuse import labelled_box
+from services.labeler.map.surface import TileSummary, surface
 from services.labeler.parameters import LabelParameters
-from services.labeler.run import Part, Run, Step, Tile, parts_of, silent, tiles_across
+from services.labeler.run import LabelRun, Part, Step, Tile, parts_of, silent, tiles_across
 from services.labeler.scratch import tile_name
-from services.labeler.surface import TileSummary, surface
-from stone.grid import frame_bounds
-from stone.observed import BRICK
-from stone.voxels import VOXEL_M
+from stone.labels.grid import frame_bounds
+from stone.labels.observed_voxels import BRICK
+from stone.labels.voxels import VOXEL_M
 
 
 @dataclass(frozen=True)
-class Plan:
+class TilePlan:
     """`needs`: for every tile the run may reach, the parts that can reach its cube, in order.
 
     Tiles are in the order in which they can be begun: by the last of their parts, then by place.
@@ -34,7 +34,7 @@ class Plan:
     needs: Mapping[Tile, tuple[Part, ...]]
 
 
-def plan_of(run: Run) -> Plan:
+def plan_of(run: LabelRun) -> TilePlan:
     """The plan of a run; no tile without a frame."""
     parts = tuple(parts_of(run))
     places = run.sequence.frames.map_from_ego.translation_m[:, :2]
@@ -44,15 +44,15 @@ def plan_of(run: Run) -> Plan:
         is_near = _gaps_m(places, tile, run.parameters) <= reach
         needs[tile] = tuple(part for part in parts if is_near[slice(*part)].any())
     reached = [tile for tile in needs if needs[tile]]
-    return Plan(parts, {tile: needs[tile] for tile in sorted(reached, key=lambda tile: (needs[tile][-1], tile))})
+    return TilePlan(parts, {tile: needs[tile] for tile in sorted(reached, key=lambda tile: (needs[tile][-1], tile))})
 
 
-def surface_where_reached(run: Run, tile: Tile, step: Step = silent) -> TileSummary | None:
+def surface_where_reached(run: LabelRun, tile: Tile, step: Step = silent) -> TileSummary | None:
     """The surface of a planned tile, or nothing where no part left anything after all."""
     return surface(run, tile, step) if (run.scratch / "fused" / tile_name(tile)).is_dir() else None
 
 
-def tiles_around(run: Run, part: Part) -> list[Tile]:
+def tiles_around(run: LabelRun, part: Part) -> list[Tile]:
     """The tiles that the label grids of a part can touch."""
     return tiles_across(run.parameters, *frame_bounds(run.sequence.frames.map_from_ego[slice(*part)]))
 

@@ -10,18 +10,19 @@ give equal bytes.
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from importlib.metadata import version
 from typing import Any
 
-from services.labeler.comparison import Relief, load_comparison, other_reference, relief_of
-from services.labeler.frames import FrameCounts
+from services.labeler.frames import FrameVoxelCounts
+from services.labeler.map.comparison import Relief, load_comparison, other_reference, relief_of
+from services.labeler.map.surface import TileSummary
 from services.labeler.parameters import LabelParameters
-from services.labeler.run import Run
-from services.labeler.surface import TileSummary
+from services.labeler.results import load_pack, load_summaries, reference_from
+from services.labeler.run import LabelRun, parts_of
 from services.labeler.tables import concatenated
+from services.runtime.code_version import code_version
 from stone.findings import Finding
-from stone.sequence import Sequence
-from stone.traversability import FEW_VOXELS, NoReferenceError, Reference, reference_of, total_of
+from stone.labels.traversability import FEW_VOXELS, Reference
+from stone.sensors.sequence import Sequence
 
 CLASS_NAMES = ("free", "traversable", "potentially_traversable", "non_traversable")
 
@@ -35,7 +36,7 @@ class LabelReport:
     code_version: str
     reference: Reference
     tiles: tuple[TileSummary, ...]
-    counts: FrameCounts
+    counts: FrameVoxelCounts
     findings: tuple[Finding, ...]
     profiles: Mapping[str, Any]
     refinement: Mapping[str, Any] | None = None
@@ -88,27 +89,21 @@ class LabelReport:
         return {"lidar": round(float(lidar), 6), "camera": round(float(camera), 6)}
 
 
-def report_of(run: Run, tiles: list[TileSummary], parts: list[FrameCounts]) -> LabelReport:
-    """The report of a run whose tiles and parts, in their order, were summed up so, and whose map was written."""
-    sequence, parameters = run.sequence, run.parameters
-    reference, counts = reference_from(tiles, parameters), concatenated(parts)
+def report_of(run: LabelRun) -> LabelReport:
+    """The report of a run of which every stage is done."""
+    sequence, parameters, tiles = run.sequence, run.parameters, load_summaries(run)
+    reference = reference_from(tiles, parameters)
+    counts = concatenated([load_pack(run, part)[1] for part in parts_of(run)])
     other = other_reference(parameters, tiles)
     relief = relief_of(sequence, reference if parameters.profile == "paper" else other)
     findings = (*sequence.findings, *label_findings(parameters, reference, counts, relief))
     profiles = load_comparison(run).as_record(parameters) | {"elevation": asdict(relief)}
-    named = (sequence, parameters, version("stone-platform"))
+    named = (sequence, parameters, code_version("labels"))
     return LabelReport(*named, reference, tuple(tiles), counts, findings, profiles)
 
 
-def reference_from(tiles: list[TileSummary], parameters: LabelParameters) -> Reference:
-    """The reference of all tiles, in their order. Raises `NoReferenceError`, also where there is no tile."""
-    if not tiles:
-        raise NoReferenceError(0)
-    return reference_of(total_of([tile.sums for tile in tiles]), parameters.reference)
-
-
 def label_findings(
-    parameters: LabelParameters, reference: Reference, counts: FrameCounts, relief: Relief
+    parameters: LabelParameters, reference: Reference, counts: FrameVoxelCounts, relief: Relief
 ) -> tuple[Finding, ...]:
     """What a person should know before trusting these labels."""
     found = []

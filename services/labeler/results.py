@@ -1,10 +1,12 @@
 """What a stage concluded, as files in scratch that later stages read: sums of tiles, the reference, counts, packs.
 
 **Conventions.** A pack is the `labels.npz` of the frames of one part, one after another; its index says where each
-begins and ends and what it hashes to, so that a frame is read by one ranged request and checked.
+begins and ends and what it hashes to, so that a frame is read by one ranged request and checked. A run that writes
+each frame into a file of its own leaves the same indices and no packs.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -12,11 +14,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from services.labeler.frames import FrameCounts, LabelledFrame, counts_of
-from services.labeler.run import Part, Run, Step, Tile
+from services.labeler.frames import FrameVoxelCounts, LabelledFrame, counts_of
+from services.labeler.map.surface import TileSummary
+from services.labeler.parameters import LabelParameters
+from services.labeler.run import LabelRun, Part, Step, Tile
 from services.labeler.scratch import Arrays, load, save, tile_name, whole
-from services.labeler.surface import TileSummary
-from stone.traversability import FeatureSums, Reference
+from stone.labels.traversability import FeatureSums, NoReferenceError, Reference, reference_of, total_of
 
 COUNTED = ("voxels", "points", "moving", "vertices", "triangles")
 
@@ -28,6 +31,11 @@ class PackIndex:
     ends_bytes: NDArray[np.int64]
     sha256: NDArray[np.uint8]
 
+    @property
+    def size_bytes(self) -> int:
+        """Of all frames together."""
+        return int(self.ends_bytes[-1])
+
     def ranges(self) -> list[tuple[int, int, str]]:
         """(offset, length, hex sha256) of each frame."""
         starts = np.concatenate([[0], self.ends_bytes[:-1]])
@@ -36,23 +44,23 @@ class PackIndex:
         return list(zip(starts.tolist(), lengths.tolist(), hashes, strict=True))
 
 
-def sums_path(run: Run, tile: Tile) -> Path:
+def sums_path(run: LabelRun, tile: Tile) -> Path:
     return run.scratch / "sums" / f"{tile_name(tile)}.npz"
 
 
-def reference_path(run: Run) -> Path:
+def reference_path(run: LabelRun) -> Path:
     return run.scratch / "reference.npz"
 
 
-def pack_path(run: Run, part: Part) -> Path:
+def pack_path(run: LabelRun, part: Part) -> Path:
     return run.scratch / "packs" / f"{part[0]:06d}.pack"
 
 
-def index_path(run: Run, part: Part) -> Path:
+def index_path(run: LabelRun, part: Part) -> Path:
     return run.scratch / "packs" / f"{part[0]:06d}.npz"
 
 
-def save_summary(run: Run, summary: TileSummary) -> None:
+def save_summary(run: LabelRun, summary: TileSummary) -> None:
     arrays: Arrays = {
         "tile": np.array(summary.tile),
         **_sums_arrays(summary.sums, ""),
@@ -72,7 +80,7 @@ def _sums_from(arrays: Arrays, prefix: str) -> FeatureSums:
     return FeatureSums(origin, int(arrays[f"{prefix}count"].item()), total, outer)  # type: ignore[arg-type]
 
 
-def load_summaries(run: Run) -> list[TileSummary]:
+def load_summaries(run: LabelRun) -> list[TileSummary]:
     """Of all tiles, in their order."""
     summaries = []
     for path in (run.scratch / "sums").glob("*_*.npz"):
@@ -83,35 +91,59 @@ def load_summaries(run: Run) -> list[TileSummary]:
     return sorted(summaries, key=lambda summary: summary.tile)
 
 
-def save_reference(run: Run, reference: Reference) -> None:
+def save_reference(run: LabelRun, reference: Reference) -> None:
     facts: Arrays = {"voxels": np.array(reference.voxels), "is_floored": np.array(reference.is_floored)}
     save(reference_path(run), {"mean": reference.mean, "covariance": reference.covariance, **facts})
 
 
-def load_reference(run: Run) -> Reference:
+def load_reference(run: LabelRun) -> Reference:
     arrays = load(reference_path(run))
     voxels, is_floored = int(arrays["voxels"].item()), bool(arrays["is_floored"].item())
     return Reference(arrays["mean"], arrays["covariance"], voxels, is_floored)  # type: ignore[arg-type]
 
 
-def write_pack(run: Run, part: Part, frames: Iterable[LabelledFrame], step: Step) -> FrameCounts:
-    """Write the pack of a part and its index, a step each frame."""
-    written, ends, hashes = list[LabelledFrame](), list[int](), list[bytes]()
-    with whole(pack_path(run, part)) as staging, staging.open("wb") as file:
+def reference_from(tiles: list[TileSummary], parameters: LabelParameters) -> Reference:
+    """The reference of all tiles, in their order. Raises `NoReferenceError`, also where there is no tile."""
+    if not tiles:
+        raise NoReferenceError(0)
+    return reference_of(total_of([tile.sums for tile in tiles]), parameters.reference)
+
+
+def write_labels(run: LabelRun, part: Part, frames: Iterable[LabelledFrame], step: Step) -> PackIndex:
+    """Write the labels of a part where the run has them, and their index, a step each frame."""
+    written, lengths, hashes = list[LabelledFrame](), list[int](), list[bytes]()
+    with _labels_written(run, part) as write:
         for frame in frames:
-            file.write(frame.payload)
-            ends.append(file.tell())
+            write(frame)
+            lengths.append(len(frame.payload))
             hashes.append(sha256(frame.payload).digest())
             written.append(LabelledFrame(frame.token, b"", frame.classes, frame.observed))
             step(len(written), part[1] - part[0])
-    counts = counts_of(written)
-    index: Arrays = {"ends_bytes": np.array(ends, np.int64), "sha256": np.frombuffer(b"".join(hashes), np.uint8)}
-    save(index_path(run, part), {**index, "classes": counts.classes, "observed": counts.observed})
-    return counts
+    counts, sha256s = counts_of(written), np.frombuffer(b"".join(hashes), np.uint8)
+    index = PackIndex(np.cumsum(lengths, dtype=np.int64), sha256s.reshape(-1, 32))
+    arrays: Arrays = {"ends_bytes": index.ends_bytes, "sha256": sha256s}
+    save(index_path(run, part), {**arrays, "classes": counts.classes, "observed": counts.observed})
+    return index
 
 
-def load_pack(run: Run, part: Part) -> tuple[PackIndex, FrameCounts]:
+@contextmanager
+def _labels_written(run: LabelRun, part: Part) -> Iterator[Callable[[LabelledFrame], object]]:
+    """What writes one frame after another: into the pack of the part, or each into a file of its own."""
+    if run.labels_root is not None:
+        root = run.labels_root
+        yield lambda frame: _write(root / frame.token / "labels.npz", frame.payload)
+        return
+    with whole(pack_path(run, part)) as staging, staging.open("wb") as file:
+        yield lambda frame: file.write(frame.payload)
+
+
+def _write(path: Path, payload: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(payload)
+
+
+def load_pack(run: LabelRun, part: Part) -> tuple[PackIndex, FrameVoxelCounts]:
     """Where the frames of a part lie in its pack, and their counts."""
     arrays = load(index_path(run, part))
     index = PackIndex(arrays["ends_bytes"], arrays["sha256"].reshape(-1, 32))  # type: ignore[arg-type]
-    return index, FrameCounts(arrays["classes"], arrays["observed"])  # type: ignore[arg-type]
+    return index, FrameVoxelCounts(arrays["classes"], arrays["observed"])  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""One labelling run as a value that every stage and every worker is given, and how its work is divided.
+"""One labelling run as a value, and how its work is divided into parts and tiles.
 
 **Conventions.** A tile is named by its integer place (i, j); its core is [i, i+1) × [j, j+1) times `core_m` in the map.
 Cores tile the plane; the cube a tile is reconstructed in reaches `halo_m` beyond. A part is a half-open range of
@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.labeler.parameters import LabelParameters
-from stone.lattice import Keys, indices_of
-from stone.sequence import Sequence, SweepSource
-from stone.voxels import VOXEL_M
+from stone.geometry.lattice import Keys, indices_of
+from stone.labels.voxels import VOXEL_M
+from stone.sensors.sequence import Sequence, SweepSource
 
 Tile = tuple[int, int]
 Part = tuple[int, int]
@@ -27,13 +27,18 @@ def silent(_done: int, _total: int) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
-    """What is labelled, how, and the folder that stages hand their results on in."""
+class LabelRun:
+    """What is labelled, how, and the folder that stages hand their results on in.
+
+    With a `labels_root` the labels of a frame become `<labels_root>/<frame_token>/labels.npz`, else they are appended
+    to the pack of their part.
+    """
 
     sequence: Sequence
     sweeps: SweepSource
     parameters: LabelParameters
     scratch: Path
+    labels_root: Path | None = None
 
     @property
     def sensor_ego(self) -> NDArray[np.float64]:
@@ -41,7 +46,7 @@ class Run:
         return self.sequence.calibration.ego_from_lidar.translation_m
 
 
-def parts_of(run: Run) -> list[Part]:
+def parts_of(run: LabelRun) -> list[Part]:
     """The frame ranges that are fused, and later cropped, as one task each."""
     size, total = run.parameters.tiling.frames_per_part, len(run.sequence.frames)
     return [(begin, min(begin + size, total)) for begin in range(0, total, size)]

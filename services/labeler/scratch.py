@@ -13,11 +13,11 @@ from secrets import token_hex
 import numpy as np
 from numpy.typing import NDArray
 
-from services.labeler.fused_files import fused_observed, fused_points
-from services.labeler.run import Part, Run, Tile, parts_of
-from stone.dynamic import RangeImage, view_of
-from stone.observed import Observed, union
-from stone.pointmap import PointMap
+from services.labeler.map.fused_files import fused_observed, fused_points
+from services.labeler.run import LabelRun, Part, Tile, parts_of
+from stone.labels.observed_voxels import Observed, union
+from stone.surface.dynamic import RangeImage, view_of
+from stone.surface.pointmap import PointMap
 
 Arrays = dict[str, NDArray[np.generic]]
 
@@ -46,19 +46,19 @@ def load(path: Path) -> Arrays:
         return {name: archive[name] for name in archive.files}
 
 
-def fused_path(run: Run, tile: Tile, part: Part) -> Path:
+def fused_path(run: LabelRun, tile: Tile, part: Part) -> Path:
     return run.scratch / "fused" / tile_name(tile) / f"{part[0]:06d}.npz"
 
 
-def images_path(run: Run, part: Part) -> Path:
+def images_path(run: LabelRun, part: Part) -> Path:
     return run.scratch / "images" / f"{part[0]:06d}.npz"
 
 
-def surface_path(run: Run, tile: Tile) -> Path:
+def surface_path(run: LabelRun, tile: Tile) -> Path:
     return run.scratch / "surface" / f"{tile_name(tile)}.npz"
 
 
-def sight_path(run: Run, camera: int) -> Path:
+def sight_path(run: LabelRun, camera: int) -> Path:
     """What the camera at this place among the calibration's cameras can see."""
     return run.scratch / "sight" / f"{camera:02d}.npz"
 
@@ -73,7 +73,7 @@ def tile_named(name: str) -> Tile:
     return int(i), int(j)
 
 
-def load_points(run: Run, tile: Tile, low: NDArray[np.float64], high: NDArray[np.float64]) -> list[PointMap]:
+def load_points(run: LabelRun, tile: Tile, low: NDArray[np.float64], high: NDArray[np.float64]) -> list[PointMap]:
     """The point maps of this tile, part by part: the voxels whose centres lie in [low, high) (2,) in plan."""
     voxel_m = run.parameters.surface.point_voxel_m
     first, end = (np.ceil(bound / voxel_m - 0.5).astype(np.int64) for bound in (low, high))
@@ -84,7 +84,7 @@ def load_points(run: Run, tile: Tile, low: NDArray[np.float64], high: NDArray[np
     return found
 
 
-def load_observed(run: Run, tile: Tile) -> Observed:
+def load_observed(run: LabelRun, tile: Tile) -> Observed:
     """What any part observed in this tile."""
     found = [Observed(np.zeros(0, np.int64), np.zeros(0, np.uint64))]
     for path in _fused_parts(run, tile):
@@ -93,7 +93,7 @@ def load_observed(run: Run, tile: Tile) -> Observed:
     return union(found)
 
 
-def images_near(run: Run, low: NDArray[np.float64], high: NDArray[np.float64]) -> Iterator[RangeImage]:
+def images_near(run: LabelRun, low: NDArray[np.float64], high: NDArray[np.float64]) -> Iterator[RangeImage]:
     """The range images taken within reach of the box [low, high] (3,), one in memory at a time.
 
     Which those are is told by the run's poses alone, never by which parts happen to be fused already.
@@ -105,7 +105,7 @@ def images_near(run: Run, low: NDArray[np.float64], high: NDArray[np.float64]) -
                 yield RangeImage(view_of(poses[index], run.sensor_ego), archive[image_name(index)])
 
 
-def imaged_near(run: Run, low: NDArray[np.float64], high: NDArray[np.float64]) -> list[int]:
+def imaged_near(run: LabelRun, low: NDArray[np.float64], high: NDArray[np.float64]) -> list[int]:
     """The frames, in order, that leave a range image taken within reach of the box [low, high] (3,)."""
     dynamic, poses = run.parameters.dynamic, run.sequence.frames.map_from_ego
     indices = np.arange(0, len(poses), dynamic.every_frame)
@@ -119,7 +119,7 @@ def image_name(index: int) -> str:
     return f"{index:06d}"
 
 
-def _by_part(run: Run, indices: list[int]) -> Iterator[tuple[Part, list[int]]]:
+def _by_part(run: LabelRun, indices: list[int]) -> Iterator[tuple[Part, list[int]]]:
     """These frames, in order, by the part that fused them."""
     size = run.parameters.tiling.frames_per_part
     parts = parts_of(run)
@@ -127,5 +127,5 @@ def _by_part(run: Run, indices: list[int]) -> Iterator[tuple[Part, list[int]]]:
         yield parts[at], list(mine)
 
 
-def _fused_parts(run: Run, tile: Tile) -> list[Path]:
+def _fused_parts(run: LabelRun, tile: Tile) -> list[Path]:
     return sorted((run.scratch / "fused" / tile_name(tile)).glob("[0-9]*.npz"))

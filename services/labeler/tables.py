@@ -18,15 +18,15 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from services.labeler.frames import FrameCounts
-from stone.sequence import Frames, Sequence
+from services.labeler.frames import FrameVoxelCounts
+from stone.sensors.sequence import Frames, Sequence
 
 POSE_COLUMNS = ("qw", "qx", "qy", "qz", "x_m", "y_m", "z_m")
 STDEV_COLUMNS = ("east_stdev_m", "north_stdev_m", "up_stdev_m")
 CLASS_COLUMNS = ("free_voxels", "t_voxels", "p_voxels", "n_voxels")
 
 
-def write_frames(path: Path, sequence: Sequence, counts: FrameCounts) -> None:
+def write_frames(path: Path, sequence: Sequence, counts: FrameVoxelCounts) -> None:
     """Write the frame table in stamp order."""
     usable = _usable(sequence, counts)
     excluded = pa.table(
@@ -41,7 +41,7 @@ def write_frames(path: Path, sequence: Sequence, counts: FrameCounts) -> None:
     pq.write_table(table, path, compression="zstd")
 
 
-def _usable(sequence: Sequence, counts: FrameCounts) -> pa.Table:
+def _usable(sequence: Sequence, counts: FrameVoxelCounts) -> pa.Table:
     frames = sequence.frames
     columns: dict[str, object] = {"frame_token": list(frames.tokens), "stamp_ns": frames.stamps_ns}
     columns |= dict(zip(POSE_COLUMNS, frames.map_from_ego.wxyz_xyz.T, strict=True))
@@ -80,6 +80,6 @@ def _about(sequence: Sequence) -> dict[str, object]:
     }
 
 
-def concatenated(parts: list[FrameCounts]) -> FrameCounts:
+def concatenated(parts: list[FrameVoxelCounts]) -> FrameVoxelCounts:
     """The counts of all parts, in frame order."""
-    return FrameCounts(np.concatenate([p.classes for p in parts]), np.concatenate([p.observed for p in parts]))
+    return FrameVoxelCounts(np.concatenate([p.classes for p in parts]), np.concatenate([p.observed for p in parts]))

@@ -1,4 +1,4 @@
-"""The bell of the queue `labeler`: one job per ring.
+"""The Celery task of the queue `labeler`: each wake-up runs one job.
 
 **Conventions.** Loaded by the worker's parent before it forks: the kernels are imported once, for all children. One
 thread for every library.
@@ -11,7 +11,7 @@ import services.runtime.one_thread  # noqa: F401
 from celery import shared_task
 
 from services.labeler.stages import handlers
-from services.runtime.jobs.running import run_next
+from services.runtime.jobs.execution import run_next
 from services.runtime.platform import platform
 
 

@@ -1,14 +1,14 @@
-"""What a label set adds up to, for its row: how long and how far the robot drove, voxels of all frames by class."""
+"""Totals of a label set for its database row: duration, distance, voxels by class."""
 
 from services.labeler.results import load_pack
-from services.labeler.run import Run, parts_of
+from services.labeler.run import LabelRun, parts_of
 from services.labeler.tables import CLASS_COLUMNS, concatenated
-from stone.composition import duration_ns, path_length_m
+from stone.splits.composition import duration_ns, path_length_m
 
 Totals = dict[str, int | float]
 
 
-def totals_of(run: Run) -> Totals:
+def totals_of(run: LabelRun) -> Totals:
     """By the names of the row's columns; of packs that are in scratch."""
     counts = concatenated([load_pack(run, part)[1] for part in parts_of(run)])
     voxels = dict(zip(CLASS_COLUMNS, counts.classes.sum(axis=0).tolist(), strict=True))

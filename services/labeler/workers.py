@@ -1,6 +1,7 @@
 """Runs tasks in other processes, each when those it waits for are done.
 
-**Conventions.** Workers come from a fork server that has loaded what all need (`services/labeler/warm.py`), each with
+**Conventions.** Workers come from a fork server that has loaded what all need (`services/labeler/kernel_warmup.py`),
+each with
 one thread for every library: the parallelism is over tasks, and the caller's own process stays small. Processes and not
 threads, because half of a stage is numpy and Python under the interpreter's lock.
 `ProcessPoolExecutor`, not `multiprocessing.Pool`, which once wrote all its results and never returned.
@@ -16,14 +17,14 @@ from multiprocessing.context import ForkServerContext
 from threading import Thread
 from typing import Any, Generic, TypeVar
 
-from services.runtime.usage import peak_bytes, used_cpu_s
+from services.runtime.telemetry.process_usage import peak_bytes, used_cpu_s
 
 T = TypeVar("T")
-PRELOAD = ["services.labeler.warm"]
+PRELOAD = ["services.labeler.kernel_warmup"]
 
 
 @dataclass(frozen=True)
-class Done(Generic[T]):
+class TaskResult(Generic[T]):
     """The result of one task, how long it took, and what its process has used so far."""
 
     value: T
@@ -72,14 +73,14 @@ class Workers:
                 process.terminate()
         self._pool.shutdown(wait=True, cancel_futures=True)
 
-    def run(self, tasks: Sequence[Task]) -> Iterator[tuple[Task, Done[Any]]]:
+    def run(self, tasks: Sequence[Task]) -> Iterator[tuple[Task, TaskResult[Any]]]:
         """Every task when it is done, the first of those that can begin going first; the first that raises ends all.
 
         No more are handed out than the processes and one waiting for each, so that what becomes ready goes first.
         Raises ValueError where a need is nobody's key, or tasks wait for each other.
         """
         waiting, ended = list(tasks), set[tuple[object, ...]]()
-        running: dict[Future[Done[Any]], Task] = {}
+        running: dict[Future[TaskResult[Any]], Task] = {}
         while waiting or running:
             ready = [task for task in waiting if task.needs <= ended][: 2 * self._processes - len(running)]
             running |= {self._pool.submit(_measured, task.call, task.arguments): task for task in ready}
@@ -93,10 +94,10 @@ class Workers:
                 yield task, future.result()
 
 
-def _measured(task: Callable[..., T], arguments: tuple[object, ...]) -> Done[T]:
+def _measured(task: Callable[..., T], arguments: tuple[object, ...]) -> TaskResult[T]:
     begin = time.perf_counter()
     value = task(*arguments)
-    return Done(value, time.perf_counter() - begin, peak_bytes(), used_cpu_s(), os.getpid())
+    return TaskResult(value, time.perf_counter() - begin, peak_bytes(), used_cpu_s(), os.getpid())
 
 
 def _prepare() -> None:

@@ -1,1 +1,1 @@
-"""What any process of the platform needs: outputs that are whole or absent."""
+"""Shared runtime of the platform's processes: database, store, jobs, uploads, telemetry."""

@@ -1,22 +1,8 @@
-"""What any service may run into: outputs in the way, a store that is away or full, a database of another version."""
+"""Errors of any service: existing outputs, an unavailable or full store, a newer database schema."""
 
-from pathlib import Path
 from typing import ClassVar
 
 from stone.errors import StoneError
-
-
-class PlatformFaultError(StoneError):
-    """Not the input is at fault but the machine, for now: a job that meets one of these is tried again."""
-
-
-class OutputExistsError(StoneError):
-    """Something that is not ours to replace stands where the output should go."""
-
-    code: ClassVar[str] = "output_exists"
-
-    def __init__(self, path: Path, found: str) -> None:
-        super().__init__(f"{path} is {found}; choose another output path, or remove it first")
 
 
 class NewerSchemaError(StoneError):

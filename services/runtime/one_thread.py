@@ -1,4 +1,4 @@
-"""Importing this gives every numerical library of the process one thread; the parallelism is over jobs.
+"""Limits numerical libraries to one thread per process on import; jobs provide the parallelism.
 
 **Conventions.** Imported before numpy, Open3D and numba, which read these variables when they are loaded. What the
 environment says already holds.

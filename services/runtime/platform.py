@@ -1,4 +1,4 @@
-"""What a process holds of the outside: settings, database, store and bell, opened once per process.
+"""The platform of a process: its settings, database and store, opened once.
 
 **Conventions.** `platform()` is for entry points (a Celery task, the API's start, a supervisor); everything below
 them is handed what it needs. It is keyed by pid, so a forked worker opens its own connections.
@@ -7,10 +7,14 @@ them is handed what it needs. It is keyed by pid, so a forked worker opens its o
 import os
 from dataclasses import dataclass
 
-from services.runtime.bell import ring
-from services.runtime.database import Database
-from services.runtime.settings import Settings
-from services.runtime.store import Store, open_store
+import structlog
+
+from services.runtime.database.transactions import Database
+from services.runtime.jobs.wakeup import wake_up_sender
+from services.runtime.settings import Settings, old_names_in_use
+from services.runtime.settings_checks import RENAMED
+from services.runtime.store.factory import open_store
+from services.runtime.store.protocol import Store
 
 
 @dataclass(frozen=True)
@@ -24,14 +28,18 @@ class Platform:
 
 _OPENED: dict[int, Platform] = {}
 
+log = structlog.get_logger(__name__)
+
 
 def open_platform(settings: Settings) -> Platform:
-    """A platform of its own, whose bells ring in the broker of `settings`."""
-    return Platform(settings, Database(settings, ring(settings)), open_store(settings))
+    """A platform of its own, which sends wake-ups to the broker of `settings`; settings' old names are warned of."""
+    for name in old_names_in_use():
+        log.warning("setting renamed; its old name goes with the next release", setting=name, use=RENAMED[name])
+    return Platform(settings, Database(settings, wake_up_sender(settings)), open_store(settings))
 
 
 def open_silent_platform(settings: Settings) -> Platform:
-    """One that rings no bell, while no worker is there to hear it: a broker that is away is not waited for."""
+    """A platform that sends no wake-ups, while no worker is there: a broker that is away is not waited for."""
     return Platform(settings, Database(settings), open_store(settings))
 
 

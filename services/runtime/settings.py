@@ -4,23 +4,30 @@
 What the environment does not say may be a file of the same name in small letters, `stone_database__password`, in
 `/run/secrets` or the folder that `STONE_SECRETS_DIR` names; blanks around its text are dropped.
 Without any variable the settings are those of the embedded platform: SQLite and a local folder under `data_folder`.
-Durations end in `_s`, sizes in `_bytes`.
+Durations end in `_s`, sizes in `_bytes`. Names of the release before (`RENAMED`) are understood for one release more;
+where both names are set, the new one counts.
+
+A variable that begins with `STONE_` and is no setting is refused, and so are values with which a process cannot work
+(`services/runtime/settings_checks.py`): it ends as it starts, and says what was meant or needed.
 """
 
 import os
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 from urllib.parse import quote, urlsplit
 
 from pydantic import Field, SecretStr
 from pydantic_settings import (
     BaseSettings,
+    EnvSettingsSource,
     NestedSecretsSettingsSource,
     PydanticBaseSettingsSource,
     SettingsConfigDict,
 )
+
+from services.runtime.settings_checks import RENAMED, refuse_impossible, refuse_unknown
 
 GIB = 2**30
 SECRETS, SECRETS_VARIABLE = "/run/secrets", "STONE_SECRETS_DIR"
@@ -55,7 +62,7 @@ class StoreSettings:
 
 @dataclass(frozen=True)
 class BrokerSettings:
-    """The bell. A message lost here is rung again by the sweeper. `password` comes before one in `url`."""
+    """Carries wake-ups. A message lost here is sent again by the sweeper. `password` comes before one in `url`."""
 
     url: str = "redis://127.0.0.1:6379/0"
     password: SecretStr = field(default=SecretStr(""))
@@ -95,8 +102,8 @@ class UploadSettings:
     """Bounds on what comes in. `owner_bytes` is what one owner may have stored or under way; a client that sends
     nothing for `idle_s` is taken for gone.
 
-    `place` is where bytes under way lie: `folder`, which API and workers then share, or `store`, in objects of at most
-    `slab_bytes`. It is of uploads that are created from now on; those under way stay where they are.
+    `backend` is where bytes under way lie: `folder`, which API and workers then share, or `store`, in parts of at most
+    `part_bytes`. It is of uploads that are created from now on; those under way stay where they are.
     """
 
     max_bytes: int = 512 * GIB
@@ -104,8 +111,8 @@ class UploadSettings:
     expires_s: float = 7 * 86400.0
     form_bytes: int = 64 * 2**20
     idle_s: float = 60.0
-    place: Literal["folder", "store"] = "folder"
-    slab_bytes: Annotated[int, Field(ge=64 * 2**10, le=64 * 2**20)] = 8 * 2**20
+    backend: Literal["folder", "store"] = "folder"
+    part_bytes: Annotated[int, Field(ge=64 * 2**10, le=64 * 2**20)] = 8 * 2**20
 
 
 @dataclass(frozen=True)
@@ -167,6 +174,25 @@ class ViewingSettings:
     makes_playback: bool = True
 
 
+def secrets_folder() -> Path:
+    """Where secret files are, if there are any."""
+    return Path(os.environ.get(SECRETS_VARIABLE, SECRETS))
+
+
+class _Environment(EnvSettingsSource):
+    """Environment variables, of both names."""
+
+    def __call__(self) -> dict[str, Any]:
+        return _by_new_names(super().__call__())
+
+
+class _SecretFiles(NestedSecretsSettingsSource):
+    """Secret files, of both names."""
+
+    def __call__(self) -> dict[str, Any]:
+        return _by_new_names(super().__call__())
+
+
 class Settings(BaseSettings):
     """The settings of one process; frozen."""
 
@@ -194,11 +220,15 @@ class Settings(BaseSettings):
     def settings_customise_sources(
         cls, settings_cls: type[BaseSettings], *_: PydanticBaseSettingsSource, **sources: PydanticBaseSettingsSource
     ) -> tuple[PydanticBaseSettingsSource, ...]:
-        """First what the code says, then the environment, then secret files."""
-        folder = os.environ.get(SECRETS_VARIABLE, SECRETS)
+        """First what the code says, then the environment, then secret files. Raises `UnknownSettingError`."""
+        refuse_unknown(cls, os.environ, (path.name for path in secrets_folder().glob("*")))
         known = sources["file_secret_settings"]
-        files = NestedSecretsSettingsSource(known, secrets_dir=folder, secrets_dir_missing="ok")
-        return sources["init_settings"], sources["env_settings"], files
+        files = _SecretFiles(known, secrets_dir=secrets_folder(), secrets_dir_missing="ok")
+        return sources["init_settings"], _Environment(settings_cls), files
+
+    def model_post_init(self, _: Any, /) -> None:
+        """Raises `ImpossibleSettingsError`."""
+        refuse_impossible(self)
 
     @cached_property
     def root(self) -> Path:
@@ -218,3 +248,19 @@ class Settings(BaseSettings):
     def concurrency(self) -> int:
         """Worker processes on this machine: `workers`, or one for every core we may use."""
         return self.workers or len(os.sched_getaffinity(0))
+
+
+def old_names_in_use() -> list[str]:
+    """Keys of `RENAMED` by which the environment or a secret file sets something, of this very process."""
+    found = {name.upper() for name in (*os.environ, *(path.name for path in secrets_folder().glob("*")))}
+    return [name for name in RENAMED if name in found]
+
+
+def _by_new_names(groups: dict[str, Any]) -> dict[str, Any]:
+    """What a source read, with the values of old names under the new ones unless those are set too."""
+    for old, new in RENAMED.items():
+        (group, before), (_, after) = (name.removeprefix("STONE_").lower().split("__") for name in (old, new))
+        values = groups.get(group)
+        if isinstance(values, dict) and before in values:
+            values.setdefault(after, values.pop(before))
+    return groups

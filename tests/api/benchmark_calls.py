@@ -5,7 +5,7 @@ from typing import Any
 
 import httpx
 
-from tests.api.serving import Person
+from testing.api.serving import Person
 
 V1 = "/api/v1"
 ADMIN = f"{V1}/admin"

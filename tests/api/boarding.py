@@ -11,8 +11,8 @@ import httpx
 
 from services.runtime.orm import Benchmark, Team, TeamMember
 from services.runtime.platform import Platform
-from tests.api.serving import Person, person
-from tests.services.runtime.benchmarks.boards import Made, Scene, scene
+from testing.api.serving import Person, person
+from tests.services.domain.benchmarks.boards import Made, Scene, scene
 
 URL = "/api/v1"
 

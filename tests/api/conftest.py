@@ -6,7 +6,7 @@ import httpx
 import pytest
 
 from services.runtime.platform import Platform
-from tests.api.serving import Person, client_of, person
+from testing.api.serving import Person, client_of, person
 from tests.services.runtime.uploads.conftest import with_place
 
 
@@ -25,7 +25,7 @@ def api_on(platform_on: Platform) -> Iterator[httpx.Client]:
 
 @pytest.fixture(params=["folder", "store"])
 def placed(request: pytest.FixtureRequest, platform: Platform) -> Platform:
-    """`platform`, whose uploads lie in one place or the other, there in slabs of 1 MiB."""
+    """`platform`, whose uploads lie in one backend or the other, there in parts of 1 MiB."""
     return with_place(platform, request.param, 1 << 20)
 
 

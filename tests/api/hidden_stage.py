@@ -21,24 +21,24 @@ from services.runtime.orm import (
     Dataset,
     DatasetMember,
     Export,
-    GroundTruth,
+    GroundTruthRow,
     Job,
-    LabelledFrame,
+    LabelledFrameRow,
     LabelSet,
     Score,
-    Sequence,
-    Submission,
+    SequenceRow,
+    SubmissionRow,
     Team,
     Upload,
     User,
 )  # fmt: skip
-from stone.metric import METRICS
-from stone.splits import PARTS
-from tests.api import made, published
+from stone.scoring.metric import METRICS
+from stone.splits.splits import PARTS
+from testing.api.serving import Person, person
+from testing.worlds import made, published
+from testing.worlds.benchmark_world import World, predicted, run_eval
+from testing.worlds.sending import send, standing_world, zipped
 from tests.api.hidden_things import Secrets, secrets_of
-from tests.api.serving import Person, person
-from tests.benchmark_world import World, predicted, run_eval
-from tests.services.eval.sending import send, standing_world, zipped
 
 FRAMES = 2
 STRANGER = "f" * 32
@@ -75,12 +75,12 @@ def known(world: World) -> dict[str, list[str]]:
         def ids(table: Any) -> list[str]:
             return list(session.scalars(select(table.id).order_by(table.id)))
 
-        sequences = session.execute(select(Sequence.id, Sequence.name).order_by(Sequence.id)).all()
+        sequences = session.execute(select(SequenceRow.id, SequenceRow.name).order_by(SequenceRow.id)).all()
         datasets = list(session.scalars(select(Dataset.name).order_by(Dataset.id.desc()).limit(1)))
-        scored = _one_of_each_phase(session, Submission)
+        scored = _one_of_each_phase(session, SubmissionRow)
         known = {"sequence_id": [row.id for row in sequences], "sequence_name": [row.name for row in sequences]}
         known |= {
-            "submission_id": ids(Submission),
+            "submission_id": ids(SubmissionRow),
             "score": _one_of_each_phase(session, Score),
             "job_id": ids(Job),
             "team_id": ids(Team),
@@ -97,12 +97,12 @@ def known(world: World) -> dict[str, list[str]]:
 
 
 def hidden_label_sets(session: Session, world: World) -> list[LabelSet]:
-    of_names = select(LabelSet).join(Sequence, Sequence.id == LabelSet.sequence_id).order_by(Sequence.name)
-    return list(session.scalars(of_names.where(Sequence.name.in_(world.grids["test"]))))
+    of_names = select(LabelSet).join(SequenceRow, SequenceRow.id == LabelSet.sequence_id).order_by(SequenceRow.name)
+    return list(session.scalars(of_names.where(SequenceRow.name.in_(world.grids["test"]))))
 
 
 def hidden_scores(session: Session, world: World) -> list[Score]:
-    return list(session.scalars(select(Score).join(Submission).where(Submission.phase_id == world.test)))
+    return list(session.scalars(select(Score).join(SubmissionRow).where(SubmissionRow.phase_id == world.test)))
 
 
 def change_what_is_hidden(session: Session, world: World) -> None:
@@ -114,11 +114,11 @@ def change_what_is_hidden(session: Session, world: World) -> None:
     for row in label_sets:
         row.free_voxels, row.t_voxels, row.p_voxels, row.n_voxels = 1, 2, 3, 4
     ids = [row.id for row in label_sets]
-    for frame in session.scalars(select(LabelledFrame).where(LabelledFrame.label_set_id.in_(ids))):
+    for frame in session.scalars(select(LabelledFrameRow).where(LabelledFrameRow.label_set_id.in_(ids))):
         frame.sha256, frame.length_bytes = "0" * 64, frame.length_bytes - 1
     for artefact in session.scalars(select(Artefact).where(Artefact.label_set_id.in_(ids))):
         artefact.blob_sha256, artefact.size_bytes = other, 1
-    for truth in session.scalars(select(GroundTruth).where(GroundTruth.phase_id == world.test)):
+    for truth in session.scalars(select(GroundTruthRow).where(GroundTruthRow.phase_id == world.test)):
         truth.pack_sha256 = other
     for score in hidden_scores(session, world):
         score.confusions_sha256, score.content_sha256 = other, "0" * 64
@@ -156,7 +156,7 @@ def _submit(world: World) -> None:
     send(world, zipped(world, spoilt), "test")
     run_eval(world.platform)
     with world.platform.database.reading() as session:
-        states = sorted(session.scalars(select(Submission.state)))
+        states = sorted(session.scalars(select(SubmissionRow.state)))
     assert states == ["invalid", "scored", "scored", "scored", "scored", "valid"]
 
 
@@ -168,11 +168,11 @@ def _without_canary(world: World, part: str) -> dict[str, Any]:
     return grids
 
 
-def _one_of_each_phase(session: Session, table: type[Submission] | type[Score]) -> list[str]:
+def _one_of_each_phase(session: Session, table: type[SubmissionRow] | type[Score]) -> list[str]:
     """Of the first team: more of them are asked for by the routes that list them."""
-    scores = select(table.id, Submission.phase_id).where(Submission.state == "scored").order_by(table.id)
+    scores = select(table.id, SubmissionRow.phase_id).where(SubmissionRow.state == "scored").order_by(table.id)
     if table is Score:
-        scores = scores.join(Submission, Submission.id == Score.submission_id)
+        scores = scores.join(SubmissionRow, SubmissionRow.id == Score.submission_id)
     return list({phase: found for found, phase in session.execute(scores)}.values())
 
 

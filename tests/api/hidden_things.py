@@ -27,14 +27,14 @@ from services.runtime.orm import (
     Blob,
     DatasetMember,
     DatasetPack,
-    GroundTruth,
-    LabelledFrame,
+    GroundTruthRow,
+    LabelledFrameRow,
     LabelSet,
     Score,
-    Sequence,
-    Submission,
+    SequenceRow,
+    SubmissionRow,
 )
-from tests.benchmark_world import CANARY, World
+from testing.worlds.benchmark_world import CANARY, World
 
 NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:[eE][+-]?\d+)?(?![\w.])")
 WINDOW_BYTES = 48
@@ -77,14 +77,16 @@ def unwrapped(body: bytes, depth: int = 0) -> Iterator[bytes]:
 def secrets_of(session: Session, world: World) -> Secrets:
     """Of the phase `test`."""
     names = list(world.grids["test"])
-    members = select(LabelSet).join(Sequence, Sequence.id == LabelSet.sequence_id).where(Sequence.name.in_(names))
+    members = (
+        select(LabelSet).join(SequenceRow, SequenceRow.id == LabelSet.sequence_id).where(SequenceRow.name.in_(names))
+    )
     label_sets = list(session.scalars(members))
     ids = [one.id for one in label_sets]
-    frames = list(session.scalars(select(LabelledFrame).where(LabelledFrame.label_set_id.in_(ids))))
-    scores = list(session.scalars(select(Score).join(Submission).where(Submission.phase_id == world.test)))
+    frames = list(session.scalars(select(LabelledFrameRow).where(LabelledFrameRow.label_set_id.in_(ids))))
+    scores = list(session.scalars(select(Score).join(SubmissionRow).where(SubmissionRow.phase_id == world.test)))
     kept = set(session.scalars(select(Artefact.blob_sha256).where(Artefact.label_set_id.in_(ids))))
-    kept |= {sha for score in scores for sha in (score.confusions_sha256, score.draws_sha256)}
-    kept |= set(session.scalars(select(GroundTruth.pack_sha256).where(GroundTruth.phase_id == world.test)))
+    kept |= {sha for score in scores for sha in (score.confusions_sha256, score.replicates_sha256)}
+    kept |= set(session.scalars(select(GroundTruthRow.pack_sha256).where(GroundTruthRow.phase_id == world.test)))
     kept |= set(session.scalars(select(DatasetPack.blob_sha256).where(DatasetPack.part == "test")))
     keys = session.scalars(select(Blob.object_key).where(Blob.sha256.in_(kept)))
     digests = kept | {frame.sha256 for frame in frames} | {score.content_sha256 for score in scores}
@@ -94,7 +96,7 @@ def secrets_of(session: Session, world: World) -> Secrets:
     return Secrets(
         tuple(_windows(world)),
         frozenset(keys) | {form for digest in digests for form in _written(digest)},
-        frozenset(float(one) for one in [*counts, *numbers] if _is_telling(one)),
+        frozenset(float(one) for one in [*counts, *numbers] if _is_conclusive(one)),
     )
 
 
@@ -122,7 +124,7 @@ def _written(digest: str | None) -> tuple[str, ...]:
     return digest, base64.b64encode(raw).decode(), base64.urlsafe_b64encode(raw).decode().rstrip("=")
 
 
-def _is_telling(number: float | None) -> bool:
+def _is_conclusive(number: float | None) -> bool:
     """Exact ratios and large counts; a ratio that rounding does not change is public, and a small count is anything."""
     if number is None or isinstance(number, bool):
         return False

@@ -5,15 +5,15 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from services.runtime import blobs
-from services.runtime.benchmarks.inputs import MadeInput, write_input
+from services.domain.benchmarks.phases.inputs import PhaseInputResult, write_input
 from services.runtime.orm import new_id
-from services.runtime.packed_reading import archive_sha256, local_reader
-from services.runtime.packs import index_bytes, pack_folder
 from services.runtime.platform import Platform
+from services.runtime.store import blobs
+from services.runtime.store.pack_reading import archive_sha256, local_reader
+from services.runtime.store.packs import index_bytes, pack_folder
 
 
-def made_input(platform: Platform, phase_id: str, name: str, files: Mapping[str, bytes]) -> MadeInput:
+def made_input(platform: Platform, phase_id: str, name: str, files: Mapping[str, bytes]) -> PhaseInputResult:
     """The input of a sequence with these files; packs of 2 KiB."""
     folder = Path(platform.settings.root) / f"made-{new_id()}"
     for path, content in files.items():
@@ -24,7 +24,7 @@ def made_input(platform: Platform, phase_id: str, name: str, files: Mapping[str,
     paths = [folder / "index.npz", *sorted((folder / "packs").iterdir())]
     index, *packs = [blobs.prepare(platform.store, platform.database, path) for path in paths]
     tar = archive_sha256(packed, "tar", local_reader(folder / "packs"), lambda done, total: None)
-    made = MadeInput(name, packed, index, packs, tar)
+    made = PhaseInputResult(name, packed, index, packs, tar)
     attempt: Any = SimpleNamespace(arguments={"phase_id": phase_id})
     with platform.database.transaction() as session:
         write_input(session, attempt, made)

@@ -8,9 +8,9 @@ from typing import Any
 import httpx
 
 from services.runtime.platform import Platform
-from tests.api.serving import Person
-from tests.api.tus import create, patch
-from tests.services.runtime.benchmarks.drafts import ZIP, Desk, desk_on
+from testing.api.serving import Person
+from testing.api.tus import create, patch
+from tests.services.domain.benchmarks.drafts import ZIP, Entrant, entrant_on
 
 URL = "/api/v1"
 
@@ -78,8 +78,8 @@ def refused(reply: httpx.Response) -> tuple[int, str]:
 
 def submitting(api: httpx.Client, platform: Platform, **rules: Any) -> Submitting:
     """A captain in a fresh phase with these rules; no stage reads what is sent to it."""
-    return at_desk(api, desk_on(platform, **rules))
+    return as_entrant(api, entrant_on(platform, **rules))
 
 
-def at_desk(api: httpx.Client, desk: Desk) -> Submitting:
-    return Submitting(api, desk.captain, desk.phase_id, desk.team_id)
+def as_entrant(api: httpx.Client, entrant: Entrant) -> Submitting:
+    return Submitting(api, entrant.captain, entrant.phase_id, entrant.team_id)

@@ -11,17 +11,17 @@ from fastapi import FastAPI
 
 from api.deps import SAFE
 from api.main import make_api
-from services.runtime.migrate import upgrade
+from services.runtime.database.migrate import upgrade
 from services.runtime.platform import Platform
 from services.runtime.settings import ApiSettings, BrokerSettings, DatabaseSettings
+from testing.api.serving import serving
+from testing.servers.fixtures import make_settings, opened
 from tests.api.access.cast import CALLERS, OF_OWNER, Cast, make_cast
 from tests.api.access.holes import HOLES, with_holes
 from tests.api.access.ledger import ledger_of
 from tests.api.access.matrix import Answer, Matrix, make_matrix, neutral, operations_in, unlisted
 from tests.api.access.table import TABLE, Operation, expectations
 from tests.api.access.world import UNKNOWN, World, make_world
-from tests.api.serving import serving
-from tests.servers.fixtures import make_settings, opened
 
 NO_BROKER = BrokerSettings("redis://127.0.0.1:1/0")
 UNBOUND = ApiSettings(requests_per_minute=10**7, sign_ins_per_minute=10**7)
@@ -50,7 +50,7 @@ def staged(platform: Platform, table: str, is_holed: bool = False) -> Iterator[S
     application = with_holes(make_api(platform)) if is_holed else make_api(platform)
     cast = make_cast(platform)
     world = make_world(platform, cast.users["owner"])
-    with serving(platform, application) as url, httpx.Client(base_url=url, timeout=30.0) as client:
+    with serving(platform, application) as url, httpx.Client(base_url=url, timeout=300.0) as client:
         yield Scene(platform, application, make_matrix(client, application, expectations(table)), cast, world)
 
 

@@ -6,18 +6,18 @@ import httpx
 import pytest
 from sqlalchemy import event, select, update
 
-from api.admin_views import job_counts
-from api.queue_views import queue_items
-from api.routes.admin_jobs import AdminFilters
-from benchmarks.dashboard_rows import fill
-from services.runtime.jobs.claiming import claim
-from services.runtime.jobs.presence import Presence
-from services.runtime.jobs.running import run_next
+from api.routes.admin.admin_jobs import AdminFilters
+from api.views.admin import job_counts
+from api.views.queues import queue_items
+from benchmarks.dashboard.rows import fill
+from services.runtime.jobs.claims import claim
+from services.runtime.jobs.execution import run_next
+from services.runtime.jobs.worker_presence import WorkerHeartbeat
 from services.runtime.orm import AuditEntry, Job
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
-from tests.api.made import NOBODY, job, row_of, run, sequence
-from tests.api.serving import Person, person
+from testing.api.serving import Person, person
+from testing.worlds.made import NOBODY, job, row_of, run, sequence
 from tests.api.test_jobs import HANDLERS, ids, run_all
 
 ADMIN = "/api/v1/admin"
@@ -150,7 +150,7 @@ def test_a_queue_says_how_long_its_oldest_waits_and_what_it_achieved(
 
 def test_a_worker_is_shown_with_the_job_it_holds(api: httpx.Client, platform: Platform, administrator: Person) -> None:
     job_id = job(platform, administrator, "ingest.speak")
-    Presence(platform, ["ingest"]).tell()
+    WorkerHeartbeat(platform, ["ingest"]).tell()
     with platform.database.transaction() as session:
         claim(session, "ingest")
     (worker,) = ask(api, administrator, "/workers")["workers"]

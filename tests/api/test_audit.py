@@ -12,7 +12,7 @@ from api.deps import Caller
 from api.errors import ReasonMissingError
 from services.runtime.orm import AuditEntry, Team
 from services.runtime.platform import Platform
-from tests.api.serving import Person, person
+from testing.api.serving import Person, person
 
 LOG = "/api/v1/admin/audit-log"
 ADA = Caller("a" * 32, "ada", "administrator", frozenset({"read", "admin"}), is_session=False)
@@ -123,7 +123,7 @@ def test_eight_writers_at_once_make_one_chain(platform_on: Platform) -> None:
 
     def work(number: int) -> None:
         try:
-            together.wait(30)
+            together.wait(300)
             for turn in range(6):
                 with platform_on.database.transaction() as session:
                     audit.record(session, ADA, f"act.{number}.{turn}", "subject")

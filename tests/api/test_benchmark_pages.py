@@ -9,16 +9,16 @@ import httpx
 import pytest
 from sqlalchemy import select, update
 
-from services.eval.manifest import read_manifest
-from services.runtime.benchmarks.golden import golden_names
-from services.runtime.orm import GroundTruth, Phase
+from services.domain.benchmarks.golden import golden_names
+from services.runtime.orm import GroundTruthRow, Phase
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
-from stone.metric import METRIC_VERSION, METRICS
+from stone.scoring.metric import METRIC_VERSION, METRICS
+from stone_submissions.manifest import read_manifest
+from testing.api.serving import Person
+from testing.worlds.benchmark_world import benchmark_world
 from tests.api.benchmark_calls import V1, made, problem
-from tests.api.serving import Person
-from tests.benchmark_world import benchmark_world
-from tests.services.runtime.benchmarks import laid
+from tests.services.domain.benchmarks import laid
 
 
 @pytest.fixture
@@ -63,7 +63,7 @@ def test_a_phase_that_is_scored_tells_by_what_and_which_frames(
     for part in ("val", "test"):
         path = f"{V1}/benchmarks/{world.benchmark}/phases/{part}"
         phase = api.get(path, headers=headers).json()
-        truth = laid.rows(platform, select(GroundTruth).where(GroundTruth.phase_id == phase["id"]))[0]
+        truth = laid.rows(platform, select(GroundTruthRow).where(GroundTruthRow.phase_id == phase["id"]))[0]
         active = phase["active"]
         assert active["signature"] == {"metric": METRIC_VERSION, "ground_truth": truth.sha256, "mask": "all"}
         assert (active["ground_truth"], active["frames"], active["dataset"]) == (

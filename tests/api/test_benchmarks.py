@@ -8,10 +8,10 @@ from sqlalchemy import select, update
 
 from services.runtime.orm import AuditEntry, Job
 from services.runtime.platform import Platform
+from testing.api.serving import Person
+from testing.worlds.made import NOBODY
 from tests.api.benchmark_calls import ADMIN, PAPER, V1, WHY, change, made, make, problem
-from tests.api.made import NOBODY
-from tests.api.serving import Person
-from tests.services.runtime.benchmarks import laid
+from tests.services.domain.benchmarks import laid
 
 
 @pytest.fixture

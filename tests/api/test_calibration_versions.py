@@ -7,7 +7,7 @@ from typing import Any
 import httpx
 import pytest
 
-from tests.api.serving import Person, person
+from testing.api.serving import Person, person
 from tests.api.test_calibrations import PLAIN, URL, kept
 
 MAY, JUNE = "2026-05-01T00:00:00Z", "2026-06-01T02:00:00+02:00"

@@ -10,11 +10,11 @@ from typing import Any
 import httpx
 import pytest
 
-from api import calibration_reading
-from services.runtime.confined.parcel import packed
+from api.views import calibration_reading
 from services.runtime.platform import Platform
-from tests.api.made import NOBODY, sequence
-from tests.api.serving import Person, client_of, person
+from services.runtime.sandbox.result_files import packed
+from testing.api.serving import Person, client_of, person
+from testing.worlds.made import NOBODY, sequence
 
 URL = "/api/v1/calibrations"
 RADAR = b"""sensors:
@@ -163,7 +163,7 @@ def test_versions_that_come_at_once_come_one_after_another(platform_on: Platform
         versions: list[int] = []
 
         def add(number: int) -> None:
-            with httpx.Client(base_url=api.base_url, timeout=30) as own:
+            with httpx.Client(base_url=api.base_url, timeout=300) as own:
                 versions.append(kept(own, ada, PLAIN + b"# %d\n" % number)["version"])
 
         threads = [threading.Thread(target=add, args=(number,)) for number in range(4)]
@@ -180,7 +180,7 @@ def test_the_same_bytes_at_once_are_kept_once(platform_on: Platform) -> None:
         answers: list[tuple[int, str]] = []
 
         def add() -> None:
-            with httpx.Client(base_url=api.base_url, timeout=30) as own:
+            with httpx.Client(base_url=api.base_url, timeout=300) as own:
                 answer = posted(own, ada)
                 answers.append((answer.status_code, answer.json()["id"]))
 

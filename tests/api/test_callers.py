@@ -11,8 +11,8 @@ from sqlalchemy import update
 from services.runtime.orm import Token, User
 from services.runtime.platform import Platform
 from services.runtime.settings import DatabaseSettings
-from tests.api.serving import Person, client_of, person
-from tests.servers.fixtures import make_settings, opened
+from testing.api.serving import Person, client_of, person
+from testing.servers.fixtures import make_settings, opened
 
 ME = "/api/v1/me"
 

@@ -14,15 +14,24 @@ import pytest
 from sqlalchemy import delete, select, text
 from sqlalchemy.exc import DatabaseError
 
-from services.runtime.blobs import collect
-from services.runtime.catalogue import labelled_sequences
-from services.runtime.orm import Artefact, Blob, Dataset, DatasetMember, DatasetPart, LabelledFrame, LabelSet, Sequence
+from services.domain.datasets.catalogue import labelled_sequences
+from services.runtime.orm import (
+    Artefact,
+    Blob,
+    Dataset,
+    DatasetMember,
+    DatasetPart,
+    LabelledFrameRow,
+    LabelSet,
+    SequenceRow,
+)
 from services.runtime.platform import Platform
 from services.runtime.settings import Settings, StoreSettings
-from services.runtime.store import open_store
-from tests.api.made import labels
-from tests.api.published import published_sequence
-from tests.api.serving import Person, person
+from services.runtime.store.blobs import collect_garbage
+from services.runtime.store.factory import open_store
+from testing.api.serving import Person, person
+from testing.worlds.made import labels
+from testing.worlds.published import published_sequence
 
 URL = "/api/v1/datasets"
 
@@ -85,7 +94,7 @@ def contents_of(platform: Platform, sequence_id: str) -> dict[str, bytes]:
     """
     found = {}
     with platform.database.reading() as session:
-        name = session.get_one(Sequence, sequence_id).name
+        name = session.get_one(SequenceRow, sequence_id).name
         labels_id = select(LabelSet.id).where(LabelSet.sequence_id == sequence_id).scalar_subquery()
         files = select(Artefact, Blob).join(Blob, Blob.sha256 == Artefact.blob_sha256)
         packs = {}
@@ -94,7 +103,7 @@ def contents_of(platform: Platform, sequence_id: str) -> dict[str, bytes]:
             packs[artefact.id] = content
             if not artefact.name.startswith(("labels/", "scene/")):
                 found[f"sequences/{name}/{artefact.name}"] = content
-        for frame in session.scalars(select(LabelledFrame).where(LabelledFrame.label_set_id == labels_id)):
+        for frame in session.scalars(select(LabelledFrameRow).where(LabelledFrameRow.label_set_id == labels_id)):
             stop = frame.offset_bytes + frame.length_bytes
             found[f"gts/{name}/{frame.token}/labels.npz"] = packs[frame.pack_id][frame.offset_bytes : stop]
     return found
@@ -156,7 +165,7 @@ def test_of_tests_labels_nothing_is_told_to_anybody(api: httpx.Client, platform:
     hidden = contents_of(platform, release.ids["test"])
     with platform.database.reading() as session:
         row = session.scalars(select(LabelSet).where(LabelSet.sequence_id == release.ids["test"])).one()
-        tokens = list(session.scalars(select(LabelledFrame.token).where(LabelledFrame.label_set_id == row.id)))
+        tokens = list(session.scalars(select(LabelledFrameRow.token).where(LabelledFrameRow.label_set_id == row.id)))
         blobs = list(session.scalars(select(Artefact.blob_sha256).where(Artefact.label_set_id == row.id)))
         index = session.get_one(DatasetPart, (session.scalars(select(Dataset.id)).one(), "test"))
     secrets = [hashlib.sha256(content).hexdigest() for content in hidden.values()]
@@ -196,7 +205,7 @@ def test_a_version_stays_as_it_is_whatever_becomes_of_its_sequences(
     match = {**release_on.owner.headers, "If-Match": "*"}
     assert api_on.patch(f"{sequences}/{train}", json={"illumination": "night"}, headers=match).status_code == 200
     with platform_on.database.reading() as session:
-        facts = {"id": train, "name": session.get_one(Sequence, train).name, "owner_id": release_on.owner.user_id}
+        facts = {"id": train, "name": session.get_one(SequenceRow, train).name, "owner_id": release_on.owner.user_id}
     labels(platform_on, facts, seed=b"anew")
     for one in release_on.ids.values():
         assert api_on.delete(f"{sequences}/{one}", headers=match).status_code == 204
@@ -205,7 +214,8 @@ def test_a_version_stays_as_it_is_whatever_becomes_of_its_sequences(
         database=platform_on.settings.database,
         store=StoreSettings(grace_s=0.0),
     )
-    assert collect(Platform(hasty, platform_on.database, open_store(hasty))).rows > 0, "the labels made anew went"
+    gone = collect_garbage(Platform(hasty, platform_on.database, open_store(hasty)))
+    assert gone.rows > 0, "the labels made anew went"
     after = [api_on.get(one, headers=release_on.reader.headers) for one in (release_on.path, path)]
     assert [answer.content for answer in after] == [answer.content for answer in before]
     manifest_of(api_on, release_on)

@@ -12,13 +12,13 @@ import httpx
 import pytest
 from sqlalchemy import func, select
 
-from services.runtime import quota
-from services.runtime.collection import collect
-from services.runtime.jobs.steering import cancel
+from services.runtime.access import storage_quota
+from services.runtime.jobs.control import cancel
 from services.runtime.orm import AuditEntry, Blob, Export, ExportPack, Job
 from services.runtime.platform import Platform
-from tests.api.made import NOBODY, export, labels, sequence
-from tests.api.serving import Person, person
+from services.runtime.store.garbage_collection import collect_garbage
+from testing.api.serving import Person, person
+from testing.worlds.made import NOBODY, export, labels, sequence
 
 URL = "/api/v1/sequences"
 FILES = {
@@ -218,7 +218,7 @@ def test_a_deleted_export_gives_everything_back(
     with platform.database.reading() as session:
         kept = set(session.scalars(select(ExportPack.blob_sha256)))
         assert len(kept) > 1
-        assert quota.balance(session, curator.user_id) > sum(map(len, FILES.values()))
+        assert storage_quota.balance(session, curator.user_id) > sum(map(len, FILES.values()))
     assert ask(api, curator, f"{made}/archive").status_code == 200
     assert api.delete(made, headers=curator.headers).status_code == 204
     assert ask(api, curator, made).status_code == 404
@@ -226,7 +226,7 @@ def test_a_deleted_export_gives_everything_back(
     with platform.database.reading() as session:
         assert session.scalars(select(Export)).all() == []
         assert kept & set(session.scalars(select(Blob.sha256))) == set()
-        assert quota.balance(session, curator.user_id) == 0
+        assert storage_quota.balance(session, curator.user_id) == 0
         acts = session.scalars(select(AuditEntry.act).where(AuditEntry.subject_id == made.rpartition("/")[2])).all()
     assert acts == ["export.delete"]
 
@@ -242,7 +242,7 @@ def test_a_collection_leaves_exports_and_a_deleted_sequence_has_none(
     with platform.database.reading() as session:
         assert session.scalar(select(func.count()).select_from(Export)) == 0
         assert session.scalar(select(func.count()).select_from(ExportPack)) == 0
-        assert quota.balance(session, curator.user_id) == 0
+        assert storage_quota.balance(session, curator.user_id) == 0
 
 
 def test_deleting_an_export_stops_its_job(
@@ -264,4 +264,4 @@ def test_a_repeated_key_is_answered_the_same(api: httpx.Client, curator: Person,
 def collect_all(platform: Platform) -> None:
     """The collection of a platform whose grace has passed."""
     settings = platform.settings.model_copy(update={"store": type(platform.settings.store)(grace_s=-1.0)})
-    collect(Platform(settings, platform.database, platform.store))
+    collect_garbage(Platform(settings, platform.database, platform.store))

@@ -1,4 +1,7 @@
-"""A large archive passes through the server with flat memory, however many download it at once."""
+"""A large archive passes through the server with flat memory, however many download it at once.
+
+Catches alone an archive that is held in memory while it is sent.
+"""
 
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -6,11 +9,14 @@ from hashlib import sha256
 from pathlib import Path
 
 import httpx
+import pytest
 
 from services.runtime.platform import Platform
-from tests.api import made
-from tests.api.process import running_api
-from tests.api.serving import Person, client_of
+from testing.api.process import running_api
+from testing.api.serving import Person, client_of
+from testing.worlds import made
+
+pytestmark = pytest.mark.whole
 
 MIB = 2**20
 LARGE = 96 * MIB
@@ -26,7 +32,7 @@ def test_memory_is_flat_while_archives_are_streamed(platform: Platform, curator:
     path = f"/api/v1/sequences/{sequence['id']}/exports"
     with ExitStack() as stack:
         api = stack.enter_context(running_api(platform.settings, tmp_path / "api.log"))
-        client = stack.enter_context(httpx.Client(base_url=api.url, headers=curator.headers, timeout=60))
+        client = stack.enter_context(httpx.Client(base_url=api.url, headers=curator.headers, timeout=300))
         export = client.get(path).json()["items"][0]
         url = f"{path}/{export['id']}/archive?format=zip"
         client.get(url, headers={"Range": "bytes=-1000"})

@@ -8,8 +8,8 @@ import httpx
 import pytest
 
 from services.runtime.platform import Platform
-from tests.api.made import NOBODY, Labels, labels, sequence
-from tests.api.serving import Person, person
+from testing.api.serving import Person, person
+from testing.worlds.made import NOBODY, Labels, labels, sequence
 
 URL = "/api/v1/sequences"
 

@@ -6,7 +6,7 @@ import pytest
 
 from services.runtime.platform import Platform
 from services.runtime.settings import ApiSettings
-from tests.api.serving import client_of
+from testing.api.serving import client_of
 
 
 @pytest.mark.parametrize(

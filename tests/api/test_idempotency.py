@@ -11,13 +11,13 @@ from sqlalchemy import func, select, update
 from sqlalchemy.exc import OperationalError
 from structlog.testing import capture_logs
 
-from api import kept_replies
-from api.kept_replies import KEPT_NS, Asked, Reply
 from api.main import make_api
-from services.runtime.database import Database
+from api.middleware import kept_replies
+from api.middleware.kept_replies import KEPT_NS, IdempotentRequest, StoredReply
+from services.runtime.database.transactions import Database
 from services.runtime.orm import IdempotentReply, Team
 from services.runtime.platform import Platform
-from tests.api.serving import Person, person, serving
+from testing.api.serving import Person, person, serving
 
 TEAMS = "/api/v1/teams"
 
@@ -109,8 +109,8 @@ def test_of_twenty_equal_requests_at_once_one_creates(api_on: httpx.Client, plat
     together = threading.Barrier(20)
 
     def ask() -> None:
-        with httpx.Client(base_url=api_on.base_url, timeout=60) as client:
-            together.wait(30)
+        with httpx.Client(base_url=api_on.base_url, timeout=300) as client:
+            together.wait(300)
             answers.append(found(client, ada, "k"))
 
     threads = [threading.Thread(target=ask) for _ in range(20)]
@@ -147,7 +147,7 @@ def faulty(platform: Platform) -> Iterator[Callable[[], tuple[httpx.Client, list
 
     app = make_api(platform)
     app.include_router(router)
-    with serving(platform, app) as url, httpx.Client(base_url=url, timeout=30) as client:
+    with serving(platform, app) as url, httpx.Client(base_url=url, timeout=300) as client:
         yield lambda: (client, plan)
 
 
@@ -185,7 +185,7 @@ def test_an_answer_waits_for_a_database_that_is_away_for_a_moment(
     plan.append("answer")
     outages, keep = [1, 2, 3], kept_replies.keep
 
-    def keep_after_the_outage(database: Database, row_id: str, reply: Reply | None) -> None:
+    def keep_after_the_outage(database: Database, row_id: str, reply: StoredReply | None) -> None:
         if outages:
             raise OperationalError("UPDATE", {}, RuntimeError(f"the server is away, {outages.pop()}"))
         keep(database, row_id, reply)
@@ -210,8 +210,8 @@ def test_an_answer_too_large_to_keep_goes_out_whole_and_is_not_repeated(
     assert teams_in(platform) == 1
 
 
-def asked_by(caller: Person, sha256: str = "a" * 64, lease_ns: int = 10**12) -> Asked:
-    return Asked(caller.user_id, TEAMS, "k", sha256, lease_ns)
+def asked_by(caller: Person, sha256: str = "a" * 64, lease_ns: int = 10**12) -> IdempotentRequest:
+    return IdempotentRequest(caller.user_id, TEAMS, "k", sha256, lease_ns)
 
 
 def test_a_request_whose_process_died_before_its_commit_is_worked_on_again_after_the_lease(

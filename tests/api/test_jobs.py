@@ -7,16 +7,16 @@ from typing import Any
 import httpx
 import pytest
 
-from services.runtime.jobs.claiming import claim
-from services.runtime.jobs.running import run_next
+from services.runtime.jobs.claims import claim
+from services.runtime.jobs.execution import run_next
 from services.runtime.jobs.specs import Attempt, Handlers, JobSpec, Outcome
 from services.runtime.orm import JobLine
 from services.runtime.platform import Platform
 from services.runtime.settings import BrokerSettings
 from stone.errors import StoneError
-from tests.api.made import NOBODY, job, row_of, run, sequence
-from tests.api.serving import Person, client_of, person
-from tests.servers.fixtures import make_settings, opened
+from testing.api.serving import Person, client_of, person
+from testing.servers.fixtures import make_settings, opened
+from testing.worlds.made import NOBODY, job, row_of, run, sequence
 
 JOBS, ADMIN = "/api/v1/jobs", "/api/v1/admin"
 WHY = {"reason": "worker-3 is being replaced"}

@@ -13,10 +13,10 @@ from api.schemas.leaderboard import LeaderboardAnswer
 from services.runtime.orm import Phase
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
+from testing.api.serving import person
+from testing.worlds.made import NOBODY
 from tests.api.boarding import answered, boarding, refused
-from tests.api.made import NOBODY
-from tests.api.serving import person
-from tests.services.runtime.benchmarks.boards import HOUR_NS, Made, scene
+from tests.services.domain.benchmarks.boards import HOUR_NS, Made, scene
 
 FORMS = {
     "csv": "text/csv; charset=utf-8",

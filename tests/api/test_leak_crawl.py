@@ -7,11 +7,13 @@ is asked again, and every answer is byte for byte what it was; that sees also wh
 The hidden phase runs. The callers are the captain of a scored team, whose the jobs of its submissions are and who
 sees another team's entries as others do, and somebody in no team.
 
-Timing tells nothing either. Counting a frame is loops over all words of its bit planes (`stone/bitplanes.py`), without
-a branch on a voxel: how many depends on the grid's shape alone, which
+Timing tells nothing either. Counting a frame is loops over all words of its bit planes (`stone/scoring/bitplanes.py`),
+without a branch on a voxel: how many depends on the grid's shape alone, which
 `test_counting_takes_no_branch_on_what_it_counts` asserts. Unpacking a frame of the truth takes a time of its own, but
 the same for every submission, so that no choice of predictions turns it into an answer about a voxel; what is wrong
 with a frame is found by what is in the submission. Intervals are drawn equally often from the same seed.
+
+Catches alone a route, of all there are, that tells what is hidden.
 """
 
 import ast
@@ -25,10 +27,11 @@ from typing import Any
 import pytest
 from sqlalchemy import select
 
-from services.runtime.orm import GroundTruth
+from services.runtime.orm import GroundTruthRow
 from services.runtime.platform import Platform
 from services.runtime.settings import ApiSettings
-from stone import bitplanes
+from stone.scoring import bitplanes
+from testing.api.serving import Person, client_of
 from tests.api.crawling import Answer, Crawl
 from tests.api.hidden_stage import (
     EXPORTED,
@@ -40,7 +43,8 @@ from tests.api.hidden_stage import (
     known,
     staged,
 )
-from tests.api.serving import Person, client_of
+
+pytestmark = pytest.mark.whole
 
 UNBOUND = ApiSettings(requests_per_minute=10**7)
 OTHERS = ("recording_id", "export_id", "calibration_id")
@@ -112,7 +116,10 @@ def test_what_is_hidden_is_answered_like_what_does_not_exist(stage: Stage) -> No
     """Status, headers and sentence, but for the id."""
     with stage.world.platform.database.reading() as session:
         hidden = hidden_label_sets(session, stage.world)[0].sequence_id
-        job = session.scalars(select(GroundTruth.job_id).where(GroundTruth.phase_id == stage.world.test)).one() or ""
+        job = (
+            session.scalars(select(GroundTruthRow.job_id).where(GroundTruthRow.phase_id == stage.world.test)).one()
+            or ""
+        )
     token = next(iter(stage.world.truth("test")))
     with client_of(unbound(stage.world.platform), stage.world.member) as client:
         document = client.get("/api/v1/openapi.json").json()

@@ -8,12 +8,12 @@ from fastapi import Request
 from hypothesis import given
 from hypothesis import strategies as st
 
-from api import limits
 from api.errors import RateLimitedError
-from api.limits import Buckets, Limits, address_of, credential_of
+from api.middleware import limits
+from api.middleware.limits import Buckets, RequestLimits, address_of, credential_of
 from services.runtime.platform import Platform
 from services.runtime.settings import ApiSettings, Settings
-from tests.api.serving import Person, client_of
+from testing.api.serving import Person, client_of
 
 
 class Clock:
@@ -100,7 +100,7 @@ def test_an_address_counts_as_one_house(host: str, expected: str) -> None:
 
 
 def test_inventing_tokens_buys_no_more_requests() -> None:
-    limiting = Limits(strict(requests_per_minute=3), Clock())
+    limiting = RequestLimits(strict(requests_per_minute=3), Clock())
     for number in range(3):
         limiting.admit(request(authorization=f"Bearer {number}"))
     with pytest.raises(RateLimitedError, match="more than 3 a minute"):
@@ -109,7 +109,7 @@ def test_inventing_tokens_buys_no_more_requests() -> None:
 
 
 def test_a_known_caller_is_counted_apart_from_their_address_and_over_all_their_tokens() -> None:
-    limiting = Limits(strict(requests_per_minute=2), Clock())
+    limiting = RequestLimits(strict(requests_per_minute=2), Clock())
     for secret in ("one", "two"):
         limiting.know(request(authorization=secret), "ada")
     for secret in ("one", "two"):
@@ -120,7 +120,7 @@ def test_a_known_caller_is_counted_apart_from_their_address_and_over_all_their_t
 
 
 def test_sign_ins_are_counted_by_address_and_by_name() -> None:
-    limiting = Limits(strict(sign_ins_per_minute=2), Clock())
+    limiting = RequestLimits(strict(sign_ins_per_minute=2), Clock())
     for _ in range(2):
         limiting.admit_sign_in(request(), "ada")
     with pytest.raises(RateLimitedError):
@@ -138,7 +138,7 @@ def test_a_secret_is_not_kept_in_memory() -> None:
 
 def test_known_credentials_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(limits, "MOST_BUCKETS", 3)
-    limiting = Limits(strict(), Clock())
+    limiting = RequestLimits(strict(), Clock())
     for number in range(10):
         limiting.know(request(authorization=f"Bearer {number}"), f"user {number}")
     assert len(limiting._known) == 3
@@ -147,7 +147,7 @@ def test_known_credentials_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def _standing(monkeypatch: pytest.MonkeyPatch) -> None:
     """However slow the machine, no bucket of the application fills meanwhile."""
-    monkeypatch.setattr("api.main.Limits", lambda settings: Limits(settings, Clock()))
+    monkeypatch.setattr("api.main.RequestLimits", lambda settings: RequestLimits(settings, Clock()))
 
 
 @pytest.mark.usefixtures("_standing")

@@ -14,17 +14,17 @@ import pytest
 
 from services.ingest import stages as ingest
 from services.labeler import stages as labeler
-from services.runtime import quota
-from services.runtime.jobs.running import run_next
-from services.runtime.orm import LabelSet, Recording
+from services.runtime.access import storage_quota
+from services.runtime.jobs.execution import run_next
+from services.runtime.orm import Blob, Export, ExportPack, LabelSet, Recording
 from services.runtime.platform import Platform
 from services.runtime.settings import Settings
 from simulator.pipeline import calibration_path
-from tests.api.serving import Person, client_of, person
-from tests.servers.fixtures import opened
-from tests.services.runs import run_all, simulated
+from testing.api.serving import Person, client_of, person
+from testing.servers.fixtures import opened
+from testing.worlds.runs import run_all, simulated
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.everyday
 API = "/api/v1"
 
 
@@ -192,16 +192,19 @@ def test_a_sequence_is_deleted_safely_while_its_jobs_run(platform: Platform, bag
         assert api.get(path).status_code == 404
     with platform.database.reading() as session:
         assert session.query(LabelSet).count() == session.query(Recording).count() == 0
-        assert quota.balance(session, owner.user_id) == 0
+        assert storage_quota.balance(session, owner.user_id) == 0
 
 
 def test_a_deleted_sequence_leaves_nothing_that_is_counted(done: Done) -> None:
     """The last of the module."""
     with done.platform.database.reading() as session:
-        assert quota.balance(session, done.owner.user_id) == done.bag.stat().st_size
+        index = session.get_one(Blob, session.query(Export).one().index_sha256)
+        playback_bytes = index.size_bytes + sum(pack.size_bytes for pack in session.query(ExportPack))
+        counted = done.bag.stat().st_size + playback_bytes
+        assert storage_quota.balance(session, done.owner.user_id) == counted
     assert done.api.delete(done.path(), headers={"If-Match": "*"}).status_code == 204
     with done.platform.database.reading() as session:
         assert session.query(LabelSet).count() == 0
-        assert quota.balance(session, done.owner.user_id) == 0
+        assert storage_quota.balance(session, done.owner.user_id) == 0
     run = accepted(done.read(f"{API}/jobs/{done.run['id']}"), 200)
     assert run["state"] == "succeeded", "what was done stays told"

@@ -2,16 +2,16 @@
 
 from prometheus_client.parser import text_string_to_metric_families
 
-from api.metrics import Meters
+from api.metrics import RequestMetrics
 from services.runtime.platform import Platform, open_platform
 from services.runtime.settings import BrokerSettings, DatabaseSettings
-from services.runtime.telemetry.tally_rows import fold
-from tests.servers.process import free_port
+from services.runtime.telemetry.counter_rows import fold
+from testing.servers.process import free_port
 
 ROUTE = "/api/v1/sequences/{sequence_id}"
 
 
-def samples(meters: Meters) -> dict[tuple[str, ...], float]:
+def samples(meters: RequestMetrics) -> dict[tuple[str, ...], float]:
     families = text_string_to_metric_families(meters.exposition().decode())
     return {
         (sample.name, *sorted(sample.labels.values())): sample.value for family in families for sample in family.samples
@@ -24,9 +24,9 @@ def without_broker(platform: Platform) -> Platform:
     return Platform(settings, platform.database, platform.store)
 
 
-def heard(platform: Platform) -> Meters:
+def heard(platform: Platform) -> RequestMetrics:
     """As of a process of its own, told by the test instead of by a thread."""
-    meters = Meters(without_broker(platform))
+    meters = RequestMetrics(without_broker(platform))
     meters._is_heard = True
     return meters
 
@@ -48,7 +48,7 @@ def test_each_process_answers_for_all_and_no_count_falls(platform_on: Platform) 
 
 
 def test_bytes_of_bodies_are_counted_by_where_they_go(platform: Platform) -> None:
-    meters = Meters(without_broker(platform))
+    meters = RequestMetrics(without_broker(platform))
     meters.note_bytes(100, 7)
     meters.note_bytes(1, 0)
     found = samples(meters)
@@ -58,11 +58,11 @@ def test_bytes_of_bodies_are_counted_by_where_they_go(platform: Platform) -> Non
 def test_with_the_database_away_there_are_no_counts_but_a_word(platform: Platform) -> None:
     url = f"postgresql://stone@127.0.0.1:{free_port()}/stone"
     away = open_platform(without_broker(platform).settings.model_copy(update={"database": DatabaseSettings(url)}))
-    meters = Meters(away)
+    meters = RequestMetrics(away)
     meters.note("GET", ROUTE, 200, 0.01)
     found = samples(meters)
     away.database.close()
     assert found["stone_database_up",] == 0.0
     assert found["stone_disk_free_bytes", "data"] > 0
     assert not [name for name, *_ in found if name.startswith(("stone_requests", "stone_jobs", "stone_queue_age"))]
-    assert samples(Meters(without_broker(platform)))["stone_database_up",] == 1.0
+    assert samples(RequestMetrics(without_broker(platform)))["stone_database_up",] == 1.0

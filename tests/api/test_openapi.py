@@ -11,7 +11,7 @@ from api.openapi import METHODS, operations
 from api.problems import MEDIA_TYPE
 from services.runtime.access.roles import ROLES, SCOPES
 from services.runtime.platform import Platform
-from tests.api.serving import client_of
+from testing.api.serving import client_of
 
 PUBLIC = {
     ("/healthz", "get"),
@@ -27,7 +27,7 @@ PUBLIC = {
 @pytest.fixture(scope="module")
 def document(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     from api.main import make_api
-    from tests.servers.fixtures import make_settings, opened
+    from testing.servers.fixtures import make_settings, opened
 
     made: dict[str, Any] = make_api(opened(make_settings(tmp_path_factory.mktemp("api")), [])).openapi()
     return made

@@ -15,7 +15,7 @@ from api.errors import BadCursorError
 from api.paging import PageQuery, page
 from services.runtime.orm import AuditEntry, Team
 from services.runtime.platform import Platform
-from tests.api.serving import Person
+from testing.api.serving import Person
 
 
 def cursor_of(value: object) -> str:

@@ -9,19 +9,19 @@ import httpx
 import pytest
 from sqlalchemy import select
 
-from services.runtime import blobs
-from services.runtime.benchmarks.inputs import RUN
-from services.runtime.benchmarks.phases import NewBenchmark, NewPhase, create_benchmark, create_phase
-from services.runtime.dataset_reading import dataset_named
-from services.runtime.orm import AuditEntry, Job, PhaseInput, Sequence, Upload
+from services.domain.benchmarks.phases.inputs import RUN
+from services.domain.benchmarks.phases.phases import NewBenchmark, NewPhase, create_benchmark, create_phase
+from services.domain.datasets.queries import dataset_named
+from services.runtime.orm import AuditEntry, Job, PhaseInput, SequenceRow, Upload
 from services.runtime.platform import Platform
+from services.runtime.store import blobs
 from services.runtime.uploads import upload_file
-from tests.api import made
+from testing.api.serving import Person
+from testing.worlds import made
+from testing.worlds.made import NOBODY
+from testing.worlds.published import dataset, published_sequence
+from testing.worlds.rows import recording_of
 from tests.api.inputs_made import made_input
-from tests.api.made import NOBODY
-from tests.api.published import dataset, published_sequence
-from tests.api.serving import Person
-from tests.rows import recording_of
 
 FILES = {
     "v1.0-trainval/sample.json": b"[]\n",
@@ -47,7 +47,7 @@ def record(platform: Platform, owner: Person) -> None:
     upload_id = made.upload(platform, owner, b"bag", state="consumed")
     with platform.database.transaction() as session:
         blob = blobs.keep(session, platform.store, upload_file(platform.settings, upload_id))
-        sequence_id = session.scalars(select(Sequence.id)).one()
+        sequence_id = session.scalars(select(SequenceRow.id)).one()
         session.add(recording_of(session.get_one(Upload, upload_id), sequence_id, "registered", blob.sha256))
 
 

@@ -6,18 +6,20 @@ from typing import Any
 import httpx
 import pytest
 
-from services.runtime import blobs
-from services.runtime.orm import LabelSet, Sequence, new_id
+from services.domain.sequences.previews import PreparedPreview, PreviewSubject, prepared_previews, replace_previews
+from services.runtime.orm import LabelSet, SequenceRow, new_id
 from services.runtime.platform import Platform
-from services.runtime.previews import PreparedPreview, Shown, prepared_previews, replace_previews
-from tests.api.made import labels, sequence, upload
-from tests.api.serving import Person, person
+from services.runtime.store import blobs
+from testing.api.serving import Person, person
+from testing.worlds.made import labels, sequence, upload
 
 URL = "/api/v1/sequences"
 PAGE = b"<!doctype html><style>p{}</style><p>87</p>"
 
 
-def drawn(platform: Platform, shown: Shown, files: dict[str, tuple[str, bytes]]) -> tuple[PreparedPreview, ...]:
+def drawn(
+    platform: Platform, shown: PreviewSubject, files: dict[str, tuple[str, bytes]]
+) -> tuple[PreparedPreview, ...]:
     work = Path(platform.settings.root) / f"made-{new_id()}"
     previews = prepared_previews(platform, work, ((name, *file) for name, file in files.items()))
     with platform.database.transaction() as session:
@@ -41,7 +43,7 @@ def recording(api: httpx.Client, platform: Platform, curator: Person, forest: di
         "quality.html": ("text/html", PAGE),
         "quality.json": ("application/json", b'{"score": 87}'),
     }
-    drawn(platform, Shown(forest["id"], made["id"]), files)
+    drawn(platform, PreviewSubject(forest["id"], made["id"]), files)
     return made
 
 
@@ -101,7 +103,7 @@ def test_overlays_are_those_of_the_run_whose_labels_count(
         return api.get(f"{URL}/{forest['id']}/previews/overlay_CAM_FRONT.jpg", headers=curator.headers).content
 
     def draw(recipe: str, content: bytes) -> None:
-        drawn(platform, Shown(forest["id"], recipe=recipe), {"overlay_CAM_FRONT.jpg": ("image/jpeg", content)})
+        drawn(platform, PreviewSubject(forest["id"], recipe=recipe), {"overlay_CAM_FRONT.jpg": ("image/jpeg", content)})
 
     draw("a" * 64, b"of the first run")
     assert overlay() == b"of the first run"
@@ -119,10 +121,10 @@ def test_overlays_are_those_of_the_run_whose_labels_count(
 def test_previews_drawn_again_take_the_place_of_the_old(platform_on: Platform) -> None:
     ada = person(platform_on, "curator")
     with platform_on.database.transaction() as session:
-        row = Sequence(owner_id=ada.user_id, name="forest")
+        row = SequenceRow(owner_id=ada.user_id, name="forest")
         session.add(row)
         session.flush()
-        shown = Shown(row.id, recipe="c" * 64)
+        shown = PreviewSubject(row.id, recipe="c" * 64)
     for content in (b"old", b"new"):
         kept = drawn(platform_on, shown, {"overlay_CAM_BACK.jpg": ("image/jpeg", content)})
     assert len(kept) == 1

@@ -21,8 +21,8 @@ from api.problems import MEDIA_TYPE, Problem, answer_to, title_of
 from services.runtime.platform import Platform
 from services.runtime.settings import DatabaseSettings
 from stone.errors import StoneError
-from tests.api.serving import Person, client_of, serving
-from tests.servers.fixtures import make_settings, opened
+from testing.api.serving import Person, client_of, serving
+from testing.servers.fixtures import make_settings, opened
 
 SECRET = "hunter2-hunter2-hunter2"
 
@@ -61,7 +61,7 @@ def said() -> Iterator[list[MutableMapping[str, Any]]]:
 def broken(platform: Platform, said: list[MutableMapping[str, Any]]) -> Iterator[httpx.Client]:
     app = make_api(platform)
     app.include_router(faulty)
-    with serving(platform, app) as url, httpx.Client(base_url=url, timeout=30) as client:
+    with serving(platform, app) as url, httpx.Client(base_url=url, timeout=300) as client:
         yield client
 
 

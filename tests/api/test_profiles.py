@@ -6,11 +6,11 @@ from typing import Any
 import httpx
 import pytest
 
-from services.runtime import blobs
-from services.runtime.orm import Calibration, Recording, Sequence
+from services.runtime.orm import CalibrationRow, Recording, SequenceRow
 from services.runtime.platform import Platform
-from tests.api.made import NOBODY, sequence, upload
-from tests.api.serving import Person, person
+from services.runtime.store import blobs
+from testing.api.serving import Person, person
+from testing.worlds.made import NOBODY, sequence, upload
 from tests.api.test_recordings import added
 
 PROFILES = "/api/v1/profiles"
@@ -30,7 +30,7 @@ def roles(api: httpx.Client, platform: Platform, curator: Person) -> str:
     recording_id = added(api, curator, forest["id"], upload(platform, curator)).json()["recording"]["id"]
     with platform.database.transaction() as session:
         session.get_one(Recording, recording_id).inspection = {"topics": TOPICS}
-        session.get_one(Sequence, forest["id"]).platform = "rover"
+        session.get_one(SequenceRow, forest["id"]).platform = "rover"
     return f"/api/v1/sequences/{forest['id']}/recordings/{recording_id}/roles"
 
 
@@ -101,11 +101,11 @@ def test_the_saved_profile_and_the_calibration_are_asked(
         mount = {"name": "CAM_BACK", "kind": "camera", "frame_id": "cam7"}
         (platform.settings.root / "rig.yaml").write_bytes(b"rig")
         blob = blobs.keep(session, platform.store, platform.settings.root / "rig.yaml")
-        rig = Calibration(owner_id=curator.user_id, name="rig", version=1, filename="rig.yaml", sha256=blob.sha256)
+        rig = CalibrationRow(owner_id=curator.user_id, name="rig", version=1, filename="rig.yaml", sha256=blob.sha256)
         rig.blob_sha256, rig.sensors, rig.findings = blob.sha256, [mount], []
         session.add(rig)
         session.flush()
-        session.get_one(Sequence, roles.split("/")[4]).calibration_id = rig.id
+        session.get_one(SequenceRow, roles.split("/")[4]).calibration_id = rig.id
     resolved = api.get(roles, headers=curator.headers).json()
     assert resolved["chosen"] == {"lidar": "/front/points"}
     assert resolved["channels"] == {"lidar": "/front/points", "pose": "/odom", "CAM_BACK": "/image"}

@@ -8,12 +8,12 @@ from typing import Any
 import httpx
 import pytest
 
-from services.runtime import quota
-from services.runtime.bag_files import MOST_FILES
+from services.runtime.access import storage_quota
 from services.runtime.orm import Job, Recording, Upload
 from services.runtime.platform import Platform
-from tests.api.made import NOBODY, row_of, sequence, upload
-from tests.api.serving import Person, client_of, person
+from stone_recordings.bags.file_sets import MOST_FILES
+from testing.api.serving import Person, client_of, person
+from testing.worlds.made import NOBODY, row_of, sequence, upload
 
 URL = "/api/v1/sequences"
 SPLIT = {"run_1.mcap": b"second", "run_0.mcap": b"first", "metadata.yaml": b"list"}
@@ -124,7 +124,7 @@ def test_groups_that_share_a_file_are_sealed_once_however_many_ask(platform_on: 
 
         def seal(number: int) -> None:
             ordered = upload_ids if number % 2 else upload_ids[::-1]
-            with httpx.Client(base_url=api.base_url, timeout=30) as own:
+            with httpx.Client(base_url=api.base_url, timeout=300) as own:
                 body = {"upload_ids": ordered, "name": f"run-{number}"}
                 answers.append(sealed(own, ada, made["id"], body).status_code)
 
@@ -173,9 +173,9 @@ def test_a_deleted_group_gives_the_bytes_of_every_file_back(api_on: httpx.Client
     made, upload_ids = sequence(api_on, ada), uploads(platform_on, ada)
     with platform_on.database.transaction() as session:
         for upload_id in upload_ids:
-            quota.reserve(session, ada.user_id, 5, upload_id, "upload", 100)
+            storage_quota.reserve(session, ada.user_id, 5, upload_id, "upload", 100)
     recording = sealed(api_on, ada, made["id"], {"upload_ids": upload_ids, "name": "run"}).json()["recording"]
     path = f"{URL}/{made['id']}/recordings/{recording['id']}"
     assert api_on.delete(path, headers=ada.headers).status_code == 204
     with platform_on.database.reading() as session:
-        assert quota.balance(session, ada.user_id) == 0
+        assert storage_quota.balance(session, ada.user_id) == 0

@@ -7,11 +7,11 @@ from typing import Any
 import httpx
 import pytest
 
-from services.runtime import quota
+from services.runtime.access import storage_quota
 from services.runtime.orm import Job, Queue, Recording, Upload
 from services.runtime.platform import Platform
-from tests.api.made import NOBODY, row_of, sequence, upload
-from tests.api.serving import Person, client_of, person
+from testing.api.serving import Person, client_of, person
+from testing.worlds.made import NOBODY, row_of, sequence, upload
 
 URL = "/api/v1/sequences"
 
@@ -97,7 +97,7 @@ def test_of_requests_that_use_an_upload_at_once_one_does(platform_on: Platform) 
         answers: list[int] = []
 
         def add() -> None:
-            with httpx.Client(base_url=api.base_url, timeout=30) as own:
+            with httpx.Client(base_url=api.base_url, timeout=300) as own:
                 answers.append(added(own, ada, made["id"], upload_id).status_code)
 
         threads = [threading.Thread(target=add) for _ in range(4)]
@@ -163,13 +163,13 @@ def test_a_deleted_recording_gives_its_bytes_back_and_stops_its_job(
     ada = person(platform_on, "curator")
     made, upload_id = sequence(api_on, ada), upload(platform_on, ada)
     with platform_on.database.transaction() as session:
-        quota.reserve(session, ada.user_id, 3, upload_id, "upload", 10)
+        storage_quota.reserve(session, ada.user_id, 3, upload_id, "upload", 10)
     body = added(api_on, ada, made["id"], upload_id).json()
     path = f"{URL}/{made['id']}/recordings/{body['recording']['id']}"
     assert api_on.delete(path, headers=ada.headers).status_code == 204
     assert api_on.delete(path, headers=ada.headers).status_code == 404
     assert row_of(platform_on, body["job"]["id"]).state == "cancelled"
     with platform_on.database.reading() as session:
-        assert quota.balance(session, ada.user_id) == 0
+        assert storage_quota.balance(session, ada.user_id) == 0
     again = added(api_on, ada, made["id"], upload_id)
     assert again.json()["code"] == "wrong_upload_state", "an upload serves once, even then"

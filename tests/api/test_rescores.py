@@ -7,15 +7,15 @@ import httpx
 import pytest
 from sqlalchemy import select
 
-from services.runtime.benchmarks.alarms import raise_alarms
-from services.runtime.orm import AuditEntry, Score, Submission
+from services.domain.benchmarks.alarms.alarms import raise_alarms
+from services.runtime.orm import AuditEntry, Score, SubmissionRow
 from services.runtime.platform import Platform
-from stone.metric import METRIC_VERSION, OCCUPIED_VERSION
-from tests.api.made import NOBODY
-from tests.api.serving import Person
+from stone.scoring.metric import METRIC_VERSION, OCCUPIED_VERSION
+from testing.api.serving import Person
+from testing.worlds.benchmark_world import World, benchmark_world, new_truth, predicted, run_eval, submission_zip
+from testing.worlds.made import NOBODY
 from tests.api.submitting import URL, Submitting, answered, refused, submitting
-from tests.benchmark_world import World, benchmark_world, new_truth, predicted, run_eval, submission_zip
-from tests.services.runtime.benchmarks.scored import (
+from tests.services.domain.benchmarks.scored import (
     Place,
     another_truth,
     phase_of_rows,
@@ -86,7 +86,7 @@ def test_another_metric_is_scored_from_what_is_kept(api: httpx.Client, platform:
     admin = Administrating(api, world.administrator, world.val)
     started = admin.start(metric=OCCUPIED_VERSION)
     with platform.database.transaction() as session:
-        session.get_one(Submission, submission_id).blob_sha256 = None
+        session.get_one(SubmissionRow, submission_id).blob_sha256 = None
     run_eval(platform)
     diff = answered(admin.ask("GET", f"/{started['id']}/diff"), 200)
     (row,) = diff["rows"]
@@ -134,7 +134,7 @@ def test_the_page_escapes_what_strangers_wrote(place: Place, admin: Administrati
     assert "\\<b\\>\\|team\\|" in row
     assert "\\[click\\]\\(http\\:\\/\\/evil\\) \\`x\\`" in row
     assert row.replace("\\|", "").count("|") == 11
-    assert "0 of 1 standing submissions are scored by the new pair; 1 are still missing." in page.text
+    assert "0 of 1 submissions on the board are scored by the new evaluation version; 1 are still missing." in page.text
 
 
 def test_a_switch_that_would_lose_an_entry_is_refused(place: Place, admin: Administrating) -> None:

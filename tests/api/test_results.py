@@ -8,14 +8,14 @@ import httpx
 import numpy as np
 import pytest
 
-from services.runtime.orm import Phase, Submission
+from services.runtime.orm import Phase, SubmissionRow
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
+from testing.api.serving import person
+from testing.worlds.made import NOBODY
 from tests.api.boarding import Boarding, answered, boarding, refused
-from tests.api.made import NOBODY
-from tests.api.serving import person
-from tests.services.runtime.benchmarks.boards import HOUR_NS, Made, counts
-from tests.services.runtime.benchmarks.seen_fields import RELATIONS, STANDINGS, expected
+from tests.services.domain.benchmarks.boards import HOUR_NS, Made, counts
+from tests.services.domain.benchmarks.seen_fields import RELATIONS, STANDINGS, expected
 
 BY = ("sequence", "environment", "illumination", "distance")
 PARTS = ("results", "provenance", "confusions", "results/breakdowns")
@@ -101,7 +101,7 @@ def test_what_is_not_scored_yet_says_so_to_its_team_and_nothing_is_for_nobody(
 ) -> None:
     look = boarding(api, platform)
     with platform.database.reading() as session:
-        team_id = session.get_one(Submission, look.mine).team_id
+        team_id = session.get_one(SubmissionRow, look.mine).team_id
     queued = look.at.enter(team_id, None, state="queued")
     for part in PARTS:
         assert refused(look.of(queued, part, look.member, by="sequence")) == (409, "not_scored")

@@ -6,9 +6,9 @@ import httpx
 import pytest
 from structlog.testing import capture_logs
 
-from api.entry import template_of
+from api.middleware.entry import template_of
 from services.runtime.platform import Platform
-from tests.api.serving import Person
+from testing.api.serving import Person
 
 
 @pytest.mark.parametrize(

@@ -11,13 +11,13 @@ import pytest
 from PIL import Image
 from sqlalchemy import update
 
-from services.runtime.jobs.steering import cancel
-from services.runtime.orm import Artefact, Export, Sequence
+from services.domain.viewer.formats import MEDIA_TYPES
+from services.runtime.jobs.control import cancel
+from services.runtime.orm import Artefact, Export, SequenceRow
 from services.runtime.platform import Platform
-from services.runtime.view_formats import MEDIA_TYPES
-from tests.api.made import Labels, frame_labels, labels, playback, run, sequence
-from tests.api.serving import Person
-from tests.benchmark_world import benchmark_world
+from testing.api.serving import Person
+from testing.worlds.benchmark_world import benchmark_world
+from testing.worlds.made import Labels, frame_labels, labels, playback, run, sequence
 from tests.services.runtime.view_decoding import Read
 
 URL = "/api/v1"
@@ -48,7 +48,7 @@ def paths_of(forest: Mapping[str, Any], made: Labels) -> list[str]:
 
 def make_public(platform: Platform) -> None:
     with platform.database.transaction() as session:
-        session.execute(update(Sequence).values(is_public=True))
+        session.execute(update(SequenceRow).values(is_public=True))
 
 
 def test_labels_of_an_earlier_version_have_no_scene_and_say_what_to_do(

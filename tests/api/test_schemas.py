@@ -21,6 +21,7 @@ MODELS = sorted(
     key=lambda model: model.__name__,
 )
 GLANCES = {
+    "BenchmarkShown",  # generic: its two leaves have one
     "ClassVoxels",
     "JobGlance",
     "LabelGlance",
@@ -33,7 +34,7 @@ GLANCES = {
 def test_an_example_is_one(model: type[BaseModel]) -> None:
     extra = model.model_config.get("json_schema_extra")
     examples = extra["examples"] if isinstance(extra, dict) else []
-    assert bool(examples) != (model.__name__ in GLANCES)
+    assert bool(examples) != (model.__name__.partition("[")[0] in GLANCES)
     assert isinstance(examples, list)
     for example in examples:
         assert isinstance(example, dict)

@@ -3,6 +3,8 @@
 **Conventions.** Requests are generated from the document: valid ones, valid ones about things that exist, and invalid
 ones. Seeded, and few in the suite; `STONE_SCHEMATHESIS_EXAMPLES=200 pytest tests/api/test_schemathesis.py` looks
 longer. A stream of events is cut after a moment, since only its beginning is looked at.
+
+Catches alone an answer that the document does not know, of requests nobody thought of.
 """
 
 import os
@@ -23,16 +25,18 @@ from sqlalchemy import delete
 from api.deps import SAFE
 from api.main import make_api
 from api.routes import events
-from services.runtime.composition_figure import composition_png
-from services.runtime.migrate import upgrade
+from services.domain.datasets.composition_figure import composition_png
+from services.domain.datasets.statistics import statistics_record
+from services.runtime.database.migrate import upgrade
 from services.runtime.orm import Queue
 from services.runtime.platform import Platform
 from services.runtime.settings import ApiSettings, BrokerSettings
-from services.runtime.statistics import statistics_record
+from testing.api.serving import serving
+from testing.servers.fixtures import make_settings, opened
 from tests.api.access.cast import Cast, make_cast
 from tests.api.access.world import World, make_world
-from tests.api.serving import serving
-from tests.servers.fixtures import make_settings, opened
+
+pytestmark = pytest.mark.whole
 
 EXAMPLES = int(os.environ.get("STONE_SCHEMATHESIS_EXAMPLES", "4"))
 Operation = APIOperation[Any, Any, Any, Any]

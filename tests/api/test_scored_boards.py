@@ -8,14 +8,15 @@ import httpx
 import numpy as np
 import pytest
 
-from services.runtime.benchmarks.submissions import Draft, create_draft, finalise
-from services.runtime.orm import Submission
+from services.domain.benchmarks.submissions.submissions import SubmissionDraft, create_draft, finalise
+from services.runtime.orm import SubmissionRow
 from services.runtime.platform import Platform
-from stone.confusion import confusion_matrix, ratios
-from stone.metric import RATIOS
-from tests.api import made
-from tests.api.serving import Person
-from tests.benchmark_world import SHAPE, World, benchmark_world, predicted, run_eval, submission_zip
+from stone.scoring.confusion import ratios
+from stone.scoring.metric import RATIOS
+from testing.api.serving import Person
+from testing.worlds import made
+from testing.worlds.benchmark_world import SHAPE, World, benchmark_world, predicted, run_eval, submission_zip
+from tests.plain_confusion import confusion_matrix
 
 URL = "/api/v1"
 
@@ -27,12 +28,12 @@ def submit(world: World, part: str, team: int, errors: float, folder: Path) -> s
     facts: dict[str, Any] = {"sha256": hashlib.sha256(content).hexdigest(), "size_bytes": len(content)}
     captain = world.captains[team]
     who: dict[str, Any] = {"phase_id": world.phase(part), "team_id": world.teams[team], "user_id": captain.user_id}
-    draft = Draft(**who, kind="entry", method=f"Net {team}", description="", modality="L", **facts)
+    draft = SubmissionDraft(**who, kind="entry", method=f"Net {team}", description="", modality="L", **facts)
     with world.platform.database.transaction() as session:
         submission_id = create_draft(session, draft).id
     upload_id = made.upload(world.platform, captain, content, purpose="submission", target_id=submission_id)
     with world.platform.database.transaction() as session:
-        finalise(session, session.get_one(Submission, submission_id), upload_id)
+        finalise(session, session.get_one(SubmissionRow, submission_id), upload_id)
     return submission_id
 
 

@@ -7,10 +7,10 @@ from typing import Any
 import httpx
 import pytest
 
-from services.runtime.orm import LabelSet, Recording, Sequence
+from services.runtime.orm import LabelSet, Recording, SequenceRow
 from services.runtime.platform import Platform
-from tests.api.made import NOBODY, labels, row_of, run, sequence, upload
-from tests.api.serving import Person, client_of, person
+from testing.api.serving import Person, client_of, person
+from testing.worlds.made import NOBODY, labels, row_of, run, sequence, upload
 
 URL = "/api/v1/sequences"
 FACTS = {"environment": "mountain", "illumination": "day", "region": "Gyeonggi", "platform": "warthog-1"}
@@ -260,6 +260,7 @@ def test_a_list_shows_the_newest_run_and_labels_of_each(
     empty, shown = api.get(URL, headers=curator.headers).json()["items"]
     assert (empty["labels"], empty["job"], empty["recordings"]) == (None, None, 0)
     assert (shown["labels"]["id"], shown["labels"]["frames"], shown["recordings"]) == (newest.id, 5, 1)
+    assert shown["labels"]["code_version"] == "1"
     assert shown["job"]["kind"] == "ingest.register", "the newest"
     assert shown["job"]["id"] > run_id
     detail = api.get(f"{URL}/{forest['id']}", headers=curator.headers).json()
@@ -284,7 +285,7 @@ def test_a_deleted_sequence_is_gone_with_all_that_hangs_on_it(api_on: httpx.Clie
         assert row_of(platform_on, job_id).state == "cancelled"
     with platform_on.database.reading() as session:
         assert session.query(LabelSet).count() == session.query(Recording).count() == 0
-        assert session.get_one(Sequence, made["id"]).deleted_ns
+        assert session.get_one(SequenceRow, made["id"]).deleted_ns
     assert sequence(api_on, ada)["id"] != made["id"], "its name is free again"
 
 

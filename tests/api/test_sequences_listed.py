@@ -7,13 +7,13 @@ import pytest
 from sqlalchemy import event, update
 
 from api.deps import VISITOR
-from api.sequence_views import sequence_items
-from services.runtime.inserting import insert_new
-from services.runtime.orm import LabelSet, Sequence, SplitMember
+from api.views.sequences import sequence_items
+from services.runtime.database.inserts import insert_new
+from services.runtime.orm import LabelSet, SequenceRow, SplitMember
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
-from tests.api.made import labels, sequence
-from tests.api.serving import Person, person
+from testing.api.serving import Person, person
+from testing.worlds.made import labels, sequence
 
 URL = "/api/v1/sequences"
 
@@ -79,7 +79,7 @@ def test_a_page_of_sequences_is_five_statements_beside_its_own_however_many_they
         labels(platform, sequence(api, curator, f"forest-{number}"), seed=bytes([number]))
     said: list[str] = []
     with platform.database.reading() as session:
-        rows = list(session.query(Sequence))
+        rows = list(session.query(SequenceRow))
         event.listen(session.get_bind(), "before_cursor_execute", lambda *given: said.append(given[2]))
         owner = VISITOR.__class__(curator.user_id, "", "curator", frozenset({"read"}), is_session=False)
         assert len(sequence_items(session, rows, owner)) == count

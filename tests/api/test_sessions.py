@@ -9,13 +9,13 @@ import httpx
 import pytest
 from sqlalchemy import select, update
 
-from api.limits import Limits
-from services.runtime.access import guesses, sessions
+from api.middleware.limits import RequestLimits
+from services.runtime.access import login_throttle, sessions
 from services.runtime.access.users import create_user
 from services.runtime.orm import AuditEntry, User, WebSession
 from services.runtime.platform import Platform
 from services.runtime.settings import ApiSettings
-from tests.api.serving import Person, client_of
+from testing.api.serving import Person, client_of
 
 SESSIONS, ME = "/api/v1/sessions", "/api/v1/me"
 PASSWORD = "correct horse battery staple"
@@ -57,7 +57,9 @@ def test_who_has_no_password_cannot_sign_in(api: httpx.Client, curator: Person) 
 def test_sign_ins_are_counted_by_address_and_refused_beyond(
     platform: Platform, ada: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("api.main.Limits", lambda settings: Limits(settings, lambda: 0.0))  # no bucket fills meanwhile
+    monkeypatch.setattr(
+        "api.main.RequestLimits", lambda settings: RequestLimits(settings, lambda: 0.0)
+    )  # no bucket fills meanwhile
     with client_of(platform) as api:
         wrong = {**ada, "password": "wrong"}
         answers = [api.post(SESSIONS, json=wrong).status_code for _ in range(platform.settings.api.sign_ins_per_minute)]
@@ -174,7 +176,7 @@ def test_a_token_signs_every_browser_of_its_own_user_out(
 def test_wrong_passwords_make_the_next_wait_whoever_asks_and_from_any_process(
     platform: Platform, ada: dict[str, str], browser: httpx.Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(guesses, "pause_s", lambda kind, failures: 600 * (kind == "name" and failures >= 2))
+    monkeypatch.setattr(login_throttle, "pause_s", lambda kind, failures: 600 * (kind == "name" and failures >= 2))
     wrong = {**ada, "password": "wrong password"}
     assert [browser.post(SESSIONS, json=wrong).status_code for _ in range(2)] == [401, 401]
     with client_of(platform) as other:

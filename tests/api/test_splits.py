@@ -6,11 +6,11 @@ from typing import Any
 import httpx
 import pytest
 
-from services.runtime.orm import LabelSet, Sequence, SplitMember
+from services.runtime.orm import LabelSet, SequenceRow, SplitMember
 from services.runtime.platform import Platform
-from stone.surroundings import ENVIRONMENTS
-from tests.api.published import published_sequence
-from tests.api.serving import Person, person
+from stone.splits.surroundings import ENVIRONMENTS
+from testing.api.serving import Person, person
+from testing.worlds.published import published_sequence
 
 URL = "/api/v1/splits"
 Put = Callable[..., httpx.Response]
@@ -89,7 +89,7 @@ def test_every_broken_rule_is_named_and_nothing_is_put(put: Put, platform: Platf
     with platform.database.transaction() as session:
         labels = session.query(LabelSet).where(LabelSet.sequence_id == short).one()
         labels.duration_ns = 19 * 10**9
-        name = session.get_one(Sequence, short).name
+        name = session.get_one(SequenceRow, short).name
     answer = put([a, b, "0" * 32], [b, short], [c])
     assert (answer.status_code, answer.json()["code"]) == (422, "split_refused")
     assert codes(answer) == ["whole_sequences", "whole_sequences", "sequence_length", "test_regions"]

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from services.runtime.composition_figure import composition_png, figure_title
+from services.domain.datasets.composition_figure import composition_png, figure_title
+from services.domain.datasets.statistics import statistics_record
 from services.runtime.orm import LabelSet
 from services.runtime.platform import Platform
-from services.runtime.statistics import statistics_record
-from stone.composition import CatalogueEntry
-from tests.api.published import dataset, published_sequence
-from tests.api.serving import Person, person
+from stone.splits.composition import CatalogueEntry
+from testing.api.serving import Person, person
+from testing.worlds.published import dataset, published_sequence
 from tests.stone.catalogues import catalogue, entry
 
 URL = "/api/v1/statistics"
@@ -132,5 +132,5 @@ def test_an_empty_dataset_has_a_figure() -> None:
 
 def test_the_api_loads_neither_solver_nor_plots_before_they_are_asked_for() -> None:
     program = "import sys, api.main; print([n for n in ('scipy', 'matplotlib', 'numba', 'open3d') if n in sys.modules])"
-    said = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True, timeout=120)
+    said = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True, timeout=300)
     assert said.stdout == "[]\n"

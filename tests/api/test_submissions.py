@@ -7,14 +7,14 @@ import httpx
 import pytest
 from sqlalchemy import select
 
-from services.runtime.benchmarks.submissions import settle
+from services.domain.benchmarks.submissions.submissions import settle
 from services.runtime.orm import AuditEntry, User
 from services.runtime.platform import Platform
-from tests.api.made import NOBODY
-from tests.api.serving import person
-from tests.api.submitting import URL, Submitting, answered, at_desk, refused, submitting
+from testing.api.serving import person
+from testing.worlds.made import NOBODY
+from tests.api.submitting import URL, Submitting, answered, as_entrant, refused, submitting
 from tests.api.test_events import listen
-from tests.services.runtime.benchmarks.drafts import another_desk, desk_on
+from tests.services.domain.benchmarks.drafts import another_entrant, entrant_on
 
 ACTS = ("cancel", "withdraw")
 
@@ -53,7 +53,7 @@ def test_a_second_submission_waits_behind_the_first(api: httpx.Client, platform:
 @pytest.mark.parametrize("what", ["submissions", "validations"])
 def test_nobody_announces_for_a_team_of_others(api: httpx.Client, platform: Platform, what: str) -> None:
     team = submitting(api, platform)
-    other = at_desk(api, another_desk(desk_on(platform).place))
+    other = as_entrant(api, another_entrant(entrant_on(platform).place))
     strangers = (other, Submitting(api, person(platform, "administrator"), "", ""))
     for stranger in strangers:
         theirs = Submitting(api, stranger.caller, team.phase_id, team.team_id)
@@ -64,8 +64,8 @@ def test_nobody_announces_for_a_team_of_others(api: httpx.Client, platform: Plat
 
 
 def test_a_submission_of_others_does_not_exist(api: httpx.Client, platform: Platform) -> None:
-    desk = desk_on(platform)
-    team, other = at_desk(api, desk), at_desk(api, another_desk(desk.place))
+    entrant = entrant_on(platform)
+    team, other = as_entrant(api, entrant), as_entrant(api, another_entrant(entrant.place))
     submission_id = team.submitted()["id"]
     for path in ("", "/validation-report", "/events"):
         for one in (submission_id, NOBODY):

@@ -5,17 +5,17 @@ from pathlib import Path
 import httpx
 from sqlalchemy import func, select
 
+from services.domain.benchmarks.submissions.submissions import settle_ended
 from services.runtime.access import tokens
-from services.runtime.benchmarks.submissions import settle_ended
-from services.runtime.jobs.running import run_next
+from services.runtime.jobs.execution import run_next
 from services.runtime.jobs.specs import Attempt, Outcome
-from services.runtime.orm import Submission, User
+from services.runtime.orm import SubmissionRow, User
 from services.runtime.platform import Platform
-from tests.api.serving import Person, client_of, person
+from testing.api.serving import Person, client_of, person
+from testing.api.tus import TUS, ask, create, patch
+from testing.worlds.benchmark_world import benchmark_world, predicted, run_eval, submission_zip
 from tests.api.submitting import URL, Submitting, answered, refused, submitting
-from tests.api.tus import TUS, ask, create, patch
-from tests.benchmark_world import benchmark_world, predicted, run_eval, submission_zip
-from tests.services.runtime.benchmarks.drafts import ZIP
+from tests.services.domain.benchmarks.drafts import ZIP
 
 
 def test_an_upload_for_a_submission_needs_the_scope_submit_and_the_draft(api: httpx.Client, platform: Platform) -> None:
@@ -89,4 +89,6 @@ def test_a_zip_goes_all_the_way_to_its_verdict(platform: Platform, tmp_path: Pat
         answered(team.post(f"{entry['id']}/withdraw", {"reason": "a bug"}), 200)
         assert team.quota()["used"] == 1
     with platform.database.reading() as session:
-        assert session.scalar(select(func.count()).select_from(Submission).where(Submission.state == "scored")) == 1
+        assert (
+            session.scalar(select(func.count()).select_from(SubmissionRow).where(SubmissionRow.state == "scored")) == 1
+        )

@@ -8,9 +8,9 @@ from sqlalchemy import select
 
 from services.runtime.orm import AuditEntry, TeamInvitation
 from services.runtime.platform import Platform
-from tests.api.made import NOBODY
-from tests.api.serving import Person, person
-from tests.services.runtime.benchmarks import laid
+from testing.api.serving import Person, person
+from testing.worlds.made import NOBODY
+from tests.services.domain.benchmarks import laid
 
 TEAMS = "/api/v1/teams"
 

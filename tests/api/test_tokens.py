@@ -4,7 +4,7 @@ import httpx
 import pytest
 
 from services.runtime.platform import Platform
-from tests.api.serving import Person, person
+from testing.api.serving import Person, person
 
 TOKENS = "/api/v1/tokens"
 

@@ -10,21 +10,21 @@ from pathlib import Path
 import pytest
 from sqlalchemy import select
 
-from services.runtime.orm import Blob, GroundTruth, Job
+from services.runtime.orm import Blob, GroundTruthRow, Job
 from services.runtime.platform import Platform
 from services.runtime.telemetry.tracing import close_tracing
+from testing.api.serving import client_of
+from testing.servers.collector import collecting
+from testing.worlds.benchmark_world import predicted, run_eval
+from testing.worlds.sending import send, zipped
 from tests.api.hidden_stage import Stage, staged
-from tests.api.serving import client_of
-from tests.benchmark_world import predicted, run_eval
-from tests.servers.collector import collecting
-from tests.services.eval.sending import send, zipped
 
 
 def spoil_truth(stage: Stage) -> None:
     """The hidden ground truth's pack is cut off in the store, so that scoring meets a fault that quotes what it saw."""
     platform = stage.world.platform
     with platform.database.reading() as session:
-        of_phase = select(GroundTruth.pack_sha256).where(GroundTruth.phase_id == stage.world.test)
+        of_phase = select(GroundTruthRow.pack_sha256).where(GroundTruthRow.phase_id == stage.world.test)
         key = session.scalar(select(Blob.object_key).where(Blob.sha256.in_(of_phase)))
     assert key
     path = platform.store.local(key)

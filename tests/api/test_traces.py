@@ -10,8 +10,8 @@ from services.runtime.orm import new_id
 from services.runtime.platform import Platform
 from services.runtime.settings import ApiSettings
 from services.runtime.telemetry.tracing import close_tracing
-from tests.api.serving import Person, client_of
-from tests.servers.collector import Collector, collecting, facts_of
+from testing.api.serving import Person, client_of
+from testing.servers.collector import Collector, collecting, facts_of
 
 TRACE, PARENT = "0123456789abcdef" * 2, "0123456789abcdef"
 OFFERED = {"traceparent": f"00-{TRACE}-{PARENT}-01"}

@@ -10,8 +10,8 @@ import pytest
 from services.runtime.orm import new_id
 from services.runtime.platform import Platform
 from services.runtime.settings import ApiSettings, UploadSettings
-from tests.api.serving import Person, client_of, person
-from tests.api.tus import (
+from testing.api.serving import Person, client_of, person
+from testing.api.tus import (
     CONTENT,
     FORM,
     PIECE,

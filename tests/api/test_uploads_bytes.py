@@ -14,8 +14,8 @@ from services.runtime.orm import Upload
 from services.runtime.platform import Platform
 from services.runtime.uploads import expire
 from services.runtime.uploads.rows import find
-from tests.api.serving import Person, client_of, person
-from tests.api.tus import (
+from testing.api.serving import Person, client_of, person
+from testing.api.tus import (
     CONTENT,
     PIECE,
     TUS,
@@ -102,14 +102,14 @@ def test_a_second_writer_is_told_that_it_is_locked_while_everybody_else_is_answe
 
     def slowly() -> Iterator[bytes]:
         yield large[:-10]
-        go_on.wait(20)
+        go_on.wait(300)
         yield large[-10:]
 
     replies: list[httpx.Response] = []
     first = threading.Thread(target=lambda: replies.append(patch(api, curator, where, 0, slowly())))
     first.start()
     try:
-        deadline = time.monotonic() + 20
+        deadline = time.monotonic() + 300
         while offset_of(api, curator, where) == 0:
             assert time.monotonic() < deadline, "the first writer does not write"
             time.sleep(0.01)
@@ -118,7 +118,7 @@ def test_a_second_writer_is_told_that_it_is_locked_while_everybody_else_is_answe
         assert api.get(UPLOADS, headers=curator.headers).status_code == 200
     finally:
         go_on.set()
-        first.join(20)
+        first.join(300)
     assert replies[0].status_code == 204
     assert shown(api, curator, where)["state"] == "complete"
 

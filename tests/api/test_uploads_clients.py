@@ -1,4 +1,7 @@
-"""The clients that people have: tuspy, tus-js-client and curl, against the API in a process of its own."""
+"""The clients that people have: tuspy, tus-js-client and curl, against the API in a process of its own.
+
+Catches alone what clients of others find of our protocol that our own client does not.
+"""
 
 import io
 import json
@@ -19,15 +22,15 @@ from tusclient.exceptions import TusCommunicationError
 
 from services.runtime.platform import Platform
 from services.runtime.uploads import upload_file
-from tests.api.process import running_api
-from tests.api.serving import Person, person
-from tests.api.tus import UPLOADS, sha256_of, shown
-from tests.servers.fixtures import make_settings, opened
+from testing.api.process import running_api
+from testing.api.serving import Person, person
+from testing.api.tus import UPLOADS, sha256_of, shown
+from testing.servers.fixtures import make_settings, opened
 
 CLIENTS = Path(__file__).resolve().parents[1] / "clients"
 INSTALL = "deploy/install-test-clients.sh"
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.whole
 
 
 @dataclass(frozen=True)
@@ -142,7 +145,7 @@ def node() -> str:
 def tus_js(node: str, served: Served, **asked: Any) -> dict[str, Any]:
     said = {"endpoint": served.endpoint, "token": served.owner.secret, "path": str(served.file)}
     order = json.dumps({"metadata": served.said, **said, **asked})
-    done = subprocess.run([node, "upload.mjs", order], cwd=CLIENTS, capture_output=True, text=True, timeout=120)
+    done = subprocess.run([node, "upload.mjs", order], cwd=CLIENTS, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     outcome: dict[str, Any] = json.loads(done.stdout)
     return outcome

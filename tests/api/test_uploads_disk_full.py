@@ -9,10 +9,10 @@ from pathlib import Path
 import httpx
 import pytest
 
+from services.runtime.access.storage_quota import balance
 from services.runtime.platform import Platform
-from services.runtime.quota import balance
-from tests.api.serving import Person, client_of
-from tests.api.tus import (
+from testing.api.serving import Person, client_of
+from testing.api.tus import (
     PIECE,
     TUS,
     UPLOADS,

@@ -13,9 +13,9 @@ import pytest
 
 from services.runtime.platform import Platform
 from services.runtime.uploads.rows import find
-from tests.api.process import running_api
-from tests.api.serving import Person, client_of
-from tests.api.tus import created, offset_of, patch, sha256_of, shown
+from testing.api.process import running_api
+from testing.api.serving import Person, client_of
+from testing.api.tus import created, offset_of, patch, sha256_of, shown
 from tests.services.runtime.uploads.sending import kept
 
 
@@ -25,7 +25,7 @@ def two(placed: Platform, tmp_path: Path) -> Iterator[tuple[httpx.Client, httpx.
     with (
         client_of(placed) as here,
         running_api(placed.settings, tmp_path / "api.log") as process,
-        httpx.Client(base_url=process.url, timeout=30) as there,
+        httpx.Client(base_url=process.url, timeout=300) as there,
     ):
         yield here, there
 
@@ -52,8 +52,8 @@ def let_fight(two: tuple[httpx.Client, httpx.Client], platform: Platform, curato
 
     def fight(number: int) -> None:
         chance = random.Random(seed * 100 + number)
-        with httpx.Client(base_url=two[number % 2].base_url, timeout=30) as api:
-            deadline = time.monotonic() + 40
+        with httpx.Client(base_url=two[number % 2].base_url, timeout=300) as api:
+            deadline = time.monotonic() + 300
             while (offset := offset_of(api, curator, where)) < len(content):
                 assert time.monotonic() < deadline, "nobody gets on"
                 piece = content[offset : offset + chance.randrange(1, 80_000)]
@@ -77,9 +77,9 @@ def leave_and_come_back(api: httpx.Client, curator: Person) -> None:
     where = created(api, curator, len(content), sha256=sha256_of(content))
     head = f"PATCH {where} HTTP/1.1\r\nHost: localhost\r\nTus-Resumable: 1.0.0\r\nUpload-Offset: 0\r\n"
     head += f"Content-Type: application/offset+octet-stream\r\nAuthorization: Bearer {curator.secret}\r\n"
-    with socket.create_connection((api.base_url.host, api.base_url.port or 80), timeout=30) as connection:
+    with socket.create_connection((api.base_url.host, api.base_url.port or 80), timeout=300) as connection:
         connection.sendall(f"{head}Content-Length: {len(content)}\r\n\r\n".encode() + content[: 2 << 20])
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + 300
     while (reply := patch(api, curator, where, offset := offset_of(api, curator, where), content[offset:])).is_error:
         assert reply.status_code in (409, 423), reply.text
         assert time.monotonic() < deadline, "the lock of a client that left is never given back"

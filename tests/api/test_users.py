@@ -3,11 +3,11 @@
 import httpx
 import pytest
 
-from api.context import COOKIE
+from api.middleware.context import COOKIE
 from services.runtime.access import sessions, tokens
 from services.runtime.orm import User
 from services.runtime.platform import Platform
-from tests.api.serving import Person, person
+from testing.api.serving import Person, person
 
 USERS = "/api/v1/users"
 ADA = {"name": "ada", "role": "curator", "reason": "joins the field team"}

@@ -4,11 +4,11 @@ import httpx
 import pytest
 from sqlalchemy import select
 
-from services.runtime.orm import Benchmark, Sequence
+from services.runtime.orm import Benchmark, SequenceRow
 from services.runtime.platform import Platform
+from testing.api.serving import Person
+from testing.worlds.benchmark_world import World, benchmark_world
 from tests.api.boarding import URL, Boarding, boarding
-from tests.api.serving import Person
-from tests.benchmark_world import World, benchmark_world
 
 
 @pytest.fixture
@@ -24,7 +24,7 @@ def board(api: httpx.Client, platform: Platform) -> Boarding:
 def make_public(platform: Platform) -> None:
     """Everything, by the rows: what hides itself must stay hidden all the same."""
     with platform.database.transaction() as session:
-        for kind in (Sequence, Benchmark):
+        for kind in (SequenceRow, Benchmark):
             for row in session.scalars(select(kind)):
                 row.is_public = True
 

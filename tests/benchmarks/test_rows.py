@@ -8,16 +8,16 @@ from random import Random
 
 import pytest
 
-from benchmarks.rows.asking import Kit, Question, people_of, questions
-from benchmarks.rows.filling import analyse, lay, prepare
+from benchmarks.rows.bulk_inserts import analyse, insert_rows, prepare
 from benchmarks.rows.kinds import Amounts, fill
-from benchmarks.rows.plans import Plan, Statement, explained, large_tables, taken_down
-from services.runtime.database import Database
+from benchmarks.rows.plans import Statement, StatementPlan, explained, large_tables, taken_down
+from benchmarks.rows.queries import Kit, Question, people_of, questions
+from services.runtime.database.transactions import Database
 from services.runtime.platform import Platform
 from services.runtime.settings import ApiSettings, DatabaseSettings
-from tests.api.serving import client_of
-from tests.servers.fixtures import make_settings, opened
-from tests.servers.postgres import PostgresServer
+from testing.api.serving import client_of
+from testing.servers.fixtures import make_settings, opened
+from testing.servers.postgres import PostgresServer
 
 SMALL = Amounts(sequences=2400, submissions=1500, backlog=300, members=1200)
 LARGE_ROWS = 1100
@@ -47,7 +47,7 @@ def _lay(database: Database) -> None:
         analyse(connection)
 
 
-def plans_of(platform: Platform, statements: list[Statement]) -> list[Plan]:
+def plans_of(platform: Platform, statements: list[Statement]) -> list[StatementPlan]:
     with platform.database.engine.connect() as connection:
         connection.exec_driver_sql("SET LOCAL enable_seqscan = off")
         large = large_tables(connection, LARGE_ROWS)
@@ -76,4 +76,4 @@ def test_rows_of_columns_that_do_not_exist_are_refused(kit: Kit) -> None:
         kit.platform.database.engine.connect() as connection,
         pytest.raises(ValueError, match=r"table teams has no columns \['motto'\]"),
     ):
-        lay(connection, "teams", "generate_series(1, 2) AS n", {"motto": "'x'"})
+        insert_rows(connection, "teams", "generate_series(1, 2) AS n", {"motto": "'x'"})

@@ -7,23 +7,24 @@ from typing import TypeVar
 
 from sqlalchemy.orm import Session
 
-from chaos.made import Brought, Made, made_by
-from services.runtime import blobs, quota
+from chaos.result_hashes import OwnerRun, RunArtefacts, made_by
+from services.runtime.access import storage_quota
 from services.runtime.orm import (
     Artefact,
     Base,
     Job,
     JobAttempt,
-    LabelledFrame,
+    LabelledFrameRow,
     LabelSet,
-    Sequence,
+    SequenceRow,
     Upload,
     User,
 )
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
+from services.runtime.store import blobs
 from services.runtime.uploads.files import upload_file
-from tests.rows import recording_of
+from testing.worlds.rows import recording_of
 
 Row = TypeVar("Row", bound=Base)
 BAG = b"a recording" * 100
@@ -37,22 +38,22 @@ class Played:
     """The platform, what was brought, and what was made of it."""
 
     platform: Platform
-    brought: Brought
-    made: Made
+    brought: OwnerRun
+    made: RunArtefacts
 
 
 def play_well(platform: Platform, folder: Path) -> Played:
     """Sent, registered, processed by two jobs of which one was lost once, published."""
     with platform.database.transaction() as session:
         owner = added(session, User(name="ada", role="curator"))
-        sequence = added(session, Sequence(owner_id=owner.id, name="chaos"))
+        sequence = added(session, SequenceRow(owner_id=owner.id, name="chaos"))
         _send(session, platform, sequence, folder)
         run = a_job(session, sequence, "sequence.process")
         a_job(session, sequence, "ingest.register", ("succeeded",))
         a_job(session, sequence, "labeler.fuse", ("lost", "succeeded"), run)
         a_job(session, sequence, "labeler.publish", ("succeeded",), run)
         _publish(session, platform, run, folder)
-        brought = Brought(owner.id, sequence.id, run.id, sha256(BAG).hexdigest(), len(BAG))
+        brought = OwnerRun(owner.id, sequence.id, run.id, sha256(BAG).hexdigest(), len(BAG))
     return Played(platform, brought, made_by(platform, brought))
 
 
@@ -63,7 +64,7 @@ def added(session: Session, row: Row) -> Row:
 
 
 def a_job(
-    session: Session, sequence: Sequence, kind: str, outcomes: tuple[str, ...] = (), run: Job | None = None
+    session: Session, sequence: SequenceRow, kind: str, outcomes: tuple[str, ...] = (), run: Job | None = None
 ) -> Job:
     """A job that has succeeded, with an attempt for each outcome; a run where there is none."""
     job = Job(owner_id=sequence.owner_id, sequence_id=sequence.id, kind=kind, state="succeeded", attempt=len(outcomes))
@@ -76,12 +77,12 @@ def a_job(
     return job
 
 
-def _send(session: Session, platform: Platform, sequence: Sequence, folder: Path) -> None:
+def _send(session: Session, platform: Platform, sequence: SequenceRow, folder: Path) -> None:
     digest = sha256(BAG).hexdigest()
     upload = Upload(owner_id=sequence.owner_id, purpose="recording", filename="chaos.mcap", length_bytes=len(BAG))
     upload.sha256, upload.declared_sha256, upload.state, upload.expires_ns = digest, digest, "consumed", now_ns()
     added(session, upload)
-    quota.reserve(session, sequence.owner_id, len(BAG), upload.id, "upload", GIB)
+    storage_quota.reserve(session, sequence.owner_id, len(BAG), upload.id, "upload", GIB)
     path = upload_file(platform.settings, upload.id)
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(BAG)
@@ -98,7 +99,7 @@ def _publish(session: Session, platform: Platform, run: Job, folder: Path) -> No
         artefact.blob_sha256 = _kept(session, platform, folder, content)
         added(session, artefact)
     for ordinal, (begin, end) in enumerate(((0, CUT), (CUT, len(PACK)))):
-        frame = LabelledFrame(label_set_id=label_set.id, ordinal=ordinal, token=f"token-{ordinal}", stamp_ns=ordinal)
+        frame = LabelledFrameRow(label_set_id=label_set.id, ordinal=ordinal, token=f"token-{ordinal}", stamp_ns=ordinal)
         frame.pack_id, frame.offset_bytes, frame.length_bytes = artefact.id, begin, end - begin
         frame.sha256 = sha256(PACK[begin:end]).hexdigest()
         added(session, frame)

@@ -9,10 +9,11 @@ import pytest
 from chaos import scoring
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_no_kill_costs_a_score_or_a_scoring(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """Catches alone a score that a `kill -9` of a real worker loses, doubles or changes."""
     monkeypatch.setattr(sys, "argv", ["scoring", "--rounds", "3", "--seed", "3", "--folder", str(tmp_path / "place")])
     code = scoring.main()
     said = capsys.readouterr().out

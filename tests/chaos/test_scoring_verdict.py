@@ -7,11 +7,11 @@ import pytest
 from sqlalchemy import delete, update
 from sqlalchemy.orm import Session
 
-from chaos.scoring_verdict import Came, came_of, judge, judge_quota
-from services.runtime.orm import Job, JobAttempt, Score, ScorePart, ScoringEntry, Submission
+from chaos.scoring_verdict import SubmissionOutcome, came_of, judge, judge_quota
+from services.runtime.orm import Job, JobAttempt, Score, ScorePart, ScoringEntry, SubmissionRow
 from services.runtime.uploads import upload_file
-from tests.benchmark_world import World, run_eval
-from tests.services.eval.sending import guess, pair_of, row_of, send, standing_world, zipped
+from testing.worlds.benchmark_world import World, run_eval
+from testing.worlds.sending import guess, pair_of, row_of, send, standing_world, zipped
 
 
 @pytest.fixture(scope="module")
@@ -26,14 +26,14 @@ def content(world: World) -> bytes:
 
 
 @pytest.fixture(scope="module")
-def undisturbed(world: World, content: bytes) -> Came:
+def undisturbed(world: World, content: bytes) -> SubmissionOutcome:
     submission_id = send(world, content)
     run_eval(world.platform)
     return came_of(world.platform, submission_id)
 
 
 @pytest.fixture
-def submission(world: World, content: bytes, undisturbed: Came) -> Submission:
+def submission(world: World, content: bytes, undisturbed: SubmissionOutcome) -> SubmissionRow:
     """Scored as the undisturbed one."""
     submission_id = send(world, content)
     run_eval(world.platform)
@@ -41,49 +41,54 @@ def submission(world: World, content: bytes, undisturbed: Came) -> Submission:
     return row_of(world.platform, submission_id)
 
 
-def no_score(session: Session, row: Submission) -> None:
+def no_score(session: Session, row: SubmissionRow) -> None:
     session.execute(delete(Score).where(Score.submission_id == row.id))
 
 
-def another_state(session: Session, row: Submission) -> None:
-    session.execute(update(Submission).where(Submission.id == row.id).values(state="scoring"))
+def another_state(session: Session, row: SubmissionRow) -> None:
+    session.execute(update(SubmissionRow).where(SubmissionRow.id == row.id).values(state="scoring"))
 
 
-def taken_twice(session: Session, row: Submission) -> None:
+def taken_twice(session: Session, row: SubmissionRow) -> None:
     session.add(
         ScoringEntry(phase_id=row.phase_id, team_id=row.team_id, submission_id=row.id, amount=1, reason="again")
     )
 
 
-def done_twice(session: Session, row: Submission) -> None:
+def done_twice(session: Session, row: SubmissionRow) -> None:
     job_id = session.query(Job.id).filter(Job.root_id == row.job_id, Job.queue != "").scalar()
     session.add(JobAttempt(job_id=job_id, number=7, worker="here:1", outcome="succeeded"))
 
 
-def not_done(session: Session, row: Submission) -> None:
+def not_done(session: Session, row: SubmissionRow) -> None:
     session.execute(update(Job).where(Job.id == row.job_id).values(state="running"))
 
 
-def not_kept(session: Session, row: Submission) -> None:
-    session.execute(update(Submission).where(Submission.id == row.id).values(blob_sha256=None))
+def not_kept(session: Session, row: SubmissionRow) -> None:
+    session.execute(update(SubmissionRow).where(SubmissionRow.id == row.id).values(blob_sha256=None))
 
 
 @pytest.mark.parametrize("spoil", [no_score, another_state, taken_twice, done_twice, not_done, not_kept])
 def test_what_is_not_as_undisturbed_is_told(
-    world: World, submission: Submission, undisturbed: Came, spoil: Callable[[Session, Submission], None]
+    world: World,
+    submission: SubmissionRow,
+    undisturbed: SubmissionOutcome,
+    spoil: Callable[[Session, SubmissionRow], None],
 ) -> None:
     with world.platform.database.transaction() as session:
         spoil(session, submission)
     assert judge(world.platform, submission.id, undisturbed) != []
 
 
-def test_another_result_is_told(world: World, undisturbed: Came) -> None:
+def test_another_result_is_told(world: World, undisturbed: SubmissionOutcome) -> None:
     submission_id = send(world, zipped(world, guess(world, turn=1)))
     run_eval(world.platform)
     assert [found.sort for found in judge(world.platform, submission_id, undisturbed)] == ["differing"]
 
 
-def test_parts_and_uploads_that_are_left_are_told(world: World, submission: Submission, undisturbed: Came) -> None:
+def test_parts_and_uploads_that_are_left_are_told(
+    world: World, submission: SubmissionRow, undisturbed: SubmissionOutcome
+) -> None:
     truth_id = pair_of(world, "val").truth_id
     with world.platform.database.transaction() as session:
         part = ScorePart(submission_id=submission.id, truth_id=truth_id, start=0, stop=1, counts=b"", problems={})

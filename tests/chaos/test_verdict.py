@@ -8,24 +8,24 @@ import pytest
 from sqlalchemy import Update, delete, select, update
 from sqlalchemy.orm import Session
 
-from chaos.made import Made, made_by
+from chaos.result_hashes import RunArtefacts, made_by
 from chaos.verdict import Violation, judge
 from services.runtime.orm import (
     Artefact,
     Blob,
     Job,
     JobAttempt,
-    LabelledFrame,
+    LabelledFrameRow,
     LabelSet,
     QuotaEntry,
     Recording,
     RecordingFile,
-    Sequence,
+    SequenceRow,
     Upload,
 )
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
-from services.runtime.store_folder import FolderStore
+from services.runtime.store.folder import FolderStore
 from services.runtime.uploads.files import upload_file
 from tests.chaos.played import Played, a_job, play_well
 
@@ -37,7 +37,7 @@ def played(platform: Platform, tmp_path: Path) -> Played:
     return play_well(platform, tmp_path)
 
 
-def judged(played: Played, undisturbed: Made | None = None) -> list[Violation]:
+def judged(played: Played, undisturbed: RunArtefacts | None = None) -> list[Violation]:
     return judge(played.platform, played.brought, undisturbed or played.made)
 
 
@@ -111,7 +111,7 @@ def test_an_attempt_that_left_no_trace_is_lost(played: Played) -> None:
 def test_a_job_more_than_undisturbed_is_doubled(played: Played) -> None:
     def fan_out_twice(session: Session) -> None:
         run = session.get_one(Job, played.brought.run_id)
-        a_job(session, session.get_one(Sequence, played.brought.sequence_id), "labeler.fuse", ("succeeded",), run)
+        a_job(session, session.get_one(SequenceRow, played.brought.sequence_id), "labeler.fuse", ("succeeded",), run)
 
     assert sorts_after(played, fan_out_twice) == {"doubled"}
 
@@ -119,9 +119,11 @@ def test_a_job_more_than_undisturbed_is_doubled(played: Played) -> None:
 def test_a_label_set_of_another_run_is_doubled(played: Played) -> None:
     def publish_twice(session: Session) -> None:
         other = session.scalars(select(Job).where(Job.kind == "labeler.publish")).one()
-        twin = LabelSet(sequence_id=played.brought.sequence_id, job_id=other.id, recipe="s", parameters={}, frames=0)
-        twin.code_version = "1"
-        session.add(twin)
+        duplicate = LabelSet(
+            sequence_id=played.brought.sequence_id, job_id=other.id, recipe="s", parameters={}, frames=0
+        )
+        duplicate.code_version = "1"
+        session.add(duplicate)
 
     assert sorts_after(played, publish_twice) == {"doubled"}
 
@@ -148,12 +150,16 @@ def test_an_artefact_that_should_not_be_differs(played: Played) -> None:
 
 
 def test_a_frame_of_other_bytes_differs(played: Played) -> None:
-    moved = update(LabelledFrame).where(LabelledFrame.ordinal == 1).values(offset_bytes=LabelledFrame.offset_bytes - 1)
+    moved = (
+        update(LabelledFrameRow)
+        .where(LabelledFrameRow.ordinal == 1)
+        .values(offset_bytes=LabelledFrameRow.offset_bytes - 1)
+    )
     assert sorts_after(played, moved) == {"differing"}
 
 
 def test_a_frame_that_is_missing_is_lost(played: Played) -> None:
-    last = delete(LabelledFrame).where(LabelledFrame.ordinal == 1)
+    last = delete(LabelledFrameRow).where(LabelledFrameRow.ordinal == 1)
     assert sorts_after(played, lambda session: session.execute(last)) == {"lost"}
 
 
@@ -171,12 +177,14 @@ def test_a_blob_without_its_object_is_lost(played: Played) -> None:
 
 def test_two_recordings_are_doubled(played: Played) -> None:
     def register_twice(session: Session) -> None:
-        twin = Recording(
+        duplicate = Recording(
             sequence_id=played.brought.sequence_id, filename="chaos.mcap", size_bytes=1, state="registered"
         )
-        twin.sha256 = sha256 = played.brought.sha256
-        twin.files = [RecordingFile(ordinal=0, filename="chaos.mcap", size_bytes=1, sha256=sha256, blob_sha256=sha256)]
-        session.add(twin)
+        duplicate.sha256 = sha256 = played.brought.sha256
+        duplicate.files = [
+            RecordingFile(ordinal=0, filename="chaos.mcap", size_bytes=1, sha256=sha256, blob_sha256=sha256)
+        ]
+        session.add(duplicate)
 
     assert sorts_after(played, register_twice) == {"doubled"}
 
@@ -215,10 +223,12 @@ def test_a_forgotten_upload_is_harmless_only_while_nothing_was_sent(
 ) -> None:
     def begin_another(session: Session) -> None:
         owner_id = played.brought.owner_id
-        twin = Upload(owner_id=owner_id, purpose="recording", filename="chaos.mcap", length_bytes=9, state="open")
-        twin.id, twin.expires_ns = "f" * 32, now_ns()
-        session.add_all([twin, QuotaEntry(owner_id=owner_id, kind="bytes", amount=9, subject_id=twin.id, reason="")])
-        upload_file(played.platform.settings, twin.id).write_bytes(content)
+        duplicate = Upload(owner_id=owner_id, purpose="recording", filename="chaos.mcap", length_bytes=9, state="open")
+        duplicate.id, duplicate.expires_ns = "f" * 32, now_ns()
+        session.add_all(
+            [duplicate, QuotaEntry(owner_id=owner_id, kind="bytes", amount=9, subject_id=duplicate.id, reason="")]
+        )
+        upload_file(played.platform.settings, duplicate.id).write_bytes(content)
 
     assert sorts_after(played, begin_another) == sorts
 
@@ -230,11 +240,11 @@ def test_bytes_that_are_counted_wrongly_are_told(played: Played, amount: int, so
 
 
 def test_nothing_to_compare_with_proves_nothing(played: Played) -> None:
-    assert any("nothing to compare with" in violation.sentence for violation in judged(played, Made()))
+    assert any("nothing to compare with" in violation.sentence for violation in judged(played, RunArtefacts()))
 
 
 def test_hashes_are_taken_of_what_lies_in_the_store(played: Played) -> None:
     with played.platform.database.transaction() as session:
-        session.execute(update(LabelledFrame).values(sha256="0" * 64))
+        session.execute(update(LabelledFrameRow).values(sha256="0" * 64))
     made = made_by(played.platform, played.brought)
     assert (made.frames, len(made.flaws)) == (played.made.frames, 2)

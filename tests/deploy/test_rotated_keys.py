@@ -12,15 +12,15 @@ from sqlalchemy import select, text
 from sqlalchemy.exc import OperationalError
 
 from services.runtime.access.users import create_user
-from services.runtime.database import Database
-from services.runtime.migrate import upgrade
+from services.runtime.database.migrate import upgrade
+from services.runtime.database.transactions import Database
 from services.runtime.orm import User
 from services.runtime.settings import DatabaseSettings, Settings
-from services.runtime.store_keys import StoreAwayError
-from services.runtime.store_s3 import S3Store
-from tests.servers.fixtures import make_settings
-from tests.servers.postgres import PostgresServer, running_postgres
-from tests.servers.s3 import running_s3
+from services.runtime.store.keys import StoreAwayError
+from services.runtime.store.s3 import S3Store
+from testing.servers.fixtures import make_settings
+from testing.servers.postgres import PostgresServer, running_postgres
+from testing.servers.s3 import running_s3
 
 ROLES = (
     "CREATE ROLE stone_owner NOLOGIN",

@@ -10,16 +10,16 @@ from pathlib import Path
 
 import pytest
 
-from services.runtime.database import Database
-from services.runtime.jobs.claiming import claim
-from services.runtime.jobs.finishing import Failure, lose
-from services.runtime.jobs.queueing import enqueue
+from services.runtime.database.transactions import Database
+from services.runtime.jobs.claims import claim
+from services.runtime.jobs.completion import Failure, lose
+from services.runtime.jobs.control import set_mode
+from services.runtime.jobs.enqueue import enqueue
 from services.runtime.jobs.specs import Context, JobSpec
-from services.runtime.jobs.steering import set_mode
 from services.runtime.orm import Job, Token
 from services.runtime.platform import Platform
 from services.runtime.settings import BrokerSettings
-from tests.api.serving import Person, person, serving
+from testing.api.serving import Person, person, serving
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ROOT / "docs" / "operations"

@@ -7,23 +7,25 @@ import pytest
 
 from api.openapi import operations
 from api.statuses import STATUS_OF
-from client.main import app
 from docsite.api_pages import document
 from docsite.codes_page import all_codes
-from docsite.included import relinked
-from docsite.navigation import spread
 from docsite.pages import made_pages
 from docsite.programs_page import programs
+from docsite.readmes import relinked
 from docsite.schemas import anchor_of
-from docsite.settings_page import variables
+from services.runtime.settings import Settings
+from services.runtime.settings_checks import variables_of
+from stone_client.main import app
 
 ROOT = Path(__file__).resolve().parents[2]
 WRITTEN = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
-SOURCES = ("stone", "services", "simulator", "client", "api", "web", "benchmarks", "chaos", "fuzz", "deploy", "tests")
+SOURCES = (
+    "stone", "stone_files", "stone_recordings", "stone_submissions", "services", "simulator", "stone_client",
+    "api", "web", "testing", "benchmarks", "chaos", "fuzz", "docsite", "deploy", "tests",
+)  # fmt: skip
 # `deploy/stone-…` is what kubectl calls a deployment.
 PATHS = re.compile(rf"`(?!deploy/stone-)((?:{'|'.join(SOURCES)}|examples)/[\w./-]+)`")
 VARIABLE = re.compile(r"\bSTONE_[A-Z0-9_]*[A-Z0-9]\b")
-NAV = [{"Start": "index.md"}, {"Operations": ["operations/*.md", "scale*.md"]}, {"Security": ["security/*.md"]}]
 
 
 @pytest.fixture(scope="module")
@@ -36,12 +38,12 @@ def known_variables() -> set[str]:
     """Those of the settings, and whatever a source reads."""
     paths = [path for folder in SOURCES for path in (ROOT / folder).rglob("*") if path.suffix in (".py", ".sh")]
     read = {name for path in paths if "node_modules" not in path.parts for name in VARIABLE.findall(path.read_text())}
-    return read | set(variables())
+    return read | set(variables_of(Settings))
 
 
 def test_every_setting_is_in_the_configuration_reference(made: dict[str, str]) -> None:
     page = made["reference/configuration.md"]
-    assert [name for name in variables() if f"`{name}`" not in page] == []
+    assert [name for name in variables_of(Settings) if f"`{name}`" not in page] == []
     assert "`STONE_UPLOADS__OWNER_BYTES` | `number` | `1099511627776` (1 TiB)" in page
 
 
@@ -81,22 +83,6 @@ def test_a_page_names_only_settings_files_and_modules_that_exist(page: Path, kno
     assert [path for path in PATHS.findall(text) if not (ROOT / path).exists()] == []
     modules = re.findall(r"python -m ((?:benchmarks|chaos|fuzz|services|simulator)[\w.]*\w)", text)
     assert [name for name in modules if not _is_module(name)] == []
-
-
-def test_patterns_of_the_navigation_stand_for_the_pages_that_are_there() -> None:
-    pages = ["index.md", "operations/a.md", "operations/index.md", "scale.md"]
-    assert spread(NAV, pages) == [
-        {"Start": "index.md"},
-        {"Operations": ["operations/index.md", "operations/a.md", "scale.md"]},
-    ]
-
-
-def test_a_page_stands_where_it_is_named_else_where_it_is_matched_first() -> None:
-    nav = [{"Book": ["operations/run*.md", "operations/*.md"]}, {"First": "operations/a.md"}]
-    assert spread(nav, ["operations/a.md", "operations/b.md", "operations/runbook.md"]) == [
-        {"Book": ["operations/runbook.md", "operations/b.md"]},
-        {"First": "operations/a.md"},
-    ]
 
 
 def test_a_page_from_elsewhere_leads_to_pages_of_the_site_and_keeps_only_the_words_of_what_is_none() -> None:

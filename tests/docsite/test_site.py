@@ -1,4 +1,7 @@
-"""The docs site: built strictly, whole by itself, and looked at."""
+"""The docs site: built strictly, whole by itself, and looked at.
+
+Catches alone a link, an anchor or a picture of the built site that leads nowhere.
+"""
 
 import re
 from collections.abc import Iterator
@@ -11,9 +14,11 @@ from urllib.parse import unquote, urlsplit
 import pytest
 from playwright.sync_api import Browser, expect
 
+from testing.web.browsing import DESKTOP, PATIENCE_MS, Watch
 from tests.docsite.conftest import Built
-from tests.web.browsing import DESKTOP, PATIENCE_MS, Watch
 from tests.web.looking import look
+
+pytestmark = pytest.mark.whole
 
 LOOKED_AT = ("index.html", "method/index.html", "reference/api/sequences.html")
 
@@ -55,6 +60,16 @@ def test_every_link_and_picture_leads_to_a_file_and_to_a_place_in_it(built: Buil
             if not is_there:
                 broken.append((page.path.relative_to(built.folder).as_posix(), link))
     assert broken == []
+
+
+def test_the_navigation_holds_every_page_once_and_first_what_its_patterns_name_first(built: Built) -> None:
+    lost = next(page for page in built.pages if page.path.name == "404.html")  # its links are from the root
+    pages = {f"/{page.path.relative_to(built.folder).as_posix()}" for page in built.pages} - {"/404.html"}
+    assert sorted(lost.navigation) == sorted(pages)
+    place = lost.navigation.index
+    assert place("/install/compose.html") < place("/install/cluster.html") < place("/install/images.html")
+    assert place("/operations/runbook.html") < place("/operations/backup.html") < place("/scale.html")
+    assert place("/reference/api/index.html") < place("/reference/api/administration.html")
 
 
 def test_nothing_is_loaded_from_another_host(built: Built) -> None:

@@ -1,4 +1,7 @@
-"""The three guides, line by line: what is printed there is typed here, against a platform with real data."""
+"""The three guides, line by line: what is printed there is typed here, against a platform with real data.
+
+Catches alone a line of a guide that does not do what is printed below it.
+"""
 
 import json
 import shutil
@@ -10,32 +13,32 @@ from typing import Any
 import pytest
 from structlog.testing import capture_logs
 
-from client.credentials import remember
+from services.domain.benchmarks.phases.ground_truths import start_truth
+from services.domain.benchmarks.phases.inputs import start_inputs
+from services.domain.benchmarks.phases.phases import NewBenchmark, NewPhase, create_benchmark, create_phase
+from services.domain.datasets.queries import dataset_named
 from services.eval.stages import handlers as eval_handlers
 from services.ingest import stages as ingest
-from services.ingest.calibration_file import read_calibration
 from services.labeler import stages as labeler
 from services.runtime.access.passwords import hash_password
-from services.runtime.benchmarks.inputs import start_inputs
-from services.runtime.benchmarks.phases import NewBenchmark, NewPhase, create_benchmark, create_phase
-from services.runtime.benchmarks.truths import start_truth
-from services.runtime.dataset_reading import dataset_named
+from services.runtime.database.migrate import upgrade
 from services.runtime.embedded.first_start import ensure_keys
-from services.runtime.migrate import upgrade
-from services.runtime.orm import LabelSet, Sequence, User
+from services.runtime.orm import LabelSet, SequenceRow, User
 from services.runtime.platform import Platform
-from services.runtime.sample_sources import provide_samples
-from services.runtime.sweep_sources import provide_sweeps
 from simulator.options import SimulateOptions
 from simulator.pipeline import simulate
-from tests.api.published import dataset
-from tests.api.serving import person, serving
-from tests.benchmark_world import run_eval
-from tests.client.participating import answered
+from stone_client.credentials import remember
+from stone_recordings.calibrations.file import read_calibration
+from testing.api.serving import person, serving
+from testing.servers.fixtures import make_settings, opened
+from testing.worlds.benchmark_world import run_eval
+from testing.worlds.published import dataset
+from testing.worlds.runs import bring_ready, run_all
 from tests.e2e.pasting import ADDRESS, PASSWORD, Shell, shell_in
-from tests.servers.fixtures import make_settings, opened
-from tests.services.runs import bring_ready, run_all
+from tests.stone_client.participating import answered
 from tests.working import working
+
+pytestmark = pytest.mark.whole
 
 RUN = SimulateOptions(seconds=1.5, channels=16, columns=180, cameras=False)
 PARTS = {"train": "meadow", "val": "forest", "test": "lake"}
@@ -46,7 +49,6 @@ SERVE = ".venv/bin/stone serve"
 @pytest.fixture(scope="module")
 def driven(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The data folder of a platform with an administrator and three driven and labelled sequences; to be copied."""
-    _provide()
     root = tmp_path_factory.mktemp("driven")
     platform = opened(make_settings(root), [])
     upgrade(platform.settings)
@@ -65,7 +67,6 @@ def driven(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def field(driven: Path, tmp_path: Path) -> Iterator[Platform]:
     """A platform of the test's own with those sequences; its folder is also where a guide expects it."""
-    _provide()
     settings = make_settings(tmp_path)
     shutil.copytree(driven, settings.root)
     (tmp_path / "stone-data").symlink_to(settings.root)
@@ -74,7 +75,6 @@ def field(driven: Path, tmp_path: Path) -> Iterator[Platform]:
     platform.database.close()
 
 
-@pytest.mark.slow
 def test_the_field_engineers_guide_works_line_by_line(
     field: Platform, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -88,7 +88,6 @@ def test_the_field_engineers_guide_works_line_by_line(
     assert json.loads((tmp_path / "labels" / "report.json").read_text())["frames"] == len(here)
 
 
-@pytest.mark.slow
 def test_the_administrators_guide_works_line_by_line(
     field: Platform, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -103,7 +102,6 @@ def test_the_administrators_guide_works_line_by_line(
     assert json.loads((tmp_path / "manifest.json").read_text())["sequences"]
 
 
-@pytest.mark.slow
 def test_the_participants_guide_works_line_by_line(
     field: Platform, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -154,15 +152,10 @@ def _elsewhere(page: str) -> set[str]:
     return {line for line in lines if line.startswith(("make ", "apt-get ", "    python3", SERVE))}
 
 
-def _provide() -> None:
-    provide_samples(ingest.open_recording)
-    provide_sweeps(ingest.open_described)
-
-
 def _say(platform: Platform, sequence_id: str, region: str) -> None:
     """Give the sequence what the dataset's rules ask for."""
     with platform.database.transaction() as session:
-        row = session.get_one(Sequence, sequence_id)
+        row = session.get_one(SequenceRow, sequence_id)
         row.environment, row.illumination, row.region = "mountain", "day", region
         labels = session.query(LabelSet).filter_by(sequence_id=sequence_id).one()
         labels.duration_ns = int(SAID_S * 1e9)
@@ -171,7 +164,7 @@ def _say(platform: Platform, sequence_id: str, region: str) -> None:
 def _benchmark(platform: Platform) -> None:
     """A benchmark called `stone` over a version of all three, and its participant."""
     with platform.database.reading() as session:
-        ids = {part: [session.query(Sequence).filter_by(name=f"n-{part}").one().id] for part in PARTS}
+        ids = {part: [session.query(SequenceRow).filter_by(name=f"n-{part}").one().id] for part in PARTS}
         user_id = session.query(User).filter_by(role="administrator").one().id
     version_name = dataset(platform, user_id, ids, "stone-1.0")
     with platform.database.transaction() as session:

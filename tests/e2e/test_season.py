@@ -1,4 +1,7 @@
-"""A small season on the embedded platform, and the script by which the board of any season is computed anew."""
+"""A small season on the embedded platform, and the script by which the board of any season is computed anew.
+
+Catches alone a board that drifts from its kept counts over a whole season.
+"""
 
 import json
 import subprocess
@@ -9,13 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.season import RECOMPUTE, run_season
-from benchmarks.season_world import SeasonSize
+from benchmarks.season.__main__ import RECOMPUTE, run_season
+from benchmarks.season.world import SeasonSize
 
 SMALL = SeasonSize(teams=5, submissions=20, sequences=1, frames=2, scorings=3, seed=145)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_season_ends_with_the_board_that_its_kept_counts_make(tmp_path: Path) -> None:
     figures = run_season(tmp_path, SMALL)
     assert figures.recomputed.endswith("equal to the board of all: True, of the best: True")

@@ -1,4 +1,7 @@
-"""A small simulated world goes the whole way: through the embedded platform, and by the local commands."""
+"""A small simulated world goes the whole way: through the embedded platform, and by the local commands.
+
+Catches alone what breaks between the parts: processes, queue, store and command as a user has them.
+"""
 
 import json
 import re
@@ -12,21 +15,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from client.api import Api
-from client.credentials import Server
-from client.demo import DemoPlan, run_demo
-from services.eval.submission import write_submission
-from services.runtime.embedded.supervisor import running_platform
-from services.runtime.settings import ApiSettings
 from simulator.options import SimulateOptions
 from simulator.pipeline import simulate
-from tests.servers.fixtures import make_settings
-from tests.signals import hear_signals
-from tests.stone_serve import environment
+from stone_client.api import Api
+from stone_client.credentials import Server
+from testing.signals import hear_signals
+from testing.stone_serve import environment
+from testing.worlds.demo import made_demo
+from testing.worlds.submission_files import write_submission
 
 STONE = Path(sys.executable).parent / "stone"
 Spoil = Callable[[Path, Path], None]
-SMALL = SimulateOptions(seconds=20.0, seed=3, channels=24, columns=240, cameras=False)
+pytestmark = pytest.mark.whole
 REFUSAL = re.compile(r"[A-Za-z]+[-_A-Za-z0-9]*: \S.*")
 
 
@@ -36,13 +36,8 @@ def stone(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The demo on a platform of its own, by a smaller robot than the command's."""
-    base = tmp_path_factory.mktemp("whole way")
-    settings = make_settings(base, workers=2, api=ApiSettings(port=0))
-    (base / "demo").mkdir()
-    with running_platform(settings, is_awaited=False) as running:
-        run_demo(base / "demo", DemoPlan(SMALL, running), lambda *_: None)
-    return base / "demo"
+    """The demo of a smaller robot than the command's; read only."""
+    return made_demo(tmp_path_factory) / "demo"
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +48,6 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return bag
 
 
-@pytest.mark.slow
 def test_the_command_ends_with_a_url_that_stays_up_when_asked_to(tmp_path: Path) -> None:
     options = ("--seconds", "2", "-o", tmp_path / "demo", "--data", tmp_path / "data", "--keep-serving", "--json")
     process = subprocess.Popen(
@@ -72,7 +66,7 @@ def test_the_command_ends_with_a_url_that_stays_up_when_asked_to(tmp_path: Path)
             (sequence,) = api.pages("/sequences")
         assert (sequence["name"], sequence["labels"]["frames"]) == ("demo", record["labels"]["frames"])
         process.terminate()
-        _, said = process.communicate(timeout=120)
+        _, said = process.communicate(timeout=300)
         assert process.returncode == 0, said
     finally:
         process.kill()

@@ -18,14 +18,13 @@ from services.runtime.processes.worker import app, arguments
 modules = arguments(sys.argv[1:], 1)
 for module in modules[modules.index("--include") + 1].split(","):
     app.loader.import_task_module(module)
-from services.runtime import sweep_sources
 print(json.dumps({
     "tasks": sorted(name for name in app.tasks if name.endswith(".work")),
     "threads": [os.environ.get(name) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")],
-    "has_kernels": "stone.screened" in sys.modules,
+    "has_kernels": "stone.surface.screened_poisson" in sys.modules,
     "has_open3d": "open3d" in sys.modules,
     "running": [open(f"/proc/self/task/{task}/comm").read().strip() for task in os.listdir("/proc/self/task")],
-    "reads_sweeps": [one.__module__ for one in sweep_sources._PROVIDED] == ["services.ingest.stages"],
+    "reads_recordings": "stone_recordings.sync.sweeps" in sys.modules,
     "services": sorted({name.split(".")[1] for name in sys.modules if name.startswith("services.")}),
 }))
 """
@@ -37,7 +36,7 @@ def loaded_for(queues: tuple[str, ...], data: Path) -> dict[str, object]:
     environment = {name: value for name, value in os.environ.items() if name not in names}
     environment |= {"PYTHONPATH": str(ROOT), "STONE_DATA_FOLDER": str(data)}
     command = [sys.executable, "-c", ASKED, *queues]
-    outcome = subprocess.run(command, env=environment, check=True, capture_output=True, text=True, timeout=120)
+    outcome = subprocess.run(command, env=environment, check=True, capture_output=True, text=True, timeout=300)
     record: dict[str, object] = json.loads(outcome.stdout)
     return record
 
@@ -58,20 +57,17 @@ def test_libraries_have_one_thread_and_the_kernels_are_there_before_the_fork(loa
     assert set(others) <= {ALLOCATOR}, "a fork takes one thread with it; a pool would be missing in the children"
 
 
-def test_the_labeler_can_read_recordings(loaded: dict[str, object]) -> None:
-    assert loaded["reads_sweeps"]
-
-
 @pytest.mark.parametrize(
     ("queue", "services"),
-    [("labeler", ["ingest", "labeler"]), ("eval", ["eval"])],
+    [("labeler", ["domain", "labeler"]), ("eval", ["domain", "eval"])],
 )
-def test_a_worker_of_one_queue_loads_no_other_service_than_it_reads_through(
+def test_a_worker_of_one_queue_loads_no_other_service_than_what_it_imports(
     tmp_path: Path, queue: str, services: list[str]
 ) -> None:
     loaded = loaded_for((queue,), tmp_path)
     assert loaded["services"] == sorted([*services, "runtime"])
-    assert loaded["reads_sweeps"] == ("ingest" in services)
+    assert loaded["tasks"] == [f"{queue}.work"]
+    assert loaded["reads_recordings"] == ("labeler" in services), "what reads recordings is there before the fork"
 
 
 @pytest.mark.parametrize("queues", [(), ("ingest", "labels")])

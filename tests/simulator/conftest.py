@@ -8,7 +8,7 @@ from rosbags.highlevel import AnyReader
 
 from simulator.options import SimulateOptions
 from simulator.pipeline import simulate
-from simulator.truth import Truth, read_truth
+from simulator.truth import SimulationTruth, read_truth
 
 TINY = SimulateOptions(seconds=0.5, seed=3, channels=16, columns=120, camera_width_px=64, world_width_m=60.0)
 
@@ -27,7 +27,7 @@ class Message:
 @dataclass(frozen=True)
 class Recording:
     path: Path
-    truth: Truth
+    truth: SimulationTruth
     messages: tuple[Message, ...]
 
     def of(self, topic: str) -> list[object]:

@@ -10,15 +10,15 @@ import pymap3d
 import pytest
 from rosbags.highlevel import AnyReader
 
-from simulator import rig
 from simulator.faults import DRIFTING_TOPIC, FAULTS, STEPPING_TOPIC, all_of
-from simulator.navigation import FIX_NS
 from simulator.options import FAULT_NAMES, FaultName, SimulateOptions, SimulationOptionError
 from simulator.pipeline import calibration_path, simulate
 from simulator.ros_messages import HESAI_POINT
+from simulator.scenery.world import ORIGIN_DEG_M
+from simulator.sensors import rig
+from simulator.sensors.navigation import FIX_NS
 from simulator.topics import BESTPOS_TOPIC, IMU_TOPIC, INSPVAX_TOPIC, LIDAR_TOPIC
 from simulator.truth import read_truth
-from simulator.world import ORIGIN_DEG_M
 from tests.simulator.test_recording import gps_unix_ns, stamp_of
 
 SHORT = SimulateOptions(seconds=0.6, seed=3, channels=4, columns=24, camera_width_px=32, world_width_m=30.0)

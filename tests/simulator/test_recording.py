@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from services.ingest.messages.registry import typestore
-from simulator import rig
-from simulator.navigation import FIX_NS, UNDULATION_M
 from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate, sweep_stamps_ns
 from simulator.recorder import LIDAR_DELAY_NS
 from simulator.ros_messages import HESAI_POINT, MAX_DETECTIONS
+from simulator.scenery.world import ORIGIN_DEG_M
+from simulator.sensors import rig
+from simulator.sensors.navigation import FIX_NS, UNDULATION_M
 from simulator.topics import topics
-from simulator.world import ORIGIN_DEG_M
-from stone.se3 import SE3
+from stone.geometry.se3 import SE3
+from stone_recordings.messages.types.registry import typestore
 from tests.simulator.conftest import TINY, Recording
 
 

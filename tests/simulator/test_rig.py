@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.ingest.calibration_file import read_calibration
-from simulator import rig
 from simulator.bag_writer import BagWriter
 from simulator.calibration_yaml import write_calibration
-from simulator.lidar import robot_range
 from simulator.options import SimulateOptions, SimulationOptionError
+from simulator.sensors import rig
+from simulator.sensors.lidar import robot_range
+from stone_recordings.calibrations.file import read_calibration
 
 
 def test_every_camera_fires_inside_the_sweep_when_the_lidar_looks_its_way() -> None:

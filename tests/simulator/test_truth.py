@@ -7,21 +7,21 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from simulator.drivability import drivability
-from simulator.objects import OBSTACLE
-from simulator.path import POSE_NS, Trajectory
+from simulator.scenery.drivability import drivability
+from simulator.scenery.objects import OBSTACLE
+from simulator.scenery.path import POSE_NS, DriveTrajectory
 from simulator.truth import (
     DRIVABLE,
     NOT_DRIVABLE,
     NOT_JUDGED,
-    Ground,
-    Truth,
+    SimulationTruth,
     TruthFolderError,
+    TruthGround,
     TruthStampError,
     read_truth,
     truth_over,
 )
-from stone.se3 import SE3
+from stone.geometry.se3 import SE3
 from tests.simulator.conftest import Recording
 
 RESOLUTION_M = 0.2
@@ -32,10 +32,10 @@ def plane(tilt_deg: float, rows: int = 60, columns: int = 80) -> NDArray[np.floa
     return np.tile(np.tan(np.deg2rad(tilt_deg)) * x, (rows, 1))
 
 
-def truth_on(height_m: NDArray[np.float64], obstacles: list[tuple[float, ...]] | None = None) -> Truth:
-    drive = Trajectory(1000, SE3.identity((4,)))
+def truth_on(height_m: NDArray[np.float64], obstacles: list[tuple[float, ...]] | None = None) -> SimulationTruth:
+    drive = DriveTrajectory(1000, SE3.identity((4,)))
     rows = np.array(obstacles or [], OBSTACLE)
-    return truth_over(Ground(height_m, rows, (0.0, 0.0), RESOLUTION_M), drive, np.array([1000]))
+    return truth_over(TruthGround(height_m, rows, (0.0, 0.0), RESOLUTION_M), drive, np.array([1000]))
 
 
 @pytest.mark.parametrize("tilt_deg", [0.0, 5.0, 21.0, 35.0])

@@ -1,16 +1,13 @@
 """Verdicts on labels made from the truth itself."""
 
-from pathlib import Path
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
-from simulator.verdict import GRID_MIN_M, GRID_SHAPE, VOXEL_M, NoLabelsError, Verdict, judge_labels
-from stone.errors import ShapeError
-from stone.sequence import frame_token
+from simulator.verdict import GRID_MIN_M, VOXEL_M, LabelVerdict, judge_semantics
+from stone.labels.grid import GRID_SHAPE
 from tests.simulator.conftest import Recording
-
-SEQUENCE = "tiny"
 
 
 def exact_semantics(recording: Recording, stamp_ns: int) -> np.ndarray:
@@ -26,44 +23,34 @@ def exact_semantics(recording: Recording, stamp_ns: int) -> np.ndarray:
     return semantics
 
 
-def write_labels(recording: Recording, folder: Path, change) -> None:
-    for stamp_ns in recording.truth.sweep_stamps_ns[:2].tolist():
-        frame = folder / SEQUENCE / frame_token(SEQUENCE, stamp_ns)
-        frame.mkdir(parents=True)
-        np.savez(frame / "labels.npz", semantics=change(exact_semantics(recording, stamp_ns)))
+def judged(recording: Recording, change: Callable[[np.ndarray], np.ndarray]) -> LabelVerdict:
+    """Of two frames whose labels are exact until they are changed."""
+    truth = recording.truth
+    counts = [
+        judge_semantics(
+            change(exact_semantics(recording, stamp_ns)), truth.judge, truth.map_from_ego(stamp_ns).as_matrix()
+        )
+        for stamp_ns in truth.sweep_stamps_ns[:2].tolist()
+    ]
+    return LabelVerdict(len(counts), *np.sum(counts, axis=0).tolist())
 
 
-def test_exact_labels_score_one(recording: Recording, tmp_path: Path) -> None:
-    write_labels(recording, tmp_path, lambda semantics: semantics)
-    verdict = judge_labels(tmp_path, recording.truth)
+def test_exact_labels_score_one(recording: Recording) -> None:
+    verdict = judged(recording, lambda semantics: semantics)
     assert (verdict.frames, verdict.iou, verdict.precision, verdict.recall) == (2, 1.0, 1.0, 1.0)
 
 
-def test_everything_traversable_scores_the_drivable_share(recording: Recording, tmp_path: Path) -> None:
-    write_labels(recording, tmp_path, lambda semantics: np.where(semantics > 0, 1, 0).astype(np.uint8))
-    verdict = judge_labels(tmp_path, recording.truth)
+def test_everything_traversable_scores_the_drivable_share(recording: Recording) -> None:
+    verdict = judged(recording, lambda semantics: np.where(semantics > 0, 1, 0).astype(np.uint8))
     assert verdict.iou == pytest.approx(verdict.everything_iou)
     assert verdict.everything_iou < 0.8
 
 
-def test_inverted_labels_score_zero(recording: Recording, tmp_path: Path) -> None:
-    write_labels(recording, tmp_path, lambda semantics: np.choose(semantics, [0, 0, 3, 2]).astype(np.uint8))
-    assert judge_labels(tmp_path, recording.truth).iou == 0.0
+def test_inverted_labels_score_zero(recording: Recording) -> None:
+    assert judged(recording, lambda semantics: np.choose(semantics, [0, 0, 3, 2]).astype(np.uint8)).iou == 0.0
 
 
 def test_without_support_there_is_no_score() -> None:
-    empty = Verdict(1, 0, 0, 0, 0)
+    empty = LabelVerdict(1, 0, 0, 0, 0)
     assert (empty.iou, empty.precision, empty.recall, empty.everything_iou) == (None, None, None, None)
     assert empty.as_record()["iou"] is None
-
-
-def test_labels_of_another_recording_are_refused(recording: Recording, tmp_path: Path) -> None:
-    (tmp_path / SEQUENCE / frame_token(SEQUENCE, 1)).mkdir(parents=True)
-    with pytest.raises(NoLabelsError, match="no labels for the sweeps"):
-        judge_labels(tmp_path, recording.truth)
-
-
-def test_labels_of_another_grid_are_refused(recording: Recording, tmp_path: Path) -> None:
-    write_labels(recording, tmp_path, lambda semantics: semantics[:10])
-    with pytest.raises(ShapeError, match="256, 256, 32"):
-        judge_labels(tmp_path, recording.truth)

@@ -5,28 +5,28 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simulator.navigation import take_inertia
-from simulator.objects import Surface
 from simulator.options import SimulateOptions
-from simulator.path import POSE_NS, Trajectory
-from simulator.scene import Scene, ground_mesh
-from simulator.terrain import Terrain
+from simulator.scenery.objects import Surface
+from simulator.scenery.path import POSE_NS, DriveTrajectory
+from simulator.scenery.scene import RayScene, ground_mesh
+from simulator.scenery.terrain import Terrain
+from simulator.scenery.walker import HEIGHT_M, RADIUS_M, walker_range
+from simulator.scenery.world import START_NS, SimulatedWorld, build_world
+from simulator.sensors.navigation import take_inertia
 from simulator.truth import truth_of
-from simulator.walker import HEIGHT_M, RADIUS_M, walker_range
-from simulator.world import START_NS, World, build_world
-from stone.se3 import SE3
+from stone.geometry.se3 import SE3
 
 
 @pytest.fixture(scope="module", params=[1, 2])
-def world(request: pytest.FixtureRequest) -> World:
+def world(request: pytest.FixtureRequest) -> SimulatedWorld:
     return build_world(SimulateOptions(seconds=30.0, seed=request.param))
 
 
-def driven_m(world: World, seconds: float) -> np.ndarray:
+def driven_m(world: SimulatedWorld, seconds: float) -> np.ndarray:
     return world.trajectory.map_from_ego.translation_m[: int(seconds * 1e9) // POSE_NS]
 
 
-def test_even_a_short_drive_spans_the_relief_of_the_lowland_around_it(world: World) -> None:
+def test_even_a_short_drive_spans_the_relief_of_the_lowland_around_it(world: SimulatedWorld) -> None:
     height = driven_m(world, 20.0)[:, 2]
     around = world.terrain.lowland & (world.terrain.path_distance_m < 20.0)
     low, high = np.quantile(world.terrain.height_m[around], (0.05, 0.95))
@@ -35,18 +35,18 @@ def test_even_a_short_drive_spans_the_relief_of_the_lowland_around_it(world: Wor
     assert height.max() > high - 0.5
 
 
-def test_the_whole_drive_is_over_drivable_ground(world: World) -> None:
+def test_the_whole_drive_is_over_drivable_ground(world: SimulatedWorld) -> None:
     truth = truth_of(world, [START_NS])
     assert np.all(truth.judge(driven_m(world, 30.0)) == 1)
 
 
-def test_half_of_the_ground_near_the_track_cannot_be_driven(world: World) -> None:
+def test_half_of_the_ground_near_the_track_cannot_be_driven(world: SimulatedWorld) -> None:
     truth = truth_of(world, [START_NS])
     near = world.terrain.path_distance_m < 25.0
     assert 0.3 < truth.is_drivable[near].mean() < 0.6
 
 
-def test_no_obstacle_touches_the_robots_way(world: World) -> None:
+def test_no_obstacle_touches_the_robots_way(world: SimulatedWorld) -> None:
     obstacles = world.objects.obstacles
     centres = np.stack([obstacles["x"], obstacles["y"]], axis=-1)
     track = driven_m(world, 30.0)[::20, :2]
@@ -54,7 +54,7 @@ def test_no_obstacle_touches_the_robots_way(world: World) -> None:
     assert apart.min() > 0.45
 
 
-def test_every_kind_of_thing_stands_in_the_world(world: World) -> None:
+def test_every_kind_of_thing_stands_in_the_world(world: SimulatedWorld) -> None:
     kinds = set(world.objects.surface.tolist())
     assert {Surface.ROCK, Surface.BUSH, Surface.TRUNK, Surface.CROWN, Surface.WALL, Surface.GRASS} <= kinds
 
@@ -71,7 +71,7 @@ def test_rays_straight_down_meet_the_terrains_own_height() -> None:
     world = build_world(options)
     xy = world.trajectory.map_from_ego.translation_m[::20, :2]
     origins = np.concatenate([xy, np.full((len(xy), 1), 30.0)], axis=1).astype(np.float32)
-    hits = Scene(world).cast(origins, np.tile(np.float32([0, 0, -1]), (len(xy), 1)))
+    hits = RayScene(world).cast(origins, np.tile(np.float32([0, 0, -1]), (len(xy), 1)))
     is_ground = hits.surface == Surface.GROUND
     assert is_ground.any()
     np.testing.assert_allclose((30.0 - hits.range_m)[is_ground], world.terrain.elevation_m(xy)[is_ground], atol=0.03)
@@ -98,7 +98,7 @@ def test_the_walker_is_a_cylinder() -> None:
 
 
 def test_a_robot_at_rest_feels_gravity_alone() -> None:
-    still = Trajectory(0, SE3.identity((401,)))
+    still = DriveTrajectory(0, SE3.identity((401,)))
     inertia = take_inertia(still, 400 * POSE_NS, np.random.default_rng(0))
     np.testing.assert_allclose(inertia.linear_acceleration_m_s2.mean(axis=0), [0, 0, 9.80665], atol=0.01)
     np.testing.assert_allclose(inertia.angular_velocity_rad_s.mean(axis=0), 0, atol=1e-3)
@@ -108,5 +108,7 @@ def test_a_turning_robot_reports_its_rate() -> None:
     rate = 0.4
     half = rate * np.arange(401) * POSE_NS * 1e-9 / 2
     wxyz = np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], axis=-1)
-    inertia = take_inertia(Trajectory(0, SE3.from_parts(wxyz, np.zeros(3))), 400 * POSE_NS, np.random.default_rng(0))
+    inertia = take_inertia(
+        DriveTrajectory(0, SE3.from_parts(wxyz, np.zeros(3))), 400 * POSE_NS, np.random.default_rng(0)
+    )
     np.testing.assert_allclose(inertia.angular_velocity_rad_s.mean(axis=0), [0, 0, rate], atol=1e-3)

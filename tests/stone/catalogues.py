@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from random import Random
 
-from stone.composition import CatalogueEntry, Voxels
-from stone.surroundings import DAYLIGHT, ENVIRONMENTS, ILLUMINATIONS
+from stone.splits.composition import CatalogueEntry, Voxels
+from stone.splits.surroundings import DAYLIGHT, ENVIRONMENTS, ILLUMINATIONS
 
 DAYS = [word for word in ILLUMINATIONS if DAYLIGHT[word] == "day"]
 NIGHTS = [word for word in ILLUMINATIONS if DAYLIGHT[word] == "night"]

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from stone.grid import GRID_MIN_M
-from stone.voxels import VOXEL_M
+from stone.labels.grid import GRID_MIN_M
+from stone.labels.voxels import VOXEL_M
 
 
 def in_voxels(points_ego):

@@ -7,12 +7,12 @@ that the board has a history. `mine` is of the team of `member`.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from services.runtime.benchmarks.reported import ReportedRow, put_reported
+from services.domain.benchmarks.phases.reported_results import ReportedRow, put_reported
 from services.runtime.orm import Benchmark, Phase, TeamMember
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
-from tests.api.serving import Person, person
-from tests.services.runtime.benchmarks.boards import Made, Scene, scene
+from testing.api.serving import Person, person
+from tests.services.domain.benchmarks.boards import Made, Scene, scene
 
 DAY_NS = 86_400 * 10**9
 DESCRIPTION = (

@@ -6,9 +6,9 @@ import pytest
 from playwright.sync_api import Browser
 
 from services.runtime.platform import Platform
+from testing.api.serving import serving
+from testing.web.browsing import Site
 from tests.api.conftest import administrator, curator, participant
-from tests.api.serving import serving
-from tests.web.browsing import Site
 from web.main import make_site
 
 __all__ = ["administrator", "curator", "participant", "site"]

@@ -6,12 +6,12 @@ test can lie apart.
 
 from dataclasses import dataclass
 
-from services.runtime.orm import LabelSet, Sequence
+from services.domain.datasets.splits import lock_splits, replace_splits
+from services.runtime.orm import LabelSet, SequenceRow
 from services.runtime.platform import Platform
-from services.runtime.splits import lock_splits, replace_splits
-from stone.splits import Split
-from tests.api import made
-from tests.api.serving import Person
+from stone.splits.splits import Split
+from testing.api.serving import Person
+from testing.worlds import made
 
 CAMPAIGN = (
     ("farmland", "sunny", "Gyeonggi"), ("farmland", "night", "Gyeonggi"), ("farmland", "dusk", "Gangwon"),
@@ -41,7 +41,7 @@ def campaign(platform: Platform, owner: Person) -> tuple[Driven, ...]:
 def driven(platform: Platform, owner: Person, number: int) -> Driven:
     environment, illumination, region = CAMPAIGN[number]
     with platform.database.transaction() as session:
-        row = Sequence(owner_id=owner.user_id, name=f"{environment}-{number + 3:02d}", environment=environment)
+        row = SequenceRow(owner_id=owner.user_id, name=f"{environment}-{number + 3:02d}", environment=environment)
         row.illumination, row.region = illumination, region
         session.add(row)
         session.flush()

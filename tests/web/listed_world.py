@@ -7,12 +7,12 @@ import httpx
 import numpy as np
 from PIL import Image
 
-from services.runtime.inserting import insert_new
+from services.runtime.database.inserts import insert_new
 from services.runtime.orm import SplitMember
 from services.runtime.platform import Platform
-from tests.api import made
-from tests.api.serving import Person
-from tests.benchmark_world import ground, labels_npz
+from testing.api.serving import Person
+from testing.worlds import made
+from testing.worlds.benchmark_world import ground, labels_npz
 
 COLOURS = np.array([[154, 161, 171], [38, 166, 91], [250, 205, 80], [176, 42, 55]], np.uint8)
 DRIVEN = (("farmland", "day"), ("mountain", "dusk"), ("lake", "night"), ("construction", "sunny"))

@@ -12,15 +12,15 @@ from typing import Any
 from PIL import Image
 from sqlalchemy import select
 
-from services.runtime import blobs
+from services.domain.viewer.playback import INDEX, PLAYBACK, PlaybackChannels, camera_file, index_record
 from services.runtime.orm import Artefact, LabelSet, Preview, Upload, new_id
 from services.runtime.platform import Platform
-from services.runtime.playback import INDEX, PLAYBACK, Shown, camera_file, index_record
-from tests.api import made
-from tests.api.serving import Person
-from tests.frame_tables import frame_table_bytes
-from tests.rows import recording_of
-from tests.web.viewer_world import Run, viewed
+from services.runtime.store import blobs
+from testing.api.serving import Person
+from testing.worlds import made
+from testing.worlds.frame_tables import frame_table_bytes
+from testing.worlds.rows import recording_of
+from testing.worlds.viewer_world import Run, viewed
 
 CAMERAS = ("CAM_BACK", "CAM_BACK_LEFT", "CAM_BACK_RIGHT", "CAM_FRONT", "CAM_FRONT_LEFT", "CAM_FRONT_RIGHT")
 FRAMES = 12
@@ -63,7 +63,7 @@ def playback(platform: Platform, facts: dict[str, Any]) -> None:
         for place, channel in enumerate(CAMERAS)
         for number, token in enumerate(facts["tokens"])
     }
-    made.export(platform, facts["id"], {**files, INDEX: index_record(Shown(CAMERAS, False))}, PLAYBACK)
+    made.export(platform, facts["id"], {**files, INDEX: index_record(PlaybackChannels(CAMERAS, False))}, PLAYBACK)
 
 
 def reported_recording(platform: Platform, owner: Person, sequence_id: str) -> str:

@@ -6,13 +6,13 @@ import pytest
 from playwright.sync_api import Page, expect
 from sqlalchemy import select
 
-from services.runtime.benchmarks.alarms import raise_alarms
-from services.runtime.benchmarks.reported import reported_in
-from services.runtime.orm import Activation, Alarm, Benchmark, Phase, Score, ScoringEntry, Submission, Team
+from services.domain.benchmarks.alarms.alarms import raise_alarms
+from services.domain.benchmarks.phases.reported_results import reported_in
+from services.runtime.orm import Activation, Alarm, Benchmark, Phase, Score, ScoringEntry, SubmissionRow, Team
 from services.runtime.platform import Platform
-from tests.api.serving import Person
-from tests.services.runtime.benchmarks.scored import Place, another_truth, phase_of_rows, scored, scored_entry, team
-from tests.web.browsing import Site
+from testing.api.serving import Person
+from testing.web.browsing import Site
+from tests.services.domain.benchmarks.scored import Place, another_truth, phase_of_rows, scored, scored_entry, team
 from tests.web.looking import look
 
 BEFORE = (0.52, 0.47, 0.44, 0.39, 0.31)
@@ -76,7 +76,7 @@ def test_an_alarm_is_dismissed_and_a_team_granted_scorings(
         scores = {row.submission_id: row for row in session.scalars(select(Score))}
         scores[second].content_sha256 = scores[first].content_sha256
         raise_alarms(session, scores[second])
-        lake = session.get_one(Submission, second).team_id
+        lake = session.get_one(SubmissionRow, second).team_id
         session.add(ScoringEntry(phase_id=place.phase.id, team_id=lake, amount=0, reason="granted"))
     with site.visit(administrator) as page:
         page.goto(address(place))

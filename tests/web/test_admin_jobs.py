@@ -5,15 +5,15 @@ import re
 import pytest
 from playwright.sync_api import Page, expect
 
-from benchmarks.dashboard_rows import fill
-from services.runtime.jobs.running import run_next
+from benchmarks.dashboard.rows import fill
+from services.runtime.jobs.execution import run_next
 from services.runtime.orm import AuditEntry, Job, JobLine
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
-from tests.api.made import job, row_of, run
-from tests.api.serving import Person
+from testing.api.serving import Person
+from testing.web.browsing import Site
+from testing.worlds.made import job, row_of, run
 from tests.api.test_jobs import HANDLERS, run_all
-from tests.web.browsing import Site
 from tests.web.looking import look
 
 

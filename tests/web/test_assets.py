@@ -10,8 +10,8 @@ import pytest
 from playwright.sync_api import expect
 
 from services.runtime.platform import Platform
-from tests.api.serving import Person, serving
-from tests.web.browsing import Site
+from testing.api.serving import Person, serving
+from testing.web.browsing import Site
 from web.assets import BUNDLED, LIBRARIES, built_assets
 from web.errors import PagesNotBuiltError
 from web.main import make_site

@@ -5,9 +5,9 @@ from sqlalchemy import update
 
 from services.runtime.orm import AuditEntry
 from services.runtime.platform import Platform
-from tests.api.serving import Person, client_of
+from testing.api.serving import Person, client_of
+from testing.web.browsing import Site
 from tests.api.test_audit import unguarded
-from tests.web.browsing import Site
 from tests.web.looking import look
 
 

@@ -5,9 +5,9 @@ import re
 import pytest
 from playwright.sync_api import FloatRect, Page, expect
 
-from tests.services.runtime.benchmarks.boards import scene
+from testing.web.browsing import Site
+from tests.services.domain.benchmarks.boards import scene
 from tests.web.boards_world import Season, publish, season
-from tests.web.browsing import Site
 from tests.web.looking import look
 
 METHODS = "tbody[data-standing='ranked'] .method .row > :first-child"

@@ -1,19 +1,20 @@
-"""The figures of boards as values: axes, the order of rows, brackets, verdicts, the little of Markdown."""
+"""The figures of boards as values: axes, the order of rows, brackets, verdicts, Markdown."""
 
 from datetime import UTC, datetime
+from html.parser import HTMLParser
 from itertools import pairwise
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from api.schemas.leaderboard import PAIR_EXAMPLE, ROW_EXAMPLE, BoardRow, ComparisonAnswer, LeaderboardAnswer, PairItem
-from stone.metric import METRICS
-from web.axes import Axis, axis_around_zero, axis_from_zero, axis_over
-from web.board_compared import Names, compared, verdict
-from web.board_rows import SORTS, ShownBoard, drawn_board, shortened
-from web.markdown import blocks
+from stone.scoring.metric import METRICS
+from web.boards.axes import Axis, axis_around_zero, axis_from_zero, axis_over
+from web.boards.comparison import Names, compared, verdict
+from web.boards.rows import ShownBoard, Sort, board_with_figures, shortened
+from web.markdown import html_of
 
 RATIO = st.floats(0, 1, allow_subnormal=False)
 
@@ -56,7 +57,7 @@ def row(method: str, miou: float | None, **said: Any) -> BoardRow:
 def a_board(rows: list[BoardRow], sort: Any = "rank", **said: Any) -> ShownBoard:
     described: Any = LeaderboardAnswer.model_config["json_schema_extra"]
     ranked = sum(one.standing == "ranked" for one in rows)
-    return drawn_board(
+    return board_with_figures(
         LeaderboardAnswer.model_validate(described["examples"][0] | said | {"rows": rows, "ranked_total": ranked}), sort
     )
 
@@ -104,7 +105,7 @@ def test_a_link_keeps_what_was_asked_and_leaves_out_what_is_usual() -> None:
 
 
 def test_every_column_can_be_sorted_by() -> None:
-    assert all(sorted(methods(a_board(ROWS, sort))[0]) == ["a", "b", "c"] for sort in SORTS)
+    assert all(sorted(methods(a_board(ROWS, sort))[0]) == ["a", "b", "c"] for sort in get_args(Sort))
 
 
 def test_a_shortened_board_says_how_many_are_left_out() -> None:
@@ -156,17 +157,45 @@ def test_a_withheld_comparison_claims_no_more_than_the_rounded_totals() -> None:
     assert all(one.block is None and one.sequence is None for one in found.rows)
 
 
+class Parsed(HTMLParser):
+    """The text of an HTML fragment, and every tag of it with its attributes."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.text, self.tags = "", set[tuple[str, tuple[str, ...]]]()
+        self.feed(str(html))
+        self.close()
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.add((tag, tuple(name for name, _ in attrs)))
+
+
+HARMLESS = {"h1", "h2", "h3", "h4", "h5", "h6", "p", "ul", "ol", "li", "em", "strong", "code", "blockquote", "br", "hr"}
+FORMULA = ("pre", ("tabindex", "role", "aria-label"))
+
+
 @pytest.mark.parametrize("version", METRICS)
-def test_no_word_of_a_definition_is_lost(version: str) -> None:
-    definition = METRICS[version].definition
-    said = " ".join(span.text for block in blocks(definition) for item in block.items for span in item)
+def test_no_word_of_a_definition_is_lost_but_its_title(version: str) -> None:
+    title, _, definition = METRICS[version].definition.partition("\n")
+    found = Parsed(html_of(definition))
     plain = definition.replace("`", "").replace("*", "").replace("#", "").replace("\n- ", "\n")
-    assert "".join(said.split()).removeprefix("-") == "".join(plain.split())
+    assert "".join(found.text.split()) == "".join(plain.split())
+    assert found.tags == {("h2", ()), ("p", ()), ("ul", ()), ("li", ()), ("em", ()), ("code", ()), FORMULA}
+    assert html_of(f"{title}\n{definition}") == html_of(definition)
 
 
-def test_markdown_knows_no_html() -> None:
-    (block,) = blocks("<script>alert(1)</script> [a](javascript:b) *c*")
-    assert [(span.kind, span.text) for span in block.items[0]] == [
-        ("text", "<script>alert(1)</script> [a](javascript:b) "),
-        ("emphasis", "c"),
-    ]
+def test_markdown_knows_no_html_and_no_link() -> None:
+    said = "<script>alert(1)</script> [a](javascript:b) ![c](d) <http://e.f> *g*"
+    assert html_of(said) == (
+        "<p>&lt;script&gt;alert(1)&lt;/script&gt; [a](javascript:b) ![c](d) &lt;http://e.f&gt; <em>g</em></p>\n"
+    )
+
+
+@given(st.lists(st.sampled_from(["<", ">", "[", "](", ")", "!", "`", "\n", "    ", "#", "- ", "&", '"', "a", "x:"])))
+def test_whatever_markdown_says_is_harmless_html(pieces: list[str]) -> None:
+    for tag, attributes in Parsed(html_of("".join(pieces))).tags - {FORMULA}:
+        assert tag in HARMLESS
+        assert set(attributes) <= {"start"}

@@ -16,8 +16,8 @@ import pytest
 from services.runtime.access import sessions
 from services.runtime.orm import Benchmark, User
 from services.runtime.platform import Platform
-from stone.metric import RATIOS
-from tests.api.serving import Person, person, serving
+from stone.scoring.metric import RATIOS
+from testing.api.serving import Person, person, serving
 from tests.web.boards_world import Season, season
 from web.main import make_site
 
@@ -61,7 +61,7 @@ def reading(platform: Platform) -> Iterator[Reading]:
     world = season(platform)
     world.at.hide()
     administrator = person(platform, "administrator")
-    with serving(platform, make_site(platform)) as url, httpx.Client(base_url=url, timeout=30.0) as client:
+    with serving(platform, make_site(platform)) as url, httpx.Client(base_url=url, timeout=300.0) as client:
         yield Reading(world, client, _cookie(platform, administrator), _cookie(platform, world.member))
 
 

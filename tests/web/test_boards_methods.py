@@ -5,9 +5,9 @@ from playwright.sync_api import expect
 
 from services.runtime.orm import Activation
 from services.runtime.orm.base import now_ns
-from tests.services.runtime.benchmarks.boards import Made
+from testing.web.browsing import Site
+from tests.services.domain.benchmarks.boards import Made
 from tests.web.boards_world import DESCRIPTION, Season, season
-from tests.web.browsing import Site
 from tests.web.looking import look
 
 

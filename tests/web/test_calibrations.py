@@ -7,10 +7,10 @@ import yaml  # type: ignore[import-untyped]
 from playwright.sync_api import Page, expect
 
 from simulator.pipeline import calibration_path
-from tests.api.made import sequence
-from tests.api.serving import Person, person
+from testing.api.serving import Person, person
+from testing.web.browsing import Site
+from testing.worlds.made import sequence
 from tests.web.bringing import bag
-from tests.web.browsing import Site
 from tests.web.looking import look
 
 

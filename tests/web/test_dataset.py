@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import expect
 
+from services.domain.datasets.statistics import Record
 from services.runtime.platform import Platform
-from services.runtime.statistics import Record
-from tests.api import published
-from tests.api.serving import Person
-from tests.web.browsing import Site
+from testing.api.serving import Person
+from testing.web.browsing import Site
+from testing.worlds import published
 from tests.web.dataset_world import CAMPAIGN, Driven, campaign, put_apart
 from tests.web.looking import look
 from web.pages.dataset_figure import LARGEST_PX, figure_of
@@ -57,7 +57,7 @@ def test_an_administrator_sees_what_a_version_will_hold_and_publishes_it(
         page.get_by_label("Licence").fill("CC-BY-4.0")
         page.get_by_label("Reason").fill("first release")
         page.get_by_role("button", name="Publish for good").click()
-        expect(page.get_by_role("heading", name="stone-1.0", exact=True)).to_be_visible(timeout=60_000)
+        expect(page.get_by_role("heading", name="stone-1.0", exact=True)).to_be_visible(timeout=300_000)
         expect(page.locator(".lead")).to_contain_text("CC-BY-4.0")
         page.goto("/dataset?version=")
         look(page, "dataset-work")

@@ -1,4 +1,7 @@
-"""Every link of every page leads somewhere, for everybody who is shown it; and every page is whole by axe's rules."""
+"""Every link of every page leads somewhere, for everybody who is shown it; and every page is whole by axe's rules.
+
+Catches alone a link, or a fault against axe's rules, on a page that no other test opens.
+"""
 
 from collections.abc import Iterator
 
@@ -6,13 +9,15 @@ import httpx
 import pytest
 
 from services.runtime.platform import Platform
-from tests.api.serving import Person, serving
-from tests.benchmark_world import World, benchmark_world
-from tests.web.browsing import Site
-from tests.web.crawling import crawled
+from testing.api.serving import Person, serving
+from testing.web.browsing import Site
+from testing.web.crawling import crawled
+from testing.worlds.benchmark_world import World, benchmark_world
 from tests.web.looking import serious_findings
 from tests.web.test_pages_access import cookie
 from web.main import make_site
+
+pytestmark = pytest.mark.whole
 
 WHO = ("visitor", "participant", "curator", "administrator")
 
@@ -29,7 +34,7 @@ def person_of(world: World, who: str) -> Person | None:
 
 @pytest.fixture
 def client(world: World) -> Iterator[httpx.Client]:
-    with serving(world.platform, make_site(world.platform)) as url, httpx.Client(base_url=url, timeout=60) as client:
+    with serving(world.platform, make_site(world.platform)) as url, httpx.Client(base_url=url, timeout=300) as client:
         yield client
 
 
@@ -46,7 +51,7 @@ def test_no_link_leads_nowhere(client: httpx.Client, world: World, who: str) -> 
 def test_axe_finds_nothing_serious_on_any_page(site: Site, world: World, who: str) -> None:
     person = person_of(world, who)
     assert person is not None
-    with httpx.Client(base_url=site.url, timeout=60) as client:
+    with httpx.Client(base_url=site.url, timeout=300) as client:
         found = list(crawled(client, cookie(world.platform, person)))
     pages = {one.shape: one.path for one in found if one.is_page}
     serious = {}

@@ -5,18 +5,18 @@ import numpy as np
 from playwright.sync_api import expect
 from sqlalchemy import select
 
-from services.runtime.orm import Benchmark, Sequence
+from services.runtime.orm import Benchmark, SequenceRow
 from services.runtime.platform import Platform
+from testing.api.serving import Person
+from testing.web.browsing import Site
+from testing.worlds.benchmark_world import SHAPE, labelled
 from tests.api.boarding import boarding
-from tests.api.serving import Person
-from tests.benchmark_world import SHAPE, labelled
-from tests.web.browsing import Site
 from tests.web.looking import look
 
 
 def make_public(platform: Platform) -> None:
     with platform.database.transaction() as session:
-        for kind in (Sequence, Benchmark):
+        for kind in (SequenceRow, Benchmark):
             for row in session.scalars(select(kind)):
                 row.is_public = True
 

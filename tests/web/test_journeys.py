@@ -1,34 +1,30 @@
 """Three people, each the whole way at their pages, on the platform as it runs: its own processes, real workers.
 
-**Conventions.** The platform holds a demo, as `stone demo` leaves it. One test each for the engineer, the administrator
-and the participant; all use what the demo made and touch nothing of each other's.
+**Conventions.** The engineer comes to an empty platform; the others to one that holds a demo of `stone demo`:
+they use what the demo made and touch nothing of each other's. Catches alone what breaks between page, API and worker.
 """
 
+import shutil
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from client.demo import DemoPlan, run_demo
 from services.runtime.access import users
 from services.runtime.embedded.first_start import PASSWORD_FILE
 from services.runtime.embedded.supervisor import running_platform
-from services.runtime.platform import Platform
-from services.runtime.settings import ApiSettings, ViewingSettings
 from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate
-from tests.servers.fixtures import make_settings
-from tests.web.browsing import Site
+from testing.web.browsing import Site
+from testing.worlds.demo import demo_settings, made_demo
 from tests.web.looking import keep
 
 PASSWORD = "correct horse battery staple"
-SEEN = SimulateOptions(seconds=20.0, seed=3, channels=24, columns=240, cameras=False)
 SHORT = SimulateOptions(seconds=3.0, seed=5, channels=16, columns=180, cameras=False)
-LABELLING_MS = 240_000
-
-pytestmark = pytest.mark.slow
+LABELLING_MS = 600_000
 
 
 @dataclass(frozen=True)
@@ -47,13 +43,18 @@ class Stage:
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory: pytest.TempPathFactory, browser: Browser) -> Iterator[Stage]:
     base = tmp_path_factory.mktemp("journeys")
-    (base / "demo").mkdir()
-    groups = {"api": ApiSettings(port=0), "viewing": ViewingSettings()}
-    with running_platform(make_settings(base, workers=2, **groups), is_awaited=False) as running:
-        run_demo(base / "demo", DemoPlan(SEEN, running), lambda *_: None)
+    made = made_demo(tmp_path_factory)
+    shutil.copytree(made / "data", base / "data")
+    with staged(base, made / "demo", browser) as up:
+        yield up
+
+
+@contextmanager
+def staged(base: Path, demo: Path, browser: Browser) -> Iterator[Stage]:
+    """A platform with its processes on the data below `base`."""
+    with running_platform(demo_settings(base), is_awaited=False) as running:
         password = (running.platform.settings.root / PASSWORD_FILE).read_text().strip()
-        platform: Platform = running.platform
-        yield Stage(Site(running.url, platform, browser), base / "demo", password)
+        yield Stage(Site(running.url, running.platform, browser), demo, password)
 
 
 def sign_in(page: Page, name: str, password: str = PASSWORD) -> None:
@@ -73,10 +74,11 @@ def test_whoever_looks_is_shown_the_demo_without_an_account(stage: Stage) -> Non
         keep(page, "journey-first-page")
 
 
-def test_an_engineer_brings_a_recording_and_looks_at_its_labels(stage: Stage, tmp_path: Path) -> None:
+@pytest.mark.everyday
+def test_an_engineer_brings_a_recording_and_looks_at_its_labels(browser: Browser, tmp_path: Path) -> None:
     bag = tmp_path / "forest.mcap"
     simulate(bag, SHORT)
-    with stage.site.visit() as page:
+    with staged(tmp_path, tmp_path, browser) as stage, stage.site.visit() as page:
         sign_in(page, stage.somebody("engineer", "curator"))
         page.goto("/sequences/new")
         page.locator("[data-files]").set_input_files(bag)

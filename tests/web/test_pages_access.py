@@ -10,7 +10,7 @@ import pytest
 from services.runtime.access import sessions
 from services.runtime.orm import User
 from services.runtime.platform import Platform
-from tests.api.serving import Person, person, serving
+from testing.api.serving import Person, person, serving
 from web.main import make_site
 
 ROLES = ("visitor", "participant", "curator", "administrator")
@@ -57,7 +57,7 @@ def cookie(platform: Platform, who: Person) -> dict[str, str]:
 
 def test_each_page_is_shown_to_those_it_is_for(platform: Platform) -> None:
     shown = {"visitor": dict[str, str]()} | {role: cookie(platform, person(platform, role)) for role in ROLES[1:]}
-    with serving(platform, make_site(platform)) as url, httpx.Client(base_url=url, timeout=30.0) as client:
+    with serving(platform, make_site(platform)) as url, httpx.Client(base_url=url, timeout=300.0) as client:
         for path, statuses in rows():
             for role, status in zip(ROLES, statuses, strict=True):
                 answer = client.get(path, headers={"Accept": "text/html", **shown[role]})

@@ -9,8 +9,8 @@ from playwright.sync_api import expect
 from services.runtime.access import passwords, sessions, tokens, users
 from services.runtime.orm import User
 from services.runtime.platform import Platform
-from tests.api.serving import Person, person
-from tests.web.browsing import Site
+from testing.api.serving import Person, person
+from testing.web.browsing import Site
 from tests.web.looking import look
 
 PASSWORD = "correct horse battery staple"

@@ -9,9 +9,9 @@ from pathlib import Path
 import httpx
 import pytest
 
-from services.runtime.migrate import upgrade
+from services.runtime.database.migrate import upgrade
 from services.runtime.settings import Settings
-from tests.stone_serve import environment, until
+from testing.stone_serve import environment, until
 
 
 @pytest.mark.parametrize(("pages", "status"), [("true", 200), ("false", 404)])
@@ -26,10 +26,10 @@ def test_pages_are_served_unless_they_are_switched_off(tmp_path: Path, pages: st
             stdout=subprocess.DEVNULL,
         )
         try:
-            with httpx.Client(base_url=f"http://127.0.0.1:{listening.getsockname()[1]}", timeout=60.0) as client:
+            with httpx.Client(base_url=f"http://127.0.0.1:{listening.getsockname()[1]}", timeout=300.0) as client:
                 until(lambda: client.get("/healthz").status_code == 200)
                 assert client.get("/", headers={"Accept": "text/html"}).status_code == status
                 assert client.get("/api/v1/sequences").json()["items"] == []
         finally:
             process.terminate()
-            assert process.wait(30) is not None
+            assert process.wait(300) is not None

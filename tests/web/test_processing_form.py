@@ -6,12 +6,12 @@ import httpx
 from playwright.sync_api import expect
 from sqlalchemy import select
 
-from services.runtime.label_choices import BOUNDS
-from services.runtime.orm import Calibration, Job, Recording, Sequence
+from services.domain.sequences.label_choices import BOUNDS
+from services.runtime.orm import CalibrationRow, Job, Recording, SequenceRow
 from services.runtime.platform import Platform
-from tests.api.made import sequence
-from tests.api.serving import Person
-from tests.web.browsing import Site
+from testing.api.serving import Person
+from testing.web.browsing import Site
+from testing.worlds.made import sequence
 from tests.web.looking import look
 
 CALIBRATION = Path(__file__).parents[2] / "examples" / "kitti0005.calibration.yaml"
@@ -23,7 +23,7 @@ def recorded(platform: Platform, sequence_id: str) -> None:
         row = Recording(sequence_id=sequence_id, filename="run.mcap", size_bytes=3, sha256="0" * 64)
         row.state = "registered"
         session.add(row)
-        session.get_one(Sequence, sequence_id).calibration_id = session.scalars(select(Calibration.id)).one()
+        session.get_one(SequenceRow, sequence_id).calibration_id = session.scalars(select(CalibrationRow.id)).one()
 
 
 def test_an_owner_chooses_profile_and_parameters(site: Site, curator: Person) -> None:

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from stone.calibration import Calibration, CameraIntrinsics, Mount
-from stone.se3 import SE3
+from stone.geometry.se3 import SE3
+from stone.sensors.calibration import Calibration, CameraIntrinsics, Mount
 from web.rig import FARTHEST_M, rig_of
 
 LENS = CameraIntrinsics("pinhole", 800, 600, 400.0, 400.0, 400.0, 300.0)  # 90° wide

@@ -5,11 +5,11 @@ import pytest
 from playwright.sync_api import expect
 from sqlalchemy import select
 
-from services.runtime.orm import Job, Sequence
+from services.runtime.orm import Job, SequenceRow
 from services.runtime.platform import Platform
-from tests.api import made
-from tests.api.serving import Person, serving
-from tests.web.browsing import PATIENCE_MS, Site
+from testing.api.serving import Person, serving
+from testing.web.browsing import PATIENCE_MS, Site
+from testing.worlds import made
 from tests.web.looking import look
 from tests.web.test_pages_access import cookie
 from web.main import make_site
@@ -19,7 +19,7 @@ OPEN, OWN = ("", "/frames", "/track", "/calibration"), ("/recordings", "/process
 
 def new_sequence(platform: Platform, owner: Person, name: str = "forest") -> dict[str, str]:
     with platform.database.transaction() as session:
-        row = Sequence(owner_id=owner.user_id, name=name)
+        row = SequenceRow(owner_id=owner.user_id, name=name)
         session.add(row)
         session.flush()
         return {"id": row.id, "name": row.name, "owner_id": owner.user_id}
@@ -84,9 +84,9 @@ def test_others_see_what_is_public_of_it_and_never_what_is_only_its_owners(
     shown = new_sequence(platform, curator)
     made.labels(platform, shown, contents=[made.frame_labels()] * 3)
     with platform.database.transaction() as session:
-        session.get_one(Sequence, shown["id"]).is_public = is_public
+        session.get_one(SequenceRow, shown["id"]).is_public = is_public
     visitor, other, own = dict[str, str](), cookie(platform, participant), cookie(platform, curator)
-    with serving(platform, make_site(platform)) as url, httpx.Client(base_url=url, timeout=60) as client:
+    with serving(platform, make_site(platform)) as url, httpx.Client(base_url=url, timeout=300) as client:
 
         def status(section: str, who: dict[str, str]) -> int:
             path = f"/sequences/{shown['id']}{section}"

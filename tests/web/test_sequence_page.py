@@ -6,8 +6,8 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from services.runtime.platform import Platform
-from tests.api.serving import Person
-from tests.web.browsing import PATIENCE_MS, Site
+from testing.api.serving import Person
+from testing.web.browsing import PATIENCE_MS, Site
 from tests.web.looking import look
 from tests.web.sequence_world import CAMERAS, FRAMES, playback, whole_sequence
 

@@ -7,12 +7,12 @@ import pytest
 
 from api.schemas.exports import EXPORT_EXAMPLE, ExportItem
 from api.schemas.jobs import JOB_EXAMPLE, JobDetail, StageItem
-from services.ingest.clocks import findings
-from services.ingest.clocks.report import TopicClock
 from services.labeler.tables import CLASS_COLUMNS, POSE_COLUMNS, STDEV_COLUMNS
-from tests.frame_tables import frame_columns
+from stone_recordings.clocks import findings
+from stone_recordings.clocks.report import TopicClock
+from testing.worlds.frame_tables import frame_columns
 from tests.web.sequence_world import inspection, quality
-from web.sequence import clocks, exporting, frame_table
+from web.sequence import clocks, export_formats, frame_table
 from web.sequence.frame_table import FrameTable, table_of
 from web.sequence.recording import recording_view, rig_place, spark_of, strip
 from web.sequence.report import report_of
@@ -194,5 +194,5 @@ def test_formats_are_offered_that_the_labels_are_not_written_in_already() -> Non
     fresh = ExportItem(**EXPORT_EXAMPLE)
     stale = fresh.model_copy(update={"format": "mesh", "is_stale": True})
     failed = fresh.model_copy(update={"format": "mcap", "state": "failed"})
-    offered = {offer.format for offer in exporting.offers_beside([fresh, stale, failed])}
-    assert {offer.format for offer in exporting.OFFERS} - offered == {"nuscenes"}
+    offered = {offer.format for offer in export_formats.offers_beside([fresh, stale, failed])}
+    assert {offer.format for offer in export_formats.OFFERS} - offered == {"nuscenes"}

@@ -5,8 +5,8 @@ import re
 import httpx
 from playwright.sync_api import expect
 
-from tests.api.serving import Person
-from tests.web.browsing import Site
+from testing.api.serving import Person
+from testing.web.browsing import Site
 from tests.web.listed_world import listed_world
 from tests.web.looking import look
 

@@ -6,11 +6,11 @@ import httpx
 import pytest
 from playwright.sync_api import Dialog, Locator, Page, expect
 
+from services.domain.datasets.splits import current_splits
 from services.runtime.platform import Platform
-from services.runtime.splits import current_splits
-from stone.splits import Split
-from tests.api.serving import Person
-from tests.web.browsing import Site
+from stone.splits.splits import Split
+from testing.api.serving import Person
+from testing.web.browsing import Site
 from tests.web.dataset_world import Driven, campaign, put, put_apart
 from tests.web.looking import look
 
@@ -132,7 +132,7 @@ def test_a_proposal_is_shown_and_adopted_before_anything_is_saved(
             page.get_by_role("spinbutton", name=part).fill(size)
         look(page, "splits-propose")
         page.get_by_role("button", name="Propose", exact=True).click()
-        expect(page.get_by_role("button", name="Adopt")).to_be_focused(timeout=60_000)
+        expect(page.get_by_role("button", name="Adopt")).to_be_focused(timeout=300_000)
         expect(page.get_by_role("heading", name="A proposal that keeps every rule")).to_be_visible()
         look(page, "splits-proposal")
         page.get_by_role("button", name="Adopt").click()

@@ -11,10 +11,10 @@ import pytest
 from playwright.sync_api import Page, expect
 from sqlalchemy import select
 
-from services.runtime.orm import Submission
+from services.runtime.orm import SubmissionRow
 from services.runtime.platform import Platform
-from tests.benchmark_world import World, benchmark_world, predicted, run_eval, submission_zip
-from tests.web.browsing import Site
+from testing.web.browsing import Site
+from testing.worlds.benchmark_world import World, benchmark_world, predicted, run_eval, submission_zip
 from tests.web.looking import look
 
 FLOATS = np.zeros((4, 4))
@@ -47,9 +47,9 @@ def zipped(path: Path, frames: Mapping[str, Any], folder: str = "") -> Path:
     return path
 
 
-def sent(world: World) -> list[Submission]:
+def sent(world: World) -> list[SubmissionRow]:
     with world.platform.database.reading() as session:
-        return list(session.scalars(select(Submission).order_by(Submission.id)))
+        return list(session.scalars(select(SubmissionRow).order_by(SubmissionRow.id)))
 
 
 def test_a_team_sends_predictions_and_finds_them_on_the_board(site: Site, world: World, tmp_path: Path) -> None:
@@ -98,7 +98,7 @@ def test_a_zip_that_lacks_frames_is_refused_before_a_byte_is_sent(site: Site, wo
         page.get_by_text("3 missing frames").click()
         expect(page.locator(".found-list code")).to_have_count(4)
         expect(page.get_by_role("button", name="Send to be scored")).to_be_disabled()
-        expect(page.get_by_text("Mend the zip first")).to_be_visible()
+        expect(page.get_by_text("Repair the zip first")).to_be_visible()
         look(page, "submit-incomplete")
         (tmp_path / "no.zip").write_bytes(b"this is no zip" * 100)
         page.locator("#file").set_input_files(tmp_path / "no.zip")

@@ -1,8 +1,8 @@
 """Every way in which a file can be refused has words that a participant can act on, and groups keep their order."""
 
 from api.schemas.submissions import FileProblem
-from services.eval import errors
-from services.eval.errors import SubmissionError
+from stone_submissions import errors
+from stone_submissions.errors import SubmissionError
 from web.problem_words import ADVICE, UNKNOWN, grouped
 
 

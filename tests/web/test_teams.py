@@ -5,14 +5,14 @@ import re
 import pytest
 from playwright.sync_api import expect
 
-from services.runtime.benchmarks import scorings
-from services.runtime.benchmarks.teams import enter
+from services.domain.benchmarks.submissions import scoring_quota
+from services.domain.benchmarks.teams.teams import enter
 from services.runtime.orm import Phase
 from services.runtime.platform import Platform
-from tests.api.serving import Person, person
-from tests.benchmark_world import World, benchmark_world
-from tests.services.runtime.benchmarks import laid
-from tests.web.browsing import Site
+from testing.api.serving import Person, person
+from testing.web.browsing import Site
+from testing.worlds.benchmark_world import World, benchmark_world
+from tests.services.domain.benchmarks import laid
 from tests.web.looking import look
 
 
@@ -29,9 +29,9 @@ def limited(world: World, part: str, a_window: int) -> None:
         phase = session.get_one(Phase, phase_id)
         phase.scorings_per_window, phase.scorings_total = a_window, 20
         enter(session, phase, team_id)
-        scorings.reserve(session, phase, team_id, one)
-        scorings.consume(session, one)
-        scorings.reserve(session, phase, team_id, other)
+        scoring_quota.reserve(session, phase, team_id, one)
+        scoring_quota.consume(session, one)
+        scoring_quota.reserve(session, phase, team_id, other)
 
 
 def test_a_team_is_founded_entered_by_invitation_and_handed_over(site: Site, participant: Person) -> None:
@@ -74,7 +74,7 @@ def test_a_team_sees_what_it_may_still_have_scored(site: Site, world: World) -> 
     limited(world, "test", 3)
     with site.platform.database.transaction() as session:
         phase = session.get_one(Phase, world.test)
-        scorings.grant(session, phase, world.teams[0], 1, "a day was lost")
+        scoring_quota.grant(session, phase, world.teams[0], 1, "a day was lost")
     with site.visit(world.captains[0]) as page:
         page.goto(f"/teams/{world.teams[0]}")
         expect(page.get_by_text("2 of 4 left within 7 d")).to_be_visible()

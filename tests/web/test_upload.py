@@ -7,11 +7,11 @@ import httpx
 from playwright.sync_api import expect
 
 from services.ingest.stages import handlers
-from tests.api.made import sequence
-from tests.api.serving import Person
-from tests.services.ingest.splitting import split_into
+from testing.api.serving import Person
+from testing.web.browsing import Site
+from testing.worlds.made import sequence
+from tests.stone_recordings.splitting import split_into
 from tests.web.bringing import bag, choose, recordings, row_of, uploads
-from tests.web.browsing import Site
 from tests.web.looking import look
 from tests.working import working
 
@@ -38,7 +38,7 @@ def test_bags_of_several_kinds_become_sequences_of_their_own(site: Site, curator
         look(page, "sequences-new-chosen")
         page.get_by_role("button", name="Upload 2 bags").click()
         for name in ("run 7", "alone.mcap"):
-            expect(row_of(page, name).locator("[data-phase]")).to_have_text("registered", timeout=60_000)
+            expect(row_of(page, name).locator("[data-phase]")).to_have_text("registered", timeout=300_000)
         look(page, "sequences-new-done")
         row_of(page, "alone.mcap").get_by_role("link", name="Open the sequence").click()
         expect(page.get_by_role("heading", name="hill-3")).to_be_visible()
@@ -62,7 +62,7 @@ def test_what_cannot_be_taken_says_why_beside_its_line(site: Site, curator: Pers
         look(page, "sequences-new-name-taken")
         row.get_by_label("Sequence").fill("junk-2")
         row.get_by_role("button", name="Try again").click()
-        expect(row.locator("[data-phase]")).to_have_text("refused", timeout=60_000)
+        expect(row.locator("[data-phase]")).to_have_text("refused", timeout=300_000)
         expect(row.locator(".finding").first).to_contain_text("BAG-")
         look(page, "sequences-new-refused")
     assert [row.state for row in recordings(site.platform)] == ["refused"]
@@ -76,7 +76,7 @@ def test_the_same_bag_is_neither_sent_nor_kept_twice(site: Site, curator: Person
             page.goto(f"/sequences/new?again={_}")
             page.goto(f"/sequences/{made['id']}/recordings")
             choose(page, bag())
-            expect(row_of(page, "run.mcap").locator("[data-phase]")).to_have_text("registered", timeout=60_000)
+            expect(row_of(page, "run.mcap").locator("[data-phase]")).to_have_text("registered", timeout=300_000)
     assert len(recordings(site.platform)) == len(uploads(site.platform)) == 1
 
 

@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page
 
-from services.runtime.bag_files import BadBagFilesError, check_bag_files, is_bag_part
-from tests.api.serving import Person
-from tests.web.browsing import Site
+from stone_recordings.bags.file_sets import BadBagFilesError, check_bag_files, is_bag_part
+from testing.api.serving import Person
+from testing.web.browsing import Site
 
 NAMES = (
     "run.mcap", "RUN.MCAP", "run.db3", "run_0.db3.zstd", "run.db3-wal", "run.db3-journal", "other.db3-wal", ".mcap",

@@ -13,11 +13,11 @@ from services.ingest.stages import handlers
 from services.runtime.platform import Platform
 from services.runtime.uploads import upload_file
 from services.runtime.uploads.files import offset_of
-from tests.api.made import sequence
-from tests.api.process import ApiProcess
-from tests.api.serving import Person
+from testing.api.process import ApiProcess
+from testing.api.serving import Person
+from testing.web.browsing import Site
+from testing.worlds.made import sequence
 from tests.web.bringing import BULKY, bag, choose, recordings, row_of, slow_down, uploads
-from tests.web.browsing import Site
 from tests.web.looking import keep, look
 from tests.working import working
 
@@ -99,11 +99,11 @@ def test_the_api_is_killed_in_the_middle_and_the_page_goes_on(
         process.kill()
         on_disk, taken = bytes_here(platform), pieces_taken(page)
         if isinstance(process, Machine):
-            expect(row.locator("[data-phase]")).to_have_text("waiting for the platform", timeout=15_000)
+            expect(row.locator("[data-phase]")).to_have_text("waiting for the platform", timeout=300_000)
             keep(page, "upload-away")
         slow_down(page, -1)
         process.start()
-        expect(row.locator("[data-phase]")).to_have_text("registered", timeout=60_000)
+        expect(row.locator("[data-phase]")).to_have_text("registered", timeout=300_000)
     assert taken[0] == on_disk >= ENOUGH
     check_kept_once(platform, path)
 
@@ -123,7 +123,7 @@ def test_the_page_is_loaded_again_and_the_same_file_goes_on(site: Site, curator:
         slow_down(page, -1)
         taken = pieces_taken(page)
         choose(page, path)
-        expect(row_of(page, "long-run.mcap").locator("[data-phase]")).to_have_text("registered", timeout=60_000)
+        expect(row_of(page, "long-run.mcap").locator("[data-phase]")).to_have_text("registered", timeout=300_000)
         expect(unfinished).to_be_hidden()
     assert taken[0] >= ENOUGH
     check_kept_once(site.platform, path)

@@ -8,14 +8,14 @@ import pytest
 from playwright.sync_api import Locator, Page, expect
 from sqlalchemy import delete
 
-from services.runtime.orm import Artefact, Sequence
+from services.runtime.orm import Artefact, SequenceRow
 from services.runtime.platform import Platform
-from stone.voxels import VOXEL_M
-from tests.api.serving import Person
-from tests.stone_serve import until
-from tests.web.browsing import Site
+from stone.labels.voxels import VOXEL_M
+from testing.api.serving import Person
+from testing.stone_serve import until
+from testing.web.browsing import Site
+from testing.worlds.viewer_world import LIMIT, Run, viewed
 from tests.web.looking import look
-from tests.web.viewer_world import LIMIT, Run, viewed
 
 RUN = Run(frames=6, reach_m=4.5)
 
@@ -122,7 +122,7 @@ def test_a_visitor_looks_at_what_is_public_and_the_page_and_its_viewer_tell_each
     site: Site, seen: dict[str, Any]
 ) -> None:
     with site.platform.database.transaction() as session:
-        session.get_one(Sequence, seen["id"]).is_public = True
+        session.get_one(SequenceRow, seen["id"]).is_public = True
     with site.visit() as page:
         page.goto(f"/sequences/{seen['id']}/view")
         expect(host(page)).to_have_attribute("data-state", "ready")
@@ -185,7 +185,7 @@ def test_a_private_sequence_is_shown_in_3d_to_nobody_else(
 
 def _bare(platform: Platform, owner: Person) -> str:
     with platform.database.transaction() as session:
-        row = Sequence(owner_id=owner.user_id, name="not-yet", environment="meadow", illumination="day")
+        row = SequenceRow(owner_id=owner.user_id, name="not-yet", environment="meadow", illumination="day")
         session.add(row)
         session.flush()
         return row.id

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page
 
-from tests.api.serving import Person
-from tests.web.browsing import Site
-from tests.web.viewer_world import SHAPE, Grid, Run, observed_of, viewed
+from testing.api.serving import Person
+from testing.web.browsing import Site
+from testing.worlds.viewer_world import SHAPE, Grid, Run, observed_of, viewed
 
 RUN = Run(frames=2, reach_m=3.0)
 IMPORTS = """
@@ -45,7 +45,7 @@ def run(page: Page, script: str, given: object = None) -> Any:
 
 def test_a_frame_decodes_to_the_classes_and_the_mask_it_was_packed_of(loaded: Page, seen: dict[str, Any]) -> None:
     script = """
-    const { planesOf, labelled, classAt, isObserved } = await load("formats");
+    const { planesOf, labelled, classAt, isObserved } = await load("data/formats");
     const planes = planesOf(await fetched(`/api/v1/frames/${given}/voxels`));
     const indices = [...labelled(planes)];
     return indices.map(index => [index, classAt(planes, index), Number(isObserved(planes, index))]);
@@ -59,7 +59,7 @@ def test_a_frame_decodes_to_the_classes_and_the_mask_it_was_packed_of(loaded: Pa
 
 def test_a_tile_decodes_to_the_voxels_it_was_made_of(loaded: Page, seen: dict[str, Any]) -> None:
     script = """
-    const { tileOf } = await load("formats");
+    const { tileOf } = await load("data/formats");
     const tile = tileOf(await fetched(`/api/v1/sequences/${given}/scene/tiles/0_0`));
     return Object.fromEntries(Object.entries(tile).map(([name, values]) => [name, [...values]]));
     """
@@ -82,7 +82,7 @@ def test_a_tile_decodes_to_the_voxels_it_was_made_of(loaded: Page, seen: dict[st
 )
 def test_what_is_not_a_frame_is_refused_in_words(loaded: Page, content: list[int], words: str) -> None:
     script = """
-    const { planesOf } = await load("formats");
+    const { planesOf } = await load("data/formats");
     try { planesOf(new Uint8Array(given)); return ""; } catch (error) { return error.message; }
     """
     assert words in run(loaded, script, content)
@@ -90,7 +90,7 @@ def test_what_is_not_a_frame_is_refused_in_words(loaded: Page, content: list[int
 
 def test_merged_faces_cover_exactly_the_faces_whose_neighbour_is_empty(loaded: Page) -> None:
     script = """
-    const { Solid } = await load("solid"), { facesOf } = await load("faces");
+    const { Solid } = await load("data/solid"), { facesOf } = await load("data/faces");
     const solid = new Solid(given.size);
     for (const [i, j, k, colour] of given.voxels) solid.paint(i, j, k, colour);
     const { vertices, quads } = facesOf(solid);
@@ -134,7 +134,7 @@ def _covered(quads: np.ndarray[Any, Any]) -> list[tuple[int, ...]]:
 
 def test_a_ray_meets_the_voxel_that_small_steps_along_it_meet_first(loaded: Page) -> None:
     script = """
-    const { firstVoxel } = await load("walking");
+    const { firstVoxel } = await load("data/ray_walk");
     const filled = new Set(given.voxels.map(String));
     return given.rays.map(([from, direction]) =>
       firstVoxel({ from, direction, low: [0, 0, 0], high: [16, 16, 16] }, (...at) => filled.has(String(at))));
@@ -157,5 +157,5 @@ def _stepped(grid: Any, start: Any, direction: Any) -> Any:
 
 
 def test_the_grid_of_the_modules_is_the_grid_of_the_labels(loaded: Page) -> None:
-    script = "const { SHAPE, VOXEL_M, GRID_MIN_M } = await load('formats'); return [SHAPE, VOXEL_M, GRID_MIN_M];"
+    script = "const { SHAPE, VOXEL_M, GRID_MIN_M } = await load('data/formats'); return [SHAPE, VOXEL_M, GRID_MIN_M];"
     assert run(loaded, script) == [list(SHAPE), 0.2, [-25.6, -25.6, -2]]

@@ -5,8 +5,8 @@
 // of the page again), close. A path may hold {name}, which a field or, after an answer, the answer fills in.
 
 import { call } from "./api.js";
-import { sayError, toast } from "./said.js";
-import { refresh } from "./refreshing.js";
+import { sayError, toast } from "./notices.js";
+import { refresh } from "./refresh.js";
 
 type Field = HTMLInputElement | HTMLSelectElement | HTMLTextAreaElement;
 

@@ -2,7 +2,7 @@
 
 import { installActs } from "./acts.js";
 import { installDialogs } from "./dialogs.js";
-import { installRefreshing } from "./refreshing.js";
+import { installRefreshing } from "./refresh.js";
 import { installTimes } from "./times.js";
 
 installActs();

@@ -5,11 +5,11 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import HTMLResponse
 
-from api.audit_views import LinesWanted, acts_known, audit_page
 from api.callers import Administrator
 from api.deps import PlatformDep
 from api.paging import LONGEST_CURSOR, PageQuery
 from api.schemas.base import PLAIN
+from api.views.audit import AuditFilter, acts_known, audit_page
 from web.rendering import page
 
 router = APIRouter()
@@ -28,7 +28,7 @@ def audit_log(
     subject_id: Word = "",
     cursor: Cursor = None,
 ) -> HTMLResponse:
-    wanted = LinesWanted(act=act.strip(), actor=actor.strip(), subject_id=subject_id.strip())
+    wanted = AuditFilter(act=act.strip(), actor=actor.strip(), subject_id=subject_id.strip())
     with platform.database.reading() as session:
         lines = audit_page(session, PageQuery(cursor, SHOWN), wanted)
         acts = acts_known(session)

@@ -1,4 +1,4 @@
-"""Benchmarks: what there is to predict, until when, under which rules, and who leads."""
+"""The pages of benchmarks: their tasks, dates, rules and leaders."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -9,21 +9,21 @@ from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy.orm import Session
 
-from api.benchmark_views import benchmark_items, metric_item, phase_item, phases_of
 from api.callers import Looker
 from api.deps import PlatformDep
 from api.paging import PageDep
 from api.paging import page as page_of
-from api.result_views import viewer_for
 from api.routes.benchmarks import PhasePath
-from api.schemas.benchmark_bodies import BenchmarkName, MetricName
 from api.schemas.benchmarks import PhaseItem
+from api.schemas.phase_bodies import BenchmarkName, MetricName
+from api.views.benchmarks import benchmark_items, metric_item, phase_item, phases_of
+from api.views.results import viewer_for
 from api.visible import benchmark_of, benchmarks_of
-from services.runtime.benchmarks.visibility import Viewer
+from services.domain.benchmarks.visibility import Viewer
 from services.runtime.orm import Benchmark
 from services.runtime.platform import Platform
-from web.board_rows import ShownBoard, shortened, shown_board
-from web.markdown import blocks
+from web.boards.rows import ShownBoard, shortened, shown_board
+from web.markdown import html_of
 from web.rendering import page
 
 router = APIRouter()
@@ -77,7 +77,7 @@ def show_definition(
         "phase": item,
         "benchmark_title": title,
         "metric": found,
-        "blocks": blocks(found.definition),
+        "definition": html_of(found.definition),
     }
     return page(request, caller, "boards/metric.html", **known)
 

@@ -1,30 +1,30 @@
-"""The board of a phase: who is where and how surely, now or as of a moment of its history."""
+"""The page of a phase's leaderboard, now or as of a moment of its history, with rank confidence."""
 
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query, Request
 from fastapi.responses import HTMLResponse
 
-from api.benchmark_views import phase_item
-from api.board_views import history_answer
 from api.callers import Looker
 from api.deps import PlatformDep
-from api.result_views import viewer_for
 from api.routes.benchmarks import PhasePath
-from api.schemas.benchmark_bodies import ns_of
 from api.schemas.leaderboard import AsOfQuery, EntriesQuery, TrackQuery
-from services.runtime.benchmarks.board_entries import TRACKS, BoardQuery
-from services.runtime.benchmarks.board_history import tracks_with_rows
+from api.schemas.phase_bodies import ns_of
+from api.views.benchmarks import phase_item
+from api.views.boards import history_answer
+from api.views.results import viewer_for
+from services.domain.benchmarks.boards.entries import TRACKS, BoardQuery
+from services.domain.benchmarks.boards.history import tracks_with_rows
 from services.runtime.orm import Benchmark
-from web.board_rows import Sort, shown_board
-from web.board_timeline import timeline
+from web.boards.rows import Sort, shown_board
+from web.boards.timeline import timeline
 from web.rendering import page
 
 router = APIRouter()
 SortQuery = Annotated[Sort, Query(description="the column by which rows stand; ranks stay as they are")]
 
 
-class BoardAsked:
+class BoardPageSelection:
     """Which board, in which order."""
 
     def __init__(
@@ -38,7 +38,7 @@ class BoardAsked:
         self.sort: Sort = sort
 
 
-Asked = Annotated[BoardAsked, Depends(BoardAsked)]
+Asked = Annotated[BoardPageSelection, Depends(BoardPageSelection)]
 
 
 @router.get("/benchmarks/{benchmark_name}/{phase_name}")

@@ -1,4 +1,4 @@
-"""Calibrations: the list with a place to drop another, and one by itself, drawn, with its findings and what changed.
+"""The pages of calibrations: the list with uploads, and one drawn, with its findings and what changed.
 
 **Conventions.** Calibrations are their owner's; an administrator sees everybody's. The drawing is of the file as it was
 kept, read again.
@@ -10,9 +10,6 @@ from fastapi import APIRouter, Query, Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy import func, select
 
-from api import calibration_reading
-from api.calibration_changes import changes, version_before
-from api.calibration_views import calibration_item
 from api.callers import Reader
 from api.deps import PlatformDep
 from api.file_errors import CalibrationRefusedError
@@ -20,11 +17,14 @@ from api.paging import PageQuery
 from api.paging import page as paged
 from api.routes.calibrations import AgainstQuery, NameQuery
 from api.schemas.base import IdPath
+from api.views import calibration_reading
+from api.views.calibration_changes import changes, version_before
+from api.views.calibrations import calibration_item
 from api.visible import calibration_of, sequences_of, theirs
-from services.runtime.orm import Blob, Calibration, Sequence
+from services.runtime.orm import Blob, CalibrationRow, SequenceRow
 from services.runtime.platform import Platform
 from web.rendering import page
-from web.rig import Rig, rig_of
+from web.rig import RigDrawing, rig_of
 
 router = APIRouter(prefix="/calibrations")
 SHOWN = 50
@@ -37,14 +37,14 @@ def list_calibrations(
     request: Request, caller: Reader, platform: PlatformDep, name: NameQuery = None, cursor: Cursor = None
 ) -> HTMLResponse:
     """The newest first, each with how many sequences pin it."""
-    mine = theirs(select(Calibration), caller, Calibration.owner_id)
-    narrowed = mine.where(Calibration.name == name) if name else mine
+    mine = theirs(select(CalibrationRow), caller, CalibrationRow.owner_id)
+    narrowed = mine.where(CalibrationRow.name == name) if name else mine
     with platform.database.reading() as session:
-        found = paged(session, narrowed, Calibration.id.desc(), PageQuery(cursor or None, SHOWN))
+        found = paged(session, narrowed, CalibrationRow.id.desc(), PageQuery(cursor or None, SHOWN))
         ids = [row.id for row in found.rows]
-        alive = Sequence.deleted_ns.is_(None)
-        pinned = select(Sequence.calibration_id, func.count()).where(Sequence.calibration_id.in_(ids), alive)
-        counts = dict(session.execute(pinned.group_by(Sequence.calibration_id)).all())
+        alive = SequenceRow.deleted_ns.is_(None)
+        pinned = select(SequenceRow.calibration_id, func.count()).where(SequenceRow.calibration_id.in_(ids), alive)
+        counts = dict(session.execute(pinned.group_by(SequenceRow.calibration_id)).all())
     shown = [(calibration_item(row), counts.get(row.id, 0)) for row in found.rows]
     return page(request, caller, "calibrations/list.html", shown=shown, cursor=found.next, name=name or "")
 
@@ -59,10 +59,10 @@ def show_calibration(
         item = calibration_item(row)
         key = session.get_one(Blob, row.blob_sha256).object_key
         before = version_before(session, row)
-        of_name = select(Calibration).where(Calibration.owner_id == row.owner_id, Calibration.name == row.name)
-        versions = session.scalars(of_name.order_by(Calibration.version.desc()).limit(MOST_NAMED)).all()
-        pins = select(Sequence).where(Sequence.id.in_(sequences_of(caller).with_only_columns(Sequence.id)))
-        named = pins.order_by(Sequence.name).limit(MOST_NAMED)
+        of_name = select(CalibrationRow).where(CalibrationRow.owner_id == row.owner_id, CalibrationRow.name == row.name)
+        versions = session.scalars(of_name.order_by(CalibrationRow.version.desc()).limit(MOST_NAMED)).all()
+        pins = select(SequenceRow).where(SequenceRow.id.in_(sequences_of(caller).with_only_columns(SequenceRow.id)))
+        named = pins.order_by(SequenceRow.name).limit(MOST_NAMED)
         sequences = [(one.id, one.name, one.calibration_id == row.id) for one in session.scalars(named)]
     rig, unread = _drawn(platform, key, item.filename)
     other = against or (before.id if before is not None else None)
@@ -80,7 +80,7 @@ def show_calibration(
     )
 
 
-def _drawn(platform: Platform, key: str, filename: str) -> tuple[Rig | None, str]:
+def _drawn(platform: Platform, key: str, filename: str) -> tuple[RigDrawing | None, str]:
     """The drawing of the kept file, or why this version of the platform reads it no longer."""
     try:
         return rig_of(calibration_reading.stored(platform.store, key, filename)), ""

@@ -1,4 +1,4 @@
-"""The dataset: what it is made of, its versions and what can be downloaded of them, and publishing a new one.
+"""The pages of the dataset: its composition, its versions with their downloads, and publishing a new one.
 
 **Conventions.** Without a version in the query the newest is shown; `version=` (empty) shows the labelled sequences of
 one's own, as the splits stand. Of test's labels no page tells anything.
@@ -12,16 +12,16 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from api.callers import Administrator, Reader
-from api.dataset_views import dataset_detail, dataset_item, prospect_of
 from api.deps import PlatformDep
 from api.paging import PageQuery
 from api.paging import page as rows_of
 from api.schemas.datasets import VERSION_PATTERN, DatasetItem
-from api.statistics_views import composition_record
+from api.views.datasets import dataset_detail, dataset_item, prospect_of
+from api.views.statistics import composition_record
 from api.visible import dataset_of
+from services.domain.datasets.statistics import Record
 from services.runtime.orm import Dataset
-from services.runtime.statistics import Record
-from stone.splits import PARTS
+from stone.splits.splits import PARTS
 from web.pages.dataset_figure import figure_of
 from web.rendering import page
 

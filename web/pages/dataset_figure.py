@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from math import sqrt
 from typing import Any
 
-from services.runtime.statistics import CLASSES, Record
-from stone.surroundings import DAYLIGHT, ENVIRONMENTS, HALVES, ILLUMINATIONS
+from services.domain.datasets.statistics import CLASSES, Record
+from stone.splits.surroundings import DAYLIGHT, ENVIRONMENTS, HALVES, ILLUMINATIONS
 
 LEFT_PX, TOP_PX, CELL_PX, ROW_PX, BAR_PX, END_PX = 128, 58, 84, 88, 150, 86
 LARGEST_PX = 62
@@ -28,7 +28,7 @@ class Stripe:
 
 @dataclass(frozen=True)
 class Square:
-    """What was driven in one environment in one light, around its centre."""
+    """A square of the figure: an environment in one light, around its centre."""
 
     title: str
     x_px: float
@@ -39,7 +39,7 @@ class Square:
 
 
 @dataclass(frozen=True)
-class Line:
+class EnvironmentLine:
     """An environment: its squares, and how far it was driven."""
 
     word: str
@@ -59,7 +59,7 @@ class Heading:
 
 
 @dataclass(frozen=True)
-class Figure:
+class CompositionFigure:
     """The picture; `bars_px` is where distances begin."""
 
     width_px: int
@@ -67,19 +67,19 @@ class Figure:
     bars_px: int
     lights: tuple[Heading, ...]
     halves: tuple[Heading, ...]
-    lines: tuple[Line, ...]
+    lines: tuple[EnvironmentLine, ...]
 
 
-def figure_of(record: Record) -> Figure:
+def figure_of(record: Record) -> CompositionFigure:
     """The picture of a record of `statistics_record`. Without sequences it has environments and no light."""
     cells = {(cell["environment"], cell["illumination"]): cell for cell in record["cells"]}
     words = _in_order({light for _, light in cells}, ILLUMINATIONS)
     places = _in_order({place for place, _ in cells} | {*ENVIRONMENTS}, ENVIRONMENTS)
     bars_px = LEFT_PX + CELL_PX * max(len(words), 1)
-    scale = _Scale(cells, {row["key"]: row for row in record["environments"]})
+    scale = _FigureScale(cells, {row["key"]: row for row in record["environments"]})
     lines = tuple(_line(place, number, words, scale) for number, place in enumerate(places))
     lights = tuple(Heading(word or "not said", LEFT_PX + CELL_PX * n, CELL_PX) for n, word in enumerate(words))
-    return Figure(
+    return CompositionFigure(
         width_px=bars_px + BAR_PX + END_PX,
         height_px=TOP_PX + ROW_PX * len(places) + 8,
         bars_px=bars_px + 24,
@@ -89,7 +89,7 @@ def figure_of(record: Record) -> Figure:
     )
 
 
-class _Scale:
+class _FigureScale:
     """Sizes of the picture's marks, relative to the largest of each."""
 
     def __init__(self, cells: Mapping[tuple[str, str], Record], places: Mapping[str, Record]) -> None:
@@ -104,7 +104,7 @@ class _Scale:
         return (BAR_PX - 24) * (distance_m or 0.0) / self._most_m
 
 
-def _line(place: str, number: int, words: list[str], scale: _Scale) -> Line:
+def _line(place: str, number: int, words: list[str], scale: _FigureScale) -> EnvironmentLine:
     y_px = TOP_PX + ROW_PX * (number + 0.5)
     distance_m = scale.places.get(place, {}).get("distance_m")
     squares = [
@@ -112,7 +112,7 @@ def _line(place: str, number: int, words: list[str], scale: _Scale) -> Line:
         for at, word in enumerate(words)
         if (cell := scale.cells.get((place, word))) is not None
     ]
-    return Line(place or "not said", y_px, distance_m, scale.bar_px(distance_m), tuple(squares))
+    return EnvironmentLine(place or "not said", y_px, distance_m, scale.bar_px(distance_m), tuple(squares))
 
 
 def _square(cell: Record, x_px: float, y_px: float, side_px: float) -> Square:

@@ -9,21 +9,21 @@ from sqlalchemy.orm import Session
 
 from api.callers import Looker
 from api.deps import Caller, PlatformDep
-from api.result_views import viewer_for
 from api.schemas.sequences import SequenceItem
-from api.sequence_views import sequence_items
+from api.views.results import viewer_for
+from api.views.sequences import sequence_items
 from api.visible import benchmarks_of, sequences_shown_to
-from services.runtime.benchmarks.visibility import Viewer
-from services.runtime.orm import Activation, Benchmark, LabelSet, Phase, Sequence
-from web.board_rows import ShownBoard, shown_board
+from services.domain.benchmarks.visibility import Viewer
+from services.runtime.orm import Activation, Benchmark, LabelSet, Phase, SequenceRow
+from web.boards.rows import ShownBoard, shown_board
 from web.rendering import page
 
 router = APIRouter()
 
 
 @dataclass(frozen=True)
-class Featured:
-    """What the first page shows; None where there is nothing of the kind that the caller may see."""
+class HomeContent:
+    """The content of the first page; None where there is nothing of the kind that the caller may see."""
 
     sequence: SequenceItem | None
     phase_id: str | None
@@ -33,7 +33,7 @@ class Featured:
 @router.get("/")
 def home(request: Request, caller: Looker, platform: PlatformDep) -> HTMLResponse:
     with platform.database.reading() as session:
-        featured = Featured(
+        featured = HomeContent(
             _newest_labelled(session, caller), _newest_board(session, caller), viewer_for(session, caller)
         )
     board: ShownBoard | None = None
@@ -44,7 +44,7 @@ def home(request: Request, caller: Looker, platform: PlatformDep) -> HTMLRespons
 
 def _newest_labelled(session: Session, caller: Caller) -> SequenceItem | None:
     """The sequence that was labelled last."""
-    labelled = sequences_shown_to(caller).join(LabelSet, LabelSet.sequence_id == Sequence.id)
+    labelled = sequences_shown_to(caller).join(LabelSet, LabelSet.sequence_id == SequenceRow.id)
     row = session.scalars(labelled.order_by(LabelSet.chosen_ns.desc(), LabelSet.id.desc()).limit(1)).first()
     return sequence_items(session, [row])[0] if row else None
 

@@ -5,7 +5,10 @@ from fastapi.responses import HTMLResponse
 
 from api.callers import Looker
 from api.deps import PlatformDep
-from api.result_views import (
+from api.schemas.base import IdPath
+from api.schemas.leaderboard import BoardRow
+from api.schemas.results import BreakdownAnswer, ProvenanceAnswer, ScoreQuery
+from api.views.results import (
     breakdown_answer,
     known_score,
     known_submission,
@@ -13,13 +16,10 @@ from api.result_views import (
     results_answer,
     viewer_for,
 )
-from api.schemas.base import IdPath
-from api.schemas.leaderboard import BoardRow
-from api.schemas.results import BreakdownAnswer, ProvenanceAnswer, ScoreQuery
-from services.runtime.benchmarks.results import BY, Seen, breakdown, provenance, results
+from services.domain.benchmarks.submissions.results import BY, ScoreView, breakdown, provenance, results
 from services.runtime.orm import Benchmark
-from web.board_results import CLASS_NAMES, breakdowns, matrix, totals
-from web.board_rows import ShownBoard, shown_board
+from web.boards.results import CLASS_NAMES, breakdowns, matrix, totals
+from web.boards.rows import ShownBoard, shown_board
 from web.rendering import page
 
 router = APIRouter()
@@ -59,18 +59,18 @@ def show_method(
     )
 
 
-def _breakdowns(seen: Seen) -> list[BreakdownAnswer]:
+def _breakdowns(seen: ScoreView) -> list[BreakdownAnswer]:
     """None where the viewer may not see them."""
     if not seen.policy.shows("breakdowns"):
         return []
     return [breakdown_answer(seen, by, breakdown(seen, by)) for by in BY]
 
 
-def _provenance(seen: Seen) -> ProvenanceAnswer | None:
+def _provenance(seen: ScoreView) -> ProvenanceAnswer | None:
     return provenance_answer(provenance(seen)) if seen.policy.shows("provenance") else None
 
 
-def _stands(seen: Seen) -> bool:
+def _stands(seen: ScoreView) -> bool:
     """Whether it is on the board, neither withdrawn nor hidden."""
     return seen.submission.withdrawn_ns is None and seen.submission.hidden_ns is None
 

@@ -8,12 +8,12 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import HTMLResponse
 
-from api.audit_views import LinesWanted, audit_page
 from api.callers import Administrator, Reader
 from api.deps import PlatformDep
 from api.paging import LONGEST_CURSOR, PageQuery
-from api.people_views import browsers_of, storage_of, tokens_page, user_item, user_of, users_page
 from api.schemas.base import PLAIN, IdPath
+from api.views.audit import AuditFilter, audit_page
+from api.views.people import browsers_of, storage_of, tokens_page, user_item, user_of, users_page
 from services.runtime.access.roles import ROLES, SCOPES
 from services.runtime.orm import User
 from services.runtime.orm.base import now_ns
@@ -81,8 +81,8 @@ def user(request: Request, caller: Administrator, platform: PlatformDep, user_id
         row = user_of(session, user_id)
         shown, storage = user_item(row), storage_of(platform, session, row)
         tokens = tokens_page(session, PageQuery(None, 200), user_id)
-        about = audit_page(session, LINES, LinesWanted(subject_id=user_id))
-        by = audit_page(session, LINES, LinesWanted(actor_id=user_id))
+        about = audit_page(session, LINES, AuditFilter(subject_id=user_id))
+        by = audit_page(session, LINES, AuditFilter(actor_id=user_id))
         browsers = browsers_of(session, user_id, "")
     return page(
         request,

@@ -1,4 +1,4 @@
-"""The page of a sequence: what came of it, frame by frame, where it drove, and whether its calibration is right.
+"""The page of a sequence: its labels frame by frame, its track, its calibration.
 
 **Conventions.** One address per section, so that each can be linked to and opens quickly. These sections are shown to
 whoever is shown the sequence; its owner's alone are in `web/pages/sequence_own.py`. View models are worked out in
@@ -10,17 +10,17 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 from fastapi.responses import HTMLResponse
 
-from api.artefact_files import artefact_file
 from api.callers import Looker
 from api.deps import Caller
 from api.schemas.base import ID_PATTERN
+from api.views.artefact_files import artefact_file
 from api.visible import labels_of, shown_sequence
-from services.runtime.playback import Playback, playback_of, shown_by
+from services.domain.viewer.playback import Playback, playback_of, shown_by
 from web.sequence.frame_table import NAME, FrameTable, frame_table
 from web.sequence.recording import rig_place
 from web.sequence.report import read_report
 from web.sequence.sections import AtSequence, Visit, choosable, shown_section
-from web.sequence.standing import Standing, standing_of
+from web.sequence.status import SequenceStatus, sequence_status_of
 from web.sequence.timeline import timeline_of
 from web.sequence.track import track_of
 
@@ -40,21 +40,21 @@ DOWNLOADS = {
 def overview(at: AtSequence, caller: Looker) -> HTMLResponse:
     """What came of it, or what is to be done next."""
     with at.platform.database.reading() as session:
-        standing = standing_of(session, caller, at.sequence_id)
+        status = sequence_status_of(session, caller, at.sequence_id)
         row = shown_sequence(session, caller, at.sequence_id)
         labels = labels_of(session, at.sequence_id)
         file = artefact_file(session, row, labels, "report.json")
         scene = artefact_file(session, row, labels, "scene/scene.json")
-        is_setting_up = standing.may_change and standing.sequence.labels is None
-        calibrations = choosable(session, caller, standing) if is_setting_up else []
+        is_setting_up = status.may_change and status.sequence.labels is None
+        calibrations = choosable(session, caller, status) if is_setting_up else []
     return shown_section(
         at,
-        (caller, standing),
+        (caller, status),
         "overview",
         needs_wasm=is_setting_up,
         has_scene=scene is not None,
         report=read_report(at.platform.store, file),
-        downloads=[(*DOWNLOADS[one.name], one) for one in standing.sequence.artefacts if one.name in DOWNLOADS],
+        downloads=[(*DOWNLOADS[one.name], one) for one in status.sequence.artefacts if one.name in DOWNLOADS],
         may_set_up=is_setting_up,
         calibrations=calibrations,
     )
@@ -63,14 +63,14 @@ def overview(at: AtSequence, caller: Looker) -> HTMLResponse:
 @router.get("/frames")
 def frames(at: AtSequence, caller: Looker, frame: FrameQuery = None) -> HTMLResponse:
     """One frame at a time: its pictures and its labels from above, with a timeline to move along."""
-    standing, table = _with_table(at, caller)
-    labels, playback = standing.sequence.labels, Playback(None, "none")
+    status, table = _with_table(at, caller)
+    labels, playback = status.sequence.labels, Playback(None, "none")
     if labels is not None:
         with at.platform.database.reading() as session:
             playback = playback_of(session, labels.id)
     return shown_section(
         at,
-        (caller, standing),
+        (caller, status),
         "frames",
         timeline=timeline_of(table, frame) if table is not None else None,
         playback=playback,
@@ -81,30 +81,30 @@ def frames(at: AtSequence, caller: Looker, frame: FrameQuery = None) -> HTMLResp
 @router.get("/track")
 def track(at: AtSequence, caller: Looker) -> HTMLResponse:
     """Where the robot drove, how fast and how high, and how well it knew."""
-    standing, table = _with_table(at, caller)
+    status, table = _with_table(at, caller)
     drawn = track_of(table) if table is not None else None
-    return shown_section(at, (caller, standing), "track", table=table, track=drawn)
+    return shown_section(at, (caller, status), "track", table=table, track=drawn)
 
 
 @router.get("/calibration")
 def calibration(at: AtSequence, caller: Looker) -> HTMLResponse:
     """With what the sensors are placed, and whether the points lie where the pictures say."""
     with at.platform.database.reading() as session:
-        standing = standing_of(session, caller, at.sequence_id)
-        calibrations = choosable(session, caller, standing)
-    overlays = [one.name for one in standing.sequence.previews if one.name.startswith(OVERLAY)]
+        status = sequence_status_of(session, caller, at.sequence_id)
+        calibrations = choosable(session, caller, status)
+    overlays = [one.name for one in status.sequence.previews if one.name.startswith(OVERLAY)]
     channels = sorted((name.removeprefix(OVERLAY).rpartition(".")[0] for name in overlays), key=rig_place)
     named = [(f"{OVERLAY}{channel}.jpg", _spoken(channel)) for channel in channels]
-    return shown_section(at, (caller, standing), "calibration", overlays=named, calibrations=calibrations)
+    return shown_section(at, (caller, status), "calibration", overlays=named, calibrations=calibrations)
 
 
 def _spoken(channel: str) -> str:
     return channel.removeprefix(CAMERA).replace("_", " ").lower()
 
 
-def _with_table(at: Visit, caller: Caller) -> tuple[Standing, FrameTable | None]:
+def _with_table(at: Visit, caller: Caller) -> tuple[SequenceStatus, FrameTable | None]:
     with at.platform.database.reading() as session:
-        standing = standing_of(session, caller, at.sequence_id)
+        status = sequence_status_of(session, caller, at.sequence_id)
         row = shown_sequence(session, caller, at.sequence_id)
         file = artefact_file(session, row, labels_of(session, at.sequence_id), NAME)
-    return standing, None if file is None else frame_table(at.platform.store, file.object_key)
+    return status, None if file is None else frame_table(at.platform.store, file.object_key)

@@ -1,4 +1,4 @@
-"""What only the owner of a sequence and administrators are shown of it: recordings, runs, exports.
+"""Sections of a sequence's page for its owner and administrators: recordings, runs, exports.
 
 **Conventions.** Somebody else is answered as if the sequence were not there, be it public.
 """
@@ -10,16 +10,16 @@ from sqlalchemy.orm import Session
 
 from api.callers import Reader
 from api.deps import Caller
-from api.export_views import export_items
-from api.job_views import job_items
-from api.recording_views import recording_detail
+from api.views.exports import export_items
+from api.views.jobs import job_items
+from api.views.recordings import recording_detail
 from api.visible import sequence_of
 from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import Export, Job, Recording
-from web.sequence.exporting import TITLES, offers_beside
+from web.sequence.export_formats import TITLES, offers_beside
 from web.sequence.recording import recording_view
 from web.sequence.sections import AtSequence, shown_section
-from web.sequence.standing import Standing, standing_of
+from web.sequence.status import SequenceStatus, sequence_status_of
 
 router = APIRouter(prefix="/sequences/{sequence_id}")
 MOST_SHOWN = 50
@@ -29,38 +29,38 @@ MOST_SHOWN = 50
 def recordings(at: AtSequence, caller: Reader) -> HTMLResponse:
     """What came off the robot: uploads, and for each recording its clocks and how good it is."""
     with at.platform.database.reading() as session:
-        standing = _own(session, caller, at.sequence_id)
+        status = _own(session, caller, at.sequence_id)
         of_sequence = select(Recording).where(Recording.sequence_id == at.sequence_id).order_by(Recording.id)
         shown = [recording_detail(session, row) for row in session.scalars(of_sequence.limit(MOST_SHOWN))]
     views = [recording_view(one.inspection, one.quality) if one.inspection else None for one in shown]
     pairs = list(zip(shown, views, strict=True))
-    return shown_section(at, (caller, standing), "recordings", needs_wasm=standing.may_change, recordings=pairs)
+    return shown_section(at, (caller, status), "recordings", needs_wasm=status.may_change, recordings=pairs)
 
 
 @router.get("/processing")
 def processing(at: AtSequence, caller: Reader) -> HTMLResponse:
     """How far the platform is, and what it did before."""
     with at.platform.database.reading() as session:
-        standing = _own(session, caller, at.sequence_id)
-    return shown_section(at, (caller, standing), "processing")
+        status = _own(session, caller, at.sequence_id)
+    return shown_section(at, (caller, status), "processing")
 
 
 @router.get("/exports")
 def exports(at: AtSequence, caller: Reader) -> HTMLResponse:
     """The labels in formats that others open."""
     with at.platform.database.reading() as session:
-        standing = _own(session, caller, at.sequence_id)
+        status = _own(session, caller, at.sequence_id)
         newest = select(Export).where(Export.sequence_id == at.sequence_id).order_by(Export.id.desc())
         items = export_items(session, at.sequence_id, session.scalars(newest.limit(MOST_SHOWN)).all())
         alive = select(Job).where(Job.id.in_([one.job_id for one in items]), Job.state.not_in(TERMINAL))
         progress = {job.id: job.progress for job in job_items(session, session.scalars(alive).all())}
     under_way = {one.id: progress[one.job_id] for one in items if one.job_id in progress}
     offers = offers_beside(items)
-    looking = (caller, standing)
+    looking = (caller, status)
     return shown_section(at, looking, "exports", exports=items, under_way=under_way, titles=TITLES, offers=offers)
 
 
-def _own(session: Session, caller: Caller, sequence_id: str) -> Standing:
+def _own(session: Session, caller: Caller, sequence_id: str) -> SequenceStatus:
     """Raises `NotFoundError` for what is somebody else's."""
     sequence_of(session, caller, sequence_id)
-    return standing_of(session, caller, sequence_id)
+    return sequence_status_of(session, caller, sequence_id)

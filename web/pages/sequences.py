@@ -1,4 +1,4 @@
-"""The list of sequences, and the page where new ones come from: a picture each, what state it is in, what is in it.
+"""The list of sequences, with picture, status and content each, and the page that creates new ones.
 
 **Conventions.** An empty field of the filters is none. A visitor and everybody else see what the API's list shows them.
 """
@@ -10,19 +10,19 @@ from fastapi import APIRouter, Depends, Query, Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy import select
 
-from api.calibration_views import calibration_item
 from api.callers import Curator, Looker
 from api.deps import Caller, PlatformDep
 from api.paging import PageQuery
 from api.paging import page as paged
-from api.routes.sequences import Filters, Prefix
+from api.routes.sequences import Prefix, SequenceFilters
 from api.schemas.base import LineQuery
 from api.schemas.sequences import SequenceItem
-from api.sequence_views import sequence_items
+from api.views.calibrations import calibration_item
+from api.views.sequences import sequence_items
 from api.visible import sequences_shown_to, theirs
 from services.runtime.jobs.specs import TERMINAL
-from services.runtime.orm import Calibration, Sequence
-from stone.surroundings import ENVIRONMENTS, ILLUMINATIONS
+from services.runtime.orm import CalibrationRow, SequenceRow
+from stone.splits.surroundings import ENVIRONMENTS, ILLUMINATIONS
 from web.rendering import page
 
 router = APIRouter(prefix="/sequences")
@@ -33,8 +33,8 @@ Whose = Annotated[Literal["", "mine"], Query(description="everybody's that one m
 
 
 @dataclass(frozen=True)
-class Asked:
-    """What the form above the list says."""
+class SequenceFilterForm:
+    """The fields of the form above the list."""
 
     name: Prefix = None
     environment: LineQuery = None
@@ -45,8 +45,8 @@ class Asked:
     def is_narrow(self) -> bool:
         return any((self.name, self.environment, self.illumination, self.whose))
 
-    def filters(self, caller: Caller) -> Filters:
-        return Filters(
+    def filters(self, caller: Caller) -> SequenceFilters:
+        return SequenceFilters(
             environment=self.environment or None,
             illumination=self.illumination or None,
             name=self.name or None,
@@ -56,14 +56,18 @@ class Asked:
 
 @router.get("")
 def list_sequences(
-    request: Request, caller: Looker, platform: PlatformDep, asked: Annotated[Asked, Depends()], cursor: Cursor = None
+    request: Request,
+    caller: Looker,
+    platform: PlatformDep,
+    asked: Annotated[SequenceFilterForm, Depends()],
+    cursor: Cursor = None,
 ) -> HTMLResponse:
     """The newest first; while something of a page is being made, the page says how it goes on."""
     narrowed = asked.filters(caller).narrowed(sequences_shown_to(caller))
     with platform.database.reading() as session:
-        found = paged(session, narrowed, Sequence.id.desc(), PageQuery(cursor or None, SHOWN))
+        found = paged(session, narrowed, SequenceRow.id.desc(), PageQuery(cursor or None, SHOWN))
         items = sequence_items(session, found.rows, caller)
-    shown = [(item, *standing(item)) for item in items]
+    shown = [(item, *status_in_words(item)) for item in items]
     return page(
         request,
         caller,
@@ -80,7 +84,7 @@ def list_sequences(
 @router.get("/new")
 def new_sequences(request: Request, caller: Curator, platform: PlatformDep) -> HTMLResponse:
     """Where bags are dropped; each becomes a sequence of its own."""
-    newest = theirs(select(Calibration), caller, Calibration.owner_id).order_by(Calibration.id.desc())
+    newest = theirs(select(CalibrationRow), caller, CalibrationRow.owner_id).order_by(CalibrationRow.id.desc())
     with platform.database.reading() as session:
         calibrations = [calibration_item(row) for row in session.scalars(newest.limit(MOST_CALIBRATIONS))]
     return page(
@@ -94,7 +98,7 @@ def new_sequences(request: Request, caller: Curator, platform: PlatformDep) -> H
     )
 
 
-def standing(item: SequenceItem) -> tuple[str, str]:
+def status_in_words(item: SequenceItem) -> tuple[str, str]:
     """The state that a list shows of a sequence, and in words what it means."""
     if item.job is not None and item.job.state not in TERMINAL:
         return item.job.state, "being read" if item.job.kind == "ingest.register" else "being processed"

@@ -12,12 +12,12 @@ from fastapi.responses import HTMLResponse
 from api.callers import Curator
 from api.deps import PlatformDep
 from api.schemas.splits import SplitEntry, SplitsAnswer
-from api.split_views import splits_answer
+from api.views.splits import splits_answer
 from api.visible import sequences_of
-from services.runtime.catalogue import entries_of, labelled_sequences
-from services.runtime.splits import current_splits, judged
-from stone.splits import LENGTH, LIGHT, PARTS, PLACES, REGIONS, SHORTEST_S, UNSAID, WHOLE
-from stone.surroundings import ENVIRONMENTS, HALVES
+from services.domain.datasets.catalogue import entries_of, labelled_sequences
+from services.domain.datasets.splits import current_splits, judged
+from stone.splits.splits import LENGTH, LIGHT, PARTS, REGIONS, SEPARATED_PLACES, SHORTEST_S, UNSAID, WHOLE
+from stone.splits.surroundings import ENVIRONMENTS, HALVES
 from web.rendering import page
 
 router = APIRouter()
@@ -26,7 +26,7 @@ RULES = {
     LENGTH: f"{SHORTEST_S:g} s or longer",
     REGIONS: "Test regions apart",
     LIGHT: "Day and night",
-    PLACES: "Every environment",
+    SEPARATED_PLACES: "Every environment",
     UNSAID: "Everything said",
 }
 

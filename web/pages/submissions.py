@@ -1,4 +1,4 @@
-"""The submissions of one's teams, and one of them: how far it is, what was found in its file, what may be done."""
+"""The pages of a team's submissions: the list, and one with its progress, findings and actions."""
 
 from typing import Annotated, Any
 
@@ -11,25 +11,25 @@ from api.deps import Caller, PlatformDep, at_once
 from api.etags import etag
 from api.paging import PageDep
 from api.paging import page as paged
-from api.result_views import viewer_for
-from api.routes.submissions import Filters
+from api.routes.submissions import SubmissionFilters
 from api.schemas.base import IdPath
 from api.schemas.leaderboard import RatiosItem
-from api.submission_views import submission_detail, submission_items, validation_report
+from api.views.results import viewer_for
+from api.views.submissions import submission_detail, submission_items, validation_report
 from api.visible import submission_of, submissions_of, teams_of
-from services.runtime.benchmarks.modalities import MODALITIES
-from services.runtime.benchmarks.result_errors import NotScoredError, ScoreMissingError
-from services.runtime.benchmarks.results import results
-from services.runtime.benchmarks.submission_states import ENDED, LIVE, OPEN
-from services.runtime.benchmarks.teams import is_member
-from services.runtime.orm import Submission
-from web.naming import phase_names, team_names
+from services.domain.benchmarks.modalities import MODALITIES
+from services.domain.benchmarks.submissions.result_errors import NotScoredError, ScoreMissingError
+from services.domain.benchmarks.submissions.results import results
+from services.domain.benchmarks.submissions.states import ENDED, LIVE, OPEN
+from services.domain.benchmarks.teams.teams import is_member
+from services.runtime.orm import SubmissionRow
+from web.display_names import phase_names, team_names
 from web.problem_words import grouped
 from web.rendering import page
 
 router = APIRouter()
 STATES = ("draft", *LIVE, *ENDED)
-Narrowed = Annotated[Filters, Depends(at_once(Filters))]
+Narrowed = Annotated[SubmissionFilters, Depends(at_once(SubmissionFilters))]
 
 
 @router.get("/submissions")
@@ -37,7 +37,7 @@ def list_submissions(
     request: Request, caller: Reader, platform: PlatformDep, query: PageDep, filters: Narrowed
 ) -> HTMLResponse:
     with platform.database.reading() as session:
-        found = paged(session, filters.narrowed(submissions_of(caller)), Submission.id.desc(), query)
+        found = paged(session, filters.narrowed(submissions_of(caller)), SubmissionRow.id.desc(), query)
         items = submission_items(session, found.rows)
         values: dict[str, Any] = {
             "items": items,
@@ -69,12 +69,12 @@ def show_submission(
     return page(request, caller, "submissions/one.html", it=shown, **values)
 
 
-def _total(session: Session, caller: Caller, row: Submission) -> RatiosItem | None:
-    """What it scored by the pair in force, as far as the caller may see it; None while it has no such score."""
+def _total(session: Session, caller: Caller, row: SubmissionRow) -> RatiosItem | None:
+    """What it scored by the version in force, as far as the caller may see it; None while it has no such score."""
     if row.state != "scored":
         return None
     try:
         found = results(session, viewer_for(session, caller), row)
-    except (NotScoredError, ScoreMissingError):  # scored by another pair than the one in force
+    except (NotScoredError, ScoreMissingError):  # scored by another evaluation version than the one in force
         return None
     return RatiosItem(**found.total)

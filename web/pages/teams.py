@@ -1,4 +1,4 @@
-"""One's teams, and one of them: who is in it, who is invited, what it may have scored yet."""
+"""The pages of one's teams: the list, and one with its members, invitations and quota."""
 
 from typing import Any
 
@@ -11,12 +11,12 @@ from api.deps import PlatformDep
 from api.paging import PageDep
 from api.paging import page as paged
 from api.schemas.base import IdPath
-from api.submission_views import standing_answer
-from api.team_views import invitation_item, team_items
+from api.views.submissions import quota_answer
+from api.views.teams import invitation_item, team_items
 from api.visible import team_of, teams_of
-from services.runtime.benchmarks.teams import open_invitations
-from services.runtime.orm import Phase, Submission, Team
-from web.naming import phase_names
+from services.domain.benchmarks.teams.teams import open_invitations
+from services.runtime.orm import Phase, SubmissionRow, Team
+from web.display_names import phase_names
 from web.rendering import page
 
 router = APIRouter()
@@ -37,10 +37,10 @@ def show_team(team_id: IdPath, request: Request, caller: Reader, platform: Platf
         row = team_of(session, caller, team_id)
         team = team_items(session, [row])[0]
         phases = session.scalars(select(Phase).where(Phase.id.in_(team.phases)).order_by(Phase.id)).all()
-        counted = select(func.count()).select_from(Submission).where(Submission.team_id == team_id)
+        counted = select(func.count()).select_from(SubmissionRow).where(SubmissionRow.team_id == team_id)
         values: dict[str, Any] = {
             "invitations": [invitation_item(one) for one in open_invitations(session, team_id)],
-            "standings": [(phase, standing_answer(session, phase, team_id)) for phase in phases],
+            "standings": [(phase, quota_answer(session, phase, team_id)) for phase in phases],
             "names": phase_names(session, team.phases),
             "submissions": session.scalar(counted) or 0,
         }

@@ -12,7 +12,7 @@ from fastapi.responses import HTMLResponse
 from api.callers import Looker
 from api.deps import PlatformDep
 from api.schemas.base import ID_PATTERN, IdPath
-from api.sequence_views import sequence_items
+from api.views.sequences import sequence_items
 from api.visible import shown_sequence
 from web.assets import Assets
 from web.rendering import page
@@ -37,6 +37,6 @@ def view(
 
 
 def _modules(request: Request) -> list[str]:
-    """What the viewer imports, so that a browser need not find it one file after the other."""
+    """URLs of the viewer's modules, so that a browser need not find them one file after the other."""
     assets: Assets = request.app.state.pages.assets
     return [assets.url(path) for path in assets.files if path.startswith(PRELOADED)]

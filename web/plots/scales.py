@@ -17,7 +17,7 @@ LEAST_SPAN, TINIEST = 1e-9, 1e-300
 
 @dataclass(frozen=True)
 class Scale:
-    """With `linear_below` the scale is logarithmic beyond ± that value, and linear between (as asinh)."""
+    """A scale of values; with `linear_below` logarithmic beyond ± that value, and linear between (as asinh)."""
 
     low: float
     high: float
@@ -26,7 +26,7 @@ class Scale:
     linear_below: float = 0.0
 
     def at(self, values: Floats) -> Floats:
-        """Where the values stand; NaN stays NaN. Of an axis without length: in its middle."""
+        """The positions of the values; NaN stays NaN. Of an axis without length: in its middle."""
         low, high = self._bent(np.array([self.low, self.high]))
         if high <= low:
             return np.where(np.isnan(values), np.nan, (self.start + self.end) / 2)
@@ -34,7 +34,7 @@ class Scale:
         return np.asarray(self.start + share * (self.end - self.start))
 
     def one(self, value: float) -> float:
-        """Where one value stands."""
+        """The position of one value."""
         return float(self.at(np.array([value]))[0])
 
     def _bent(self, values: Floats) -> Floats:

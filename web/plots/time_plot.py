@@ -20,7 +20,7 @@ MOST_X_TICKS, MOST_Y_TICKS = 6, 4
 
 
 @dataclass(frozen=True)
-class Tick:
+class PlotTick:
     """A value beside an axis: `at` is percent along x, pixels along y."""
 
     at: float
@@ -37,7 +37,7 @@ class Curve:
 
 
 @dataclass(frozen=True)
-class Span:
+class PlotSpan:
     """A part of the time that is marked: `x` and `width` in the plot's units."""
 
     x: float
@@ -53,15 +53,15 @@ class Plot:
     unit: str
     said: str
     curves: tuple[Curve, ...]
-    x_ticks: tuple[Tick, ...]
-    y_ticks: tuple[Tick, ...]
-    spans: tuple[Span, ...] = ()
+    x_ticks: tuple[PlotTick, ...]
+    y_ticks: tuple[PlotTick, ...]
+    spans: tuple[PlotSpan, ...] = ()
     height_px: float = HEIGHT_PX
     width: float = WIDTH
 
 
 @dataclass(frozen=True, eq=False)
-class Series:
+class PlotSeries:
     """(N,) times and values of one curve; NaN where nothing is known. `is_dots`: points that are not connected."""
 
     times_s: Floats
@@ -72,8 +72,8 @@ class Series:
 
 
 @dataclass(frozen=True)
-class About:
-    """What a plot is of; `floor` and `ceiling` are values that its axis reaches at least."""
+class PlotDescription:
+    """Title and unit of a plot; `floor` and `ceiling` are values that its axis reaches at least."""
 
     title: str
     unit: str
@@ -81,7 +81,9 @@ class About:
     ceiling: float | None = None
 
 
-def time_plot(about: About, span_s: float, series: Sequence[Series], spans: Sequence[Span] = ()) -> Plot:
+def time_plot(
+    about: PlotDescription, span_s: float, series: Sequence[PlotSeries], spans: Sequence[PlotSpan] = ()
+) -> Plot:
     """Series over [0, `span_s`]. Without a known value the axis is that of 0 to 1, and `said` says so."""
     known = np.concatenate([one.values[np.isfinite(one.values)] for one in series] or [np.empty(0)])
     low, high = _ends(about, known)
@@ -111,33 +113,33 @@ def stacked_shares(times_s: Floats, counts: Floats, styles: Sequence[str]) -> tu
     )
 
 
-def time_ticks(span_s: float) -> tuple[Tick, ...]:
+def time_ticks(span_s: float) -> tuple[PlotTick, ...]:
     """Seconds, or minutes and seconds where it is long; the last tick stays clear of the edge."""
     step = nice_step(span_s, MOST_X_TICKS)
-    return tuple(Tick(100 * at / span_s, _clock(at, step)) for at in ticks(0.0, span_s, MOST_X_TICKS) if span_s > 0)
+    return tuple(PlotTick(100 * at / span_s, _clock(at, step)) for at in ticks(0.0, span_s, MOST_X_TICKS) if span_s > 0)
 
 
-def marked(start_s: float, end_s: float, span_s: float, style: str) -> Span:
+def marked(start_s: float, end_s: float, span_s: float, style: str) -> PlotSpan:
     """A part of [0, `span_s`], at least 2 units wide so that it is seen."""
     x = Scale(0.0, span_s, 0.0, WIDTH)
     left, right = x.one(start_s), x.one(end_s)
-    return Span(round(min(left, WIDTH - 2), 1), round(max(right - left, 2.0), 1), style)
+    return PlotSpan(round(min(left, WIDTH - 2), 1), round(max(right - left, 2.0), 1), style)
 
 
-def _ends(about: About, known: Floats) -> tuple[float, float]:
+def _ends(about: PlotDescription, known: Floats) -> tuple[float, float]:
     asked = [value for value in (about.floor, about.ceiling) if value is not None]
     values = [*known.tolist(), *asked] or [0.0, 1.0]
     return nice_ends(min(values), max(values), MOST_Y_TICKS)
 
 
-def _curve(one: Series, x: Scale, y: Scale) -> Curve:
+def _curve(one: PlotSeries, x: Scale, y: Scale) -> Curve:
     draw = dots if one.is_dots else line
     return Curve(one.style, draw(x.at(one.times_s), y.at(one.values)), one.name)
 
 
-def _y_ticks(low: float, high: float, y: Scale) -> tuple[Tick, ...]:
+def _y_ticks(low: float, high: float, y: Scale) -> tuple[PlotTick, ...]:
     step = nice_step(high - low, MOST_Y_TICKS)
-    return tuple(Tick(round(y.one(at), 1), tick_text(at, step)) for at in ticks(low, high, MOST_Y_TICKS))
+    return tuple(PlotTick(round(y.one(at), 1), tick_text(at, step)) for at in ticks(low, high, MOST_Y_TICKS))
 
 
 def _clock(at_s: float, step_s: float) -> str:
@@ -146,7 +148,7 @@ def _clock(at_s: float, step_s: float) -> str:
     return f"{tick_text(at_s, step_s)} s"
 
 
-def _said(about: About, known: Floats) -> str:
+def _said(about: PlotDescription, known: Floats) -> str:
     if not len(known):
         return f"{about.title}: nothing is known"
     low, middle, high = np.quantile(known, (0.0, 0.5, 1.0)).tolist()

@@ -1,1 +1,1 @@
-"""What the pages of a sequence show, worked out of what the platform keeps: pure functions, but for `frame_table`."""
+"""Contents of a sequence's pages, computed from stored data: pure functions, but for `frame_table`."""

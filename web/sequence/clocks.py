@@ -3,7 +3,7 @@
 **Conventions.** Rows share one axis each: offsets are drawn on a signed logarithmic scale, since a clock that is whole
 seconds off and one that is a millisecond late are both worth a look; drifts linearly. Offsets are record time − stamp,
 whiskers ± 3 jitters and ± 5 standard errors. Read from the record that ingest wrote
-(`services/ingest/clocks/report.py`); what it does not say is None.
+(`stone_recordings/clocks/report.py`); what it does not say is None.
 """
 
 from collections.abc import Iterable, Mapping
@@ -13,19 +13,19 @@ from typing import Any
 import numpy as np
 
 from web.plots.scales import Scale, duration_text, nice_ends, signed_log_ticks, tick_text, ticks
-from web.plots.time_plot import WIDTH, Tick
+from web.plots.time_plot import WIDTH, PlotTick
 
 LINEAR_BELOW_NS = 1e6
 JITTERS, SIGMAS = 3.0, 5.0
 DRIFT_LIMIT_PPM = 20.0
-"""Beyond which a clock is reported (TIM-207, `services/ingest/clocks/findings.py`)."""
+"""Beyond which a clock is reported (TIM-207, `stone_recordings/clocks/findings.py`)."""
 LEAST_APART = 22.0
 """Per cent of the axis that a tick's words need."""
 UNCLOCKED = ("tf", "tf_static", "camera_info", "other")
 
 
 @dataclass(frozen=True)
-class Whisker:
+class ClockWhisker:
     """A dot at `at` between `low` and `high`, in units of the plot's width."""
 
     low: float
@@ -42,8 +42,8 @@ class ClockRow:
     topic: str
     role: str
     stamped_by: str
-    offset: Whisker | None
-    drift: Whisker | None
+    offset: ClockWhisker | None
+    drift: ClockWhisker | None
     jitter: str
     marks: tuple[str, ...]
 
@@ -53,8 +53,8 @@ class Clocks:
     """`zero_*` is where nothing is off; `steady` the part of the drift's axis that no finding is about."""
 
     rows: tuple[ClockRow, ...]
-    offset_ticks: tuple[Tick, ...]
-    drift_ticks: tuple[Tick, ...]
+    offset_ticks: tuple[PlotTick, ...]
+    drift_ticks: tuple[PlotTick, ...]
     zero_offset: float
     zero_drift: float
     steady: tuple[float, float]
@@ -73,8 +73,8 @@ def clocks_of(report: Mapping[str, Any]) -> Clocks | None:
     each = step[1] - step[0] if len(step) > 1 else 1.0
     return Clocks(
         rows,
-        _apart(Tick(round(offsets.one(at) / WIDTH * 100, 2), duration_text(at) if at else "0") for at in marked_ns),
-        tuple(Tick(round(drifts.one(at) / WIDTH * 100, 2), tick_text(at, each)) for at in step),
+        _apart(PlotTick(round(offsets.one(at) / WIDTH * 100, 2), duration_text(at) if at else "0") for at in marked_ns),
+        tuple(PlotTick(round(drifts.one(at) / WIDTH * 100, 2), tick_text(at, each)) for at in step),
         round(offsets.one(0.0), 1),
         round(drifts.one(0.0), 1),
         (round(drifts.one(-DRIFT_LIMIT_PPM), 1), round(drifts.one(DRIFT_LIMIT_PPM), 1)),
@@ -95,16 +95,16 @@ def _row(topic: Mapping[str, Any], offsets: Scale, drifts: Scale) -> ClockRow:
     )
 
 
-def _offset(topic: Mapping[str, Any], scale: Scale) -> Whisker:
+def _offset(topic: Mapping[str, Any], scale: Scale) -> ClockWhisker:
     middle, reach = float(topic["offset_ns"]), JITTERS * float(topic.get("jitter_ns") or 0)
     is_bad = bool(topic.get("constant"))
-    return Whisker(*_placed(scale, middle, reach), duration_text(middle), is_bad)
+    return ClockWhisker(*_placed(scale, middle, reach), duration_text(middle), is_bad)
 
 
-def _drift(topic: Mapping[str, Any], scale: Scale) -> Whisker:
+def _drift(topic: Mapping[str, Any], scale: Scale) -> ClockWhisker:
     middle, reach = float(topic["drift_ppm"]), SIGMAS * float(topic.get("drift_sigma_ppm") or 0)
     is_bad = abs(middle) > max(DRIFT_LIMIT_PPM, reach)
-    return Whisker(*_placed(scale, middle, reach), f"{tick_text(middle, 0.1)} ppm", is_bad)
+    return ClockWhisker(*_placed(scale, middle, reach), f"{tick_text(middle, 0.1)} ppm", is_bad)
 
 
 def _placed(scale: Scale, middle: float, reach: float) -> tuple[float, float, float]:
@@ -126,7 +126,7 @@ def _plural(word: str) -> str:
     return "" if word.startswith("step") else "s"
 
 
-def _apart(marks: Iterable[Tick]) -> tuple[Tick, ...]:
+def _apart(marks: Iterable[PlotTick]) -> tuple[PlotTick, ...]:
     """Those that can be read beside each other; zero always."""
     found = list(marks)
     zero = next((tick for tick in found if tick.text == "0"), None)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from services.runtime.store import Store
+from services.runtime.store.protocol import Store
 
 Floats = NDArray[np.float64]
 NAME = "frames.parquet"
@@ -25,7 +25,7 @@ KEPT = 16
 
 
 @dataclass(frozen=True)
-class Excluded:
+class ExcludedStamp:
     """A stamp that became no frame, and why."""
 
     stamp_ns: int
@@ -45,7 +45,7 @@ class FrameTable:
     rtk: tuple[str, ...]
     pose_gap_ns: Floats
     stdev_m: Floats
-    excluded: tuple[Excluded, ...]
+    excluded: tuple[ExcludedStamp, ...]
     pictures_dt_ns: dict[str, Floats]
     pose_source: str
     has_north: bool
@@ -105,7 +105,7 @@ def table_of(columns: dict[str, list[Any]], about: dict[str, Any]) -> FrameTable
         pose_gap_ns=floats("pose_gap_ns"),
         stdev_m=np.stack([floats(name) for name in STDEV], axis=1),
         excluded=tuple(
-            Excluded(columns["stamp_ns"][row], words("exclusion_code", row), words("exclusion_reason", row))
+            ExcludedStamp(columns["stamp_ns"][row], words("exclusion_code", row), words("exclusion_reason", row))
             for row in out
         ),
         pictures_dt_ns={name.removesuffix(DELAY): floats(name) for name in cameras},

@@ -1,6 +1,7 @@
-"""What the inspection and the quality report of a recording say, as pictures: when sensors spoke, how often, how well.
+"""Figures of a recording's inspection and quality report: when sensors delivered, how often, how well.
 
-**Conventions.** Read from the records that ingest wrote (`services/ingest/inspection_record.py`, `quality/report.py`);
+**Conventions.** Read from the records that ingest wrote (`stone_recordings/report/inspection_record.py`,
+`quality/report.py`);
 what an older record does not say is left out. Sensors come first, in the order of the report; topics that nobody keeps
 time by (tf, camera_info, other) come apart. A spark is `SPARK` units in size, from the lowest to the highest value.
 """
@@ -14,7 +15,7 @@ import numpy as np
 
 from web.plots.paths import line
 from web.plots.scales import Scale
-from web.plots.time_plot import About, Plot, Series, Span, marked, time_plot
+from web.plots.time_plot import Plot, PlotDescription, PlotSeries, PlotSpan, marked, time_plot
 from web.sequence.clocks import UNCLOCKED, Clocks, clocks_of
 
 NS_PER_S = 1e9
@@ -26,7 +27,7 @@ RIG = ("FRONT_LEFT", "FRONT", "FRONT_RIGHT", "BACK_LEFT", "BACK", "BACK_RIGHT")
 
 
 @dataclass(frozen=True)
-class Bar:
+class CoverageBar:
     """A part of a strip of width 1000; `share` of it is full, 0 to 1."""
 
     x: float
@@ -45,7 +46,7 @@ class Spark:
 
 
 @dataclass(frozen=True)
-class TopicRow:
+class TopicCoverage:
     """One topic: when it spoke (`bars`), where it was silent (`gaps`), how often (`rate`)."""
 
     topic: str
@@ -54,14 +55,14 @@ class TopicRow:
     count: int
     rate_hz: float | None
     covered_ratio: float | None
-    bars: tuple[Bar, ...]
-    gaps: tuple[Bar, ...]
+    bars: tuple[CoverageBar, ...]
+    gaps: tuple[CoverageBar, ...]
     rate: Spark | None
 
 
 @dataclass(frozen=True)
 class SensorRow:
-    """What the messages of one sensor hold, one spark each by name: (title, unit, spark)."""
+    """The spark lines of one sensor's messages by name: (title, unit, spark)."""
 
     name: str
     detail: str
@@ -69,12 +70,12 @@ class SensorRow:
 
 
 @dataclass(frozen=True)
-class Rtk:
-    """How the receiver's solution was, along the recording, and its share fixed."""
+class RtkSummary:
+    """The receiver's solution along the recording, and its share fixed."""
 
     topic: str
     fixed_ratio: float
-    spans: tuple[Span, ...]
+    spans: tuple[PlotSpan, ...]
     plot: Plot
 
 
@@ -85,10 +86,10 @@ class RecordingView:
     span_s: float
     score: int | None
     deductions: tuple[Mapping[str, Any], ...]
-    sensors: tuple[TopicRow, ...]
-    others: tuple[TopicRow, ...]
+    sensors: tuple[TopicCoverage, ...]
+    others: tuple[TopicCoverage, ...]
     clocks: Clocks | None
-    rtk: Rtk | None
+    rtk: RtkSummary | None
     cameras: tuple[SensorRow, ...]
     lidars: tuple[SensorRow, ...]
     radars: tuple[SensorRow, ...]
@@ -115,7 +116,7 @@ def recording_view(inspection: Mapping[str, Any], quality: Mapping[str, Any] | N
 
 
 def rig_place(channel: str) -> tuple[int, str]:
-    """Where a camera stands among six: the front row from left to right, then the back; others after, by name."""
+    """The place of a camera among six: the front row from left to right, then the back; others after, by name."""
     place = channel.removeprefix("CAM_")
     return (RIG.index(place) if place in RIG else len(RIG), channel)
 
@@ -134,22 +135,22 @@ def spark_of(values: Sequence[float], base: float | None = None) -> Spark | None
     return Spark(line(x, y), low, float(median(values)), high)
 
 
-def strip(covered: Sequence[float]) -> tuple[Bar, ...]:
+def strip(covered: Sequence[float]) -> tuple[CoverageBar, ...]:
     """Even bins as bars; equal neighbours are one, empty ones none."""
-    bars = list[Bar]()
+    bars = list[CoverageBar]()
     each = 1000 / max(1, len(covered))
     for place, share in enumerate(round(float(value), 2) for value in covered):
         last = bars[-1] if bars else None
         if last is not None and last.share == share and abs(last.x + last.width - place * each) < 0.05:
-            bars[-1] = Bar(last.x, round((place + 1) * each - last.x, 2), share)
+            bars[-1] = CoverageBar(last.x, round((place + 1) * each - last.x, 2), share)
         elif share > 0:
-            bars.append(Bar(round(place * each, 2), round(each, 2), share))
+            bars.append(CoverageBar(round(place * each, 2), round(each, 2), share))
     return tuple(bars)
 
 
-def _topic(row: Mapping[str, Any], channels: Mapping[str, str], span_s: float) -> TopicRow:
+def _topic(row: Mapping[str, Any], channels: Mapping[str, str], span_s: float) -> TopicCoverage:
     gaps = [marked(start / NS_PER_S, end / NS_PER_S, span_s, "") for start, end in row.get("gaps_ns") or ()]
-    return TopicRow(
+    return TopicCoverage(
         row["topic"],
         channels.get(row["topic"], ""),
         row["role"],
@@ -157,24 +158,26 @@ def _topic(row: Mapping[str, Any], channels: Mapping[str, str], span_s: float) -
         row.get("rate_hz"),
         row.get("covered_ratio"),
         strip(row.get("covered") or ()),
-        tuple(Bar(gap.x, gap.width, 1.0) for gap in gaps),
+        tuple(CoverageBar(gap.x, gap.width, 1.0) for gap in gaps),
         spark_of(row.get("rates_hz") or (), 0.0),
     )
 
 
-def _rtk(rtk: Mapping[str, Any] | None, span_s: float) -> Rtk | None:
+def _rtk(rtk: Mapping[str, Any] | None, span_s: float) -> RtkSummary | None:
     if not rtk or not rtk.get("at_ns"):
         return None
     at_s = np.array(rtk["at_ns"], np.float64) / NS_PER_S
-    stdev = Series(at_s, np.array(rtk["stdev_m"], np.float64) * 100)
-    plot = time_plot(About("Horizontal deviation the receiver claims", "cm", floor=0.0), span_s, [stdev])
-    return Rtk(rtk["topic"], float(rtk.get("fixed_ratio") or 0), _words(at_s.tolist(), rtk["words"], span_s), plot)
+    stdev = PlotSeries(at_s, np.array(rtk["stdev_m"], np.float64) * 100)
+    plot = time_plot(PlotDescription("Horizontal deviation the receiver claims", "cm", floor=0.0), span_s, [stdev])
+    return RtkSummary(
+        rtk["topic"], float(rtk.get("fixed_ratio") or 0), _words(at_s.tolist(), rtk["words"], span_s), plot
+    )
 
 
-def _words(at_s: Sequence[float], words: Sequence[str], span_s: float) -> tuple[Span, ...]:
+def _words(at_s: Sequence[float], words: Sequence[str], span_s: float) -> tuple[PlotSpan, ...]:
     """Consecutive samples of one word as one span, each lasting until the next."""
     ends = [*at_s[1:], span_s]
-    spans, start = list[Span](), 0
+    spans, start = list[PlotSpan](), 0
     for place, word in enumerate(words):
         if place + 1 == len(words) or words[place + 1] != word:
             spans.append(marked(at_s[start], ends[place], span_s, RTK_STYLES.get(word, RTK_OTHER)))

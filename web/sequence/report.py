@@ -1,4 +1,4 @@
-"""What `report.json` of a label set says, for people.
+"""A label set's `report.json`, prepared for its page.
 
 **Conventions.** An older report may lack what a newer one says: that is None or empty. Numbers are as written there.
 """
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from api.files import StoredFile
-from services.runtime.store import Store
+from services.runtime.store.protocol import Store
 
 MOST_BYTES = 4_000_000
 CLASS_KEYS = ("traversable", "potentially_traversable", "non_traversable")
@@ -21,7 +21,6 @@ class Report:
 
     profile: str
     pose_source: str
-    code_version: str
     excluded: int
     shares: tuple[float, float, float] | None
     observed_ratio: float | None
@@ -44,7 +43,6 @@ def report_of(record: Mapping[str, Any]) -> Report:
     return Report(
         profile=str(parameters.get("profile") or ""),
         pose_source=str(record.get("pose_source") or ""),
-        code_version=str(record.get("code_version") or ""),
         excluded=len(record.get("excluded") or ()),
         shares=None if shares is None else tuple(float(shares[key]) for key in CLASS_KEYS),  # type: ignore[arg-type]
         observed_ratio=observed.get("lidar"),

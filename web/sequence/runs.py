@@ -1,4 +1,4 @@
-"""What the platform does to a sequence, as steps that people follow: each stage of its runs with its share done.
+"""Progress of a sequence's runs: each stage with its share done.
 
 **Conventions.** A run grows while it goes: stages that it will have are shown before they stand in the queue, as far as
 the order of stages is known here. Names are for people; the kinds of jobs are the runtime's.
@@ -30,7 +30,7 @@ ENDED = ("succeeded", "failed", "cancelled")
 
 
 @dataclass(frozen=True)
-class Step:
+class RunStep:
     """One stage; `state` is waiting, running, succeeded or failed."""
 
     kind: str
@@ -41,19 +41,19 @@ class Step:
 
 
 def title_of(kind: str) -> str:
-    """What people call jobs of this kind."""
+    """The title of jobs of this kind."""
     return TITLES.get(kind, kind)
 
 
-def steps_of(run: JobDetail) -> tuple[Step, ...]:
+def steps_of(run: JobDetail) -> tuple[RunStep, ...]:
     """The stages of a run as they stand, and those that are to come while it may still reach them."""
     if run.queue:
-        return (Step(run.kind, title_of(run.kind), _own_state(run.state), run.progress.done, run.progress.total),)
-    steps = [Step(one.kind, title_of(one.kind), _state(one), one.done, one.total) for one in run.stages]
+        return (RunStep(run.kind, title_of(run.kind), _own_state(run.state), run.progress.done, run.progress.total),)
+    steps = [RunStep(one.kind, title_of(one.kind), _state(one), one.done, one.total) for one in run.stages]
     if run.kind == PROCESS and run.state not in ENDED:
         known = {step.kind for step in steps}
         coming = [kind for kind in (SYNCHRONISE, *LABELLING) if kind not in known]
-        steps += [Step(kind, title_of(kind), "waiting", 0, 0) for kind in coming]
+        steps += [RunStep(kind, title_of(kind), "waiting", 0, 0) for kind in coming]
     return tuple(sorted(steps, key=lambda step: ORDER.index(step.kind) if step.kind in ORDER else len(ORDER)))
 
 

@@ -1,4 +1,4 @@
-"""A section of a sequence's page as an answer: the head that all have, and what is the section's own."""
+"""Responses for the sections of a sequence's page: the head that all share, and the section's own content."""
 
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -8,16 +8,16 @@ from fastapi.responses import HTMLResponse
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from api.calibration_views import calibration_item
 from api.deps import Caller, PlatformDep
 from api.schemas.base import IdPath
 from api.schemas.calibrations import CalibrationItem
+from api.views.calibrations import calibration_item
 from api.visible import theirs
-from services.runtime.orm import Calibration
-from stone.surroundings import ENVIRONMENTS, ILLUMINATIONS
+from services.runtime.orm import CalibrationRow
+from stone.splits.surroundings import ENVIRONMENTS, ILLUMINATIONS
 from web.rendering import page
 from web.sequence.runs import steps_of, title_of
-from web.sequence.standing import Standing
+from web.sequence.status import SequenceStatus
 
 MOST_CALIBRATIONS = 200
 
@@ -35,7 +35,7 @@ AtSequence = Annotated[Visit, Depends(Visit)]
 
 
 def shown_section(
-    at: Visit, looking: tuple[Caller, Standing], name: str, *, needs_wasm: bool = False, **values: Any
+    at: Visit, looking: tuple[Caller, SequenceStatus], name: str, *, needs_wasm: bool = False, **values: Any
 ) -> HTMLResponse:
     """The section called `name` for who looks at a sequence that stands so; `needs_wasm` where bags are uploaded."""
     caller, standing = looking
@@ -55,9 +55,9 @@ def shown_section(
     return page(at.request, caller, f"sequence/{name}.html", needs_wasm=needs_wasm, **head | values)
 
 
-def choosable(session: Session, caller: Caller, standing: Standing) -> list[CalibrationItem]:
+def choosable(session: Session, caller: Caller, standing: SequenceStatus) -> list[CalibrationItem]:
     """The calibrations that whoever may change the sequence can pin, newest first; nothing for others."""
     if not standing.may_change:
         return []
-    mine = theirs(select(Calibration), caller, Calibration.owner_id).order_by(Calibration.id.desc())
+    mine = theirs(select(CalibrationRow), caller, CalibrationRow.owner_id).order_by(CalibrationRow.id.desc())
     return [calibration_item(row) for row in session.scalars(mine.limit(MOST_CALIBRATIONS))]

@@ -1,4 +1,4 @@
-"""A sequence frame by frame: which frame is shown, what stands around it, and the timeline to choose another.
+"""Frames of a sequence: the one shown, its neighbours, and the timeline to choose another.
 
 **Conventions.** The timeline shows the shares of T, P and N among each frame's occupied voxels. Cameras are in rig
 order: the front row from left to right, then the back row.
@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from web.plots.time_plot import Curve, Span, Tick, stacked_shares, time_ticks
+from web.plots.time_plot import Curve, PlotSpan, PlotTick, stacked_shares, time_ticks
 from web.sequence.frame_table import FrameTable
 from web.sequence.recording import rig_place
 from web.sequence.track import excluded_spans
@@ -19,7 +19,7 @@ STYLES = ("fill-t", "fill-p", "fill-n")
 
 
 @dataclass(frozen=True)
-class Timeline:
+class FrameTimeline:
     """`index` is the frame that is shown, `points` what the page's module reads, one value a frame."""
 
     index: int
@@ -30,19 +30,19 @@ class Timeline:
     voxels: tuple[int, int, int]
     cameras: tuple[str, ...]
     curves: tuple[Curve, ...]
-    spans: tuple[Span, ...]
-    ticks: tuple[Tick, ...]
+    spans: tuple[PlotSpan, ...]
+    ticks: tuple[PlotTick, ...]
     points: Mapping[str, Any]
 
 
-def timeline_of(table: FrameTable, token: str | None) -> Timeline | None:
+def timeline_of(table: FrameTable, token: str | None) -> FrameTimeline | None:
     """At the frame of this token; without one, or with one of other labels, in the middle. None without frames."""
     if not len(table):
         return None
     index = table.tokens.index(token) if token in table.tokens else len(table) // 2
     times_s, voxels = table.times_s, table.voxels
     t, p, n = (int(count) for count in voxels[index])
-    return Timeline(
+    return FrameTimeline(
         index,
         table.tokens[index],
         len(table),

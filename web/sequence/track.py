@@ -1,4 +1,4 @@
-"""Where the robot drove, how fast, how high, and how well it knew: the track of a label set as plots.
+"""Plots of a label set's track: where the robot drove, how fast, how high, and the quality of its poses.
 
 **Conventions.** The map is drawn x to the right and y up; y is north where the poses have an origin on the globe. Times
 are seconds since the first frame. A speed is that between the frames before and after. Where frames are `PAUSE_S` apart
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from web.plots.scales import nice_step
-from web.plots.time_plot import About, Plot, Series, Span, marked, time_plot
+from web.plots.time_plot import Plot, PlotDescription, PlotSeries, PlotSpan, marked, time_plot
 from web.sequence.frame_table import NS_PER_S, FrameTable
 
 Floats = NDArray[np.float64]
@@ -26,7 +26,7 @@ SERIES_STYLES = ("curve", "curve soft", "curve ink")
 
 
 @dataclass(frozen=True)
-class Ground:
+class TrackMap:
     """The track from above, in metres: `view_box` of an SVG whose y grows to the south.
 
     `sure` and `unsure` are paths; `grid` the lines of squares of `square_m`; `robot_m` the size of a mark.
@@ -44,16 +44,16 @@ class Ground:
 
 
 @dataclass(frozen=True)
-class Track:
+class TrackView:
     """`facts` are figures by name; `points` what the page's cursor reads, one value a frame."""
 
-    ground: Ground
+    ground: TrackMap
     plots: tuple[Plot, ...]
     facts: Mapping[str, float]
     points: Mapping[str, Any]
 
 
-def track_of(table: FrameTable) -> Track | None:
+def track_of(table: FrameTable) -> TrackView | None:
     """None without frames."""
     if not len(table):
         return None
@@ -68,7 +68,7 @@ def track_of(table: FrameTable) -> Track | None:
         "relief_m": float(np.ptp(heights_m)),
         "sure_ratio": float(is_sure(table).mean()),
     }
-    return Track(ground_of(table), plots_of(table, speeds), facts, _points(table, speeds))
+    return TrackView(ground_of(table), plots_of(table, speeds), facts, _points(table, speeds))
 
 
 def speeds_m_s(table: FrameTable) -> Floats:
@@ -90,7 +90,7 @@ def is_sure(table: FrameTable) -> NDArray[np.bool_]:
     return np.array([word in SURE for word in table.rtk], np.bool_)
 
 
-def ground_of(table: FrameTable) -> Ground:
+def ground_of(table: FrameTable) -> TrackMap:
     """The track from above with a margin, never thinner than `LEAST_RATIO` of its length."""
     points_m = table.positions_map_m[:, :2] * (1.0, -1.0)
     low, high = points_m.min(axis=0), points_m.max(axis=0)
@@ -100,7 +100,7 @@ def ground_of(table: FrameTable) -> Ground:
     corner = (low + high) / 2 - size / 2
     square_m = nice_step(float(max(size)), MOST_SQUARES)
     sure = is_sure(table)
-    return Ground(
+    return TrackMap(
         " ".join(f"{value:.2f}" for value in (*corner, *size)),
         _paths(points_m, table.times_s, sure),
         _paths(points_m, table.times_s, ~sure),
@@ -118,23 +118,23 @@ def plots_of(table: FrameTable, speeds: Floats) -> tuple[Plot, ...]:
     times_s, span_s = table.times_s, float(table.times_s[-1])
     out = excluded_spans(table)
     plots = [
-        time_plot(About("Speed", "m/s", floor=0.0), span_s, [_series(times_s, speeds)], out),
-        time_plot(About("Elevation", "m"), span_s, [_series(times_s, table.positions_map_m[:, 2])], out),
+        time_plot(PlotDescription("Speed", "m/s", floor=0.0), span_s, [_series(times_s, speeds)], out),
+        time_plot(PlotDescription("Elevation", "m"), span_s, [_series(times_s, table.positions_map_m[:, 2])], out),
     ]
     if np.isfinite(table.stdev_m).any():
         series = [
             _series(times_s, table.stdev_m[:, axis] * 100, SERIES_STYLES[axis], name)
             for axis, name in enumerate(("east", "north", "up"))
         ]
-        plots.append(time_plot(About("Position known to", "cm", floor=0.0), span_s, series, out))
+        plots.append(time_plot(PlotDescription("Position known to", "cm", floor=0.0), span_s, series, out))
     if np.isfinite(table.pose_gap_ns).any():
         gaps = [_series(times_s, table.pose_gap_ns / 1e6)]
-        plots.append(time_plot(About("Between poses", "ms", floor=0.0), span_s, gaps, out))
+        plots.append(time_plot(PlotDescription("Between poses", "ms", floor=0.0), span_s, gaps, out))
     return tuple(plots)
 
 
-def excluded_spans(table: FrameTable) -> tuple[Span, ...]:
-    """Where stamps became no frames, one mark each; those before the first and after the last frame at the edges."""
+def excluded_spans(table: FrameTable) -> tuple[PlotSpan, ...]:
+    """Excluded stamps, one mark each; those before the first and after the last frame at the edges."""
     if not len(table) or not table.excluded:
         return ()
     span_s = float(table.times_s[-1])
@@ -142,10 +142,10 @@ def excluded_spans(table: FrameTable) -> tuple[Span, ...]:
     return tuple(marked(one, one, span_s, "left-out-mark") for one in at_s)
 
 
-def _series(times_s: Floats, values: Floats, style: str = "curve", name: str = "") -> Series:
+def _series(times_s: Floats, values: Floats, style: str = "curve", name: str = "") -> PlotSeries:
     """With a break in each pause."""
     pauses = np.flatnonzero(np.diff(times_s) > PAUSE_S) + 1
-    return Series(np.insert(times_s, pauses, times_s[pauses]), np.insert(values, pauses, np.nan), style, name)
+    return PlotSeries(np.insert(times_s, pauses, times_s[pauses]), np.insert(values, pauses, np.nan), style, name)
 
 
 def _paths(points_m: Floats, times_s: Floats, wanted: NDArray[np.bool_]) -> str:

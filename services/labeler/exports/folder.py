@@ -16,13 +16,13 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from services.labeler.exports.errors import DamagedLabelsError, ExportClashError, NotAnExportError
-from services.labeler.exports.joining import join, rearrange
+from services.labeler.exports.join import join, rearrange
 from services.labeler.exports.registry import exporter_of
 from services.labeler.exports.source import LabelledSequence
 from services.labeler.run import Step
-from services.runtime.atomic import atomic_directory
-from services.runtime.recipes import recipe_of
-from stone.sequence import NAME
+from services.runtime.store.recipes import recipe_of
+from stone.sensors.sequence import NAME
+from stone_files.atomic import atomic_directory
 
 MANIFEST, CHECKSUMS, FRESH = "export.json", "checksums", ".fresh"
 # What of a report decides an export's bytes; seconds and memory do not. The first are known without labels.
@@ -31,7 +31,7 @@ DECIDING = (*SENSED, "class_share_of_occupied", "reference", "map")
 
 
 @dataclass(frozen=True)
-class Entry:
+class ExportFolderEntry:
     """One sequence of an export; `number` is its place where a format counts sequences."""
 
     recipe: str
@@ -72,7 +72,7 @@ def export(request: ExportRequest, open_source: Callable[[], LabelledSequence], 
     recipe = recipe_of({"format": request.format} | {key: request.report.get(key) for key in _deciding(request.format)})
     if name in known and known[name].recipe == recipe:
         return ExportOutcome(request.format, name, "unchanged", known[name].frames, tuple(sorted(known)))
-    entry = Entry(recipe, frames, _number(known, name))
+    entry = ExportFolderEntry(recipe, frames, _number(known, name))
     entries = {**known, name: entry}
     with atomic_directory(request.out, replaces=MANIFEST) as staging:
         fresh = staging / FRESH
@@ -110,14 +110,14 @@ def _opened(open_source: Callable[[], LabelledSequence], name: str) -> LabelledS
     return source
 
 
-def read_manifest(out: Path, format_name: str) -> dict[str, Entry]:
+def read_manifest(out: Path, format_name: str) -> dict[str, ExportFolderEntry]:
     """The sequences in a folder by name; none where there is no export yet. Raises `NotAnExportError`."""
     path = out / MANIFEST
     if not path.exists():
         return {}
     try:
         content = json.loads(path.read_text("utf-8"))
-        entries = {str(name): Entry(**entry) for name, entry in content["sequences"].items()}
+        entries = {str(name): ExportFolderEntry(**entry) for name, entry in content["sequences"].items()}
         found = str(content["format"])
         is_ours = all(NAME.fullmatch(name) and isinstance(entry.number, int) for name, entry in entries.items())
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
@@ -129,7 +129,7 @@ def read_manifest(out: Path, format_name: str) -> dict[str, Entry]:
     return entries
 
 
-def _number(known: Mapping[str, Entry], name: str) -> int:
+def _number(known: Mapping[str, ExportFolderEntry], name: str) -> int:
     """The sequence's own, or the smallest that is free."""
     if name in known:
         return known[name].number
@@ -137,7 +137,7 @@ def _number(known: Mapping[str, Entry], name: str) -> int:
     return next(number for number in range(len(taken) + 1) if number not in taken)
 
 
-def _manifest(format_name: str, entries: Mapping[str, Entry]) -> str:
+def _manifest(format_name: str, entries: Mapping[str, ExportFolderEntry]) -> str:
     sequences = {name: asdict(entries[name]) for name in sorted(entries)}
     return json.dumps({"format": format_name, "sequences": sequences}, indent=1) + "\n"
 

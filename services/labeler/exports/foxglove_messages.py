@@ -28,12 +28,12 @@ from foxglove.messages import (
 from numpy.typing import NDArray
 
 from services.labeler.exports.mesh_parts import MeshPart
-from services.runtime.class_colours import CLASS_RGB
-from stone.calibration import Calibration, CameraIntrinsics
-from stone.grid import GRID_MIN_M, Grid
-from stone.samples import CameraSample, LidarSample, RadarSample
-from stone.se3 import SE3
-from stone.voxels import VOXEL_M
+from stone.geometry.se3 import SE3
+from stone.labels.class_colours import CLASS_RGB
+from stone.labels.grid import GRID_MIN_M, Grid
+from stone.labels.voxels import VOXEL_M
+from stone.sensors.calibration import Calibration, CameraIntrinsics
+from stone.sensors.samples import CameraSample, LidarSample, RadarSample
 
 MAP, EGO, LIDAR = "map", "ego", "LIDAR"
 LIDAR_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2")])

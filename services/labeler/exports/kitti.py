@@ -1,4 +1,4 @@
-"""Voxels as SemanticKITTI keeps them for scene completion, so that its readers open them.
+"""The SemanticKITTI format: voxels in its layout for scene completion, so that its readers open them.
 
     dataset/sequences/<NN>/  voxels/<i>.{bin,label,invalid,occluded}  velodyne/<i>.bin  calib.txt  poses.txt  times.txt
 
@@ -19,16 +19,16 @@ from numpy.typing import NDArray
 
 from services.labeler.exports.source import LabelledSequence
 from services.labeler.run import Step
-from services.runtime.class_colours import CLASS_NAME, CLASS_RGB
-from stone.calibration import CameraIntrinsics
-from stone.columns import Words, gathered, spread_out
-from stone.grid import GRID_MIN_M, GRID_SHAPE
-from stone.samples import LidarSample
-from stone.se3 import SE3, Array, wxyz_from_rotation
-from stone.sequence import Sequence
-from stone.sight_batches import LANES, SightBatch
-from stone.visibility import sight_lines
-from stone.voxels import VOXEL_M
+from stone.geometry.se3 import SE3, Array, wxyz_from_rotation
+from stone.labels.class_colours import CLASS_NAME, CLASS_RGB
+from stone.labels.columns import Words, gathered, spread_out
+from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
+from stone.labels.sight_batches import LANES, SightBatch
+from stone.labels.visibility import sight_lines
+from stone.labels.voxels import VOXEL_M
+from stone.sensors.calibration import CameraIntrinsics
+from stone.sensors.samples import LidarSample
+from stone.sensors.sequence import Sequence
 
 SEQUENCES = Path("dataset") / "sequences"
 CONFIG = "semantic-kitti-stone.yaml"

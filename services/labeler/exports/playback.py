@@ -1,4 +1,4 @@
-"""What the viewer plays beside the voxels: small pictures of the cameras and thinned sweeps.
+"""Sensor data for the viewer: reduced camera images and thinned sweeps.
 
     playback.json   cameras/<CHANNEL>/<frame_token>.jpg   clouds/<frame_token>.bin
 
@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from services.domain.viewer.formats import cloud_bytes
+from services.domain.viewer.playback import INDEX, PlaybackChannels, camera_file, cloud_file, index_record
 from services.labeler.exports.source import LabelledSequence
-from services.labeler.picture_opening import opened
+from services.labeler.previews.picture_opening import opened
 from services.labeler.run import Step
-from services.runtime.playback import INDEX, Shown, camera_file, cloud_file, index_record
-from services.runtime.view_formats import cloud_bytes
-from stone.samples import CameraSample, LidarSample
-from stone.se3 import SE3
+from stone.geometry.se3 import SE3
+from stone.sensors.samples import CameraSample, LidarSample
 
 WIDTH_PX, JPEG_QUALITY = 640, 78
 MOST_POINTS = 40_000
@@ -48,7 +48,7 @@ def write_playback(source: LabelledSequence, out: Path, step: Step) -> None:
         (out / cloud_file(token)).write_bytes(small_cloud(sweep, sequence.calibration.ego_from_lidar))
         step(index + 1, total)
     cameras = tuple(channel for channel in taken if channel in shown)
-    (out / INDEX).write_bytes(index_record(Shown(cameras, has_clouds=total > 0)))
+    (out / INDEX).write_bytes(index_record(PlaybackChannels(cameras, has_clouds=total > 0)))
 
 
 def small_picture(sample: CameraSample | None) -> bytes | None:

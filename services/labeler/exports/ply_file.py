@@ -1,6 +1,6 @@
 """The map's `mesh.ply` read back as arrays that stay on disk until they are looked at.
 
-**Conventions.** As `services/labeler/ply.py` writes it: vertices with colours of their class, triangles.
+**Conventions.** As `services/labeler/map/ply.py` writes it: vertices with colours of their class, triangles.
 """
 
 from dataclasses import dataclass
@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.labeler.exports.errors import DamagedLabelsError
-from services.labeler.ply import FACE, HEADER, VERTEX
-from services.runtime.class_colours import CLASS_RGB
+from services.labeler.map.ply import FACE, HEADER, VERTEX
+from stone.labels.class_colours import CLASS_RGB
 
 MOST_HEADER_BYTES = 4096
 

@@ -30,13 +30,13 @@ class _Late:
 
 
 EXPORTERS: Mapping[str, Exporter] = {
-    "nuscenes": _Late("exports.nuscenes", "write_nuscenes"),
+    "nuscenes": _Late("exports.nuscenes.layout", "write_nuscenes"),
     "inputs": _Late("exports.inputs", "write_inputs"),
     "kitti": _Late("exports.kitti", "write_kitti"),
     "mesh": _Late("exports.meshes", "write_meshes"),
     "mcap": _Late("exports.foxglove", "write_foxglove"),
     "rrd": _Late("exports.rerun", "write_rerun"),
-    "previews": _Late("previews.writing", "write_previews"),
+    "previews": _Late("previews.preview_files", "write_previews"),
     "playback": _Late("exports.playback", "write_playback"),
 }
 

@@ -28,7 +28,7 @@ from services.labeler.exports.mesh_parts import mesh_parts
 from services.labeler.exports.rerun_entities import Columns
 from services.labeler.exports.source import LabelledSequence
 from services.labeler.run import Step, silent
-from stone.sequence import Sequence
+from stone.sensors.sequence import Sequence
 
 APPLICATION = "stone"
 MAP, EGO, LIDAR = "/map", "/map/ego", "/map/ego/LIDAR"

@@ -14,12 +14,12 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from services.labeler.exports.mesh_parts import MeshPart
-from services.runtime.class_colours import CLASS_NAME, CLASS_RGB, TRACK
-from stone.calibration import CameraIntrinsics
-from stone.grid import GRID_MIN_M, Grid
-from stone.samples import LidarSample, RadarSample
-from stone.se3 import SE3
-from stone.voxels import VOXEL_M
+from stone.geometry.se3 import SE3
+from stone.labels.class_colours import CLASS_NAME, CLASS_RGB, TRACK
+from stone.labels.grid import GRID_MIN_M, Grid
+from stone.labels.voxels import VOXEL_M
+from stone.sensors.calibration import CameraIntrinsics
+from stone.sensors.samples import LidarSample, RadarSample
 
 Columns = Iterable[rr.ComponentColumn]
 

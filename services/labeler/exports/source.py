@@ -1,4 +1,4 @@
-"""What an export is made of: a labelled sequence, wherever its labels and its recording lie.
+"""The input of an export: a labelled sequence, its label files and its recording.
 
 **Conventions.** Grids are (256, 256, 32), aligned with the ego frame at the frame's stamp (CONVENTIONS.md). Values are
 immutable; nothing is loaded before it is asked for, so an export needs the memory of one frame.
@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.labeler.exports.errors import DamagedLabelsError, NotLabelsError, RecordingGoneError
-from services.runtime.sequence_file import read_sequence
-from stone.grid import GRID_SHAPE
-from stone.samples import SampleSource
-from stone.sequence import Sequence
+from stone.labels.grid import GRID_SHAPE
+from stone.sensors.samples import SampleSource
+from stone.sensors.sequence import Sequence
+from stone_recordings.sync.sequence_file import read_sequence
 
 REPORT, SEQUENCE, SOURCE, MESH, TABLE = "report.json", "sequence.npz", "source.json", "mesh.ply", "frames.parquet"
 MOST_JSON_BYTES = 1 << 28
@@ -77,7 +77,7 @@ def _check_grids(grids: Mapping[str, NDArray[Any]]) -> None:
 def folder_source(directory: Path, open_samples: OpenSamples, bag: Path | None = None) -> LabelledSequence:
     """The sequence in a folder of `stone label`; the recording is where it was then, or at `bag`.
 
-    `open_samples` opens the recording at a path for a sequence (`services.ingest.samples.checked_samples`).
+    `open_samples` opens the recording at a path for a sequence (`stone_recordings.sync.samples.checked_samples`).
     Raises `NotLabelsError`, `DamagedLabelsError`, `RecordingGoneError`, and what `open_samples` raises.
     """
     report, sequence = read_report(directory), _sequence(directory)

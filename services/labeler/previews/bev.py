@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
+from services.domain.viewer.frame_picture import plan
 from services.labeler.previews.lettering import font
 from services.labeler.previews.surroundings import ALONE, Surroundings, runs_inside
-from services.runtime.class_colours import INK, PAPER, TRACK
-from services.runtime.frame_picture import plan
-from stone.grid import GRID_MAX_M, GRID_MIN_M, Grid
+from stone.labels.class_colours import INK, PAPER, TRACK
+from stone.labels.grid import GRID_MAX_M, GRID_MIN_M, Grid
 
 SIDE_PX = 800
 RING = (120, 124, 130)

@@ -16,11 +16,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from services.labeler.previews.map_pieces import Extent, MapPiece, Pieces, extent_of
-from services.runtime.atomic import atomic_file
-from stone.lattice import indices_of
-from stone.se3 import SE3
-from stone.terrain import ELEVATION, ROUGHNESS, SLOPE
-from stone.voxels import VOXEL_M
+from stone.geometry.lattice import indices_of
+from stone.geometry.se3 import SE3
+from stone.labels.voxels import VOXEL_M
+from stone.surface.terrain import ELEVATION, ROUGHNESS, SLOPE
+from stone_files.atomic import atomic_file
 
 MOST_SIDE_PX = 640
 DOTS_PER_IN, TEXT_POINTS, WIDTH_IN, LEAST_RATIO, MOST_RATIO = 100, 17, 9.0, 0.3, 1.6

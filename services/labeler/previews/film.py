@@ -10,8 +10,8 @@ from services.labeler.exports.source import LabelledSequence
 from services.labeler.previews.sheet import ABOVE, BELOW, cell_ratio, frame_sheet, sheet_size
 from services.labeler.previews.video import Mp4, gif_palette, write_gif
 from services.labeler.run import Step, silent
-from services.runtime.atomic import atomic_file
-from services.runtime.class_colours import CLASS_RGB, INK, PAPER, TRACK, UNSEEN
+from stone.labels.class_colours import CLASS_RGB, INK, PAPER, TRACK, UNSEEN
+from stone_files.atomic import atomic_file
 
 MP4, GIF = "film.mp4", "film.gif"
 RATE_HZ, MOST_FRAMES = 10, 300

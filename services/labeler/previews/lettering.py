@@ -1,4 +1,4 @@
-"""Words on pictures: one typeface everywhere, chips that stay legible on any ground, the legend of the classes."""
+"""Text on preview images: typeface, captions and the class legend."""
 
 from functools import lru_cache
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 import matplotlib as mpl
 from PIL import Image, ImageDraw, ImageFont
 
-from services.runtime.class_colours import CLASS_NAME, CLASS_RGB, INK, PAPER, TRACK, UNSEEN
+from stone.labels.class_colours import CLASS_NAME, CLASS_RGB, INK, PAPER, TRACK, UNSEEN
 
 CHIP_ALPHA = 210
 SWATCH_GAP_RATIO, ENTRY_GAP_RATIO = 0.45, 1.1

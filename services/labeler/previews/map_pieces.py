@@ -1,4 +1,4 @@
-"""The labelled map as previews are given it: tile after tile, loaded when it is looked at."""
+"""The labelled map for previews, loaded tile by tile."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -6,13 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stone.lattice import Keys, indices_of
-from stone.voxels import VOXEL_M
+from stone.geometry.lattice import Keys, indices_of
+from stone.labels.voxels import VOXEL_M
 
 
 @dataclass(frozen=True, eq=False)
 class MapPiece:
-    """The voxels of one tile: `keys` (K,) sorted, `features` (K, 3) of `stone.terrain`, `classes` (K,) 1 to 3."""
+    """Voxels of one tile: `keys` (K,) sorted, `features` (K, 3) of `stone.surface.terrain`, `classes` (K,) 1 to 3."""
 
     keys: Keys
     features: NDArray[np.float64]

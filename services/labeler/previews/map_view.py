@@ -9,11 +9,11 @@ from services.labeler.previews.lettering import legend
 from services.labeler.previews.map_pieces import Extent, MapPiece, Pieces, extent_of
 from services.labeler.previews.oblique import track_boxes
 from services.labeler.previews.render import Boxes, Camera, Canvas, voxel_boxes
-from services.runtime.atomic import atomic_file
-from services.runtime.class_colours import PAPER
-from stone.lattice import centres_of, indices_of
-from stone.se3 import SE3
-from stone.voxels import VOXEL_M
+from stone.geometry.lattice import centres_of, indices_of
+from stone.geometry.se3 import SE3
+from stone.labels.class_colours import PAPER
+from stone.labels.voxels import VOXEL_M
+from stone_files.atomic import atomic_file
 
 WIDTH_PX, HEIGHT_PX, BAR_PX, TEXT_PX = 1280, 720, 48, 24
 VIEW_RAD = np.deg2rad(40.0)

@@ -8,9 +8,9 @@ from PIL import Image
 
 from services.labeler.previews.render import Boxes, Camera, Canvas, Colour, beads, solid_boxes, voxel_boxes
 from services.labeler.previews.surroundings import ALONE, Surroundings, runs_inside
-from services.runtime.class_colours import INK, TRACK
-from stone.calibration import Box, Footprint
-from stone.grid import GRID_MIN_M
+from stone.labels.class_colours import INK, TRACK
+from stone.labels.grid import GRID_MIN_M
+from stone.sensors.calibration import Box, Footprint
 
 WIDTH_PX, HEIGHT_PX = 800, 480
 CAMERA = Camera(np.array([-38.0, 12.0, 25.0]), np.array([-2.0, -0.6, -3.0]), np.deg2rad(60.0))

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from services.labeler.previews.render_kernels import draw, expose
-from services.runtime.class_colours import CLASS_RGB, PAPER
-from stone.calibration import Box
-from stone.voxels import VOXEL_M
+from stone.labels.class_colours import CLASS_RGB, PAPER
+from stone.labels.voxels import VOXEL_M
+from stone.sensors.calibration import Box
 
 FINER = 2
 ALL_SIDES = 0b111111

@@ -10,13 +10,13 @@ from datetime import UTC, datetime
 from PIL import Image, ImageDraw, ImageOps
 
 from services.labeler.exports.source import LabelledSequence
-from services.labeler.picture_opening import opened
 from services.labeler.previews.bev import bev
 from services.labeler.previews.lettering import chip, font, legend
 from services.labeler.previews.oblique import oblique
+from services.labeler.previews.picture_opening import opened
 from services.labeler.previews.surroundings import surroundings_of
-from services.runtime.class_colours import INK, PAPER
-from stone.samples import CameraSample
+from stone.labels.class_colours import INK, PAPER
+from stone.sensors.samples import CameraSample
 
 ABOVE = ("CAM_FRONT_LEFT", "CAM_FRONT", "CAM_FRONT_RIGHT")
 BELOW = ("CAM_BACK_LEFT", "CAM_BACK", "CAM_BACK_RIGHT")
@@ -37,7 +37,7 @@ class FramePictures:
 
 
 @dataclass(frozen=True)
-class _Place:
+class _Rectangle:
     """Left, top, width and height, pixels."""
 
     x: int
@@ -64,7 +64,7 @@ def frame_sheet(source: LabelledSequence, index: int, ratio: float | None = None
     sheet = Image.new("RGB", sheet_size(ratio), PAPER)
     for row, channels in ((GAP_PX, ABOVE), (low_px, BELOW)):
         for column, channel in enumerate(channels):
-            place = _Place(GAP_PX + column * (CAMERA_PX + GAP_PX), row, CAMERA_PX, high_px)
+            place = _Rectangle(GAP_PX + column * (CAMERA_PX + GAP_PX), row, CAMERA_PX, high_px)
             _place_camera(sheet, place, channel, samples[channel])
     grids, around = source.grids(index), surroundings_of(source.sequence, index)
     size_px = (WIDTH_PX - 3 * GAP_PX - PLAN_PX, PLAN_PX)
@@ -89,7 +89,7 @@ def cell_ratio(samples: Iterable[CameraSample | None]) -> float:
     return min(max(ratio, LEAST_RATIO), MOST_RATIO)
 
 
-def _place_camera(sheet: Image.Image, place: _Place, channel: str, sample: CameraSample | None) -> None:
+def _place_camera(sheet: Image.Image, place: _Rectangle, channel: str, sample: CameraSample | None) -> None:
     picture = opened(sample, (place.width, place.height))
     cell = Image.new("RGB", (place.width, place.height), BLANK)
     if isinstance(picture, Image.Image):

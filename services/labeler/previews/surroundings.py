@@ -1,14 +1,14 @@
-"""What is drawn round the labels of a frame: the robot, and where it drove."""
+"""The robot's outline and track, drawn on preview images."""
 
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stone.calibration import Footprint
-from stone.grid import GRID_MAX_M, GRID_MIN_M
-from stone.se3 import SE3
-from stone.sequence import Sequence
+from stone.geometry.se3 import SE3
+from stone.labels.grid import GRID_MAX_M, GRID_MIN_M
+from stone.sensors.calibration import Footprint
+from stone.sensors.sequence import Sequence
 
 
 def _nowhere() -> NDArray[np.float64]:

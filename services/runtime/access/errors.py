@@ -1,4 +1,4 @@
-"""Why somebody is not let in, or cannot become what they ask to be."""
+"""Errors of authentication and of user accounts."""
 
 from collections.abc import Iterable
 

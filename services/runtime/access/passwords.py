@@ -1,4 +1,4 @@
-"""Passwords: argon2id, and the same work for a name that does not exist.
+"""Password hashing (argon2id), in equal time for names that do not exist.
 
 **Conventions.** Parameters are argon2-cffi's defaults, RFC 9106's second choice (64 MiB, 3 passes). At most `AT_ONCE`
 passwords are hashed at a time and `MOST_WAITING` wait or are hashed, so that a flood of sign-ins costs bounded memory
@@ -15,7 +15,7 @@ from argon2 import PasswordHasher
 from argon2.exceptions import InvalidHashError, VerificationError
 
 from services.runtime.access.errors import BusyError, WeakPasswordError
-from services.runtime.access.guessable import refuse_guessable
+from services.runtime.access.weak_passwords import refuse_guessable
 
 SHORTEST = 12
 LONGEST = 1024  # argon2 hashes any length; nobody remembers more

@@ -29,5 +29,5 @@ def allows(role: str, accepted: Iterable[str]) -> bool:
 
 
 def scopes_in_force(role: str, held: Iterable[str]) -> frozenset[str]:
-    """Of the scopes a token holds, those its owner's role allows now."""
+    """The scopes of a token that its owner's role allows now."""
     return frozenset(held) & SCOPES_OF.get(role, frozenset())

@@ -1,4 +1,4 @@
-"""Browsers that signed in with a password: a cookie's secret kept as a hash, and the CSRF token beside it."""
+"""Browser sessions: the cookie's secret stored as a hash, and its CSRF token."""
 
 from dataclasses import dataclass
 from secrets import token_urlsafe
@@ -15,8 +15,8 @@ LONGEST_SECRET = 64
 
 
 @dataclass(frozen=True)
-class SignedIn:
-    """What a browser is given: the cookie's secret, and the token its scripts repeat in `X-CSRF-Token`."""
+class SessionSecrets:
+    """The secrets of a browser session: the cookie's, and the token its scripts repeat in `X-CSRF-Token`."""
 
     secret: str
     csrf_token: str
@@ -29,11 +29,11 @@ def is_password_of(user: User | None, password: str) -> bool:
     return verify_password(user.password_hash if user and is_known else "", password)
 
 
-def open_session(session: Session, user: User, lasts_s: float) -> SignedIn:
+def open_session(session: Session, user: User, lasts_s: float) -> SessionSecrets:
     """Sign a browser in; sessions of this user that have expired are forgotten."""
     now = now_ns()
     session.execute(delete(WebSession).where(WebSession.user_id == user.id, WebSession.expires_ns <= now))
-    opened = SignedIn(token_urlsafe(32), token_urlsafe(32), now + int(lasts_s * 1e9))
+    opened = SessionSecrets(token_urlsafe(32), token_urlsafe(32), now + int(lasts_s * 1e9))
     row = WebSession(user_id=user.id, csrf_token=opened.csrf_token, expires_ns=opened.expires_ns)
     row.secret_hash = hash_of(opened.secret)
     session.add(row)

@@ -1,4 +1,4 @@
-"""Tokens for programs: issued once, kept as a hash, found by it.
+"""API tokens: issued once, stored and found by their hash.
 
 **Conventions.** A secret is `stone_` and 32 random bytes in base64url. Its sha256 is enough as a hash: 256 random bits
 cannot be guessed, so no slow hash is needed and a lookup is one indexed read.
@@ -65,5 +65,5 @@ def revoke_others(session: Session, user_id: str, kept_id: str) -> int:
 
 
 def hash_of(secret: str) -> str:
-    """What is kept of a secret."""
+    """The stored hash of a secret."""
     return sha256(secret.encode()).hexdigest()

@@ -1,7 +1,7 @@
 """Users: created, found, changed.
 
 **Conventions.** A name is [a-z0-9._@+-]{1,64}: it appears in logs and on pages and must not be mistaken for markup, for
-a path or for another name in capitals. A user is never deleted, only made inactive: books refer to them.
+a path or for another name in capitals. A user is never deleted, only made inactive: ledgers refer to them.
 """
 
 import re

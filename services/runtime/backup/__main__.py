@@ -4,6 +4,10 @@
 something is refused, damaged or lost (sentences on stderr), 2 when it was asked for what there is not.
 """
 
+import services.runtime.processes.sound_settings  # noqa: F401
+
+# isort: split
+
 import argparse
 import sys
 from collections.abc import Iterator
@@ -11,11 +15,11 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TextIO
 
-from services.runtime.backup import words
+from services.runtime.backup import messages as words
+from services.runtime.backup.capture import make_backup
 from services.runtime.backup.folder import BackupFolder
-from services.runtime.backup.keeping import prune, verify
-from services.runtime.backup.restoring import restore
-from services.runtime.backup.taking import take
+from services.runtime.backup.restore import restore
+from services.runtime.backup.retention import prune, verify
 from services.runtime.embedded.folder_lock import hold_folder
 from services.runtime.platform import Platform, open_silent_platform
 from services.runtime.settings import Settings
@@ -35,7 +39,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _acted(options: argparse.Namespace, folder: BackupFolder) -> tuple[list[str], bool]:
-    """What there is to say, and whether all is well."""
+    """The command's output lines, and whether all is well."""
     if options.act == "verify":
         verified = verify(folder)
         return words.of_verified(verified), not verified.damaged
@@ -45,8 +49,8 @@ def _acted(options: argparse.Namespace, folder: BackupFolder) -> tuple[list[str]
         return words.of_pruned(prune(folder, options.keep)), True
     if options.act == "to":
         with _opened() as platform:
-            taken = take(platform, folder)
-        return words.of_taken(taken), not taken.snapshot.flaws
+            taken = make_backup(platform, folder)
+        return words.of_backup(taken), not taken.snapshot.flaws
     with ExitStack() as stack:
         stack.enter_context(hold_folder(Settings().root))  # no embedded platform begins meanwhile
         restored = restore(stack.enter_context(_opened()), folder, options.snapshot)

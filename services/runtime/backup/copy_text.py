@@ -28,7 +28,7 @@ _KINDS: tuple[tuple[type, Kind], ...] = (
 
 
 def kind_of(column: Column[Any]) -> Kind:
-    """How values of the column are written."""
+    """The text format of the column's values."""
     return next(kind for type_, kind in _KINDS if isinstance(column.type, type_))
 
 

@@ -1,9 +1,8 @@
-"""Why a backup is not taken, not restored, or not what it was."""
+"""Errors of taking, restoring and verifying backups."""
 
 from pathlib import Path
 
-from services.runtime.errors import PlatformFaultError
-from stone.errors import StoneError
+from stone.errors import PlatformFaultError, StoneError
 
 
 class SchemaNotCurrentError(StoneError):

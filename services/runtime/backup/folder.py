@@ -14,15 +14,15 @@ from datetime import UTC, datetime
 from pathlib import Path
 from secrets import token_hex
 
-from services.runtime.atomic import atomic_directory, flush
 from services.runtime.backup.errors import BackupBusyError, DamagedBackupError, SnapshotMissingError, SourceDamagedError
+from stone_files.atomic import atomic_directory, flush
 
 PIECE_BYTES = 2**20
 OBJECTS, SNAPSHOTS, STAGING, LOCK = "objects", "snapshots", ".staging", "lock"
 
 
 @dataclass(frozen=True)
-class Content:
+class BackupContent:
     """Bytes by what they are."""
 
     sha256: str
@@ -71,13 +71,13 @@ class BackupFolder:
     def path_of(self, sha256: str) -> Path:
         return self.root / OBJECTS / sha256[:2] / sha256
 
-    def has(self, content: Content) -> bool:
+    def has(self, content: BackupContent) -> bool:
         try:
             return self.path_of(content.sha256).stat().st_size == content.size_bytes
         except FileNotFoundError:
             return False
 
-    def add(self, name: str, pieces: Iterable[bytes], expected_sha256: str = "") -> Content:
+    def add(self, name: str, pieces: Iterable[bytes], expected_sha256: str = "") -> BackupContent:
         """Keep a content. Raises `SourceDamagedError` when it is another than expected; `name` is said then."""
         staging, hashed, size_bytes = self.root / STAGING / token_hex(8), hashlib.sha256(), 0
         try:
@@ -91,11 +91,11 @@ class BackupFolder:
             if expected_sha256 not in ("", found):
                 raise SourceDamagedError(name, found, expected_sha256)
             self._place(staging, self.path_of(found))
-            return Content(found, size_bytes)
+            return BackupContent(found, size_bytes)
         finally:
             staging.unlink(missing_ok=True)
 
-    def checked(self, content: Content) -> Path:
+    def checked(self, content: BackupContent) -> Path:
         """The file of a content that was read and found to be it. Raises `DamagedBackupError`."""
         path = self.path_of(content.sha256)
         if not path.is_file():

@@ -1,4 +1,4 @@
-"""What a snapshot says of itself, and how it is written down.
+"""The record of a snapshot, and its file format.
 
 **Conventions.** `snapshot.json` carries the hashes of everything beside it, and its own name is said where it is
 restored; a line in it that does not fit is refused, not guessed at.
@@ -11,23 +11,23 @@ from typing import Literal
 from pydantic import TypeAdapter, ValidationError
 
 from services.runtime.backup.errors import DamagedBackupError
-from services.runtime.backup.folder import Content, sha256_of
+from services.runtime.backup.folder import BackupContent, sha256_of
 from services.runtime.backup.tables import TableFacts
 
 SNAPSHOT, FILES = "snapshot.json", "files.json"
 
 
 @dataclass(frozen=True)
-class KeptFile:
+class BackupFile:
     """A file that is no blob: an object of the store by its key, or the bytes in the uploads folder by upload."""
 
     place: Literal["object", "upload"]
     name: str
-    content: Content
+    content: BackupContent
 
 
 @dataclass(frozen=True)
-class Snapshot:
+class BackupSnapshot:
     """`flaws` names what the platform itself had lost or damaged; `given_up` uploads that ended meanwhile."""
 
     revision: str
@@ -43,20 +43,20 @@ class Snapshot:
         return next(table for table in self.tables if table.name == name)
 
 
-_SNAPSHOT, _FILES = TypeAdapter(Snapshot), TypeAdapter(tuple[KeptFile, ...])
+_SNAPSHOT, _FILES = TypeAdapter(BackupSnapshot), TypeAdapter(tuple[BackupFile, ...])
 
 
-def write_files(folder: Path, files: tuple[KeptFile, ...]) -> str:
+def write_files(folder: Path, files: tuple[BackupFile, ...]) -> str:
     """The sha256 of what was written."""
     (folder / FILES).write_bytes(_FILES.dump_json(files, indent=1))
     return sha256_of(folder / FILES)
 
 
-def write_snapshot(folder: Path, snapshot: Snapshot) -> None:
+def write_snapshot(folder: Path, snapshot: BackupSnapshot) -> None:
     (folder / SNAPSHOT).write_bytes(_SNAPSHOT.dump_json(snapshot, indent=1))
 
 
-def read_snapshot(folder: Path) -> tuple[Snapshot, tuple[KeptFile, ...]]:
+def read_snapshot(folder: Path) -> tuple[BackupSnapshot, tuple[BackupFile, ...]]:
     """Raises `DamagedBackupError`."""
     try:
         snapshot = _SNAPSHOT.validate_json((folder / SNAPSHOT).read_bytes())

@@ -1,4 +1,4 @@
-"""Every table in one snapshot of the database, and back into an empty one: SQLite or PostgreSQL, either way round.
+"""Dump and restore of all database tables in one snapshot, for SQLite and PostgreSQL either way round.
 
 **Conventions.** PostgreSQL reads and writes the files itself (COPY), in a REPEATABLE READ transaction; SQLite's WAL
 gives a reader the state of its first statement. The schema is not in the backup but the revision it was of: Alembic
@@ -17,13 +17,13 @@ from typing import Any
 import zstandard
 from alembic import command
 from alembic.runtime.migration import MigrationContext
-from sqlalchemy import Connection, Table, inspect
+from sqlalchemy import Connection, MetaData, Table, inspect
 
 from services.runtime.backup.copy_text import Kind, kind_of, line_of, lines_of, row_of
 from services.runtime.backup.errors import DamagedBackupError, SchemaNotCurrentError
 from services.runtime.backup.folder import PIECE_BYTES, sha256_of
-from services.runtime.database import Database
-from services.runtime.migrate import alembic_on, head_revision
+from services.runtime.database.migrate import alembic_on, head_revision
+from services.runtime.database.transactions import Database
 from services.runtime.orm import Base
 
 BATCH = 1000
@@ -61,10 +61,10 @@ def snapshot_of(database: Database) -> Iterator[Connection]:
         yield connection
 
 
-def dump(connection: Connection, folder: Path) -> tuple[TableFacts, ...]:
+def dump(connection: Connection, folder: Path, metadata: MetaData = Base.metadata) -> tuple[TableFacts, ...]:
     """Write every table into `folder/tables`; in the order of their references."""
     (folder / TABLES).mkdir()
-    return tuple(_dump(connection, folder, table) for table in Base.metadata.sorted_tables)
+    return tuple(_dump(connection, folder, table) for table in metadata.sorted_tables)
 
 
 def dumped_rows(folder: Path, table: TableFacts, names: Sequence[str]) -> Iterator[list[Any]]:

@@ -3,6 +3,10 @@
 **Conventions.** Two arguments: the socket's descriptor, seconds for the last replies.
 """
 
+import services.runtime.processes.sound_settings  # noqa: F401
+
+# isort: split
+
 import socket
 import sys
 

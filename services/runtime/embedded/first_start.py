@@ -1,4 +1,4 @@
-"""A platform that nobody could sign in to is of no use: the first administrator, and a token for this machine.
+"""First start of an embedded platform: the administrator account, and a token for this machine.
 
 **Conventions.** Both secrets lie in the data folder, readable by its owner only; whoever can read them can read the
 database beside them too. The password's file is written before its user, so a crash between the two loses neither.
@@ -24,7 +24,7 @@ TOKEN_SCOPES = ("read", "upload", "submit")
 
 
 @dataclass(frozen=True)
-class Keys:
+class FirstStartKeys:
     """`password` is empty unless the administrator was made just now; `token` is the local command's."""
 
     name: str
@@ -32,7 +32,7 @@ class Keys:
     token: str
 
 
-def ensure_keys(platform: Platform) -> Keys:
+def ensure_keys(platform: Platform) -> FirstStartKeys:
     """Make the administrator where there is none, and the local token where there is none that is still valid."""
     root = platform.settings.root
     password = ""
@@ -45,7 +45,7 @@ def ensure_keys(platform: Platform) -> Keys:
         if not secret or find(session, secret) is None:
             secret = issue(session, user, "this machine", TOKEN_SCOPES, platform.settings.api.token_s)
             _keep(root / TOKEN_FILE, secret)
-        return Keys(user.name, password, secret)
+        return FirstStartKeys(user.name, password, secret)
 
 
 def find_administrator(session: Session) -> User | None:

@@ -1,4 +1,4 @@
-"""One supervisor for a data folder: an flock, and in the same file who holds it.
+"""The lock file (flock) that admits one supervisor per data folder and names it.
 
 **Conventions.** The kernel drops the lock with the process, so nothing stale is left by `kill -9`. Children do not
 inherit the descriptor.
@@ -44,15 +44,6 @@ def hold_folder(folder: Path) -> Iterator[FolderLock]:
         yield lock
     finally:
         os.close(descriptor)
-
-
-def holder_url(folder: Path) -> str:
-    """Where the server that holds `folder` is reached; empty where none holds it or it is still starting."""
-    try:
-        with hold_folder(folder):
-            return ""
-    except AlreadyServingError as error:
-        return error.url
 
 
 def _holder(descriptor: int) -> tuple[int, str]:

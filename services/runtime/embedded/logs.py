@@ -1,4 +1,4 @@
-"""The log files of the children: one each, appended to by the child itself, cut by size by the supervisor.
+"""Log files of the child processes, truncated by size by the supervisor.
 
 **Conventions.** Cutting is copy and truncate: the child goes on writing to the same open file (`O_APPEND`), so it needs
 no signal and no pipe that could fill up. A line written between the two may be lost; job logs are in the database.

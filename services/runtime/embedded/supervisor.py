@@ -1,4 +1,4 @@
-"""The embedded platform as a context: everything is up inside it, nothing is left after it.
+"""The embedded platform as a context manager: all processes run inside it, none after it.
 
 **Conventions.** The order is: hold the folder, hold the port, Redis, the database brought to head, what a crash left
 running queued again, keys, then API, worker and sweeper. A thread starts again what dies. The end is the reverse:
@@ -15,17 +15,17 @@ from http.client import HTTPConnection, HTTPException
 from pathlib import Path
 from threading import Event, Thread
 
-from services.runtime.embedded.children import Child, Told, fate_of
+from services.runtime.database.migrate import upgrade
+from services.runtime.embedded.child_process import Child, ReportCallback, fate_of
 from services.runtime.embedded.errors import StartFailedError
-from services.runtime.embedded.first_start import Keys, ensure_keys
+from services.runtime.embedded.first_start import FirstStartKeys, ensure_keys
 from services.runtime.embedded.folder_lock import hold_folder
-from services.runtime.embedded.listening import close, listen, local_host, reached_at
+from services.runtime.embedded.listen_socket import close, listen, local_host, reached_at
 from services.runtime.embedded.logs import last_words
 from services.runtime.embedded.programs import api_program, sweeper_program, worker_program
 from services.runtime.embedded.redis_child import start_redis
-from services.runtime.jobs.interrupting import CRASHED, STOPPED, give_back_running
-from services.runtime.jobs.presence import forget_silent
-from services.runtime.migrate import upgrade
+from services.runtime.jobs.interruption import CRASHED, STOPPED, give_back_running
+from services.runtime.jobs.worker_presence import forget_silent
 from services.runtime.platform import Platform, open_platform
 from services.runtime.settings import ApiSettings, Settings
 
@@ -34,12 +34,12 @@ LOOK_S = 0.2
 
 
 @dataclass(frozen=True)
-class Running:
+class RunningPlatform:
     """A platform that was started: where it answers, and with which keys."""
 
     platform: Platform
-    keys: Keys
-    _watched: "_Watched"
+    keys: FirstStartKeys
+    _watched: "_SupervisedChildren"
 
     @property
     def children(self) -> tuple[Child, ...]:
@@ -55,7 +55,7 @@ class Running:
         return logs_of(self.platform.settings)
 
     def wait_until_ready(self) -> None:
-        """Until it answers; from then on children that die are started again. Raises `StartFailedError`."""
+        """Wait for its first answer; from then on children that die are started again. Raises `StartFailedError`."""
         _, _, api, sweeper = self.children
         _wait_until_ready(self.platform.settings.api, (api, sweeper))
         self._watched.start()
@@ -68,8 +68,8 @@ def logs_of(settings: Settings) -> Path:
 
 @contextmanager
 def running_platform(
-    settings: Settings, told: Told = lambda line: None, *, is_awaited: bool = True
-) -> Iterator[Running]:
+    settings: Settings, told: ReportCallback = lambda line: None, *, is_awaited: bool = True
+) -> Iterator[RunningPlatform]:
     """Yield the platform when it is ready; drain and end it afterwards. `told` hears what happens to the children.
 
     Who has something else to do meanwhile says `is_awaited=False` and calls `wait_until_ready` later.
@@ -93,11 +93,11 @@ def running_platform(
             sweeper_program(settings),
         )
         worker, api, sweeper = (Child(program, logs_of(settings), told) for program in programs)
-        watched = _Watched((broker.child, worker, api, sweeper), told)
+        watched = _SupervisedChildren((broker.child, worker, api, sweeper), told)
         stack.callback(watched.kill)
         for child in (worker, api, sweeper):
             child.start()
-        running = Running(platform, keys, watched)
+        running = RunningPlatform(platform, keys, watched)
         if is_awaited:
             running.wait_until_ready()
         lock.say(settings.api.url)
@@ -115,7 +115,7 @@ def _completed(settings: Settings, broker_url: str, url: str, port: int) -> Sett
     return settings.model_copy(update={"broker": broker, "api": replace(settings.api, url=url, port=port)})
 
 
-def _prepare(platform: Platform, told: Told) -> Keys:
+def _prepare(platform: Platform, told: ReportCallback) -> FirstStartKeys:
     """With the folder held and no worker alive: what an earlier platform left, and the keys.
 
     A database of its own is ours alone; one on a server may have other workers, whose jobs the sweeper looks after.
@@ -153,8 +153,8 @@ def _answers(address: tuple[str, int]) -> bool:
         connection.close()
 
 
-def _drain(platform: Platform, quick: tuple[Child, ...], worker: Child, told: Told) -> None:
-    """Everything is asked at once; the worker has longest. What it did not finish is queued for the next start."""
+def _drain(platform: Platform, quick: tuple[Child, ...], worker: Child, told: ReportCallback) -> None:
+    """Stop all children at once; the worker has longest. What it did not finish is queued for the next start."""
     for child in (*quick, worker):
         child.ask_to_stop()
     until_s = time.monotonic() + worker.program.stop_s
@@ -168,13 +168,13 @@ def _drain(platform: Platform, quick: tuple[Child, ...], worker: Child, told: To
             told(f"{interrupted} unfinished job(s) resume at the next start")
 
 
-class _Watched:
+class _SupervisedChildren:
     """Children that a thread starts again when they die.
 
     What the thread started dies with it, so it stays, idle, until all of them have ended.
     """
 
-    def __init__(self, children: tuple[Child, ...], told: Told) -> None:
+    def __init__(self, children: tuple[Child, ...], told: ReportCallback) -> None:
         self.children = children
         self._told = told
         self._leaving, self._idle, self._released = Event(), Event(), Event()
@@ -184,7 +184,7 @@ class _Watched:
         self._thread.start()
 
     def stop(self) -> None:
-        """From now on the children belong to the caller again."""
+        """Stop supervising: from now on the children belong to the caller again."""
         self._leaving.set()
         if self._thread.is_alive():
             self._idle.wait()

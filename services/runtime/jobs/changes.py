@@ -1,4 +1,4 @@
-"""Compare-and-set: an UPDATE whose WHERE says what must still be true, and whether it was."""
+"""Compare-and-set updates: an UPDATE with its precondition, and whether it matched."""
 
 from typing import cast
 
@@ -9,7 +9,7 @@ from services.runtime.orm import Job
 
 
 def rows_changed(session: Session, statement: Update) -> int:
-    """How many rows the update changed; 0 means that somebody else was first."""
+    """The number of rows the update changed; 0 means that somebody else was first."""
     result = session.execute(statement.execution_options(synchronize_session=False))
     return cast("CursorResult[None]", result).rowcount
 

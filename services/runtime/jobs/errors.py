@@ -1,4 +1,4 @@
-"""Why a job stops, or cannot be steered as asked."""
+"""Errors that stop a job, or refuse an action on one."""
 
 from stone.errors import StoneError
 

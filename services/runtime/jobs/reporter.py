@@ -1,4 +1,4 @@
-"""The voice of a running attempt: heartbeats, progress and log lines go out, the wish to stop comes in.
+"""The reporter of a running attempt: sends heartbeats, progress and log lines, receives cancellation.
 
 **Conventions.** A thread writes at most once every `progress_s` and at least once every `heartbeat_s`; the handler only
 touches memory. Writing is a compare-and-set: an attempt that no longer holds its job (terminated, or taken over after
@@ -20,13 +20,13 @@ from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from services.runtime.jobs.changes import rows_changed
-from services.runtime.jobs.claiming import Claim
+from services.runtime.jobs.claims import Claim
+from services.runtime.jobs.completion import Failure, fail
 from services.runtime.jobs.errors import JobCancelledError
-from services.runtime.jobs.finishing import Failure, fail
 from services.runtime.orm import Job, JobLine
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
-from services.runtime.telemetry.tracing import Steps
+from services.runtime.telemetry.stage_spans import StageSpans
 
 LONGEST_EVENT = 1000
 LOST = 70  # EX_SOFTWARE: the exit code of a worker process that ended itself
@@ -56,7 +56,7 @@ class Reporter:
         self._begin = time.monotonic()
         self._is_ending = False
         self._leaving = Event()
-        self._steps = Steps()
+        self._stages = StageSpans()
         # With this attempt's context, so that what the thread says is told as this attempt's too.
         name, in_context = f"reporter-{claim.job_id[:8]}", copy_context().run
         self._thread = Thread(target=in_context, args=(self._speak,), name=name, daemon=True)
@@ -86,7 +86,7 @@ class Reporter:
 
     def progress(self, stage: str, done: int, total: int) -> None:
         """Note how far the job is. Raises `JobCancelledError` when it is to stop."""
-        self._steps.enter(stage)
+        self._stages.enter(stage)
         with self._lock:
             self._progress = (stage, done, total)
         self.stop_if_asked()
@@ -102,7 +102,7 @@ class Reporter:
         That the job is held no more is from now on found by whoever records the end.
         """
         self._is_ending = True
-        self._steps.enter("")
+        self._stages.enter("")
         self._leaving.set()
         self._thread.join()
         self._flush(is_last=False)

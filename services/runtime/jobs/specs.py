@@ -1,13 +1,14 @@
-"""What a job is asked to be, what it is told when it runs, and what it answers.
+"""Job specs, the attempt that a handler is given, and the outcome it returns.
 
 **Conventions.** `kind` is `<queue>.<stage>`. Arguments and results are small JSON objects; data goes through the store.
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
-from sqlalchemy.orm import Session
+if TYPE_CHECKING:  # a graph of jobs is also run where there is no database
+    from sqlalchemy.orm import Session
 
 TERMINAL = ("succeeded", "failed", "cancelled")
 RETICENT = ("eval",)
@@ -41,13 +42,13 @@ class Context:
     priority: int = 0
 
 
-def nothing(_session: Session) -> None:
+def nothing(_session: "Session") -> None:
     """Write no rows."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a handler answers when it succeeds.
+    """The result of a handler that succeeds.
 
     `then` are jobs of the same run that come to life with this success; `commit` writes rows in the same transaction as
     the success itself, so both happen or neither. An attempt that lost the race
@@ -56,11 +57,11 @@ class Outcome:
 
     result: Mapping[str, Any] = field(default_factory=dict)
     then: tuple[JobSpec, ...] = ()
-    commit: Callable[[Session], None] = nothing
+    commit: Callable[["Session"], None] = nothing
 
 
 class Attempt(Protocol):
-    """What a handler is given: who it is, its arguments, and ways to speak while it works."""
+    """One attempt as its handler sees it: its ids, its arguments, and ways to report while it works."""
 
     @property
     def job_id(self) -> str: ...

@@ -1,28 +1,28 @@
-"""The rows: names, states and keys of things, never arrays. One module per noun; `Base.metadata` knows them all."""
+"""The ORM models, one module per noun; `Base.metadata` knows them all."""
 
-from services.runtime.orm.artefacts import Artefact, Blob, LabelledFrame, LabelSet, LooseObject
+from services.runtime.orm.artefacts import Artefact, Blob, LabelledFrameRow, LabelSet, LooseObject
 from services.runtime.orm.base import Base, new_id
 from services.runtime.orm.benchmarks import (
     Activation,
     Benchmark,
-    GroundTruth,
+    GroundTruthRow,
     Phase,
     PhaseInput,
     PhaseInputPack,
     Reported,
     Rescore,
 )
-from services.runtime.orm.books import AuditAnchor, AuditEntry, IdempotentReply, QuotaEntry
 from services.runtime.orm.datasets import Dataset, DatasetMember, DatasetPack, DatasetPart, SplitMember, Splits
 from services.runtime.orm.exports import Export, ExportPack
-from services.runtime.orm.holds import CollectionHold
+from services.runtime.orm.gc_holds import GcHoldRow
 from services.runtime.orm.jobs import Job, JobAttempt, JobLine, JobNeed, Queue, Worker
-from services.runtime.orm.people import SignInGuess, Team, TeamInvitation, TeamMember, Token, User, WebSession
+from services.runtime.orm.ledgers import AuditAnchor, AuditEntry, IdempotentReply, QuotaEntry
+from services.runtime.orm.people import FailedSignInRow, Team, TeamInvitation, TeamMember, Token, User, WebSession
 from services.runtime.orm.recordings import Preview, Recording, RecordingFile
-from services.runtime.orm.sequences import Calibration, Profile, Sequence, Upload
-from services.runtime.orm.slabs import UploadSlab
-from services.runtime.orm.submissions import Alarm, PhaseTeam, Score, ScorePart, ScoringEntry, Submission
-from services.runtime.orm.telemetry import ChoreRow, Figure, Tally
+from services.runtime.orm.sequences import CalibrationRow, ProfileRow, SequenceRow, Upload
+from services.runtime.orm.submissions import Alarm, PhaseTeam, Score, ScorePart, ScoringEntry, SubmissionRow
+from services.runtime.orm.telemetry import ChoreRow, CounterRow, FigureRow
+from services.runtime.orm.upload_parts import UploadPartRow
 
 __all__ = [
     "Activation",
@@ -33,31 +33,33 @@ __all__ = [
     "Base",
     "Benchmark",
     "Blob",
-    "Calibration",
+    "CalibrationRow",
     "ChoreRow",
-    "CollectionHold",
+    "CounterRow",
     "Dataset",
     "DatasetMember",
     "DatasetPack",
     "DatasetPart",
     "Export",
     "ExportPack",
-    "Figure",
-    "GroundTruth",
+    "FailedSignInRow",
+    "FigureRow",
+    "GcHoldRow",
+    "GroundTruthRow",
     "IdempotentReply",
     "Job",
     "JobAttempt",
     "JobLine",
     "JobNeed",
     "LabelSet",
-    "LabelledFrame",
+    "LabelledFrameRow",
     "LooseObject",
     "Phase",
     "PhaseInput",
     "PhaseInputPack",
     "PhaseTeam",
     "Preview",
-    "Profile",
+    "ProfileRow",
     "Queue",
     "QuotaEntry",
     "Recording",
@@ -67,18 +69,16 @@ __all__ = [
     "Score",
     "ScorePart",
     "ScoringEntry",
-    "Sequence",
-    "SignInGuess",
+    "SequenceRow",
     "SplitMember",
     "Splits",
-    "Submission",
-    "Tally",
+    "SubmissionRow",
     "Team",
     "TeamInvitation",
     "TeamMember",
     "Token",
     "Upload",
-    "UploadSlab",
+    "UploadPartRow",
     "User",
     "WebSession",
     "Worker",

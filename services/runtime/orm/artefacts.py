@@ -1,4 +1,4 @@
-"""What the platform makes: blobs by content, artefacts that name them, label sets and their frames."""
+"""ORM models of products: blobs, artefacts, label sets and their frames."""
 
 from sqlalchemy import ForeignKey, Index, String
 from sqlalchemy.orm import Mapped, mapped_column
@@ -21,8 +21,8 @@ class Blob(Base):
 class LooseObject(Base):
     """An object of the store that no blob names: being written, or to be deleted (`is_condemned`).
 
-    Whoever takes the row out has the object: `services/runtime/blobs.py` to make it a blob, or the collection, from
-    which it is safe until `expected_ns` (when even a slow writer should be done) and the grace.
+    Whoever takes the row out has the object: `services/runtime/store/blobs.py` to make it a blob, or garbage
+    collection, from which it is safe until `expected_ns` (when even a slow writer should be done) and the grace.
     """
 
     __tablename__ = "loose_objects"
@@ -72,8 +72,8 @@ class Artefact(Base):
     __table_args__ = (Index("uq_artefacts_label_set_name", "label_set_id", "name", unique=True),)
 
 
-class LabelledFrame(Base):
-    """Where the `labels.npz` of a frame lies: a byte range [offset, offset + length) of a pack."""
+class LabelledFrameRow(Base):
+    """The place of a frame's `labels.npz`: a byte range [offset, offset + length) of a pack."""
 
     __tablename__ = "labelled_frames"
     label_set_id: Mapped[Id] = mapped_column(ForeignKey("label_sets.id", ondelete="CASCADE"), primary_key=True)

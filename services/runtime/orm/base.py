@@ -1,4 +1,4 @@
-"""What every row shares.
+"""The ORM base class, column types and ids.
 
 **Conventions.** An id is 32 hex digits: twelve of a millisecond clock, four of a counter, sixteen at random; so rows
 sort by age and ids cannot be guessed. Times are integer nanoseconds since 1970, `<verb>_ns`. Every constraint has a

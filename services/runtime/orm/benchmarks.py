@@ -1,7 +1,7 @@
-"""Benchmarks: what is to be predicted, under which rules, and against which ground truth it is scored.
+"""ORM models of benchmarks: phases, ground truths, activations, re-scores, reported results.
 
 **Conventions.** A ground truth is immutable once it is ready: what it is made of is held by foreign keys to blobs. The
-board of a phase shows one pair of ground truth and metric at a time: that of its newest activation.
+board of a phase shows one evaluation version (a ground truth and a metric) at a time: that of its newest activation.
 """
 
 from sqlalchemy import JSON, ForeignKey, Index, String, Text, false
@@ -54,7 +54,7 @@ class Phase(Base):
     __table_args__ = (Index("uq_phases_benchmark_name", "benchmark_id", "name", unique=True),)
 
 
-class GroundTruth(Base):
+class GroundTruthRow(Base):
     """A version of what a phase is scored against; `ready_ns` is null until the job has made it.
 
     `sha256` is that of every evaluated voxel in the signature of a score. `facts` tell each sequence's frames,
@@ -82,7 +82,7 @@ class GroundTruth(Base):
 
 
 class Activation(Base):
-    """From `activated_ns` on the board of a phase shows this pair; the newest counts. Only added to."""
+    """From `activated_ns` on the board of a phase shows this evaluation version; the newest counts. Only added to."""
 
     __tablename__ = "activations"
     id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
@@ -95,7 +95,7 @@ class Activation(Base):
 
 
 class Rescore(Base):
-    """All standing entries of a phase scored for another pair; its jobs are those of the run `job_id`."""
+    """All entries on a phase's board scored by another evaluation version; its jobs are those of the run `job_id`."""
 
     __tablename__ = "rescores"
     id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
@@ -130,7 +130,7 @@ class Reported(Base):
 
 
 class PhaseInput(Base):
-    """What a sequence of a phase looked like to the sensors, without any label, for participants to predict from.
+    """The sensor data of a phase's sequence, without any label, for participants to predict from.
 
     `name` is the sequence's; files lie in packs as those of an export do.
     """

@@ -1,4 +1,4 @@
-"""The dataset: the splits under discussion, and versions of it that were published and change no more.
+"""ORM models of datasets: the draft splits, and published versions.
 
 **Conventions.** A version keeps by itself whatever it is made of: what is said of its sequences stands in its own rows,
 and its bytes are held by foreign keys to blobs; so it stays as it is when sequences are renamed, labelled anew or

@@ -1,4 +1,4 @@
-"""What leaves the house: a sequence's labels in a format that others open, as packs of files and an index of them."""
+"""ORM models of exports and their packs."""
 
 from sqlalchemy import ForeignKey, Index, String
 from sqlalchemy.orm import Mapped, mapped_column

@@ -1,4 +1,4 @@
-"""Work: jobs, what they wait for, their attempts and log lines, the queues' switches, and the processes that work.
+"""ORM models of jobs, their dependencies, attempts and log lines, queues and workers.
 
 **Conventions.** `state` is queued, running, succeeded, failed or cancelled; only `services/runtime/jobs` changes it,
 always by compare-and-set. A job whose `queue` is empty is a run: it holds its children together and no worker takes it.

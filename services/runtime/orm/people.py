@@ -1,4 +1,4 @@
-"""Who may do what: users, their tokens and browser sessions, teams. Secrets are stored as hashes only."""
+"""ORM models of users, tokens, browser sessions and teams. Secrets are stored as hashes only."""
 
 from sqlalchemy import JSON, ForeignKey, String
 from sqlalchemy.orm import Mapped, mapped_column, relationship
@@ -50,7 +50,7 @@ class WebSession(Base):
     user: Mapped[User] = relationship(lazy="joined")
 
 
-class SignInGuess(Base):
+class FailedSignInRow(Base):
     """Wrong passwords at a name or from an address; `key` is the sha256 of which."""
 
     __tablename__ = "sign_in_guesses"

@@ -1,4 +1,4 @@
-"""What came off the robot: recordings with their files, and the pictures made of them."""
+"""ORM models of recordings, their files and their previews."""
 
 from typing import Any
 
@@ -31,8 +31,8 @@ class RecordingFile(Base):
 class Recording(Base):
     """One bag of a sequence: a file, or several that are one bag and were sealed together.
 
-    `filename`, `size_bytes` and `sha256` are those of the whole (`services/runtime/bag_files.py`). `state`: received,
-    registered (read, and every file kept as a blob), refused (see `findings`).
+    `filename`, `size_bytes` and `sha256` are those of the whole (`stone_recordings/bags/file_sets.py`). `state`:
+    received, registered (read, and every file kept as a blob), refused (see `findings`).
     """
 
     __tablename__ = "recordings"

@@ -1,4 +1,4 @@
-"""What the field engineer brings: calibrations, profiles of the robots, sequences, and uploads under way."""
+"""ORM models of sequences, calibrations, topic profiles and uploads."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from services.runtime.orm.base import Base, Bytes, Id, Ns, new_id, now_ns
 from services.runtime.telemetry.origins import origin_trace
 
 
-class Calibration(Base):
+class CalibrationRow(Base):
     """A calibration as uploaded; immutable. `sensors` is what a list shows; `findings` are its checks' warnings.
 
     It is true of recordings of [valid_from_ns, valid_to_ns); where one is null it is open on that side.
@@ -33,7 +33,7 @@ class Calibration(Base):
     __table_args__ = (Index("ix_calibrations_owner_name_version", "owner_id", "name", "version", unique=True),)
 
 
-class Profile(Base):
+class ProfileRow(Base):
     """Which topic plays which role on an owner's robot: `topics` maps a role or channel to a topic's name."""
 
     __tablename__ = "profiles"
@@ -47,7 +47,7 @@ class Profile(Base):
     __table_args__ = (Index("uq_profiles_owner_platform", "owner_id", "platform", unique=True),)
 
 
-class Sequence(Base):
+class SequenceRow(Base):
     """One continuous run of the robot. `revision` counts changes (ETag); deleted: the row stays.
 
     What is made of a public one may be looked at by anybody, signed in or not.
@@ -83,7 +83,7 @@ class Sequence(Base):
 
 
 class Upload(Base):
-    """A file under way. Its offset is the number of bytes that are here, never a column; `place`: folder or store.
+    """A file under way. Its offset is the number of bytes that are here, never a column; `backend`: folder or store.
 
     `state`: open, complete (all bytes there, sha256 verified), consumed (by a recording), failed, expired, terminated.
     """
@@ -99,7 +99,7 @@ class Upload(Base):
     sha256: Mapped[str] = mapped_column(String(64), default="", index=True)
     state: Mapped[str] = mapped_column(String(16), default="open", index=True)
     detail: Mapped[str] = mapped_column(String(512), default="")
-    place: Mapped[str] = mapped_column(String(8), default="folder", server_default=text("'folder'"))
+    backend: Mapped[str] = mapped_column(String(8), default="folder", server_default=text("'folder'"))
     traceparent: Mapped[str] = mapped_column(String(55), default=origin_trace, server_default=text("''"))
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
     expires_ns: Mapped[Ns]

@@ -1,8 +1,9 @@
-"""Submissions: what teams sent in, what it scored, and what they may have scored yet.
+"""ORM models of submissions, their scores, scoring quotas and alarms.
 
 **Conventions.** `state` is draft, queued, scoring, then scored, valid, invalid, failed or cancelled; only
-`services/runtime/benchmarks/submissions.py` changes it, by compare-and-set. That an entry was withdrawn or hidden is
-beside its state. A score belongs to one pair of ground truth and metric and never changes.
+`services/domain/benchmarks/submissions/submissions.py` changes it, by compare-and-set. That an entry was withdrawn or
+hidden is beside its state. A score belongs to one evaluation version (a ground truth and a metric) and never
+changes.
 """
 
 from typing import Any
@@ -14,7 +15,7 @@ from services.runtime.orm.base import Base, Bytes, Id, Ns, Record, new_id, now_n
 
 
 class PhaseTeam(Base):
-    """With which team a user takes part in a phase: with one only."""
+    """The one team with which a user takes part in a phase."""
 
     __tablename__ = "phase_teams"
     phase_id: Mapped[Id] = mapped_column(ForeignKey("phases.id", ondelete="CASCADE"), primary_key=True)
@@ -22,7 +23,7 @@ class PhaseTeam(Base):
     team_id: Mapped[Id] = mapped_column(ForeignKey("teams.id", ondelete="CASCADE"), index=True)
 
 
-class Submission(Base):
+class SubmissionRow(Base):
     """A zip of predictions. `kind` is entry, baseline (shown, not ranked) or validation (checked, never scored).
 
     `modality` is a sum of C, L and R. `description` is the plain text of the method's page. `problems` is what the
@@ -65,8 +66,9 @@ class Submission(Base):
 class Score(Base):
     """One submission against one ground truth by one metric.
 
-    `confusions_sha256` names the kept counts by frame and ring, `draws_sha256` the resampled ratios that every interval
-    and comparison is read from. `content_sha256` is equal for equal predictions. Ratios are null where undefined.
+    `confusions_sha256` names the kept counts by frame and ring, `replicates_sha256` the bootstrap replicates that every
+    interval and comparison is read from. `content_sha256` is equal for equal predictions. Ratios are null where
+    undefined.
     """
 
     __tablename__ = "scores"
@@ -82,7 +84,7 @@ class Score(Base):
     miou: Mapped[float | None]
     record: Mapped[Record] = mapped_column(JSON)
     confusions_sha256: Mapped[str] = mapped_column(ForeignKey("blobs.sha256"), index=True)
-    draws_sha256: Mapped[str] = mapped_column(ForeignKey("blobs.sha256"), index=True)
+    replicates_sha256: Mapped[str] = mapped_column(ForeignKey("blobs.sha256"), index=True)
     content_sha256: Mapped[str] = mapped_column(String(64), index=True)
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
 

@@ -1,4 +1,4 @@
-"""What processes tell of themselves in numbers; nothing here decides anything."""
+"""ORM models of telemetry: process counters, chore times, measured figures."""
 
 from typing import Any
 
@@ -8,10 +8,10 @@ from sqlalchemy.orm import Mapped, mapped_column
 from services.runtime.orm.base import Base, Id, Ns
 
 
-class Tally(Base):
-    """What one process has counted so far, `told_ns` by the database's clock; one row is the sum of those folded."""
+class CounterRow(Base):
+    """The counters of one process, `told_ns` by the database's clock; one row is the sum of those folded."""
 
-    __tablename__ = "tallies"
+    __tablename__ = "process_counters"
     id: Mapped[Id] = mapped_column(primary_key=True)
     counts: Mapped[dict[str, Any]] = mapped_column(JSON, default=dict)
     told_ns: Mapped[Ns] = mapped_column(index=True)
@@ -25,7 +25,7 @@ class ChoreRow(Base):
     done_ns: Mapped[Ns]
 
 
-class Figure(Base):
+class FigureRow(Base):
     """A number that takes long to find out, and when it was found out."""
 
     __tablename__ = "figures"

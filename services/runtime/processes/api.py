@@ -5,25 +5,29 @@ believed is uvicorn's `FORWARDED_ALLOW_IPS`, how many processes answer its `WEB_
 connections; replies may take `REPLIES_S`, then they are cut, uploads at a byte that is known.
 """
 
+import services.runtime.processes.sound_settings  # noqa: F401
+
+# isort: split
+
 from typing import Any
 
 import uvicorn
 
-from services.runtime.log_lines import speak_json
 from services.runtime.settings import Settings
+from services.runtime.telemetry.log_lines import speak_json
 
 SITE, API = "web.main:from_environment", "api.main:from_environment"
-PROTOCOL = "api.heads:BoundedHeads"
+PROTOCOL = "api.middleware.heads:BoundedHeads"
 REPLIES_S = 20
 
 
 def application(settings: Settings) -> str:
-    """What uvicorn loads: the API, with pages unless the settings say otherwise."""
+    """The application that uvicorn loads: the API, with pages unless the settings say otherwise."""
     return SITE if settings.api.pages else API
 
 
 def options(replies_s: int) -> dict[str, Any]:
-    """How uvicorn answers, wherever it listens."""
+    """Options of uvicorn, wherever it listens."""
     return {
         "factory": True,
         "loop": "uvloop",
@@ -35,7 +39,7 @@ def options(replies_s: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    from services.runtime.processes.awaiting import await_schema
+    from services.runtime.processes.startup import await_schema
 
     speak_json()
     settings = Settings()

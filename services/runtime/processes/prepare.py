@@ -1,4 +1,4 @@
-"""Before a release's processes are started, once: `python -m services.runtime.processes.prepare`.
+"""Deployment setup, run once before the processes start: `python -m services.runtime.processes.prepare`.
 
 The bucket where there is none, the database brought to the newest schema, the first administrator where there is none.
 
@@ -6,17 +6,21 @@ The bucket where there is none, the database brought to the newest schema, the f
 `database.awaited_s` each.
 """
 
+import services.runtime.processes.sound_settings  # noqa: F401
+
+# isort: split
+
 import sys
 
 import structlog
 
 from services.runtime.access.users import create_user
+from services.runtime.database.migrate import upgrade
 from services.runtime.embedded.first_start import ADMINISTRATOR, find_administrator
-from services.runtime.log_lines import speak_json
-from services.runtime.migrate import upgrade
 from services.runtime.platform import Platform, open_platform
-from services.runtime.processes.awaiting import insist
+from services.runtime.processes.startup import insist
 from services.runtime.settings import Settings
+from services.runtime.telemetry.log_lines import speak_json
 from stone.errors import StoneError
 
 log = structlog.get_logger(__name__)
@@ -25,7 +29,7 @@ log = structlog.get_logger(__name__)
 def prepare(settings: Settings) -> None:
     """All three. Raises what `insist`, `upgrade`, `ensure_bucket` and `create_user` raise."""
     if settings.store.s3_bucket:
-        from services.runtime.store_bucket import ensure_bucket
+        from services.runtime.store.bucket import ensure_bucket
 
         is_new = insist(lambda: ensure_bucket(settings.store), settings.database.awaited_s)
         log.info("bucket stands", bucket=settings.store.s3_bucket, is_new=is_new)

@@ -1,11 +1,12 @@
 """A worker's process: `python -m services.runtime.processes.worker QUEUE…`.
 
-**Conventions.** It loads the services of its queues and those they read through, and nothing of the others, so that an
+**Conventions.** It loads the services of its queues and what these import, and nothing of the others, so that an
 image holds what its role needs. SIGTERM: no more jobs are taken; what runs has `jobs.drain_s`, then its processes are
 killed and their jobs queued again, without costing them an attempt. A second SIGTERM changes nothing.
 """
 
-import services.runtime.one_thread  # noqa: F401
+import services.runtime.one_thread
+import services.runtime.processes.sound_settings  # noqa: F401
 
 # isort: split
 
@@ -22,16 +23,14 @@ import structlog
 from billiard.process import active_children  # type: ignore[import-untyped]
 from celery.signals import worker_shutting_down
 
-from services.runtime.celery_app import QUEUES, app
-from services.runtime.jobs.claiming import worker_name
-from services.runtime.jobs.interrupting import WORKER_STOPPED, give_back_of
-from services.runtime.log_lines import speak_json
+from services.runtime.jobs.broker_app import QUEUES
+from services.runtime.jobs.celery_app import app
+from services.runtime.jobs.claims import worker_name
+from services.runtime.jobs.interruption import WORKER_STOPPED, give_back_of
 from services.runtime.platform import platform
 from services.runtime.settings import Settings
+from services.runtime.telemetry.log_lines import speak_json
 from stone.errors import StoneError
-
-READS_THROUGH = {"labeler": ("ingest",)}
-"""The labeler opens recordings by what ingest says of them (`services/runtime/sweep_sources.py`)."""
 
 log = structlog.get_logger(__name__)
 
@@ -47,8 +46,7 @@ class UnknownQueueError(StoneError):
 
 def services_of(queues: Sequence[str]) -> tuple[str, ...]:
     """The services that a worker of these queues loads."""
-    needed = {name for queue in queues for name in (queue, *READS_THROUGH.get(queue, ()))}
-    return tuple(name for name in QUEUES if name in needed)
+    return tuple(name for name in QUEUES if name in queues)
 
 
 def arguments(queues: Sequence[str], concurrency: int) -> list[str]:
@@ -84,7 +82,7 @@ def _end_after(drain_s: float) -> None:
 
 
 def main() -> None:
-    from services.runtime.processes.awaiting import await_schema  # Alembic is needed once, not in every child
+    from services.runtime.processes.startup import await_schema  # Alembic is needed once, not in every child
 
     speak_json()
     if "TMPDIR" in os.environ:  # a volume that was empty a moment ago; without it all temporary files went to memory

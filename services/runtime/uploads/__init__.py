@@ -1,15 +1,15 @@
-"""Uploads that cannot be corrupted: the core of tus 1.0 without HTTP (design §9).
+"""Resumable uploads: the core of tus 1.0 without HTTP (design §9).
 
-Read in this order: `declared` (what a client says of a file), `creating` (room, row and quota come to be), `place`
-(where bytes lie: `folder_place` with `files`, `store_place` with `held_slabs` and `slab_rows`), `receiving` (one
-request's bytes), `finishing` (complete, failed, terminated), `rows` (states; `consume`), `expiring` (the sweeper's
-part), `hashing`.
+Read in this order: `declaration` (what a client says of a file), `creation` (room, row and quota come to be), `backend`
+(where bytes lie: `folder_backend` with `files`, `store_backend` with `part_reader`, `part_writer` and `part_rows`),
+`reception` (one request's bytes), `completion` (complete, failed, terminated), `rows` (states; `consume`), `expiry`
+(the sweeper's share), `running_hash`.
 
 **Conventions.** The offset is the number of bytes that are here, nothing else remembers it. Several processes may serve
-one place: the place says who writes, the row's compare-and-set says how it ends.
+one backend: the backend says who writes, the row's compare-and-set says how it ends.
 """
 
-from services.runtime.uploads.expiring import expire
+from services.runtime.uploads.expiry import expire
 from services.runtime.uploads.files import upload_file
 from services.runtime.uploads.rows import consume
 

@@ -1,4 +1,4 @@
-"""Why an upload, or a piece of one, is refused."""
+"""Errors of uploads."""
 
 from stone.errors import StoneError
 
@@ -111,7 +111,7 @@ class OverLengthError(StoneError):
         )
 
 
-class TooManySlabsError(StoneError):
+class TooManyUploadPartsError(StoneError):
     """The upload came in so many small requests that it is not to be kept in as many objects."""
 
     code = "too_many_slabs"

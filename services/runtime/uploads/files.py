@@ -1,4 +1,4 @@
-"""The file of an upload: its size is the offset, and its lock says who may write.
+"""The file of an upload: its size is the offset, its lock admits one writer.
 
 **Conventions.** `<uploads folder>/<upload id>` holds the bytes; `<upload id>.unverified`, where there is one, holds the
 offset at which a request with a checksum began: bytes beyond it do not count until the checksum was right, even when
@@ -17,7 +17,7 @@ from pathlib import Path
 
 from services.runtime.settings import Settings
 from services.runtime.uploads.errors import DiskFullError, UploadLockedError
-from services.runtime.uploads.hashing import sha256_of
+from services.runtime.uploads.running_hash import sha256_of
 
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
 MOST_PIECES = 512  # a vectored write takes 1024 (IOV_MAX)
@@ -26,7 +26,7 @@ FLUSHED_BYTES = 64 << 20
 
 
 def upload_file(settings: Settings, upload_id: str) -> Path:
-    """Where the bytes of an upload lie."""
+    """The file of an upload."""
     return settings.uploads_folder / upload_id
 
 
@@ -53,13 +53,13 @@ def sync_folder(folder: Path) -> None:
 
 
 def offset_of(path: Path) -> int:
-    """How many bytes count. Raises `FileNotFoundError`."""
+    """The number of bytes that count. Raises `FileNotFoundError`."""
     size_bytes = path.stat().st_size
     marked = _marked_offset(path)
     return size_bytes if marked is None else min(size_bytes, marked)
 
 
-class HeldFile:
+class LockedUploadFile:
     """`HeldBytes` of an upload's file, open and locked by this request alone.
 
     Raises `UploadLockedError` when another request holds it, `FileNotFoundError` when there is no file.
@@ -96,12 +96,12 @@ class HeldFile:
             self._handed_bytes = offset_bytes
 
     def mark_unverified(self) -> None:
-        """What is written from now on does not count until `accept`. Raises `DiskFullError`."""
+        """Let what is written from now on not count until `accept`. Raises `DiskFullError`."""
         with refusing_full(lambda: self.kept_bytes):
             _mark_of(self.path).write_text(str(self.kept_bytes), "ascii")
 
     def accept(self, *, is_whole: bool) -> None:
-        """What was written counts; it is flushed where it is the last of the file or much has come since.
+        """Count what was written; it is flushed where it is the last of the file or much has come since.
 
         Should a power cut bring the mark back, the client sends again from there. Raises `DiskFullError`.
         """
@@ -110,7 +110,7 @@ class HeldFile:
             self._sync()
 
     def discard(self) -> None:
-        """As if this request had never been."""
+        """Undo the writes of this request."""
         os.ftruncate(self._descriptor, self._first_byte)
         self._sync()  # or a power cut brings back bytes that nothing marks any more
         self._mark_verified()
@@ -135,7 +135,7 @@ class HeldFile:
         _mark_of(self.path).unlink(missing_ok=True)
 
     def _sync(self) -> None:
-        """What was written survives a power cut. Raises `DiskFullError` where the disk learns of it only now."""
+        """Flush to survive a power cut. Raises `DiskFullError` where the disk learns of it only now."""
         with refusing_full(lambda: self.kept_bytes):
             os.fdatasync(self._descriptor)
 

@@ -1,4 +1,4 @@
-"""The row of an upload: found by its owner, moved from state to state by compare-and-set.
+"""Upload rows: found by owner, moved between states by compare-and-set.
 
 **Conventions.** States: open, then complete (all bytes there, sha256 known), then consumed; or failed, expired,
 terminated, which have no bytes and hold no quota. Whoever changes `open` holds the upload's bytes; complete → consumed
@@ -11,11 +11,11 @@ from typing import Any, cast
 from sqlalchemy import CursorResult, select, update
 from sqlalchemy.orm import Session
 
-from services.runtime.database import Database
+from services.runtime.access.storage_quota import release
+from services.runtime.database.transactions import Database
 from services.runtime.orm import Upload
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
-from services.runtime.quota import release
 from services.runtime.uploads.errors import (
     UploadGoneError,
     UploadMissingError,
@@ -28,7 +28,7 @@ GONE = ("failed", "expired", "terminated")
 
 
 @dataclass(frozen=True)
-class Owner:
+class UploadOwner:
     """For whom; administrators may also name targets of others, participants have a quota of their own."""
 
     user_id: str

@@ -1,4 +1,4 @@
-"""What a request has brought and the store has not got yet: a file without a name, which goes with its process."""
+"""An unnamed temporary file for received bytes that are not yet in the store."""
 
 import os
 from collections.abc import Sequence

@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 from itertools import count
 from typing import Any
 
+from testing.api.tus import metadata
 from tests.api.access.cast import PASSWORD
 from tests.api.access.table import Operation
 from tests.api.access.world import CALIBRATION_FILE
-from tests.api.tus import metadata
 
 NUMBERS = count(1)
 INSTEAD = {  # of what is usually named

@@ -11,7 +11,7 @@ from functools import cache
 
 from sqlalchemy.orm import Session
 
-from api.context import COOKIE
+from api.middleware.context import COOKIE
 from services.runtime.access import passwords, sessions, tokens, users
 from services.runtime.access.roles import SCOPES_OF
 from services.runtime.orm import User, new_id

@@ -2,13 +2,13 @@
 
 from pathlib import Path
 
-from services.runtime import blobs
-from services.runtime.benchmarks import pairs
-from services.runtime.benchmarks.scores import NewScore, write_score
-from services.runtime.orm import Submission, new_id
+from services.domain.benchmarks.phases import evaluation_versions
+from services.domain.benchmarks.submissions.scores import NewScore, write_score
+from services.runtime.orm import SubmissionRow, new_id
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
-from tests.services.runtime.benchmarks.boards import Made, computed
+from services.runtime.store import blobs
+from tests.services.domain.benchmarks.boards import Made, computed
 
 
 def scored_entry(platform: Platform, phase_id: str, team_id: str, user_id: str) -> dict[str, str]:
@@ -16,9 +16,11 @@ def scored_entry(platform: Platform, phase_id: str, team_id: str, user_id: str) 
     record, confusions, draws = computed(Made())
     files = [blobs.prepare(platform.store, platform.database, _written(platform, one)) for one in (confusions, draws)]
     with platform.database.transaction() as session:
-        pair = pairs.active(session, phase_id)
+        pair = evaluation_versions.active(session, phase_id)
         assert pair is not None
-        row = Submission(id=new_id(), phase_id=phase_id, team_id=team_id, user_id=user_id, method="Net", modality="C+L")
+        row = SubmissionRow(
+            id=new_id(), phase_id=phase_id, team_id=team_id, user_id=user_id, method="Net", modality="C+L"
+        )
         row.declared_sha256, row.size_bytes, row.state = "8" * 64, 100, "scored"
         row.finalized_ns, row.settled_ns, row.withdrawn_ns = now_ns(), now_ns(), now_ns()
         session.add(row)

@@ -2,18 +2,18 @@
 
 from hashlib import sha256
 
-from services.runtime.benchmarks.submissions import Draft, create_draft
-from services.runtime.orm import Submission, new_id
+from services.domain.benchmarks.submissions.submissions import SubmissionDraft, create_draft
+from services.runtime.orm import SubmissionRow, new_id
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
-from tests.api import made
-from tests.api.serving import Person
+from testing.api.serving import Person
+from testing.worlds import made
 
 
 def submitted(platform: Platform, phase_id: str, team_id: str, owner: Person) -> dict[str, str]:
     """The ids of a draft, of its complete upload, and of a submission that was found invalid."""
     content = new_id().encode()
-    said = Draft(
+    said = SubmissionDraft(
         phase_id=phase_id,
         team_id=team_id,
         user_id=owner.user_id,
@@ -26,7 +26,7 @@ def submitted(platform: Platform, phase_id: str, team_id: str, owner: Person) ->
     )
     with platform.database.transaction() as session:
         draft = create_draft(session, said).id
-        settled = Submission(phase_id=phase_id, team_id=team_id, user_id=owner.user_id, method="Net", modality="L")
+        settled = SubmissionRow(phase_id=phase_id, team_id=team_id, user_id=owner.user_id, method="Net", modality="L")
         settled.declared_sha256, settled.size_bytes, settled.state = "0" * 64, 1, "invalid"
         settled.finalized_ns, settled.settled_ns = now_ns(), now_ns()
         session.add(settled)

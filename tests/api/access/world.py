@@ -8,19 +8,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from services.runtime import blobs
+from services.domain.benchmarks.phases.ground_truths import first_activation
+from services.domain.benchmarks.phases.phases import NewBenchmark, NewPhase, create_benchmark, create_phase
+from services.domain.benchmarks.teams import teams
+from services.domain.datasets.queries import dataset_named
+from services.domain.sequences.profiles import profile_of
 from services.runtime.access import tokens
-from services.runtime.benchmarks import teams
-from services.runtime.benchmarks.phases import NewBenchmark, NewPhase, create_benchmark, create_phase
-from services.runtime.benchmarks.truths import first_activation
-from services.runtime.dataset_reading import dataset_named
 from services.runtime.orm import (
-    Calibration,
-    GroundTruth,
+    CalibrationRow,
+    GroundTruthRow,
     JobLine,
     Preview,
-    Profile,
-    Sequence,
+    ProfileRow,
+    SequenceRow,
     Team,
     TeamMember,
     Upload,
@@ -29,16 +29,16 @@ from services.runtime.orm import (
 )
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
-from services.runtime.profiles import profile_of
-from stone.metric import METRIC_VERSION
-from tests.api import made
+from services.runtime.store import blobs
+from stone.scoring.metric import METRIC_VERSION
+from testing.api.serving import Person
+from testing.worlds import made
+from testing.worlds.published import dataset, published_sequence
+from testing.worlds.rows import recording_of
 from tests.api.access.rescored import rescored
 from tests.api.access.scored_entry import scored_entry
 from tests.api.access.submitted import submitted
 from tests.api.inputs_made import made_input
-from tests.api.published import dataset, published_sequence
-from tests.api.serving import Person
-from tests.rows import recording_of
 
 CALIBRATION_FILE = Path(__file__).resolve().parents[3] / "examples" / "kitti0005.calibration.yaml"
 IDS = (
@@ -146,7 +146,7 @@ def _phase(platform: Platform, owner_id: str, dataset_name: str, name: str) -> s
         assert version is not None
         benchmark = create_benchmark(session, NewBenchmark(name, "STONE", "", owner_id))
         phase = create_phase(session, benchmark, version, NewPhase("test", "test", is_hidden=True))
-        truth = GroundTruth(
+        truth = GroundTruthRow(
             phase_id=phase.id, number=1, dataset_id=version.id, part="test", mask="all", sha256="5" * 64
         )
         truth.manifest_sha256, truth.created_by = blobs.keep(session, platform.store, manifest).sha256, owner_id
@@ -173,7 +173,7 @@ def _calibration(platform: Platform, owner_id: str) -> str:
     path = _written(platform, CALIBRATION_FILE.read_bytes() + f"# {new_id()}\n".encode())
     with platform.database.transaction() as session:
         blob = blobs.keep(session, platform.store, path)
-        row = Calibration(owner_id=owner_id, name=f"rig-{new_id()[-8:]}", version=1, filename="rig.yaml")
+        row = CalibrationRow(owner_id=owner_id, name=f"rig-{new_id()[-8:]}", version=1, filename="rig.yaml")
         row.sha256, row.blob_sha256, row.sensors, row.findings = blob.sha256, blob.sha256, [], []
         session.add(row)
         session.flush()
@@ -182,7 +182,7 @@ def _calibration(platform: Platform, owner_id: str) -> str:
 
 def _sequence(platform: Platform, owner_id: str, calibration_id: str) -> str:
     with platform.database.transaction() as session:
-        row = Sequence(owner_id=owner_id, name=f"forest-{new_id()[-8:]}", calibration_id=calibration_id)
+        row = SequenceRow(owner_id=owner_id, name=f"forest-{new_id()[-8:]}", calibration_id=calibration_id)
         session.add(row)
         session.flush()
         return row.id
@@ -191,12 +191,12 @@ def _sequence(platform: Platform, owner_id: str, calibration_id: str) -> str:
 def _profile(platform: Platform, owner_id: str) -> None:
     with platform.database.transaction() as session:
         if profile_of(session, owner_id, WORDS["platform_name"]) is None:  # a second world of the same user
-            session.add(Profile(owner_id=owner_id, platform=WORDS["platform_name"], topics={"lidar": "/points"}))
+            session.add(ProfileRow(owner_id=owner_id, platform=WORDS["platform_name"], topics={"lidar": "/points"}))
 
 
 def _name(platform: Platform, sequence_id: str) -> str:
     with platform.database.reading() as session:
-        return session.get_one(Sequence, sequence_id).name
+        return session.get_one(SequenceRow, sequence_id).name
 
 
 def _recording(platform: Platform, owner: Person, sequence_id: str) -> str:

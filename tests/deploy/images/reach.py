@@ -10,7 +10,10 @@ from pathlib import Path
 from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).resolve().parents[3]
-OWN = {"stone", "services", "simulator", "client", "api", "web"}
+OWN = {
+    "stone", "stone_files", "stone_recordings", "stone_submissions", "services", "simulator", "stone_client",
+    "api", "web",
+}  # fmt: skip
 FOR_TYPES_ONLY = {"types_boto3_s3"}
 
 

@@ -45,7 +45,7 @@ def test_an_image_says_how_it_is_probed_and_what_it_runs(role: str) -> None:
     assert f'CMD ["python", "-m", "{module}"]' in stage
     probe = re.search(r"HEALTHCHECK (.*) CMD (\[.*\])", stage)
     assert probe is not None
-    assert ("/readyz" if role == "api" else "services.runtime.processes.alive") in probe[2]
+    assert ("/readyz" if role == "api" else "services.runtime.processes.health_check") in probe[2]
 
 
 @pytest.mark.parametrize("role", ROLES)

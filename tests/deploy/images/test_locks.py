@@ -12,16 +12,16 @@ from tests.deploy.images.reach import needed_distributions
 
 ROOT = Path(__file__).resolve().parents[3]
 IMAGES = ROOT / "deploy" / "images"
-RUNTIME = ("services.runtime.processes.worker", "services.runtime.processes.alive")
+RUNTIME = ("services.runtime.processes.worker", "services.runtime.processes.health_check")
 ENTRIES = {
     "api": (
         "services.runtime.processes.api",
         "services.runtime.processes.prepare",
-        "services.runtime.processes.alive",
-        "services.runtime.sweeper",
+        "services.runtime.processes.health_check",
+        "services.maintenance.sweeper",
         "services.runtime.backup.__main__",
         "web.main",
-        "api.heads",
+        "api.middleware.heads",
     ),
     **{
         role: (*RUNTIME, *(f"services.{service}.tasks" for service in services_of((role,))))

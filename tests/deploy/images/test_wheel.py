@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from services.runtime.code_version import FIXED
+from services.runtime.source_digests import source_digests
 from web.assets import LIBRARIES
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -18,7 +20,7 @@ import json, re, sys
 from pathlib import Path
 from fastapi.testclient import TestClient
 import web
-from services.runtime.migrate import upgrade
+from services.runtime.database.migrate import upgrade
 from services.runtime.platform import open_platform
 from services.runtime.settings import Settings
 from web.main import make_site
@@ -40,7 +42,10 @@ print(json.dumps({
 @pytest.fixture(scope="module")
 def sources() -> set[str]:
     """Every module of the project, as it was before the wheel was made."""
-    folders = ("stone", "services", "simulator", "client", "api", "web")
+    folders = (
+        *("stone", "stone_files", "stone_recordings", "stone_submissions"),
+        *("services", "simulator", "stone_client", "api", "web"),
+    )
     found = [path for folder in folders for path in (ROOT / folder).rglob("*.py")]
     return {path.relative_to(ROOT).as_posix() for path in found if "node_modules" not in path.parts}
 
@@ -58,8 +63,9 @@ def wheel(sources: set[str], tmp_path_factory: pytest.TempPathFactory) -> Path:
     return built
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_wheel_serves_the_first_page_where_there_is_no_checkout(wheel: Path, tmp_path: Path) -> None:
+    """Catches alone a file that the pages need and the wheel leaves out."""
     site = tmp_path / "site"
     zipfile.ZipFile(wheel).extractall(site)  # which is all that installing it would do
     environment = {**os.environ, "PYTHONPATH": str(site), "STONE_DATA_FOLDER": str(tmp_path / "data")}
@@ -74,8 +80,9 @@ def test_the_wheel_serves_the_first_page_where_there_is_no_checkout(wheel: Path,
     assert set(told["assets"]) == {200}
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_wheel_holds_what_runs_and_nothing_it_was_made_of(wheel: Path, sources: set[str]) -> None:
+    """Catches alone a source, or a module, that the wheel holds too much or too little of."""
     names = set(zipfile.ZipFile(wheel).namelist())
     assert {f"web/node_modules/{place}" for place in LIBRARIES.values()} == {
         name for name in names if name.startswith("web/node_modules/")
@@ -84,6 +91,14 @@ def test_the_wheel_holds_what_runs_and_nothing_it_was_made_of(wheel: Path, sourc
     assert not [name for name in names if name.endswith((".ts", ".pyc")) or "tests/" in name]
     assert any(name.startswith("web/templates/") for name in names)
     assert any(name.startswith("web/styles/") for name in names)
+
+
+@pytest.mark.whole
+def test_the_wheel_says_of_which_sources_it_was_built(wheel: Path) -> None:
+    """Catches alone a wheel whose labels and scores would be versioned by other sources than its own."""
+    told = json.loads(zipfile.ZipFile(wheel).read("services/runtime/source_digests.json"))
+    assert told == source_digests()
+    assert not FIXED.exists(), "a build leaves nothing in the checkout"
 
 
 def test_the_wheel_is_told_which_files_of_others_browsers_load() -> None:

@@ -10,7 +10,7 @@ OFFERED = {
     "small": ("small",),
     "production": ("production",),
     "stopped": ("production", "stopped=true"),
-    "scaled by bells": ("small", "autoscaling.by=redis"),
+    "scaled by wake-ups": ("small", "autoscaling.by=redis"),
     "backed up": ("small", "backup.enabled=true", BACKUPS),
     "restoring": ("small", "stopped=true", "backup.restore=true", BACKUPS),
 }

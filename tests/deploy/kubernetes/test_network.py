@@ -22,7 +22,7 @@ EVERYWHERE = INWARD | outward(*OURS)
 OWN_REDIS: set[Arrow] = {(role, "redis", 6379) for role in WORKING}
 DESIGNED: dict[str, tuple[tuple[str, ...], set[Arrow]]] = {
     "small": (("small",), EVERYWHERE | OWN_REDIS),
-    "scaled by bells": (("small", "autoscaling.by=redis"), EVERYWHERE | OWN_REDIS | {("keda", "redis", 6379)}),
+    "scaled by wake-ups": (("small", "autoscaling.by=redis"), EVERYWHERE | OWN_REDIS | {("keda", "redis", 6379)}),
     "backed up": (("small", "backup.enabled=true", BACKUPS), EVERYWHERE | OWN_REDIS | outward("backup")),
     "restoring": (
         ("small", "stopped=true", "backup.restore=true", BACKUPS),

@@ -69,7 +69,7 @@ def test_nothing_is_kept_on_a_volume_that_a_pod_would_have_to_find_again(manifes
             if "emptyDir" in volume:
                 assert volume["emptyDir"]["sizeLimit"], role
     for role, container in ours(manifests):
-        assert environment(container)["STONE_UPLOADS__PLACE"] == "store", role
+        assert environment(container)["STONE_UPLOADS__BACKEND"] == "store", role
 
 
 def test_every_container_says_what_it_asks_for_and_what_it_never_gets(manifests: Sequence[Manifest]) -> None:

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from redis import AuthenticationError, Redis, RedisError
 
+from testing.servers.process import free_port
+from testing.servers.redis import _binary
 from tests.deploy.kubernetes.rendering import containers, rendered
-from tests.servers.process import free_port
-from tests.servers.redis import _binary
 
 WITHIN_S = 20.0
 

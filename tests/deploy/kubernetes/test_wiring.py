@@ -3,8 +3,8 @@
 import re
 from collections.abc import Sequence
 
-from api.metrics import Meters
-from services.runtime.celery_app import QUEUES
+from api.metrics import RequestMetrics
+from services.runtime.jobs.broker_app import QUEUES
 from services.runtime.platform import Platform
 from tests.deploy.kubernetes.rendering import (
     Manifest,
@@ -80,7 +80,7 @@ def test_workers_scale_between_their_bounds_by_what_waits_for_them() -> None:
 
 
 def test_what_is_asked_of_prometheus_is_told_by_the_api_also_when_there_is_nothing(platform: Platform) -> None:
-    told = Meters(platform).exposition().decode()
+    told = RequestMetrics(platform).exposition().decode()
     for one in of_kind(rendered("production"), "ScaledObject"):
         asked = one["spec"]["triggers"][0]["metadata"]
         [(name, queue, states)] = QUERY.findall(asked["query"])

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from services.runtime.npz import npz_bytes
+from stone_files.npz import npz_bytes
 
 SHAPE = (256, 256, 32)
 TOKENS = ("a" * 32, "b" * 32)

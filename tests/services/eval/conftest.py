@@ -9,12 +9,12 @@ import pytest
 from numpy.typing import NDArray
 
 from services.eval.ground_truth import find_ground_truth
-from services.eval.manifest import write_manifest
-from services.runtime.npz import npz_bytes
-from stone.grid import GRID_SHAPE
-from stone.sequence import frame_token
-from tests import benchmark_world
-from tests.services.eval.sending import standing_world
+from stone.labels.grid import GRID_SHAPE
+from stone.sensors.sequence import frame_token
+from stone_files.npz import npz_bytes
+from stone_submissions.manifest import write_manifest
+from testing.worlds import benchmark_world
+from testing.worlds.sending import standing_world
 
 Grid = NDArray[np.uint8]
 

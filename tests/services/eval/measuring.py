@@ -11,11 +11,11 @@ import sys
 from pathlib import Path
 
 from services.eval.pipeline import validate
-from services.runtime.confined import Limits, confined
-from services.runtime.log_lines import speak_json
+from services.runtime.sandbox import SandboxLimits, sandboxed
+from services.runtime.telemetry.log_lines import speak_json
 from stone.errors import StoneError
 
-LIMITS = Limits(memory_bytes=64 * 2**20, cpu_s=1)
+LIMITS = SandboxLimits(memory_bytes=64 * 2**20, cpu_s=1)
 CLEAR_REFS, RESET_PEAK, STATUS = Path("/proc/self/clear_refs"), "5", Path("/proc/self/status")  # man 5 proc
 
 
@@ -41,7 +41,7 @@ def main() -> None:
         path = Path(line.rstrip("\n"))
         try:
             CLEAR_REFS.write_text(RESET_PEAK)
-            answer = confined(lambda path=path: measured(path, manifest), LIMITS)  # type: ignore[misc]
+            answer = sandboxed(lambda path=path: measured(path, manifest), LIMITS)  # type: ignore[misc]
         except StoneError as error:
             answer = json.dumps({"refused": error.code}).encode()
         sys.stdout.write(answer.decode() + "\n")

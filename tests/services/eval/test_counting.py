@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from services.eval.counting import check_range, count_range
-from services.eval.errors import GroundTruthError
 from services.eval.ground_truth import read_truth
-from services.eval.submission import write_submission
-from services.eval.submission_zip import open_submission
-from stone.bitplanes import TruthPlanes
+from stone.scoring.bitplanes import TruthPlanes
+from stone_submissions.archive import open_submission
+from stone_submissions.errors import GroundTruthError
+from testing.worlds.submission_files import write_submission
 from tests.services.eval.conftest import World
 
 

@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 
-from services.eval.ground_truth import MASKS, Mask
+from services.domain.benchmarks.golden import golden_archive, golden_file, golden_names
+from services.eval.ground_truth import Mask
 from services.eval.pipeline import score, validate
-from services.eval.validation import SubmissionRefusedError
-from services.runtime.benchmarks.golden import golden_archive, golden_file, golden_names
-from stone.confusion import extras, named_ratios
-from stone.metric import METRICS, RATIOS
-from tests.golden_vectors import expected, files, read
+from stone.scoring.confusion import extras, named_ratios
+from stone.scoring.metric import METRICS, RATIOS
+from stone_submissions.verdict import SubmissionRefusedError
+from tests.golden_vectors import MASKS, expected, files, read
 
 MAX_BYTES = 300_000
 
@@ -35,7 +35,7 @@ def said() -> Any:
 
 @pytest.mark.parametrize("mask", MASKS)
 def test_the_kernels_count_the_golden_frames(golden: Path, said: Any, mask: Mask) -> None:
-    tally = score(golden / "submission.zip", golden, mask=mask).tally
+    tally = score(golden / "submission.zip", golden, mask=mask).counts_of_frames
     tokens = [path.parent.name for path in sorted(golden.glob("gts/*/*/labels.npz"))]
     counted = {
         token: {"confusion": confusion.tolist(), "bev": bev.tolist()}
@@ -46,7 +46,7 @@ def test_the_kernels_count_the_golden_frames(golden: Path, said: Any, mask: Mask
 
 @pytest.mark.parametrize("mask", MASKS)
 def test_every_metric_reads_the_golden_ratios(golden: Path, said: Any, mask: Mask) -> None:
-    tally = score(golden / "submission.zip", golden, mask=mask).tally
+    tally = score(golden / "submission.zip", golden, mask=mask).counts_of_frames
     total = tally.cells().sum(axis=(0, 1))
     cells = dict(zip((facts.name for facts in tally.sequences), tally.cells().sum(axis=1), strict=True))
     parts = [(total, said["masks"][mask]["total"])]

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.eval.errors import ManifestError, UnreadableInputError
 from services.eval.ground_truth import find_ground_truth
-from services.eval.manifest import Manifest, read_manifest, write_manifest
-from stone.sequence import NAME
+from stone.sensors.sequence import NAME
+from stone_submissions.errors import ManifestError, UnreadableInputError
+from stone_submissions.manifest import Manifest, read_manifest, write_manifest
 from tests.services.eval.conftest import World
 
 TOKEN = "0123456789abcdef" * 2

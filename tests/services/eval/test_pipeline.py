@@ -7,17 +7,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.eval.errors import BadDtypeError, BadShapeError, GroundTruthError, UnreadableInputError
+from services.domain.benchmarks.submissions import scoring_ranges
 from services.eval.ground_truth import Mask
 from services.eval.pipeline import score, validate
-from services.eval.submission import write_submission
-from services.eval.validation import SubmissionRefusedError
-from services.runtime.npz import npz_bytes
-from stone.confusion import confusion_matrix, named_ratios
-from stone.grid import GRID_SHAPE
+from stone.labels.grid import GRID_SHAPE
+from stone.scoring.confusion import named_ratios
+from stone_files.npz import npz_bytes
+from stone_submissions.errors import BadDtypeError, BadShapeError, GroundTruthError, UnreadableInputError
+from stone_submissions.verdict import SubmissionRefusedError
+from testing.worlds.submission_files import write_submission
+from tests.plain_confusion import confusion_matrix
 from tests.services.eval.conftest import World
 
-KEYS = ["frames", "total", "within_occupied", "support", "confusion", "extras", "intervals", "by", "cells", "signature"]
+TOLD = ["frames", "total", "within_occupied", "support", "confusion", "extras", "intervals", "by", "cells"]
+KEYS = [*TOLD, "signature", "code_version"]
 
 
 @pytest.fixture
@@ -84,6 +87,19 @@ def test_progress_tells_every_frame_once(world: World, submission: Path) -> None
     score(submission, world.folder, progress=lambda *step: told.append(step))
     validate(submission, world.manifest_path, progress=lambda *step: told.append(step))
     assert told == [("score", 3, 3), ("validate", 3, 3)]
+
+
+def test_the_ranges_it_is_counted_in_change_nothing(
+    world: World, submission: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spoiled = tmp_path / "spoiled.zip"
+    write_submission(spoiled, [(token, grid + np.uint8(2)) for token, grid in world.predictions.items()][1:])
+    whole = score(submission, world.folder).as_record(), validate(spoiled, world.manifest_path)
+    monkeypatch.setattr(scoring_ranges, "PART_FRAMES", 1)
+    told: list[tuple[str, int, int]] = []
+    assert score(submission, world.folder, progress=lambda *step: told.append(step)).as_record() == whole[0]
+    assert validate(spoiled, world.manifest_path, progress=lambda *step: told.append(step)) == whole[1]
+    assert told == [("score", 1, 3), ("score", 2, 3), ("score", 3, 3), ("validate", 1, 2), ("validate", 2, 2)]
 
 
 def test_a_refused_submission_is_not_scored(world: World, tmp_path: Path) -> None:

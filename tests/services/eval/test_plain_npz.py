@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.eval.errors import SubmissionError
-from services.eval.npz_frame import PLAIN_NAMES
-from services.eval.plain_npz import plain_member
-from services.eval.zip_directory import Member, payload_span, read_directory
-from services.runtime.npz import npz_bytes
+from stone_files.npz import npz_bytes
+from stone_submissions.errors import SubmissionError
+from stone_submissions.npz_frame import PLAIN_NAMES
+from stone_submissions.plain_npz import plain_member
+from stone_submissions.zip_directory import ZipMember, payload_span, read_directory
 
 GRID = np.arange(60, dtype=np.uint8)
 
@@ -53,7 +53,7 @@ UNUSUAL = (
 )
 
 
-def in_full(npz: bytes) -> tuple[Member, int] | None:
+def in_full(npz: bytes) -> tuple[ZipMember, int] | None:
     """What the full reader makes of it; None where it refuses."""
 
     def read_at(offset: int, count: int) -> bytes:

@@ -1,7 +1,9 @@
 """One verdict everywhere: `stone validate`, `stone score` and the server's stages refuse what `validate` refuses.
 
-**Conventions.** The server's is what its stages call (`services/eval/examining.py`), with the ground truth and in the
+**Conventions.** The server's is what its stages call (`services/eval/examination.py`), with the ground truth and in the
 confined child; codes are compared, and for the command the whole record.
+
+Catches alone a submission that one of the three takes and another refuses.
 """
 
 import json
@@ -13,17 +15,19 @@ import numpy as np
 import pytest
 from typer.main import get_command
 
-from client.main import app
-from services.eval.examining import Examination, examine
+from services.eval.examination import Examination, examine
 from services.eval.ground_truth import find_ground_truth, read_truth
-from services.eval.manifest import write_manifest
 from services.eval.pipeline import validate
 from services.eval.truth_pack import write_truth_pack
-from services.runtime.confined import Watch
-from services.runtime.npz import npz_bytes
+from services.runtime.sandbox import SandboxWatch
+from stone_client.main import app
+from stone_files.npz import npz_bytes
+from stone_submissions.manifest import write_manifest
 from tests.services.eval.attacks import FREE, TOKENS
 from tests.services.eval.honest_zips import TOOLS
 from tests.services.eval.test_hostile import EVERY_CASE
+
+pytestmark = pytest.mark.whole
 
 Told = Callable[..., tuple[object, dict[str, object]]]
 STONE = get_command(app)  # building it anew costs more than a verdict
@@ -73,7 +77,7 @@ def test_an_attack_is_refused_alike_everywhere(case: str, standing: Standing, to
     assert not verdict.ok
     assert told("validate", path, "--manifest", standing.manifest) == (1, verdict.as_record())
     assert told("score", path, "--ground-truth", standing.folder) == (1, verdict.as_record())
-    counted = examine(Examination(path, TOKENS, (0, 2), standing.pack), Watch())
+    counted = examine(Examination(path, TOKENS, (0, 2), standing.pack), SandboxWatch())
     assert (counted.validation, counted.counts) == (verdict, None)
 
 
@@ -83,7 +87,7 @@ def test_an_honest_archive_is_counted_everywhere(case: str, standing: Standing, 
     TOOLS[case](path)
     assert told("validate", path, "--manifest", standing.manifest) == (0, {"ok": True, "errors": [], "errors_total": 0})
     code, record = told("score", path, "--ground-truth", standing.folder)
-    counted = examine(Examination(path, TOKENS, (0, 2), standing.pack), Watch())
+    counted = examine(Examination(path, TOKENS, (0, 2), standing.pack), SandboxWatch())
     assert code == 0
     assert counted.counts is not None
     assert counted.counts.confusions.sum(axis=(0, 1)).tolist() == record["confusion"]

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.eval.draws import ratio_draws
-from services.eval.scores import RING_NAMES, SequenceFacts, Tally, record_of
-from stone.confusion import extras, named_ratios
-from stone.metric import METRIC_VERSION, METRICS, OCCUPIED_VERSION, RATIOS, UnknownMetricError
+from services.eval.bootstrap_replicates import ratio_replicates
+from services.eval.scores import RING_NAMES, SequenceFacts, SubmissionCounts, record_of
+from stone.scoring.confusion import extras, named_ratios
+from stone.scoring.metric import METRIC_VERSION, METRICS, OCCUPIED_VERSION, RATIOS, UnknownMetricError
 
 SEQUENCES = (
     SequenceFacts("hill", 4, "forest", "day"),
@@ -20,19 +20,19 @@ SEQUENCES = (
 FRAMES = 9
 
 
-def tally(seed: int = 0) -> Tally:
+def counts_of_frames(seed: int = 0) -> SubmissionCounts:
     random = np.random.default_rng(seed)
     confusions = random.integers(0, 5000, (FRAMES, 3, 4, 4)).astype(np.int32)
-    return Tally(confusions, random.integers(0, 5000, (FRAMES, 3, 3)).astype(np.int32), SEQUENCES)
+    return SubmissionCounts(confusions, random.integers(0, 5000, (FRAMES, 3, 3)).astype(np.int32), SEQUENCES)
 
 
-def record(counts: Tally, metric: str = METRIC_VERSION) -> dict[str, Any]:
-    return record_of(counts, ratio_draws(counts.confusions, counts.frames_of_sequence, metric), metric)
+def record(counts: SubmissionCounts, metric: str = METRIC_VERSION) -> dict[str, Any]:
+    return record_of(counts, ratio_replicates(counts.confusions, counts.frames_of_sequence, metric), metric)
 
 
 @pytest.mark.parametrize("metric", METRICS)
 def test_the_whole_is_the_sum_of_all_counts(metric: str) -> None:
-    counts = tally()
+    counts = counts_of_frames()
     total = counts.confusions.sum(axis=(0, 1), dtype=np.int64)
     said = record(counts, metric)
     assert said["frames"] == FRAMES
@@ -44,7 +44,7 @@ def test_the_whole_is_the_sum_of_all_counts(metric: str) -> None:
 
 
 def test_every_breakdown_adds_up_to_what_it_breaks_down() -> None:
-    said = record(tally())
+    said = record(counts_of_frames())
     assert list(said["by"]) == ["distance", "sequence", "environment", "illumination"]
     for what in ("sequence", "environment"):
         parts = said["by"][what].values()
@@ -57,7 +57,7 @@ def test_every_breakdown_adds_up_to_what_it_breaks_down() -> None:
 
 
 def test_a_condition_is_the_sum_of_its_sequences() -> None:
-    counts = tally()
+    counts = counts_of_frames()
     forest = np.concatenate([counts.confusions[:4], counts.confusions[6:]]).sum(axis=(0, 1), dtype=np.int64)
     part = record(counts)["by"]["environment"]["forest"]
     assert {name: part[name] for name in RATIOS} == named_ratios(forest)
@@ -65,28 +65,28 @@ def test_a_condition_is_the_sum_of_its_sequences() -> None:
 
 
 def test_what_nobody_said_of_a_sequence_is_no_part() -> None:
-    assert list(record(tally())["by"]["illumination"]) == ["day"]
+    assert list(record(counts_of_frames())["by"]["illumination"]) == ["day"]
     silent = tuple(replace(facts, environment=None, illumination=None) for facts in SEQUENCES)
-    assert list(record(replace(tally(), sequences=silent))["by"]) == ["distance", "sequence"]
+    assert list(record(replace(counts_of_frames(), sequences=silent))["by"]) == ["distance", "sequence"]
 
 
 def test_cells_are_the_confusions_of_each_sequence_and_ring() -> None:
-    counts = tally()
+    counts = counts_of_frames()
     cells = record(counts)["cells"]
     assert list(cells) == ["hill", "lake", "pass"]
     np.testing.assert_array_equal(cells["lake"], counts.confusions[4:6].sum(axis=0))
 
 
 def test_the_record_is_json_without_nan() -> None:
-    nothing = Tally(np.zeros((FRAMES, 3, 4, 4), np.int32), np.zeros((FRAMES, 3, 3), np.int32), SEQUENCES)
-    for counts in (tally(), nothing):
+    nothing = SubmissionCounts(np.zeros((FRAMES, 3, 4, 4), np.int32), np.zeros((FRAMES, 3, 3), np.int32), SEQUENCES)
+    for counts in (counts_of_frames(), nothing):
         said = record(counts)
         assert json.loads(json.dumps(said, allow_nan=False)) == said
     assert set(record(nothing)["total"].values()) == set(record(nothing)["extras"].values()) == {None}
 
 
 def test_counts_beyond_32_bits_are_added_exactly() -> None:
-    many = Tally(
+    many = SubmissionCounts(
         np.full((FRAMES, 3, 4, 4), 2**31 - 1, np.int32), np.full((FRAMES, 3, 3), 2**31 - 1, np.int32), SEQUENCES
     )
     said = record(many)
@@ -99,6 +99,6 @@ def test_counts_beyond_32_bits_are_added_exactly() -> None:
 
 
 def test_an_unknown_metric_has_no_record() -> None:
-    draws = ratio_draws(tally().confusions, tally().frames_of_sequence)
+    replicates = ratio_replicates(counts_of_frames().confusions, counts_of_frames().frames_of_sequence)
     with pytest.raises(UnknownMetricError, match="there is no metric 'best'"):
-        record_of(tally(), draws, "best")
+        record_of(counts_of_frames(), replicates, "best")

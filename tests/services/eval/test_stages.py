@@ -6,14 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from services.domain.benchmarks.submissions import scoring_ranges
 from services.eval.pipeline import score
-from services.runtime.benchmarks import scoring_jobs
 from services.runtime.orm import Blob
 from services.runtime.uploads import upload_file
-from stone.confusion import confusion_matrix
-from stone.metric import RATIOS
-from tests.benchmark_world import World, labels_npz, run_eval
-from tests.services.eval.sending import (
+from stone.scoring.metric import RATIOS
+from testing.worlds.benchmark_world import World, labels_npz, run_eval
+from testing.worlds.sending import (
     counts_of,
     guess,
     jobs_of,
@@ -25,6 +24,7 @@ from tests.services.eval.sending import (
     taken,
     zipped,
 )
+from tests.plain_confusion import confusion_matrix
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +71,7 @@ def test_counted_in_parts_it_has_the_same_score(world: World, monkeypatch: pytes
     content = zipped(world, guess(world, turn=2))
     whole = send(world, content)
     run_eval(world.platform)
-    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", 1)
+    monkeypatch.setattr(scoring_ranges, "PART_FRAMES", 1)
     parted = send(world, content, team=1)
     run_eval(world.platform)
     kinds = [job.kind for job in jobs_of(world.platform, parted)]
@@ -79,7 +79,7 @@ def test_counted_in_parts_it_has_the_same_score(world: World, monkeypatch: pytes
     assert [job.kind for job in jobs_of(world.platform, whole)] == ["eval.open"]
     (one,), (other,) = scores_of(world.platform, whole), scores_of(world.platform, parted)
     assert one.record == other.record
-    assert (one.confusions_sha256, one.draws_sha256) == (other.confusions_sha256, other.draws_sha256)
+    assert (one.confusions_sha256, one.replicates_sha256) == (other.confusions_sha256, other.replicates_sha256)
     assert one.content_sha256 == other.content_sha256
     assert parts_left(world.platform) == 0
 
@@ -102,7 +102,7 @@ def test_a_validation_is_checked_and_never_scored(world: World, monkeypatch: pyt
     content = zipped(world, guess(world, turn=4))
     small = send(world, content, kind="validation")
     run_eval(world.platform)
-    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", 1)
+    monkeypatch.setattr(scoring_ranges, "PART_FRAMES", 1)
     parted = send(world, content, kind="validation")
     run_eval(world.platform)
     for submission_id in (small, parted):
@@ -114,7 +114,7 @@ def test_a_validation_is_checked_and_never_scored(world: World, monkeypatch: pyt
 
 def test_jobs_tell_nothing_but_where_the_submission_stands(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither a ratio nor a count of voxels is in a result, a log line or a failure."""
-    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", 1)
+    monkeypatch.setattr(scoring_ranges, "PART_FRAMES", 1)
     submission_id = send(world, zipped(world, guess(world, "test")), "test")
     run_eval(world.platform)
     (row,) = scores_of(world.platform, submission_id)

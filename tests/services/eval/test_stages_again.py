@@ -1,23 +1,23 @@
-"""Whatever is delivered again, lost, late or scored by another pair: one score for each pair, one scoring taken."""
+"""Whatever is delivered again, lost, late or scored by another version: one score for each, one scoring taken."""
 
 from dataclasses import dataclass
 
 import pytest
 from sqlalchemy import func, select, update
 
+from services.domain.benchmarks.submissions import scoring_ranges
+from services.domain.benchmarks.submissions.chores import settle_ended
+from services.domain.benchmarks.submissions.states import reopen
 from services.eval.stages import handlers
-from services.runtime.benchmarks import scoring_jobs
-from services.runtime.benchmarks.submission_chores import settle_ended
-from services.runtime.benchmarks.submission_states import reopen
-from services.runtime.jobs.claiming import Claim, claim
-from services.runtime.jobs.finishing import Failure, lose, succeed
-from services.runtime.jobs.running import run_next
+from services.runtime.jobs.claims import Claim, claim
+from services.runtime.jobs.completion import Failure, lose, succeed
+from services.runtime.jobs.control import retry
+from services.runtime.jobs.execution import run_next
 from services.runtime.jobs.specs import Attempt, Outcome
-from services.runtime.jobs.steering import retry
 from services.runtime.orm import Job, Score, ScoringEntry
 from services.runtime.platform import Platform
-from tests.benchmark_world import World, run_eval
-from tests.services.eval.sending import (
+from testing.worlds.benchmark_world import World, run_eval
+from testing.worlds.sending import (
     guess,
     jobs_of,
     parts_left,
@@ -82,7 +82,7 @@ def deliver_again(platform: Platform, submission_id: str) -> None:
 def test_jobs_that_are_delivered_again_change_nothing(
     world: World, part_frames: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", part_frames)
+    monkeypatch.setattr(scoring_ranges, "PART_FRAMES", part_frames)
     submission_id = send(world, zipped(world, guess(world, turn=part_frames)))
     run_eval(world.platform)
     (score,), before = scores_of(world.platform, submission_id), told(world.platform)
@@ -99,7 +99,7 @@ def test_an_attempt_that_was_given_up_writes_nothing_when_it_ends_after_all(
     world: World, part_frames: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each job is worked at twice at once: its first worker falls silent, ends last, and is not heard."""
-    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", part_frames)
+    monkeypatch.setattr(scoring_ranges, "PART_FRAMES", part_frames)
     submission_id = send(world, zipped(world, guess(world, turn=20 + part_frames)))
     late: list[tuple[Claim, Outcome]] = []
     stages = handlers(world.platform)

@@ -1,4 +1,7 @@
-"""Real workers: killed with −9 in the middle of a part, and side by side; whatever they do is done once."""
+"""Real workers: killed with −9 in the middle of a part, and side by side; whatever they do is done once.
+
+Catches alone a scoring that is lost or doubled when the process that does it is killed.
+"""
 
 import os
 import signal
@@ -9,17 +12,17 @@ from pathlib import Path
 
 import pytest
 
-from services.eval import examining
+from services.domain.benchmarks.submissions import scoring_ranges
+from services.eval import ranges
 from services.eval.stages import handlers
-from services.runtime.benchmarks import scoring_jobs
-from services.runtime.database import Database
-from services.runtime.jobs.running import run_next
-from services.runtime.jobs.sweeping import Sweeper
+from services.runtime.database.transactions import Database
+from services.runtime.jobs.execution import run_next
+from services.runtime.jobs.lease_sweep import Sweeper
 from services.runtime.orm import JobAttempt
 from services.runtime.platform import Platform
-from services.runtime.store import open_store
-from tests.benchmark_world import World, benchmark_world, run_eval
-from tests.services.eval.sending import (
+from services.runtime.store.factory import open_store
+from testing.worlds.benchmark_world import World, benchmark_world, run_eval
+from testing.worlds.sending import (
     guess,
     jobs_of,
     parts_left,
@@ -30,7 +33,9 @@ from tests.services.eval.sending import (
     zipped,
 )
 
-PATIENCE_S = 60.0
+pytestmark = pytest.mark.whole
+
+PATIENCE_S = 300.0
 
 
 @pytest.fixture(scope="module")
@@ -97,12 +102,12 @@ def give_back_silent(platform: Platform) -> None:
 def test_a_worker_killed_in_the_middle_is_replaced_and_scores_once(
     world: World, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", 1 if kind == "eval.part" else 500)
+    monkeypatch.setattr(scoring_ranges, "PART_FRAMES", 1 if kind == "eval.part" else 500)
     submission_id = send(world, zipped(world, guess(world, turn=len(kind))))
     if kind == "eval.part":
         run_next(world.platform, "eval", handlers(world.platform))
     with monkeypatch.context() as slowly:
-        slowly.setattr(examining, "count_range", lambda *given, **named: time.sleep(PATIENCE_S))
+        slowly.setattr(ranges, "count_range", lambda *given, **named: time.sleep(PATIENCE_S))
         with working(world.platform) as worker:
             until(lambda: bool(children_of(worker)), "the worker confines its reader")
             (reader,) = children_of(worker)
@@ -131,7 +136,7 @@ def test_workers_side_by_side_score_each_submission_once(
 ) -> None:
     """Some send in the same, and one team's are settled at the same time as another's."""
     world = benchmark_world(platform_on, frames=1)
-    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", 1)
+    monkeypatch.setattr(scoring_ranges, "PART_FRAMES", 1)
     contents = [zipped(world, guess(world, turn=turn)) for turn in range(2)]
     sent = [send(world, contents[number % 2], team=number // 2) for number in range(4)]
     platform_on.database.close()  # before the fork: no connection is shared

@@ -4,13 +4,13 @@ import pytest
 
 from services.eval.cases import truth_of
 from services.eval.scoring_errors import TruthUnreadyError
-from services.runtime.jobs.queueing import enqueue
+from services.runtime.jobs.enqueue import enqueue
 from services.runtime.jobs.specs import Context, JobSpec
-from services.runtime.orm import GroundTruth, Job
+from services.runtime.orm import GroundTruthRow, Job
 from services.runtime.settings import Settings, StoreSettings
-from tests.benchmark_world import World, benchmark_world, run_eval
-from tests.servers.fixtures import opened
-from tests.services.eval.sending import guess, jobs_of, pair_of, row_of, scores_of, send, taken, zipped
+from testing.servers.fixtures import opened
+from testing.worlds.benchmark_world import World, benchmark_world, run_eval
+from testing.worlds.sending import guess, jobs_of, pair_of, row_of, scores_of, send, taken, zipped
 
 NOBODY = "0" * 32
 
@@ -43,8 +43,8 @@ def test_a_job_of_a_ground_truth_that_is_gone_ends_cancelled(world: World) -> No
 def test_nothing_is_scored_against_a_ground_truth_that_is_not_ready(world: World) -> None:
     ready = pair_of(world, "val").truth_id
     with world.platform.database.transaction() as session:
-        row = session.get_one(GroundTruth, ready)
-        unready = GroundTruth(phase_id=row.phase_id, number=99, dataset_id=row.dataset_id, part="val", mask="all")
+        row = session.get_one(GroundTruthRow, ready)
+        unready = GroundTruthRow(phase_id=row.phase_id, number=99, dataset_id=row.dataset_id, part="val", mask="all")
         unready.created_by = row.created_by
         session.add(unready)
         session.flush()

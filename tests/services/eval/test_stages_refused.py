@@ -7,16 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.eval import examining
+from services.domain.benchmarks.submissions import scoring_ranges
+from services.domain.benchmarks.submissions.submissions import cancel
+from services.eval import examination, ranges
 from services.eval.stages import handlers
-from services.runtime.benchmarks import scoring_jobs
-from services.runtime.benchmarks.submissions import cancel
-from services.runtime.jobs.running import run_next
+from services.runtime.jobs.execution import run_next
 from services.runtime.jobs.specs import Attempt, Outcome
-from services.runtime.orm import Blob, GroundTruth, Submission
+from services.runtime.orm import Blob, GroundTruthRow, SubmissionRow
 from services.runtime.uploads import upload_file
-from tests.benchmark_world import Grid, World, run_eval
-from tests.services.eval.sending import (
+from testing.worlds.benchmark_world import Grid, World, run_eval
+from testing.worlds.sending import (
     guess,
     jobs_of,
     pair_of,
@@ -34,7 +34,7 @@ def world(standing: World) -> World:
     return standing
 
 
-def ended(world: World, submission_id: str) -> Submission:
+def ended(world: World, submission_id: str) -> SubmissionRow:
     """The submission after its jobs, which have all succeeded, without a score and without a cost."""
     run_eval(world.platform)
     assert {job.state for job in jobs_of(world.platform, submission_id)} == {"succeeded"}
@@ -52,7 +52,7 @@ def spoilt(frames: Mapping[str, Grid], count: int) -> dict[str, Grid]:
 
 @pytest.mark.parametrize("part_frames", [500, 1])
 def test_a_wrong_archive_is_invalid_at_once(world: World, part_frames: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", part_frames)
+    monkeypatch.setattr(scoring_ranges, "PART_FRAMES", part_frames)
     frames = guess(world, turn=10)
     missing = next(iter(frames))
     row = ended(world, send(world, zipped(world, {t: grid for t, grid in frames.items() if t != missing})))
@@ -64,7 +64,7 @@ def test_a_wrong_archive_is_invalid_at_once(world: World, part_frames: int, monk
 
 @pytest.mark.parametrize("part_frames", [500, 1])
 def test_all_frames_that_are_wrong_are_told(world: World, part_frames: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", part_frames)
+    monkeypatch.setattr(scoring_ranges, "PART_FRAMES", part_frames)
     frames = spoilt(guess(world, turn=11), 2)
     row = ended(world, send(world, zipped(world, frames)))
     problems: dict[str, Any] = row.problems or {}
@@ -103,8 +103,8 @@ def test_a_file_that_is_gone_is_told(world: World) -> None:
 def test_a_file_that_breaks_its_reader_is_not_read_again(
     world: World, part_frames: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", part_frames)
-    monkeypatch.setattr(examining, "count_range", lambda *given, **named: os._exit(3))
+    monkeypatch.setattr(scoring_ranges, "PART_FRAMES", part_frames)
+    monkeypatch.setattr(ranges, "count_range", lambda *given, **named: os._exit(3))
     row = ended(world, send(world, zipped(world, guess(world, turn=15))))
     assert (row.state, row.failure_code) == ("failed", "scoring_crashed")
     assert {job.attempt for job in jobs_of(world.platform, row.id)} == {1}
@@ -112,7 +112,7 @@ def test_a_file_that_breaks_its_reader_is_not_read_again(
 
 def test_a_child_that_answers_nonsense_is_not_believed(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
     for turn, nonsense in enumerate((b"", b"\xff\xff\xff\xff", b"\2\0\0\0{}", b"\2\0\0\0[]" + bytes(100))):
-        monkeypatch.setattr(examining, "_answer", lambda *given, said=nonsense: said)
+        monkeypatch.setattr(examination, "_answer", lambda *given, said=nonsense: said)
         row = ended(world, send(world, zipped(world, guess(world, turn=16 + turn))))
         assert (row.state, row.failure_code) == ("failed", "scoring_crashed"), nonsense
 
@@ -120,7 +120,7 @@ def test_a_child_that_answers_nonsense_is_not_believed(world: World, monkeypatch
 def test_a_ground_truth_that_decayed_is_the_platforms_fault(world: World) -> None:
     with world.platform.database.reading() as session:
         truth_id = pair_of(world, "val").truth_id
-        pack = session.get_one(Blob, session.get_one(GroundTruth, truth_id).pack_sha256).object_key
+        pack = session.get_one(Blob, session.get_one(GroundTruthRow, truth_id).pack_sha256).object_key
     path = world.platform.store.local(pack)
     sound = path.read_bytes()
     submission_id = send(world, zipped(world, guess(world, turn=20)))
@@ -135,14 +135,14 @@ def test_a_ground_truth_that_decayed_is_the_platforms_fault(world: World) -> Non
 
 
 def test_one_that_is_cancelled_while_it_is_counted_keeps_nothing(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", 1)
+    monkeypatch.setattr(scoring_ranges, "PART_FRAMES", 1)
     submission_id = send(world, zipped(world, guess(world, turn=21)))
     stages = handlers(world.platform)
 
     def counted_then_cancelled(attempt: Attempt) -> Outcome:
         outcome = stages["eval.part"](attempt)
         with world.platform.database.transaction() as session:
-            cancel(session, session.get_one(Submission, submission_id))
+            cancel(session, session.get_one(SubmissionRow, submission_id))
         return outcome
 
     for stage in (stages["eval.open"], counted_then_cancelled):

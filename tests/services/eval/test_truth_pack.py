@@ -7,13 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.eval.errors import GroundTruthError, UnreadableInputError
-from services.eval.ground_truth import MASKS, Mask, find_ground_truth, read_truth
-from services.eval.manifest import Manifest
+from services.eval.ground_truth import Mask, find_ground_truth, read_truth
 from services.eval.pipeline import score
-from services.eval.submission import write_submission
 from services.eval.truth_pack import TRAILER, PackSummary, TruthPack, TruthPackError, write_truth_pack
-from stone.bitplanes import TruthPlanes
+from stone.scoring.bitplanes import TruthPlanes
+from stone_submissions.errors import GroundTruthError, UnreadableInputError
+from stone_submissions.manifest import Manifest
+from testing.worlds.submission_files import write_submission
+from tests.golden_vectors import MASKS
 from tests.services.eval.conftest import World
 
 

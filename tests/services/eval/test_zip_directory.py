@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.eval.errors import NotZipError, SubmissionError, TooLargeError, TruncatedError
-from services.eval.npz_frame import prediction_grid
-from services.eval.zip_directory import payload_span, read_directory
-from services.runtime.npz import npz_bytes
+from stone_files.npz import npz_bytes
+from stone_submissions.errors import NotZipError, SubmissionError, TooLargeError, TruncatedError
+from stone_submissions.npz_frame import prediction_grid
+from stone_submissions.zip_directory import payload_span, read_directory
 from tests.services.eval.attacks import grid, saved, stored
 
 PREDICTION = grid()

@@ -7,13 +7,13 @@ import pytest
 from PIL import Image
 from sqlalchemy import select
 
+from services.domain.sequences.processing import SYNCHRONISE, delete_sequence
 from services.runtime.jobs.specs import Attempt, Handler, Outcome
 from services.runtime.orm import Blob, Preview
 from services.runtime.platform import Platform
-from services.runtime.processing import SYNCHRONISE, delete_sequence
 from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate
-from tests.services.runs import Brought, bring, run_all
+from testing.worlds.runs import Brought, bring, run_all
 
 SEEN = SimulateOptions(seconds=0.6, seed=3, channels=16, columns=120)
 

@@ -8,24 +8,25 @@ import numpy as np
 import pytest
 from sqlalchemy import func, select
 
-from services.ingest.inspection import inspect
-from services.ingest.inspection_record import LONGEST_TEXT, MOST_GAPS, MOST_TOPICS, inspection_record
-from services.ingest.named import named
-from services.ingest.opening import open_sequence
-from services.ingest.stages import open_described
-from services.ingest.sweep_file import Kept, KeptFile, read_sweeps, sweeps_bytes
+from services.domain.sequences.processing import delete_sequence
+from services.ingest.sequence import open_sequence
+from services.labeler.recordings import described_sweeps
 from services.runtime.jobs.specs import Attempt, Handler, Outcome
 from services.runtime.orm import Blob, JobAttempt, QuotaEntry, Recording
 from services.runtime.platform import Platform
-from services.runtime.processing import delete_sequence
-from services.runtime.sequence_file import read_sequence, sequence_bytes
 from services.runtime.settings import StoreSettings
+from services.runtime.store.named_objects import named
 from services.runtime.uploads import expire, upload_file
 from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate
-from stone.deskew import SweepMount
-from tests.servers.fixtures import make_settings, opened
-from tests.services.runs import Brought, Interrupted, bring, run_all
+from stone.sensors.deskew import SweepMount
+from stone_recordings.report.inspection import inspect
+from stone_recordings.report.inspection_record import LONGEST_TEXT, MOST_GAPS, MOST_TOPICS, inspection_record
+from stone_recordings.sync.sequence_file import read_sequence, sequence_bytes
+from stone_recordings.sync.stored_recording import StoredRecording, StoredRecordingFile
+from stone_recordings.sync.sweep_file import read_sweeps, sweeps_bytes
+from testing.servers.fixtures import make_settings, opened
+from testing.worlds.runs import Brought, Interrupted, bring, run_all
 
 TINY = SimulateOptions(seconds=1.0, seed=3, channels=16, columns=120, cameras=False)
 
@@ -190,7 +191,7 @@ def test_synchronising_leaves_the_sequence_for_workers_on_any_machine(
     sequence, sweeps = open_sequence(bag, calibration_path(bag), "field")
     assert left["sequence"] == sequence_bytes(sequence)
     assert job.result["frames"] == len(sequence.frames)
-    described = open_described(there, left["sweeps"])
+    described = described_sweeps(there, left["sweeps"])
     assert described.path.name == "run.mcap"
     assert described.path.resolve().is_relative_to(tmp_path / "there")
     for index in range(len(sequence.frames)):
@@ -220,7 +221,7 @@ def test_a_sequence_is_read_as_it_was_written(bag: Path) -> None:
 def test_sweeps_without_a_motion_are_read_as_they_were_written(bag: Path) -> None:
     _, sweeps = open_sequence(bag, calibration_path(bag), "field")
     assert isinstance(sweeps.mount, SweepMount)
-    kept = Kept("run.mcap", (KeptFile("blobs/aa/key", "run.mcap"),))
+    kept = StoredRecording("run.mcap", (StoredRecordingFile("blobs/aa/key", "run.mcap"),))
     still = read_sweeps(sweeps_bytes(replace(sweeps, mount=None), kept), lambda _: bag)
     assert still.mount is None
     np.testing.assert_array_equal(still.sweep(2).points_lidar.shape[1], 3)

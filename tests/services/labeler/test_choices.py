@@ -4,8 +4,8 @@ from dataclasses import asdict
 
 import pytest
 
+from services.domain.sequences.label_choices import BOUNDS, PROFILES, ChoiceError
 from services.labeler.parameters import LabelParameters, chosen_parameters, parameters_for
-from services.runtime.label_choices import BOUNDS, PROFILES, ChoiceError
 
 
 def leaf(record: object, name: str) -> object:

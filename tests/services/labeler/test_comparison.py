@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
+from services.labeler.local_run import LabelOptions, label
 from services.labeler.parameters import LabelParameters, other_profile, parameters_for
-from services.labeler.pipeline import LabelOptions, label
-from stone.calibration import Box
+from stone.sensors.calibration import Box
 from tests.services.labeler.worlds import RayCast, World, sequence_of
 
 # A knoll beside the track: profile `local` looks at its sides, `paper` also at how high it is.

@@ -5,14 +5,14 @@ from dataclasses import replace
 import pytest
 from sqlalchemy import delete, select, update
 
-from services.runtime.exports import start_export
-from services.runtime.jobs.steering import set_mode
+from services.domain.exports.requests import start_export
+from services.domain.viewer.playback import playback_of, shown_by
+from services.runtime.jobs.control import set_mode
 from services.runtime.orm import Export, Job, LabelSet, Recording
-from services.runtime.playback import playback_of, shown_by
 from services.runtime.settings import ViewingSettings
-from tests.services.labeler.test_exporting import brought, labelled
+from testing.worlds.runs import Brought, run_all
+from tests.services.labeler.test_export_stage import brought, labelled
 from tests.services.labeler.test_stages import publish_again
-from tests.services.runs import Brought, run_all
 
 __all__ = ["brought", "labelled"]  # fixtures
 

@@ -6,17 +6,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from services.labeler import surface as surface_stage
 from services.labeler.frames import labelled_frames, labelled_tile
-from services.labeler.fuse import fuse
+from services.labeler.map import surface as surface_stage
+from services.labeler.map.fuse import fuse
+from services.labeler.map.surface import surface
 from services.labeler.parameters import parameters_for
-from services.labeler.report import reference_from
-from services.labeler.run import Run
-from services.labeler.surface import surface
-from stone.calibration import Box
-from stone.grid import GRID_MIN_M, GRID_SHAPE
-from stone.lattice import indices_of
-from stone.mesh import Mesh
+from services.labeler.results import reference_from
+from services.labeler.run import LabelRun
+from stone.geometry.lattice import indices_of
+from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
+from stone.sensors.calibration import Box
+from stone.surface.mesh import Mesh
 from tests.services.labeler.straight_line import Constants, classes_by_voxel, vertex_normals
 from tests.services.labeler.worlds import RayCast, World, sequence_of
 
@@ -38,7 +38,7 @@ TILTED = replace(LEVEL, grade=(0.09, -0.04), map_from_world=(np.cos(0.2), 0, 0, 
 class Labelled:
     """What the labeler made of a world, and the mesh it made it of."""
 
-    run: Run
+    run: LabelRun
     whole: Mesh
     trimmed: Mesh
     classes: dict
@@ -58,7 +58,7 @@ def labelled(world, folder):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(surface_stage, "vertex_normals", watched(surface_stage.vertex_normals, seen, "whole"))
         patch.setattr(surface_stage, "terrain_features", watched(surface_stage.terrain_features, seen, "trimmed"))
-        run = Run(sequence_of(world), RayCast(world), parameters_for("paper"), folder)
+        run = LabelRun(sequence_of(world), RayCast(world), parameters_for("paper"), folder)
         part = (0, world.frames)
         fuse(run, part)
         reference = reference_from([surface(run, (0, 0))], run.parameters)

@@ -5,14 +5,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from services.labeler.fuse import fuse
+from services.labeler.map.fuse import fuse
 from services.labeler.parameters import LabelParameters, TilingParameters
-from services.labeler.run import Run, parts_of
+from services.labeler.run import LabelRun, parts_of
 from services.labeler.scratch import load_observed, load_points, tile_named
-from stone.calibration import Box
-from stone.observed import union
-from stone.pointmap import merge
-from stone.sequence import Frames, Sweep
+from stone.labels.observed_voxels import union
+from stone.sensors.calibration import Box
+from stone.sensors.sequence import Frames, Sweep
+from stone.surface.pointmap import merge
+from tests.observed_voxels import voxel_keys
 from tests.services.labeler.worlds import RayCast, World, sequence_of
 
 WORLD = World(
@@ -27,7 +28,7 @@ EVERYWHERE = (np.full(2, -1000.0), np.full(2, 1000.0))
 
 def run_in(folder, frames_per_part, sequence=None, sweeps=None):
     parameters = LabelParameters(tiling=TilingParameters(frames_per_part=frames_per_part))
-    return Run(sequence or sequence_of(WORLD), sweeps or RayCast(WORLD), parameters, folder)
+    return LabelRun(sequence or sequence_of(WORLD), sweeps or RayCast(WORLD), parameters, folder)
 
 
 def fused(run):
@@ -73,4 +74,4 @@ def test_a_place_driven_twice_has_the_voxels_of_one_pass_and_the_points_of_both(
     assert added == 2 * points
     assert both.keys.tobytes() == one.keys.tobytes()
     assert (both.moments == 2 * one.moments).all()
-    assert both_observed.voxel_keys().tobytes() == one_observed.voxel_keys().tobytes()
+    assert voxel_keys(both_observed).tobytes() == voxel_keys(one_observed).tobytes()

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.labeler.fused_files import fused_columns, fused_observed, fused_points
-from stone.lattice import indices_of, keys_from_indices
-from stone.observed import Observed
-from stone.pointmap import PointMap
+from services.labeler.map.fused_files import fused_columns, fused_observed, fused_points
+from stone.geometry.lattice import indices_of, keys_from_indices
+from stone.labels.observed_voxels import Observed
+from stone.surface.pointmap import PointMap
 
 NOTHING_SEEN = Observed(np.zeros(0, np.int64), np.zeros(0, np.uint64))
 

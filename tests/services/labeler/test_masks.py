@@ -5,15 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from services.eval.ground_truth import MASKS, read_truth, truth_hash
+from services.eval.ground_truth import read_truth, truth_hash
+from services.labeler.local_run import LabelOptions, label
 from services.labeler.parameters import LabelParameters
-from services.labeler.pipeline import LabelOptions, label
-from stone.calibration import Box
-from stone.grid import GRID_MIN_M, GRID_SHAPE, frame_bounds
-from stone.sight_batches import SightBatch
-from stone.traversability import NON_TRAVERSABLE, POTENTIAL, threshold
-from stone.visibility import sight_lines
-from stone.voxels import VOXEL_M
+from stone.labels.grid import GRID_MIN_M, GRID_SHAPE, frame_bounds
+from stone.labels.sight_batches import SightBatch
+from stone.labels.traversability import NON_TRAVERSABLE, POTENTIAL, threshold
+from stone.labels.visibility import sight_lines
+from stone.labels.voxels import VOXEL_M
+from stone.sensors.calibration import Box
+from tests.golden_vectors import MASKS
 from tests.services.labeler.worlds import CALIBRATION, CAMERA, EGO_FROM_LIDAR, RayCast, World, sequence_of
 from tests.stone.rays import cast, in_voxels, lit_share, open_share
 

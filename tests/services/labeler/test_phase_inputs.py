@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from sqlalchemy import select
 
-from services.ingest.stages import open_recording
-from services.runtime.benchmarks.inputs import (
+from services.domain.benchmarks.phases.inputs import (
     RUN,
     InputsImpossibleError,
     InputsStandError,
@@ -20,24 +19,23 @@ from services.runtime.benchmarks.inputs import (
     locate_input,
     start_inputs,
 )
-from services.runtime.benchmarks.phases import NewBenchmark, NewPhase, create_benchmark, create_phase
-from services.runtime.collection import collect
-from services.runtime.dataset_reading import dataset_named
-from services.runtime.exported import stored_files
-from services.runtime.jobs.steering import cancel
-from services.runtime.migrate import upgrade
-from services.runtime.orm import Artefact, Blob, Job, LabelledFrame, Phase, PhaseInput
-from services.runtime.packed_reading import file_pieces
+from services.domain.benchmarks.phases.phases import NewBenchmark, NewPhase, create_benchmark, create_phase
+from services.domain.datasets.queries import dataset_named
+from services.domain.sequences.processing import delete_sequence
+from services.domain.sequences.recordings import remove_recording
+from services.runtime.database.migrate import upgrade
+from services.runtime.jobs.control import cancel
+from services.runtime.orm import Artefact, Blob, Job, LabelledFrameRow, Phase, PhaseInput
 from services.runtime.platform import Platform
-from services.runtime.processing import delete_sequence
-from services.runtime.recordings import remove_recording
-from services.runtime.sample_sources import provide_samples
 from services.runtime.settings import StoreSettings
+from services.runtime.store.garbage_collection import collect_garbage
+from services.runtime.store.pack_archive import stored_files
+from services.runtime.store.pack_reading import file_pieces
 from simulator.options import SimulateOptions
 from simulator.pipeline import simulate
-from tests.api.published import dataset
-from tests.servers.fixtures import make_settings, opened
-from tests.services.runs import Brought, bring_ready, run_all
+from testing.servers.fixtures import make_settings, opened
+from testing.worlds.published import dataset
+from testing.worlds.runs import Brought, bring_ready, run_all
 
 RUN_OPTIONS = SimulateOptions(seconds=2.0, seed=3, channels=16, columns=180, cameras=False)
 
@@ -102,7 +100,6 @@ def labelled(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def asked(labelled: Path, tmp_path: Path) -> Iterator[Asked]:
     """A copy of it; what nobody needs may be collected at once."""
-    provide_samples(open_recording)
     shutil.copytree(labelled, tmp_path / "platform")
     platform = opened(make_settings(tmp_path / "platform", store=StoreSettings(grace_s=0.0)), [])
     owner_id, sequence_id, recording_ids, phase_id = json.loads((tmp_path / "platform" / "ids.json").read_text())
@@ -112,7 +109,7 @@ def asked(labelled: Path, tmp_path: Path) -> Iterator[Asked]:
 
 def tokens(platform: Platform) -> tuple[str, ...]:
     with platform.database.reading() as session:
-        return tuple(session.scalars(select(LabelledFrame.token).order_by(LabelledFrame.ordinal)))
+        return tuple(session.scalars(select(LabelledFrameRow.token).order_by(LabelledFrameRow.ordinal)))
 
 
 def label_bytes(asked: Asked) -> dict[str, bytes]:
@@ -178,7 +175,7 @@ def test_inputs_outlive_the_sequence(asked: Asked) -> None:
     before = asked.files()
     with asked.platform.database.transaction() as session:
         delete_sequence(session, asked.brought.sequence())
-    assert collect(asked.platform).objects > 0
+    assert collect_garbage(asked.platform).objects > 0
     assert asked.files() == before
 
 

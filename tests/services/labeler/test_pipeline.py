@@ -10,14 +10,14 @@ import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
+from services.labeler.local_run import LabelOptions, label
+from services.labeler.map.ply import FACE, HEADER, VERTEX
 from services.labeler.parameters import LabelParameters, TilingParameters, parameters_for
-from services.labeler.pipeline import LabelOptions, label
-from services.labeler.ply import FACE, HEADER, VERTEX
-from services.runtime.class_colours import CLASS_RGB
-from stone.calibration import Box
-from stone.grid import GRID_MIN_M, GRID_SHAPE
-from stone.sequence import ExcludedFrame
-from stone.voxels import VOXEL_M
+from stone.labels.class_colours import CLASS_RGB
+from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
+from stone.labels.voxels import VOXEL_M
+from stone.sensors.calibration import Box
+from stone.sensors.sequence import ExcludedFrame
 from tests.services.labeler.worlds import RayCast, World, sequence_of
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -6,19 +6,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.labeler.fuse import fuse
+from services.labeler.map.fuse import fuse
 from services.labeler.parameters import parameters_for
 from services.labeler.plan import plan_of, reach_m, tiles_around
-from services.labeler.run import Part, Run, Tile, neighbourhood
+from services.labeler.run import LabelRun, Part, Tile, neighbourhood
 from services.labeler.scratch import load_points, tile_named
 from services.labeler.workers import Task, Workers
-from stone.se3 import SE3
+from stone.geometry.se3 import SE3
 from tests.services.labeler.worlds import RayCast, World, sequence_of
 
 WORLD, LONG_STEP_M = World(), 9.0
 
 
-def driven(tmp_path: Path, parts_of: int) -> Run:
+def driven(tmp_path: Path, parts_of: int) -> LabelRun:
     """The drive of a small world, its frames torn so far apart that they lie in several tiles."""
     sequence = sequence_of(WORLD)
     poses = sequence.frames.map_from_ego.wxyz_xyz.copy()
@@ -26,24 +26,24 @@ def driven(tmp_path: Path, parts_of: int) -> Run:
     frames = replace(sequence.frames, map_from_ego=SE3(poses))
     parameters = parameters_for("paper")
     parameters = replace(parameters, tiling=replace(parameters.tiling, frames_per_part=parts_of))
-    return Run(replace(sequence, frames=frames), RayCast(WORLD), parameters, tmp_path)
+    return LabelRun(replace(sequence, frames=frames), RayCast(WORLD), parameters, tmp_path)
 
 
 @pytest.fixture(scope="module")
-def fused(tmp_path_factory: pytest.TempPathFactory) -> Run:
+def fused(tmp_path_factory: pytest.TempPathFactory) -> LabelRun:
     run = driven(tmp_path_factory.mktemp("run"), 4)
     for part in plan_of(run).parts:
         fuse(run, part)
     return run
 
 
-def found(run: Run) -> dict[Tile, set[int]]:
+def found(run: LabelRun) -> dict[Tile, set[int]]:
     """Which parts left a file in which tile."""
     folders = (run.scratch / "fused").iterdir()
     return {tile_named(folder.name): {int(path.stem) for path in folder.iterdir()} for folder in folders}
 
 
-def test_whatever_a_part_left_in_a_tile_was_planned(fused: Run) -> None:
+def test_whatever_a_part_left_in_a_tile_was_planned(fused: LabelRun) -> None:
     plan = plan_of(fused)
     left = found(fused)
     assert len(left) > 3
@@ -51,7 +51,7 @@ def test_whatever_a_part_left_in_a_tile_was_planned(fused: Run) -> None:
         assert parts <= {part[0] for part in plan.needs[tile]}
 
 
-def test_a_tile_waits_for_every_part_with_a_point_in_its_cube_and_not_for_all(fused: Run) -> None:
+def test_a_tile_waits_for_every_part_with_a_point_in_its_cube_and_not_for_all(fused: LabelRun) -> None:
     plan, tiling = plan_of(fused), fused.parameters.tiling
     for tile, parts in plan.needs.items():
         low = np.array(tile) * fused.parameters.core_m - tiling.halo_m
@@ -61,7 +61,7 @@ def test_a_tile_waits_for_every_part_with_a_point_in_its_cube_and_not_for_all(fu
     assert any(len(parts) < len(plan.parts) for parts in plan.needs.values())
 
 
-def _points_of(run: Run, tile: Tile, part: Part) -> int:
+def _points_of(run: LabelRun, tile: Tile, part: Part) -> int:
     """What this part alone left in the cube."""
     alone = replace(run, scratch=run.scratch.with_name(f"alone-{part[0]}"))
     if not alone.scratch.exists():
@@ -71,16 +71,16 @@ def _points_of(run: Run, tile: Tile, part: Part) -> int:
     return sum(len(one) for near in neighbourhood(tile) for one in load_points(alone, near, low, high))
 
 
-def test_tiles_come_in_the_order_in_which_they_can_be_begun(fused: Run) -> None:
+def test_tiles_come_in_the_order_in_which_they_can_be_begun(fused: LabelRun) -> None:
     last = [parts[-1] for parts in plan_of(fused).needs.values()]
     assert last == sorted(last)
 
 
-def test_the_plan_does_not_depend_on_what_is_on_disk(fused: Run, tmp_path: Path) -> None:
+def test_the_plan_does_not_depend_on_what_is_on_disk(fused: LabelRun, tmp_path: Path) -> None:
     assert plan_of(replace(fused, scratch=tmp_path)) == plan_of(fused)
 
 
-def test_frames_look_only_at_planned_tiles_or_empty_ones(fused: Run) -> None:
+def test_frames_look_only_at_planned_tiles_or_empty_ones(fused: LabelRun) -> None:
     left = found(fused)
     for part in plan_of(fused).parts:
         assert set(tiles_around(fused, part)) & left.keys()

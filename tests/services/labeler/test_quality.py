@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from services.labeler.frames import labelled_tile
-from services.labeler.fuse import fuse
+from services.labeler.map.fuse import fuse
+from services.labeler.map.surface import surface
 from services.labeler.parameters import parameters_for
-from services.labeler.report import reference_from
-from services.labeler.run import Run
-from services.labeler.surface import surface
-from stone.calibration import Box
-from stone.dynamic import DynamicParameters
-from stone.lattice import centres_of
-from stone.se3 import SE3
-from stone.sequence import Sweep
+from services.labeler.results import reference_from
+from services.labeler.run import LabelRun
+from stone.geometry.lattice import centres_of
+from stone.geometry.se3 import SE3
+from stone.sensors.calibration import Box
+from stone.sensors.sequence import Sweep
+from stone.surface.dynamic import DynamicParameters
 from tests.services.labeler.worlds import EGO_FROM_LIDAR, RayCast, World, sequence_of
 
 # Bumpy enough for a reference: a kerb lies across the way.
@@ -40,7 +40,7 @@ class Labelled:
 def labelled(folder, sweeps, sequence=None, parameters=None):
     """Fuse, reconstruct and classify a world that fits one tile."""
     sequence = sequence or sequence_of(WORLD)
-    run = Run(sequence, sweeps, parameters or parameters_for("paper"), folder)
+    run = LabelRun(sequence, sweeps, parameters or parameters_for("paper"), folder)
     fuse(run, (0, len(sequence.frames)))
     reference = reference_from([surface(run, (0, 0))], run.parameters)
     arrays, classes = labelled_tile(run, (0, 0), reference)

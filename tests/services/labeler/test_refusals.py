@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from services.labeler.errors import NoFramesError
-from services.labeler.pipeline import LabelOptions, label
-from services.runtime.errors import OutputExistsError
-from stone.sequence import ExcludedFrame
-from stone.traversability import NoReferenceError
+from services.labeler.errors import NoUsableFramesError
+from services.labeler.local_run import LabelOptions, label
+from stone.labels.traversability import NoReferenceError
+from stone.sensors.sequence import ExcludedFrame
+from stone_files.errors import OutputExistsError
 from tests.services.labeler.worlds import RayCast, World, sequence_of
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -47,9 +47,9 @@ def test_a_sequence_without_usable_frames_is_refused(tmp_path):
     sequence = replace(sequence_of(replace(WORLD, frames=1)), excluded=LEFT_OUT)
     none = replace(sequence.frames, stamps_ns=sequence.frames.stamps_ns[:0], tokens=())
     empty = replace(sequence, frames=replace(none, map_from_ego=none.map_from_ego[:0]))
-    with pytest.raises(NoFramesError, match=r"all 2 were excluded \(no_pose, pose_gap\)"):
+    with pytest.raises(NoUsableFramesError, match=r"all 2 were excluded \(no_pose, pose_gap\)"):
         label(empty, RayCast(WORLD), tmp_path / "out")
-    with pytest.raises(NoFramesError, match="it has no LiDAR sweep"):
+    with pytest.raises(NoUsableFramesError, match="it has no LiDAR sweep"):
         label(replace(empty, excluded=()), RayCast(WORLD), tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
 
@@ -78,7 +78,7 @@ def test_a_worker_that_fails_leaves_no_folder(tmp_path):
 SCRIPT = """
 import sys
 from pathlib import Path
-from services.labeler.pipeline import label
+from services.labeler.local_run import label
 from tests.services.labeler.worlds import RayCast, World, sequence_of
 
 def shown(stage, done, total):
@@ -101,7 +101,7 @@ def test_killing_the_run_leaves_no_output_folder(tmp_path, number):
         assert begun == "surface 0\n"
         run.send_signal(number)
         run.stdout.close()
-        assert run.wait(30) in (128 + number, -number)
+        assert run.wait(300) in (128 + number, -number)
     assert not (tmp_path / "out").exists()
     left = [path for path in tmp_path.iterdir() if path.name != "run.py"]
     assert (left == []) == (number == signal.SIGTERM)  # kill −9 leaves a hidden staging folder for the next run

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from services.labeler.fuse import fuse
+from services.labeler.map.fuse import fuse
 from services.labeler.parameters import LabelParameters, TilingParameters
-from services.labeler.run import Run
+from services.labeler.run import LabelRun
 from services.labeler.scratch import images_near, images_path
 from tests.services.labeler.worlds import RayCast, World, sequence_of
 
@@ -17,7 +17,7 @@ PARAMETERS = LabelParameters(tiling=TilingParameters(frames_per_part=4))
 
 def run_in(folder, every_frame=3):
     dynamic = replace(PARAMETERS.dynamic, every_frame=every_frame, max_range_m=20.0)
-    return Run(sequence_of(WORLD), RayCast(WORLD), replace(PARAMETERS, dynamic=dynamic), folder)
+    return LabelRun(sequence_of(WORLD), RayCast(WORLD), replace(PARAMETERS, dynamic=dynamic), folder)
 
 
 def gap_m(place, low, high):

@@ -2,6 +2,7 @@
 
 import hashlib
 import io
+import json
 import shutil
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -14,21 +15,27 @@ import pyarrow.parquet as pq
 import pytest
 from sqlalchemy import delete, select, update
 
-from services.ingest.opening import opened_sequence
+from services.domain.sequences.processing import PROCESS, delete_sequence
+from services.ingest import stages as ingest
 from services.ingest.pipeline import SynchroniseOptions
+from services.ingest.sequence import opened_sequence
 from services.labeler import stages
-from services.labeler.pipeline import LabelOptions, label
+from services.labeler.local_run import LabelOptions, label, tasks_of
+from services.labeler.parameters import parameters_for
+from services.labeler.pipeline import PUBLISH, STAGES, label_graph
+from services.labeler.run import LabelRun
+from services.labeler.workers import Task
+from services.runtime.database.migrate import upgrade
+from services.runtime.jobs.control import cancel
+from services.runtime.jobs.execution import run_next
 from services.runtime.jobs.specs import Attempt, Handler, Outcome
-from services.runtime.jobs.steering import cancel
-from services.runtime.migrate import upgrade
-from services.runtime.orm import Artefact, Job, JobAttempt, JobLine, LabelledFrame, LabelSet
-from services.runtime.processing import delete_sequence
+from services.runtime.orm import Artefact, Job, JobAttempt, JobLine, JobNeed, LabelledFrameRow, LabelSet
 from services.runtime.settings import DatabaseSettings, StoreSettings
 from simulator.pipeline import calibration_path
 from stone.errors import StoneError
-from stone.traversability import NoReferenceError
-from tests.servers.fixtures import make_settings, opened
-from tests.services.runs import (
+from stone.labels.traversability import NoReferenceError
+from testing.servers.fixtures import make_settings, opened
+from testing.worlds.runs import (
     NAME,
     Brought,
     Interrupted,
@@ -40,7 +47,7 @@ from tests.services.runs import (
     simulated,
 )
 
-STAGES = {"ingest.synchronise"} | {
+KINDS = {"ingest.synchronise"} | {
     f"labeler.{stage}" for stage in ("parts", "fuse", "surface", "sight", "reference", "frames", "map", "publish")
 }
 
@@ -58,6 +65,30 @@ def expected(bag: Path) -> dict[str, bytes]:
         options = LabelOptions(workers=2, late_inputs=opened.recording_inputs)
         label(opened.sequence, opened.sweeps, folder, options)
     return files_of_label(folder)
+
+
+@pytest.mark.parametrize("done", [0, 1, 5], ids=["before synchronising", "before labelling", "amid the parts"])
+def test_a_run_that_another_version_began_is_begun_again_and_ends_as_any(
+    bag: Path, expected: dict[str, bytes], tmp_path: Path, done: int
+) -> None:
+    platform = opened(make_settings(tmp_path), [])
+    upgrade(platform.settings)
+    brought = bring_ready(platform, bag)
+    old_id = brought.process(parameters={"reference.alpha": 0.05})
+    tables = {"ingest": ingest.handlers(platform), "labeler": stages.handlers(platform)}
+    for number in range(done):
+        assert run_next(platform, "labeler" if number else "ingest", tables["labeler" if number else "ingest"])
+    with platform.database.transaction() as session:
+        run = session.get_one(Job, old_id)
+        run.arguments = {**run.arguments, "code_version": "0.1.0"}
+    run_all(platform)
+    with platform.database.reading() as session:
+        old, new = session.scalars(select(Job).where(Job.kind == PROCESS).order_by(Job.id)).all()
+    assert (old.id, old.state, old.failure_code, new.state, new.failure) == (old_id, "cancelled", "", "succeeded", "")
+    assert new.arguments["parameters"] == {"reference.alpha": 0.05}
+    assert {job.state for job in brought.jobs(old_id)} <= {"succeeded", "cancelled"}
+    assert differing(brought.files(), expected) == []
+    platform.database.close()
 
 
 class Interruptions:
@@ -92,7 +123,7 @@ def made(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[
     root_id = brought.process()
     interruptions = Interruptions()
     run_all(platform, wrap=interruptions.wrap)
-    assert interruptions.kinds == STAGES
+    assert interruptions.kinds == KINDS
     yield brought, root_id
     platform.database.close()
 
@@ -118,7 +149,59 @@ def test_the_queue_makes_what_the_command_makes_though_every_stage_was_interrupt
     assert differing(brought.files(), expected) == []
     with brought.platform.database.reading() as session:
         lost = select(Job.kind).join(JobAttempt, Job.id == JobAttempt.job_id).where(JobAttempt.outcome == "lost")
-        assert set(session.scalars(lost.where(Job.root_id == root_id))) == STAGES
+        assert set(session.scalars(lost.where(Job.root_id == root_id))) == KINDS
+
+
+@pytest.fixture(scope="module")
+def worked(bag: Path) -> tuple[LabelRun, list[Task]]:
+    """The jobs of the same recording as `stone label` would hand them to its processes, done one after another."""
+    with opened_sequence(bag, calibration_path(bag), NAME, SynchroniseOptions()) as opened:
+        sequence = replace(opened.sequence, inputs={**opened.recording_inputs(), **opened.sequence.inputs})
+        run = LabelRun(sequence, opened.sweeps, parameters_for("paper"), bag.parent / "scratch")
+        tasks = tasks_of(run)
+        for task in tasks:
+            task.call(*task.arguments)
+    return run, tasks
+
+
+def test_the_command_and_the_queue_run_the_same_jobs(
+    made: tuple[Brought, str], worked: tuple[LabelRun, list[Task]]
+) -> None:
+    brought, root_id = made
+    nodes = label_graph(worked[0])
+    jobs = {job.id: job for job in brought.jobs(root_id) if job.kind in {node.kind for node in nodes}}
+    with brought.platform.database.reading() as session:
+        found = session.execute(select(JobNeed.job_id, JobNeed.needed_id).where(JobNeed.job_id.in_(jobs)))
+        needs = {(job_id, needed_id) for job_id, needed_id in found}
+    named = [(node.kind, json.loads(json.dumps(node.arguments))) for node in nodes]
+    assert [(job.kind, job.arguments) for job in jobs.values()] == named, "in the order in which they are taken"
+    of_key = {node.key: job_id for node, job_id in zip(nodes, jobs, strict=True)}
+    assert needs == {(of_key[node.key], of_key[key]) for node in nodes for key in node.needs}
+    waits = {str(task.key[1]): {key[1] for key in task.needs} for task in worked[1]}
+    assert waits == {node.key: set(node.needs) for node in nodes if node.kind != PUBLISH}
+
+
+def test_the_command_and_the_queue_leave_each_other_the_same_files(
+    made: tuple[Brought, str], worked: tuple[LabelRun, list[Task]]
+) -> None:
+    brought, root_id = made
+    ours, theirs = worked[0].scratch, brought.platform.settings.root / "store" / "work" / root_id
+    files = [path.relative_to(ours) for path in ours.rglob("*") if path.is_file()]
+    assert {path.parts[0] for path in files} == {
+        *("fused", "images", "surface", "sums", "sight", "packs", "map"),
+        *("reference.npz", "profiles.npz"),
+    }
+    assert [path for path in files if (ours / path).read_bytes() != (theirs / path).read_bytes()] == []
+
+
+def test_a_job_leaves_what_it_declares_and_no_more(worked: tuple[LabelRun, list[Task]]) -> None:
+    run = worked[0]
+    declared = [STAGES[node.kind].files(run, node.arguments) for node in label_graph(run) if node.kind in STAGES]
+    written = {path for files in declared for pattern in files.writes for path in run.scratch.glob(pattern)}
+    left = {path for path in run.scratch.rglob("*") if path.is_file()}
+    assert {path for path in left if not written & {path, *path.parents}} == set()
+    found = [[*run.scratch.glob(f"{name}*")] for files in declared for name in files.requires]
+    assert all(found), "nothing is required that nobody leaves"
 
 
 def test_two_machines_with_s3_and_postgres_make_the_same(
@@ -146,7 +229,7 @@ def test_rows_say_what_was_made_and_where_it_lies(made: tuple[Brought, str]) -> 
     assert (label_set.job_id, label_set.recipe) == (root_id, run.arguments["recipe"])
     assert label_set.parameters["profile"] == "paper"
     with brought.platform.database.reading() as session:
-        frames = session.scalars(select(LabelledFrame).order_by(LabelledFrame.ordinal)).all()
+        frames = session.scalars(select(LabelledFrameRow).order_by(LabelledFrameRow.ordinal)).all()
         packs = session.scalars(select(Artefact.name).where(Artefact.name.startswith("labels/"))).all()
         lines = session.scalars(select(JobLine.event)).all()
     assert [frame.ordinal for frame in frames] == list(range(label_set.frames))

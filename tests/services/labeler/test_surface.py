@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from services.labeler.octree import reconstruct
+from services.labeler.local_run import LabelOptions, label
+from services.labeler.map.octree import reconstruct
 from services.labeler.parameters import parameters_for
-from services.labeler.pipeline import LabelOptions, label
-from stone.band import band_of
-from stone.contour import zero_surface
-from stone.patches import patches_of
-from stone.screened import PoissonParameters, solve_field
+from stone.surface.band import band_of
+from stone.surface.contour import zero_surface
+from stone.surface.patches import patches_of
+from stone.surface.screened_poisson import PoissonParameters, solve_field
 from tests.services.labeler.worlds import RayCast, World, sequence_of
 
 W, SIZE_M = 0.2, 6.0

@@ -8,15 +8,15 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from services.labeler.frames import FrameCounts
+from services.labeler.frames import FrameVoxelCounts
 from services.labeler.tables import write_frames
-from stone.calibration import Calibration
-from stone.pose_quality import PoseQuality, Rtk
-from stone.se3 import SE3
-from stone.sequence import Association, ExcludedFrame, Frames, Sequence, Slices
+from stone.geometry.se3 import SE3
+from stone.sensors.calibration import Calibration
+from stone.sensors.pose_quality import PoseQuality, Rtk
+from stone.sensors.sequence import Association, ExcludedFrame, Frames, Sequence, Slices
 
 STAMPS_NS = np.array([10, 20, 40], np.int64)
-COUNTS = FrameCounts(np.arange(12).reshape(3, 4), np.arange(6).reshape(3, 2))
+COUNTS = FrameVoxelCounts(np.arange(12).reshape(3, 4), np.arange(6).reshape(3, 2))
 FRAMES = Frames(
     STAMPS_NS,
     ("a", "b", "c"),

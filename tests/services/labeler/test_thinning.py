@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from services.labeler.thinning import thinned
-from services.runtime.view_formats import TileMesh
+from services.domain.viewer.formats import TileMesh
+from services.labeler.map.thinning import thinned
 
 
 def sheet(side: int, cell_m: float = 0.2) -> TileMesh:

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stone.calibration import Box, Calibration, CameraIntrinsics, Mount
-from stone.se3 import SE3
-from stone.sequence import Frames, Sequence, Sweep, frame_token
+from stone.geometry.se3 import SE3
+from stone.sensors.calibration import Box, Calibration, CameraIntrinsics, Mount
+from stone.sensors.sequence import Frames, Sequence, Sweep, frame_token
 
 PERIOD_NS = 100_000_000
 EGO_FROM_LIDAR = SE3(np.array([1.0, 0, 0, 0, 0.2, 0.0, 1.2]))

@@ -9,12 +9,12 @@ from alembic.operations import Operations
 from sqlalchemy import update
 
 from services.runtime.access.users import create_user
-from services.runtime.jobs.queueing import enqueue_run
+from services.runtime.database.migrations.versions import r0008_datasets
+from services.runtime.jobs.enqueue import enqueue_run
 from services.runtime.jobs.specs import Context, JobSpec
-from services.runtime.migrations.versions import r0008_datasets
-from services.runtime.orm import Artefact, Blob, LabelledFrame, LabelSet, Sequence
+from services.runtime.orm import Artefact, Blob, LabelledFrameRow, LabelSet, SequenceRow
 from services.runtime.platform import Platform
-from stone.composition import duration_ns
+from stone.splits.composition import duration_ns
 
 START_NS = 1_777_800_000_000_000_000
 
@@ -23,7 +23,7 @@ def labelled(platform: Platform, stamps_ns: list[int]) -> str:
     """The id of a label set with frames of these stamps, of a version that kept no duration."""
     with platform.database.transaction() as session:
         owner = create_user(session, "ada", "curator")
-        sequence = Sequence(owner_id=owner.id, name="run")
+        sequence = SequenceRow(owner_id=owner.id, name="run")
         session.add_all([sequence, Blob(sha256="ab" * 32, object_key="blobs/ab", size_bytes=1)])
         session.flush()
         run = enqueue_run(session, "sequence.process", [JobSpec("ingest.synchronise")], Context(owner.id, sequence.id))
@@ -36,7 +36,7 @@ def labelled(platform: Platform, stamps_ns: list[int]) -> str:
         session.flush()
         facts = {"label_set_id": labels.id, "pack_id": pack.id, "offset_bytes": 0, "length_bytes": 1, "sha256": ""}
         session.add_all(
-            LabelledFrame(ordinal=n, token=f"{n:032x}", stamp_ns=stamp, **facts) for n, stamp in enumerate(stamps_ns)
+            LabelledFrameRow(ordinal=n, token=f"{n:032x}", stamp_ns=stamp, **facts) for n, stamp in enumerate(stamps_ns)
         )
         session.execute(update(LabelSet).values(duration_ns=None))
         return labels.id

@@ -4,7 +4,7 @@
 // Levels are filtered by style alone. Of very long logs the last `MOST` lines stay.
 
 import { call } from "../api.js";
-import { sayError } from "../said.js";
+import { sayError } from "../notices.js";
 import { written } from "../times.js";
 
 interface Line {

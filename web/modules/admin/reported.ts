@@ -1,7 +1,7 @@
 // The editor of reported rows: rows come and go here, and are put back all at once.
 
 import { call } from "../api.js";
-import { sayError, toast } from "../said.js";
+import { sayError, toast } from "../notices.js";
 
 type Field = HTMLInputElement | HTMLSelectElement;
 

@@ -1,6 +1,6 @@
 // The slider of a board's history: each stop is a link of the list below it, whose board is put in the place of this one.
 
-import { refresh } from "../refreshing.js";
+import { refresh } from "../refresh.js";
 
 const BOARD = "#board";
 const SETTLES_MS = 150;

@@ -1,11 +1,11 @@
 // The board: cards in columns, moved by keys, by dragging, and by the select on each card.
 //
 // One card is the board's tab stop (a roving tabindex); arrows walk, Space picks several, 1 2 3 0 move what is picked,
-// or else the card that has the focus. Everything moves through the desk, and the cards follow what it says.
+// or else the card that has the focus. Everything moves through the state, and the cards follow what it says.
 
 import { type Part, PARTS, called, partOf } from "./arrangement.js";
 import { headColumns } from "./columns.js";
-import type { Desk } from "./desk.js";
+import type { EditorState } from "./editor_state.js";
 
 const KEYS: Readonly<Record<string, Part>> = { "1": "train", "2": "val", "3": "test", "0": "" };
 
@@ -15,11 +15,11 @@ export class Board {
 
   constructor(
     private readonly root: HTMLElement,
-    private readonly desk: Desk,
+    private readonly state: EditorState,
     private readonly tell: (sentence: string) => void,
   ) {
     for (const card of root.querySelectorAll<HTMLElement>(".split-card")) this.cards.set(card.dataset["id"] ?? "", card);
-    desk.onChange(() => this.show());
+    state.onChange(() => this.show());
     this.show();
   }
 
@@ -55,8 +55,8 @@ export class Board {
 
   private show(): void {
     const focused = document.activeElement instanceof HTMLElement ? document.activeElement : null;
-    for (const [id, card] of this.cards) this.seat(card, this.desk.current.get(id) ?? "");
-    headColumns(this.root, this.desk);
+    for (const [id, card] of this.cards) this.seat(card, this.state.current.get(id) ?? "");
+    headColumns(this.root, this.state);
     if (focused && document.activeElement !== focused && this.root.contains(focused)) focused.focus({ preventScroll: true });
   }
 
@@ -69,15 +69,15 @@ export class Board {
     }
     const select = card.querySelector("select");
     if (select) select.value = part;
-    const before = this.desk.savedPart(card.dataset["id"] ?? "");
+    const before = this.state.savedPart(card.dataset["id"] ?? "");
     const from = card.querySelector("[data-from]");
     if (from) from.textContent = before === part ? "" : `from ${before || "none"}`;
     card.toggleAttribute("data-moved", before !== part);
   }
 
   private move(ids: readonly string[], part: Part): void {
-    const moves = this.desk.move(ids, part);
-    const names = moves.map((move) => this.desk.entries.get(move.id)?.name ?? move.id);
+    const moves = this.state.move(ids, part);
+    const names = moves.map((move) => this.state.entries.get(move.id)?.name ?? move.id);
     const [first = ""] = names;
     const who = names.length === 1 ? `${first} is` : `${names.length} sequences are`;
     if (moves.length) this.tell(`${who} in ${called(part)} now.`);
@@ -163,7 +163,7 @@ export class Board {
       if (!card || !event.dataTransfer) return;
       taken = this.takenWith(card);
       event.dataTransfer.effectAllowed = "move";
-      event.dataTransfer.setData("text/plain", taken.map((id) => this.desk.entries.get(id)?.name ?? id).join("\n"));
+      event.dataTransfer.setData("text/plain", taken.map((id) => this.state.entries.get(id)?.name ?? id).join("\n"));
       for (const id of taken) this.cards.get(id)?.setAttribute("data-dragged", "");
     });
     this.root.addEventListener("dragover", (event) => {

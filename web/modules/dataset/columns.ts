@@ -1,18 +1,18 @@
 // The heads of the board's columns: how much is in each, of which classes, and which conditions it covers.
 
 import { type Part, type Totals, totalsOf } from "./arrangement.js";
-import type { Desk } from "./desk.js";
+import type { EditorState } from "./editor_state.js";
 
 const NAMES = ["traversable", "potentially", "non-traversable"] as const;
 
 /** Say in each column's head what is in it. */
-export function headColumns(board: HTMLElement, desk: Desk): void {
-  const parts = (["train", "val", "test"] as const).flatMap((part) => desk.within(part));
+export function headColumns(board: HTMLElement, state: EditorState): void {
+  const parts = (["train", "val", "test"] as const).flatMap((part) => state.within(part));
   const assigned_s = totalsOf(parts).duration_s;
-  const words = totalsOf(desk.entries.values()).words;
+  const words = totalsOf(state.entries.values()).words;
   for (const column of board.querySelectorAll<HTMLElement>("[data-part]")) {
     const part = (column.dataset["part"] ?? "") as Part;
-    const totals = totalsOf(desk.within(part));
+    const totals = totalsOf(state.within(part));
     write(column, "[data-count]", String(totals.sequences));
     write(column, "[data-amount]", amount(totals, part ? assigned_s : 0));
     showShares(column.querySelector("[data-shares]"), totals.voxels);

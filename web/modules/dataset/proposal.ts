@@ -1,10 +1,10 @@
 // A proposal by the solver: asked for by sizes, shown beside what stands, adopted by a button.
 
 import { call } from "../api.js";
-import { sayError } from "../said.js";
+import { sayError } from "../notices.js";
 import { type Part, arranged, differences } from "./arrangement.js";
 import { percent, showShares } from "./columns.js";
-import type { Desk } from "./desk.js";
+import type { EditorState } from "./editor_state.js";
 import { make, pressed } from "./elements.js";
 import { type Finding, asItem } from "./verdicts.js";
 
@@ -33,23 +33,23 @@ const SIZED: readonly Sized[] = ["train", "val", "test"];
 /** Train, val and test of the paper's 43 sequences. */
 const PAPER: Readonly<Record<Sized, number>> = { train: 31, val: 7, test: 5 };
 
-export function installProposal(root: HTMLElement, dialog: HTMLDialogElement, desk: Desk, tell: (sentence: string) => void): void {
+export function installProposal(root: HTMLElement, dialog: HTMLDialogElement, state: EditorState, tell: (sentence: string) => void): void {
   const form = dialog.querySelector("form");
   const place = root.querySelector<HTMLElement>("[data-proposed]");
   if (!form || !place) return;
-  suggest(form, desk);
-  form.addEventListener("input", () => count(form, desk));
+  suggest(form, state);
+  form.addEventListener("input", () => count(form, state));
   form.addEventListener("submit", (event) => {
     event.preventDefault();
-    void propose(form, desk).then((found) => {
+    void propose(form, state).then((found) => {
       if (!found) return;
       dialog.close();
-      show(place, found, desk, tell);
+      show(place, found, state, tell);
     });
   });
 }
 
-async function propose(form: HTMLFormElement, desk: Desk): Promise<Proposal | null> {
+async function propose(form: HTMLFormElement, state: EditorState): Promise<Proposal | null> {
   const said = form.querySelector<HTMLElement>(".said");
   const solving = form.querySelector<HTMLElement>("[data-solving]");
   const button = form.querySelector<HTMLButtonElement>('[type="submit"]');
@@ -58,7 +58,7 @@ async function propose(form: HTMLFormElement, desk: Desk): Promise<Proposal | nu
   if (solving) solving.hidden = false;
   if (button) button.disabled = true;
   try {
-    return await call<Proposal>("POST", "/api/v1/splits/proposal", { sizes, leave_out: leftOut(form, desk) });
+    return await call<Proposal>("POST", "/api/v1/splits/proposal", { sizes, leave_out: leftOut(form, state) });
   } catch (error) {
     if (said) sayError(said, error);
     return null;
@@ -68,10 +68,10 @@ async function propose(form: HTMLFormElement, desk: Desk): Promise<Proposal | nu
   }
 }
 
-function show(place: HTMLElement, found: Proposal, desk: Desk, tell: (sentence: string) => void): void {
+function show(place: HTMLElement, found: Proposal, state: EditorState, tell: (sentence: string) => void): void {
   const ids = (part: Sized): string[] => found[part].map((entry) => entry.sequence_id);
-  const next = arranged(desk.entries.keys(), { train: ids("train"), val: ids("val"), test: ids("test") });
-  const moves = differences(desk.current, next).length;
+  const next = arranged(state.entries.keys(), { train: ids("train"), val: ids("val"), test: ids("test") });
+  const moves = differences(state.current, next).length;
   const done = (sentence: string): void => {
     place.hidden = true;
     place.replaceChildren();
@@ -84,7 +84,7 @@ function show(place: HTMLElement, found: Proposal, desk: Desk, tell: (sentence: 
     shares(found),
     row(
       pressed("Adopt", "primary", () => {
-        desk.put(next);
+        state.put(next);
         done(`${moves} sequences moved; nothing is saved yet.`);
       }),
       pressed("Leave it", "quiet", () => done("The proposal was left.")),
@@ -128,22 +128,22 @@ function row(...buttons: HTMLElement[]): HTMLElement {
 }
 
 /** The sizes there are, or, while there are none, the paper's in proportion. */
-function suggest(form: HTMLFormElement, desk: Desk): void {
-  const total = desk.entries.size;
-  const isEmpty = SIZED.every((part) => !desk.within(part).length);
+function suggest(form: HTMLFormElement, state: EditorState): void {
+  const total = state.entries.size;
+  const isEmpty = SIZED.every((part) => !state.within(part).length);
   const val = Math.round((total * PAPER.val) / 43);
   const test = Math.round((total * PAPER.test) / 43);
   const wanted = isEmpty ? { train: total - val - test, val, test } : undefined;
   for (const part of SIZED) {
     const input = form.elements.namedItem(part);
-    if (input instanceof HTMLInputElement) input.value = String(wanted ? wanted[part] : desk.within(part).length);
+    if (input instanceof HTMLInputElement) input.value = String(wanted ? wanted[part] : state.within(part).length);
   }
-  count(form, desk);
+  count(form, state);
 }
 
-function count(form: HTMLFormElement, desk: Desk): void {
+function count(form: HTMLFormElement, state: EditorState): void {
   const asked = SIZED.reduce((sum, part) => sum + sizeOf(form, part), 0);
-  const there = desk.entries.size - leftOut(form, desk).length;
+  const there = state.entries.size - leftOut(form, state).length;
   const said = form.querySelector("[data-sizes-said]");
   if (said) said.textContent = `${asked} of ${there} sequences${asked > there ? ": more than there are" : ""}`;
 }
@@ -153,8 +153,8 @@ function sizeOf(form: HTMLFormElement, part: Part): number {
   return input instanceof HTMLInputElement ? Number(input.value) : 0;
 }
 
-function leftOut(form: HTMLFormElement, desk: Desk): string[] {
+function leftOut(form: HTMLFormElement, state: EditorState): string[] {
   const box = form.elements.namedItem("only_assigned");
   const isChecked = box instanceof HTMLInputElement && box.checked;
-  return isChecked ? desk.within("").map((entry) => entry.id) : [];
+  return isChecked ? state.within("").map((entry) => entry.id) : [];
 }

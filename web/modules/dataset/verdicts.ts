@@ -3,7 +3,7 @@
 import { call } from "../api.js";
 import { listsOf } from "./arrangement.js";
 import type { Board } from "./board.js";
-import type { Desk } from "./desk.js";
+import type { EditorState } from "./editor_state.js";
 
 const PAUSE_MS = 150;
 
@@ -35,11 +35,11 @@ export class Verdicts {
 
   constructor(
     private readonly root: HTMLElement,
-    private readonly desk: Desk,
+    private readonly state: EditorState,
     private readonly board: Board,
     private readonly told: (revision: number) => void,
   ) {
-    desk.onChange(() => this.ask());
+    state.onChange(() => this.ask());
     root.addEventListener("click", (event) => this.click(event));
     void this.answer();
   }
@@ -52,7 +52,7 @@ export class Verdicts {
   private async answer(): Promise<void> {
     const number = ++this.asked;
     try {
-      const answer = await call<Answer>("POST", "/api/v1/splits/verdicts", listsOf(this.desk.current));
+      const answer = await call<Answer>("POST", "/api/v1/splits/verdicts", listsOf(this.state.current));
       if (number === this.asked) this.show(answer);
     } catch (error) {
       if (number === this.asked) this.say("waiting", `The rules cannot be asked: ${error instanceof Error ? error.message : String(error)}`);
@@ -64,7 +64,7 @@ export class Verdicts {
     this.canBePut = answer.can_be_put;
     const errors = answer.findings.filter((one) => one.severity === "error");
     const broken = new Set(errors.map((one) => one.code)).size;
-    this.isEmpty = Object.values(listsOf(this.desk.current)).every((ids) => !ids.length);
+    this.isEmpty = Object.values(listsOf(this.state.current)).every((ids) => !ids.length);
     if (broken) this.say("error", broken === 1 ? "One rule is broken" : `${broken} rules are broken`);
     else if (this.isEmpty) this.say("warning", "Nothing is in a split yet");
     else if (answer.findings.length) this.say("warning", "Kept, as far as the data allow");

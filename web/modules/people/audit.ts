@@ -1,6 +1,6 @@
 // The audit log: the platform reads the whole chain and says whether each line follows from the one before.
 
-import "../dataset/copying.js";
+import "../dataset/copy_buttons.js";
 import { call } from "../api.js";
 
 interface Verification {

@@ -1,6 +1,6 @@
 // A secret that is shown once: put on the page by the module that got it, gone when the reader has it or leaves.
 
-import "../dataset/copying.js";
+import "../dataset/copy_buttons.js";
 
 /** Show the secret in the page's place for it; `title` says whose it is. */
 export function showOnce(secret: string, title: string): void {

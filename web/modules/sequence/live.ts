@@ -3,7 +3,7 @@
 // `#standing` carries the stream's address and the id of the labels the page shows. Parts marked `data-live-part` are
 // fetched again with it. When other labels count the page is loaded anew, unless somebody is in the middle of a dialog.
 
-import { toast } from "../said.js";
+import { toast } from "../notices.js";
 import htmx from "htmx.org";
 
 interface Told {

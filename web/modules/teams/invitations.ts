@@ -2,7 +2,7 @@
 //
 // A link carries the secret behind `#`, which browsers send to nobody.
 
-import { toast } from "../said.js";
+import { toast } from "../notices.js";
 
 const SECRET = /^invite_[A-Za-z0-9_-]{43}$/;
 

@@ -1,9 +1,9 @@
 // Calibration files that are dropped: kept at once or refused with findings; pinned where a sequence asked for one.
 
 import { call, RefusedError } from "../api.js";
-import { refresh } from "../refreshing.js";
+import { refresh } from "../refresh.js";
 import type { Found } from "./bags.js";
-import { chosen } from "./gathering.js";
+import { chosen } from "./dropped_files.js";
 import { listenForDrops } from "./panel.js";
 import { findingOf } from "./row.js";
 

@@ -1,11 +1,11 @@
 // What `parts/uploading.html` needs to be alive: bags, calibrations, the processing of a sequence.
 
 import { call } from "../api.js";
-import { refresh } from "../refreshing.js";
-import { toast } from "../said.js";
+import { refresh } from "../refresh.js";
+import { toast } from "../notices.js";
 import { mountCalibrations } from "./calibrations.js";
 import { Panel } from "./panel.js";
-import { mountProcessing } from "./processing.js";
+import { mountProcessing } from "./processing_form.js";
 
 const AFTER_A_RECORDING = ["#recordings", "#process"];
 

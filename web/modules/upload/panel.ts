@@ -3,9 +3,9 @@
 import { valuesOf } from "../acts.js";
 import { call } from "../api.js";
 import { type Bag, type Found, plainName, sorted } from "./bags.js";
-import { chosen, dropped } from "./gathering.js";
+import { chosen, dropped } from "./dropped_files.js";
 import { Row } from "./row.js";
-import { freshKey } from "./sending.js";
+import { freshKey } from "./file_upload.js";
 import { size, span, Speed } from "./speed.js";
 import { type Target, Transfer } from "./transfer.js";
 import { begunOf, showUnfinished, type Unfinished, unfinished } from "./unfinished.js";

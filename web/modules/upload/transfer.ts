@@ -3,11 +3,11 @@
 import { type Problem, RefusedError } from "../api.js";
 import type { Bag } from "./bags.js";
 import { sizeOf } from "./bags.js";
-import { patiently } from "./lanes.js";
-import { type Finding, read, type Recording, sealed, standing } from "./sealing.js";
-import { type Heard, sent, summed } from "./sending.js";
+import { patiently } from "./concurrency.js";
+import { type Finding, read, type Recording, sealed, standing } from "./recording_creation.js";
+import { type Heard, sent, summed } from "./file_upload.js";
 import { Speed } from "./speed.js";
-import { forgetSum } from "./sums.js";
+import { forgetSum } from "./checksums.js";
 
 export type Phase = "waiting" | "counting" | "sending" | "away" | "paused" | "reading" | "registered" | "refused";
 

@@ -1,10 +1,10 @@
 // What was begun and is not done: the platform's open uploads, and which bag of the chosen ones goes on with which.
 
 import { call } from "../api.js";
-import { toast } from "../said.js";
+import { toast } from "../notices.js";
 import { written } from "../times.js";
 import type { Bag } from "./bags.js";
-import { all, type UploadItem } from "./sending.js";
+import { all, type UploadItem } from "./file_upload.js";
 import { size } from "./speed.js";
 
 export interface Unfinished {

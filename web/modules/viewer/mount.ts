@@ -5,7 +5,7 @@
 // frame it shows by the event `frame` {index, token} and follows `show-frame` {index} or {token}.
 
 import { RefusedError, call } from "../api.js";
-import { make } from "./elements.js";
+import { make } from "./controls/elements.js";
 import type { SceneFacts } from "./scene.js";
 import type { Viewer } from "./viewer.js";
 
@@ -46,7 +46,7 @@ export async function mount(host: HTMLElement): Promise<void> {
 async function open(host: HTMLElement, scene: SceneFacts): Promise<void> {
   const start = startOf(host, scene);
   if (!hasWebGl2()) {
-    const { showPictures } = await import("./pictures.js");
+    const { showPictures } = await import("./controls/pictures.js");
     await showPictures(host, scene, start);
     return state(host, "picture");
   }

@@ -1,15 +1,15 @@
 // The viewer of one sequence: stage, timeline, panel and readout, put together.
 
-import { Aiming } from "./aiming.js";
-import { type Choices, choicesPanel, firstChoices } from "./choices.js";
-import { button, make } from "./elements.js";
-import { keysPanel } from "./keys.js";
-import { classLegend, rampLegend } from "./legend.js";
-import type { Ray } from "./model.js";
-import { Readout } from "./readout.js";
+import { Aiming } from "./controls/pointer.js";
+import { type Choices, choicesPanel, firstChoices } from "./controls/choices.js";
+import { button, make } from "./controls/elements.js";
+import { keysPanel } from "./controls/keys.js";
+import { classLegend, rampLegend } from "./controls/legend.js";
+import type { Ray } from "./data/model.js";
+import { Readout } from "./controls/readout.js";
 import type { SceneFacts } from "./scene.js";
-import { Stage } from "./stage.js";
-import { Timeline } from "./timeline.js";
+import { Stage } from "./drawing/stage.js";
+import { Timeline } from "./controls/timeline.js";
 import { World } from "./world.js";
 
 const FOLLOW = "M12 8a4 4 0 1 0 0 8 4 4 0 0 0 0-8zm9 3h-2.1A7 7 0 0 0 13 5.1V3h-2v2.1A7 7 0 0 0 5.1 11H3v2h2.1a7 7 0 0 0 5.9 5.9V21h2v-2.1a7 7 0 0 0 5.9-5.9H21z";

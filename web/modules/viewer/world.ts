@@ -2,17 +2,17 @@
 
 import { Matrix4, type Object3D, Quaternion, Vector3 } from "three";
 import { bytes } from "../api.js";
-import { Asking } from "./asking.js";
-import type { Choices } from "./choices.js";
-import { GRID_MIN_M } from "./formats.js";
-import { FrameStore } from "./frame_store.js";
-import { MapLayer } from "./map_layer.js";
-import type { Picked, Ray } from "./model.js";
+import { Asking } from "./data/worker_client.js";
+import type { Choices } from "./controls/choices.js";
+import { GRID_MIN_M } from "./data/formats.js";
+import { FrameStore } from "./data/frame_store.js";
+import { MapLayer } from "./drawing/map_layer.js";
+import type { Picked, Ray } from "./data/model.js";
 import { type Pose, type SceneFacts, type Vector, headingOf, toMap } from "./scene.js";
-import { CloudLayer, SurfacePaint } from "./sensed.js";
-import type { Stage } from "./stage.js";
-import { Ground, Marker, Robot, Track } from "./surroundings.js";
-import { VoxelBlock, VoxelPaint } from "./voxel_layer.js";
+import { CloudLayer, SurfacePaint } from "./drawing/sensed_layers.js";
+import type { Stage } from "./drawing/stage.js";
+import { Ground, Marker, Robot, Track } from "./drawing/surroundings.js";
+import { VoxelBlock, VoxelPaint } from "./drawing/voxel_layer.js";
 
 const KNOWN_M = 45;
 const SURFACE_REACH_M = 80;

@@ -2,12 +2,12 @@
      of the sweeper may take a while. */}}
 {{- define "stone.alive" -}}
 startupProbe:
-  exec: { command: [python, -m, services.runtime.processes.alive] }
+  exec: { command: [python, -m, services.runtime.processes.health_check] }
   periodSeconds: 10
   timeoutSeconds: 10
   failureThreshold: 30
 livenessProbe:
-  exec: { command: [python, -m, services.runtime.processes.alive, {{ ternary "900" "120" (eq .role "beat") | quote }}] }
+  exec: { command: [python, -m, services.runtime.processes.health_check, {{ ternary "900" "120" (eq .role "beat") | quote }}] }
   periodSeconds: 30
   timeoutSeconds: 10
   failureThreshold: 4

@@ -8,7 +8,7 @@ fsGroupChangePolicy: OnRootMismatch
 seccompProfile: { type: RuntimeDefault }
 {{- end }}
 
-{{- define "stone.confined" -}}
+{{- define "stone.hardened" -}}
 allowPrivilegeEscalation: false
 readOnlyRootFilesystem: true
 capabilities: { drop: [ALL] }
@@ -51,7 +51,7 @@ containers:
     resources:
       {{- toYaml .settings.resources | nindent 6 }}
     securityContext:
-      {{- include "stone.confined" . | nindent 6 }}
+      {{- include "stone.hardened" . | nindent 6 }}
     volumeMounts:
       - { name: scratch, mountPath: /data }
       - { name: temporary, mountPath: /tmp }

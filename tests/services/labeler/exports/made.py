@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from services.ingest.opening import open_sequence
-from services.ingest.samples import checked_samples
+from services.ingest.sequence import open_sequence
 from services.labeler.exports.source import LabelledSequence, folder_source
+from services.labeler.local_run import LabelOptions, label
 from services.labeler.parameters import parameters_for
-from services.labeler.pipeline import LabelOptions, label
 from simulator.options import SimulateOptions
 from simulator.pipeline import simulate
+from stone_recordings.sync.samples import checked_samples
 
 OPTIONS = SimulateOptions(seconds=1.2, seed=3, channels=16, columns=240, camera_width_px=96, world_width_m=60.0)
 

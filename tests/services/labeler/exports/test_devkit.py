@@ -1,4 +1,7 @@
-"""The export opens in nuscenes-devkit, which knows nothing of us, without a warning; every row and file of it."""
+"""The export opens in nuscenes-devkit, which knows nothing of us, without a warning; every row and file of it.
+
+Catches alone an export that the devkit of others does not open.
+"""
 
 import json
 import os
@@ -11,16 +14,18 @@ import numpy as np
 import pytest
 import trimesh
 
-from services.ingest.opening import open_sequence
+from services.ingest.sequence import open_sequence
 from services.labeler.exports.folder import ExportRequest, export
-from services.labeler.exports.nuscenes import write_nuscenes
+from services.labeler.exports.nuscenes.layout import write_nuscenes
+from services.labeler.local_run import LabelOptions, label
 from services.labeler.parameters import parameters_for
-from services.labeler.pipeline import LabelOptions, label
-from services.runtime.class_colours import CLASS_RGB
-from stone.samples import ego_at
-from stone.sequence import Association, Sequence
-from stone.voxels import VOXEL_M
+from stone.labels.class_colours import CLASS_RGB
+from stone.labels.voxels import VOXEL_M
+from stone.sensors.samples import egos_at
+from stone.sensors.sequence import Association, Sequence
 from tests.services.labeler.exports.made import Labelled, unheard
+
+pytestmark = pytest.mark.whole
 
 ROOT = Path(__file__).resolve().parents[4]
 INSTALL = "deploy/install-devkit.sh"
@@ -88,8 +93,9 @@ def pinhole_pixels(sequence: Sequence, points_lidar: Any, channel: str, index: i
     lens = mount.intrinsics
     assert lens is not None
     stamp_ns = int(sequence.frames.stamps_ns[index]) + int(sequence.frames.associations[channel].dt_ns[index])
-    map_from_ego = ego_at(sequence, index, stamp_ns)
-    assert map_from_ego is not None
+    poses, is_known = egos_at(sequence, np.array([index]), np.array([stamp_ns]))
+    assert is_known.all()
+    map_from_ego = poses[0]
     ego_from_lidar = sequence.calibration.ego_from_lidar
     points_map = sequence.frames.map_from_ego[index] @ (ego_from_lidar @ points_lidar.astype(np.float64))
     seen = (map_from_ego @ ego_from_lidar @ mount.lidar_from_sensor).inverse() @ points_map

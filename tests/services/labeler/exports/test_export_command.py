@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner, Result
 
-from client.main import app
+from stone_client.main import app
 from tests.services.labeler.exports.made import Labelled
 
 

@@ -12,8 +12,8 @@ import pytest
 from services.labeler.exports.errors import DamagedLabelsError, ExportClashError, NotAnExportError, UnknownFormatError
 from services.labeler.exports.folder import ExportOutcome, ExportRequest, export
 from services.labeler.exports.source import LabelledSequence
-from services.runtime.errors import OutputExistsError
-from stone.sequence import frame_token
+from stone.sensors.sequence import frame_token
+from stone_files.errors import OutputExistsError
 from tests.services.labeler.exports.made import Labelled, files_of, unheard
 
 SHIFT_NS = 3_600_000_000_000

@@ -11,10 +11,10 @@ from mcap.reader import make_reader
 from services.labeler.exports.foxglove import write_foxglove
 from services.labeler.exports.ply_file import open_mesh
 from services.labeler.exports.source import LabelledSequence
-from services.runtime.class_colours import CLASS_RGB
-from stone.grid import GRID_MIN_M, GRID_SHAPE
-from stone.se3 import SE3
-from stone.voxels import VOXEL_M
+from stone.geometry.se3 import SE3
+from stone.labels.class_colours import CLASS_RGB
+from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
+from stone.labels.voxels import VOXEL_M
 from tests.services.labeler.exports.made import Labelled
 from tests.services.labeler.exports.protobuf_wire import decoded, messages_of
 

@@ -8,8 +8,8 @@ import pytest
 import yaml
 
 from services.labeler.exports.kitti import CONFIG, packed, write_kitti
-from stone.grid import GRID_MIN_M, GRID_SHAPE
-from stone.se3 import SE3
+from stone.geometry.se3 import SE3
+from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
 from tests.services.labeler.exports.made import Labelled, files_of, unheard
 
 

@@ -14,7 +14,7 @@ from services.labeler.exports import meshes
 from services.labeler.exports.errors import DamagedLabelsError, MeshTooLargeError
 from services.labeler.exports.meshes import write_glb, write_meshes
 from services.labeler.exports.ply_file import MeshFile, open_mesh
-from services.labeler.ply import FACE, VERTEX
+from services.labeler.map.ply import FACE, VERTEX
 from tests.services.labeler.exports.made import Labelled, files_of, unheard
 
 

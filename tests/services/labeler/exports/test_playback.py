@@ -11,8 +11,8 @@ import pytest
 from PIL import Image
 
 from services.labeler.exports.playback import drawn, small_cloud, small_picture, write_playback
-from stone.samples import CameraSample, LidarSample
-from stone.se3 import SE3
+from stone.geometry.se3 import SE3
+from stone.sensors.samples import CameraSample, LidarSample
 from tests.services.labeler.exports.made import Labelled, files_of, unheard
 from tests.services.labeler.exports.test_inputs import unlabelled
 from tests.services.runtime.view_decoding import Read

@@ -12,9 +12,9 @@ from rerun.chunk import Chunk, RrdReader
 from services.labeler.exports.ply_file import open_mesh
 from services.labeler.exports.rerun import write_rerun
 from services.labeler.exports.source import LabelledSequence
-from services.runtime.class_colours import CLASS_NAME, CLASS_RGB
-from stone.grid import GRID_MIN_M
-from stone.voxels import VOXEL_M
+from stone.labels.class_colours import CLASS_NAME, CLASS_RGB
+from stone.labels.grid import GRID_MIN_M
+from stone.labels.voxels import VOXEL_M
 from tests.services.labeler.exports.made import Labelled
 
 FRAME = 5

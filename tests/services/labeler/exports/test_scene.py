@@ -11,9 +11,9 @@ from scipy.spatial import KDTree
 from scipy.stats import chi2
 
 from services.labeler.exports.ply_file import open_mesh
-from services.runtime.class_colours import CLASS_RGB, TRACK
-from stone.se3 import SE3
-from stone.voxels import VOXEL_M
+from stone.geometry.se3 import SE3
+from stone.labels.class_colours import CLASS_RGB, TRACK
+from stone.labels.voxels import VOXEL_M
 from tests.services.labeler.exports.made import Labelled
 from tests.services.runtime.view_decoding import Read
 

@@ -8,9 +8,9 @@ import numpy as np
 from PIL import Image
 
 from services.labeler.exports.source import LabelledSequence
-from services.runtime.npz import npz_bytes
-from stone.grid import GRID_SHAPE
-from stone.samples import CameraSample, LidarSample, RadarSample
+from stone.labels.grid import GRID_SHAPE
+from stone.sensors.samples import CameraSample, LidarSample, RadarSample
+from stone_files.npz import npz_bytes
 from tests.services.labeler.worlds import World, sequence_of, stamp_of
 
 COLOURS = {

@@ -4,9 +4,9 @@ import numpy as np
 
 from services.labeler.previews.bev import bev
 from services.labeler.previews.surroundings import Surroundings, runs_inside
-from services.runtime.class_colours import INK, TRACK
-from stone.calibration import Footprint
-from stone.grid import GRID_SHAPE
+from stone.labels.class_colours import INK, TRACK
+from stone.labels.grid import GRID_SHAPE
+from stone.sensors.calibration import Footprint
 
 
 def test_the_robot_is_in_the_middle_and_its_track_where_it_drove():

@@ -10,8 +10,8 @@ from PIL import Image
 
 from services.labeler.previews import film
 from services.labeler.previews.film import write_film
+from services.labeler.previews.preview_files import MEDIA_TYPES, write_previews
 from services.labeler.previews.sheet import BLANK, CAMERA_PX, GAP_PX, PLAN_PX, WIDTH_PX, frame_pictures, frame_sheet
-from services.labeler.previews.writing import MEDIA_TYPES, write_previews
 from tests.services.labeler.previews.sources import COLOURS, SIZE_PX, Pictures, source_of
 
 HIGH_PX = round(CAMERA_PX * SIZE_PX[1] / SIZE_PX[0]) // 2 * 2
@@ -86,7 +86,7 @@ def test_a_camera_without_a_picture_leaves_a_blank_and_the_others_their_places()
 
 
 def test_a_picture_too_large_to_decode_is_not_decoded(monkeypatch):
-    monkeypatch.setattr("services.labeler.picture_opening.MOST_PIXELS", SIZE_PX[0] * SIZE_PX[1] - 1)
+    monkeypatch.setattr("services.labeler.previews.picture_opening.MOST_PIXELS", SIZE_PX[0] * SIZE_PX[1] - 1)
     sheet = frame_sheet(source_of(2), 0)
     assert {sheet.getpixel(centre_of(channel)) for channel in COLOURS} == {BLANK}
 

@@ -10,11 +10,11 @@ from services.labeler.previews import feature_maps
 from services.labeler.previews.feature_maps import feature_figure, limits_of, rasters_of, write_feature_maps
 from services.labeler.previews.map_pieces import MapPiece, extent_of
 from services.labeler.previews.map_view import map_oblique
-from services.labeler.previews.writing import write_map_previews
-from services.runtime.class_colours import CLASS_RGB, PAPER
-from stone.lattice import keys_from_indices
-from stone.se3 import SE3
-from stone.terrain import ROUGHNESS, SLOPE
+from services.labeler.previews.preview_files import write_map_previews
+from stone.geometry.lattice import keys_from_indices
+from stone.geometry.se3 import SE3
+from stone.labels.class_colours import CLASS_RGB, PAPER
+from stone.surface.terrain import ROUGHNESS, SLOPE
 
 TRACK = SE3(np.array([[1.0, 0, 0, 0, x, 4.0, 0.4] for x in np.linspace(1, 7, 8)]))
 NOTHING = MapPiece(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0, np.uint8))

@@ -11,7 +11,7 @@ from services.labeler.previews.oblique import oblique
 from services.labeler.previews.render import Boxes, Camera, Canvas, beads, voxel_boxes
 from services.labeler.previews.render_kernels import SHADE, SIDE_LIGHT, draw
 from services.labeler.previews.surroundings import surroundings_of
-from services.runtime.class_colours import CLASS_RGB, PAPER
+from stone.labels.class_colours import CLASS_RGB, PAPER
 from tests.services.labeler.previews.sources import source_of
 
 WIDTH, HEIGHT, FOCAL = 56, 40, 45.0

@@ -211,7 +211,7 @@ def test_of_two_administrators_who_dismiss_each_other_one_stays(platform_on: Pla
     together = threading.Barrier(2)
 
     def dismiss(user_id: str) -> None:
-        together.wait(10)
+        together.wait(300)
         try:
             with platform_on.database.transaction() as session:
                 users.change_user(session, session.get_one(User, user_id), "participant", None)

@@ -7,39 +7,39 @@ from pathlib import Path
 from sqlalchemy import JSON, String, cast, select
 from sqlalchemy.orm import Session
 
-from services.runtime.blobs import keep
 from services.runtime.orm import (
     AuditEntry,
     Base,
-    Calibration,
+    CalibrationRow,
     IdempotentReply,
     Job,
     JobAttempt,
     LabelSet,
     Recording,
-    Sequence,
+    SequenceRow,
     Upload,
     User,
     new_id,
 )
 from services.runtime.platform import Platform
+from services.runtime.store.blobs import keep
 from services.runtime.uploads import upload_file
-from services.runtime.uploads.rows import Owner
-from tests.rows import recording_of
+from services.runtime.uploads.rows import UploadOwner
+from testing.worlds.rows import recording_of
 from tests.services.runtime.uploads.sending import made, send
 
 HALF_SENT = b"half of a recording"
 UNKEPT = b"a recording that no job has kept yet"
 WORK = b"what the first stage left for the second"
 ODD_TEXT = "tab\tline\nreturn\rbackslash\\ \\N é 漢 '\""
-OF_PROCESSES = {"workers", "collection_holds", "alembic_version", "sqlite_stat1"}
+OF_PROCESSES = {"workers", "gc_holds", "alembic_version", "sqlite_stat1"}
 
 
 @dataclass(frozen=True)
 class Laid:
     """Ids of what was laid down."""
 
-    owner: Owner
+    owner: UploadOwner
     run_id: str
     job_id: str
     open_upload_id: str
@@ -54,9 +54,9 @@ def lay(platform: Platform, scratch: Path) -> Laid:
         user = User(name=ODD_TEXT, role="curator", password_hash="argon")
         session.add(user)
         session.flush()
-        owner = Owner(user.id)
+        owner = UploadOwner(user.id)
         calibration = _calibration(session, platform, owner, kept_file(scratch, b"rig"))
-        sequence = Sequence(owner_id=owner.user_id, name="forest", calibration_id=calibration.id)
+        sequence = SequenceRow(owner_id=owner.user_id, name="forest", calibration_id=calibration.id)
         session.add(sequence)
         session.flush()
         run_id, job_id = _jobs(session, owner, sequence)
@@ -99,22 +99,22 @@ def uploads_of(platform: Platform) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()} if folder.is_dir() else {}
 
 
-def add_blob(platform: Platform, owner: Owner, scratch: Path, content: bytes) -> Calibration:
+def add_blob(platform: Platform, owner: UploadOwner, scratch: Path, content: bytes) -> CalibrationRow:
     """A blob and a row that needs it."""
     with platform.database.transaction() as session:
         return _calibration(session, platform, owner, kept_file(scratch, content))
 
 
-def _calibration(session: Session, platform: Platform, owner: Owner, path: Path) -> Calibration:
+def _calibration(session: Session, platform: Platform, owner: UploadOwner, path: Path) -> CalibrationRow:
     blob = keep(session, platform.store, path)
-    row = Calibration(owner_id=owner.user_id, name=new_id(), version=1, filename="rig.yaml", sha256=blob.sha256)
+    row = CalibrationRow(owner_id=owner.user_id, name=new_id(), version=1, filename="rig.yaml", sha256=blob.sha256)
     row.blob_sha256, row.sensors, row.findings = blob.sha256, [{"t": [0.1, 1e-9, None]}], []
     session.add(row)
     session.flush()
     return row
 
 
-def _jobs(session: Session, owner: Owner, sequence: Sequence) -> tuple[str, str]:
+def _jobs(session: Session, owner: UploadOwner, sequence: SequenceRow) -> tuple[str, str]:
     """A run with a job whose last attempt is under way."""
     shared = {"owner_id": owner.user_id, "sequence_id": sequence.id, "state": "running"}
     run = Job(id=new_id(), kind="sequence.process", **shared)
@@ -127,14 +127,14 @@ def _jobs(session: Session, owner: Owner, sequence: Sequence) -> tuple[str, str]
     return run.id, job.id
 
 
-def _label_set(session: Session, sequence: Sequence, run_id: str) -> None:
+def _label_set(session: Session, sequence: SequenceRow, run_id: str) -> None:
     made_set = LabelSet(sequence_id=sequence.id, job_id=run_id, recipe="ab" * 32, code_version="1", frames=1)
     made_set.parameters, made_set.distance_m = {"alpha": 0.05}, 1 / 3
     session.add(made_set)
     session.flush()
 
 
-def _books(session: Session, owner: Owner) -> None:
+def _books(session: Session, owner: UploadOwner) -> None:
     session.add(AuditEntry(number=1, actor="ada", act="x", facts={}, hash="0" * 64, reason=ODD_TEXT))
     reply = IdempotentReply(user_id=owner.user_id, route="POST /x", key="k", request_sha256="0" * 64)
     reply.body = bytes(range(256))

@@ -5,7 +5,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from sqlalchemy import MetaData
 
+from services.runtime.backup.capture import make_backup
 from services.runtime.backup.errors import (
     BackupBusyError,
     DamagedBackupError,
@@ -13,16 +15,17 @@ from services.runtime.backup.errors import (
     TargetNotEmptyError,
 )
 from services.runtime.backup.folder import BackupFolder
-from services.runtime.backup.keeping import prune, verify
-from services.runtime.backup.restoring import restore
-from services.runtime.backup.taking import take
+from services.runtime.backup.restore import restore
+from services.runtime.backup.retention import prune, verify
+from services.runtime.backup.snapshot import BackupSnapshot, write_files, write_snapshot
+from services.runtime.backup.tables import dump
+from services.runtime.database.migrate import schema_connection, upgrade
 from services.runtime.embedded.first_start import ensure_keys
-from services.runtime.migrate import upgrade
 from services.runtime.orm import Job
 from services.runtime.platform import Platform
 from services.runtime.settings import DatabaseSettings, Settings, UploadSettings
-from tests.servers.fixtures import make_settings, opened
-from tests.servers.postgres import PostgresServer
+from testing.servers.fixtures import make_settings, opened
+from testing.servers.postgres import PostgresServer
 from tests.services.runtime.backup.laid import (
     HALF_SENT,
     Laid,
@@ -32,6 +35,15 @@ from tests.services.runtime.backup.laid import (
     rows_of,
     upload_path,
     uploads_of,
+)
+from tests.services.runtime.database.test_previous_release import (
+    PREVIOUS,
+    Rows,
+    filled,
+    in_order,
+    renamed,
+    rows_in,
+    tables_of,
 )
 from tests.services.runtime.uploads.sending import made, send, sha256_of
 
@@ -78,7 +90,7 @@ def test_a_wiped_platform_comes_back_row_for_row_and_byte_for_byte(
     platform_on: Platform, folder: BackupFolder, empty: Emptied, tmp_path: Path, database: str, store: str
 ) -> None:
     laid = lay(platform_on, tmp_path / "scratch")
-    take(platform_on, folder)
+    make_backup(platform_on, folder)
     before = rows_of(platform_on), objects_of(platform_on), uploads_of(platform_on)
     target = empty(database, store)
     restored = restore(target, folder)
@@ -96,11 +108,11 @@ def test_a_wiped_platform_comes_back_row_for_row_and_byte_for_byte(
 def test_bytes_under_way_that_lie_in_the_store_come_back(
     platform: Platform, laid: Laid, folder: BackupFolder, empty: Emptied
 ) -> None:
-    in_store = Settings(**{**dict(platform.settings), "uploads": UploadSettings(place="store")})
+    in_store = Settings(**{**dict(platform.settings), "uploads": UploadSettings(backend="store")})
     elsewhere = Platform(in_store, platform.database, platform.store)
     half = made(elsewhere, laid.owner, HALF_SENT * 2 + b"!")
     send(elsewhere, half, 0, HALF_SENT)
-    taken = take(platform, folder)
+    taken = make_backup(platform, folder)
     assert taken.snapshot.flaws == ()
     target = empty("sqlite", "folder")
     restore(target, folder)
@@ -112,10 +124,10 @@ def test_bytes_under_way_that_lie_in_the_store_come_back(
 def test_the_next_backup_brings_only_what_is_new(
     platform: Platform, laid: Laid, folder: BackupFolder, tmp_path: Path
 ) -> None:
-    first = take(platform, folder)
+    first = make_backup(platform, folder)
     add_blob(platform, laid.owner, tmp_path / "scratch", b"one more")
     contents = set(folder.contents())
-    second = take(platform, folder)
+    second = make_backup(platform, folder)
     assert (second.blobs, len(set(folder.contents()) - contents)) == (first.blobs + 1, 1)
     assert folder.snapshots() == [first.folder.name, second.folder.name]
 
@@ -123,9 +135,9 @@ def test_the_next_backup_brings_only_what_is_new(
 def test_an_earlier_snapshot_can_be_restored(
     platform: Platform, laid: Laid, folder: BackupFolder, empty: Emptied, tmp_path: Path
 ) -> None:
-    first, before = take(platform, folder), objects_of(platform)
+    first, before = make_backup(platform, folder), objects_of(platform)
     add_blob(platform, laid.owner, tmp_path / "scratch", b"one more")
-    take(platform, folder)
+    make_backup(platform, folder)
     target = empty("sqlite", "folder")
     restore(target, folder, first.folder.name)
     assert objects_of(target) == before
@@ -134,7 +146,7 @@ def test_an_earlier_snapshot_can_be_restored(
 def test_a_migrated_database_is_not_restored_onto(
     platform: Platform, laid: Laid, folder: BackupFolder, empty: Emptied
 ) -> None:
-    take(platform, folder)
+    make_backup(platform, folder)
     target = empty("sqlite", "folder")
     upgrade(target.settings)
     with pytest.raises(TargetNotEmptyError, match=r"the database holds \d+ tables"):
@@ -142,10 +154,37 @@ def test_a_migrated_database_is_not_restored_onto(
     assert objects_of(target) == {}
 
 
+@pytest.mark.parametrize("database", ["sqlite", "postgres"])
+def test_a_backup_of_the_release_before_is_restored_under_the_new_names(
+    folder: BackupFolder, empty: Emptied, tmp_path: Path, database: str
+) -> None:
+    laid = previous_backup(make_settings(tmp_path / "previous"), folder)
+    target = empty(database, "folder")
+    restored = restore(target, folder)
+    assert restored.rows == sum(map(len, laid.values()))
+    with target.database.engine.connect() as connection:
+        tables = tables_of(connection)
+        for name in ("process_counters", "upload_parts", "uploads", "scores"):
+            rows = renamed(laid)[name]
+            assert rows_in(connection, tables[name], rows[0]) == in_order(rows)
+        assert rows_in(connection, tables["gc_holds"], ["id"]) == []  # who held is gone
+
+
+def previous_backup(settings: Settings, folder: BackupFolder) -> Rows:
+    """A snapshot of every table as the release before wrote it; of the objects that its rows name it had none."""
+    laid, metadata = filled(settings), MetaData()
+    with folder.writing(), folder.new_snapshot() as place, schema_connection(settings) as connection:
+        metadata.reflect(connection, only=lambda name, _: name != "alembic_version")
+        tables = dump(connection, place, metadata)
+        flaws = ("no object is there",)
+        write_snapshot(place, BackupSnapshot(PREVIOUS, "0.1.0", 1, tables, write_files(place, ()), flaws))
+    return laid
+
+
 def test_foreign_objects_and_uploads_are_not_restored_beside(
     platform: Platform, laid: Laid, folder: BackupFolder, empty: Emptied, tmp_path: Path
 ) -> None:
-    take(platform, folder)
+    make_backup(platform, folder)
     target = empty("sqlite", "folder")
     target.store.write("blobs/aa/other", next((tmp_path / "scratch").iterdir()))
     with pytest.raises(TargetNotEmptyError, match="an object blobs/aa/other that is not of this snapshot"):
@@ -161,7 +200,7 @@ def test_an_interrupted_restoring_goes_on(
     platform: Platform, laid: Laid, folder: BackupFolder, empty: Emptied, tmp_path: Path
 ) -> None:
     add_blob(platform, laid.owner, tmp_path / "scratch", b"one more")
-    take(platform, folder)
+    make_backup(platform, folder)
     target = empty("sqlite", "folder")
     hidden = folder.path_of(laid.blob_sha256)
     aside = hidden.rename(hidden.with_name("aside"))
@@ -175,7 +214,7 @@ def test_an_interrupted_restoring_goes_on(
 def test_a_changed_content_is_found_and_not_restored(
     platform: Platform, laid: Laid, folder: BackupFolder, empty: Emptied
 ) -> None:
-    take(platform, folder)
+    make_backup(platform, folder)
     assert verify(folder).damaged == ()
     path = folder.path_of(laid.blob_sha256)
     path.write_bytes(b"x" * path.stat().st_size)
@@ -188,7 +227,7 @@ def test_a_changed_content_is_found_and_not_restored(
 def test_a_changed_snapshot_is_found_and_not_restored(
     platform: Platform, laid: Laid, folder: BackupFolder, empty: Emptied, name: str
 ) -> None:
-    path = take(platform, folder).folder / name
+    path = make_backup(platform, folder).folder / name
     path.write_bytes(path.read_bytes()[:-7])
     assert len(verify(folder).damaged) == 1
     target = empty("sqlite", "folder")
@@ -203,7 +242,7 @@ def test_what_the_platform_had_lost_is_said_and_the_rest_is_restored(
     row = add_blob(platform, laid.owner, tmp_path / "scratch", b"will be lost")
     key = next(key for key in objects_of(platform) if row.blob_sha256 in key)
     platform.store.delete(key)
-    taken = take(platform, folder)
+    taken = make_backup(platform, folder)
     assert [key in flaw for flaw in taken.snapshot.flaws] == [True]
     assert verify(folder).damaged == ()
     target = empty("sqlite", "folder")
@@ -215,9 +254,9 @@ def test_what_the_platform_had_lost_is_said_and_the_rest_is_restored(
 def test_pruning_leaves_the_newest_snapshots_whole(
     platform: Platform, laid: Laid, folder: BackupFolder, empty: Emptied, tmp_path: Path
 ) -> None:
-    take(platform, folder)
+    make_backup(platform, folder)
     upload_path(platform, laid.open_upload_id).write_bytes(HALF_SENT + b" and more")
-    newest = take(platform, folder)
+    newest = make_backup(platform, folder)
     pruned = prune(folder, 1)
     assert (pruned.snapshots, pruned.contents) == (1, 1)
     assert folder.snapshots() == [newest.folder.name]
@@ -227,7 +266,7 @@ def test_pruning_leaves_the_newest_snapshots_whole(
 
 def test_one_backup_at_a_time_is_taken_into_a_folder(platform: Platform, laid: Laid, folder: BackupFolder) -> None:
     with folder.writing(), pytest.raises(BackupBusyError, match="another backup is at work"):
-        take(platform, folder)
+        make_backup(platform, folder)
 
 
 def test_a_backup_that_breaks_off_leaves_no_snapshot(
@@ -235,7 +274,7 @@ def test_a_backup_that_breaks_off_leaves_no_snapshot(
 ) -> None:
     monkeypatch.setattr(platform.store, "read", lambda *_: iter(lambda: 1 / 0, None))
     with pytest.raises(ZeroDivisionError):
-        take(platform, folder)
+        make_backup(platform, folder)
     assert folder.snapshots() == []
     with pytest.raises(SnapshotMissingError, match="holds no snapshot"):
         folder.snapshot()
@@ -245,7 +284,7 @@ def test_whoever_restored_can_sign_in_with_the_keys_of_before(
     platform: Platform, folder: BackupFolder, empty: Emptied
 ) -> None:
     keys = ensure_keys(platform)
-    take(platform, folder)
+    make_backup(platform, folder)
     target = empty("sqlite", "folder")
     restore(target, folder)
     again = ensure_keys(target)

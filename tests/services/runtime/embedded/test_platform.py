@@ -1,4 +1,7 @@
-"""The embedded platform as a user has it: what dies comes back, what was cut off resumes, nothing is left behind."""
+"""The embedded platform as a user has it: what dies comes back, what was cut off resumes, nothing is left behind.
+
+Catches alone what the real processes of one machine do to each other when one of them ends.
+"""
 
 import subprocess
 from collections.abc import Callable, Iterator
@@ -9,14 +12,14 @@ from typing import Any
 import psutil
 import pytest
 
-from client.bags import hashed_bag
-from client.following import follow
-from client.remote import add_recording, ensure_sequence, pin_calibration, start_run
 from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate
-from tests.stone_serve import STONE, Serving, environment, is_alive, serving, until
+from stone_client.files.bags import hashed_bag
+from stone_client.server.job_following import follow
+from stone_client.server.sequences import add_recording, ensure_sequence, pin_calibration, start_run
+from testing.stone_serve import STONE, Serving, environment, is_alive, serving, until
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.whole
 Up = Callable[[], Serving]
 
 
@@ -78,7 +81,7 @@ def outcomes(serving: Serving, run_id: str) -> set[str]:
 
 def test_a_second_server_is_told_who_holds_the_folder(up: Up, folder: Path) -> None:
     first = up()
-    command = [STONE, "serve", "--data", folder / "the data", "--port", "0"]
+    command = [*STONE, "serve", "--data", folder / "the data", "--port", "0"]
     second = subprocess.run(
         command, env=environment(first.data), check=False, capture_output=True, text=True, timeout=60
     )
@@ -89,7 +92,7 @@ def test_a_second_server_is_told_who_holds_the_folder(up: Up, folder: Path) -> N
 
 def test_a_taken_port_is_refused_by_name_and_nothing_is_started(up: Up, tmp_path: Path) -> None:
     port = up().url.rpartition(":")[2]
-    command = [STONE, "serve", "--data", tmp_path / "other", "--port", port]
+    command = [*STONE, "serve", "--data", tmp_path / "other", "--port", port]
     refused = subprocess.run(
         command, env=environment(tmp_path / "other"), check=False, capture_output=True, text=True, timeout=60
     )

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
-from services.runtime.jobs.queueing import enqueue, enqueue_run
-from services.runtime.jobs.running import run_next
+from services.runtime.jobs.enqueue import enqueue, enqueue_run
+from services.runtime.jobs.execution import run_next
 from services.runtime.jobs.specs import Attempt, Context, Handlers, JobSpec, Outcome
 from services.runtime.orm import Job, User
 from services.runtime.platform import Platform

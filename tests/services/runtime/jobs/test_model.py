@@ -7,12 +7,12 @@ import pytest
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from services.runtime.jobs import finishing
-from services.runtime.jobs.claiming import Claim, claim
+from services.runtime.jobs import completion
+from services.runtime.jobs.claims import Claim, claim
+from services.runtime.jobs.completion import Failure
+from services.runtime.jobs.control import cancel, retry, terminate
 from services.runtime.jobs.errors import JobStateError
-from services.runtime.jobs.finishing import Failure
 from services.runtime.jobs.specs import TERMINAL, JobSpec, Outcome
-from services.runtime.jobs.steering import cancel, retry, terminate
 from services.runtime.orm import Job, JobNeed
 from services.runtime.platform import Platform
 from tests.services.runtime.jobs.steps import a_run, an_owner
@@ -46,14 +46,14 @@ class History:
     def succeed(self, session: Session) -> None:
         grows = self.dice.random() < 0.2 and session.query(Job).count() < MOST_JOBS
         then = (JobSpec("ingest.ok", key="x"), JobSpec("ingest.ok", needs=("x",))) if grows else ()
-        self._with_a_claim(lambda taken: finishing.succeed(session, taken, Outcome(then=then), 3))
+        self._with_a_claim(lambda taken: completion.succeed(session, taken, Outcome(then=then), 3))
 
     def fail(self, session: Session) -> None:
         if self.dice.random() < 0.3:
-            self._with_a_claim(lambda taken: finishing.fail(session, taken, FAILURE))
+            self._with_a_claim(lambda taken: completion.fail(session, taken, FAILURE))
 
     def lose(self, session: Session) -> None:
-        self._with_a_claim(lambda taken: finishing.lose(session, taken, FAILURE))
+        self._with_a_claim(lambda taken: completion.lose(session, taken, FAILURE))
 
     def steer(self, session: Session) -> None:
         act = self.dice.choice((cancel, terminate, retry, retry, retry))

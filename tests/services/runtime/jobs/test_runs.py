@@ -4,13 +4,13 @@ from threading import Barrier, Thread
 
 import pytest
 
-from services.runtime.jobs import finishing
-from services.runtime.jobs.claiming import claim
+from services.runtime.jobs import completion
+from services.runtime.jobs.claims import claim
+from services.runtime.jobs.completion import Failure
+from services.runtime.jobs.control import cancel, retry, set_mode, terminate
 from services.runtime.jobs.errors import QueueDrainingError
-from services.runtime.jobs.finishing import Failure
-from services.runtime.jobs.reading import progress_of
+from services.runtime.jobs.queries import progress_of
 from services.runtime.jobs.specs import Attempt, JobSpec, Outcome
-from services.runtime.jobs.steering import cancel, retry, set_mode, terminate
 from services.runtime.orm import Job
 from services.runtime.platform import Platform
 from tests.services.runtime.jobs.steps import HANDLERS, a_run, an_owner, job, run_all, states
@@ -67,7 +67,7 @@ def test_a_run_that_failed_waits_for_what_still_runs_of_it(platform_on: Platform
     assert job(platform_on, root).state == "running"
     assert busy is not None
     with platform_on.database.transaction() as session:
-        assert finishing.cancelled(session, busy)
+        assert completion.cancelled(session, busy)
     assert job(platform_on, root).state == "failed"
 
 
@@ -82,7 +82,7 @@ def test_the_two_last_jobs_of_a_run_ending_at_once_end_it(platform_on: Platform)
     def end(index: int) -> None:
         together.wait()
         with platform_on.database.transaction() as session:
-            finishing.succeed(session, claims[index], Outcome(), 3)  # type: ignore[arg-type]
+            completion.succeed(session, claims[index], Outcome(), 3)  # type: ignore[arg-type]
 
     threads = [Thread(target=end, args=(index,)) for index in range(len(claims))]
     for thread in threads:
@@ -101,7 +101,7 @@ def test_cancelling_a_run_cancels_what_is_queued_and_asks_the_rest(platform_on: 
         cancel(session, root, "wrong calibration")
     assert states(platform_on, root) == {"running": 1, "cancelled": 1}
     with platform_on.database.transaction() as session:
-        assert finishing.succeed(session, busy, Outcome(then=(JobSpec("labeler.ok"),)), 3)
+        assert completion.succeed(session, busy, Outcome(then=(JobSpec("labeler.ok"),)), 3)
     assert states(platform_on, root) == {"succeeded": 1, "cancelled": 1}, "a cancelled run grows no further"
     assert job(platform_on, root).state == "cancelled"
 
@@ -116,7 +116,7 @@ def test_terminating_a_run_takes_its_jobs_away_at_once(platform_on: Platform) ->
     assert job(platform_on, root).state == "cancelled"
     assert states(platform_on, root) == {"cancelled": 2}
     with platform_on.database.transaction() as session:
-        assert not finishing.succeed(session, busy, Outcome(), 3)
+        assert not completion.succeed(session, busy, Outcome(), 3)
 
 
 def test_a_retry_takes_up_what_failed_and_leaves_what_was_done(platform_on: Platform) -> None:
@@ -181,6 +181,6 @@ def test_a_failure_of_an_attempt_with_tries_left_is_not_the_runs(platform_on: Pl
         lost = claim(session, "ingest")
     assert lost is not None
     with platform_on.database.transaction() as session:
-        assert finishing.lose(session, lost, Failure("worker_lost", "silent"))
+        assert completion.lose(session, lost, Failure("worker_lost", "silent"))
     run_all(platform_on)
     assert job(platform_on, root).state == "succeeded"

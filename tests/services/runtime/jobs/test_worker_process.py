@@ -1,4 +1,7 @@
-"""Real workers on a real Redis, killed and frozen: the database knows better than the queue."""
+"""Real workers on a real Redis, killed and frozen: the database knows better than the queue.
+
+Catches alone a job that a real worker loses or doubles when it is killed, frozen or told to stop.
+"""
 
 import os
 import signal
@@ -15,16 +18,19 @@ import pytest
 from redis import Redis
 from sqlalchemy import select
 
-from services.runtime.bell import ring, waiting
-from services.runtime.database import Database
-from services.runtime.jobs.steering import cancel, terminate
-from services.runtime.jobs.sweeping import Sweeper
+from services.runtime.database.transactions import Database
+from services.runtime.jobs.broker_app import make_app
+from services.runtime.jobs.control import cancel, terminate
+from services.runtime.jobs.lease_sweep import Sweeper
+from services.runtime.jobs.wakeup import wake_up_counter, wake_up_sender
 from services.runtime.orm import JobAttempt, Worker
 from services.runtime.platform import Platform
 from services.runtime.settings import BrokerSettings, Settings
 from tests.services.runtime.jobs.steps import a_job, an_owner, job
 
-PATIENCE_S = 60.0
+pytestmark = pytest.mark.whole
+
+PATIENCE_S = 300.0
 Start = Callable[[], "subprocess.Popen[bytes]"]
 
 
@@ -47,11 +53,11 @@ def environment(settings: Settings) -> dict[str, str]:
 
 @pytest.fixture
 def loud(platform: Platform, redis_url: str) -> Iterator[Platform]:
-    """The platform with a real bell, and a sweeper that sweeps."""
+    """The platform with a real broker, and a sweeper that sweeps."""
     Redis.from_url(redis_url).flushdb()
     jobs = replace(platform.settings.jobs, lease_s=3.0, heartbeat_s=0.2, progress_s=0.1)
     settings = platform.settings.model_copy(update={"broker": BrokerSettings(redis_url), "jobs": jobs})
-    ringing = Platform(settings, Database(settings, ring(settings)), platform.store)
+    ringing = Platform(settings, Database(settings, wake_up_sender(settings)), platform.store)
     with swept(ringing):
         yield ringing
     ringing.database.close()
@@ -59,7 +65,7 @@ def loud(platform: Platform, redis_url: str) -> Iterator[Platform]:
 
 @contextmanager
 def swept(platform: Platform) -> Iterator[None]:
-    sweeper, leaving = Sweeper(platform, waiting(platform.settings), ring(platform.settings)), Event()
+    sweeper, leaving = Sweeper(platform, wake_up_counter(platform.settings), wake_up_sender(platform.settings)), Event()
 
     def sweep() -> None:
         while not leaving.wait(0.2):
@@ -101,6 +107,20 @@ def kill(worker: "subprocess.Popen[bytes]") -> None:
     worker.wait()
 
 
+def test_messages_of_another_release_are_dropped_once_and_work_goes_on(
+    loud: Platform, start: Start, tmp_path: Path
+) -> None:
+    sender = make_app(loud.settings)
+    for _ in range(3):
+        sender.send_task("services.ingest.tasks.work", args=("an id",), queue="ingest", ignore_result=True)
+    job_id = a_job(loud, loud_owner(loud), "ingest.note", file=str(tmp_path / "noted"))
+    worker = start()
+    until(lambda: job(loud, job_id).state == "succeeded", "the job ends")
+    until(lambda: wake_up_counter(loud.settings)("ingest") == 0, "the queue is empty")
+    assert worker.poll() is None
+    assert (tmp_path / "worker.log").read_text().count("Received unregistered task") == 3
+
+
 def test_a_worker_killed_in_the_middle_loses_nothing_and_doubles_nothing(
     loud: Platform, start: Start, tmp_path: Path
 ) -> None:
@@ -127,7 +147,7 @@ def test_a_pool_process_that_dies_takes_no_job_with_it(loud: Platform, start: St
     assert job(loud, job_id).attempt == 2
 
 
-def test_bells_lost_with_the_broker_are_rung_again(loud: Platform, start: Start, tmp_path: Path) -> None:
+def test_wake_ups_lost_with_the_broker_are_sent_again(loud: Platform, start: Start, tmp_path: Path) -> None:
     jobs = [a_job(loud, loud_owner(loud), "ingest.note", file=str(tmp_path / str(n))) for n in range(20)]
     broker = Redis.from_url(loud.settings.broker.url)
     assert broker.llen("ingest") == 20

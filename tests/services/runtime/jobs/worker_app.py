@@ -4,8 +4,8 @@ import time
 from pathlib import Path
 
 import services.runtime.processes.worker  # noqa: F401  # it drains as a deployed one does
-from services.runtime.celery_app import make_app
-from services.runtime.jobs.running import run_next
+from services.runtime.jobs.broker_app import make_app
+from services.runtime.jobs.execution import run_next
 from services.runtime.jobs.specs import Attempt, Outcome
 from services.runtime.platform import platform
 from services.runtime.settings import Settings

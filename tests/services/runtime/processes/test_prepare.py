@@ -10,19 +10,19 @@ from botocore.config import Config
 from pydantic import SecretStr
 from sqlalchemy import select
 
-from services.runtime import store_s3
 from services.runtime.access.passwords import verify_password
 from services.runtime.orm import User
 from services.runtime.platform import Platform, open_platform
-from services.runtime.processes.awaiting import await_schema
 from services.runtime.processes.prepare import ensure_administrator, prepare
+from services.runtime.processes.startup import await_schema
 from services.runtime.settings import ApiSettings, DatabaseSettings, Settings
-from services.runtime.store_bucket import ensure_bucket
-from services.runtime.store_keys import StoreAwayError
-from services.runtime.store_s3 import client_of
-from tests.servers.fixtures import make_settings
-from tests.servers.postgres import PostgresServer
-from tests.servers.s3 import S3Server
+from services.runtime.store import s3
+from services.runtime.store.bucket import ensure_bucket
+from services.runtime.store.keys import StoreAwayError
+from services.runtime.store.s3 import client_of
+from testing.servers.fixtures import make_settings
+from testing.servers.postgres import PostgresServer
+from testing.servers.s3 import S3Server
 
 PASSWORD = "correct horse battery staple"
 
@@ -76,7 +76,7 @@ def test_a_bucket_that_stands_is_left_and_a_store_that_is_away_is_said_so(
     standing = s3_server.settings()
     assert not ensure_bucket(standing)
     once = Config(retries={"mode": "standard", "total_max_attempts": 1})
-    monkeypatch.setattr(store_s3, "CLIENT", store_s3.CLIENT.merge(once))
+    monkeypatch.setattr(s3, "CLIENT", s3.CLIENT.merge(once))
     with pytest.raises(StoreAwayError):
         ensure_bucket(replace(standing, s3_endpoint="http://127.0.0.1:9"))
 

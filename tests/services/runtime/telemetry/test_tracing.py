@@ -8,25 +8,20 @@ from collections.abc import Iterator
 from contextlib import suppress
 
 import pytest
+from opentelemetry import trace
+from opentelemetry.trace import SpanKind
 
-from services.runtime.jobs.claiming import claim
-from services.runtime.jobs.running import run_next
+from services.runtime.jobs.claims import claim
+from services.runtime.jobs.execution import run_next
+from services.runtime.jobs.lease_sweep import Sweeper
 from services.runtime.jobs.specs import Attempt, JobSpec, Outcome
-from services.runtime.jobs.sweeping import Sweeper
 from services.runtime.platform import Platform
-from services.runtime.telemetry.tracing import (
-    SpanSpec,
-    close_tracing,
-    current_ids,
-    current_traceparent,
-    is_asked_for,
-    is_tracing,
-    link,
-    open_tracing,
-    span,
-)
-from tests.servers.collector import Collector, collecting, facts_of
-from tests.servers.process import free_port
+from services.runtime.sandbox.parent import sandboxed
+from services.runtime.telemetry.log_lines import name_span
+from services.runtime.telemetry.origins import context_of, link_to, origin_trace
+from services.runtime.telemetry.tracing import close_tracing, is_asked_for, setup_tracing, span, tracer
+from testing.servers.collector import Collector, collecting, facts_of
+from testing.servers.process import free_port
 from tests.services.runtime.jobs.steps import HANDLERS, a_job, a_run, an_owner, job
 
 ON = {"OTEL_EXPORTER_OTLP_ENDPOINT": "http://127.0.0.1:4318"}
@@ -56,16 +51,26 @@ def test_the_standard_variables_switch_it_on(variables: dict[str, str], expected
 
 def test_switched_off_nothing_is_loaded_and_nothing_is_told() -> None:
     program = """if True:
-        import sys, api.main, services.runtime.celery_app
-        from services.runtime.telemetry.tracing import *
-        open_tracing("x")
-        with span(SpanSpec("a")) as traced:
-            traced.note({"a": 1}); traced.link("00-" + "1" * 32 + "-" + "1" * 16 + "-01"); traced.fault("x")
-            assert current_traceparent() == "" and not current_ids() and not is_tracing()
+        import sys, api.main, services.runtime.jobs.celery_app
+        from services.runtime.telemetry.log_lines import name_span
+        from services.runtime.telemetry.origins import link_to, origin_trace
+        from services.runtime.telemetry.tracing import mark_failed, setup_tracing, span
+        setup_tracing("x")
+        with span("a", attributes={"a": 1}) as made:
+            link_to("00-" + "1" * 32 + "-" + "1" * 16 + "-01")
+            mark_failed(made, "x")
+            assert origin_trace() == "" and not name_span(None, "info", {}) and not made.is_recording()
         assert not [name for name in sys.modules if "otlp" in name or name == "opentelemetry.sdk.trace"]
     """
     kept = {name: value for name, value in os.environ.items() if not name.startswith("OTEL_")}
     subprocess.run([sys.executable, "-c", program], check=True, env=kept)
+
+
+def test_libraries_that_trace_by_themselves_find_no_tracer_of_ours(collector: Collector) -> None:
+    with trace.get_tracer("fastapi").start_as_current_span("GET /secret?name=hunter2"):
+        pass
+    close_tracing()
+    assert collector.spans == []
 
 
 def test_a_run_is_one_trace_from_who_queued_it_through_every_attempt(
@@ -78,7 +83,7 @@ def test_a_run_is_one_trace_from_who_queued_it_through_every_attempt(
         return Outcome(then=(JobSpec("labeler.ok"),))
 
     owner = an_owner(platform_on)
-    with span(SpanSpec("POST /process", "server")):
+    with span("POST /process", SpanKind.SERVER):
         a_run(platform_on, owner, JobSpec("ingest.plan"))
     assert run_next(platform_on, "ingest", {"ingest.plan": planned})
     assert run_next(platform_on, "labeler", HANDLERS)
@@ -106,7 +111,7 @@ def test_each_attempt_has_its_span_with_the_code_of_its_failure(platform: Platfo
 
 
 def test_an_attempt_that_died_is_told_by_the_sweeper(platform: Platform, collector: Collector) -> None:
-    with span(SpanSpec("asked")):
+    with span("asked"):
         a_job(platform, an_owner(platform))
     with platform.database.transaction() as session:
         assert claim(session, "ingest")
@@ -122,17 +127,17 @@ def test_an_attempt_that_died_is_told_by_the_sweeper(platform: Platform, collect
 
 
 def test_links_go_to_spans_and_to_nothing_else(collector: Collector) -> None:
-    with span(SpanSpec("before")):
-        before = current_traceparent()
-    with span(SpanSpec("after")):
+    with span("before"):
+        before = origin_trace()
+    with span("after"):
         for traceparent in (before, "", "00-zz", "00-" + "0" * 32 + "-" + "1" * 16 + "-01", before + "-x"):
-            link(traceparent)
+            link_to(traceparent)
     close_tracing()
     assert [link.span_id for link in collector.one("after").links] == [collector.one("before").span_id]
 
 
 def test_what_raises_leaves_its_class_and_not_its_words(collector: Collector) -> None:
-    with suppress(ValueError), span(SpanSpec("fails")):
+    with suppress(ValueError), span("fails"):
         raise ValueError("hunter2")
     close_tracing()
     assert facts_of(collector.one("fails"))["error.type"] == "ValueError"
@@ -140,26 +145,39 @@ def test_what_raises_leaves_its_class_and_not_its_words(collector: Collector) ->
 
 
 def test_a_span_is_named_in_lines_only_within_it(collector: Collector) -> None:
-    assert current_ids() == {}
-    with span(SpanSpec("one")):
-        ids = current_ids()
+    assert name_span(None, "info", {}) == {}
+    with span("one"):
+        ids = name_span(None, "info", {})
     close_tracing()
     one = collector.one("one")
     assert (ids["trace_id"], ids["span_id"]) == (one.trace_id.hex(), one.span_id.hex())
     assert collector.services() == {"stone-test"}
 
 
-def test_a_child_of_a_fork_sends_nothing_and_starts_no_thread(collector: Collector) -> None:
-    with span(SpanSpec("parent")):
+def test_what_names_no_span_is_no_parent(collector: Collector) -> None:
+    with span("asked", within=context_of("00-" + "1" * 32 + "-" + "2" * 16 + "-01")), span("inner", within=None):
+        assert context_of("") is None
+        assert context_of("00-" + "1" * 32 + "-" + "0" * 16 + "-01") is None
+    close_tracing()
+    asked, inner = collector.one("asked"), collector.one("inner")
+    assert (asked.trace_id.hex(), asked.parent_span_id.hex()) == ("1" * 32, "2" * 16)
+    assert inner.parent_span_id == asked.span_id
+
+
+def test_a_child_of_a_fork_sends_nothing_and_has_one_thread(collector: Collector) -> None:
+    with span("parent"):
         child = os.fork()
         if child == 0:
-            with span(SpanSpec("child")):
+            with span("child"):
                 pass
-            os._exit(sum(thread.name == "spans" for thread in threading.enumerate()))
-        assert "spans" in [thread.name for thread in threading.enumerate()]
+            os._exit(threading.active_count() - 1)
+        assert any("Span" in thread.name for thread in threading.enumerate())
         assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+        assert sandboxed(lambda: b"%d" % len(os.listdir("/proc/self/task"))) == b"1"
+    with span("after"):
+        pass
     close_tracing()
-    assert [one.name for _, one in collector.spans] == ["parent"]
+    assert sorted(one.name for _, one in collector.spans) == ["after", "parent"]
 
 
 def test_a_collector_that_is_away_holds_nobody_up(
@@ -167,9 +185,9 @@ def test_a_collector_that_is_away_holds_nobody_up(
 ) -> None:
     monkeypatch.setattr("services.runtime.telemetry.tracing.CLOSED_WITHIN_S", 0.2)
     monkeypatch.setenv("OTEL_EXPORTER_OTLP_ENDPOINT", f"http://127.0.0.1:{free_port()}")
-    open_tracing("stone-test")
+    setup_tracing("stone-test")
     job_id = a_job(platform, an_owner(platform))
     assert run_next(platform, "ingest", HANDLERS)
     close_tracing()
-    assert not is_tracing()
+    assert not tracer().start_span("late").is_recording()
     assert job(platform, job_id).state == "succeeded"

@@ -1,4 +1,4 @@
-"""The places in which uploads may be: `placed` on SQLite, `placed_on` on SQLite and PostgreSQL."""
+"""The backends that uploads may be in: `placed` on SQLite, `placed_on` on SQLite and PostgreSQL."""
 
 from dataclasses import replace
 
@@ -6,13 +6,13 @@ import pytest
 
 from services.runtime.platform import Platform
 
-SLAB_BYTES = 1000
-"""Of the tests' files, which have some 10 KB, there are several slabs; of small ones there is one."""
+PART_BYTES = 1000
+"""Of the tests' files, which have some 10 KB, there are several parts; of small ones there is one."""
 
 
-def with_place(platform: Platform, place: str, slab_bytes: int = SLAB_BYTES) -> Platform:
+def with_place(platform: Platform, place: str, part_bytes: int = PART_BYTES) -> Platform:
     """The platform, new uploads of which lie in `place`."""
-    uploads = replace(platform.settings.uploads, place=place, slab_bytes=slab_bytes)  # type: ignore[arg-type]
+    uploads = replace(platform.settings.uploads, backend=place, part_bytes=part_bytes)  # type: ignore[arg-type]
     return replace(platform, settings=platform.settings.model_copy(update={"uploads": uploads}))
 
 

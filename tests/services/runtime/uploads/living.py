@@ -2,18 +2,18 @@
 
 from sqlalchemy import update
 
-from services.runtime.blobs import keep
-from services.runtime.orm import Recording, Sequence, Upload
+from services.runtime.access.storage_quota import balance
+from services.runtime.orm import Recording, SequenceRow, Upload
 from services.runtime.platform import Platform
-from services.runtime.quota import balance
+from services.runtime.store.blobs import keep
 from services.runtime.uploads import consume
-from services.runtime.uploads.places import place_of
-from services.runtime.uploads.rows import Owner
-from tests.rows import recording_of
+from services.runtime.uploads.backends import backend_of
+from services.runtime.uploads.rows import UploadOwner
+from testing.worlds.rows import recording_of
 from tests.services.runtime.uploads.sending import BAG, made, send
 
 
-def used(platform: Platform, owner: Owner) -> int:
+def used(platform: Platform, owner: UploadOwner) -> int:
     with platform.database.reading() as session:
         return balance(session, owner.user_id)
 
@@ -23,30 +23,30 @@ def overdue(platform: Platform, upload: Upload) -> None:
         session.execute(update(Upload).where(Upload.id == upload.id).values(expires_ns=1))
 
 
-def make_sequence(platform: Platform, owner: Owner, name: str = "field") -> str:
+def make_sequence(platform: Platform, owner: UploadOwner, name: str = "field") -> str:
     with platform.database.transaction() as session:
-        sequence = Sequence(owner_id=owner.user_id, name=name)
+        sequence = SequenceRow(owner_id=owner.user_id, name=name)
         session.add(sequence)
         session.flush()
         return sequence.id
 
 
-def complete(platform: Platform, owner: Owner, content: bytes = BAG) -> Upload:
+def complete(platform: Platform, owner: UploadOwner, content: bytes = BAG) -> Upload:
     return send(platform, made(platform, owner, content), 0, content)
 
 
 def leave_unsettled(platform: Platform, upload: Upload, content: bytes) -> None:
     """All bytes came, and the process died before it could say that the upload is complete."""
-    held = place_of(platform, upload).hold(upload)
+    held = backend_of(platform, upload).hold(upload)
     held.append([content], 0)
     held.accept(is_whole=True)
     held.close()
 
 
-def record(platform: Platform, owner: Owner, upload: Upload) -> Recording:
+def record(platform: Platform, owner: UploadOwner, upload: Upload) -> Recording:
     """As the register stage leaves it: the bytes are a blob, the recording names it."""
     sequence_id = make_sequence(platform, owner)
-    with place_of(platform, upload).local(upload) as path, platform.database.transaction() as session:
+    with backend_of(platform, upload).local(upload) as path, platform.database.transaction() as session:
         consume(session, upload.id, owner.user_id, "recording")
         blob = keep(session, platform.store, path, adopt=True)
         recording = recording_of(upload, sequence_id, "registered", blob.sha256)

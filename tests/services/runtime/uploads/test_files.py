@@ -7,16 +7,16 @@ import pytest
 from services.runtime.orm import new_id
 from services.runtime.platform import Platform
 from services.runtime.uploads import expire, upload_file
+from services.runtime.uploads.completion import settle_if_whole
 from services.runtime.uploads.errors import ChecksumMismatchError, UploadGoneError
-from services.runtime.uploads.files import HeldFile, offset_of
-from services.runtime.uploads.finishing import settle_if_whole
-from services.runtime.uploads.receiving import Piece, receive
+from services.runtime.uploads.files import LockedUploadFile, offset_of
+from services.runtime.uploads.reception import UploadChunk, receive
 from tests.services.runtime.uploads.sending import CONTENT, WRONG, made, make_owner, path_of, right, send, sha256_of
 
 
 def test_unverified_bytes_of_a_killed_process_are_discarded_by_the_next_writer(platform: Platform) -> None:
     upload = made(platform, make_owner(platform), CONTENT)
-    killed = receive(platform, upload.id, upload.owner_id, Piece(0, 400, right(CONTENT[:400])))
+    killed = receive(platform, upload.id, upload.owner_id, UploadChunk(0, 400, right(CONTENT[:400])))
     assert killed is not None
     killed.write([b"not what was sent"])
     killed.close()  # as kill -9 leaves it: lock gone, mark and bytes there
@@ -40,7 +40,7 @@ def test_a_lost_file_is_said_to_be_lost(platform: Platform) -> None:
 
 def test_pieces_beyond_the_vector_limit_are_all_written(platform: Platform) -> None:
     upload = made(platform, make_owner(platform), CONTENT)
-    with_file = HeldFile(path_of(platform, upload))
+    with_file = LockedUploadFile(path_of(platform, upload))
     with_file.append([CONTENT[i : i + 1] for i in range(2000)], 0)
     with_file.close()
     assert path_of(platform, upload).read_bytes() == CONTENT[:2000]

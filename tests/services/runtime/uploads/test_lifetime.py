@@ -8,11 +8,13 @@ from typing import Any
 import pytest
 from sqlalchemy import select, update
 
-from services.runtime.orm import Recording, Sequence, Upload, new_id
+from services.runtime.access.storage_quota import QuotaExceededError
+from services.runtime.orm import Recording, SequenceRow, Upload, new_id
 from services.runtime.platform import Platform
-from services.runtime.quota import QuotaExceededError
 from services.runtime.uploads import consume, expire
-from services.runtime.uploads.creating import create
+from services.runtime.uploads.backends import backend_of
+from services.runtime.uploads.completion import terminate
+from services.runtime.uploads.creation import create
 from services.runtime.uploads.errors import (
     UploadGoneError,
     UploadLockedError,
@@ -22,11 +24,9 @@ from services.runtime.uploads.errors import (
     UploadTargetMissingError,
     UploadTooLargeError,
 )
-from services.runtime.uploads.finishing import terminate
-from services.runtime.uploads.places import place_of
-from services.runtime.uploads.receiving import Piece, receive
+from services.runtime.uploads.reception import UploadChunk, receive
 from services.runtime.uploads.rows import find
-from tests.rows import recording_of
+from testing.worlds.rows import recording_of
 from tests.services.runtime.uploads.living import complete, leave_unsettled, make_sequence, overdue, record, used
 from tests.services.runtime.uploads.sending import BAG, declared, kept, made, make_owner, send, sha256_of, state_of
 
@@ -68,7 +68,7 @@ def test_creations_at_once_never_overshoot_the_quota(placed_on: Platform) -> Non
     together = Barrier(threads)
 
     def try_to_create(_number: int) -> bool:
-        together.wait(timeout=20)
+        together.wait(timeout=300)
         try:
             made(small, owner, b"x" * 30)
         except QuotaExceededError:
@@ -96,7 +96,7 @@ def test_a_deleted_sequence_is_no_target(placed: Platform) -> None:
     ada = make_owner(placed)
     sequence_id = make_sequence(placed, ada)
     with placed.database.transaction() as session:
-        session.get_one(Sequence, sequence_id).deleted_ns = 1
+        session.get_one(SequenceRow, sequence_id).deleted_ns = 1
     with pytest.raises(UploadTargetMissingError):
         create(placed, ada, declared(BAG, target_id=sequence_id))
 
@@ -152,7 +152,7 @@ def test_two_uses_at_once_end_in_one(placed_on: Platform) -> None:
     together = Barrier(threads)
 
     def use(_number: int) -> bool:
-        together.wait(timeout=20)
+        together.wait(timeout=300)
         try:
             with placed_on.database.transaction() as session:
                 consume(session, upload.id, owner.user_id, "recording")
@@ -186,12 +186,12 @@ def test_an_overdue_upload_is_refused_before_it_is_swept(placed: Platform) -> No
 
 def test_an_upload_that_is_being_written_does_not_expire(placed: Platform) -> None:
     upload = made(placed, make_owner(placed), BAG)
-    reception = receive(placed, upload.id, upload.owner_id, Piece(0))
+    reception = receive(placed, upload.id, upload.owner_id, UploadChunk(0))
     assert reception is not None
     overdue(placed, upload)
     assert expire(placed) == 0
     with pytest.raises(UploadLockedError):
-        place_of(placed, upload).hold(upload)
+        backend_of(placed, upload).hold(upload)
     reception.write([BAG])
     assert reception.end().state == "complete"
     reception.close()

@@ -1,0 +1,1 @@
+"""Middleware of every request: ids, limits, idempotency, security headers."""

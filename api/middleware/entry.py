@@ -1,0 +1,147 @@
+"""The outermost ASGI middleware: request ids, access log, request metrics, security headers, internal errors.
+
+**Conventions.** Outermost of all: whatever is raised inside becomes a problem here at the latest. An answer that a
+route gave a header of its own keeps it. The access log has one line a request, with the route's template, never the
+query (cursors and names are nobody's business) and never a credential; so has its span. A `traceparent` from outside
+becomes a link, and the span's parent only where `STONE_API__TRUSTS_TRACEPARENT` says that a proxy of ours sets it:
+strangers shall neither name our traces nor decide which are kept.
+"""
+
+import re
+import time
+from contextlib import AbstractContextManager, nullcontext
+from http import HTTPStatus
+from typing import Any
+
+import structlog
+from opentelemetry.trace import INVALID_SPAN, Span, SpanKind
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import ClientDisconnect, Request
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from structlog.contextvars import bound_contextvars
+
+from api.metrics import RequestMetrics
+from api.middleware.context import begin
+from api.problems import Shown, respond
+from services.runtime.telemetry.origins import context_of, link_to
+from services.runtime.telemetry.tracing import mark_failed, span
+
+HEADERS = {
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "X-Frame-Options": "DENY",
+    "Content-Security-Policy": "default-src 'none'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "private, no-cache",
+}
+CLIENT_LEFT = 499
+UNTRACED = ("/healthz", "/readyz", "/metrics")
+
+log = structlog.get_logger("access")
+
+
+class RequestMiddleware:
+    """`RequestMiddleware(app, meters, shown)`, an ASGI application around another; `shown` as in `api/problems.py`."""
+
+    def __init__(self, app: ASGIApp, meters: RequestMetrics, shown: Shown, *, trusts_traceparent: bool) -> None:
+        self._app, self._meters, self._shown = app, meters, shown
+        self._trusts_traceparent = trusts_traceparent
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        headers = Headers(scope=scope)
+        request_id = begin(headers.get("x-request-id", ""))
+        with bound_contextvars(request_id=request_id), self._span(scope, headers) as made:
+            if not self._trusts_traceparent:
+                link_to(headers.get("traceparent", ""))
+            outgoing = _Outgoing(send, request_id)
+            await self._answer(scope, _Incoming(receive), outgoing)
+            _tell(made, scope, outgoing.status, request_id)
+
+    def _span(self, scope: Scope, headers: Headers) -> AbstractContextManager[Span]:
+        """Of what people and programs ask; not of probes. Its name and attributes follow when the route is known."""
+        if scope["path"] in UNTRACED:
+            return nullcontext(INVALID_SPAN)
+        offered = headers.get("traceparent", "")
+        within = context_of(offered) if self._trusts_traceparent else None
+        return span(scope["method"], SpanKind.SERVER, within=within)
+
+    async def _answer(self, scope: Scope, receive: "_Incoming", outgoing: "_Outgoing") -> None:
+        begun = time.perf_counter()
+        try:
+            await self._app(scope, receive, outgoing)
+        except ClientDisconnect:
+            outgoing.status = CLIENT_LEFT
+        except Exception as error:
+            response = self._shown(Request(scope, receive), respond(error))
+            if outgoing.status:
+                raise  # too late for another answer: the server cuts the connection, so the client sees it is not whole
+            await response(scope, receive, outgoing)
+        finally:
+            self._note(scope, outgoing.status, time.perf_counter() - begun)
+            self._meters.note_bytes(receive.came_bytes, outgoing.went_bytes)
+
+    def _note(self, scope: Scope, status: int, lasted_s: float) -> None:
+        route = template_of(scope)
+        self._meters.note(scope["method"], route, status, lasted_s)
+        client: Any = scope.get("client") or ("", 0)
+        caller = getattr(scope.get("state", {}).get("caller"), "name", "")
+        facts = {"method": scope["method"], "route": route, "status": status, "caller": caller, "client": client[0]}
+        log.info("request", lasted_ms=round(lasted_s * 1e3, 2), **facts)
+
+
+class _Incoming:
+    """The way in: counts what came."""
+
+    def __init__(self, receive: Receive) -> None:
+        self._receive = receive
+        self.came_bytes = 0
+
+    async def __call__(self) -> Message:
+        message = await self._receive()
+        self.came_bytes += len(message.get("body", b""))
+        return message
+
+
+class _Outgoing:
+    """The way out: sets the headers every answer has, and remembers the status and how much went."""
+
+    def __init__(self, send: Send, request_id: str) -> None:
+        self._send, self._request_id = send, request_id
+        self.status = self.went_bytes = 0
+
+    async def __call__(self, message: Message) -> None:
+        if message["type"] == "http.response.start":
+            self.status = message["status"]
+            headers = MutableHeaders(scope=message)
+            headers["X-Request-ID"] = self._request_id
+            for name, value in HEADERS.items():
+                headers.setdefault(name, value)
+        await self._send(message)
+        self.went_bytes += len(message.get("body", b""))
+
+
+def _tell(made: Span, scope: Scope, status: int, request_id: str) -> None:
+    """What was asked and answered; never the path itself or the query, which name things of people's."""
+    if not made.is_recording():
+        return
+    method, route = scope["method"], template_of(scope)
+    made.update_name(f"{method} {route}")
+    asked = {"http.request.method": method, "http.route": route, "stone.request.id": request_id}
+    made.set_attributes({**asked, "http.response.status_code": status})
+    if status >= HTTPStatus.INTERNAL_SERVER_ERROR:
+        mark_failed(made, str(status))
+
+
+def template_of(scope: Scope) -> str:
+    """The route's path with its parameters' names, so that ids do not become labels; `unmatched` without a route."""
+    if "endpoint" not in scope:
+        return "unmatched"
+    path, rest = str(scope["path"]), ""
+    for name, value in reversed(scope.get("path_params", {}).items()):
+        found = list(re.finditer(rf"/{re.escape(str(value))}(?=[/.]|$)", path))
+        if found:  # of several the last: what is behind it has been replaced
+            path, rest = path[: found[-1].start()], f"/{{{name}}}{path[found[-1].end() :]}{rest}"
+    return path + rest

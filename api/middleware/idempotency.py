@@ -1,0 +1,194 @@
+"""Idempotency-Key middleware: a creating request sent twice is executed once and answered twice the same.
+
+**Conventions.** Any POST under `/api/v1` by a known caller may carry a key of 1 to 128 visible ASCII characters, which
+is the caller's own, per path, for a day. What is repeated: answers below 400, with `Idempotency-Replayed: true`.
+Refusals and faults changed nothing and are not kept, so the same key may try again. Another body under the same key:
+422. While the first is being worked on: 409. An answer that says `no-store` or sets a cookie holds a secret; it is not
+kept, and its repetition is a 409 that says so. A JSON body is part of what identifies a request; of a form or of pieces
+of a file only the head is.
+"""
+
+import re
+from asyncio import sleep
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass, field
+from functools import partial
+from hashlib import sha256
+from time import monotonic
+from typing import Any
+
+from sqlalchemy.exc import OperationalError
+from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import Headers
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from api.deps import identify, platform_of
+from api.errors import BadIdempotencyKeyError, UnauthenticatedError
+from api.middleware import kept_replies
+from api.middleware.kept_replies import IdempotentRequest, StoredReply
+from services.runtime.database.transactions import Database
+
+KEY = re.compile("[!-~]{1,128}")
+LONGEST_ROUTE = 128
+MOST_KEPT_BYTES = 64 * 1024
+LEASE_NS = 60 * 10**9
+STREAM_LEASE_NS = 6 * 3600 * 10**9  # a form's body comes while it is worked on
+OUTAGE_S, ASK_AGAIN_S = 20.0, 0.2  # a restart of the database; the client waits longer than that
+DESCRIBING = ("content-type", "content-length", "upload-length", "upload-metadata", "upload-defer-length")
+
+
+class Idempotency:
+    """An ASGI application that answers repeated requests in the place of another."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        key = _key_of(scope)
+        caller_id = await run_in_threadpool(_caller_id, Request(scope)) if key is not None else ""
+        if key is None or not caller_id:
+            await self._app(scope, receive, send)
+            return
+        if not KEY.fullmatch(key):
+            raise BadIdempotencyKeyError(len(key))
+        body = None if _is_streamed(scope) else await _read(receive)
+        lease_ns = STREAM_LEASE_NS if body is None else LEASE_NS
+        asked = IdempotentRequest(caller_id, _route_of(scope), key, _fingerprint(scope, body), lease_ns)
+        await self._answer(scope, receive if body is None else _ReplayedBody(receive, body), send, asked)
+
+    async def _answer(self, scope: Scope, receive: Receive, send: Send, asked: IdempotentRequest) -> None:
+        database = platform_of(Request(scope)).database
+        held = await run_in_threadpool(kept_replies.reserve, database, asked)
+        if isinstance(held, StoredReply):
+            again = Response(held.body, held.status, {**held.headers, "Idempotency-Replayed": "true"})
+            await again(scope, receive, send)
+            return
+        outcome = _RecordedReply(send)
+        mark = kept_replies.working_for.set(held)
+        try:
+            await self._app(scope, receive, outcome)
+        finally:
+            kept_replies.working_for.reset(mark)
+            await _note(partial(_ended, database, held, outcome))
+        await outcome.pass_on()
+
+
+@dataclass
+class _RecordedReply:
+    """The answer, held back until it is kept; one too large to keep goes out as it comes."""
+
+    send: Send
+    messages: list[Message] = field(default_factory=list)
+    size_bytes: int = 0
+    status: int = 0
+
+    async def __call__(self, message: Message) -> None:
+        self.messages.append(message)
+        self.status = self.status or message.get("status", 0)
+        self.size_bytes += len(message.get("body", b""))
+        if self.size_bytes > MOST_KEPT_BYTES:
+            await self.pass_on()
+
+    @property
+    def is_success(self) -> bool:
+        return 200 <= self.status < 400
+
+    def reply(self) -> StoredReply | None:
+        """The reply to keep: nothing of an answer that holds a secret or is too large."""
+        if self.size_bytes > MOST_KEPT_BYTES:
+            return None
+        headers = Headers(raw=self.messages[0]["headers"])
+        if "no-store" in headers.get("cache-control", "") or "set-cookie" in headers:
+            return None
+        body = b"".join(message.get("body", b"") for message in self.messages[1:])
+        return StoredReply(self.status, {k: v for k, v in headers.items() if k != "content-length"}, body)
+
+    async def pass_on(self) -> None:
+        waiting, self.messages = self.messages, []
+        for message in waiting:
+            await self.send(message)
+
+
+@dataclass
+class _ReplayedBody:
+    """The body that was read, once more; afterwards what the client still says."""
+
+    receive: Receive
+    body: bytes
+    is_given: bool = False
+
+    async def __call__(self) -> Message:
+        if self.is_given:
+            return await self.receive()
+        self.is_given = True
+        return {"type": "http.request", "body": self.body, "more_body": False}
+
+
+def _ended(database: Database, held: str, outcome: _RecordedReply) -> None:
+    """Write down how the request ended."""
+    if outcome.is_success:
+        kept_replies.keep(database, held, outcome.reply())
+    elif 400 <= outcome.status < 500:
+        kept_replies.release(database, held)
+    else:
+        kept_replies.give_up(database, held)
+
+
+async def _note(write: Callable[[], None]) -> None:
+    """Once the database is there: a reply that is not written down makes its repetition wait for the lease."""
+    until_s = monotonic() + OUTAGE_S
+    while True:
+        try:
+            return await run_in_threadpool(write)
+        except OperationalError:
+            if monotonic() > until_s:
+                raise
+        await sleep(ASK_AGAIN_S)
+
+
+def _key_of(scope: Scope) -> str | None:
+    if scope["type"] != "http" or scope["method"] != "POST" or not scope["path"].startswith("/api/v1/"):
+        return None
+    return Headers(scope=scope).get("idempotency-key")
+
+
+def _caller_id(request: Request) -> str:
+    """Whose key it is; nobody's when the request will be refused anyway."""
+    try:
+        caller = identify(request)
+    except UnauthenticatedError:
+        return ""
+    return caller.user_id if caller else ""
+
+
+def _is_streamed(scope: Scope) -> bool:
+    kind = Headers(scope=scope).get("content-type", "").partition(";")[0].strip().lower()
+    return kind not in ("", "application/json") and not kind.endswith("+json")
+
+
+async def _read(receive: Receive) -> bytes:
+    return b"".join([piece async for piece in _pieces(receive)])
+
+
+async def _pieces(receive: Receive) -> AsyncIterator[bytes]:
+    is_more = True
+    while is_more:
+        message: Any = await receive()
+        if message["type"] == "http.disconnect":
+            raise ClientDisconnect()
+        yield message.get("body", b"")
+        is_more = message.get("more_body", False)
+
+
+def _route_of(scope: Scope) -> str:
+    path: str = scope["path"]
+    return path if len(path) <= LONGEST_ROUTE else sha256(path.encode()).hexdigest()
+
+
+def _fingerprint(scope: Scope, body: bytes | None) -> str:
+    headers = Headers(scope=scope)
+    described = [headers.get(name, "") for name in DESCRIBING] if body is None else []
+    head = "\n".join([scope["path"], scope["query_string"].decode("latin-1"), *described])
+    return sha256(head.encode() + b"\0" + (body or b"")).hexdigest()

@@ -1,0 +1,110 @@
+"""Rate limits: token buckets per caller or address, for requests and sign-in attempts.
+
+**Conventions.** A bucket holds a minute's requests and fills evenly. Whoever has shown a valid credential has a bucket
+of their own, everybody else shares that of their address (IPv6: of their /64), so inventing tokens buys nothing.
+Buckets are kept in memory, per process, the `MOST_BUCKETS` used last. Probes at the root are not counted.
+"""
+
+import ipaddress
+import math
+import time
+from collections.abc import Callable
+from hashlib import sha256
+from threading import Lock
+
+from cachetools import LRUCache
+from starlette.requests import Request
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from api.errors import RateLimitedError
+from api.middleware.bodies import UPLOADS
+from api.middleware.context import COOKIE
+from services.runtime.settings import Settings
+
+MOST_BUCKETS = 10_000
+NAME_SHARE = 3  # sign-ins a minute with one name, from everywhere, against those from one address
+
+
+class Buckets:
+    """`take(key, per_minute)` takes one token, or says how many seconds it will be until there is one."""
+
+    def __init__(self, monotonic_s: Callable[[], float] = time.monotonic) -> None:
+        self._now_s, self._lock = monotonic_s, Lock()
+        self._held: LRUCache[str, tuple[float, float]] = LRUCache(MOST_BUCKETS)
+
+    def take(self, key: str, per_minute: float) -> float:
+        """0.0 when the token was there."""
+        with self._lock:
+            now_s = self._now_s()
+            tokens, since_s = self._held.get(key, (per_minute, now_s))
+            tokens = min(per_minute, tokens + (now_s - since_s) * per_minute / 60.0)
+            self._held[key] = (tokens - 1.0 if tokens >= 1.0 else tokens, now_s)
+        return 0.0 if tokens >= 1.0 else (1.0 - tokens) * 60.0 / per_minute
+
+
+class RequestLimits:
+    """The rates of one application."""
+
+    def __init__(self, settings: Settings, monotonic_s: Callable[[], float] = time.monotonic) -> None:
+        self._api = settings.api
+        self._buckets = Buckets(monotonic_s)
+        self._known: LRUCache[str, str] = LRUCache(MOST_BUCKETS)
+        self._lock = Lock()
+
+    def admit(self, request: Request) -> None:
+        """Count a request, but no piece of a known caller's upload. Raises `RateLimitedError`."""
+        with self._lock:
+            known = self._known.get(credential_of(request))
+        if not (known and is_piece(request)):
+            self._take(known or address_of(request), self._api.requests_per_minute)
+
+    def admit_sign_in(self, request: Request, name: str) -> None:
+        """Count an attempt at a password, by address and by name. Raises `RateLimitedError`."""
+        self._take(f"sign-in {address_of(request)}", self._api.sign_ins_per_minute)
+        self._take(f"sign-in as {name}", self._api.sign_ins_per_minute * NAME_SHARE)
+
+    def know(self, request: Request, user_id: str) -> None:
+        """Count requests with this credential as this user's from now on."""
+        with self._lock:
+            self._known[credential_of(request)] = f"user {user_id}"
+
+    def _take(self, key: str, per_minute: float) -> None:
+        wait_s = self._buckets.take(key, per_minute)
+        if wait_s:
+            raise RateLimitedError(per_minute, math.ceil(wait_s))
+
+
+class RateLimit:
+    """An ASGI application that counts requests before another."""
+
+    def __init__(self, app: ASGIApp, limits: RequestLimits) -> None:
+        self._app, self._limits = app, limits
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "http" and scope["path"].startswith("/api/"):
+            self._limits.admit(Request(scope))
+        await self._app(scope, receive, send)
+
+
+def is_piece(request: Request) -> bool:
+    """Whether it brings bytes of an upload, which quota and length bound: counted, small pieces could not be sent."""
+    return request.method == "PATCH" and request.url.path.startswith(UPLOADS)
+
+
+def credential_of(request: Request) -> str:
+    """A hash of what the request shows of itself; the secret itself is not kept in memory."""
+    shown = request.headers.get("authorization") or request.cookies.get(COOKIE, "")
+    return sha256(shown.encode()).hexdigest()
+
+
+def address_of(request: Request) -> str:
+    """The address, or the /64 of an IPv6 one, which is what one site has."""
+    host = request.client.host if request.client else ""
+    try:
+        address = ipaddress.ip_address(host)
+    except ValueError:
+        return f"address {host}"
+    mapped = getattr(address, "ipv4_mapped", None)
+    if address.version == 4 or mapped is not None:
+        return f"address {mapped or address}"
+    return f"address {ipaddress.ip_network((address, 64), strict=False)}"

@@ -1,0 +1,123 @@
+"""Routes for administrators: create and change benchmarks and their phases.
+
+**Conventions.** Every change says why, which the audit log keeps. A ground truth is made by a job; the first of a phase
+is in force as soon as it is ready, every later one once a re-score is activated.
+"""
+
+from fastapi import APIRouter, Request, Response
+from sqlalchemy.orm import Session
+
+from api import audit
+from api.answers import refusals
+from api.callers import Administrator
+from api.deps import PlatformDep
+from api.etags import etag, require_match
+from api.schemas.base import IdPath
+from api.schemas.benchmarks import BenchmarkChange, BenchmarkDetail, CreatedBenchmark, NewBenchmarkBody, PhaseDetail
+from api.schemas.phase_bodies import AddedPhaseBody, BenchmarkName, NewPhaseBody, PhaseChange
+from api.views.benchmarks import benchmark_detail, benchmark_items, phase_detail
+from api.visible import benchmark_of, dataset_of, phase_of
+from services.domain.benchmarks.phases.phases import (
+    change_benchmark_columns,
+    change_phase,
+    create_benchmark,
+    create_phase,
+    default_phases,
+    lock_phase,
+)
+from services.runtime.orm import Benchmark, Phase
+
+router = APIRouter(prefix="/admin", tags=["benchmarks"])
+
+
+@router.post("/benchmarks", status_code=201, responses=refusals(404, 409))
+def create(
+    body: NewBenchmarkBody, caller: Administrator, platform: PlatformDep, response: Response
+) -> CreatedBenchmark:
+    """Make a benchmark of a version of the dataset, with `val` and `test` or the phases that are named."""
+    with platform.database.transaction() as session:
+        benchmark = create_benchmark(session, body.asked(caller.user_id))
+        phases = _phases(session, benchmark, body)
+        facts = {"name": benchmark.name, "dataset": body.dataset, "phases": [phase.name for phase in phases]}
+        audit.record_admin_act(session, caller, "benchmark.create", benchmark.id, body.reason, facts)
+        shown = dict(benchmark_items(session, [benchmark])[0])
+        details = [phase_detail(session, phase) for phase in phases]
+    response.headers["Location"] = f"/api/v1/benchmarks/{benchmark.name}"
+    return CreatedBenchmark(**shown | {"phases": details})
+
+
+@router.patch("/benchmarks/{benchmark_name}", responses=refusals(404))
+def change_benchmark(
+    benchmark_name: BenchmarkName, body: BenchmarkChange, caller: Administrator, platform: PlatformDep
+) -> BenchmarkDetail:
+    """Change what is said of a benchmark, and whether it is read without an account."""
+    with platform.database.transaction() as session:
+        benchmark = benchmark_of(session, caller, benchmark_name)
+        changes = body.columns()
+        change_benchmark_columns(session, benchmark, changes)
+        audit.record_admin_act(session, caller, "benchmark.change", benchmark.id, body.reason, changes)
+        return benchmark_detail(session, benchmark)
+
+
+@router.post("/benchmarks/{benchmark_name}/phases", status_code=201, responses=refusals(404, 409))
+def add_phase(
+    benchmark_name: BenchmarkName,
+    body: AddedPhaseBody,
+    caller: Administrator,
+    platform: PlatformDep,
+    response: Response,
+) -> PhaseDetail:
+    """Add a phase; `findings` warn where its labels are not as hidden as they look."""
+    with platform.database.transaction() as session:
+        benchmark = benchmark_of(session, caller, benchmark_name)
+        phase = _phase(session, benchmark, body, body.dataset)
+        facts = {"benchmark": benchmark.name, "name": phase.name, "dataset": body.dataset}
+        audit.record_admin_act(session, caller, "phase.create", phase.id, body.reason, facts)
+        shown = phase_detail(session, phase)
+    response.headers["Location"] = f"/api/v1/phases/{phase.id}"
+    response.headers["ETag"] = etag(phase.revision)
+    return shown
+
+
+@router.get("/phases/{phase_id}", responses=refusals(404))
+def show(phase_id: IdPath, _caller: Administrator, platform: PlatformDep, response: Response) -> PhaseDetail:
+    """A phase with what was noticed of it: labels may have become public since it was made."""
+    with platform.database.reading() as session:
+        phase = phase_of(session, phase_id)
+        response.headers["ETag"] = etag(phase.revision)
+        return phase_detail(session, phase)
+
+
+@router.patch("/phases/{phase_id}", responses=refusals(404, 409, 412, 428))
+def change(
+    phase_id: IdPath,
+    body: PhaseChange,
+    caller: Administrator,
+    platform: PlatformDep,
+    request: Request,
+    response: Response,
+) -> PhaseDetail:
+    """Change dates and limits; what is evaluated only until there is a ground truth."""
+    with platform.database.transaction() as session:
+        phase = lock_phase(session, phase_of(session, phase_id).id)
+        require_match(request, phase.revision)
+        changes = body.columns()
+        if body.dataset is not None:
+            changes["dataset_id"] = dataset_of(session, body.dataset).id
+        facts = {name: {"from": getattr(phase, name), "to": value} for name, value in changes.items()}
+        phase = change_phase(session, phase.id, changes)
+        audit.record_admin_act(session, caller, "phase.change", phase.id, body.reason, facts)
+        shown = phase_detail(session, phase)
+    response.headers["ETag"] = etag(phase.revision)
+    return shown
+
+
+def _phases(session: Session, benchmark: Benchmark, body: NewBenchmarkBody) -> list[Phase]:
+    if body.phases is not None:
+        return [_phase(session, benchmark, phase, phase.dataset or body.dataset) for phase in body.phases]
+    dataset = dataset_of(session, body.dataset)
+    return [create_phase(session, benchmark, dataset, asked) for asked in default_phases(session, dataset)]
+
+
+def _phase(session: Session, benchmark: Benchmark, body: NewPhaseBody, dataset: str) -> Phase:
+    return create_phase(session, benchmark, dataset_of(session, dataset), body.asked())

@@ -1,0 +1,167 @@
+"""Routes for administrators: jobs, queues and workers; every act is audited with its reason."""
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from fastapi import APIRouter, Depends, Path, Query
+from sqlalchemy import Select, or_, select
+
+from api import audit
+from api.answers import refusals
+from api.callers import Administrator
+from api.deps import PlatformDep, at_once
+from api.errors import NotFoundError
+from api.job_acts import act_on_each, control_run
+from api.paging import Page, PageDep, page
+from api.routes.jobs import JobFilters, log_query
+from api.schemas.admin import (
+    AdminJobDetail,
+    AdminJobItem,
+    JobAct,
+    JobActItem,
+    JobActsBody,
+    JobCounts,
+    QueueItem,
+    ReasonBody,
+    WorkersAnswer,
+)
+from api.schemas.base import IdPath, IdQuery, LineQuery
+from api.schemas.jobs import LogPage
+from api.views.admin import DEAD, admin_job_detail, admin_job_items, job_counts
+from api.views.log_pages import LogQuery, log_page
+from api.views.queues import pending_wake_ups_of, queue_items, running_items, worker_items
+from api.visible import job_of
+from services.runtime.jobs import control
+from services.runtime.jobs.broker_app import QUEUES
+from services.runtime.jobs.worker_list import BrokerAwayError, node_calls
+from services.runtime.orm import Job, User
+
+router = APIRouter(prefix="/admin", tags=["administration"])
+QueueName = Annotated[str, Path(pattern=r"^[a-z]{1,16}$", examples=["labeler"])]
+QueueAct = Literal["pause", "drain", "resume"]
+MODE_AFTER = {"pause": "paused", "drain": "draining", "resume": "open"}
+IdPart = Annotated[str | None, Query(pattern="^[0-9a-f]{4,32}$", description="how an id begins or ends")]
+
+
+@dataclass(frozen=True)
+class AdminFilters(JobFilters):
+    """As `JobFilters`, also by owner, queue and a piece of the id; the jobs of a queue are listed one by one.
+
+    `dead` are the single jobs that failed with no attempt left, within runs or not.
+    """
+
+    queue: Literal["ingest", "labeler", "eval"] | None = None
+    owner_id: IdQuery = None
+    owner: LineQuery = None
+    id_part: IdPart = None
+    dead: bool = False
+
+    def narrowed(self, statement: Select[Job]) -> Select[Job]:
+        statement = self.equal(self.flat(statement), ("state",))
+        return statement.where(DEAD) if self.dead else self.levelled(statement)
+
+    def of_any_state(self, statement: Select[Job]) -> Select[Job]:
+        return self.levelled(self.flat(statement))
+
+    def flat(self, statement: Select[Job]) -> Select[Job]:
+        """Of any state, those within runs included."""
+        statement = self.equal(statement, ("kind", "sequence_id", "root_id", "queue", "owner_id"))
+        if self.owner is not None:
+            statement = statement.where(Job.owner_id.in_(select(User.id).where(User.name == self.owner)))
+        if self.id_part is not None:
+            statement = statement.where(or_(Job.id.startswith(self.id_part), Job.id.endswith(self.id_part)))
+        return statement
+
+    def levelled(self, statement: Select[Job]) -> Select[Job]:
+        """An id is looked for among the jobs of runs too, and a queue has no runs."""
+        return statement if self.queue or self.id_part else self.one_level(statement)
+
+
+AdminFiltersDep = Annotated[AdminFilters, Depends(at_once(AdminFilters))]
+
+
+@router.get("/jobs", responses=refusals(403))
+def list_all_jobs(
+    _caller: Administrator, platform: PlatformDep, query: PageDep, filters: AdminFiltersDep
+) -> Page[AdminJobItem]:
+    """Everybody's jobs, newest first."""
+    with platform.database.reading() as session:
+        found = page(session, filters.narrowed(select(Job)), Job.id.desc(), query)
+        return Page[AdminJobItem](items=admin_job_items(session, found.rows), next=found.next)
+
+
+@router.get("/jobs/counts", responses=refusals(403))
+def count_jobs(_caller: Administrator, platform: PlatformDep, filters: AdminFiltersDep) -> JobCounts:
+    """How many of them are in each state; `state` and `dead` of the filters change nothing here."""
+    with platform.database.reading() as session:
+        return job_counts(session, filters.of_any_state(select(Job)), filters.flat(select(Job)))
+
+
+@router.post("/jobs/acts", responses=refusals(403))
+def steer_many(body: JobActsBody, caller: Administrator, platform: PlatformDep) -> list[JobActItem]:
+    """The same act on the runs of many jobs: each is done or refused for itself, and says so."""
+    return act_on_each(platform, caller, body)
+
+
+@router.get("/jobs/{job_id}", responses=refusals(403, 404))
+def show_any_job(job_id: IdPath, caller: Administrator, platform: PlatformDep) -> AdminJobDetail:
+    """A job; of a run also its jobs, those that have not succeeded first."""
+    with platform.database.reading() as session:
+        return admin_job_detail(session, job_of(session, caller, job_id))
+
+
+@router.get("/jobs/{job_id}/logs", responses=refusals(403, 404))
+def read_any_logs(
+    job_id: IdPath, caller: Administrator, platform: PlatformDep, query: Annotated[LogQuery, Depends(log_query)]
+) -> LogPage:
+    """What a job, or every job of a run, has said so far."""
+    with platform.database.reading() as session:
+        return log_page(session, job_of(session, caller, job_id), query, is_administrator=caller.is_administrator)
+
+
+@router.post("/jobs/{job_id}/{act}", status_code=202, responses=refusals(403, 404, 409))
+def steer_job(
+    job_id: IdPath, act: JobAct, body: ReasonBody, caller: Administrator, platform: PlatformDep
+) -> AdminJobDetail:
+    """Steer the whole run of a job: `cancel` asks it to stop, `terminate` stops its processes, `retry` queues again."""
+    with platform.database.transaction() as session:
+        root_id = job_of(session, caller, job_id).root_id
+        run = control_run(session, platform, act, root_id, body.reason)
+        audit.record_admin_act(session, caller, f"job.{act}", root_id, body.reason)
+        session.flush()
+        return admin_job_detail(session, run)
+
+
+@router.get("/queues", responses=refusals(403))
+def list_queues(_caller: Administrator, platform: PlatformDep) -> list[QueueItem]:
+    """Each queue with its switch, its jobs and the bells that nobody has heard yet."""
+    wake_ups = pending_wake_ups_of(platform)
+    with platform.database.reading() as session:
+        return queue_items(session, wake_ups)
+
+
+@router.post("/queues/{queue}/{act}", responses=refusals(403, 404))
+def switch_queue(
+    queue: QueueName, act: QueueAct, body: ReasonBody, caller: Administrator, platform: PlatformDep
+) -> QueueItem:
+    """`pause`: nothing new starts. `drain`: what is queued runs, nothing is added. `resume`: open again."""
+    if queue not in QUEUES:
+        raise NotFoundError("queue", queue)
+    with platform.database.transaction() as session:
+        control.set_mode(session, queue, MODE_AFTER[act])
+        audit.record_admin_act(session, caller, f"queue.{act}", queue, body.reason)
+    wake_ups = pending_wake_ups_of(platform)
+    with platform.database.reading() as session:
+        return queue_items(session, wake_ups)[QUEUES.index(queue)]
+
+
+@router.get("/workers", responses=refusals(403))
+def list_workers(_caller: Administrator, platform: PlatformDep) -> WorkersAnswer:
+    """Who works and what runs now, by the database; who answers a call, by the broker, if that answers."""
+    with platform.database.reading() as session:
+        workers, running = worker_items(session, platform.settings), running_items(session)
+    try:
+        nodes, is_reachable = node_calls(platform.settings)(), True
+    except BrokerAwayError:
+        nodes, is_reachable = [], False
+    return WorkersAnswer(workers=workers, running=running, nodes=nodes, is_broker_reachable=is_reachable)

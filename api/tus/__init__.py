@@ -1,0 +1,1 @@
+"""The upload protocol tus 1.0 over HTTP."""

@@ -1,0 +1,105 @@
+"""Streams request bodies to disk: one block is written by a thread while the next is received.
+
+**Conventions.** A request holds two blocks at most, whatever the client sends and however slow the disk is. All work on
+disk and database is done in threads of this module's own, so that a stalled disk stalls uploads and nothing else.
+"""
+
+import asyncio
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
+from functools import partial
+from typing import ParamSpec, TypeVar
+
+from fastapi import Request
+from starlette.requests import ClientDisconnect
+
+from api.tus.errors import ReceiveTimeoutError
+from services.runtime.orm import Upload
+from services.runtime.platform import Platform
+from services.runtime.uploads.files import MOST_PIECES
+from services.runtime.uploads.reception import UploadChunk, UploadReceiver, receive
+from services.runtime.uploads.rows import find
+
+BLOCK_BYTES = 2 << 20
+THREADS = ThreadPoolExecutor(16, thread_name_prefix="upload")
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+async def in_thread(function: Callable[P, T], *arguments: P.args, **options: P.kwargs) -> T:
+    """Its result, without holding up the event loop; what it makes and says is this request's."""
+    in_context = copy_context().run
+    work = partial(in_context, function, *arguments, **options)
+    return await asyncio.get_running_loop().run_in_executor(THREADS, work)
+
+
+async def receive_body(request: Request, platform: Platform, upload: tuple[str, str], piece: UploadChunk) -> Upload:
+    """Take the request's body into the upload (id, owner's id); the upload as it is then.
+
+    Raises what `receive`, `UploadReceiver.write` and `UploadReceiver.end` raise, `ReceiveTimeoutError`,
+    `ClientDisconnect`.
+    """
+    reception = await in_thread(receive, platform, *upload, piece)
+    if reception is None:
+        return await in_thread(find, platform.database, *upload)
+    try:
+        await _pump(request, reception, platform.settings.uploads.idle_s)
+        return await in_thread(reception.end)
+    finally:
+        reception.close()  # waits for a write under way: not even a cancelled request leaves a thread behind
+
+
+async def _pump(request: Request, reception: UploadReceiver, idle_s: float) -> None:
+    blocks = _BlockWriter(reception)
+    chunks = request.stream()
+    try:
+        while True:
+            async with asyncio.timeout(idle_s):
+                chunk = await anext(chunks, None)
+            if chunk is None:
+                break
+            await blocks.take(chunk)
+        await blocks.flush()
+    except (ClientDisconnect, TimeoutError) as gone:
+        await blocks.flush()
+        await in_thread(reception.break_off)
+        if isinstance(gone, TimeoutError):
+            raise ReceiveTimeoutError(idle_s) from gone
+        raise
+
+
+class _BlockWriter:
+    """Collects chunks to blocks and writes them one after another, each in a thread."""
+
+    def __init__(self, reception: UploadReceiver) -> None:
+        self._reception = reception
+        self._pieces: list[bytes] = []
+        self._size_bytes = 0
+        self._writing: asyncio.Future[None] | None = None
+
+    async def take(self, chunk: bytes) -> None:
+        if not chunk:
+            return
+        self._pieces.append(chunk)
+        self._size_bytes += len(chunk)
+        if self._size_bytes >= BLOCK_BYTES or len(self._pieces) >= MOST_PIECES:
+            await self._write()
+
+    async def flush(self) -> None:
+        """All that was taken is written."""
+        if self._pieces:
+            await self._write()
+        await self._written()
+
+    async def _write(self) -> None:
+        await self._written()
+        pieces, self._pieces, self._size_bytes = self._pieces, [], 0
+        loop = asyncio.get_running_loop()
+        self._writing = loop.run_in_executor(THREADS, self._reception.write, pieces)
+
+    async def _written(self) -> None:
+        writing, self._writing = self._writing, None
+        if writing is not None:
+            await writing

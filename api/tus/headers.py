@@ -1,0 +1,119 @@
+"""Strict parsers of the tus 1.0 headers: numbers, checksums, metadata.
+
+**Conventions.** Protocol: tus.io, resumable upload 1.0.0 with creation, creation-with-upload, checksum, expiration and
+termination. Metadata keys: `filename` and `purpose`, and where known `target_id` and `sha256`; others are read and
+ignored, since clients add their own.
+"""
+
+import re
+from base64 import b64decode
+from binascii import Error as Base64Error
+from email.utils import formatdate
+from typing import Annotated
+
+from fastapi import Header, Request
+
+from api.tus.errors import VERSION, TusHeaderError, TusVersionError, UnsupportedMediaTypeError
+from services.runtime.orm import Upload
+from services.runtime.uploads.declaration import UploadDeclaration
+from services.runtime.uploads.errors import BadMetadataError
+from services.runtime.uploads.reception import ALGORITHMS, Checksum, UploadChunk
+
+EXTENSIONS = "creation,creation-with-upload,checksum,expiration,termination"
+CHUNK_TYPE = "application/offset+octet-stream"
+LONGEST_METADATA = 8192
+MOST_PAIRS = 32
+COUNT = re.compile(r"[0-9]{1,18}")
+KEY = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+
+
+def speak_tus(
+    tus_resumable: Annotated[str, Header(description=f"`{VERSION}`", examples=[VERSION])] = "",
+) -> None:
+    """A dependency: the client says that it speaks our version. Raises `TusVersionError`."""
+    if tus_resumable != VERSION:
+        raise TusVersionError(tus_resumable)
+
+
+def count_of(request: Request, name: str) -> int:
+    """The header as a count of bytes. Raises `TusHeaderError`."""
+    given = request.headers.get(name, "")
+    if not COUNT.fullmatch(given):
+        raise TusHeaderError(name, given, "a count of bytes, digits only")
+    return int(given)
+
+
+def piece_of(request: Request, offset_bytes: int) -> UploadChunk:
+    """The request's headers about its body. Raises `TusHeaderError`, `UnsupportedMediaTypeError`."""
+    given = request.headers.get("content-type", "")
+    if given != CHUNK_TYPE:
+        raise UnsupportedMediaTypeError(given, CHUNK_TYPE)
+    is_sized = "content-length" in request.headers
+    return UploadChunk(offset_bytes, count_of(request, "Content-Length") if is_sized else None, _checksum(request))
+
+
+def declared_by(request: Request, length_bytes: int) -> UploadDeclaration:
+    """The file that a creation declares. Raises `TusHeaderError`, `BadMetadataError`."""
+    known = _metadata(request.headers.get("upload-metadata", ""))
+    for name in ("filename", "purpose"):
+        if name not in known:
+            raise BadMetadataError(name, "", "it among the pairs of Upload-Metadata")
+    return UploadDeclaration(
+        known["filename"],
+        known["purpose"],
+        length_bytes,
+        known.get("target_id", ""),
+        known.get("sha256", "").lower(),
+    )
+
+
+def upload_headers(upload: Upload, offset_bytes: int) -> dict[str, str]:
+    """Response headers about an upload: its offset, and when it expires."""
+    said = {"Upload-Offset": str(offset_bytes), "Upload-Length": str(upload.length_bytes)}
+    if upload.state in ("open", "complete"):
+        said["Upload-Expires"] = formatdate(upload.expires_ns / 1e9, usegmt=True)
+    return said
+
+
+def _checksum(request: Request) -> Checksum | None:
+    given = request.headers.get("upload-checksum")
+    if given is None:
+        return None
+    algorithm, _, encoded = given.partition(" ")
+    expected = f"one of {', '.join(ALGORITHMS)}, a space, and the digest in base64"
+    if algorithm not in ALGORITHMS:
+        raise TusHeaderError("Upload-Checksum", given, expected)
+    digest = _decoded("Upload-Checksum", encoded)
+    if len(digest) != {"sha1": 20, "sha256": 32}[algorithm]:
+        raise TusHeaderError("Upload-Checksum", given, expected)
+    return Checksum(algorithm, digest)
+
+
+def _metadata(header: str) -> dict[str, str]:
+    """Comma-separated pairs of a key and a base64 value. Raises `TusHeaderError`, `BadMetadataError`."""
+    if len(header) > LONGEST_METADATA:
+        raise TusHeaderError("Upload-Metadata", header, f"at most {LONGEST_METADATA} characters")
+    pairs = [pair.strip() for pair in header.split(",")] if header else []
+    if len(pairs) > MOST_PAIRS:
+        raise TusHeaderError("Upload-Metadata", header, f"at most {MOST_PAIRS} pairs")
+    known: dict[str, str] = {}
+    for pair in pairs:
+        key, _, encoded = pair.partition(" ")
+        if not KEY.fullmatch(key) or key in known:
+            raise TusHeaderError("Upload-Metadata", pair, "keys of letters, digits, '_', '.' and '-', each once")
+        known[key] = _text(key, _decoded("Upload-Metadata", encoded))
+    return known
+
+
+def _decoded(header: str, encoded: str) -> bytes:
+    try:
+        return b64decode(encoded.encode("ascii"), validate=True)
+    except (Base64Error, UnicodeEncodeError) as error:
+        raise TusHeaderError(header, encoded, "base64") from error
+
+
+def _text(key: str, value: bytes) -> str:
+    try:
+        return value.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise BadMetadataError(key, value.hex(), "UTF-8") from error

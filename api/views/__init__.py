@@ -1,0 +1,1 @@
+"""Views: rows of the platform as bodies of the API."""

@@ -1,0 +1,126 @@
+"""Uploaded calibration files: read in a sandboxed child process within limits, refused with coded findings.
+
+**Conventions.** Reading a hostile megabyte costs up to three seconds of one core, so no more than `AT_ONCE` are read at
+a time and the others wait, briefly; then they are told to come back. The parsers run in a child without network, files
+to write or the API's connections (`services/runtime/sandbox`), and answer with one JSON object.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import datetime, timedelta
+from functools import partial
+from io import BytesIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from threading import BoundedSemaphore
+from typing import IO
+
+from api.errors import BodyTooLargeError, RateLimitedError
+from api.file_errors import CalibrationRefusedError
+from api.files import safe_name
+from api.schemas.base import EPOCH
+from services.domain.sequences.calibrations import ReadCalibration, Validity
+from services.runtime.sandbox import SandboxCrashedError, SandboxLimits, sandboxed
+from services.runtime.sandbox.result_files import packed, unpacked
+from services.runtime.store.protocol import Store
+from stone.errors import PlatformFaultError, StoneError
+from stone.findings import Finding
+from stone.sensors.calibration import Calibration
+from stone_recordings.calibrations.errors import CalibrationKeyError, ValidityError
+from stone_recordings.calibrations.file import CalibrationRead, read_calibration_files
+from stone_recordings.calibrations.record import calibration_of, calibration_record
+
+LARGEST_BYTES = 2**20
+AT_ONCE = 2
+PATIENCE_S = 10.0
+PER_MINUTE = 60.0
+LIMITS = SandboxLimits(memory_bytes=512 * 2**20, cpu_s=10, wall_s=30.0)
+FORM = "the form"
+
+_turns = BoundedSemaphore(AT_ONCE)
+
+
+@contextmanager
+def received(file: IO[bytes], filename: str) -> Iterator[Path]:
+    """The file under its own name in a folder that lasts as long as this. Raises `BodyTooLargeError`."""
+    content = file.read(LARGEST_BYTES + 1)
+    if len(content) > LARGEST_BYTES:
+        raise BodyTooLargeError(LARGEST_BYTES)
+    with TemporaryDirectory(prefix="stone-calibration-") as folder:
+        path = Path(folder) / safe_name(filename)
+        path.write_bytes(content)
+        yield path
+
+
+def read(path: Path) -> ReadCalibration:
+    """The calibration in the file; raises as `understood`."""
+    found = understood(path)
+    mounts = found.calibration.mounts
+    sensors = tuple({"name": mount.name, "kind": mount.kind, "frame_id": mount.frame_id} for mount in mounts)
+    findings = tuple(finding.as_record() for finding in found.findings)
+    return ReadCalibration(found.calibration.name, path.name, sensors, findings, found.format)
+
+
+def understood(path: Path) -> CalibrationRead:
+    """The calibration in a file or a zip.
+
+    Raises `CalibrationRefusedError`; `RateLimitedError` when too many are being read; `ConfinedInterruptedError`.
+    """
+    if not _turns.acquire(timeout=PATIENCE_S):
+        raise RateLimitedError(PER_MINUTE, int(PATIENCE_S))
+    try:
+        found = _believed(path.name, sandboxed(partial(_read, path), LIMITS))
+        _check_names(path.name, found.calibration)
+    except PlatformFaultError:
+        raise
+    except StoneError as reason:
+        raise CalibrationRefusedError(path.name, reason) from reason
+    finally:
+        _turns.release()
+    return found
+
+
+def _read(path: Path) -> bytes:
+    """The child's part."""
+    found = read_calibration_files(path)
+    findings = [finding.as_record() for finding in found.findings]
+    read = {"calibration": calibration_record(found.calibration), "findings": findings, "format": found.format}
+    return packed(read)
+
+
+def _believed(name: str, answer: bytes) -> CalibrationRead:
+    record = unpacked(answer).record
+    try:
+        findings = tuple(Finding(**finding) for finding in record["findings"])
+        return CalibrationRead(calibration_of(record["calibration"]), findings, record["format"])
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise SandboxCrashedError(f"answered something else than the calibration {name}") from error
+
+
+def stored(store: Store, object_key: str, filename: str) -> Calibration:
+    """A calibration that was kept, read again; raises as `understood`, and ObjectMissingError."""
+    content = b"".join(store.read(object_key))
+    with received(BytesIO(content), filename) as path:
+        return understood(path).calibration
+
+
+def validity(valid_from: datetime | None, valid_to: datetime | None) -> Validity:
+    """Raises `CalibrationRefusedError` for a time that never is, or that nanoseconds since 1970 do not reach."""
+    found = Validity(*(None if moment is None else _since_1970_ns(moment) for moment in (valid_from, valid_to)))
+    reached = [moment_ns for moment_ns in (found.from_ns, found.to_ns) if moment_ns is not None]
+    if any(not 0 <= moment_ns < 2**63 for moment_ns in reached):
+        raise CalibrationRefusedError(FORM, ValidityError(FORM, "its years are not within 1970 to 2262"))
+    if len(reached) == len((valid_from, valid_to)) and reached[0] >= reached[1]:
+        raise CalibrationRefusedError(FORM, ValidityError(FORM, "valid_from is not before valid_to"))
+    return found
+
+
+def _since_1970_ns(moment: datetime) -> int:
+    return (moment - EPOCH) // timedelta(microseconds=1) * 1000
+
+
+def _check_names(filename: str, calibration: Calibration) -> None:
+    """Names are shown and looked for. Raises `CalibrationKeyError` for one with characters nobody can see."""
+    for name in (calibration.name, *(mount.name for mount in calibration.mounts)):
+        if not name.isprintable():
+            raise CalibrationKeyError(filename, repr(name)[:80], "a name has printable characters only", 0)

@@ -1,0 +1,90 @@
+"""Exports as response bodies, and downloads of their files."""
+
+from collections.abc import Sequence as Listing
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from api.errors import NotFoundError
+from api.files import ServedFile
+from api.schemas.base import instant, instant_or_none
+from api.schemas.exports import ArchiveItem, ArchiveKind, ExportItem
+from api.schemas.jobs import FailureItem
+from services.domain.exports.requests import counting_labels
+from services.runtime.orm import Export, Job
+from services.runtime.store.pack_archive import archive_of
+from services.runtime.store.pack_reading import StoredFiles, archive_pieces, file_pieces
+from services.runtime.store.protocol import Store
+from stone_files.virtual_archive import MEDIA_TYPES
+
+FILE_TYPE = "application/octet-stream"
+ARCHIVE_TYPES = tuple(MEDIA_TYPES.values())
+
+
+def export_items(session: Session, sequence_id: str, exports: Listing[Export]) -> list[ExportItem]:
+    """Exports of one sequence as a list shows them."""
+    labels = counting_labels(session, sequence_id)
+    jobs = {job.id: job for job in session.scalars(select(Job).where(Job.id.in_([row.job_id for row in exports])))}
+    return [_item(row, jobs[row.job_id], labels.id if labels else "") for row in exports]
+
+
+def served_file(store: Store, stored: StoredFiles, path: str) -> ServedFile:
+    """One file of an export. Raises `NotFoundError`."""
+    files, read = stored.files, stored.reader(store)
+    ordinal = files.ordinals.get(path)
+    if ordinal is None:
+        raise NotFoundError("file of this export", path)
+    return ServedFile(
+        size_bytes=int(files.sizes_bytes[ordinal]),
+        sha256=files.digest(ordinal),
+        media_type=FILE_TYPE,
+        filename=path.rpartition("/")[2],
+        read=lambda start, stop: file_pieces(files, ordinal, (start, stop), read),
+    )
+
+
+def served_archive(store: Store, stored: StoredFiles, kind: ArchiveKind, called: tuple[str, str]) -> ServedFile:
+    """All files of an export as one, with its name (without the ending) and its sha256."""
+    files, read = stored.files, stored.reader(store)
+    archive = archive_of(files, kind)
+    return ServedFile(
+        size_bytes=archive.size_bytes,
+        sha256=called[1],
+        media_type=MEDIA_TYPES[kind],
+        filename=f"{called[0]}.{kind}",
+        read=lambda start, stop: archive_pieces(files, archive, (start, stop), read),
+    )
+
+
+def archive_sha256_of(row: Export, kind: ArchiveKind) -> str:
+    return row.tar_sha256 if kind == "tar" else row.zip_sha256
+
+
+def _item(row: Export, job: Job, counting_id: str) -> ExportItem:
+    return ExportItem(
+        id=row.id,
+        sequence_id=row.sequence_id,
+        label_set_id=row.label_set_id,
+        job_id=row.job_id,
+        format=row.format,  # type: ignore[arg-type]  # pydantic checks it
+        state="succeeded" if row.finished_ns is not None else job.state,
+        is_stale=row.label_set_id != counting_id,
+        recipe=row.recipe,
+        code_version=row.code_version,
+        files=row.files,
+        size_bytes=row.size_bytes,
+        archives=_archives(row),
+        failure=FailureItem(code=job.failure_code, sentence=job.failure) if job.failure_code else None,
+        created_at=instant(row.created_ns),
+        finished_at=instant_or_none(row.finished_ns),
+    )
+
+
+def _archives(row: Export) -> list[ArchiveItem]:
+    """None before there are files."""
+    if row.finished_ns is None:
+        return []
+    return [
+        ArchiveItem(format="tar", size_bytes=row.tar_bytes, sha256=row.tar_sha256),
+        ArchiveItem(format="zip", size_bytes=row.zip_bytes, sha256=row.zip_sha256),
+    ]

@@ -1,0 +1,92 @@
+"""Users, tokens and browser sessions as response bodies, without any secret."""
+
+from dataclasses import dataclass
+
+from sqlalchemy import Select, select
+from sqlalchemy.orm import Session
+
+from api.errors import NotFoundError
+from api.paging import Page, PageQuery, page
+from api.schemas.base import instant, instant_or_none
+from api.schemas.people import BrowserItem, TokenItem, UserItem
+from services.runtime.access.storage_quota import balance
+from services.runtime.orm import Token, User, WebSession
+from services.runtime.orm.base import now_ns
+from services.runtime.platform import Platform
+from services.runtime.uploads.creation import owner_limit_bytes
+from services.runtime.uploads.rows import UploadOwner
+
+
+@dataclass(frozen=True)
+class StorageUsage:
+    """Bytes that a user has stored or under way, and how many they may have."""
+
+    used_bytes: int
+    limit_bytes: int
+
+
+def user_item(row: User) -> UserItem:
+    return UserItem(
+        id=row.id,
+        name=row.name,
+        role=row.role,
+        is_active=row.is_active,
+        has_password=bool(row.password_hash),
+        created_at=instant(row.created_ns),
+    )
+
+
+def user_of(session: Session, user_id: str, is_locked: bool = False) -> User:
+    """Raises `NotFoundError`."""
+    user = session.get(User, user_id, with_for_update=is_locked)
+    if user is None:
+        raise NotFoundError("user", user_id)
+    return user
+
+
+def users_page(session: Session, query: PageQuery, name: str | None, role: str | None) -> Page[UserItem]:
+    """Users, newest first; those whose name holds `name`, and whose role is `role`, where these are said."""
+    found: Select[User] = select(User)
+    if name:
+        found = found.where(User.name.contains(name.lower(), autoescape=True))
+    if role:
+        found = found.where(User.role == role)
+    return page(session, found, User.id.desc(), query).shown(user_item)
+
+
+def token_item(row: Token) -> TokenItem:
+    return TokenItem(
+        id=row.id,
+        name=row.name,
+        scopes=row.scopes,
+        created_at=instant(row.created_ns),
+        expires_at=instant(row.expires_ns),
+        used_at=instant_or_none(row.used_ns),
+    )
+
+
+def tokens_page(session: Session, query: PageQuery, user_id: str) -> Page[TokenItem]:
+    """The tokens of a user, newest first."""
+    return page(session, select(Token).where(Token.user_id == user_id), Token.id.desc(), query).shown(token_item)
+
+
+def browsers_of(session: Session, user_id: str, current_id: str) -> list[BrowserItem]:
+    """The browsers in which a user is signed in, newest first; `current_id` is that of the one that asks, or ''."""
+    theirs = select(WebSession).where(WebSession.user_id == user_id, WebSession.expires_ns > now_ns())
+    return [
+        BrowserItem(
+            id=row.id,
+            created_at=instant(row.created_ns),
+            expires_at=instant(row.expires_ns),
+            is_current=row.id == current_id,
+        )
+        for row in session.scalars(theirs.order_by(WebSession.id.desc()))
+    ]
+
+
+def storage_of(platform: Platform, session: Session, user: User) -> StorageUsage:
+    """The user's storage: used bytes and quota."""
+    limit_bytes = owner_limit_bytes(
+        platform, UploadOwner(user.id, user.role == "administrator", user.role == "participant")
+    )
+    return StorageUsage(balance(session, user.id), limit_bytes)

@@ -1,0 +1,71 @@
+"""Previews of recordings and sequences: their list items and their files."""
+
+from collections.abc import Iterable
+from typing import Annotated
+
+from fastapi import Path
+from sqlalchemy import Select, select
+from sqlalchemy.orm import Session
+
+from api.errors import NotFoundError
+from api.files import StoredFile
+from api.schemas.previews import PreviewItem
+from services.runtime.orm import Blob, LabelSet, Preview, Recording, SequenceRow
+
+PreviewName = Annotated[
+    str, Path(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,127}\.(png|jpg|json|html)$", examples=["cameras.jpg"])
+]
+PictureName = Annotated[
+    str, Path(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,127}\.(png|jpg)$", examples=["bev.png", "overlay_CAM_FRONT.jpg"])
+]
+PICTURE_TYPES = ("image/png", "image/jpeg")
+PREVIEW_TYPES = ("image/png", "image/jpeg", "application/json", "text/html")
+
+
+def previews_of_recording(session: Session, recording: Recording) -> list[PreviewItem]:
+    """Previews of a recording by name."""
+    return _items(session.scalars(_of_recording(recording)))
+
+
+def previews_of_sequence(session: Session, sequence: SequenceRow, labels: LabelSet | None) -> list[PreviewItem]:
+    """Previews by name: those of the run that made the labels that count, else of the newest run."""
+    return _items(session.scalars(_of_sequence(session, sequence, labels)))
+
+
+def recording_preview(session: Session, recording: Recording, name: str) -> StoredFile:
+    """Raises `NotFoundError`."""
+    return _file(session, _of_recording(recording), name, recording.filename)
+
+
+def sequence_preview(session: Session, sequence: SequenceRow, labels: LabelSet | None, name: str) -> StoredFile:
+    """Raises `NotFoundError`."""
+    return _file(session, _of_sequence(session, sequence, labels), name, sequence.name)
+
+
+def _of_recording(recording: Recording) -> Select[Preview]:
+    return select(Preview).where(Preview.recording_id == recording.id).order_by(Preview.name)
+
+
+def _of_sequence(session: Session, sequence: SequenceRow, labels: LabelSet | None) -> Select[Preview]:
+    of_sequence = (Preview.sequence_id == sequence.id, Preview.recording_id.is_(None))
+    recipe = (
+        labels.recipe
+        if labels is not None
+        else session.scalar(select(Preview.recipe).where(*of_sequence).order_by(Preview.id.desc()).limit(1))
+    )
+    return select(Preview).where(*of_sequence, Preview.recipe == (recipe or "")).order_by(Preview.name)
+
+
+def _items(rows: Iterable[Preview]) -> list[PreviewItem]:
+    return [
+        PreviewItem(name=row.name, media_type=row.media_type, size_bytes=row.size_bytes, sha256=row.blob_sha256)
+        for row in rows
+    ]
+
+
+def _file(session: Session, found: Select[Preview], name: str, of: str) -> StoredFile:
+    preview = session.scalars(found.where(Preview.name == name)).one_or_none()
+    if preview is None:
+        raise NotFoundError("preview", name)
+    blob = session.get_one(Blob, preview.blob_sha256)
+    return StoredFile(blob.object_key, blob.size_bytes, blob.sha256, preview.media_type, f"{of}-{name}")

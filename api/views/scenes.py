@@ -1,0 +1,129 @@
+"""Scenes and frames for the viewer: database rows and stored files become responses.
+
+**Conventions.** Everything goes through what the caller is shown. What is made of a frame's labels is kept by the
+process, the last few: labels never change.
+"""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Annotated, Any
+
+from fastapi import Query
+from sqlalchemy.orm import Session
+
+from api.deps import Caller
+from api.errors import NotFoundError
+from api.files import ServedFile, StoredFile
+from api.schemas.base import ID_PATTERN
+from api.views.artefact_files import artefact_file
+from api.views.exports import served_file
+from api.visible import frame_of, newest_label_set, shown_sequence
+from services.domain.viewer.errors import NoPlaybackError, NoSceneError
+from services.domain.viewer.formats import voxels_bytes
+from services.domain.viewer.frame_grids import read_grids
+from services.domain.viewer.frame_picture import Grid, picture_bytes
+from services.domain.viewer.playback import Playback, playback_of, shown_by
+from services.runtime.orm import Artefact, Blob
+from services.runtime.platform import Platform
+from services.runtime.store.pack_archive import stored_files
+from services.runtime.store.protocol import Store
+
+HELD_SCENES, HELD_FRAMES = 16, 128
+NPZ = "application/octet-stream"
+SHOWN_GRIDS = ("semantics", "mask_lidar")
+VersionQuery = Annotated[
+    str | None,
+    Query(alias="v", pattern=ID_PATTERN, description="The label set that is meant: the answer may then be kept"),
+]
+
+
+@dataclass(frozen=True)
+class SceneLocation:
+    """Which labels of which sequence, where `scene.json` lies, and how far their playback is."""
+
+    sequence_id: str
+    label_set_id: str
+    file: StoredFile
+    playback: Playback
+
+
+def scene_of(session: Session, caller: Caller, sequence_id: str) -> SceneLocation:
+    """The scene of the newest labels. Raises `NotFoundError`, `NoSceneError`."""
+    sequence = shown_sequence(session, caller, sequence_id)
+    labels = newest_label_set(session, sequence.id)
+    file = artefact_file(session, sequence, labels, "scene/scene.json")
+    if file is None:
+        raise NoSceneError(labels.id)
+    return SceneLocation(sequence.id, labels.id, file, playback_of(session, labels.id))
+
+
+def scene_bytes(store: Store, scene: SceneLocation) -> bytes:
+    """The body of a `SceneDetail`; reads the store, so not within a transaction."""
+    shown = shown_by(store, scene.playback)
+    playback: dict[str, Any] = {"export_id": scene.playback.export_id, "state": scene.playback.state}
+    playback |= {"cameras": list(shown.cameras), "has_clouds": shown.has_clouds}
+    known = {"sequence_id": scene.sequence_id, "label_set_id": scene.label_set_id}
+    kept = _record(store, scene.file)  # type: ignore[arg-type]  # by identity
+    record = {**known, **kept, "playback": playback}
+    return json.dumps(record, separators=(",", ":")).encode()
+
+
+def scene_file(session: Session, caller: Caller, sequence_id: str, name: str, version: str | None) -> StoredFile:
+    """A file of the scene of the newest labels. Raises `NotFoundError`."""
+    sequence = shown_sequence(session, caller, sequence_id)
+    labels = newest_label_set(session, sequence.id)
+    file = artefact_file(session, sequence, labels, f"scene/{name}.bin")
+    if file is None:
+        raise NotFoundError("part of this scene", name)
+    return replace(file, is_lasting=version == labels.id)
+
+
+def labels_file(session: Session, caller: Caller, token: str, version: str | None = None) -> StoredFile:
+    """The `labels.npz` of a frame. Raises `NotFoundError`."""
+    frame, labels = frame_of(session, caller, token)
+    pack = session.get_one(Artefact, frame.pack_id)
+    object_key = session.get_one(Blob, pack.blob_sha256).object_key
+    place = (object_key, frame.length_bytes, frame.sha256, NPZ, f"{token}-labels.npz", frame.offset_bytes)
+    return StoredFile(*place, is_lasting=version == labels.id)
+
+
+def frame_voxels(store: Store, labels: StoredFile) -> bytes:
+    """`STV1` of these labels. Raises `GridUnreadableError`."""
+    return _made(store, labels, voxels_bytes)  # type: ignore[arg-type]  # by identity
+
+
+def frame_picture(store: Store, labels: StoredFile) -> bytes:
+    """These labels from above, a PNG. Raises `GridUnreadableError`."""
+    return _made(store, labels, picture_bytes)  # type: ignore[arg-type]  # by identity
+
+
+def played_file(platform: Platform, asked: tuple[Caller, str, str | None], name: Callable[[str], str]) -> ServedFile:
+    """A file of a frame's playback: of the caller, the token and the version asked for, and its name by token.
+
+    Raises `NotFoundError`, `NoPlaybackError`.
+    """
+    caller, token, version = asked
+    with platform.database.reading() as session:
+        _, labels = frame_of(session, caller, token)
+        playback = playback_of(session, labels.id)
+    if playback.located is None:
+        raise NoPlaybackError(labels.id)
+    stored = stored_files(platform.store, playback.located)
+    return replace(served_file(platform.store, stored, name(token)), is_lasting=version == labels.id)
+
+
+@lru_cache(maxsize=HELD_FRAMES)
+def _made(store: Store, labels: StoredFile, make: Callable[[Grid, Grid], bytes]) -> bytes:
+    begin = labels.offset_bytes
+    payload = b"".join(store.read(labels.object_key, begin, begin + labels.size_bytes))
+    semantics, observed = read_grids(payload, SHOWN_GRIDS)
+    return make(semantics, observed)
+
+
+@lru_cache(maxsize=HELD_SCENES)
+def _record(store: Store, file: StoredFile) -> dict[str, Any]:
+    """An object never changes, so neither does what was read of it."""
+    record: dict[str, Any] = json.loads(b"".join(store.read(file.object_key)))
+    return record

@@ -1,0 +1,48 @@
+"""Ground truths and reported rows as the API shows them."""
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+from sqlalchemy.orm import Session
+
+from api.schemas.base import instant, instant_or_none
+from api.schemas.truths import ReportedItem, TruthItem
+from services.domain.benchmarks.phases import evaluation_versions
+from services.runtime.jobs.specs import TERMINAL
+from services.runtime.orm import Dataset, GroundTruthRow, Job, Phase, Reported
+
+
+def truth_items(session: Session, phase: Phase, rows: Sequence[GroundTruthRow]) -> list[TruthItem]:
+    """Ground truths of one phase."""
+    pair = evaluation_versions.active(session, phase.id)
+    return [_item(session, row, pair is not None and pair.truth_id == row.id) for row in rows]
+
+
+def reported_item(row: Reported) -> ReportedItem:
+    return ReportedItem(**{name: getattr(row, name) for name in ReportedItem.model_fields})
+
+
+def _item(session: Session, row: GroundTruthRow, is_active: bool) -> TruthItem:
+    return TruthItem(
+        id=row.id,
+        number=row.number,
+        dataset=session.get_one(Dataset, row.dataset_id).name,
+        part=row.part,
+        mask=row.mask,
+        state=_state(session, row),
+        is_active=is_active,
+        job_id=row.job_id,
+        sha256=row.sha256 or None,
+        frames=row.frames,
+        manifest_sha256=row.manifest_sha256,
+        created_at=instant(row.created_ns),
+        ready_at=instant_or_none(row.ready_ns),
+    )
+
+
+def _state(session: Session, row: GroundTruthRow) -> Literal["making", "ready", "failed"]:
+    """`failed` is also what was cancelled: the job says which."""
+    if row.ready_ns is not None:
+        return "ready"
+    job: Any = session.get(Job, row.job_id) if row.job_id else None
+    return "making" if job is not None and job.state not in TERMINAL else "failed"

@@ -1,0 +1,233 @@
+"""The whole platform under load: `python -m benchmarks.load [--clients 200] [--minutes 10] [--pause-s 1.0]`.
+
+The embedded platform on SQLite or PostgreSQL with 2,000 sequences, 10,000 jobs and an open phase; clients in a process
+of their own, each with a connection: 90 in 100 read lists, things and the board, 8 send files in pieces of 1 MiB, 2
+have submissions scored; meanwhile one recording after another is labelled. Told are errors, latencies by what was
+asked, requests a second, and the memory of every process of the platform in the first and the last quarter of the time.
+With `--pause-s 0` clients do not think, so latencies are those of a platform that is asked more than it can answer.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import defaultdict
+from contextlib import ExitStack
+from dataclasses import asdict, replace
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+import psutil
+from rich.console import Console
+from rich.table import Table
+from sqlalchemy import select
+
+from benchmarks.api import database_url
+from benchmarks.api_rows import ENDED, fill
+from benchmarks.load.clients import LoadPlan
+from chaos.api_calls import await_run, begin_run, upload_sequence
+from chaos.inputs import Inputs, simulated
+from chaos.places import PlatformUnderTest
+from chaos.scoring_world import build_scoring_world, files
+from chaos.turns import StuckError
+from services.runtime.embedded.supervisor import RunningPlatform, running_platform
+from services.runtime.orm import SequenceRow
+from services.runtime.settings import ApiSettings, DatabaseSettings, Settings, ViewingSettings
+from stone.errors import StoneError
+from stone_client.api import Api
+from testing.worlds.benchmark_world import World
+
+MIB = 2**20
+LOOK_S = 2.0
+LABELLED_WITHIN_S = 600.0
+CONSOLE = Console(width=130, highlight=False)
+
+
+def main() -> int:
+    options = _options()
+    inputs = simulated(options.folder / "inputs")
+    with ExitStack() as stack:
+        url = stack.enter_context(database_url(options.database))
+        api = ApiSettings(port=0, requests_per_minute=10**9, **options.api)
+        settings = Settings(
+            data_folder=options.folder / "data",
+            workers=options.workers,
+            database=DatabaseSettings(url),
+            api=api,
+            viewing=ViewingSettings(makes_playback=False),
+        )
+        world = build_scoring_world(settings)
+        readers = _readers(settings)
+        running = stack.enter_context(running_platform(settings, CONSOLE.print))
+        world = replace(world, platform=running.platform)
+        plan = _plan(options, running, world, readers)
+        with _MemoryWatch(running) as watch, _Labelling(PlatformUnderTest(running, inputs), inputs) as labelling:
+            noted = clients(options.folder, plan)
+    _show(options, noted, labelling)
+    _show_memory(watch)
+    return 1 if noted["error_count"] or labelling.failures else 0
+
+
+def _readers(settings: Settings) -> list[str]:
+    from services.runtime.database.transactions import Database
+
+    database = Database(settings)
+    try:
+        return [reader.secret for reader in fill(database, 40, ENDED)]
+    finally:
+        database.close()
+
+
+def _plan(options: argparse.Namespace, running: RunningPlatform, world: World, secrets: list[str]) -> LoadPlan:
+    """`clients` shared out; the file that is submitted lies in the data folder."""
+    path = running.platform.settings.root / "guess.zip"
+    path.write_bytes(next(iter(files(world).values())))
+    submitters = max(1, options.clients * 2 // 100)
+    uploaders = max(1, options.clients * 8 // 100)
+    with running.platform.database.reading() as session:
+        sequence = session.scalars(select(SequenceRow.id).where(SequenceRow.name == "forest-0")).one()
+    return LoadPlan(
+        port=running.platform.settings.api.port,
+        seconds=options.minutes * 60.0,
+        pause_s=options.pause_s,
+        readers=options.clients - submitters - uploaders,
+        uploaders=uploaders,
+        submitters=submitters,
+        secrets=tuple(secrets[::8]),  # those of the owner whose sequence is looked at
+        captains=tuple((team, captain.secret) for team, captain in zip(world.teams, world.captains, strict=True)),
+        sequence=sequence,
+        benchmark="kill",
+        phase="val",
+        phase_id=world.val,
+        zip_path=str(path),
+    )
+
+
+def clients(folder: Path, plan: LoadPlan) -> dict[str, Any]:
+    """What the clients noted, in a process of their own."""
+    said, out = folder / "plan.json", folder / "noted.json"
+    said.write_text(json.dumps(asdict(plan)))
+    subprocess.run([sys.executable, "-m", "benchmarks.load.clients", said, out], check=True)
+    noted: dict[str, Any] = json.loads(out.read_text())
+    return noted
+
+
+class _Labelling:
+    """One recording after another is brought and labelled, each for a new owner, by a thread."""
+
+    def __init__(self, target: PlatformUnderTest, inputs: Inputs) -> None:
+        self.runs, self.failures = 0, list[str]()
+        self._place, self._inputs = target, inputs
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._label, name="labelling")
+
+    def __enter__(self) -> "_Labelling":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join()
+
+    def _label(self) -> None:
+        while not self._over.is_set():
+            try:
+                with Api(self._place.welcome(f"field-{self.runs}").server, patience_s=120.0) as api:
+                    run = begin_run(api, upload_sequence(api, self._inputs), self._inputs)
+                    state = await_run(api, run.run_id, LABELLED_WITHIN_S)
+            except (StoneError, StuckError) as error:
+                state = f"{type(error).__name__}: {error}"
+            self.runs += 1
+            if state != "succeeded":
+                self.failures.append(state)
+                return
+
+
+class _MemoryWatch:
+    """The memory of the platform's processes, looked at by a thread."""
+
+    def __init__(self, running: RunningPlatform) -> None:
+        self.held: dict[str, list[int]] = defaultdict(list)
+        self._pids = {child.program.name: child.pid for child in running.children}
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._look, name="watch")
+
+    def __enter__(self) -> "_MemoryWatch":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join()
+
+    def _look(self) -> None:
+        while not self._over.wait(LOOK_S):
+            for name, pid in self._pids.items():
+                held = [_held_bytes(process) for process in [psutil.Process(pid), *_below(pid)]]
+                self.held[name].append(sum(held))
+
+
+def _below(pid: int) -> list[psutil.Process]:
+    return list(psutil.Process(pid).children(recursive=True))
+
+
+def _held_bytes(process: psutil.Process) -> int:
+    """Its share of memory (PSS), which counts what forked processes share once."""
+    try:
+        return int(process.memory_full_info().pss)
+    except psutil.Error:
+        return 0
+
+
+def _show(options: argparse.Namespace, noted: dict[str, Any], labelling: _Labelling) -> None:
+    waited_s: dict[str, list[float]] = noted["waited_s"]
+    title = f"{options.clients} clients, {options.minutes:g} minutes, pause {options.pause_s:g} s, {options.database}"
+    table = Table("asked", "count", "p50 ms", "p99 ms", "max ms", title=title)
+    for what, seconds in sorted(waited_s.items()):
+        p50, p99 = np.percentile(seconds, [50, 99]) * 1e3
+        table.add_row(what, str(len(seconds)), f"{p50:.1f}", f"{p99:.1f}", f"{max(seconds) * 1e3:.0f}")
+    CONSOLE.print(table)
+    requests = sum(len(seconds) for what, seconds in waited_s.items() if what != "submit: until scored")
+    took_s = options.minutes * 60.0
+    CONSOLE.print(
+        f"{requests} requests, {requests / took_s:.0f} a second, {noted['error_count']} errors; "
+        f"{noted['sent_bytes'] / MIB / took_s:.1f} MiB/s sent; {noted['scored']} submissions scored, "
+        f"{labelling.runs} recordings labelled, {len(labelling.failures)} failed"
+    )
+    for words in (*noted["errors"], *labelling.failures):
+        CONSOLE.print(f"  {words}")
+
+
+def _show_memory(watch: _MemoryWatch) -> None:
+    table = Table("process", "first quarter MiB", "last quarter MiB", "most MiB", title="memory (PSS, medians)")
+    for name, held in watch.held.items():
+        quarter = max(1, len(held) // 4)
+        figures = (median(held[:quarter]), median(held[-quarter:]), max(held))
+        table.add_row(name, *(f"{figure / MIB:.0f}" for figure in figures))
+    CONSOLE.print(table)
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.load", description=__doc__)
+    parser.add_argument("--clients", type=int, default=200)
+    parser.add_argument("--minutes", type=float, default=10.0)
+    parser.add_argument("--pause-s", type=float, default=1.0, help="a client thinks so long between two requests")
+    parser.add_argument("--database", default="postgres", choices=["sqlite", "postgres"])
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--folder", type=Path, help="a temporary one unless named")
+    options = parser.parse_args()
+    options.api = {}
+    options.folder = (options.folder or Path(tempfile.mkdtemp(prefix="stone-load-"))).absolute()
+    return options
+
+
+if __name__ == "__main__":
+    begun_s = time.monotonic()
+    ended = main()
+    CONSOLE.print(f"{time.monotonic() - begun_s:.0f} s in all")
+    sys.exit(ended)

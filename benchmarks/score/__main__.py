@@ -1,0 +1,183 @@
+"""Speed and memory of scoring a zip, beside other implementations: `python -m benchmarks.score`.
+
+All read the same zip in the same run, taking turns; the slow ones see a part of the frames. Figures are milliseconds of
+processor time a frame, medians of the turns, and wall time on two threads. All must agree on every count.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+import time
+import zipfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.score.material import Material, material
+from benchmarks.score.peers import ByteMoving, Plain, occ3d
+from services.eval.bootstrap_replicates import ratio_replicates
+from services.eval.counting import CountedFrames, TruthOf, count_range
+from services.eval.truth_pack import TruthPack
+from stone_submissions.archive import SubmissionZip, open_submission
+
+TURNS, LOOPED = 10, 4
+OURS, OURS_2 = "ours, 1 thread", "ours, 2 threads"
+PACKED, PACKED_2 = "ours from the kept pack, 1 thread", "ours from the kept pack, 2 threads"
+OCC3D, PLAIN, LIMIT = "(a) np.load, masked, bincount, as Occ3D", "(b) np.load + bincount", "(c) moving the bytes"
+REPLICATES = "draws of all intervals, once"
+NAMES = (OURS, OURS_2, PACKED, PACKED_2, OCC3D, PLAIN, LIMIT, REPLICATES)
+# (what, of which it is told, how the two are compared, bound)
+EXPECTED = ((OCC3D, "at least", 50.0), (PLAIN, "at least", 18.0), (LIMIT, "at most", 3.2))
+MOST_MEMORY_BYTES = 400e6
+
+
+@dataclass
+class ScoreTimes:
+    """Processor and wall seconds of all turns, and the frames they took."""
+
+    frames: int = 0
+    processor_s: float = 0.0
+    wall_s: float = 0.0
+    rates_ms: list[float] = field(default_factory=list)
+
+    @contextmanager
+    def turn(self, frames: int) -> Iterator[None]:
+        processor_s, wall_s = time.process_time(), time.perf_counter()
+        yield
+        spent_s = time.process_time() - processor_s
+        self.frames += frames
+        self.processor_s += spent_s
+        self.wall_s += time.perf_counter() - wall_s
+        self.rates_ms.append(1e3 * spent_s / frames)
+
+    @property
+    def median_ms(self) -> float:
+        return float(np.median(self.rates_ms))
+
+
+@dataclass(frozen=True, eq=False)
+class ScoreInputs:
+    """Everything open that is read from."""
+
+    data: Material
+    submission: SubmissionZip
+    archive: zipfile.ZipFile
+    pack: TruthPack
+    plain: Plain
+    moving: ByteMoving
+
+    def count(self, tokens: Sequence[str], truth_of: TruthOf, threads: int) -> CountedFrames:
+        counted = count_range(self.submission, tokens, truth_of, threads=threads)
+        if counted.problems or self.submission.problems:
+            raise SystemExit("the submission was refused: the benchmark is void")
+        return counted
+
+
+def take_turns(opened: ScoreInputs, clocks: dict[str, ScoreTimes]) -> NDArray[np.int32]:
+    """The confusions of all frames."""
+    data, kept = opened.data, []
+    ours = ((OURS, data.planes_of, 1), (OURS_2, data.planes_of, 2))
+    ours += ((PACKED, opened.pack.planes_of, 1), (PACKED_2, opened.pack.planes_of, 2))
+    for part in np.array_split(np.array(data.tokens), TURNS):
+        tokens = tuple(map(str, part))
+        found = []
+        for name, truth_of, threads in ours:
+            with clocks[name].turn(len(tokens)):
+                found.append(opened.count(tokens, truth_of, threads).confusions)
+            with clocks[LIMIT].turn(len(tokens)):
+                opened.moving(data, tokens)
+        with clocks[OCC3D].turn(LOOPED):
+            slow = occ3d(opened.archive, data, tokens[:LOOPED])
+        with clocks[PLAIN].turn(LOOPED):
+            plain = opened.plain(opened.archive, tokens[:LOOPED])
+        totals = [confusions[:LOOPED].sum(axis=(0, 1)) for confusions in found] + [plain]
+        if not all(np.array_equal(total, slow) for total in totals):
+            raise SystemExit("the counts differ: the benchmark is void")
+        kept.append(found[0])
+    return np.concatenate(kept)
+
+
+def measure(data: Material, clocks: dict[str, ScoreTimes]) -> float:
+    """Fill the clocks; seconds that opening the zip takes."""
+    looped = [str(part[k]) for part in np.array_split(np.array(data.tokens), TURNS) for k in range(LOOPED)]
+    with (
+        TruthPack(data.pack_path) as pack,
+        open_submission(data.zip_path, data.tokens) as submission,
+        zipfile.ZipFile(data.zip_path) as archive,
+    ):
+        opened = ScoreInputs(data, submission, archive, pack, Plain(data, looped), ByteMoving())
+        opened.count(data.tokens[:64], pack.planes_of, 2)  # compiled, and memory at hand, before anything is timed
+        opened.moving(data, data.tokens[:64])
+        started_s = time.process_time()
+        with open_submission(data.zip_path, data.tokens):
+            open_s = time.process_time() - started_s
+        confusions = take_turns(opened, clocks)
+    lengths = [len(rows) for rows in np.array_split(confusions, 5)]
+    ratio_replicates(confusions[:10], [10])
+    with clocks[REPLICATES].turn(1):
+        ratio_replicates(confusions, lengths)
+    return open_s
+
+
+def peak_bytes(data: Material) -> int:
+    """The most memory that a process held which did nothing but score."""
+    command = [sys.executable, "-m", "benchmarks.score.memory", str(data.zip_path), str(data.pack_path)]
+    return int(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout)
+
+
+def table_of(clocks: dict[str, ScoreTimes]) -> Table:
+    table = Table(title="Scoring (processor time, median of turns)")
+    for column in ("what", "frames", "ms/frame", "wall ms/frame", "this / ours"):
+        table.add_column(column, justify="left" if column == "what" else "right")
+    for name, clock in clocks.items():
+        ratio = f"{clock.median_ms / clocks[OURS].median_ms:.2f}" if clock.frames > 1 else ""
+        wall_ms = 1e3 * clock.wall_s / clock.frames
+        table.add_row(name, str(clock.frames), f"{clock.median_ms:.3f}", f"{wall_ms:.3f}", ratio)
+    return table
+
+
+def verdicts(clocks: dict[str, ScoreTimes], peak: int) -> Table:
+    table = Table(title="Expected")
+    for column in ("what", "expected", "truth in memory", "", "from the pack", ""):
+        table.add_column(column)
+    for name, bound, limit in EXPECTED:
+        row = [name, f"{bound} {limit:g} x"]
+        for ours in (OURS, PACKED):
+            quick, other = clocks[ours].median_ms, clocks[name].median_ms
+            found = quick / other if name == LIMIT else other / quick
+            is_met = found <= limit if name == LIMIT else found >= limit
+            row += [f"{found:.2f} x", "met" if is_met else "NOT met"]
+        table.add_row(*row)
+    row = ["peak memory", f"at most {MOST_MEMORY_BYTES / 1e6:.0f} MB", "", "", f"{peak / 1e6:.0f} MB"]
+    table.add_row(*row, "met" if peak <= MOST_MEMORY_BYTES else "NOT met")
+    return table
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--frames", type=int, default=7000)
+    frame_count = max(parser.parse_args().frames, TURNS * LOOPED)
+    clocks = {name: ScoreTimes() for name in NAMES}
+    with TemporaryDirectory() as folder:
+        data = material(Path(folder), frame_count)
+        open_s = measure(data, clocks)
+        peak = peak_bytes(data)
+        sizes = [path.stat().st_size / 1e6 for path in (data.zip_path, data.pack_path)]
+    console = Console()
+    console.print(table_of(clocks))
+    console.print(verdicts(clocks, peak))
+    facts = f"{frame_count} frames, zip of {sizes[0]:.0f} MB, pack of {sizes[1]:.0f} MB"
+    console.print(f"{facts}; the zip's directory is checked in {1e3 * open_s:.0f} ms")
+    console.print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}: wall means little where the load is above 1")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,30 @@
+"""Peak memory of a process that only scores: `python -m benchmarks.score.memory ZIP PACK`."""
+
+import re
+import sys
+from pathlib import Path
+
+from services.eval.counting import count_range
+from services.eval.truth_pack import TruthPack
+from stone_submissions.archive import open_submission
+
+THREADS = 2
+
+
+def main() -> None:
+    zip_path, pack_path = map(Path, sys.argv[1:])
+    with TruthPack(pack_path) as pack, open_submission(zip_path, pack.tokens) as submission:
+        counted = count_range(submission, pack.tokens, pack.planes_of, threads=THREADS)
+    if submission.problems or counted.problems:
+        raise SystemExit("the submission was refused: the benchmark is void")
+    print(high_water_bytes())
+
+
+def high_water_bytes() -> int:
+    """Of this process's own memory; `getrusage` would tell that of whoever started it, where that held more."""
+    status = Path("/proc/self/status").read_text("ascii")
+    return 1024 * int(re.findall(r"VmHWM:\s+(\d+) kB", status)[0])
+
+
+if __name__ == "__main__":
+    main()

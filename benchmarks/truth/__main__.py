@@ -1,0 +1,132 @@
+"""Labels against five worlds whose truth is known: `python -m benchmarks.truth [--seconds 30] [--seeds 1 2 3 4 5]`.
+
+Per seed a world of 64 × 900 rays is simulated and labelled with both profiles, as `stone label` does, and once more
+with profile `paper` in one cube without a seam. What no profile changes (the mesh, the occupied voxels, T) is measured
+once. The labels do not see the truth. Worlds, labels and figures are kept in
+`--folder`; `--table` prints the figures that are there once more.
+"""
+
+import argparse
+import json
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.truth.checks import Drive, evidence_counts, footprint_counts, judged, seam_counts, walker_counts
+from benchmarks.truth.surface import read_mesh, surface_errors
+from benchmarks.truth.table import Figures, show
+from services.ingest.sequence import open_sequence
+from services.labeler.local_run import LabelOptions, label
+from services.labeler.parameters import LabelParameters, Profile, TilingParameters, parameters_for
+from simulator.options import SimulateOptions
+from simulator.pipeline import calibration_path, simulate
+from simulator.truth import read_truth
+from stone.geometry.se3 import SE3
+
+SEEDS = (1, 2, 3, 4, 5)
+WORKERS = 2
+UNTILED = TilingParameters(cube_cells=1024)  # 204.8 m, of which 201.6 m core: one holds a run of a minute
+COARSEST_LATTICE_M = 0.8  # a brick of observed voxels; a shift by multiples keeps every lattice of the map
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=30.0)
+    parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS)
+    parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()) / "stone-truth")
+    parser.add_argument("--table", action="store_true", help="only print what was measured before")
+    options = parser.parse_args()
+    options.folder.mkdir(parents=True, exist_ok=True)
+    worlds = {}
+    for seed in options.seeds:
+        path = options.folder / f"figures-{seed}-{options.seconds:g}s.json"
+        if not options.table:
+            figures = _figures(options.folder, seed, options.seconds)
+            path.write_text(json.dumps(figures, indent=1) + "\n")
+        worlds[seed] = json.loads(path.read_text())
+    show(worlds, f"labels of {options.seconds:g} s worlds against their truth")
+
+
+def _figures(folder: Path, seed: int, seconds: float) -> dict[str, Figures]:
+    """Every figure of one world, by profile."""
+    drive = simulated(folder / f"world-{seed}-{seconds:g}s.mcap", SimulateOptions(seconds, seed, cameras=False))
+    figures, folders = dict[str, Figures](), dict[str, Path]()
+    profiles: tuple[Profile, ...] = ("paper", "local")
+    for profile in profiles:
+        folders[profile] = folder / f"labels-{seed}-{profile}"
+        record = _labelled(drive, folders[profile], parameters_for(profile))
+        figures[profile] = record | _labels_measured(drive, folders[profile])
+    figures["paper"] |= _map_measured(drive, folders["paper"])
+    untiled = folder / f"labels-{seed}-untiled"
+    moved = _amid_cube(drive)
+    record = _labelled(moved, untiled, replace(parameters_for("paper"), tiling=UNTILED))
+    seam, iou = seam_counts(drive, folders["paper"], untiled), judged(drive, untiled).iou or 0.0
+    figures["paper"] |= {
+        "untiled_tiles": record["tiles"],
+        "untiled_class_differs": seam.class_differs / seam.occupied,
+        "untiled_in_one_only": seam.in_one_only / seam.occupied,
+        "untiled_iou_differs": abs(iou - figures["paper"]["iou"]),
+    }
+    return figures
+
+
+def simulated(bag: Path, options: SimulateOptions) -> Drive:
+    """The drive of these options, from an earlier run where there is one."""
+    truth_dir = bag.with_suffix(".truth")
+    if not (bag.exists() and truth_dir.exists()):
+        simulate(bag, options, truth_dir)
+    sequence, sweeps = open_sequence(bag, calibration_path(bag), bag.stem)
+    return Drive(sequence, sweeps, read_truth(truth_dir))
+
+
+def _amid_cube(drive: Drive) -> Drive:
+    """The same run moved to the middle of an untiled cube: the map begins where four of them meet."""
+    frames = drive.sequence.frames
+    track = frames.map_from_ego.translation_m[:, :2]
+    core_m = replace(parameters_for("paper"), tiling=UNTILED).core_m
+    shift_m = core_m / 2 - (track.min(axis=0) + track.max(axis=0)) / 2
+    moved = frames.map_from_ego.wxyz_xyz.copy()
+    moved[:, 4:6] += np.round(shift_m / COARSEST_LATTICE_M) * COARSEST_LATTICE_M
+    return replace(drive, sequence=replace(drive.sequence, frames=replace(frames, map_from_ego=SE3(moved))))
+
+
+def _labelled(drive: Drive, folder: Path, parameters: LabelParameters) -> Figures:
+    """Label into `folder`; what the report says of how it went."""
+    record = label(drive.sequence, drive.sweeps, folder, LabelOptions(parameters, WORKERS)).as_record()
+    differing = record["profiles"]["differing_share"]
+    return {"frames": record["frames"], "tiles": record["map"]["tiles"], "profiles_differ": differing}
+
+
+def _labels_measured(drive: Drive, labels: Path) -> Figures:
+    """What depends on the classes, and so on the profile."""
+    verdict, walker = judged(drive, labels), walker_counts(drive, labels)
+    return {
+        **{name: getattr(verdict, name) for name in ("iou", "precision", "recall", "everything_iou")},
+        "walker_voxels": walker.voxels,
+        **dict(zip(("walker_t", "walker_p", "walker_n"), walker.labelled, strict=True)),
+    }
+
+
+def _map_measured(drive: Drive, labels: Path) -> Figures:
+    """What does not: the mesh, which voxels are occupied, and T."""
+    mesh, poses = read_mesh(labels / "mesh.ply"), (drive.sequence.frames.map_from_ego, drive.world_from_ego())
+    errors = surface_errors(mesh, poses, drive.truth)
+    footprint, evidence = footprint_counts(drive, labels), evidence_counts(drive, labels)
+    return {
+        "slope_median_deg": float(np.median(errors.slope_deg)),
+        "slope_p95_deg": float(np.percentile(errors.slope_deg, 95)),
+        "roughness_median_log_m2": float(np.median(errors.roughness_log_m2)),
+        "ground_vertices": len(errors.slope_deg),
+        "footprint_t": footprint.in_grid_t / footprint.in_grid,
+        "footprint_map_t": footprint.in_map_t / footprint.in_map,
+        "labelled": evidence.labelled,
+        "without_point": evidence.without_point / evidence.labelled,
+        "without_ray": evidence.without_ray,
+        "unobserved": evidence.beyond_reach,
+    }
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,225 @@
+"""Checks of a simulated run's labels, beside the verdict: footprint, evidence, the walker, seams.
+
+**Conventions.** A label grid is placed by the exact pose of its frame, never by the estimated one, so the origin and
+the drift of the map do not matter. Counts add over frames; ratios are read once, where they are shown.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from benchmarks.truth.surface import near_obstacles, read_mesh
+from simulator.scenery.walker import HEIGHT_M, RADIUS_M, Walker
+from simulator.sensors.rig import SWEEP_NS
+from simulator.truth import SimulationTruth
+from simulator.verdict import LabelVerdict, judge_semantics
+from stone.geometry.lattice import centres_of, keys_of
+from stone.geometry.se3 import SE3, Array
+from stone.labels.grid import GRID_MIN_M, GRID_SHAPE, Grid
+from stone.labels.voxels import VOXEL_M
+from stone.sensors.selection import SelectionParameters, world_points
+from stone.sensors.sequence import Sequence, SweepSource
+
+FOOTPRINT_BAND_M = 0.15
+EVIDENCE_M, THINNED_M = 0.4, 0.05
+# A vertex lies within the trim (0.2 m) of a point, a map voxel's centre within half a diagonal (0.173 m) of its vertex,
+# a grid voxel's centre within another of the map's: what is farther from all points is surface nobody measured.
+REACH_M = 0.55
+JUDGED_EVERY, EVIDENCE_EVERY, WALKER_EVERY, SEAM_EVERY = 5, 15, 15, 10
+# Below, grass stands and the ground's own voxels lie; beside an obstacle, its own surface.
+WALKER_ABOVE_M, OBSTACLE_CLEAR_M = 0.5, 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """One simulated run as the platform read it, and the truth about it."""
+
+    sequence: Sequence
+    sweeps: SweepSource
+    truth: SimulationTruth
+
+    def world_from_ego(self) -> SE3:
+        """The exact poses (N,) of the frames."""
+        poses = [self.truth.map_from_ego(stamp_ns).wxyz_xyz for stamp_ns in self.sequence.frames.stamps_ns.tolist()]
+        return SE3(np.stack(poses))
+
+    def semantics(self, labels: Path, index: int) -> Grid:
+        """The labels of frame `index` in the label set `labels`."""
+        path = labels / "gts" / self.sequence.name / self.sequence.frames.tokens[index] / "labels.npz"
+        with np.load(path, allow_pickle=False) as archive:
+            grid: Grid = archive["semantics"]
+        return grid
+
+
+def judged(drive: Drive, labels: Path) -> LabelVerdict:
+    """What `simulator.verdict` says of every `JUDGED_EVERY`-th frame."""
+    poses, frames = drive.world_from_ego().as_matrix(), range(0, len(drive.sequence.frames), JUDGED_EVERY)
+    counts = [judge_semantics(drive.semantics(labels, frame), drive.truth.judge, poses[frame]) for frame in frames]
+    return LabelVerdict(len(counts), *np.sum(counts, axis=0).tolist())
+
+
+def grid_centres(index: NDArray[np.int64]) -> Array:
+    """Voxel centres (N, 3) in the ego frame."""
+    return np.asarray((index + 0.5) * VOXEL_M + np.asarray(GRID_MIN_M))
+
+
+@dataclass(frozen=True)
+class FootprintCounts:
+    """Occupied voxels under the footprint, and those of them labelled T.
+
+    `in_grid`: the voxel's own centre is under the footprint. `in_map`: so is the centre of the map voxel around it,
+    and that one holds surface (a vertex of the mesh). The labels are made in the map: an ego voxel takes the class of
+    the map voxel that holds its centre, whose own centre may lie up to half a diagonal (0.17 m) away and so beyond the
+    footprint; and where that one is empty, `stone.labels.grid` may have closed a gap with the class of another.
+    """
+
+    in_grid: int
+    in_grid_t: int
+    in_map: int
+    in_map_t: int
+
+
+def footprint_counts(drive: Drive, labels: Path) -> FootprintCounts:
+    """Over every `JUDGED_EVERY`-th frame, each at its own pose."""
+    footprint = drive.sequence.calibration.footprint
+    half = np.array([footprint.length_m / 2, footprint.width_m / 2, FOOTPRINT_BAND_M])
+    index = np.argwhere(np.ones(GRID_SHAPE, np.bool_))
+    index = index[(np.abs(grid_centres(index)) <= half).all(axis=1)]
+    surface = np.unique(keys_of(read_mesh(labels / "mesh.ply").vertices_map, VOXEL_M))
+    total = np.zeros(4, np.int64)
+    for frame in range(0, len(drive.sequence.frames), JUDGED_EVERY):
+        classes = drive.semantics(labels, frame)[tuple(index.T)]
+        map_from_ego = drive.sequence.frames.map_from_ego[frame]
+        keys = keys_of(map_from_ego @ grid_centres(index), VOXEL_M)
+        is_under = (np.abs(map_from_ego.inverse() @ centres_of(keys, VOXEL_M)) <= half).all(axis=1)
+        is_under &= np.isin(keys, surface)
+        occupied, driven = classes > 0, classes == 1
+        total += [np.count_nonzero(part) for part in (occupied, driven, occupied & is_under, driven & is_under)]
+    return FootprintCounts(*total.tolist())
+
+
+@dataclass(frozen=True)
+class EvidenceCounts:
+    """Labelled voxels of the sampled frames: without a measured point within `REACH_M`, and `EVIDENCE_M`; without even
+    a ray within `EVIDENCE_M`."""
+
+    labelled: int
+    beyond_reach: int
+    without_point: int
+    without_ray: int
+
+
+def evidence_counts(drive: Drive, labels: Path) -> EvidenceCounts:
+    """Is every labelled voxel of every `EVIDENCE_EVERY`-th frame within `EVIDENCE_M` of something the LiDAR measured?
+
+    First against the points of all sweeps, thinned to `THINNED_M` (the reach is shortened by the half diagonal that
+    thinning may move a point, so a pass is a pass); what fails is tried against every ray, from the LiDAR at the
+    sweep's stamp to the unthinned point. Points of the robot itself are left out.
+    """
+    world_from_ego = drive.world_from_ego()
+    centres = []
+    for frame in range(0, len(world_from_ego), EVIDENCE_EVERY):
+        index = np.argwhere(drive.semantics(labels, frame) > 0)
+        centres.append(world_from_ego[frame] @ grid_centres(index))
+    labelled = np.concatenate(centres)
+    moved_m = THINNED_M * np.sqrt(3) / 2
+    distance, _ = cKDTree(_thinned_points(drive)).query(labelled, distance_upper_bound=REACH_M - moved_m)
+    doubtful = labelled[distance > EVIDENCE_M - moved_m]
+    beyond = int(np.isinf(distance).sum())
+    return EvidenceCounts(len(labelled), beyond, len(doubtful), _without_ray(drive, doubtful))
+
+
+def _points_world(drive: Drive, frame: int, world_from_ego: SE3) -> Array:
+    calibration = drive.sequence.calibration
+    points_lidar, nearest_m = drive.sweeps.sweep(frame).points_lidar, SelectionParameters().min_range_m
+    points_ego = world_points(points_lidar, calibration.ego_from_lidar, calibration.self_boxes_ego, nearest_m)
+    return world_from_ego @ points_ego.astype(np.float64)
+
+
+def _thinned_points(drive: Drive) -> Array:
+    poses = drive.world_from_ego()
+    keys = [np.unique(keys_of(_points_world(drive, frame, poses[frame]), THINNED_M)) for frame in range(len(poses))]
+    return centres_of(np.unique(np.concatenate(keys)), THINNED_M)
+
+
+def _without_ray(drive: Drive, centres_world: Array) -> int:
+    poses = drive.world_from_ego()
+    left = centres_world
+    for frame in range(len(poses)):
+        if len(left) == 0:
+            break
+        sensor = poses[frame] @ drive.sequence.calibration.ego_from_lidar.translation_m
+        left = left[~_is_passed(left, sensor, _points_world(drive, frame, poses[frame]))]
+    return len(left)
+
+
+@njit(cache=True, nogil=True)
+def _is_passed(centres, sensor, points):  # type: ignore[no-untyped-def]
+    """Does any of the segments sensor → point come within `EVIDENCE_M` of each centre (N,)?"""
+    passed = np.zeros(len(centres), np.bool_)
+    for c in range(len(centres)):
+        x, y, z = centres[c, 0] - sensor[0], centres[c, 1] - sensor[1], centres[c, 2] - sensor[2]
+        for p in range(len(points)):
+            u, v, w = points[p, 0] - sensor[0], points[p, 1] - sensor[1], points[p, 2] - sensor[2]
+            t = min(max((x * u + y * v + z * w) / (u * u + v * v + w * w), 0.0), 1.0)
+            if (x - t * u) ** 2 + (y - t * v) ** 2 + (z - t * w) ** 2 <= EVIDENCE_M**2:
+                passed[c] = True
+                break
+    return passed
+
+
+@dataclass(frozen=True)
+class WalkerCounts:
+    """Labelled voxels where the walker was and nothing else stands, by class T, P, N; and how many voxels that is."""
+
+    voxels: int
+    labelled: tuple[int, int, int]
+
+
+def walker_counts(drive: Drive, labels: Path) -> WalkerCounts:
+    """Over every `WALKER_EVERY`-th frame, in the space the walker swept through in the whole run.
+
+    A voxel is counted when its centre comes within half a voxel of the walker at the middle of a sweep, more than
+    `WALKER_ABOVE_M` above the true ground and farther than `OBSTACLE_CLEAR_M` from every obstacle.
+    """
+    truth, stamps_ns = drive.truth, drive.sequence.frames.stamps_ns
+    walker = Walker(truth.trajectory, truth)
+    feet = np.stack([walker.foot_m(int(stamp_ns) + SWEEP_NS // 2) for stamp_ns in stamps_ns])
+    tree, poses = cKDTree(feet[:, :2]), drive.world_from_ego()
+    index = np.argwhere(np.ones(GRID_SHAPE, np.bool_))
+    total = np.zeros(4, np.int64)
+    for frame in range(0, len(stamps_ns), WALKER_EVERY):
+        world_from_ego = poses[frame]
+        plan = (world_from_ego @ grid_centres(index[:: GRID_SHAPE[2]]))[:, :2]
+        near = np.isfinite(tree.query(plan, distance_upper_bound=2.0)[0])
+        mine = index.reshape(-1, GRID_SHAPE[2], 3)[near].reshape(-1, 3)
+        centres = world_from_ego @ grid_centres(mine)
+        is_walker = np.isfinite(tree.query(centres[:, :2], distance_upper_bound=RADIUS_M + VOXEL_M / 2)[0])
+        above_m = centres[:, 2] - truth.elevation_m(centres[:, :2])
+        is_walker &= (above_m > WALKER_ABOVE_M) & (above_m < HEIGHT_M)
+        is_walker[is_walker] &= ~near_obstacles(centres[is_walker, :2], truth.obstacles, OBSTACLE_CLEAR_M)
+        total += np.bincount(drive.semantics(labels, frame)[tuple(mine[is_walker].T)], minlength=4)
+    return WalkerCounts(int(total.sum()), (int(total[1]), int(total[2]), int(total[3])))
+
+
+@dataclass(frozen=True)
+class SeamCounts:
+    """Voxels occupied in either of two label sets; in both, with another class; in one of them only."""
+
+    occupied: int
+    class_differs: int
+    in_one_only: int
+
+
+def seam_counts(drive: Drive, labels: Path, others: Path) -> SeamCounts:
+    """Over every `SEAM_EVERY`-th frame."""
+    total = np.zeros(3, np.int64)
+    for frame in range(0, len(drive.sequence.frames), SEAM_EVERY):
+        ours, theirs = drive.semantics(labels, frame), drive.semantics(others, frame)
+        both, either = (ours > 0) & (theirs > 0), (ours > 0) | (theirs > 0)
+        total += [np.count_nonzero(part) for part in (either, both & (ours != theirs), either & ~both)]
+    return SeamCounts(*total.tolist())

@@ -1,0 +1,45 @@
+"""READMEs from other folders that are included in the site.
+
+**Conventions.** Links between them, and into `docs/`, lead to their pages in the site; what leads elsewhere in the
+repository is left as its words.
+"""
+
+import posixpath
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+SOURCES = {
+    "install/compose.md": "deploy/compose/README.md",
+    "install/cluster.md": "deploy/kubernetes/README.md",
+    "install/images.md": "deploy/images/README.md",
+    "install/stand-ins.md": "deploy/stand-in/README.md",
+}
+LINK = re.compile(r"\[([^\]]+)\]\(([^)#\s]+)(#[^)\s]*)?\)")
+
+
+def included_pages() -> Mapping[str, str]:
+    """Markdown by path, of those that are there."""
+    there = {page: source for page, source in SOURCES.items() if (ROOT / source).exists()}
+    return {page: relinked((ROOT / source).read_text("utf-8"), source, page) for page, source in there.items()}
+
+
+def relinked(text: str, source: str, page: str) -> str:
+    """The text of the file `source` as the page `page` of the site."""
+
+    def led(found: re.Match[str]) -> str:
+        words, link, place = found.group(1), found.group(2), found.group(3) or ""
+        if "://" in link:
+            return found.group(0)
+        target = _page_of(posixpath.normpath(posixpath.join(posixpath.dirname(source), link)))
+        return f"[{words}]({posixpath.relpath(target, posixpath.dirname(page))}{place})" if target else words
+
+    return LINK.sub(led, text)
+
+
+def _page_of(path: str) -> str:
+    """Where a file, or a folder by its README, stands in the site; the empty text where it does not."""
+    by_source = {source: page for page, source in SOURCES.items()}
+    found = by_source.get(path) or by_source.get(f"{path}/README.md")
+    return found or (path.removeprefix("docs/") if path.startswith("docs/") else "")

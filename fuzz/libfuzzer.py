@@ -1,0 +1,27 @@
+"""One target under libFuzzer, in a process of its own: `python -m fuzz.libfuzzer TARGET [libFuzzer options] CORPUS`."""
+
+import sys
+
+import atheris
+
+import stone.scoring.bitplanes  # noqa: F401 # likewise
+import stone_recordings.messages.point_kernel  # noqa: F401 # numba compiles bytecode and refuses the instrumented one
+
+# isort: split
+
+EXPORTED = ("stone_client.files.export_files", "stone_client.files.tar_index", "stone_client.files.exported_sweeps")
+
+with atheris.instrument_imports(include=["stone_recordings", "stone_submissions", "services.eval", *EXPORTED]):
+    from fuzz.limits import check
+    from fuzz.targets import TARGETS
+
+
+def main() -> None:
+    name = sys.argv.pop(1)
+    target = TARGETS[name]
+    atheris.Setup(sys.argv, lambda content: check(target, content))
+    atheris.Fuzz()
+
+
+if __name__ == "__main__":
+    main()

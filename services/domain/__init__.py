@@ -1,0 +1,1 @@
+"""The domain: sequences, datasets, benchmarks and exports as rows with their rules, one folder per noun."""

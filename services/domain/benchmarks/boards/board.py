@@ -1,0 +1,220 @@
+"""The leaderboard of a phase: ranked entries with rank confidence, and unranked ones beside them.
+
+**Conventions.** A board shows one evaluation version (a ground truth and a metric), that in force at its time, so its
+scores have one signature. What a viewer may not see of a row is null already here (`visibility.py`). At most
+`MOST_ROWS` entries of a status are told, the best ones; `ranked_total` says of how many. Replicates are read after
+the rows, outside the transaction.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from services.domain.benchmarks.boards.bootstrap import RankConfidence, rank_confidence_of
+from services.domain.benchmarks.boards.entries import (
+    BoardEntry,
+    BoardOrder,
+    BoardQuery,
+    EntryStatus,
+    board_order_of,
+    entries_on_board,
+)
+from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion, in_force
+from services.domain.benchmarks.visibility import Secrecy, Viewer, policy_of, secrecy_of
+from services.runtime.orm import Benchmark, Blob, GroundTruthRow, Phase, Reported, Score
+from services.runtime.orm.base import now_ns
+from services.runtime.platform import Platform
+from stone.scoring.metric import RATIOS
+
+MOST_ROWS = 2000
+CHUNK = 500  # ids in one statement
+
+Interval = tuple[float, float]
+Ratios = Mapping[str, float | None]
+
+
+@dataclass(frozen=True)
+class LeaderboardRow:
+    """A line of the board. `intervals` are of block replicates, by ratio; `support` voxels of the truth by class."""
+
+    standing: EntryStatus
+    method: str
+    modality: str
+    ratios: Ratios
+    rank: int | None = None
+    rank_interval: tuple[int, int] | None = None
+    tie_group: int | None = None
+    submission_id: str | None = None
+    score_id: str | None = None
+    team: str | None = None
+    is_yours: bool = False
+    intervals: Mapping[str, Interval | None] | None = None
+    support: Mapping[str, int] | None = None
+    source: str | None = None
+    submitted_ns: int | None = None
+
+
+@dataclass(frozen=True)
+class BoardEvaluationVersion:
+    """The evaluation version that a board's scores were made by; `signature` is null while there is none."""
+
+    truth_id: str
+    truth_number: int
+    truth_sha256: str
+    metric: str
+    signature: str | None
+    activated_ns: int
+    frames: int
+    sequences: int
+
+
+@dataclass(frozen=True)
+class Board:
+    """`pair` is null, and nothing stands on the board, before the phase's first ground truth."""
+
+    benchmark: str
+    phase: str
+    query: BoardQuery
+    secrecy: Secrecy
+    is_hidden: bool
+    pair: BoardEvaluationVersion | None
+    ranked_total: int
+    rows: tuple[LeaderboardRow, ...]
+
+
+@dataclass(frozen=True)
+class _BoardRecords:
+    """The database rows of a board."""
+
+    board: Board
+    order: BoardOrder
+    viewer: Viewer
+    phase: Phase
+    details: Mapping[str, tuple[Any, Any]]
+    key_of: Mapping[str, str]
+    reported: tuple[LeaderboardRow, ...]
+    now_ns: int
+
+
+def board(platform: Platform, phase_id: str, query: BoardQuery, viewer: Viewer) -> Board:
+    """The board as the viewer may see it now; `as_of_ns` in the future is now. Raises `StoreAwayError`."""
+    with platform.database.reading() as session:
+        read = _read(session, session.get_one(Phase, phase_id), query, viewer)
+    draws = [entry.replicates_sha256 for entry in read.order.ranked]
+    confidence = rank_confidence_of(platform.store, draws, read.key_of) if draws else RankConfidence((), ())
+    return replace(read.board, rows=(*_ranked(read, confidence), *_unranked(read), *read.reported))
+
+
+def board_order(session: Session, phase: Phase, pair: EvaluationVersion, query: BoardQuery) -> BoardOrder:
+    """Who stands where by `pair`, in force or not: for administrators only, since nothing is left out."""
+    return board_order_of(entries_on_board(session, phase, pair, query), query.entries)
+
+
+def sequences_of(truth: GroundTruthRow) -> int:
+    """The number of sequences in a ground truth."""
+    return len(truth.facts.get("sequences", ()))
+
+
+def _read(session: Session, phase: Phase, query: BoardQuery, viewer: Viewer) -> _BoardRecords:
+    now = now_ns()
+    if query.as_of_ns is not None:
+        query = replace(query, as_of_ns=min(query.as_of_ns, now))
+    activation = in_force(session, phase.id, query.as_of_ns)
+    entries = BoardOrder((), (), (), ())
+    pair = None
+    if activation is not None:
+        entries = board_order(session, phase, EvaluationVersion(activation.truth_id, activation.metric), query)
+        truth = session.get_one(GroundTruthRow, activation.truth_id)
+        pair = _board_version(truth, activation.metric, activation.activated_ns, entries)
+    benchmark = session.get_one(Benchmark, phase.benchmark_id)
+    at = (query, secrecy_of(phase, now), phase.is_hidden, pair, len(entries.ranked))
+    empty = Board(benchmark.name, phase.name, *at, ())
+    told = _bounded(entries)
+    every = (*told.ranked, *told.baselines, *told.undefined)
+    keys = _object_keys(session, [entry.replicates_sha256 for entry in told.ranked])
+    return _BoardRecords(
+        empty, told, viewer, phase, _details(session, every), keys, _reported(session, phase, query), now
+    )
+
+
+def _bounded(entries: BoardOrder) -> BoardOrder:
+    cut = slice(MOST_ROWS)
+    return BoardOrder(entries.ranked[cut], entries.ranks[cut], entries.baselines[cut], entries.undefined[cut])
+
+
+def _board_version(
+    truth: GroundTruthRow, metric: str, activated_ns: int, entries: BoardOrder
+) -> BoardEvaluationVersion:
+    every = (*entries.ranked, *entries.baselines, *entries.undefined)
+    signature = every[0].signature if every else None
+    of_truth = (truth.id, truth.number, truth.sha256)
+    return BoardEvaluationVersion(*of_truth, metric, signature, activated_ns, truth.frames, sequences_of(truth))
+
+
+def _details(session: Session, entries: Sequence[BoardEntry]) -> dict[str, tuple[Any, Any]]:
+    """Block intervals and supports by score, without the rest of the records."""
+    found: dict[str, tuple[Any, Any]] = {}
+    wanted = select(Score.id, Score.record["intervals"]["block"], Score.record["support"])
+    for ids in _chunks([entry.score_id for entry in entries]):
+        found |= {row[0]: (row[1], row[2]) for row in session.execute(wanted.where(Score.id.in_(ids)))}
+    return found
+
+
+def _object_keys(session: Session, shas: Sequence[str]) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for some in _chunks(shas):
+        found |= dict(session.execute(select(Blob.sha256, Blob.object_key).where(Blob.sha256.in_(some))).all())
+    return found
+
+
+def _chunks(values: Sequence[str]) -> Iterable[Sequence[str]]:
+    return (values[start : start + CHUNK] for start in range(0, len(values), CHUNK))
+
+
+def _reported(session: Session, phase: Phase, query: BoardQuery) -> tuple[LeaderboardRow, ...]:
+    """Results published elsewhere, the best first."""
+    found = select(Reported).where(Reported.phase_id == phase.id)
+    if query.as_of_ns is not None:
+        found = found.where(Reported.created_ns <= query.as_of_ns)
+    if query.track != "all":
+        found = found.where(Reported.modality == query.track)
+    rows = sorted(session.scalars(found), key=lambda row: (-(-1.0 if row.miou is None else row.miou), row.method))
+    return tuple(
+        LeaderboardRow(
+            "reported", row.method, row.modality, {name: getattr(row, name) for name in RATIOS}, source=row.source
+        )
+        for row in rows
+    )
+
+
+def _ranked(read: _BoardRecords, confidence: RankConfidence) -> Iterable[LeaderboardRow]:
+    for place, (entry, rank) in enumerate(zip(read.order.ranked, read.order.ranks, strict=True)):
+        row = replace(_row(read, entry), rank=rank)
+        if policy_of(read.viewer, read.phase, entry.team_id, read.now_ns).shows("ranks"):
+            row = replace(row, rank_interval=confidence.rank_intervals[place], tie_group=confidence.tie_groups[place])
+        yield row
+
+
+def _unranked(read: _BoardRecords) -> Iterable[LeaderboardRow]:
+    return (_row(read, entry) for entry in (*read.order.baselines, *read.order.undefined))
+
+
+def _row(read: _BoardRecords, entry: BoardEntry) -> LeaderboardRow:
+    policy = policy_of(read.viewer, read.phase, entry.team_id, read.now_ns)
+    intervals, support = read.details[entry.score_id]
+    return LeaderboardRow(
+        standing=entry.standing,
+        method=entry.method,
+        modality=entry.modality,
+        ratios={name: policy.ratio(value) for name, value in entry.ratios.items()},
+        submission_id=entry.submission_id,
+        score_id=entry.score_id,
+        team=entry.team if policy.shows("team") else None,
+        is_yours=entry.team_id in read.viewer.team_ids,
+        intervals=intervals if policy.shows("intervals") else None,
+        support=support if policy.shows("extras") else None,
+        submitted_ns=entry.finalized_ns,
+    )

@@ -1,0 +1,157 @@
+"""The entries of a leaderboard at a given time, ordered and ranked.
+
+**Conventions.** On a board are scored entries and baselines that had settled by then and were not withdrawn or hidden
+then, with their score by the evaluation version in force then. The order is by rounded mIoU, then IoU_occ, then IoU_N,
+then the time of finalisation, earlier first; equal rounded values share a rank. Only finite entries are ranked: where a
+ratio is undefined there is no rank, and baselines have none either. Texts are as participants wrote them.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from math import isfinite
+from typing import Literal, get_args
+
+from sqlalchemy import ColumnElement, and_, or_, select
+from sqlalchemy.orm import Session, load_only
+
+from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion
+from services.domain.benchmarks.visibility import ON_BOARDS, is_on_board, rounded
+from services.runtime.orm import Phase, Score, SubmissionRow, Team
+from stone.scoring.metric import RATIOS
+from stone.scoring.ranking import in_order, shared_ranks
+
+Track = Literal["all", "C", "L", "R", "C+L", "C+R", "L+R", "C+L+R"]  # `modalities.Modality`, and all
+Which = Literal["best", "all"]
+EntryStatus = Literal["ranked", "baseline", "undefined", "reported"]
+
+TRACKS: tuple[Track, ...] = get_args(Track)
+_SHOWN = (
+    SubmissionRow.team_id,
+    SubmissionRow.kind,
+    SubmissionRow.method,
+    SubmissionRow.modality,
+    SubmissionRow.finalized_ns,
+)
+TIE_BREAK = ("miou", "iou_occ", "iou_n")
+
+
+@dataclass(frozen=True)
+class BoardQuery:
+    """`track` is a declared modality, or all; `entries` the best of each team, or all; `as_of_ns` null for now."""
+
+    track: Track = "all"
+    as_of_ns: int | None = None
+    entries: Which = "best"
+
+
+@dataclass(frozen=True)
+class BoardEntry:
+    """A score on a board, without its record."""
+
+    score_id: str
+    submission_id: str
+    team_id: str
+    team: str
+    kind: str
+    method: str
+    modality: str
+    finalized_ns: int
+    signature: str
+    replicates_sha256: str
+    ratios: Mapping[str, float | None]
+
+    @cached_property
+    def is_defined(self) -> bool:
+        return all(value is not None and isfinite(value) for value in self.ratios.values())
+
+    @property
+    def standing(self) -> EntryStatus:
+        if self.kind == "baseline":
+            return "baseline"
+        return "ranked" if self.is_defined else "undefined"
+
+    @cached_property
+    def key(self) -> tuple[float, ...]:
+        """The sort key; what is undefined comes after everything."""
+        if not self.is_defined:
+            return (-1.0,) * len(TIE_BREAK)
+        return tuple(rounded(self.ratios[name] or 0.0) for name in TIE_BREAK)
+
+
+@dataclass(frozen=True)
+class BoardOrder:
+    """The entries of a board, best first: ranked ones with their ranks, then baselines, then undefined ones."""
+
+    ranked: tuple[BoardEntry, ...]
+    ranks: tuple[int, ...]
+    baselines: tuple[BoardEntry, ...]
+    undefined: tuple[BoardEntry, ...]
+
+
+def entries_on_board(
+    session: Session, phase: Phase, pair: EvaluationVersion, query: BoardQuery
+) -> tuple[BoardEntry, ...]:
+    """What stands on the board by `pair`, in no particular order."""
+    ratios = [getattr(Score, name) for name in RATIOS]
+    found = (
+        select(Score, SubmissionRow, Team.name)
+        .options(load_only(Score.signature, Score.replicates_sha256, *ratios), load_only(*_SHOWN))
+        .join(SubmissionRow, SubmissionRow.id == Score.submission_id)
+        .join(Team, Team.id == SubmissionRow.team_id)
+        .where(SubmissionRow.phase_id == phase.id, Score.truth_id == pair.truth_id, Score.metric == pair.metric)
+        .where(was_on_board_at(query.as_of_ns))
+    )
+    if query.track != "all":
+        found = found.where(SubmissionRow.modality == query.track)
+    return tuple(_entry(*row) for row in session.execute(found))
+
+
+def board_order_of(entries: Iterable[BoardEntry], which: Which = "all") -> BoardOrder:
+    """The entries in the order of the board; `best` keeps one of each team and all baselines."""
+    best_first = _best_first(tuple(entries))
+    by_status: dict[EntryStatus, list[BoardEntry]] = {"ranked": [], "baseline": [], "undefined": []}
+    seen: set[str] = set()
+    for entry in best_first:
+        is_further = which == "best" and entry.kind != "baseline" and entry.team_id in seen
+        if not is_further:
+            by_status[entry.standing].append(entry)
+            seen |= set() if entry.kind == "baseline" else {entry.team_id}
+    ranks = shared_ranks([entry.key for entry in by_status["ranked"]])
+    return BoardOrder(
+        tuple(by_status["ranked"]), tuple(ranks), tuple(by_status["baseline"]), tuple(by_status["undefined"])
+    )
+
+
+def was_on_board_at(as_of_ns: int | None) -> ColumnElement[bool]:
+    """Whether a submission stands on the board now, or stood at a time of the past."""
+    if as_of_ns is None:
+        return is_on_board()
+    return and_(
+        SubmissionRow.state == "scored",
+        SubmissionRow.kind.in_(ON_BOARDS),
+        SubmissionRow.settled_ns <= as_of_ns,
+        or_(SubmissionRow.withdrawn_ns.is_(None), SubmissionRow.withdrawn_ns > as_of_ns),
+        or_(SubmissionRow.hidden_ns.is_(None), SubmissionRow.hidden_ns > as_of_ns),
+    )
+
+
+def _entry(score: Score, submission: SubmissionRow, team: str) -> BoardEntry:
+    return BoardEntry(
+        score_id=score.id,
+        submission_id=submission.id,
+        team_id=submission.team_id,
+        team=team,
+        kind=submission.kind,
+        method=submission.method,
+        modality=submission.modality,
+        finalized_ns=submission.finalized_ns or 0,
+        signature=score.signature,
+        replicates_sha256=score.replicates_sha256,
+        ratios={name: getattr(score, name) for name in RATIOS},
+    )
+
+
+def _best_first(entries: Sequence[BoardEntry]) -> list[BoardEntry]:
+    earliest = sorted(entries, key=lambda entry: (entry.finalized_ns, entry.submission_id))
+    return [earliest[place] for place in in_order([entry.key for entry in earliest])]

@@ -1,0 +1,138 @@
+"""The history of a leaderboard: the times at which it changed.
+
+**Conventions.** A board changes when an entry is scored, withdrawn or hidden, when a reported row is put beside them,
+and when another evaluation version comes into force. Moments that are closer than a microsecond are one. Of more than
+`MOST_CHANGES` those of a day are told as one, at the last of them, and of more than as many days the latest. `best` is
+rounded for everybody, as the board is ordered.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+from typing import Any
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from services.domain.benchmarks.boards.entries import Track
+from services.domain.benchmarks.visibility import ON_BOARDS, rounded
+from services.runtime.orm import Activation, Phase, Reported, Score, SubmissionRow
+from stone.scoring.metric import RATIOS
+
+MOST_CHANGES = 120
+DAY_NS = 86_400 * 10**9
+
+
+@dataclass(frozen=True)
+class BoardChange:
+    """The board is another since `at_ns`; `best` is the highest mIoU of the entries then, null where none has one."""
+
+    at_ns: int
+    entered: int = 0
+    left: int = 0
+    is_new_pair: bool = False
+    best: float | None = None
+
+
+@dataclass(frozen=True)
+class _BoardPeriod:
+    """A score's time on the board, [from_ns, until_ns); `miou` is null for what is not ranked."""
+
+    pair: tuple[str, str]
+    miou: float | None
+    from_ns: int
+    until_ns: int | None
+
+    def stands(self, at_ns: int) -> bool:
+        return self.from_ns <= at_ns and (self.until_ns is None or at_ns < self.until_ns)
+
+
+def history(session: Session, phase: Phase, track: Track = "all") -> tuple[BoardChange, ...]:
+    """The changes of the board of a track, oldest first; none before the phase's first ground truth."""
+    pairs = _versions(session, phase)
+    if not pairs:
+        return ()
+    moments = [*_comings(session, phase, track), *(BoardChange(at_ns, is_new_pair=True) for at_ns, _ in pairs)]
+    since = [change for change in moments if change.at_ns >= pairs[0][0]]
+    stays = _stays(session, phase, track)
+    return tuple(replace(one, best=_best(stays, pairs, one.at_ns)) for one in _told(since))
+
+
+def tracks_with_rows(session: Session, phase: Phase) -> frozenset[str]:
+    """The modalities of which anything stands, or stood, on the board."""
+    scored = select(SubmissionRow.modality).where(*_of_board(phase)).distinct()
+    reported = select(Reported.modality).where(Reported.phase_id == phase.id).distinct()
+    return frozenset((*session.scalars(scored), *session.scalars(reported)))
+
+
+def _of_board(phase: Phase) -> tuple[Any, ...]:
+    return (SubmissionRow.phase_id == phase.id, SubmissionRow.state == "scored", SubmissionRow.kind.in_(ON_BOARDS))
+
+
+def _versions(session: Session, phase: Phase) -> list[tuple[int, tuple[str, str]]]:
+    found = select(Activation).where(Activation.phase_id == phase.id).order_by(Activation.activated_ns, Activation.id)
+    return [(row.activated_ns, (row.truth_id, row.metric)) for row in session.scalars(found)]
+
+
+def _comings(session: Session, phase: Phase, track: Track) -> Iterable[BoardChange]:
+    found = select(SubmissionRow.settled_ns, SubmissionRow.withdrawn_ns, SubmissionRow.hidden_ns).where(
+        *_of_board(phase)
+    )
+    reported = select(Reported.created_ns).where(Reported.phase_id == phase.id)
+    if track != "all":
+        found = found.where(SubmissionRow.modality == track)
+        reported = reported.where(Reported.modality == track)
+    for settled_ns, withdrawn_ns, hidden_ns in session.execute(found):
+        ends = [at_ns for at_ns in (withdrawn_ns, hidden_ns) if at_ns is not None]
+        if settled_ns is None or (ends and min(ends) <= settled_ns):
+            continue
+        yield BoardChange(settled_ns, entered=1)
+        if ends:
+            yield BoardChange(min(ends), left=1)
+    yield from (BoardChange(at_ns, entered=1) for at_ns in session.scalars(reported))
+
+
+def _stays(session: Session, phase: Phase, track: Track) -> list[_BoardPeriod]:
+    times = (SubmissionRow.kind, SubmissionRow.settled_ns, SubmissionRow.withdrawn_ns, SubmissionRow.hidden_ns)
+    ratios = [getattr(Score, name) for name in RATIOS]
+    found = (
+        select(Score.truth_id, Score.metric, *times, *ratios)
+        .join(SubmissionRow, SubmissionRow.id == Score.submission_id)
+        .where(*_of_board(phase), SubmissionRow.settled_ns.is_not(None))
+    )
+    if track != "all":
+        found = found.where(SubmissionRow.modality == track)
+    stays = []
+    for truth_id, metric, kind, settled_ns, withdrawn_ns, hidden_ns, *values in session.execute(found):
+        is_ranked = kind != "baseline" and all(value is not None for value in values)
+        ends = [at_ns for at_ns in (withdrawn_ns, hidden_ns) if at_ns is not None]
+        miou = rounded(values[RATIOS.index("miou")]) if is_ranked else None
+        stays.append(_BoardPeriod((truth_id, metric), miou, settled_ns, min(ends, default=None)))
+    return stays
+
+
+def _best(stays: Sequence[_BoardPeriod], pairs: Sequence[tuple[int, tuple[str, str]]], at_ns: int) -> float | None:
+    pair = [pair for since_ns, pair in pairs if since_ns <= at_ns][-1]
+    return max((s.miou for s in stays if s.miou is not None and s.pair == pair and s.stands(at_ns)), default=None)
+
+
+def _told(moments: Iterable[BoardChange]) -> list[BoardChange]:
+    """Changes in order, each moment once, as the API can ask for it: rounded up to the microsecond."""
+    exact = [replace(one, at_ns=-(-one.at_ns // 1000) * 1000) for one in moments]
+    told = _merged(exact, 1)
+    return told if len(told) <= MOST_CHANGES else _merged(told, DAY_NS)[-MOST_CHANGES:]
+
+
+def _merged(moments: Iterable[BoardChange], within_ns: int) -> list[BoardChange]:
+    """Changes within one stretch of this length merged into one, at the last of them."""
+    ordered = sorted(moments, key=lambda one: one.at_ns)
+    stretches = (list(some) for _, some in groupby(ordered, key=lambda one: one.at_ns // within_ns))
+    return [
+        BoardChange(
+            some[-1].at_ns,
+            sum(one.entered for one in some),
+            sum(one.left for one in some),
+            any(one.is_new_pair for one in some),
+        )
+        for some in stretches
+    ]

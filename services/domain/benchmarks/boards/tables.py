@@ -1,0 +1,182 @@
+"""Leaderboard files: CSV and Parquet for programs, Markdown and LaTeX for papers.
+
+**Conventions.** Ratios are ratios in CSV and Parquet, per cent with two digits in Markdown and LaTeX. What is null is
+an empty cell, or a dash. Each says by which evaluation version its scores were made; the LaTeX table needs `booktabs`.
+Texts of strangers are texts in each (`plain_text.py`).
+"""
+
+import csv
+import io
+from collections.abc import Callable, Iterator, Mapping
+from datetime import UTC, datetime
+from typing import Any, Literal
+
+from services.domain.benchmarks.boards.board import Board, LeaderboardRow
+from services.domain.benchmarks.boards.plain_text import csv_text, latex_text, markdown_text
+from services.domain.benchmarks.visibility import rounded
+
+Form = Literal["csv", "parquet", "md", "tex"]
+MEDIA_TYPES: Mapping[Form, str] = {
+    "csv": "text/csv; charset=utf-8",
+    "parquet": "application/vnd.apache.parquet",
+    "md": "text/markdown; charset=utf-8",
+    "tex": "application/x-tex; charset=utf-8",
+}
+RATIO_NAMES = ("miou", "iou_occ", "iou_t", "iou_p", "iou_n")
+HEADINGS = ("mIoU", "IoU occ", "IoU T", "IoU P", "IoU N")
+TEXTS = ("standing", "team", "method", "modality", "source", "submitted_at", "submission_id", "metric", "signature")
+NUMBERS = ("rank", "rank_low", "rank_high", "tie_group")
+FEW_SEQUENCES = 10
+
+Cell = str | int | float | None
+
+
+def table_bytes(board: Board, form: Form) -> bytes:
+    """The board as a file of this form; equal boards, equal bytes."""
+    writers: Mapping[Form, Callable[[Board], bytes]] = {
+        "csv": _csv,
+        "parquet": _parquet,
+        "md": _markdown,
+        "tex": _latex,
+    }
+    return writers[form](board)
+
+
+def cells(board: Board, row: LeaderboardRow) -> dict[str, Cell]:
+    """A row by the names of its columns."""
+    low, high = row.rank_interval or (None, None)
+    found: dict[str, Cell] = {
+        "standing": row.standing,
+        "rank": row.rank,
+        "rank_low": low,
+        "rank_high": high,
+        "tie_group": row.tie_group,
+        "team": row.team,
+        "method": row.method,
+        "modality": row.modality,
+    }
+    for name in RATIO_NAMES:
+        bounds = (row.intervals or {}).get(name) or (None, None)
+        found |= {name: row.ratios[name], f"{name}_low": bounds[0], f"{name}_high": bounds[1]}
+    of_ours = row.standing != "reported" and board.pair is not None
+    return found | {
+        "source": row.source,
+        "submitted_at": None if row.submitted_ns is None else _moment(row.submitted_ns),
+        "submission_id": row.submission_id,
+        "metric": board.pair.metric if of_ours and board.pair else None,
+        "signature": board.pair.signature if of_ours and board.pair else None,
+    }
+
+
+def columns() -> tuple[str, ...]:
+    """The names of the columns, in their order."""
+    bounded = [f"{name}{end}" for name in RATIO_NAMES for end in ("", "_low", "_high")]
+    return ("standing", *NUMBERS, *TEXTS[1:4], *bounded, *TEXTS[4:])
+
+
+def _csv(board: Board) -> bytes:
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\r\n")
+    writer.writerow(columns())
+    for row in board.rows:
+        said = cells(board, row)
+        writer.writerow([_spelled(said[name]) for name in columns()])
+    return out.getvalue().encode()
+
+
+def _spelled(cell: Cell) -> Cell:
+    return csv_text(cell) if isinstance(cell, str) else cell
+
+
+def _parquet(board: Board) -> bytes:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    said = [cells(board, row) for row in board.rows]
+    kinds: dict[str, Any] = dict.fromkeys(NUMBERS, pa.int64()) | dict.fromkeys(TEXTS, pa.string())
+    schema = pa.schema([(name, kinds.get(name, pa.float64())) for name in columns()])
+    out = pa.BufferOutputStream()
+    pq.write_table(pa.Table.from_pylist(said, schema=schema), out, compression="zstd")
+    return bytes(out.getvalue())
+
+
+def _markdown(board: Board) -> bytes:
+    lines = [f"# {_title(board)}", "", _made_by(board, "`"), ""]
+    lines.append(f"| Rank | Team | Method | Modality | {' | '.join(HEADINGS)} |")
+    lines.append(f"|---:|---|---|---|{'---:|' * len(HEADINGS)}")
+    for row in board.rows:
+        texts = [markdown_text(text) for text in (row.team or "", row.method, row.modality)]
+        lines.append(f"| {' | '.join([_rank(row), *texts, *_percents(row)])} |")
+    return ("\n".join([*lines, "", _notes(board, markdown_text), ""])).encode()
+
+
+def _latex(board: Board) -> bytes:
+    lines = [
+        f"% {latex_text(_title(board))}",
+        f"% {latex_text(_made_by(board))}",
+        r"\begin{tabular}{rlll" + "r" * len(HEADINGS) + "}",
+        r"\toprule",
+        f"Rank & Team & Method & Modality & {' & '.join(HEADINGS)} \\\\",
+        r"\midrule",
+    ]
+    for row in board.rows:
+        texts = [latex_text(text) for text in (row.team or "", row.method, row.modality)]
+        lines.append(" & ".join([_rank(row), *texts, *_percents(row)]) + r" \\")
+    lines += [r"\bottomrule", r"\end{tabular}", f"% {latex_text(_notes(board, str))}", ""]
+    return "\n".join(lines).encode()
+
+
+def _title(board: Board) -> str:
+    return f"{board.benchmark} / {board.phase}"
+
+
+def _made_by(board: Board, quote: str = "") -> str:
+    """In words of ours only; the signature between two of `quote`."""
+    pair = board.pair
+    if pair is None:
+        return "No ground truth is ready yet."
+    signature = f"{quote}{pair.signature}{quote}" if pair.signature else "no score yet"
+    return (
+        f"Track {board.query.track}, entries {board.query.entries}; metric {pair.metric}, ground truth "
+        f"{pair.truth_number}, {pair.frames} frames of {pair.sequences} sequences; {signature}"
+    )
+
+
+def _notes(board: Board, plain: Callable[[str], str]) -> str:
+    """`plain` makes the texts of others harmless."""
+    sources = dict.fromkeys(row.source for row in board.rows if row.source is not None)
+    reported = [f"Reported: {'; '.join(map(plain, sources))}."] if sources else []
+    return " ".join(["Per cent. Rank with its 95 % interval.", *notes(board), *reported])
+
+
+def notes(board: Board) -> Iterator[str]:
+    """Notes for the reader of the board."""
+    yield "Entries of one tie group do not surely differ from its first (paired block bootstrap)."
+    yield "Baselines are not ranked; reported rows were published elsewhere and not scored here."
+    sequences = board.pair.sequences if board.pair is not None else FEW_SEQUENCES
+    if sequences == 1:
+        yield "One sequence says nothing of how entries would do in another place."
+    elif sequences < FEW_SEQUENCES:
+        yield (
+            f"{sequences} sequences are few: over whole sequences no difference, however large, "
+            f"can have a p below {2.0 ** (1 - sequences):g}."
+        )
+    if board.secrecy == "running":
+        yield "The ground truth is hidden: values are rounded to 4 digits until the phase ends."
+
+
+def _rank(row: LeaderboardRow) -> str:
+    if row.rank is None:
+        return {"baseline": "baseline", "reported": "reported"}.get(row.standing, "--")
+    if row.rank_interval is None:
+        return str(row.rank)
+    return f"{row.rank} [{row.rank_interval[0]}, {row.rank_interval[1]}]"
+
+
+def _percents(row: LeaderboardRow) -> list[str]:
+    found = (row.ratios[name] for name in RATIO_NAMES)
+    return ["--" if value is None else f"{100 * rounded(value):.2f}" for value in found]
+
+
+def _moment(moment_ns: int) -> str:
+    return datetime.fromtimestamp(moment_ns // 10**9, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")

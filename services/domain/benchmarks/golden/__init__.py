@@ -1,0 +1,48 @@
+"""Golden vectors of the metrics: a small ground truth, a submission to it, and the expected scores.
+
+**Conventions.** `gts/<sequence>/<frame_token>/labels.npz`, `manifest.json`, `submission.zip`; `expected.json` holds,
+for each mask, the counts of each frame and the ratios of the whole and of each sequence, null where undefined;
+`refused.zip` must be refused with the code it names. The expectations come from a slow metric that shares no code with
+the platform (`tests/golden_vectors.py`). Public: anybody may hold an implementation against them.
+"""
+
+import io
+import zipfile
+from functools import cache
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+
+EPOCH = (1980, 1, 1, 0, 0, 0)
+
+
+@cache
+def golden_names() -> tuple[str, ...]:
+    """Names of the files with forward slashes, sorted."""
+    return tuple(sorted(_names(files(__package__), "")))
+
+
+def golden_file(name: str) -> bytes:
+    """The content of one of `golden_names`. Raises `KeyError` for any other name."""
+    if name not in golden_names():
+        raise KeyError(name)
+    return files(__package__).joinpath(*name.split("/")).read_bytes()
+
+
+@cache
+def golden_archive() -> bytes:
+    """All of them as one zip; the same bytes each time."""
+    whole = io.BytesIO()
+    with zipfile.ZipFile(whole, "w") as archive:
+        for name in golden_names():
+            archive.writestr(zipfile.ZipInfo(name, EPOCH), golden_file(name))
+    return whole.getvalue()
+
+
+def _names(folder: Traversable, prefix: str) -> list[str]:
+    found = []
+    for entry in folder.iterdir():
+        if entry.is_dir() and entry.name != "__pycache__":
+            found += _names(entry, f"{prefix}{entry.name}/")
+        elif entry.is_file() and not entry.name.endswith((".py", ".pyc")):
+            found.append(f"{prefix}{entry.name}")
+    return found

@@ -1,0 +1,34 @@
+"""Warnings about a phase whose hidden labels are visible elsewhere.
+
+**Conventions.** A sequence's labels are public once a version has it in train or val, and stay so; they are hidden
+while a version has it in test. One sequence may be both, in two versions.
+"""
+
+from collections.abc import Iterator
+
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+from services.domain.benchmarks.phases.phases import HIDDEN_PART
+from services.runtime.orm import DatasetMember, Phase
+from stone.findings import Finding
+
+
+def findings_of(session: Session, phase: Phase) -> tuple[Finding, ...]:
+    """Warnings about the secrecy of the phase's ground truth; none where all is as it looks."""
+    return tuple(_findings(session, phase))
+
+
+def _findings(session: Session, phase: Phase) -> Iterator[Finding]:
+    of_phase = select(DatasetMember.sequence_id)
+    own = of_phase.where(DatasetMember.dataset_id == phase.dataset_id, DatasetMember.part == phase.part)
+    counted = select(func.count(func.distinct(DatasetMember.sequence_id))).where(DatasetMember.sequence_id.in_(own))
+    total = session.scalar(counted) or 0
+    if phase.is_hidden and (public := session.scalar(counted.where(DatasetMember.part != HIDDEN_PART))):
+        told = (
+            f"{public} of {total} sequence(s) are in train or val of a published version: anybody may have the labels"
+        )
+        yield Finding("labels_are_public", "warning", "", told)
+    if not phase.is_hidden and (hidden := session.scalar(counted.where(DatasetMember.part == HIDDEN_PART))):
+        told = f"{hidden} of {total} sequence(s) are in test of another version: this phase tells what that one hides"
+        yield Finding("labels_are_hidden_elsewhere", "warning", "", told)

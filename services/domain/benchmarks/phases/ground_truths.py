@@ -1,0 +1,141 @@
+"""Ground truths of a phase: started, built by a job, the first one activated.
+
+**Conventions.** A ground truth takes part and mask from its phase, and its frames from a dataset version, as a rule the
+phase's own. Its manifest is part of it: once a phase has entries, another version must hold exactly the frames of the
+active ground truth, or the entries could not be scored again. Whoever adds one locks the phase.
+"""
+
+from dataclasses import dataclass
+
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+from services.domain.benchmarks.phases import evaluation_versions
+from services.domain.benchmarks.phases.errors import (
+    FramesUncomparedError,
+    OtherFramesError,
+    TruthInMakingError,
+)
+from services.domain.benchmarks.phases.phases import lock_phase, refuse_empty
+from services.domain.benchmarks.submissions.scoring_jobs import truth_spec
+from services.domain.benchmarks.teams.teams import BINDING
+from services.runtime.jobs.enqueue import enqueue
+from services.runtime.jobs.specs import TERMINAL, Context
+from services.runtime.orm import (
+    Activation,
+    Blob,
+    Dataset,
+    DatasetPart,
+    GroundTruthRow,
+    Job,
+    Phase,
+    SubmissionRow,
+    new_id,
+)
+from services.runtime.platform import Platform
+from services.runtime.store.packs import read_index
+from stone.scoring.metric import METRIC_VERSION
+
+LABELS = "gts/"
+
+
+@dataclass(frozen=True)
+class TruthFrameComparison:
+    """The difference between a version's frames and those of the ground truth that was active then."""
+
+    truth_id: str
+    dataset_id: str
+    missing: int
+    extra: int
+
+
+def compare_frames(platform: Platform, phase_id: str, dataset: Dataset) -> TruthFrameComparison | None:
+    """The comparison that `start_truth` needs; None where there is nothing to compare with.
+
+    Reads two indexes of the store, so outside transactions. Raises `StoreAwayError`.
+    """
+    with platform.database.reading() as session:
+        pair = evaluation_versions.active(session, phase_id)
+        if pair is None:
+            return None
+        truth = session.get_one(GroundTruthRow, pair.truth_id)
+        keys = [_index_key(session, one, truth.part) for one in (truth.dataset_id, dataset.id)]
+    before, after = (_tokens(platform, key) if key else frozenset() for key in keys)
+    return TruthFrameComparison(truth.id, dataset.id, len(before - after), len(after - before))
+
+
+def start_truth(
+    session: Session, phase: Phase, dataset: Dataset, user_id: str, compared: TruthFrameComparison | None = None
+) -> tuple[GroundTruthRow, Job]:
+    """A ground truth to be, and the job that makes it; `compared` where the version is not that of the active one.
+
+    Raises `EmptyPartError`, `TruthInMakingError`, `OtherFramesError`, `FramesUncomparedError`, `QueueDrainingError`.
+    """
+    phase = lock_phase(session, phase.id)
+    refuse_empty(session, dataset, phase.part)
+    _refuse_second(session, phase)
+    _refuse_other_frames(session, phase, dataset, compared)
+    last = select(func.coalesce(func.max(GroundTruthRow.number), 0)).where(GroundTruthRow.phase_id == phase.id)
+    truth = GroundTruthRow(
+        id=new_id(), phase_id=phase.id, number=session.scalars(last).one() + 1, dataset_id=dataset.id
+    )
+    truth.part, truth.mask, truth.created_by = phase.part, phase.mask, user_id
+    job = enqueue(session, truth_spec(truth), Context(user_id))
+    truth.job_id = job.id
+    session.add(truth)
+    session.flush()
+    return truth, job
+
+
+def first_activation(session: Session, truth: GroundTruthRow) -> Activation | None:
+    """Put a ready ground truth in force with the default metric where none is; None where one is already."""
+    phase = lock_phase(session, truth.phase_id)
+    if evaluation_versions.active(session, phase.id) is not None:
+        return None
+    row = Activation(phase_id=phase.id, truth_id=truth.id, metric=METRIC_VERSION, activated_by=truth.created_by)
+    session.add(row)
+    session.flush()
+    return row
+
+
+def _refuse_second(session: Session, phase: Phase) -> None:
+    """One at a time: two at once would race for being the first in force."""
+    made = select(GroundTruthRow.number, Job.id).join(Job, Job.id == GroundTruthRow.job_id)
+    under_way = made.where(
+        GroundTruthRow.phase_id == phase.id, GroundTruthRow.ready_ns.is_(None), Job.state.not_in(TERMINAL)
+    )
+    for number, job_id in session.execute(under_way.limit(1)):
+        raise TruthInMakingError(number, job_id)
+
+
+def _refuse_other_frames(
+    session: Session, phase: Phase, dataset: Dataset, compared: TruthFrameComparison | None
+) -> None:
+    pair = evaluation_versions.active(session, phase.id)
+    if pair is None or session.get_one(GroundTruthRow, pair.truth_id).dataset_id == dataset.id:
+        return
+    if not _has_entries(session, phase):
+        return
+    if compared is None or (compared.truth_id, compared.dataset_id) != (pair.truth_id, dataset.id):
+        raise FramesUncomparedError(phase.name)
+    if compared.missing or compared.extra:
+        raise OtherFramesError(compared.missing, compared.extra)
+
+
+def _has_entries(session: Session, phase: Phase) -> bool:
+    """Whether anything stands, or is under way, that a board of another evaluation version would have to show."""
+    entries = select(SubmissionRow.id).where(SubmissionRow.phase_id == phase.id, SubmissionRow.kind != "validation")
+    standing = entries.where(SubmissionRow.state.in_(BINDING), SubmissionRow.withdrawn_ns.is_(None))
+    return session.scalar(standing.limit(1)) is not None
+
+
+def _index_key(session: Session, dataset_id: str, part: str) -> str | None:
+    """Under which key of the store the index of the part lies, if the version has the part."""
+    joined = select(Blob.object_key).join(DatasetPart, DatasetPart.index_sha256 == Blob.sha256)
+    return session.scalar(joined.where(DatasetPart.dataset_id == dataset_id, DatasetPart.part == part))
+
+
+def _tokens(platform: Platform, index_key: str) -> frozenset[str]:
+    """The tokens of the frames whose labels an index names."""
+    files = read_index(b"".join(platform.store.read(index_key)))
+    return frozenset(name.split("/")[2] for name in files.names if name.startswith(LABELS))

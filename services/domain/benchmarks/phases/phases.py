@@ -1,0 +1,211 @@
+"""Benchmarks and their phases: made from a dataset version, found by name, changed within what entries rely on.
+
+**Conventions.** A phase is open in [opens_ns, closes_ns); null is for ever. What is evaluated (version, part, mask,
+whether the ground truth is hidden) is fixed once a ground truth stands: one that is ready or being made. A phase over
+test is always hidden. Whoever changes a phase locks its row.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from sqlalchemy import select
+from sqlalchemy.exc import IntegrityError
+from sqlalchemy.orm import Session
+
+from services.domain.benchmarks.phases.errors import (
+    BadPhaseError,
+    EmptyPartError,
+    OpenTestError,
+    PhaseEndedError,
+    PhaseFixedError,
+)
+from services.runtime.access.errors import NameTakenError
+from services.runtime.jobs.specs import TERMINAL
+from services.runtime.orm import Benchmark, Dataset, DatasetMember, GroundTruthRow, Job, Phase, SubmissionRow
+from services.runtime.orm.base import now_ns
+
+PhaseStatus = Literal["upcoming", "open", "closed"]
+Mask = Literal["all", "lidar", "camera"]
+Part = Literal["train", "val", "test"]
+
+HIDDEN_PART: Part = "test"
+DAY_NS = 86_400 * 10**9
+MOST_SCORINGS = 1_000_000
+MOST_MEMBERS = 100
+LONGEST_WINDOW_NS = 366 * DAY_NS
+FIXED = ("dataset_id", "part", "mask", "is_hidden")
+COUNTED = {
+    "scorings_per_window": (0, MOST_SCORINGS),
+    "scorings_total": (0, MOST_SCORINGS),
+    "validations_per_day": (0, MOST_SCORINGS),
+    "team_members": (1, MOST_MEMBERS),
+    "window_ns": (10**9, LONGEST_WINDOW_NS),
+}
+
+
+@dataclass(frozen=True)
+class NewBenchmark:
+    """A benchmark to create; `name` is what URLs call it, the rest plain text."""
+
+    name: str
+    title: str
+    description: str
+    user_id: str
+
+
+@dataclass(frozen=True)
+class Rules:
+    """When and how much: as the columns of `Phase` say."""
+
+    title: str = ""
+    opens_ns: int | None = None
+    closes_ns: int | None = None
+    named_from_ns: int | None = None
+    scorings_per_window: int | None = None
+    window_ns: int = 7 * DAY_NS
+    scorings_total: int | None = None
+    validations_per_day: int = 20
+    team_members: int = 10
+
+
+@dataclass(frozen=True)
+class NewPhase:
+    """A phase to be."""
+
+    name: str
+    part: Part
+    is_hidden: bool
+    mask: Mask = "all"
+    rules: Rules = field(default_factory=Rules)
+
+
+VAL = NewPhase("val", "val", False, rules=Rules("Validation: open ground truth, as many scorings as you like"))
+TEST = NewPhase("test", "test", True, rules=Rules("Test: hidden ground truth", scorings_per_window=3))
+DEFAULTS = (VAL, TEST)
+
+
+def create_benchmark(session: Session, asked: NewBenchmark) -> Benchmark:
+    """Raises `NameTakenError`."""
+    if session.scalar(select(Benchmark.id).where(Benchmark.name == asked.name)) is not None:
+        raise NameTakenError("benchmark", asked.name)
+    row = Benchmark(name=asked.name, title=asked.title, description=asked.description, created_by=asked.user_id)
+    _insert(session, row, "benchmark")
+    return row
+
+
+def change_benchmark_columns(session: Session, benchmark: Benchmark, changes: Mapping[str, Any]) -> None:
+    """Change what is said of a benchmark, or whether it is public."""
+    for name, value in changes.items():
+        setattr(benchmark, name, value)
+    session.flush()
+
+
+def default_phases(session: Session, dataset: Dataset) -> tuple[NewPhase, ...]:
+    """`val` (open) and `test` (hidden), as far as the version has these parts. Raises `EmptyPartError` for neither."""
+    parts = set(session.scalars(select(DatasetMember.part).where(DatasetMember.dataset_id == dataset.id).distinct()))
+    found = tuple(phase for phase in DEFAULTS if phase.part in parts)
+    if not found:
+        raise EmptyPartError(dataset.name, "val or test")
+    return found
+
+
+def create_phase(session: Session, benchmark: Benchmark, dataset: Dataset, asked: NewPhase) -> Phase:
+    """Raises `NameTakenError`, `EmptyPartError`, `OpenTestError`, `BadPhaseError`."""
+    if phase_named(session, benchmark.name, asked.name) is not None:
+        raise NameTakenError("phase", asked.name)
+    row = Phase(benchmark_id=benchmark.id, dataset_id=dataset.id, name=asked.name)
+    row.part, row.mask, row.is_hidden = asked.part, asked.mask, asked.is_hidden
+    for name, value in vars(asked.rules).items():
+        setattr(row, name, value)
+    refuse_contradictions(session, row, dataset)
+    _insert(session, row, "phase")
+    return row
+
+
+def change_phase(session: Session, phase_id: str, changes: Mapping[str, Any]) -> Phase:
+    """Change columns of the phase and count its revision; the row is locked by `lock_phase` before its ETag is judged.
+
+    Raises `PhaseFixedError`, `PhaseEndedError`, `EmptyPartError`, `OpenTestError`, `BadPhaseError`.
+    """
+    phase = lock_phase(session, phase_id)
+    changed = {name: value for name, value in changes.items() if getattr(phase, name) != value}
+    fixed = sorted(set(changed) & set(FIXED))
+    if fixed and has_truth(session, phase.id):
+        raise PhaseFixedError(phase.name, ", ".join(name.removesuffix("_id") for name in fixed))
+    if "closes_ns" in changed and _has_told(session, phase):
+        raise PhaseEndedError(phase.name)
+    for name, value in changed.items():
+        setattr(phase, name, value)
+    refuse_contradictions(session, phase, session.get_one(Dataset, phase.dataset_id))
+    phase.revision += 1
+    session.flush()
+    return phase
+
+
+def lock_phase(session: Session, phase_id: str) -> Phase:
+    """The phase as it is now, its row locked until the end of the transaction."""
+    locked = select(Phase).where(Phase.id == phase_id).with_for_update(key_share=True)
+    return session.scalars(locked.execution_options(populate_existing=True)).one()
+
+
+def phase_named(session: Session, benchmark: str, phase: str) -> Phase | None:
+    """The phase of these names."""
+    joined = select(Phase).join(Benchmark, Benchmark.id == Phase.benchmark_id)
+    return session.scalars(joined.where(Benchmark.name == benchmark, Phase.name == phase)).one_or_none()
+
+
+def phase_status(phase: Phase, at_ns: int) -> PhaseStatus:
+    """Whether submissions are taken at this time: before `opens_ns` not yet, from `closes_ns` on not any more."""
+    if phase.closes_ns is not None and at_ns >= phase.closes_ns:
+        return "closed"
+    return "upcoming" if phase.opens_ns is not None and at_ns < phase.opens_ns else "open"
+
+
+def has_truth(session: Session, phase_id: str) -> bool:
+    """Whether the phase has a ground truth that is ready or being made."""
+    of_phase = (
+        select(GroundTruthRow.id)
+        .outerjoin(Job, Job.id == GroundTruthRow.job_id)
+        .where(GroundTruthRow.phase_id == phase_id)
+    )
+    standing = of_phase.where(GroundTruthRow.ready_ns.is_not(None) | Job.state.not_in(TERMINAL))
+    return session.scalar(standing.limit(1)) is not None
+
+
+def refuse_contradictions(session: Session, phase: Phase, dataset: Dataset) -> None:
+    """Raises `OpenTestError`, `EmptyPartError`, `BadPhaseError`."""
+    if phase.part == HIDDEN_PART and not phase.is_hidden:
+        raise OpenTestError(phase.part)
+    refuse_empty(session, dataset, phase.part)
+    for name, (least, most) in COUNTED.items():
+        value = getattr(phase, name)
+        if value is not None and not least <= value <= most:
+            raise BadPhaseError(name, value, f"{least} to {most}")
+    if phase.opens_ns is not None and phase.closes_ns is not None and phase.opens_ns >= phase.closes_ns:
+        raise BadPhaseError("closes_ns", phase.closes_ns, f"a time after opens_ns {phase.opens_ns}")
+
+
+def refuse_empty(session: Session, dataset: Dataset, part: str) -> None:
+    """Raises `EmptyPartError` where the version has no sequence in the part."""
+    in_part = select(DatasetMember.sequence_id).where(
+        DatasetMember.dataset_id == dataset.id, DatasetMember.part == part
+    )
+    if session.scalar(in_part.limit(1)) is None:
+        raise EmptyPartError(dataset.name, part)
+
+
+def _has_told(session: Session, phase: Phase) -> bool:
+    """Whether it is hidden, has ended, and something was scored in it."""
+    if not phase.is_hidden or phase_status(phase, now_ns()) != "closed":
+        return False
+    scored = select(SubmissionRow.id).where(SubmissionRow.phase_id == phase.id, SubmissionRow.state == "scored")
+    return session.scalar(scored.limit(1)) is not None
+
+
+def _insert(session: Session, row: Benchmark | Phase, kind: str) -> None:
+    session.add(row)
+    try:
+        session.flush()
+    except IntegrityError:  # somebody else was first
+        raise NameTakenError(kind, row.name) from None

@@ -1,0 +1,77 @@
+"""Results published elsewhere, added by an administrator: on the leaderboard, marked, never ranked.
+
+**Conventions.** The list of a phase is put as a whole; a row is known by its method and modality, and one that is put
+again as it was stays the row it is.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from services.domain.benchmarks.phases.phases import lock_phase
+from services.runtime.orm import Phase, Reported
+from stone.errors import StoneError
+
+MOST_ROWS = 200
+
+
+class ReportedTwiceError(StoneError):
+    """A method stands twice with one modality."""
+
+    code = "reported_twice"
+
+    def __init__(self, method: str, modality: str) -> None:
+        super().__init__(f"{method[:80]!r} stands twice with modality {modality}; give each once")
+
+
+@dataclass(frozen=True)
+class ReportedRow:
+    """A published result and its source, as ratios; null is what was not published."""
+
+    method: str
+    modality: str
+    source: str
+    iou_occ: float | None = None
+    iou_t: float | None = None
+    iou_p: float | None = None
+    iou_n: float | None = None
+    miou: float | None = None
+
+
+def reported_in(session: Session, phase_id: str) -> list[Reported]:
+    """The rows of a phase, by method and modality."""
+    of_phase = select(Reported).where(Reported.phase_id == phase_id)
+    return list(session.scalars(of_phase.order_by(Reported.method, Reported.modality)))
+
+
+def put_reported(session: Session, phase: Phase, rows: Sequence[ReportedRow]) -> list[Reported]:
+    """Make these, and no others, the reported rows of the phase. Raises `ReportedTwiceError`."""
+    lock_phase(session, phase.id)
+    wanted = _by_key(rows)
+    for standing in reported_in(session, phase.id):
+        row = wanted.pop((standing.method, standing.modality), None)
+        if row is None:
+            session.delete(standing)
+        else:
+            _write(standing, row)
+    for row in wanted.values():
+        session.add(_write(Reported(phase_id=phase.id), row))
+    session.flush()
+    return reported_in(session, phase.id)
+
+
+def _by_key(rows: Iterable[ReportedRow]) -> dict[tuple[str, str], ReportedRow]:
+    keyed: dict[tuple[str, str], ReportedRow] = {}
+    for row in rows:
+        if (row.method, row.modality) in keyed:
+            raise ReportedTwiceError(row.method, row.modality)
+        keyed[row.method, row.modality] = row
+    return keyed
+
+
+def _write(standing: Reported, row: ReportedRow) -> Reported:
+    for name in (field.name for field in fields(row)):
+        setattr(standing, name, getattr(row, name))
+    return standing

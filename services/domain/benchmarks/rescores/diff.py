@@ -1,0 +1,132 @@
+"""The difference a re-score makes: every entry and baseline by both evaluation versions, with rank changes.
+
+**Conventions.** Ranks are those of the board with all entries, not the best of each team, so that every move is seen. A
+move in rank is old − new: positive moves up. A move in value is new − old of mIoU. For administrators only: values are
+exact.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from sqlalchemy.orm import Session
+
+from services.domain.benchmarks.boards.entries import BoardEntry, BoardQuery, board_order_of, entries_on_board
+from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion
+from services.domain.benchmarks.rescores.rescore import old_version
+from services.runtime.orm import GroundTruthRow, Phase, Rescore
+
+Ratios = Mapping[str, float | None]
+
+
+@dataclass(frozen=True)
+class RescoreSide:
+    """One of the two evaluation versions; `truth_number` counts the ground truths of the phase."""
+
+    truth_id: str
+    truth_number: int
+    metric: str
+
+
+@dataclass(frozen=True)
+class RescoreMove:
+    """A submission by both evaluation versions; a side without a score, and what follows from it, is None."""
+
+    submission_id: str
+    team: str
+    method: str
+    modality: str
+    kind: str
+    old: Ratios | None
+    new: Ratios | None
+    old_rank: int | None
+    new_rank: int | None
+
+    @property
+    def rank_move(self) -> int | None:
+        """Ranks gained; negative: lost."""
+        return None if self.old_rank is None or self.new_rank is None else self.old_rank - self.new_rank
+
+    @property
+    def value_move(self) -> float | None:
+        """mIoU gained."""
+        before, after = (side["miou"] if side else None for side in (self.old, self.new))
+        return None if before is None or after is None else after - before
+
+
+@dataclass(frozen=True)
+class RescoreDiff:
+    """`rows` in the order of the new ranks, then what has no new rank; `old` is None where no board stood before."""
+
+    old: RescoreSide | None
+    new: RescoreSide
+    rows: tuple[RescoreMove, ...]
+
+    @property
+    def largest_rank_move(self) -> int:
+        """The most ranks that any entry gains or loses; 0 of none."""
+        return max((abs(row.rank_move) for row in self.rows if row.rank_move is not None), default=0)
+
+    @property
+    def largest_value_move(self) -> float:
+        """The most that the mIoU of any submission changes by; 0 of none."""
+        return max((abs(row.value_move) for row in self.rows if row.value_move is not None), default=0.0)
+
+    @property
+    def is_order_changed(self) -> bool:
+        """Whether any entry has another rank, or stands on one of the boards only."""
+        return _order(self.rows, "old_rank") != _order(self.rows, "new_rank")
+
+    @property
+    def is_new_leader(self) -> bool:
+        return _leaders(self.rows, "old_rank") != _leaders(self.rows, "new_rank")
+
+    @property
+    def without_new_score(self) -> int:
+        """The number of submissions that have not got, or cannot get, a new score."""
+        return sum(row.new is None for row in self.rows)
+
+
+def rescore_diff(session: Session, rescore: Rescore) -> RescoreDiff:
+    """The difference as it stands now, complete or not; of an activated re-score against the version before it."""
+    before, after = old_version(session, rescore), EvaluationVersion(rescore.truth_id, rescore.metric)
+    phase = session.get_one(Phase, rescore.phase_id)
+    old, new = (_entries(session, phase, pair) for pair in (before, after))
+    old_ranks, new_ranks = _ranks(old), _ranks(new)
+    rows = [
+        _moved(shown, (old.get(key), new.get(key)), (old_ranks.get(key), new_ranks.get(key)))
+        for key, shown in {**old, **new}.items()
+    ]
+    last = len(rows) + 1
+    rows.sort(key=lambda row: (row.new_rank or last, row.old_rank or last, row.submission_id))
+    return RescoreDiff(_side(session, before) if before else None, _side(session, after), tuple(rows))
+
+
+def _entries(session: Session, phase: Phase, pair: EvaluationVersion | None) -> dict[str, BoardEntry]:
+    """What stands on the board by the evaluation version, by submission."""
+    found = entries_on_board(session, phase, pair, BoardQuery(entries="all")) if pair else ()
+    return {entry.submission_id: entry for entry in found}
+
+
+def _ranks(entries: Mapping[str, BoardEntry]) -> dict[str, int]:
+    board = board_order_of(entries.values(), "all")
+    return {entry.submission_id: rank for entry, rank in zip(board.ranked, board.ranks, strict=True)}
+
+
+def _moved(
+    shown: BoardEntry, sides: tuple[BoardEntry | None, BoardEntry | None], ranks: tuple[int | None, int | None]
+) -> RescoreMove:
+    old, new = (side.ratios if side else None for side in sides)
+    return RescoreMove(shown.submission_id, shown.team, shown.method, shown.modality, shown.kind, old, new, *ranks)
+
+
+def _side(session: Session, pair: EvaluationVersion) -> RescoreSide:
+    return RescoreSide(pair.truth_id, session.get_one(GroundTruthRow, pair.truth_id).number, pair.metric)
+
+
+def _order(rows: Sequence[RescoreMove], rank: str) -> list[tuple[int, str]]:
+    """Who stands on a board with which rank; equal ranks by id, so that only a true change is one."""
+    return sorted((getattr(row, rank), row.submission_id) for row in rows if getattr(row, rank) is not None)
+
+
+def _leaders(rows: Sequence[RescoreMove], rank: str) -> set[str]:
+    return {row.submission_id for row in rows if getattr(row, rank) == 1}

@@ -1,0 +1,83 @@
+"""Progress of a re-score: submissions scored, missing, or impossible to score.
+
+**Conventions.** On the board are scored entries and baselines that were not withdrawn; hidden ones too, since they may
+be shown again. Gone are those of them that can have no new score because their zip was purged: they keep their old one
+and leave the board.
+"""
+
+from dataclasses import dataclass
+
+from sqlalchemy import ColumnElement, Select, and_, exists, func, or_, select
+from sqlalchemy.orm import Session, aliased
+
+from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion
+from services.domain.benchmarks.visibility import ON_BOARDS
+from services.runtime.orm import Job, Rescore, Score, SubmissionRow
+
+
+@dataclass(frozen=True)
+class RescoreProgress:
+    """Of `total` submissions on the board `scored` have their new score, `missing` can still get it, `gone` cannot.
+
+    `hidden` can get it too, but are hidden, so that nobody misses them on the board. What is being scored for the first
+    time is not counted: once settled it is scored by every evaluation version that is pending or in force then.
+    """
+
+    total: int
+    scored: int
+    missing: int
+    hidden: int
+    gone: int
+
+    @property
+    def is_complete(self) -> bool:
+        return not self.missing
+
+
+def rescore_progress(session: Session, rescore: Rescore) -> RescoreProgress:
+    """Progress of a re-score, judged by the scores there are and not by its run."""
+    pair = EvaluationVersion(rescore.truth_id, rescore.metric)
+    of_phase, lacking = _submissions_on_board(rescore.phase_id), _lacking(rescore.phase_id, pair)
+    total, scored = _count(session, of_phase), _count(session, of_phase.where(_has_score(pair)))
+    missing = _count(session, lacking.where(SubmissionRow.hidden_ns.is_(None)))
+    hidden = _count(session, lacking.where(SubmissionRow.hidden_ns.is_not(None)))
+    return RescoreProgress(total, scored, missing, hidden, total - scored - missing - hidden)
+
+
+def lacking_ids(session: Session, phase_id: str, pair: EvaluationVersion) -> list[str]:
+    """Submissions on the board that have no score by the evaluation version and can get one, oldest first."""
+    return list(session.scalars(_lacking(phase_id, pair)))
+
+
+def missing_ids(session: Session, rescore: Rescore, most: int) -> list[str]:
+    """The first of the submissions that an activation waits for, oldest first."""
+    lacking = _lacking(rescore.phase_id, EvaluationVersion(rescore.truth_id, rescore.metric))
+    return list(session.scalars(lacking.where(SubmissionRow.hidden_ns.is_(None)).limit(most)))
+
+
+def failed_ids(session: Session, run_id: str | None) -> set[str]:
+    """The submissions that a job of this run failed for."""
+    failed = select(Job.arguments).where(Job.root_id == run_id, Job.id != run_id, Job.state == "failed")
+    return {arguments["submission_id"] for arguments in session.scalars(failed) if arguments}
+
+
+def _submissions_on_board(phase_id: str) -> Select[str]:
+    of_phase = (SubmissionRow.phase_id == phase_id, SubmissionRow.kind.in_(ON_BOARDS), SubmissionRow.state == "scored")
+    return select(SubmissionRow.id).where(*of_phase, SubmissionRow.withdrawn_ns.is_(None))
+
+
+def _has_score(pair: EvaluationVersion) -> ColumnElement[bool]:
+    by_version = (Score.truth_id == pair.truth_id, Score.metric == pair.metric)
+    return exists().where(Score.submission_id == SubmissionRow.id, *by_version)
+
+
+def _lacking(phase_id: str, pair: EvaluationVersion) -> Select[str]:
+    """Submissions on the board without the score that can have it: from their zip, or from counts that are kept."""
+    counted = aliased(Score)
+    has_counts = exists().where(counted.submission_id == SubmissionRow.id, counted.truth_id == pair.truth_id)
+    can_be_scored = or_(SubmissionRow.blob_sha256.is_not(None), has_counts)
+    return _submissions_on_board(phase_id).where(and_(~_has_score(pair), can_be_scored)).order_by(SubmissionRow.id)
+
+
+def _count(session: Session, ids: Select[str]) -> int:
+    return session.scalar(select(func.count()).select_from(ids.order_by(None).subquery())) or 0

@@ -1,0 +1,154 @@
+"""Re-scoring: scores all entries of a phase by another evaluation version, then switches the board at once.
+
+    start_rescore → (its run) → rescore_progress, the difference → activate, or abandon
+
+**Conventions.** A re-score is pending until it is activated or abandoned; meanwhile new submissions are scored by its
+evaluation version too (`evaluation_versions.py`). Whoever starts, activates or abandons locks the phase's row, after a
+run's.
+"""
+
+from dataclasses import dataclass
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion, active, in_force
+from services.domain.benchmarks.phases.phases import lock_phase
+from services.domain.benchmarks.rescores.errors import (
+    AlreadyActiveError,
+    BoardMovedError,
+    ForeignTruthError,
+    RescoreIncompleteError,
+    RescoreStateError,
+    TruthNotReadyError,
+)
+from services.domain.benchmarks.rescores.progress import failed_ids, lacking_ids, rescore_progress
+from services.domain.benchmarks.submissions.scoring_jobs import rescore_specs
+from services.runtime.jobs import control
+from services.runtime.jobs.changes import lock_run
+from services.runtime.jobs.enqueue import enqueue_run
+from services.runtime.jobs.specs import TERMINAL, Context
+from services.runtime.orm import Activation, GroundTruthRow, Job, Phase, Rescore
+from services.runtime.orm.base import now_ns
+from stone.scoring.metric import metric_of
+
+RUN = "phase.rescore"
+PRIORITY = -10  # new submissions first
+
+
+@dataclass(frozen=True)
+class NewRescore:
+    """A re-score to start, with the administrator's reason."""
+
+    pair: EvaluationVersion
+    user_id: str
+    reason: str
+
+
+def start_rescore(session: Session, phase: Phase, asked: NewRescore) -> tuple[Rescore, Job | None]:
+    """The re-score of the phase by the version, and the run that scores what lacks it; None where nothing does.
+
+    By the evaluation version of the board it is refused, unless an entry lacks that (one that was hidden, say, and is
+    shown again). Where one by this evaluation version is pending, it is that one: its run goes on, or, has that ended,
+    another takes up what is missing. Raises `UnknownMetricError`, `ForeignTruthError`, `TruthNotReadyError`,
+    `AlreadyActiveError`, `QueueDrainingError`.
+    """
+    lock_phase(session, phase.id)
+    pair = asked.pair
+    _check(session, phase, pair)
+    rescore = _pending(session, phase, pair) or _new(session, phase, asked)
+    run = session.get(Job, rescore.job_id) if rescore.job_id else None
+    if run is not None and run.state not in TERMINAL:
+        return rescore, run
+    failed = failed_ids(session, rescore.job_id)
+    # A run ends with its first failure, so what failed before is tried after all others.
+    lacking = sorted(lacking_ids(session, phase.id, pair), key=lambda one: (one in failed, one))
+    if not lacking:
+        return rescore, None
+    specs = rescore_specs(session, lacking, pair)
+    run = enqueue_run(session, RUN, specs, Context(asked.user_id, priority=PRIORITY))
+    rescore.job_id = run.id
+    session.flush()
+    return rescore, run
+
+
+def activate(session: Session, rescore: Rescore, expected_activation_id: str | None, user_id: str) -> Activation:
+    """Switch the board to the evaluation version of `rescore`, at once and as a whole; the old one stays readable.
+
+    Raises `RescoreStateError`, `TruthNotReadyError`, `RescoreIncompleteError`, and `BoardMovedError` where another
+    activation than the expected one is in force.
+    """
+    lock_phase(session, rescore.phase_id)
+    _refuse_ended(session, rescore, "activated")
+    now_there = in_force(session, rescore.phase_id)
+    if (now_there.id if now_there else None) != expected_activation_id:
+        raise BoardMovedError(expected_activation_id, now_there.id if now_there else None)
+    _ready(session, rescore.truth_id)
+    progress = rescore_progress(session, rescore)
+    if not progress.is_complete:
+        raise RescoreIncompleteError(progress.missing)
+    moment_ns = max(now_ns(), now_there.activated_ns + 1 if now_there else 0)
+    row = Activation(phase_id=rescore.phase_id, truth_id=rescore.truth_id, metric=rescore.metric)
+    row.rescore_id, row.activated_by, row.activated_ns = rescore.id, user_id, moment_ns
+    session.add(row)
+    rescore.activated_ns = moment_ns
+    session.flush()
+    return row
+
+
+def abandon(session: Session, rescore: Rescore, reason: str) -> None:
+    """Give the re-score up: its run stops, new submissions are not scored by its version any more, scores stay.
+
+    Raises `RescoreStateError`.
+    """
+    if rescore.job_id is not None:
+        lock_run(session, rescore.job_id)
+    lock_phase(session, rescore.phase_id)
+    _refuse_ended(session, rescore, "abandoned")
+    rescore.abandoned_ns = now_ns()
+    run = session.get(Job, rescore.job_id) if rescore.job_id else None
+    if run is not None and run.state not in TERMINAL:
+        control.cancel(session, run.id, f"the re-score was abandoned: {reason}")
+    session.flush()
+
+
+def old_version(session: Session, rescore: Rescore) -> EvaluationVersion | None:
+    """What the re-score is held against: the evaluation version on the board now, or before its own activation."""
+    until_ns = None if rescore.activated_ns is None else rescore.activated_ns - 1
+    return active(session, rescore.phase_id, until_ns)
+
+
+def _check(session: Session, phase: Phase, pair: EvaluationVersion) -> None:
+    metric_of(pair.metric)
+    truth = session.get(GroundTruthRow, pair.truth_id)
+    if truth is None or truth.phase_id != phase.id:
+        raise ForeignTruthError(pair.truth_id)
+    _ready(session, pair.truth_id)
+    if active(session, phase.id) == pair and not lacking_ids(session, phase.id, pair):
+        raise AlreadyActiveError(truth.number, pair.metric)
+
+
+def _ready(session: Session, truth_id: str) -> None:
+    truth = session.get_one(GroundTruthRow, truth_id, populate_existing=True)
+    if truth.ready_ns is None:
+        raise TruthNotReadyError(truth.number)
+
+
+def _refuse_ended(session: Session, rescore: Rescore, act: str) -> None:
+    session.refresh(rescore)
+    if rescore.activated_ns is not None or rescore.abandoned_ns is not None:
+        raise RescoreStateError(rescore.id, "abandoned" if rescore.activated_ns is None else "activated", act)
+
+
+def _pending(session: Session, phase: Phase, pair: EvaluationVersion) -> Rescore | None:
+    mine = (Rescore.phase_id == phase.id, Rescore.truth_id == pair.truth_id, Rescore.metric == pair.metric)
+    open_ones = select(Rescore).where(*mine, Rescore.activated_ns.is_(None), Rescore.abandoned_ns.is_(None))
+    return session.scalars(open_ones.order_by(Rescore.id).limit(1)).first()
+
+
+def _new(session: Session, phase: Phase, asked: NewRescore) -> Rescore:
+    row = Rescore(phase_id=phase.id, truth_id=asked.pair.truth_id, metric=asked.pair.metric, reason=asked.reason)
+    row.created_by = asked.user_id
+    session.add(row)
+    session.flush()
+    return row

@@ -1,0 +1,92 @@
+"""Estimated completion time of waiting and running submissions, from the pace of recent ones.
+
+**Conventions.** Work is counted in frames of the phase's ground truth. The pace is the frames of the last submissions
+that were read to their end, over the time in which at least one of them was worked on: idle hours do not slow it,
+several workers at once quicken it. What is said is rounded up to `STEP_S`, so that nothing finer of others' runs is
+told.
+"""
+
+from collections.abc import Iterable, Mapping
+from math import ceil
+
+from sqlalchemy import case, func, select
+from sqlalchemy.orm import Session
+
+from services.domain.benchmarks.phases import evaluation_versions
+from services.domain.benchmarks.submissions.scoring_jobs import OPEN
+from services.domain.benchmarks.submissions.states import LIVE
+from services.runtime.jobs.specs import queue_of
+from services.runtime.orm import GroundTruthRow, Job, Queue, SubmissionRow
+
+RECENT = 30
+STEP_S = 5
+READ_THROUGH = ("scored", "valid")
+
+
+def queue_position(session: Session, submission: SubmissionRow) -> int | None:
+    """The number of queued submissions finalised before this one; None unless it is queued."""
+    if submission.state != "queued":
+        return None
+    before = select(func.count()).select_from(SubmissionRow)
+    return session.scalar(before.where(SubmissionRow.state == "queued", SubmissionRow.job_id < submission.job_id)) or 0
+
+
+def expected_s(session: Session, submission: SubmissionRow) -> int | None:
+    """The estimated seconds until it ends, at least `STEP_S`.
+
+    None when it is neither queued nor being scored, when nothing was scored yet to judge by, and while the queue is
+    paused.
+    """
+    if submission.state not in LIVE or _is_paused(session):
+        return None
+    pace_hz = _pace_hz(session)
+    if pace_hz is None:
+        return None
+    before = select(SubmissionRow.phase_id, SubmissionRow.job_id).where(SubmissionRow.state.in_(LIVE))
+    waiting = session.execute(before.where(SubmissionRow.job_id <= submission.job_id)).all()
+    frames = _frames(session, {phase_id for phase_id, _ in waiting})
+    left = _left(session, [job_id for _, job_id in waiting if job_id])
+    work = sum(frames[phase_id] * left.get(job_id or "", 1.0) for phase_id, job_id in waiting)
+    return max(1, ceil(work / pace_hz / STEP_S)) * STEP_S
+
+
+def busy_ns(spans: Iterable[tuple[int, int]]) -> int:
+    """The length of the union of half-open spans."""
+    total = until = 0
+    for start, stop in sorted(spans):
+        total += max(0, stop - max(start, until))
+        until = max(until, stop)
+    return total
+
+
+def _pace_hz(session: Session) -> float | None:
+    """Frames a second of the last that were read through; None where there are none."""
+    ended = select(SubmissionRow.phase_id, Job.started_ns, SubmissionRow.settled_ns).join(
+        Job, Job.id == SubmissionRow.job_id
+    )
+    ended = ended.where(SubmissionRow.state.in_(READ_THROUGH), Job.started_ns.is_not(None))
+    rows = session.execute(ended.order_by(SubmissionRow.settled_ns.desc()).limit(RECENT)).all()
+    spans = [(start, stop) for _, start, stop in rows if start is not None and stop is not None and stop > start]
+    frames = _frames(session, {phase_id for phase_id, _, _ in rows})
+    done, lasted_ns = sum(frames[phase_id] for phase_id, _, _ in rows), busy_ns(spans)
+    return done / (lasted_ns / 1e9) if done and lasted_ns else None
+
+
+def _frames(session: Session, phase_ids: Iterable[str]) -> dict[str, int]:
+    """The frames of the ground truth in force of each phase."""
+    found = {phase_id: evaluation_versions.active(session, phase_id) for phase_id in phase_ids}
+    return {
+        phase_id: session.get_one(GroundTruthRow, pair.truth_id).frames if pair else 0
+        for phase_id, pair in found.items()
+    }
+
+
+def _left(session: Session, run_ids: list[str]) -> Mapping[str, float]:
+    """The share of each run that is still to be done, by the jobs that are known so far."""
+    succeeded = func.sum(case((Job.state == "succeeded", 1), else_=0))
+    of_runs = select(Job.root_id, succeeded, func.count()).where(Job.root_id.in_(run_ids), Job.queue != "")
+    return {root_id: 1 - done / total for root_id, done, total in session.execute(of_runs.group_by(Job.root_id))}
+
+
+def _is_paused(session: Session) -> bool:
+    return session.scalar(select(Queue.mode).where(Queue.name == queue_of(OPEN))) == "paused"

@@ -1,0 +1,53 @@
+"""Errors of reading results: not scored, withheld, not comparable."""
+
+from services.domain.benchmarks.visibility import Secrecy
+from stone.errors import StoneError
+
+UNTIL = {
+    "open": "it is its team's and the administrators' to see",
+    "running": "while the phase runs only totals rounded to 4 digits are told, to its own team too",
+    "ended": "it stays the administrators' to see, since other phases may hide the same labels",
+}
+
+
+class NotScoredError(StoneError):
+    """The submission has no score that could be shown."""
+
+    code = "not_scored"
+
+    def __init__(self, submission_id: str, state: str) -> None:
+        super().__init__(
+            f"submission {submission_id} is {state} and has no score by the evaluation version in force, so no results"
+        )
+
+
+class ScoreMissingError(StoneError):
+    """There is no such score of this submission, or it is not yours to know."""
+
+    code = "score_missing"
+
+    def __init__(self, submission_id: str) -> None:
+        super().__init__(
+            f"submission {submission_id} has no such score that you may see; 'scores' of its results lists them"
+        )
+
+
+class WithheldError(StoneError):
+    """This part of a result is not shown to the caller, or not yet."""
+
+    code = "withheld"
+
+    def __init__(self, what: str, secrecy: Secrecy) -> None:
+        super().__init__(f"{what} of this submission cannot be shown: {UNTIL[secrecy]}")
+
+
+class NotComparableError(StoneError):
+    """Two submissions have no score by one ground truth and metric in this phase."""
+
+    code = "not_comparable"
+
+    def __init__(self, submission_id: str, phase: str) -> None:
+        super().__init__(
+            f"submission {submission_id} has no score by the evaluation version in force of phase {phase!r}; "
+            "both must be scored entries of this phase"
+        )

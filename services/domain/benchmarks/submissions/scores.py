@@ -1,0 +1,81 @@
+"""Writes scores and partial counts, each once, in the caller's transaction.
+
+**Conventions.** Their bytes are prepared before the transaction and linked in it. A job delivered twice writes the same
+row again, which changes nothing.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import delete, select
+from sqlalchemy.orm import Session
+
+from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion
+from services.runtime.database.inserts import insert_new
+from services.runtime.orm import Score, ScorePart, new_id
+from services.runtime.orm.base import now_ns
+from services.runtime.store.blobs import PreparedBlob, link_all
+from stone.scoring.metric import RATIOS
+
+
+@dataclass(frozen=True)
+class NewScore:
+    """The score that the join of a submission found; `record` as the board reads it, `total` of it by `RATIOS`."""
+
+    submission_id: str
+    evaluation_version: EvaluationVersion
+    signature: str
+    record: Mapping[str, Any]
+    confusions: PreparedBlob
+    replicates: PreparedBlob
+    content_sha256: str
+
+
+@dataclass(frozen=True)
+class CountedPart:
+    """Frames [start, stop) of a submission against a truth; `counts` as `services/eval/ranges.py` packs them."""
+
+    submission_id: str
+    truth_id: str
+    start: int
+    stop: int
+    counts: bytes
+    problems: Mapping[str, Any]
+
+
+def write_score(session: Session, new: NewScore) -> Score:
+    """The score with its blobs; the one that stands already where there is one. Its parts are gone afterwards."""
+    link_all(session, (new.confusions, new.replicates))
+    facts = {
+        "id": new_id(),
+        "submission_id": new.submission_id,
+        "truth_id": new.evaluation_version.truth_id,
+        "metric": new.evaluation_version.metric,
+        "signature": new.signature,
+        "record": dict(new.record),
+        "confusions_sha256": new.confusions.sha256,
+        "replicates_sha256": new.replicates.sha256,
+        "content_sha256": new.content_sha256,
+        "created_ns": now_ns(),
+    }
+    insert_new(session, Score, [{**facts, **{name: new.record["total"][name] for name in RATIOS}}])
+    drop_parts(session, new.submission_id, new.evaluation_version.truth_id)
+    same = (Score.submission_id == new.submission_id, Score.truth_id == new.evaluation_version.truth_id)
+    return session.scalars(select(Score).where(*same, Score.metric == new.evaluation_version.metric)).one()
+
+
+def write_part(session: Session, part: CountedPart) -> None:
+    """Keep a counted part until the join, unless it is kept already."""
+    insert_new(session, ScorePart, [{**vars(part), "problems": dict(part.problems)}])
+
+
+def drop_parts(session: Session, submission_id: str, truth_id: str) -> None:
+    """Delete partial counts: they are joined, or will never be."""
+    of_both = (ScorePart.submission_id == submission_id, ScorePart.truth_id == truth_id)
+    session.execute(delete(ScorePart).where(*of_both))
+
+
+def drop_all_parts(session: Session, submission_id: str) -> None:
+    """The submission has ended: no join will ask for what was counted."""
+    session.execute(delete(ScorePart).where(ScorePart.submission_id == submission_id))

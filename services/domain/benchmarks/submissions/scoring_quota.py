@@ -1,0 +1,161 @@
+"""The scoring quota of teams: an append-only ledger whose sum is the balance.
+
+**Conventions.** A scoring is reserved when a submission is finalised (+1), then consumed by its score (0) or released
+(−1) by whatever else ends it. It counts in the window of the moment it was reserved, a released one never did. A grant
+(negative, without a submission) raises the total for good, and what the window allows for one window's length. Each
+function is part of the caller's transaction; whoever takes locks the team's row, so that two at once cannot both take
+the last scoring. Locks are taken in one order everywhere: run, submission, upload, team.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from sqlalchemy import ColumnElement, Row, case, func, select
+from sqlalchemy.orm import Session
+
+from services.domain.benchmarks.submissions.errors import ScoringsExhaustedError
+from services.domain.benchmarks.teams.teams import lock_team
+from services.runtime.orm import Phase, ScoringEntry
+from services.runtime.orm.base import now_ns
+
+RESERVED, CONSUMED, GRANTED = "reserved", "consumed", "granted"
+
+
+@dataclass(frozen=True)
+class ScoringQuota:
+    """A team's scoring quota in a phase; null limits mean that as many are scored as it likes.
+
+    `limit` is that of the window, grants included; `used` of them are scored, `reserved` under way. `next_slot_ns` is
+    when the next submission may be finalised: now, later, or null for never. The window is `window_ns` long.
+    """
+
+    limit: int | None
+    used: int
+    reserved: int
+    total_left: int | None
+    next_slot_ns: int | None
+    window_ns: int
+
+
+def reserve(session: Session, phase: Phase, team_id: str, submission_id: str) -> None:
+    """Take a scoring for the submission. Raises `ScoringsExhaustedError`, and takes nothing then."""
+    lock_team(session, team_id)
+    now = scoring_quota(session, phase, team_id)
+    if now.total_left is not None and now.total_left <= 0:
+        total = phase.scorings_total or 0
+        raise ScoringsExhaustedError(total, total, None, None)
+    if now.limit is not None and now.used + now.reserved >= now.limit:
+        raise ScoringsExhaustedError(now.used + now.reserved, now.limit, phase.window_ns, now.next_slot_ns)
+    _add(session, ScoringEntry(phase_id=phase.id, team_id=team_id, submission_id=submission_id), 1, RESERVED)
+
+
+def consume(session: Session, submission_id: str) -> None:
+    """Note that the scoring was used: what was reserved stays taken."""
+    for phase_id, team_id, _taken in _of_submission(session, submission_id):
+        entry = ScoringEntry(phase_id=phase_id, team_id=team_id, submission_id=submission_id)
+        _add(session, entry, 0, CONSUMED)
+
+
+def release(session: Session, submission_id: str, reason: str) -> int:
+    """Give back what is taken for the submission; how many scorings that were. A second time it is 0."""
+    return _settle_at(session, submission_id, 0, reason)
+
+
+def retake(session: Session, submission_id: str) -> int:
+    """Take again what was released, without asking for the limit: an administrator has its run tried again."""
+    return -_settle_at(session, submission_id, 1, RESERVED)
+
+
+def grant(session: Session, phase: Phase, team_id: str, amount: int, reason: str = GRANTED) -> ScoringEntry:
+    """Allow a team `amount` more scorings (negative: take back what was granted). `reason` is at most 64 characters."""
+    lock_team(session, team_id)
+    return _add(session, ScoringEntry(phase_id=phase.id, team_id=team_id), -amount, reason[:64])
+
+
+def scoring_quota(session: Session, phase: Phase, team_id: str, at_ns: int | None = None) -> ScoringQuota:
+    """The scorings the team has left now, and from when on it has one."""
+    at_ns = now_ns() if at_ns is None else at_ns
+    taken = _taken_in_window(session, phase, team_id, at_ns)
+    granted = _granted_in_window(session, phase, team_id, at_ns)
+    used = sum(row.amount for row in taken if row.is_consumed)
+    reserved = sum(row.amount for row in taken if not row.is_consumed)
+    total_left = None if phase.scorings_total is None else phase.scorings_total - balance(session, phase.id, team_id)
+    limit = phase.scorings_per_window
+    next_ns: int | None = at_ns
+    if total_left is not None and total_left <= 0:
+        total_left, next_ns = 0, None
+    elif limit is not None:
+        steps = [(row.taken_ns, -row.amount) for row in taken] + [(row.taken_ns, -row.amount) for row in granted]
+        surplus = used + reserved + sum(row.amount for row in granted) - limit
+        next_ns = _first_free_ns(surplus, [(since + phase.window_ns, step) for since, step in steps], at_ns)
+    shown = None if limit is None else max(0, limit - sum(row.amount for row in granted))
+    return ScoringQuota(shown, used, reserved, total_left, next_ns, phase.window_ns)
+
+
+def balance(session: Session, phase_id: str, team_id: str) -> int:
+    """The sum of all entries: scorings used and under way, less what was granted."""
+    ours = (ScoringEntry.phase_id == phase_id, ScoringEntry.team_id == team_id)
+    return int(session.scalar(select(func.coalesce(func.sum(ScoringEntry.amount), 0)).where(*ours)) or 0)
+
+
+def _first_free_ns(surplus: int, steps: Sequence[tuple[int, int]], at_ns: int) -> int | None:
+    """When the surplus over the limit first falls below zero, as what was taken and granted leaves the window."""
+    if surplus < 0:
+        return at_ns
+    for moment in sorted({moment for moment, _ in steps}):
+        surplus += sum(step for when, step in steps if when == moment)
+        if surplus < 0:
+            return moment
+    return None
+
+
+def _taken_in_window(session: Session, phase: Phase, team_id: str, at_ns: int) -> Sequence[Row[int, int, int]]:
+    """Of each submission that holds a scoring of the window: since when, how many, and whether it is consumed.
+
+    A release follows its reservation, so no reservation of the window is counted without it.
+    """
+    is_consumed = func.max(case((ScoringEntry.reason == CONSUMED, 1), else_=0)).label("is_consumed")
+    amount = func.sum(ScoringEntry.amount).label("amount")
+    since = func.min(ScoringEntry.created_ns).label("taken_ns")
+    held = select(since, amount, is_consumed).where(*_in_window(phase, team_id, at_ns))
+    held = held.where(ScoringEntry.submission_id.is_not(None)).group_by(ScoringEntry.submission_id)
+    return session.execute(held.having(func.sum(ScoringEntry.amount) > 0)).all()
+
+
+def _granted_in_window(session: Session, phase: Phase, team_id: str, at_ns: int) -> Sequence[Row[int, int]]:
+    """The grants of the window, negative amounts."""
+    granted = select(ScoringEntry.created_ns.label("taken_ns"), ScoringEntry.amount.label("amount"))
+    granted = granted.where(*_in_window(phase, team_id, at_ns), ScoringEntry.submission_id.is_(None))
+    return session.execute(granted).all()
+
+
+def _in_window(phase: Phase, team_id: str, at_ns: int) -> tuple[ColumnElement[bool], ...]:
+    of_team = (ScoringEntry.phase_id == phase.id, ScoringEntry.team_id == team_id)
+    return (*of_team, ScoringEntry.created_ns > at_ns - phase.window_ns)
+
+
+def _settle_at(session: Session, submission_id: str, wanted: int, reason: str) -> int:
+    """Bring what the submission holds to `wanted`, where it ever held any; how many were given back."""
+    given_back = 0
+    for phase_id, team_id, taken in _of_submission(session, submission_id):
+        if taken == wanted:
+            continue
+        lock_team(session, team_id)
+        entry = ScoringEntry(phase_id=phase_id, team_id=team_id, submission_id=submission_id)
+        _add(session, entry, wanted - taken, reason[:64])
+        given_back += taken - wanted
+    return given_back
+
+
+def _of_submission(session: Session, submission_id: str) -> Sequence[Row[str, str, int]]:
+    """(phase, team, taken) of a submission for which a scoring was ever reserved: one, or none."""
+    columns = (ScoringEntry.phase_id, ScoringEntry.team_id)
+    held = select(*columns, func.sum(ScoringEntry.amount)).where(ScoringEntry.submission_id == submission_id)
+    return session.execute(held.group_by(*columns)).all()
+
+
+def _add(session: Session, entry: ScoringEntry, amount: int, reason: str) -> ScoringEntry:
+    entry.amount, entry.reason = amount, reason
+    session.add(entry)
+    session.flush()
+    return entry

@@ -1,0 +1,107 @@
+"""The state machine of submissions under scoring: every transition happens once.
+
+    draft → queued → scoring → scored | valid | invalid | failed | cancelled
+
+**Conventions.** Each function is part of the caller's transaction and locks, in this order, the run's row where it
+looks at it, the submission's, the team's. A run's jobs hold their run's row already when they commit. What a stage
+finds counts only while the submission is queued or being scored: else it is told to stop, which rolls back whatever it
+wrote beside.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from services.domain.benchmarks.submissions import scoring_quota
+from services.domain.benchmarks.submissions.errors import SubmissionStateError
+from services.domain.benchmarks.submissions.scores import drop_all_parts
+from services.runtime.jobs.completion import Failure
+from services.runtime.jobs.errors import JobCancelledError
+from services.runtime.orm import Job, SubmissionRow
+from services.runtime.orm.base import now_ns
+
+LIVE = ("queued", "scoring")
+OPEN = ("draft", *LIVE)
+ENDED = ("scored", "valid", "invalid", "failed", "cancelled")
+RETRIED = ("failed", "cancelled")
+
+
+def lock_submission(session: Session, submission_id: str) -> SubmissionRow:
+    """The submission as it is now, its row locked until the end of the transaction."""
+    locked = select(SubmissionRow).where(SubmissionRow.id == submission_id).with_for_update(key_share=True)
+    return session.scalars(locked.execution_options(populate_existing=True)).one()
+
+
+def mark_scoring(session: Session, submission_id: str) -> None:
+    """Note that a stage is at it; a second time, or of a scored one, it changes nothing.
+
+    Raises `JobCancelledError` where nothing more is to be done for it.
+    """
+    submission = lock_submission(session, submission_id)
+    if submission.state in ("scoring", "scored"):
+        return
+    if submission.state != "queued":
+        raise JobCancelledError(f"submission {submission_id} is {submission.state}")
+    submission.state = "scoring"
+    submission.revision += 1
+    session.flush()
+
+
+def settle(
+    session: Session,
+    submission_id: str,
+    state: str,
+    problems: Mapping[str, Any] | None = None,
+    failure: Failure | None = None,
+) -> bool:
+    """End a submission, and with it its reserved scoring: used when it is scored, else given back.
+
+    `problems` is what the validation found (`{"ok", "errors", "errors_total"}`). False when it is in this state
+    already, for instance scored by an earlier evaluation version. Raises `JobCancelledError` when it ended otherwise:
+    nothing that was found counts any more, and the caller's transaction is to be rolled back.
+    """
+    if state not in ENDED:
+        raise ValueError(f"{state!r} is no state in which a submission ends")
+    submission = lock_submission(session, submission_id)
+    if submission.state == state:
+        return False
+    if submission.state not in LIVE:
+        raise JobCancelledError(f"submission {submission_id} is {submission.state}")
+    end(session, submission, state, failure)
+    if problems is not None:
+        submission.problems = dict(problems)
+    session.flush()
+    return True
+
+
+def end(session: Session, submission: SubmissionRow, state: str, failure: Failure | None = None) -> None:
+    """Let a locked submission end; what it held of the team's scorings is used or given back, what was counted goes."""
+    if state == "scored":
+        scoring_quota.consume(session, submission.id)
+    else:
+        scoring_quota.release(session, submission.id, f"released: {state}")
+    if failure is not None:
+        columns = failure.columns()
+        submission.failure_code, submission.failure = columns["failure_code"], columns["failure"]
+    drop_all_parts(session, submission.id)
+    submission.state, submission.settled_ns = state, now_ns()
+    submission.revision += 1
+
+
+def reopen(session: Session, run: Job) -> None:
+    """Queue the submission of a run that is tried again, with a scoring taken anew whatever the limit.
+
+    The run's row is locked. Raises `SubmissionStateError` for a submission whose file was purged.
+    """
+    of_run = select(SubmissionRow.id).where(SubmissionRow.job_id == run.id, SubmissionRow.state.in_(RETRIED))
+    for submission_id in session.scalars(of_run).all():
+        submission = lock_submission(session, submission_id)
+        if submission.upload_id is None:
+            raise SubmissionStateError(submission_id, "without its file, which was purged,", "scored again", "kept")
+        scoring_quota.retake(session, submission_id)
+        submission.state, submission.settled_ns = "queued", None
+        submission.failure_code = submission.failure = ""
+        submission.revision += 1
+        session.flush()

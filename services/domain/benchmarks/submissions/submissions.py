@@ -1,0 +1,280 @@
+"""Submissions: created, finalized, cancelled, withdrawn, hidden, described.
+
+**Conventions.** Each function is part of the caller's transaction. Locks are taken in one order: run, submission,
+upload, team. A draft says which file will come (sha256, size); only that file is taken. `settle` and its like, by which
+stages end a submission, are in `submission_states`; what the sweeper does in `submission_chores`.
+"""
+
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+
+from sqlalchemy import func, select, update
+from sqlalchemy.orm import Session
+
+from services.domain.benchmarks.phases import evaluation_versions
+from services.domain.benchmarks.phases.errors import NoGroundTruthError
+from services.domain.benchmarks.phases.phases import DAY_NS, phase_status
+from services.domain.benchmarks.submissions import scoring_quota
+from services.domain.benchmarks.submissions.chores import settle_ended
+from services.domain.benchmarks.submissions.errors import (
+    HashMismatchError,
+    PhaseClosedError,
+    SubmissionStateError,
+    SubmissionTooLargeError,
+    TooManyOpenError,
+    ValidationsExhaustedError,
+)
+from services.domain.benchmarks.submissions.scoring_jobs import submission_specs
+from services.domain.benchmarks.submissions.states import (
+    ENDED,
+    OPEN,
+    end,
+    lock_submission,
+    mark_scoring,
+    reopen,
+    settle,
+)
+from services.domain.benchmarks.teams.errors import AlreadyInTeamError
+from services.domain.benchmarks.teams.teams import enter, lock_team
+from services.runtime.jobs.changes import lock_run
+from services.runtime.jobs.control import cancel as cancel_run
+from services.runtime.jobs.enqueue import enqueue_run
+from services.runtime.jobs.errors import JobStateError
+from services.runtime.jobs.specs import Context
+from services.runtime.orm import GroundTruthRow, Job, Phase, PhaseTeam, SubmissionRow, Upload
+from services.runtime.orm.base import now_ns
+from services.runtime.telemetry.origins import link_to
+from services.runtime.uploads import consume
+from services.runtime.uploads.errors import UploadMissingError
+
+__all__ = [
+    "SubmissionDraft",
+    "cancel",
+    "create_draft",
+    "describe",
+    "finalise",
+    "hide",
+    "largest_bytes",
+    "mark_scoring",
+    "reopen",
+    "settle",
+    "settle_ended",
+    "unhide",
+    "validations_left",
+    "withdraw",
+]
+
+PURPOSE = "submission"
+RUN = "score"
+FRAME_BYTES = 3 * 2**20  # a frame is 2 MiB of voxels, and its headers; stored, it is not compressed
+SLACK_BYTES = 2**20
+MOST_OPEN = 40
+KINDS = ("entry", "baseline", "validation")
+
+
+@dataclass(frozen=True)
+class SubmissionDraft:
+    """A submission to be; `sha256` and `size_bytes` are those of the zip that will be uploaded."""
+
+    phase_id: str
+    team_id: str
+    user_id: str
+    kind: str
+    method: str
+    description: str
+    modality: str
+    sha256: str
+    size_bytes: int
+
+
+def create_draft(session: Session, draft: SubmissionDraft) -> SubmissionRow:
+    """Announce a file. Raises `PhaseClosedError`, `NoGroundTruthError`, `SubmissionTooLargeError`, `TooManyOpenError`,
+    `ValidationsExhaustedError`, and `AlreadyInTeamError` for who takes part with another team.
+    """
+    if draft.kind not in KINDS:
+        raise ValueError(f"{draft.kind!r} is no kind of submission")
+    phase = session.get_one(Phase, draft.phase_id)
+    truth = _scored_against(session, phase)
+    limit_bytes = largest_bytes(truth.frames)
+    if draft.size_bytes > limit_bytes:
+        raise SubmissionTooLargeError(draft.size_bytes, limit_bytes, truth.frames)
+    bound = session.get(PhaseTeam, (phase.id, draft.user_id))
+    if bound is not None and bound.team_id != draft.team_id:  # finalising would refuse it once all was sent
+        raise AlreadyInTeamError(phase.name)
+    lock_team(session, draft.team_id)
+    _refuse_too_many(session, draft)
+    if draft.kind == "validation":
+        _refuse_exhausted(session, phase, draft.team_id)
+    row = SubmissionRow(phase_id=phase.id, team_id=draft.team_id, user_id=draft.user_id, kind=draft.kind)
+    row.method, row.description, row.modality = draft.method, draft.description, draft.modality
+    row.declared_sha256, row.size_bytes, row.state = draft.sha256, draft.size_bytes, "draft"
+    session.add(row)
+    session.flush()
+    return row
+
+
+def largest_bytes(frames: int) -> int:
+    """The largest size of a zip of this many frames."""
+    return frames * FRAME_BYTES + SLACK_BYTES
+
+
+def finalise(session: Session, submission: SubmissionRow, upload_id: str) -> Job:
+    """Use up the draft's complete upload, take a scoring for an entry, and queue the run; all of it or nothing.
+
+    The team takes part in the phase from now on. Raises `SubmissionStateError`, `PhaseClosedError`,
+    `NoGroundTruthError`, what `uploads.consume` raises, `HashMismatchError`, `AlreadyInTeamError`,
+    `ScoringsExhaustedError`, `ValidationsExhaustedError`, `QueueDrainingError`.
+    """
+    submission = lock_submission(session, submission.id)
+    if submission.state != "draft":
+        raise SubmissionStateError(submission.id, submission.state, "finalised", "draft")
+    phase = session.get_one(Phase, submission.phase_id)
+    _scored_against(session, phase)
+    upload = _consumed(session, submission, upload_id)
+    enter(session, phase, submission.team_id)
+    if submission.kind == "entry":
+        scoring_quota.reserve(session, phase, submission.team_id, submission.id)
+    elif submission.kind == "validation":
+        lock_team(session, submission.team_id)
+        _refuse_exhausted(session, phase, submission.team_id)
+    link_to(upload.traceparent)
+    run = enqueue_run(session, RUN, submission_specs(submission), Context(upload.owner_id))
+    run.arguments = {"submission_id": submission.id}
+    submission.state, submission.finalized_ns = "queued", now_ns()
+    submission.upload_id, submission.job_id = upload.id, run.id
+    submission.revision += 1
+    session.flush()
+    _end_uploads(session, submission.id)
+    return run
+
+
+def cancel(session: Session, submission: SubmissionRow, reason: str = "") -> SubmissionRow:
+    """End what was not settled yet; its run is told to stop, its scoring is given back at once.
+
+    Raises `SubmissionStateError` when it has ended.
+    """
+    job_id = session.scalar(select(SubmissionRow.job_id).where(SubmissionRow.id == submission.id))
+    if job_id is not None:
+        lock_run(session, job_id)
+    submission = lock_submission(session, submission.id)
+    if submission.state not in OPEN or submission.job_id != job_id:  # finalised at this moment: ask again
+        raise SubmissionStateError(submission.id, submission.state, "cancelled now", ", ".join(OPEN))
+    if job_id is not None:
+        with suppress(JobStateError):  # it has ended, and nobody had taken note of it
+            cancel_run(session, job_id, reason or "its submission was cancelled")
+    end(session, submission, "cancelled")
+    session.flush()
+    _end_uploads(session, submission.id)
+    return submission
+
+
+def withdraw(session: Session, submission: SubmissionRow) -> SubmissionRow:
+    """Take a settled submission off every board for good; what it cost stays taken. Raises `SubmissionStateError`."""
+    submission = lock_submission(session, submission.id)
+    if submission.state not in ENDED:
+        raise SubmissionStateError(submission.id, submission.state, "withdrawn", "settled")
+    if submission.withdrawn_ns is not None:
+        raise SubmissionStateError(submission.id, "withdrawn already", "withdrawn again", "standing")
+    submission.withdrawn_ns = now_ns()
+    submission.revision += 1
+    session.flush()
+    return submission
+
+
+def hide(session: Session, submission: SubmissionRow, reason: str) -> SubmissionRow:
+    """Take it off the boards until it is shown again; `reason` is told to its team."""
+    submission = lock_submission(session, submission.id)
+    submission.hidden_ns = submission.hidden_ns or now_ns()
+    submission.hidden_reason = reason
+    submission.revision += 1
+    session.flush()
+    return submission
+
+
+def unhide(session: Session, submission: SubmissionRow) -> SubmissionRow:
+    """Show it on the boards again."""
+    submission = lock_submission(session, submission.id)
+    submission.hidden_ns, submission.hidden_reason = None, ""
+    submission.revision += 1
+    session.flush()
+    return submission
+
+
+def describe(session: Session, submission: SubmissionRow, changes: Mapping[str, str]) -> SubmissionRow:
+    """Change method, description and, of a draft only, modality. The row is locked by the caller.
+
+    Raises `SubmissionStateError`.
+    """
+    changed = {name: value for name, value in changes.items() if getattr(submission, name) != value}
+    if "modality" in changed and submission.state != "draft":
+        raise SubmissionStateError(submission.id, submission.state, "moved to another track", "draft")
+    for name, value in changed.items():
+        setattr(submission, name, value)
+    submission.revision += 1 if changed else 0
+    session.flush()
+    return submission
+
+
+def validations_left(session: Session, phase: Phase, team_id: str) -> tuple[int, int | None]:
+    """The number of files the team may still have checked, and when the next one may be; null for never.
+
+    What was cancelled counts, what failed for no fault of the file does not.
+    """
+    since_ns = now_ns() - DAY_NS
+    checked = select(SubmissionRow.finalized_ns).where(
+        SubmissionRow.phase_id == phase.id, SubmissionRow.team_id == team_id
+    )
+    checked = checked.where(SubmissionRow.kind == "validation", SubmissionRow.state != "failed")
+    checked = checked.where(SubmissionRow.finalized_ns > since_ns).order_by(SubmissionRow.finalized_ns)
+    moments = [moment for moment in session.scalars(checked) if moment is not None]
+    surplus = len(moments) - phase.validations_per_day
+    if surplus < 0:
+        return -surplus, now_ns()
+    return 0, moments[surplus] + DAY_NS if phase.validations_per_day else None
+
+
+def _scored_against(session: Session, phase: Phase) -> GroundTruthRow:
+    """The ground truth of the board of an open phase. Raises `PhaseClosedError`, `NoGroundTruthError`."""
+    at_ns = now_ns()
+    if phase_status(phase, at_ns) != "open":
+        raise PhaseClosedError(phase.name, phase.opens_ns, phase.closes_ns, at_ns)
+    pair = evaluation_versions.active(session, phase.id)
+    if pair is None:
+        raise NoGroundTruthError(phase.name)
+    return session.get_one(GroundTruthRow, pair.truth_id)
+
+
+def _refuse_too_many(session: Session, draft: SubmissionDraft) -> None:
+    """Raises `TooManyOpenError`."""
+    ours = (SubmissionRow.phase_id == draft.phase_id, SubmissionRow.team_id == draft.team_id)
+    opened = session.scalar(select(func.count()).select_from(SubmissionRow).where(*ours, SubmissionRow.state.in_(OPEN)))
+    if (opened or 0) >= MOST_OPEN:
+        raise TooManyOpenError(MOST_OPEN)
+
+
+def _refuse_exhausted(session: Session, phase: Phase, team_id: str) -> None:
+    """Raises `ValidationsExhaustedError`."""
+    left, next_ns = validations_left(session, phase, team_id)
+    if not left:
+        raise ValidationsExhaustedError(phase.validations_per_day, next_ns)
+
+
+def _consumed(session: Session, submission: SubmissionRow, upload_id: str) -> Upload:
+    """The upload that was made for this draft, used up."""
+    owner_id = session.scalar(select(Upload.owner_id).where(Upload.id == upload_id))
+    if owner_id is None:
+        raise UploadMissingError(upload_id)
+    upload = consume(session, upload_id, owner_id, PURPOSE)
+    if upload.target_id != submission.id:
+        raise UploadMissingError(upload_id)
+    if (upload.sha256, upload.length_bytes) != (submission.declared_sha256, submission.size_bytes):
+        raise HashMismatchError(upload.sha256, submission.declared_sha256)
+    return upload
+
+
+def _end_uploads(session: Session, submission_id: str) -> None:
+    """Whatever else is on its way for this submission is needed no more; the sweeper frees its bytes."""
+    waiting = (Upload.purpose == PURPOSE, Upload.target_id == submission_id, Upload.state.in_(("open", "complete")))
+    ending = update(Upload).where(*waiting).values(expires_ns=now_ns())
+    session.execute(ending, execution_options={"synchronize_session": False})

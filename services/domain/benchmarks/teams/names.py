@@ -1,0 +1,56 @@
+"""Team names: plain text, and none confusable with another.
+
+**Conventions.** Two names are one when they are equal after compatibility normalisation (NFKC), case folding, without
+what is not seen, and with every run of white space as one space. Letters of other scripts that only look alike are not
+found out. On PostgreSQL whoever adds a name holds a lock that all who do so take; on SQLite the transaction is it.
+"""
+
+import re
+import unicodedata
+
+from sqlalchemy import select, text
+from sqlalchemy.orm import Session
+
+from services.runtime.access.errors import NameTakenError
+from services.runtime.orm import Team
+from stone.errors import StoneError
+
+LOCK = 0x5445414D  # "TEAM": the advisory lock's number, shared by every process of the platform
+LONGEST = 64
+# Default_Ignorable_Code_Point (Unicode 15): fillers, joiners, variation selectors, tags.
+UNSEEN = re.compile(
+    "[\u00ad\u034f\u061c\u115f\u1160\u17b4\u17b5\u180b-\u180f\u200b-\u200f\u202a-\u202e\u2060-\u206f\u3164"
+    "\ufe00-\ufe0f\ufeff\uffa0\ufff0-\ufff8\U0001bca0-\U0001bca3\U0001d173-\U0001d17a\U000e0000-\U000e0fff]"
+)
+
+
+class BadTeamNameError(StoneError):
+    """A team cannot be called so."""
+
+    code = "bad_team_name"
+
+    def __init__(self, kept: int, seen: int) -> None:
+        super().__init__(
+            f"the name has {kept} characters when composed and {seen} that are seen; expected 1 to {LONGEST} of each"
+        )
+
+
+def taken(session: Session, name: str) -> str:
+    """The name as it is kept, composed (NFC), and nobody's else until the transaction ends.
+
+    Raises `BadTeamNameError`, `NameTakenError`.
+    """
+    kept, wanted = unicodedata.normalize("NFC", name), folded(name)
+    if not wanted or len(kept) > LONGEST:
+        raise BadTeamNameError(len(kept), len(wanted))
+    if session.get_bind().dialect.name == "postgresql":
+        session.execute(text("SELECT pg_advisory_xact_lock(:number)"), {"number": LOCK})
+    if any(folded(other) == wanted for other in session.scalars(select(Team.name))):
+        raise NameTakenError("team", name)
+    return kept
+
+
+def folded(name: str) -> str:
+    """A form of the name that is equal for names that look alike."""
+    once = unicodedata.normalize("NFKC", UNSEEN.sub("", name)).casefold()
+    return " ".join(unicodedata.normalize("NFKC", UNSEEN.sub("", once)).split())

@@ -1,0 +1,236 @@
+"""Teams: founded, joined by invitation, led by a captain, left; and bound to the phases they take part in.
+
+**Conventions.** Exactly one member is the captain (`TeamMember.is_owner`). An invitation is a secret of 32 random
+bytes, shown once, kept as sha256, good for one joining until it expires. A user takes part in a phase with one team
+only, as the primary key of `phase_teams` says: `enter` binds all members; who joins later is bound at once wherever the
+phase has not ended; and a binding outlives leaving once the team had something scored, or has it under way, in the
+phase. Every function is part of the caller's transaction and locks the team's row (PostgreSQL `FOR NO KEY UPDATE`).
+"""
+
+import re
+from hashlib import sha256
+from secrets import token_urlsafe
+
+from sqlalchemy import delete, func, select
+from sqlalchemy.orm import Session
+
+from services.domain.benchmarks.phases.phases import DAY_NS, MOST_MEMBERS, phase_status
+from services.domain.benchmarks.teams.errors import (
+    AlreadyInTeamError,
+    AlreadyMemberError,
+    CaptainStaysError,
+    InvitationError,
+    NotCaptainError,
+    NotMemberError,
+    TeamFullError,
+    TooManyError,
+)
+from services.domain.benchmarks.teams.names import taken
+from services.runtime.database.inserts import insert_new
+from services.runtime.orm import Phase, PhaseTeam, ScoringEntry, SubmissionRow, Team, TeamInvitation, TeamMember, User
+from services.runtime.orm.base import now_ns
+
+PREFIX = "invite_"
+SECRET = re.compile(r"invite_[A-Za-z0-9_-]{43}")
+LASTS_NS = 14 * DAY_NS
+MOST_TEAMS = 50
+MOST_INVITATIONS = 100
+BINDING = ("queued", "scoring", "scored")
+
+
+def found(session: Session, name: str, user_id: str) -> Team:
+    """A team with this user as its captain. Raises `BadTeamNameError`, `NameTakenError`, `TooManyError`."""
+    team = Team(name=taken(session, name))
+    _refuse_many_teams(session, user_id)
+    session.add(team)
+    session.flush()
+    session.add(TeamMember(team_id=team.id, user_id=user_id, is_owner=True))
+    session.flush()
+    return team
+
+
+def captain(session: Session, team_id: str) -> str | None:
+    """The id of the user who leads the team; None for a team that everybody has left."""
+    led = select(TeamMember.user_id).where(TeamMember.team_id == team_id, TeamMember.is_owner)
+    return session.scalars(led).one_or_none()
+
+
+def is_member(session: Session, team_id: str, user_id: str) -> bool:
+    return session.get(TeamMember, (team_id, user_id)) is not None
+
+
+def invite(session: Session, team: Team, user: User, lasts_ns: int = LASTS_NS) -> str:
+    """The secret of a new invitation by the captain, which cannot be shown again. Raises as `invite_row`."""
+    return invite_row(session, team, user.id, lasts_ns)[1]
+
+
+def invite_row(session: Session, team: Team, user_id: str, lasts_ns: int = LASTS_NS) -> tuple[TeamInvitation, str]:
+    """The invitation's row beside its secret. Raises `NotCaptainError`, `TooManyError`."""
+    lock_team(session, team.id)
+    refuse_others(session, team.id, user_id, "invite")
+    if len(open_invitations(session, team.id)) >= MOST_INVITATIONS:
+        raise TooManyError("open invitations", MOST_INVITATIONS)
+    secret = PREFIX + token_urlsafe(32)
+    row = TeamInvitation(team_id=team.id, secret_hash=_hash(secret), created_by=user_id, expires_ns=now_ns() + lasts_ns)
+    session.add(row)
+    session.flush()
+    return row, secret
+
+
+def open_invitations(session: Session, team_id: str) -> list[TeamInvitation]:
+    """Invitations that still let somebody in, oldest first."""
+    of_team = select(TeamInvitation).where(TeamInvitation.team_id == team_id, TeamInvitation.used_ns.is_(None))
+    return list(session.scalars(of_team.where(TeamInvitation.expires_ns > now_ns()).order_by(TeamInvitation.id)))
+
+
+def withdraw(session: Session, team: Team, invitation_id: str) -> bool:
+    """Make an open invitation of the team void; whether there was one."""
+    lock_team(session, team.id)
+    row = next((row for row in open_invitations(session, team.id) if row.id == invitation_id), None)
+    if row is not None:
+        session.delete(row)
+        session.flush()
+    return row is not None
+
+
+def join(session: Session, secret: str, user: User) -> Team:
+    """Let the user into the team of the invitation, and bind them to the phases that the team takes part in.
+
+    Raises `InvitationError`, `AlreadyMemberError`, `TeamFullError`, `AlreadyInTeamError`, `TooManyError`; the
+    invitation stays good then.
+    """
+    named = select(TeamInvitation).where(TeamInvitation.secret_hash == _hash(secret))
+    row = session.scalars(named).one_or_none() if SECRET.fullmatch(secret) else None
+    if row is None:
+        raise InvitationError()
+    team = lock_team(session, row.team_id)
+    invitation = session.scalars(named.execution_options(populate_existing=True)).one_or_none()
+    if invitation is None or invitation.used_ns is not None or invitation.expires_ns <= now_ns():
+        raise InvitationError()
+    if is_member(session, team.id, user.id):
+        raise AlreadyMemberError(user.name)
+    _refuse_many_teams(session, user.id)
+    phases = _entered(session, team.id)
+    _refuse_full(session, team.id, phases)
+    session.add(TeamMember(team_id=team.id, user_id=user.id))
+    invitation.used_by, invitation.used_ns = user.id, now_ns()
+    session.flush()
+    for phase in phases:
+        _bind(session, phase, team.id, [user.id])
+    return team
+
+
+def enter(session: Session, phase: Phase, team_id: str) -> None:
+    """Bind every member to the team in this phase; again, it changes nothing.
+
+    Raises `AlreadyInTeamError` where one takes part with another team, `TeamFullError` where they are too many.
+    """
+    lock_team(session, team_id)
+    members = _member_ids(session, team_id)
+    if len(members) > phase.team_members:
+        raise TeamFullError(len(members), phase.team_members)
+    _bind(session, phase, team_id, members)
+
+
+def leave(session: Session, team: Team, user: User) -> None:
+    """Take the user out; the last member may go, and the team goes too unless something was submitted in its name.
+
+    Raises `NotMemberError`, `CaptainStaysError`.
+    """
+    lock_team(session, team.id)
+    member = _member(session, team.id, user)
+    others = len(_member_ids(session, team.id)) - 1
+    if member.is_owner and others:
+        raise CaptainStaysError()
+    session.delete(member)
+    session.flush()
+    _unbind(session, team.id, user.id)
+    if not others and not _has_records(session, team.id):
+        session.delete(team)
+        session.flush()
+
+
+def remove(session: Session, team: Team, by: str, user: User) -> None:
+    """Have the captain, whose id is `by`, take somebody else out. Raises `NotCaptainError` and as `leave`."""
+    lock_team(session, team.id)
+    refuse_others(session, team.id, by, "remove a member")
+    leave(session, team, user)
+
+
+def hand_over(session: Session, team: Team, user: User) -> None:
+    """Make another member the captain. Raises `NotMemberError`."""
+    lock_team(session, team.id)
+    member = _member(session, team.id, user)
+    for row in session.scalars(select(TeamMember).where(TeamMember.team_id == team.id, TeamMember.is_owner)):
+        row.is_owner = False
+    member.is_owner = True
+    session.flush()
+
+
+def lock_team(session: Session, team_id: str) -> Team:
+    """The team as it is now, its row locked until the end of the transaction."""
+    locked = select(Team).where(Team.id == team_id).with_for_update(key_share=True)
+    return session.scalars(locked.execution_options(populate_existing=True)).one()
+
+
+def refuse_others(session: Session, team_id: str, user_id: str, act: str) -> None:
+    """Raises `NotCaptainError` for whoever does not lead the team."""
+    if captain(session, team_id) != user_id:
+        raise NotCaptainError(act)
+
+
+def _bind(session: Session, phase: Phase, team_id: str, user_ids: list[str]) -> None:
+    """Bind the users to the team in the phase; in the order of ids no two transactions wait for each other."""
+    values = [{"phase_id": phase.id, "user_id": user_id, "team_id": team_id} for user_id in sorted(user_ids)]
+    insert_new(session, PhaseTeam, values)
+    bound = select(PhaseTeam.team_id).where(PhaseTeam.phase_id == phase.id, PhaseTeam.user_id.in_(user_ids))
+    if any(other != team_id for other in session.scalars(bound)):
+        raise AlreadyInTeamError(phase.name)
+
+
+def _unbind(session: Session, team_id: str, user_id: str) -> None:
+    """Let the user take part with others wherever this team had nothing scored and has nothing under way."""
+    scored = select(SubmissionRow.phase_id).where(SubmissionRow.team_id == team_id, SubmissionRow.state.in_(BINDING))
+    bound = (PhaseTeam.team_id == team_id, PhaseTeam.user_id == user_id)
+    session.execute(delete(PhaseTeam).where(*bound, PhaseTeam.phase_id.not_in(scored)))
+
+
+def _entered(session: Session, team_id: str) -> list[Phase]:
+    """The phases that the team takes part in and that have not ended, by id."""
+    bound = select(PhaseTeam.phase_id).where(PhaseTeam.team_id == team_id)
+    phases = session.scalars(select(Phase).where(Phase.id.in_(bound)).order_by(Phase.id))
+    return [phase for phase in phases if phase_status(phase, now_ns()) != "closed"]
+
+
+def _refuse_full(session: Session, team_id: str, phases: list[Phase]) -> None:
+    members = len(_member_ids(session, team_id))
+    most = min((phase.team_members for phase in phases), default=MOST_MEMBERS)
+    if members >= most:
+        raise TeamFullError(members, most)
+
+
+def _refuse_many_teams(session: Session, user_id: str) -> None:
+    counted = select(func.count()).select_from(TeamMember).where(TeamMember.user_id == user_id)
+    if (session.scalar(counted) or 0) >= MOST_TEAMS:
+        raise TooManyError("teams of yours", MOST_TEAMS)
+
+
+def _member(session: Session, team_id: str, user: User) -> TeamMember:
+    row = session.get(TeamMember, (team_id, user.id), populate_existing=True)
+    if row is None:
+        raise NotMemberError(user.name)
+    return row
+
+
+def _member_ids(session: Session, team_id: str) -> list[str]:
+    return list(session.scalars(select(TeamMember.user_id).where(TeamMember.team_id == team_id)))
+
+
+def _has_records(session: Session, team_id: str) -> bool:
+    """Whether anything was submitted in its name, or scorings were granted to it."""
+    ledgers = (select(row.id).where(row.team_id == team_id).limit(1) for row in (SubmissionRow, ScoringEntry))
+    return any(session.scalar(found) is not None for found in ledgers)
+
+
+def _hash(secret: str) -> str:
+    return sha256(secret.encode()).hexdigest()

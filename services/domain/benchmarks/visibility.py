@@ -1,0 +1,135 @@
+"""The visibility policy of submissions: one table of who may see what, applied by the queries.
+
+**Conventions.** A viewer stands to a submission as administrator, as member of its team, or as other. A phase's truth
+is open; or hidden while the phase runs, and before; or hidden and the phase has ended. A field that may not be seen is
+null, never left to a route. Ratios that may be seen only rounded have `RATIO_DIGITS` digits, which is what a board is
+ordered by for everybody, so that ranks tell nothing that the values do not.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from sqlalchemy import ColumnElement, Select, and_, or_, select, true
+from sqlalchemy.orm import Session
+
+from services.runtime.orm import Benchmark, Phase, SubmissionRow, TeamMember
+
+Relation = Literal["administrator", "member", "other"]
+Secrecy = Literal["open", "running", "ended"]
+Field = Literal[
+    "totals", "exact", "intervals", "ranks", "comparison", "breakdowns", "extras", "confusions", "content",
+    "provenance", "method", "description", "team", "file", "state", "problems", "reason",
+]  # fmt: skip
+
+RATIO_DIGITS = 4
+ON_BOARDS = ("entry", "baseline")
+
+_ADMINISTRATOR: tuple[Relation, ...] = ("administrator",)
+_TEAM: tuple[Relation, ...] = ("administrator", "member")
+_ALL: tuple[Relation, ...] = ("administrator", "member", "other")
+# Of each field: who sees it while the truth is open; hidden and the phase running; hidden and the phase ended.
+TABLE: Mapping[Field, Mapping[Secrecy, tuple[Relation, ...]]] = {
+    "totals": {"open": _ALL, "running": _ALL, "ended": _ALL},  # rounded
+    "exact": {"open": _ALL, "running": _ADMINISTRATOR, "ended": _ALL},
+    "intervals": {"open": _ALL, "running": _ADMINISTRATOR, "ended": _ALL},
+    "ranks": {"open": _ALL, "running": _ALL, "ended": _ALL},  # the interval of the rank and the tie group
+    "comparison": {"open": _ALL, "running": _ADMINISTRATOR, "ended": _ALL},  # beyond the difference of rounded totals
+    "breakdowns": {"open": _ALL, "running": _ADMINISTRATOR, "ended": _ALL},
+    "extras": {"open": _ALL, "running": _ADMINISTRATOR, "ended": _ALL},  # and supports, the total confusion
+    # By frame, counts come close to the labels themselves, and another phase may hide the same ones.
+    "confusions": {"open": _TEAM, "running": _ADMINISTRATOR, "ended": _ADMINISTRATOR},
+    "content": {"open": _TEAM, "running": _ADMINISTRATOR, "ended": _ADMINISTRATOR},
+    "provenance": {"open": _ALL, "running": _ALL, "ended": _ALL},
+    "method": {"open": _ALL, "running": _ALL, "ended": _ALL},
+    "description": {"open": _ALL, "running": _ALL, "ended": _ALL},  # from `named_from_ns`
+    "team": {"open": _ALL, "running": _ALL, "ended": _ALL},  # from `named_from_ns`
+    "file": {"open": _TEAM, "running": _TEAM, "ended": _TEAM},
+    "state": {"open": _TEAM, "running": _TEAM, "ended": _TEAM},
+    "problems": {"open": _TEAM, "running": _TEAM, "ended": _TEAM},
+    "reason": {"open": _TEAM, "running": _TEAM, "ended": _TEAM},  # why an entry was hidden
+}
+NAMING: tuple[Field, ...] = ("team", "description")
+
+
+@dataclass(frozen=True)
+class Viewer:
+    """A viewer: an administrator, a user with the teams they are in, or a visitor, whom public benchmarks show."""
+
+    is_administrator: bool = False
+    team_ids: frozenset[str] = frozenset()
+    is_visitor: bool = False
+
+    def relation(self, team_id: str) -> Relation:
+        if self.is_administrator:
+            return "administrator"
+        return "member" if team_id in self.team_ids else "other"
+
+
+ANYBODY = Viewer()
+
+
+@dataclass(frozen=True)
+class Policy:
+    """The parts of one submission that one viewer may see now."""
+
+    relation: Relation
+    secrecy: Secrecy
+    is_named: bool
+
+    def shows(self, field: Field) -> bool:
+        if field in NAMING and not self.is_named and self.relation == "other":
+            return False
+        return self.relation in TABLE[field][self.secrecy]
+
+    def ratio(self, value: float | None) -> float | None:
+        """A total as it may be seen: exact, or rounded."""
+        return value if value is None or self.shows("exact") else rounded(value)
+
+
+def rounded(value: float) -> float:
+    """The ratio to the digits that a board shows and is ordered by."""
+    return round(value, RATIO_DIGITS)
+
+
+def viewer_of(session: Session, user_id: str, is_administrator: bool) -> Viewer:
+    """The user as a viewer. `is_administrator` only where they act as one: with the role and the scope."""
+    teams = select(TeamMember.team_id).where(TeamMember.user_id == user_id)
+    return Viewer(is_administrator, frozenset(session.scalars(teams)))
+
+
+def secrecy_of(phase: Phase, now_ns: int) -> Secrecy:
+    """Hidden truth of a phase that has no end is never told."""
+    if not phase.is_hidden:
+        return "open"
+    return "ended" if phase.closes_ns is not None and phase.closes_ns <= now_ns else "running"
+
+
+def policy_of(viewer: Viewer, phase: Phase, team_id: str, now_ns: int) -> Policy:
+    """The policy of the viewer for a submission of this team in this phase."""
+    is_named = phase.named_from_ns is None or phase.named_from_ns <= now_ns
+    return Policy(viewer.relation(team_id), secrecy_of(phase, now_ns), is_named)
+
+
+def submissions_seen(viewer: Viewer) -> Select[SubmissionRow]:
+    """The submissions that the viewer may know of: all, or those of their teams and whatever stands on a board."""
+    return select(SubmissionRow).where(_is_seen(viewer))
+
+
+def is_on_board() -> ColumnElement[bool]:
+    """Scored, of a kind that is shown, neither withdrawn nor hidden."""
+    return and_(
+        SubmissionRow.state == "scored",
+        SubmissionRow.kind.in_(ON_BOARDS),
+        SubmissionRow.withdrawn_ns.is_(None),
+        SubmissionRow.hidden_ns.is_(None),
+    )
+
+
+def _is_seen(viewer: Viewer) -> ColumnElement[bool]:
+    if viewer.is_administrator:
+        return true()
+    if viewer.is_visitor:
+        is_public = select(Phase.id).join(Benchmark, Benchmark.id == Phase.benchmark_id).where(Benchmark.is_public)
+        return and_(is_on_board(), SubmissionRow.phase_id.in_(is_public))
+    return or_(is_on_board(), SubmissionRow.team_id.in_(sorted(viewer.team_ids)))

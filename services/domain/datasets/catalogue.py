@@ -1,0 +1,84 @@
+"""The catalogue: sequences with labels, which a dataset can be made of.
+
+**Conventions.** Of several label sets of a sequence the one that was asked for last counts. All comes from rows, in a
+fixed number of statements.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from sqlalchemy import Select, func, select
+from sqlalchemy.orm import Session, aliased
+
+from services.runtime.orm import LabelSet, Recording, SequenceRow
+from stone.splits.composition import CatalogueEntry, Voxels
+
+REGISTERED = "registered"
+
+
+@dataclass(frozen=True)
+class CatalogueSequence:
+    """A sequence with the labels that count."""
+
+    sequence: SequenceRow
+    labels: LabelSet
+    entry: CatalogueEntry
+
+
+def labelled_sequences(session: Session, among: Select[SequenceRow] | None = None) -> tuple[CatalogueSequence, ...]:
+    """Sequences that have labels, by name and id: all that are not deleted, or those `among` that are selected."""
+    newest = (
+        select(LabelSet, func.row_number().over(partition_by=LabelSet.sequence_id, order_by=_LAST_FIRST).label("place"))
+    ).subquery()
+    counting = aliased(LabelSet, newest)
+    sequences = (select(SequenceRow) if among is None else among).where(SequenceRow.deleted_ns.is_(None)).subquery()
+    sequence = aliased(SequenceRow, sequences)
+    found = select(sequence, counting).join(counting, counting.sequence_id == sequence.id).where(newest.c.place == 1)
+    rows = session.execute(found.order_by(sequence.name, sequence.id)).all()
+    recordings = _recordings(session, [row.id for row, _ in rows])
+    return tuple(
+        CatalogueSequence(row, labels, _entry(row, labels, recordings.get(row.id, ()))) for row, labels in rows
+    )
+
+
+def entries_of(labelled: Iterable[CatalogueSequence]) -> tuple[CatalogueEntry, ...]:
+    return tuple(one.entry for one in labelled)
+
+
+def voxels_of(t_voxels: int | None, p_voxels: int | None, n_voxels: int | None) -> Voxels | None:
+    """(T, P, N); None where an earlier version did not count them."""
+    if t_voxels is None or p_voxels is None or n_voxels is None:
+        return None
+    return t_voxels, p_voxels, n_voxels
+
+
+_LAST_FIRST = (LabelSet.chosen_ns.desc(), LabelSet.id.desc())
+
+
+def _entry(row: SequenceRow, labels: LabelSet, recordings: tuple[str, ...]) -> CatalogueEntry:
+    return CatalogueEntry(
+        id=row.id,
+        name=row.name,
+        environment=row.environment,
+        illumination=row.illumination,
+        region=row.region,
+        duration_s=(labels.duration_ns or 0) / 1e9,
+        frames=labels.frames,
+        voxels=voxels_of(labels.t_voxels, labels.p_voxels, labels.n_voxels),
+        distance_m=labels.distance_m,
+        recordings=recordings,
+    )
+
+
+def _recordings(session: Session, ids: list[str]) -> Mapping[str, tuple[str, ...]]:
+    """The sha256 of each registered recording, by sequence."""
+    found = dict[str, tuple[str, ...]]()
+    kept = select(Recording.sequence_id, Recording.sha256).where(Recording.state == REGISTERED)
+    for start in range(0, len(ids), AT_A_TIME):
+        some = kept.where(Recording.sequence_id.in_(ids[start : start + AT_A_TIME])).order_by(Recording.id)
+        for sequence_id, sha256 in session.execute(some):
+            found[sequence_id] = (*found.get(sequence_id, ()), sha256)
+    return found
+
+
+AT_A_TIME = 1000

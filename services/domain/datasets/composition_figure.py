@@ -1,0 +1,172 @@
+"""The composition figure of a dataset (PNG): environment × illumination, classes, distance, splits.
+
+**Conventions.** Drawn from the record of `services/domain/datasets/statistics.py` alone, so that the figure and the
+numbers
+cannot differ; the same bytes for the same record. Words come from people: none is read as a formula. Matplotlib is
+loaded when the first figure is asked for, and draws one at a time: it is not made for several threads.
+"""
+
+import io
+from collections.abc import Mapping
+from threading import Lock
+from typing import TYPE_CHECKING, Any
+
+from services.domain.datasets.statistics import CLASSES, Record
+from stone.splits.splits import PARTS
+from stone.splits.surroundings import DAYLIGHT, HALVES, ILLUMINATIONS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+FIGURE_VERSION = 1
+SIZE_IN = (11.0, 7.4)
+DPI = 120
+INK, SOFT, EMPTY = "#1e2228", "#6a7078", "#c9ccd1"
+CLASS_COLOURS = dict(zip(CLASSES, ("#26a65b", "#facd50", "#b02a37"), strict=True))
+CLASS_WORDS = dict(zip(CLASSES, ("traversable", "potentially", "non-traversable"), strict=True))
+LIGHT_COLOURS = {
+    "day": "#f2c14e",
+    "sunny": "#f7dd72",
+    "overcast": "#b9c4cc",
+    "dawn": "#f4a261",
+    "dusk": "#d9776c",
+    "night": "#22335c",
+    "moonlit": "#4a69a5",
+    "floodlit": "#8d7fb8",
+}
+STYLE: dict[Any, Any] = {"font.family": "DejaVu Sans", "font.size": 9.5, "text.color": INK, "axes.labelcolor": INK}
+UNSAID_WORD = "not said"
+FEW = 0.06
+_drawing = Lock()
+
+
+def composition_png(record: Record, title: str) -> bytes:
+    """The figure of this record. An empty dataset has empty axes."""
+    with _drawing:
+        import matplotlib as mpl
+        from matplotlib.figure import Figure
+
+        with mpl.rc_context():
+            mpl.rcdefaults()
+            mpl.rcParams.update(STYLE)
+            figure = Figure(figsize=SIZE_IN, dpi=DPI, facecolor="white", layout="constrained")
+            figure.suptitle(title, x=0.01, ha="left", fontsize=13, parse_math=False)
+            (frames, classes), (distance, parts) = figure.subplots(2, 2)
+            _draw_frames(frames, record)
+            _draw_classes(classes, record)
+            _draw_distance(distance, record)
+            _draw_parts(parts, record)
+            content = io.BytesIO()
+            figure.savefig(content, format="png", metadata={"Software": None})
+            return content.getvalue()
+
+
+def _draw_frames(axes: "Axes", record: Record) -> None:
+    """Frames of each environment, by illumination."""
+    words = _in_order({cell["illumination"] for cell in record["cells"]}, ILLUMINATIONS)
+    series = {
+        word: {c["environment"]: c["frames"] for c in record["cells"] if c["illumination"] == word} for word in words
+    }
+    rows = [row["key"] for row in record["environments"]]
+    _stacked(axes, rows, series, {word: LIGHT_COLOURS.get(word, EMPTY) for word in words})
+    _finished(axes, "a  Frames by environment and illumination", "frames")
+
+
+def _draw_classes(axes: "Axes", record: Record) -> None:
+    """T, P and N of the occupied voxels: of each environment, day and night, and all."""
+    groups = [*record["environments"], *record["halves"], {**record["total"], "key": "all"}]
+    known = [group for group in groups if group["class_ratios"]]
+    rows = [group["key"] for group in known]
+    series = {name: {g["key"]: 100 * g["class_ratios"][name] for g in known} for name in CLASSES}
+    _stacked(axes, rows, series, CLASS_COLOURS, CLASS_WORDS)
+    for row, group in enumerate(known):
+        left = 0.0
+        for name in CLASSES:
+            ratio = group["class_ratios"][name]
+            if ratio >= FEW:
+                colour = "white" if name == CLASSES[-1] else INK
+                axes.text(left + 50 * ratio, row, f"{100 * ratio:.0f}", ha="center", va="center", color=colour)
+            left += 100 * ratio
+    axes.set_xlim(0, 100)
+    told = record["total"]["voxels_known"]
+    hidden = record["total"]["sequences"] - told
+    note = f"; of {hidden} not told" if hidden else ""
+    _finished(axes, "b  Occupied voxels by class", f"% of occupied voxels of {told} sequence(s){note}")
+
+
+def _draw_distance(axes: "Axes", record: Record) -> None:
+    """Kilometres driven in each environment, by day and by night."""
+    series = dict[str, dict[str, float]]()
+    for cell in record["cells"]:
+        of_half = series.setdefault(DAYLIGHT.get(cell["illumination"], ""), {})
+        of_half[cell["environment"]] = of_half.get(cell["environment"], 0.0) + (cell["distance_m"] or 0.0) / 1000.0
+    halves = {half: series[half] for half in _in_order(set(series), HALVES)}
+    rows = [row["key"] for row in record["environments"]]
+    _stacked(axes, rows, halves, {half: LIGHT_COLOURS.get(half, EMPTY) for half in halves})
+    total_km = (record["total"]["distance_m"] or 0.0) / 1000.0
+    _finished(axes, f"c  Distance driven: {total_km:.2f} km", "km")
+
+
+def _draw_parts(axes: "Axes", record: Record) -> None:
+    """Frames of each part; beside it its sequences and minutes."""
+    rows = {row["key"]: row for row in record["parts"]}
+    keys = _in_order(set(rows), PARTS)
+    axes.barh(range(len(keys)), [rows[key]["frames"] for key in keys], color="#3f6f8f", height=0.62)
+    most = max((row["frames"] for row in rows.values()), default=1)
+    for place, key in enumerate(keys):
+        row = rows[key]
+        said = f"{row['sequences']} sequences, {row['duration_s'] / 60:.1f} min"
+        axes.text(row["frames"] + 0.015 * most, place, said, va="center", color=SOFT)
+    axes.set_xlim(0, 1.6 * most)
+    _rows(axes, [key or "in no split" for key in keys])
+    _finished(axes, "d  Splits", "frames")
+    axes.xaxis.grid(False)  # it would run through the words
+
+
+def _stacked(
+    axes: "Axes",
+    rows: list[str],
+    series: Mapping[str, Mapping[str, float]],
+    colours: Mapping[str, str],
+    words: Mapping[str, str] | None = None,
+) -> None:
+    """Horizontal bars, one a row, each a stack of the series."""
+    left = [0.0] * len(rows)
+    for name, values in series.items():
+        widths = [float(values.get(row, 0.0)) for row in rows]
+        label = (words or {}).get(name, name) or UNSAID_WORD
+        axes.barh(range(len(rows)), widths, left=left, color=colours[name], height=0.62, label=label)
+        left = [a + b for a, b in zip(left, widths, strict=True)]
+    _rows(axes, [row or UNSAID_WORD for row in rows])
+    if series and rows:
+        legend = axes.legend(frameon=False, ncols=4, loc="upper left", bbox_to_anchor=(0.0, -0.16), fontsize=8.5)
+        for text in legend.get_texts():
+            text.set_parse_math(False)
+
+
+def _rows(axes: "Axes", labels: list[str]) -> None:
+    axes.set_yticks(range(len(labels)), labels)
+    for text in axes.get_yticklabels():
+        text.set_parse_math(False)
+    axes.set_ylim(max(len(labels), 1) - 0.4, -0.6)
+
+
+def _finished(axes: "Axes", title: str, unit: str) -> None:
+    axes.set_title(title, loc="left", fontsize=10.5, color=INK, parse_math=False)
+    axes.set_xlabel(unit, color=SOFT, loc="right")
+    axes.tick_params(length=0, colors=SOFT)
+    axes.spines[["top", "right", "left"]].set_visible(False)
+    axes.spines["bottom"].set_color(EMPTY)
+    axes.xaxis.grid(True, color=EMPTY, linewidth=0.5)
+    axes.set_axisbelow(True)
+
+
+def _in_order(keys: set[str], order: tuple[str, ...]) -> list[str]:
+    """Words in their order, then others, '' last."""
+    return [*(word for word in order if word in keys), *sorted(keys - {*order, ""}), *([""] if "" in keys else [])]
+
+
+def figure_title(total: Mapping[str, Any], name: str) -> str:
+    """`name`, and how much there is."""
+    minutes = total["duration_s"] / 60
+    return f"{name}: {total['sequences']} sequences, {total['frames']:,} frames, {minutes:.0f} min"

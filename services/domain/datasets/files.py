@@ -1,0 +1,89 @@
+"""The files of a part of a dataset version, and the blob and offset where each lies.
+
+**Conventions.** `gts/<sequence>/<frame_token>/labels.npz` in the order of frames, then `sequences/<sequence>/…`, last
+`sha256sum.txt`, which checks all others. Files stay in the blobs they lie in: a version copies nothing. Only tars are
+made of them, so no CRC is kept.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+
+import numpy as np
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from services.domain.datasets.catalogue import CatalogueSequence
+from services.runtime.orm import Artefact, LabelledFrameRow
+from services.runtime.store.packs import SUMS, PackedFiles
+from stone_files.virtual_archive import check_names
+
+ELSEWHERE = ("labels/", "scene/")
+
+
+@dataclass(frozen=True)
+class DatasetFile:
+    """A file: its bytes are [offset, offset + size) of a blob."""
+
+    name: str
+    size_bytes: int
+    sha256: str
+    blob_sha256: str
+    offset_bytes: int = 0
+
+    def as_record(self) -> dict[str, str | int]:
+        return {"name": self.name, "size_bytes": self.size_bytes, "sha256": self.sha256}
+
+
+def files_of(session: Session, labelled: Iterable[CatalogueSequence]) -> tuple[DatasetFile, ...]:
+    """The files of these sequences, without their sums. Raises `BadMemberError`."""
+    files = tuple(file for one in labelled for file in (*_labels(session, one), *_others(session, one)))
+    check_names([*(file.name for file in files), SUMS])
+    return files
+
+
+def sums_of(files: Iterable[DatasetFile]) -> bytes:
+    """A checksum list for `sha256sum -c`."""
+    return "".join(f"{file.sha256}  {file.name}\n" for file in files).encode("ascii")
+
+
+def sums_file(content: bytes) -> DatasetFile:
+    digest = sha256(content).hexdigest()
+    return DatasetFile(SUMS, len(content), digest, digest)
+
+
+def packed(files: Sequence[DatasetFile]) -> tuple[PackedFiles, tuple[str, ...]]:
+    """The files as an index, and the blobs that it numbers."""
+    blobs = tuple(dict.fromkeys(file.blob_sha256 for file in files))
+    number = {blob: place for place, blob in enumerate(blobs)}
+    digests = b"".join(bytes.fromhex(file.sha256) for file in files)
+    index = PackedFiles(
+        tuple(file.name for file in files),
+        np.array([file.size_bytes for file in files], np.int64),
+        np.zeros(len(files), np.uint32),
+        np.frombuffer(digests, np.uint8).reshape(-1, 32),
+        np.array([number[file.blob_sha256] for file in files], np.int32),
+        np.array([file.offset_bytes for file in files], np.int64),
+    )
+    return index, blobs
+
+
+def _labels(session: Session, one: CatalogueSequence) -> Iterator[DatasetFile]:
+    found = (
+        select(LabelledFrameRow, Artefact.blob_sha256)
+        .join(Artefact, Artefact.id == LabelledFrameRow.pack_id)
+        .where(LabelledFrameRow.label_set_id == one.labels.id)
+        .order_by(LabelledFrameRow.ordinal)
+    )
+    for frame, blob in session.execute(found):
+        name = f"gts/{one.sequence.name}/{frame.token}/labels.npz"
+        yield DatasetFile(name, frame.length_bytes, frame.sha256, blob, frame.offset_bytes)
+
+
+def _others(session: Session, one: CatalogueSequence) -> Iterator[DatasetFile]:
+    """Files published with the labels, but packs (the frames' files are ranges of them) and the viewer's scene."""
+    artefacts = select(Artefact).where(Artefact.label_set_id == one.labels.id).order_by(Artefact.name)
+    for row in session.scalars(artefacts):
+        if not row.name.startswith(ELSEWHERE):
+            name = f"sequences/{one.sequence.name}/{row.name}"
+            yield DatasetFile(name, row.size_bytes, row.blob_sha256, row.blob_sha256)

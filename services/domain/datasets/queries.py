@@ -1,0 +1,62 @@
+"""Reading versions of the dataset: their sequences, the files of their parts, the archive of one.
+
+**Conventions.** Test's files are never located here, whoever asks.
+"""
+
+from collections.abc import Mapping
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from services.domain.datasets.catalogue import voxels_of
+from services.domain.datasets.errors import HiddenPartError
+from services.domain.datasets.manifest import OPEN, open_entries
+from services.runtime.orm import Blob, Dataset, DatasetMember, DatasetPack, DatasetPart
+from services.runtime.store.pack_archive import ExportLocation
+from stone.splits.composition import CatalogueEntry
+from stone.splits.splits import PARTS
+
+Entries = Mapping[str, tuple[CatalogueEntry, ...]]
+
+
+def dataset_named(session: Session, name: str) -> Dataset | None:
+    return session.scalars(select(Dataset).where(Dataset.name == name)).one_or_none()
+
+
+def dataset_entries(session: Session, dataset: Dataset) -> Entries:
+    """The sequences of each part, by name, as everybody may know them."""
+    of_version = select(DatasetMember).where(DatasetMember.dataset_id == dataset.id).order_by(DatasetMember.name)
+    rows = session.scalars(of_version).all()
+    return {part: open_entries(part, [_entry(row) for row in rows if row.part == part]) for part in PARTS}
+
+
+def open_parts(session: Session, dataset: Dataset) -> tuple[DatasetPart, ...]:
+    """The parts that may be downloaded."""
+    of_version = select(DatasetPart).where(DatasetPart.dataset_id == dataset.id, DatasetPart.part.in_(OPEN))
+    rows = {row.part: row for row in session.scalars(of_version)}
+    return tuple(rows[part] for part in OPEN if part in rows)
+
+
+def locate_part(session: Session, dataset: Dataset, part: str) -> tuple[DatasetPart, ExportLocation]:
+    """A part and where its files lie. Raises `HiddenPartError` for test, and whatever is no part."""
+    found = next((row for row in open_parts(session, dataset) if row.part == part), None)
+    if found is None:
+        raise HiddenPartError(part)
+    packs = select(Blob.object_key).join(DatasetPack, DatasetPack.blob_sha256 == Blob.sha256)
+    of_part = packs.where(DatasetPack.dataset_id == dataset.id, DatasetPack.part == part).order_by(DatasetPack.ordinal)
+    index = session.get_one(Blob, found.index_sha256)
+    return found, ExportLocation(index.object_key, tuple(session.scalars(of_part)))
+
+
+def _entry(row: DatasetMember) -> CatalogueEntry:
+    return CatalogueEntry(
+        id=row.sequence_id,
+        name=row.name,
+        environment=row.environment,
+        illumination=row.illumination,
+        region=row.region,
+        duration_s=row.duration_ns / 1e9,
+        frames=row.frames,
+        voxels=voxels_of(row.t_voxels, row.p_voxels, row.n_voxels),
+        distance_m=row.distance_m,
+    )

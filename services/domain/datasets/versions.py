@@ -1,0 +1,166 @@
+"""Versions of the dataset: published once from the draft splits, and never changed.
+
+**Conventions.** Slow things (indexes, digests) are made before the transaction, which then finds the splits unchanged
+or refuses. What a version is made of is held by foreign keys to blobs, test's labels too, which nothing serves.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from sqlalchemy import insert, select
+from sqlalchemy.exc import IntegrityError
+from sqlalchemy.orm import Session
+
+from services.domain.datasets.catalogue import labelled_sequences
+from services.domain.datasets.errors import BrokenSplitsError, NoSplitsError, SplitsChangedError
+from services.domain.datasets.files import DatasetFile, files_of, packed, sums_file, sums_of
+from services.domain.datasets.manifest import OPEN, Members, NewDataset, manifest_bytes
+from services.domain.datasets.splits import CurrentSplits, current_splits, errors_of, judged, lock_splits
+from services.runtime.access.errors import NameTakenError
+from services.runtime.code_version import code_version
+from services.runtime.orm import Blob, Dataset, DatasetMember, DatasetPack, DatasetPart, new_id
+from services.runtime.orm.base import now_ns
+from services.runtime.platform import Platform
+from services.runtime.store.blobs import PreparedBlob, link_all, prepare
+from services.runtime.store.pack_reading import StoredFiles, archive_sha256
+from services.runtime.store.packs import PackedFiles, index_bytes
+from stone.splits.splits import PARTS
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedPart:
+    """A part whose index and sums are stored: its files, the blobs they lie in, size and sha256 of its tar, if open."""
+
+    files: tuple[DatasetFile, ...]
+    index: PreparedBlob
+    sums: PreparedBlob
+    packs: tuple[str, ...]
+    tar: tuple[int, str]
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedDataset:
+    """A version that only wants its rows."""
+
+    asked: NewDataset
+    revision: int
+    created_ns: int
+    members: Members
+    manifest: PreparedBlob
+    parts: Mapping[str, PreparedPart]
+
+
+def prepare_dataset(platform: Platform, asked: NewDataset, folder: Path) -> PreparedDataset:
+    """Prepare a version but for its rows; `folder` is where its own files are written.
+
+    Raises `NoSplitsError`, `BrokenSplitsError`, `BadMemberError`, `NameTakenError`, `StoreFullError`.
+    """
+    with platform.database.reading() as session:
+        if session.scalar(select(Dataset.id).where(Dataset.name == asked.name)) is not None:
+            raise NameTakenError("dataset version", asked.name)
+        current, members = members_now(session)
+    return assembled(platform, asked, folder, (current.revision, members))
+
+
+def assembled(platform: Platform, asked: NewDataset, folder: Path, found: tuple[int, Members]) -> PreparedDataset:
+    """A version of these members of the splits at that revision. Raises `BadMemberError`, `StoreFullError`."""
+    created_ns, (revision, members) = now_ns(), found
+    with platform.database.reading() as session:
+        files = {part: files_of(session, labelled) for part, labelled in members.items()}
+    parts: dict[str, PreparedPart] = {part: _prepared_part(platform, folder, part, files[part]) for part in PARTS}
+    manifest = manifest_bytes(asked, created_ns, members, {part: parts[part].files for part in OPEN})
+    blob = _stored(platform, folder / "manifest.json", manifest)
+    return PreparedDataset(asked, revision, created_ns, members, blob, parts)
+
+
+def write_dataset(session: Session, prepared: PreparedDataset) -> Dataset:
+    """The rows of the version. Raises `SplitsChangedError`, `NameTakenError`."""
+    row = lock_splits(session)
+    if row.revision != prepared.revision:
+        raise SplitsChangedError(prepared.revision, row.revision)
+    parts = prepared.parts.items()
+    own = (blob for _, part in parts for blob in (part.index, part.sums))
+    link_all(session, (prepared.manifest, *own))
+    dataset = Dataset(
+        id=new_id(),
+        name=prepared.asked.name,
+        licence=prepared.asked.licence,
+        code_version=code_version("labels"),
+        manifest_sha256=prepared.manifest.sha256,
+        manifest_bytes=prepared.manifest.size_bytes,
+        created_by=prepared.asked.user_id,
+        created_ns=prepared.created_ns,
+    )
+    session.add(dataset)
+    try:
+        session.flush()
+    except IntegrityError:
+        raise NameTakenError("dataset version", dataset.name) from None
+    _write_members(session, dataset.id, prepared.members)
+    for part, made in parts:
+        _write_part(session, dataset.id, part, made)
+    return dataset
+
+
+def members_now(session: Session) -> tuple[CurrentSplits, Members]:
+    """The splits as they stand, with the sequences of each part. Raises `NoSplitsError`, `BrokenSplitsError`."""
+    current = current_splits(session)
+    if not current.split.filled:
+        raise NoSplitsError()
+    labelled = labelled_sequences(session)
+    if broken := errors_of(judged(current.split, labelled)):
+        raise BrokenSplitsError([finding.message for finding in broken])
+    parts = current.split.parts
+    return current, {part: tuple(one for one in labelled if one.entry.id in parts[part]) for part in PARTS}
+
+
+def _prepared_part(platform: Platform, folder: Path, part: str, files: tuple[DatasetFile, ...]) -> PreparedPart:
+    """The part with its sums. Raises `ObjectMissingError` where a file was deleted meanwhile."""
+    content = sums_of(files)
+    sums = _stored(platform, folder / f"{part}.txt", content)
+    listed = (*files, sums_file(content))
+    index, packs = packed(listed)
+    tar = _tar(platform, index, packs, sums) if part in OPEN else (0, "")
+    return PreparedPart(listed, _stored(platform, folder / f"{part}.npz", index_bytes(index)), sums, packs, tar)
+
+
+def _tar(platform: Platform, index: PackedFiles, packs: tuple[str, ...], sums: PreparedBlob) -> tuple[int, str]:
+    """Size and sha256 of the tar, which is read through once; the sums may have no row yet."""
+    with platform.database.reading() as session:
+        rows = (session.get(Blob, blob) for blob in packs)
+        keys = tuple(row.object_key if row is not None else sums.object_key for row in rows)
+    stored = StoredFiles(index, keys)
+    return archive_sha256(index, "tar", stored.reader(platform.store), lambda _done, _total: None)
+
+
+def _stored(platform: Platform, path: Path, content: bytes) -> PreparedBlob:
+    path.write_bytes(content)
+    return prepare(platform.store, platform.database, path, adopt=True)
+
+
+def _write_members(session: Session, dataset_id: str, members: Members) -> None:
+    for part, labelled in members.items():
+        for one in labelled:
+            entry, labels = one.entry, one.labels
+            row = DatasetMember(dataset_id=dataset_id, sequence_id=entry.id, label_set_id=labels.id, part=part)
+            row.name, row.recipe = entry.name, labels.recipe
+            row.environment, row.illumination, row.region = entry.environment, entry.illumination, entry.region
+            row.frames, row.duration_ns, row.distance_m = entry.frames, labels.duration_ns or 0, entry.distance_m
+            row.t_voxels, row.p_voxels, row.n_voxels = entry.voxels or (None, None, None)
+            session.add(row)
+    session.flush()
+
+
+def _write_part(session: Session, dataset_id: str, part: str, made: PreparedPart) -> None:
+    size_bytes = sum(file.size_bytes for file in made.files)
+    row = DatasetPart(dataset_id=dataset_id, part=part, files=len(made.files), size_bytes=size_bytes)
+    row.index_sha256 = made.index.sha256
+    row.tar_bytes, row.tar_sha256 = made.tar
+    session.add(row)
+    session.flush()
+    held = [
+        {"dataset_id": dataset_id, "part": part, "ordinal": ordinal, "blob_sha256": blob}
+        for ordinal, blob in enumerate(made.packs)
+    ]
+    session.execute(insert(DatasetPack), held)

@@ -1,0 +1,220 @@
+"""Exports: label sets of a sequence written in other formats by jobs.
+
+**Conventions.** An export is of one label set in one format; equal requests are one export (`recipe`), so an unchanged
+sequence is not written again, and labels made anew make earlier exports stale: they stay until they are deleted. Each
+function is part of the caller's transaction and locks the sequence's row first
+(`services/domain/sequences/processing.py`). Its
+bytes are counted against the sequence's owner under the export's id. An export shows all labels of its sequence, so it
+is its owner's alone: what others download of a sequence with hidden frames must never be made from here. Of a playback
+single files are shown to whoever may look at the sequence, which nobody but its owner may where frames are hidden.
+"""
+
+from collections.abc import Sequence as Listing
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from sqlalchemy import delete, select
+from sqlalchemy.orm import Session
+
+from services.domain.sequences.processing import lock_sequence
+from services.domain.sequences.run_files import SEQUENCE_FILE
+from services.domain.sequences.stage_checks import require_sequence
+from services.runtime.access import storage_quota
+from services.runtime.code_version import code_version
+from services.runtime.jobs.control import cancel
+from services.runtime.jobs.enqueue import enqueue
+from services.runtime.jobs.errors import JobCancelledError, JobStateError, QueueDrainingError
+from services.runtime.jobs.specs import TERMINAL, Attempt, Context, JobSpec
+from services.runtime.orm import (
+    Artefact,
+    Export,
+    ExportPack,
+    Job,
+    LabelSet,
+    Recording,
+    SequenceRow,
+    new_id,
+)
+from services.runtime.orm.base import now_ns
+from services.runtime.store.blobs import PreparedBlob, link_all
+from services.runtime.store.packs import PackedFiles
+from services.runtime.store.recipes import recipe_of
+from services.runtime.telemetry.trace_links import link_job
+from stone.errors import StoneError
+
+EXPORT = "labeler.export"
+ExportFormat = Literal["nuscenes", "inputs", "kitti", "mesh", "mcap", "rrd", "previews", "playback"]
+FORMATS: tuple[ExportFormat, ...] = get_args(ExportFormat)
+FROM_LABELS_ALONE = ("mesh",)
+LAST = -1  # the priority of what nobody waits for
+
+
+class UnknownExportFormatError(StoneError):
+    """There is no export of this name."""
+
+    code = "unknown_format"
+
+    def __init__(self, name: str) -> None:
+        super().__init__(f"{name[:80]!r} is no format of an export; known are {', '.join(FORMATS)}")
+
+
+class NothingToExportError(StoneError):
+    """The sequence has no labels, or not what an export is made of."""
+
+    code = "nothing_to_export"
+
+    def __init__(self, sequence_id: str, why: str) -> None:
+        super().__init__(f"sequence {sequence_id} cannot be exported: {why}")
+
+
+@dataclass(frozen=True, eq=False)
+class ExportResult:
+    """The product of an export job: stored blobs, and size and sha256 of the archives of the files."""
+
+    files: PackedFiles
+    index: PreparedBlob
+    packs: Listing[PreparedBlob]
+    tar: tuple[int, str]
+    zip: tuple[int, str]
+
+    @property
+    def size_bytes(self) -> int:
+        """The bytes of the export in the store."""
+        return self.index.size_bytes + sum(pack.size_bytes for pack in self.packs)
+
+
+def start_export(session: Session, sequence: SequenceRow, form: str) -> tuple[Export, Job]:
+    """The export of the labels that count, and its job: those that stand already, or new ones.
+
+    An export whose job failed or was cancelled is tried again. Raises `UnknownExportFormatError`,
+    `SequenceDeletedError`, `NothingToExportError`, `QueueDrainingError`.
+    """
+    if form not in FORMATS:
+        raise UnknownExportFormatError(form)
+    sequence = lock_sequence(session, sequence.id)
+    labels = _exportable_labels(session, sequence, form)
+    link_job(session, labels.job_id)
+    recipe = _recipe(labels, form)
+    export = _existing_export(session, sequence, recipe)
+    if export is not None:
+        job = session.get_one(Job, export.job_id, populate_existing=True)
+        if export.finished_ns is not None or (job.state not in TERMINAL and not job.cancel_reason):
+            return export, job
+    else:
+        export = _new_export(labels, form, recipe)
+    return export, _enqueued(session, export, Context(sequence.owner_id, sequence.id))
+
+
+def follow_labels(session: Session, sequence: SequenceRow, labels: LabelSet, form: str) -> None:
+    """Have labels that are being published exported without anybody asking, after all that somebody asked for.
+
+    Nothing happens where the queue is draining, or where the recording is gone: it may be asked for later. The
+    sequence is not locked: whoever deletes it waits for the run that publishes, and then finds the export.
+    """
+    if _has_recording(session, sequence):
+        export = _new_export(labels, form, _recipe(labels, form))
+        with suppress(QueueDrainingError):
+            _enqueued(session, export, Context(sequence.owner_id, sequence.id, LAST))
+
+
+def write_export(session: Session, attempt: Attempt, made: ExportResult, limit_bytes: int) -> None:
+    """Write down what the job has made, in the transaction of its success; the owner may have `limit_bytes` in all.
+
+    Raises `JobCancelledError` when the export was deleted or is another job's now, `QuotaExceededError`.
+    """
+    sequence = require_sequence(session, attempt)
+    export = exported_by(session, attempt)
+    link_all(session, (made.index, *made.packs))
+    for ordinal, pack in enumerate(made.packs):
+        session.add(
+            ExportPack(export_id=export.id, ordinal=ordinal, blob_sha256=pack.sha256, size_bytes=pack.size_bytes)
+        )
+    export.index_sha256, export.files, export.finished_ns = made.index.sha256, len(made.files), now_ns()
+    export.size_bytes = int(made.files.sizes_bytes.sum())
+    export.tar_bytes, export.tar_sha256 = made.tar
+    export.zip_bytes, export.zip_sha256 = made.zip
+    session.flush()
+    storage_quota.reserve(session, sequence.owner_id, made.size_bytes, export.id, "export", limit_bytes)
+
+
+def exported_by(session: Session, attempt: Attempt) -> Export:
+    """The export that the attempt makes. Raises `JobCancelledError`."""
+    export = session.get(Export, attempt.arguments["export_id"], populate_existing=True)
+    if export is None or export.job_id != attempt.job_id:
+        raise JobCancelledError("its export was deleted, or is made by another job")
+    return export
+
+
+def begin_export(session: Session, attempt: Attempt) -> Export:
+    """The export that the attempt makes from its beginning, which is thereby of this version of the code.
+
+    Its recipe stays where an export of this version was asked for meanwhile. Raises `JobCancelledError`,
+    `SequenceDeletedError`.
+    """
+    export = exported_by(session, attempt)
+    if export.code_version == code_version("labels"):
+        return export
+    sequence = lock_sequence(session, export.sequence_id)
+    export = exported_by(session, attempt)
+    recipe = _recipe(session.get_one(LabelSet, export.label_set_id), export.format)
+    export.code_version = code_version("labels")
+    if _existing_export(session, sequence, recipe) is None:
+        export.recipe = recipe
+    return export
+
+
+def delete_export(session: Session, export: Export) -> None:
+    """Delete an export, finished or not; its blobs are collected later. Raises `SequenceDeletedError`."""
+    lock_sequence(session, export.sequence_id)
+    with suppress(JobStateError):  # it has ended
+        cancel(session, export.job_id, "its export was deleted")
+    session.execute(delete(Export).where(Export.id == export.id))
+    storage_quota.release(session, export.id, "export deleted")
+
+
+def counting_labels(session: Session, sequence_id: str) -> LabelSet | None:
+    """The labels that count: of several those that were asked for last."""
+    newest = select(LabelSet).where(LabelSet.sequence_id == sequence_id)
+    return session.scalars(newest.order_by(LabelSet.chosen_ns.desc(), LabelSet.id.desc()).limit(1)).one_or_none()
+
+
+def _recipe(labels: LabelSet, form: str) -> str:
+    return recipe_of({"labels": labels.recipe, "format": form})
+
+
+def _new_export(labels: LabelSet, form: str, recipe: str) -> Export:
+    facts = {"label_set_id": labels.id, "format": form, "recipe": recipe, "code_version": code_version("labels")}
+    return Export(id=new_id(), sequence_id=labels.sequence_id, **facts)
+
+
+def _enqueued(session: Session, export: Export, context: Context) -> Job:
+    """The job that makes it from now on. Raises `QueueDrainingError`, and writes nothing then."""
+    job = enqueue(session, JobSpec(EXPORT, {"export_id": export.id}), context)
+    export.job_id = job.id
+    session.add(export)
+    session.flush()
+    return job
+
+
+def _has_recording(session: Session, sequence: SequenceRow) -> bool:
+    registered = select(Recording.id).where(Recording.sequence_id == sequence.id, Recording.state == "registered")
+    return session.scalar(registered.limit(1)) is not None
+
+
+def _existing_export(session: Session, sequence: SequenceRow, recipe: str) -> Export | None:
+    same = select(Export).where(Export.sequence_id == sequence.id, Export.recipe == recipe)
+    return session.scalars(same.execution_options(populate_existing=True)).one_or_none()
+
+
+def _exportable_labels(session: Session, sequence: SequenceRow, form: str) -> LabelSet:
+    """Raises `NothingToExportError`."""
+    labels = counting_labels(session, sequence.id)
+    if labels is None:
+        raise NothingToExportError(sequence.id, "it has no labels; have it processed first")
+    synchronised = select(Artefact.id).where(Artefact.label_set_id == labels.id, Artefact.name == SEQUENCE_FILE)
+    if session.scalar(synchronised) is None:
+        raise NothingToExportError(sequence.id, "an earlier version made its labels and kept no sequence.npz")
+    if form not in FROM_LABELS_ALONE and not _has_recording(session, sequence):
+        raise NothingToExportError(sequence.id, "its recording was deleted; only a mesh can be made of labels alone")
+    return labels

@@ -1,0 +1,66 @@
+"""Previews: pictures and pages of a recording or of a processed sequence.
+
+**Conventions.** Their bytes are stored first (`prepared_previews`), outside transactions; the rows come in the caller's
+transaction, in the place of those that were there. The files stay in the run's workspace until it is collected.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from sqlalchemy import delete
+from sqlalchemy.orm import Session
+
+from services.runtime.orm import Preview
+from services.runtime.platform import Platform
+from services.runtime.store.blobs import PreparedBlob, prepare
+from stone_files.atomic import atomic_file
+
+FOLDER = "previews"
+MOST_PREVIEWS = 64
+
+
+@dataclass(frozen=True)
+class PreparedPreview:
+    """A picture whose bytes are stored; whoever makes its row links its blob first."""
+
+    name: str
+    media_type: str
+    blob: PreparedBlob
+
+
+@dataclass(frozen=True)
+class PreviewSubject:
+    """The subject of previews: a recording, else (by `recipe`) what was made of the sequence."""
+
+    sequence_id: str
+    recording_id: str | None = None
+    recipe: str = ""
+
+
+def prepared_previews(
+    platform: Platform, work: Path, drawn: Iterable[tuple[str, str, bytes]]
+) -> tuple[PreparedPreview, ...]:
+    """Store (name, media type, bytes), one after the other; the first `MOST_PREVIEWS` of them."""
+    folder = work / FOLDER
+    folder.mkdir(parents=True, exist_ok=True)
+    return tuple(_prepared(platform, folder, *one) for one, _ in zip(drawn, range(MOST_PREVIEWS), strict=False))
+
+
+def replace_previews(session: Session, shown: PreviewSubject, previews: Iterable[PreparedPreview]) -> None:
+    """Make these the previews of `shown`; their blobs are linked already."""
+    mine = (Preview.recording_id == shown.recording_id, Preview.recipe == shown.recipe)
+    session.execute(delete(Preview).where(Preview.sequence_id == shown.sequence_id, *mine))
+    for preview in previews:
+        row = Preview(sequence_id=shown.sequence_id, recording_id=shown.recording_id, recipe=shown.recipe)
+        row.name, row.media_type = preview.name, preview.media_type
+        row.blob_sha256, row.size_bytes = preview.blob.sha256, preview.blob.size_bytes
+        session.add(row)
+    session.flush()
+
+
+def _prepared(platform: Platform, folder: Path, name: str, media_type: str, content: bytes) -> PreparedPreview:
+    path = folder / name
+    with atomic_file(path) as staging:
+        staging.write_bytes(content)
+    return PreparedPreview(name, media_type, prepare(platform.store, platform.database, path, adopt=True))

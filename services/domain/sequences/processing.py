@@ -1,0 +1,191 @@
+"""Processing of a sequence: register recordings, run the pipeline, delete.
+
+**Conventions.** Each function is part of the caller's transaction and locks the sequence's row first, then the rows of
+runs; a stage that ends locks its run first and never the sequence. The work itself is done by the services' stages,
+which are named here by kind only.
+"""
+
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from sqlalchemy import delete, func, select
+from sqlalchemy.orm import Session
+
+from services.domain.sequences.label_choices import check_choices
+from services.domain.sequences.processing_errors import (
+    AlreadyProcessingError,
+    NoCalibrationError,
+    NoRecordingError,
+    RecordingPendingError,
+    SequenceDeletedError,
+    SeveralRecordingsError,
+    UnknownStagesError,
+)
+from services.domain.sequences.profiles import topics_of
+from services.runtime.access import storage_quota
+from services.runtime.code_version import code_version
+from services.runtime.jobs.control import cancel
+from services.runtime.jobs.enqueue import enqueue, enqueue_run
+from services.runtime.jobs.errors import JobStateError
+from services.runtime.jobs.specs import TERMINAL, Context, JobSpec
+from services.runtime.orm import CalibrationRow, Export, Job, LabelSet, Preview, Recording, RecordingFile, SequenceRow
+from services.runtime.orm.base import now_ns
+from services.runtime.store.recipes import recipe_of
+from services.runtime.telemetry.trace_links import link_uploads_of
+
+PROCESS = "sequence.process"
+REGISTER = "ingest.register"
+SYNCHRONISE = "ingest.synchronise"
+LABEL = "labeler.parts"
+STAGES = ("synchronise", "label")
+ALIVE = Job.state.not_in(TERMINAL)
+
+
+@dataclass(frozen=True)
+class ProcessRequest:
+    """Choices for processing a sequence; `parameters` by dotted name (`services/domain/sequences/label_choices.py`).
+
+    `topics` are those of the platform's profile; the two topics named here go before them.
+    """
+
+    profile: str = "paper"
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    odometry_topic: str | None = None
+    lidar_topic: str | None = None
+    stages: tuple[str, ...] = STAGES
+    topics: Mapping[str, str] = field(default_factory=dict)
+
+
+def register(session: Session, recording: Recording) -> Job:
+    """Have a received recording read and kept. Raises `SequenceDeletedError`, `QueueDrainingError`."""
+    sequence = lock_sequence(session, recording.sequence_id)
+    return enqueue(session, JobSpec(REGISTER, {"recording_id": recording.id}), _context(sequence))
+
+
+def start_processing(session: Session, sequence: SequenceRow, request: ProcessRequest) -> Job:
+    """The run that makes what is asked for: a new one, the one that is at it, or the one that has made it already.
+
+    Raises `ChoiceError`, `UnknownStagesError`, `SequenceDeletedError`, `NoCalibrationError`, `NoRecordingError`,
+    `RecordingPendingError`, `SeveralRecordingsError`, `AlreadyProcessingError`, `QueueDrainingError`.
+    """
+    check_choices(request.profile, request.parameters)
+    if not request.stages or request.stages != STAGES[: len(request.stages)]:
+        raise UnknownStagesError(request.stages, STAGES)
+    sequence = lock_sequence(session, sequence.id)
+    calibration, recording = _inputs(session, sequence)
+    request = replace(request, topics=topics_of(session, sequence))
+    link_uploads_of(session, recording.id)
+    arguments = _arguments(request, calibration, recording)
+    recipe = _recipe(sequence, request, calibration, recording)
+    standing = _existing_run(session, sequence, recipe)
+    if standing is not None:
+        return standing
+    specs = [JobSpec(SYNCHRONISE, {**arguments, "recipe": recipe})]
+    run = enqueue_run(session, PROCESS, specs, _context(sequence))
+    run.arguments = {**arguments, "recipe": recipe}
+    return run
+
+
+def delete_sequence(session: Session, sequence: SequenceRow) -> None:
+    """Delete the sequence: its jobs are told to stop, its recordings, label sets and exports are gone with it.
+
+    The row stays for the jobs that name it. Blobs that nothing names any more are collected later. Raises
+    `SequenceDeletedError`.
+    """
+    sequence = lock_sequence(session, sequence.id)
+    alive = select(Job.id).where(Job.sequence_id == sequence.id, Job.id == Job.root_id, ALIVE)
+    for root_id in session.scalars(alive).all():
+        with suppress(JobStateError):  # it ended while we waited for its row
+            cancel(session, root_id, "its sequence was deleted")
+    session.execute(delete(Preview).where(Preview.sequence_id == sequence.id))
+    held = select(RecordingFile.upload_id).join(Recording).where(Recording.sequence_id == sequence.id)
+    exports = select(Export.id).where(Export.sequence_id == sequence.id)
+    subjects = [*session.scalars(held), *session.scalars(exports)]
+    session.execute(delete(Export).where(Export.sequence_id == sequence.id))
+    session.execute(delete(LabelSet).where(LabelSet.sequence_id == sequence.id))
+    session.execute(delete(Recording).where(Recording.sequence_id == sequence.id))
+    for subject_id in subjects:  # recordings before their owner's quota, as everywhere
+        storage_quota.release(session, subject_id or "", "sequence deleted")
+    sequence.deleted_ns = now_ns()
+    sequence.revision += 1
+
+
+def lock_sequence(session: Session, sequence_id: str) -> SequenceRow:
+    """The sequence's row, locked until the end of the transaction. Raises `SequenceDeletedError`.
+
+    The weaker lock lets rows that refer to it be inserted meanwhile, so that no two transactions wait for each other.
+    """
+    locked = select(SequenceRow).where(SequenceRow.id == sequence_id).with_for_update(key_share=True)
+    sequence = session.scalars(locked.execution_options(populate_existing=True)).one()
+    if sequence.deleted_ns is not None:
+        raise SequenceDeletedError(sequence_id)
+    return sequence
+
+
+def _context(sequence: SequenceRow) -> Context:
+    return Context(sequence.owner_id, sequence.id)
+
+
+def _inputs(session: Session, sequence: SequenceRow) -> tuple[CalibrationRow, Recording]:
+    """The calibration it pins, and its one registered recording."""
+    if sequence.calibration_id is None:
+        raise NoCalibrationError(sequence.id)
+    of_sequence = select(Recording).where(Recording.sequence_id == sequence.id).order_by(Recording.id)
+    recordings = session.scalars(of_sequence.execution_options(populate_existing=True)).all()
+    registered = [recording for recording in recordings if recording.state == "registered"]
+    pending = select(func.count()).where(Job.sequence_id == sequence.id, Job.kind == REGISTER, ALIVE)
+    if count := session.scalar(pending):
+        raise RecordingPendingError(sequence.id, count)
+    if not registered:
+        raise NoRecordingError(sequence.id, len(recordings))
+    if len(registered) > 1:
+        raise SeveralRecordingsError(sequence.id, len(registered))
+    return session.get_one(CalibrationRow, sequence.calibration_id), registered[0]
+
+
+def _arguments(request: ProcessRequest, calibration: CalibrationRow, recording: Recording) -> dict[str, Any]:
+    return {
+        "recording_id": recording.id,
+        "calibration_id": calibration.id,
+        "odometry_topic": request.odometry_topic,
+        "lidar_topic": request.lidar_topic,
+        "topics": dict(request.topics),
+        "profile": request.profile,
+        "parameters": dict(request.parameters),
+        "stages": list(request.stages),
+        "code_version": code_version("labels"),
+    }
+
+
+def _recipe(sequence: SequenceRow, request: ProcessRequest, calibration: CalibrationRow, recording: Recording) -> str:
+    """By content, not by id: the same bag uploaded again is the same ingredient. Names are in tokens and report."""
+    return recipe_of(
+        {
+            "sequence": sequence.name,
+            "recordings": [[recording.filename, recording.sha256]],
+            "calibration": [calibration.filename, calibration.sha256],
+            "odometry_topic": request.odometry_topic,
+            "lidar_topic": request.lidar_topic,
+            **({"topics": dict(request.topics)} if request.topics else {}),
+            "profile": request.profile,
+            "parameters": {name: float(value) for name, value in request.parameters.items()},
+            "stages": request.stages,
+        }
+    )
+
+
+def _existing_run(session: Session, sequence: SequenceRow, recipe: str) -> Job | None:
+    """The run that has made this already, or is at it. Raises `AlreadyProcessingError` for one that makes another."""
+    made = select(LabelSet).where(LabelSet.sequence_id == sequence.id, LabelSet.recipe == recipe)
+    label_set = session.scalar(made)
+    if label_set is not None:
+        label_set.chosen_ns = now_ns()
+        return session.get_one(Job, label_set.job_id)
+    runs = select(Job).where(Job.sequence_id == sequence.id, Job.kind == PROCESS, ALIVE)
+    for run in session.scalars(runs.execution_options(populate_existing=True)):
+        if run.arguments["recipe"] != recipe or run.cancel_reason:
+            raise AlreadyProcessingError(sequence.id, run.id)
+        return run
+    return None

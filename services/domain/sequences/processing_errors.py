@@ -1,0 +1,74 @@
+"""Errors of starting to process a sequence."""
+
+from stone.errors import StoneError
+
+
+class SequenceDeletedError(StoneError):
+    """The sequence was deleted; nothing more is made of it."""
+
+    code = "sequence_deleted"
+
+    def __init__(self, sequence_id: str) -> None:
+        super().__init__(f"sequence {sequence_id} was deleted; nothing more can be made of it")
+
+
+class NoCalibrationError(StoneError):
+    """Nothing says where the sensors sit."""
+
+    code = "no_calibration"
+
+    def __init__(self, sequence_id: str) -> None:
+        super().__init__(f"sequence {sequence_id} has no calibration; give it one first")
+
+
+class NoRecordingError(StoneError):
+    """There is nothing to process, or what there is was refused."""
+
+    code = "no_recording"
+
+    def __init__(self, sequence_id: str, unusable: int) -> None:
+        why = f"{unusable} could not be registered, see their findings" if unusable else "none was added"
+        super().__init__(f"sequence {sequence_id} has no registered recording ({why}); add one first")
+
+
+class RecordingPendingError(StoneError):
+    """A recording is still being read."""
+
+    code = "recording_pending"
+
+    def __init__(self, sequence_id: str, pending: int) -> None:
+        super().__init__(f"{pending} recordings of sequence {sequence_id} are still being read; wait for their jobs")
+
+
+class SeveralRecordingsError(StoneError):
+    """Bags are not merged, and nothing says which one is meant."""
+
+    code = "several_recordings"
+
+    def __init__(self, sequence_id: str, recordings: int) -> None:
+        super().__init__(
+            f"sequence {sequence_id} has {recordings} registered recordings and 1 can be processed: "
+            "make a sequence of each (or were the parts of one split bag added?)"
+        )
+
+
+class UnknownStagesError(StoneError):
+    """Stages build on each other, so what is asked for must begin at the first."""
+
+    code = "bad_stages"
+
+    def __init__(self, stages: tuple[str, ...], known: tuple[str, ...]) -> None:
+        asked = ", ".join(stages)[:120] or "none"
+        super().__init__(f"stages {asked} cannot be run; ask for {known[0]}, or for {' and '.join(known)}")
+
+
+class AlreadyProcessingError(StoneError):
+    """One run at a time: a second would race the first for the same results. `job_id` is the run that is alive."""
+
+    code = "already_processing"
+
+    def __init__(self, sequence_id: str, job_id: str) -> None:
+        self.job_id = job_id
+        super().__init__(
+            f"sequence {sequence_id} is being processed otherwise by job {job_id}; wait for it, or cancel it first"
+        )

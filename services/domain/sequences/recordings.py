@@ -1,0 +1,125 @@
+"""Recordings: created once from complete uploads, deleted with their bytes.
+
+**Conventions.** Each function is part of the caller's transaction and locks the sequence's row first
+(`services/domain/sequences/processing.py`). The bytes of a recording are counted against its owner under its uploads'
+ids.
+"""
+
+from contextlib import suppress
+from dataclasses import dataclass
+
+from sqlalchemy import delete, select
+from sqlalchemy.orm import Session
+
+from services.domain.exports.requests import EXPORT
+from services.domain.sequences.processing import PROCESS, REGISTER, lock_sequence, register
+from services.runtime.access import storage_quota
+from services.runtime.jobs.control import cancel
+from services.runtime.jobs.errors import JobStateError
+from services.runtime.jobs.specs import TERMINAL
+from services.runtime.orm import Job, Recording, RecordingFile, SequenceRow, Upload
+from services.runtime.telemetry.trace_links import link_uploads_of
+from services.runtime.uploads import consume
+from stone.errors import StoneError
+from stone_recordings.bags.file_sets import BadBagFilesError, check_bag_files, whole_sha256
+
+PURPOSE = "recording"
+
+
+class ForeignTargetError(StoneError):
+    """The upload was declared for another sequence."""
+
+    code = "wrong_upload_target"
+
+    def __init__(self, upload_id: str, declared: str, wanted: str) -> None:
+        super().__init__(f"upload {upload_id} was declared for sequence {declared}, not for {wanted}")
+
+
+class RecordingInUseError(StoneError):
+    """A run reads the recording now."""
+
+    code = "recording_in_use"
+
+    def __init__(self, recording_id: str, job_id: str) -> None:
+        super().__init__(f"recording {recording_id} is read by job {job_id}; wait for it, or cancel it first")
+
+
+@dataclass(frozen=True)
+class NewRecording:
+    """Complete uploads that are to be one recording: one file, or the files of a bag that is called `name`."""
+
+    upload_ids: tuple[str, ...]
+    name: str = ""
+
+
+def add_recording(
+    session: Session, sequence: SequenceRow, received: NewRecording, uploader_id: str
+) -> tuple[Recording, Job]:
+    """Use up complete uploads of the uploader's, all or none: their recording, and the job that reads and keeps it.
+
+    Raises `SequenceDeletedError`, what `uploads.consume` raises, `ForeignTargetError`, `BadBagFilesError`,
+    `QueueDrainingError`.
+    """
+    sequence = lock_sequence(session, sequence.id)
+    if len(set(received.upload_ids)) < len(received.upload_ids):
+        raise BadBagFilesError("an upload is named twice")
+    ordered = sorted(received.upload_ids)  # of two that want some of the same, one waits for the other
+    uploads = [_consumed(session, upload_id, uploader_id, sequence.id) for upload_id in ordered]
+    uploads.sort(key=lambda upload: upload.filename)
+    recording = _recording_of(sequence, uploads, received.name)
+    session.add(recording)
+    session.flush()
+    link_uploads_of(session, recording.id)
+    return recording, register(session, recording)
+
+
+def remove_recording(session: Session, recording: Recording) -> None:
+    """Take the recording from its sequence; its bytes are given back, what was made of it stays.
+
+    Raises `SequenceDeletedError`, `RecordingInUseError`.
+    """
+    lock_sequence(session, recording.sequence_id)
+    for run in _alive(session, recording.sequence_id):
+        if run.kind == PROCESS and run.arguments["recording_id"] == recording.id:
+            raise RecordingInUseError(recording.id, run.id)
+        if run.kind == EXPORT and recording.state == "registered":
+            raise RecordingInUseError(recording.id, run.id)
+        if run.kind == REGISTER and run.arguments["recording_id"] == recording.id:
+            with suppress(JobStateError):  # it ended while we waited for its row
+                cancel(session, run.id, "its recording was deleted")
+    upload_ids = [file.upload_id for file in recording.files if file.upload_id is not None]
+    session.execute(delete(Recording).where(Recording.id == recording.id))
+    for upload_id in upload_ids:
+        storage_quota.release(session, upload_id, "recording deleted")
+
+
+def _consumed(session: Session, upload_id: str, uploader_id: str, sequence_id: str) -> Upload:
+    upload = consume(session, upload_id, uploader_id, PURPOSE)
+    if upload.target_id not in ("", sequence_id):
+        raise ForeignTargetError(upload_id, upload.target_id, sequence_id)
+    return upload
+
+
+def _recording_of(sequence: SequenceRow, uploads: list[Upload], name: str) -> Recording:
+    """The row of a recording that consists of these files, which are in the order of their names."""
+    files = [
+        RecordingFile(
+            ordinal=ordinal,
+            upload_id=upload.id,
+            filename=upload.filename,
+            size_bytes=upload.length_bytes,
+            sha256=upload.sha256,
+        )
+        for ordinal, upload in enumerate(uploads)
+    ]
+    filename, sha256 = uploads[0].filename, uploads[0].sha256
+    if len(uploads) > 1:
+        check_bag_files([file.filename for file in files])
+        filename, sha256 = name, whole_sha256((file.filename, file.sha256) for file in files)
+    size_bytes = sum(file.size_bytes for file in files)
+    return Recording(sequence_id=sequence.id, filename=filename, size_bytes=size_bytes, sha256=sha256, files=files)
+
+
+def _alive(session: Session, sequence_id: str) -> list[Job]:
+    runs = select(Job).where(Job.sequence_id == sequence_id, Job.id == Job.root_id, Job.state.not_in(TERMINAL))
+    return list(session.scalars(runs.execution_options(populate_existing=True)))

@@ -1,0 +1,109 @@
+"""Restarts of runs: a run that another version of the code began ends, and one of the same request takes its place.
+
+**Conventions.** One label set is made by one version of the code, so half a run of another is of no use. Locks are
+taken as `services/domain/sequences/processing.py` takes them: the sequence first, then the run. A run that is begun
+again and again, because workers of two versions serve at once, fails in the end.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+from sqlalchemy.orm import Session
+
+from services.domain.sequences.processing import STAGES, ProcessRequest, lock_sequence, start_processing
+from services.domain.sequences.processing_errors import (
+    AlreadyProcessingError,
+    RecordingPendingError,
+    SequenceDeletedError,
+)
+from services.runtime.code_version import code_version
+from services.runtime.jobs.changes import lock_run
+from services.runtime.jobs.control import terminate
+from services.runtime.jobs.errors import JobCancelledError, QueueDrainingError
+from services.runtime.jobs.specs import TERMINAL, Attempt
+from services.runtime.orm import Job
+from services.runtime.platform import Platform
+from stone.errors import StoneError
+
+MOST_RESTARTS = 10
+RESTARTS = "restarts"  # the argument of a run that counts them
+
+
+class RestartedTooOftenError(StoneError):
+    """Workers of two versions of the code begin the run again in turns."""
+
+    code = "restarted_too_often"
+
+    def __init__(self, restarts: int) -> None:
+        super().__init__(f"it was begun again {restarts} times already; do all workers run the same version?")
+
+
+class CodeChangedError(StoneError):
+    """Another version of the code began the run, and it cannot be begun again now."""
+
+    code = "code_changed"
+
+    def __init__(self, begun: str, why: StoneError) -> None:
+        super().__init__(
+            f"this run was begun by version {begun} and this worker is {code_version('labels')}; "
+            f"it could not be begun again: {why}. Process the sequence again"
+        )
+
+
+NOT_NOW = (QueueDrainingError, RecordingPendingError, AlreadyProcessingError, RestartedTooOftenError)
+
+
+def arguments_of_run(platform: Platform, attempt: Attempt) -> dict[str, Any]:
+    """The arguments of the attempt's run, which this version of the code began.
+
+    Raises `JobCancelledError` where another version did, once the run is begun again; `CodeChangedError` where that is
+    not possible now; and what `start_processing` raises where it is refused.
+    """
+    with platform.database.reading() as session:
+        arguments = session.get_one(Job, attempt.root_id).arguments
+    begun = arguments["code_version"]
+    if begun == code_version("labels"):
+        return arguments
+    try:
+        with platform.database.transaction() as session:
+            begin_again(session, attempt.root_id)
+            reason = session.get_one(Job, attempt.root_id).cancel_reason
+    except NOT_NOW as error:
+        raise CodeChangedError(begun, error) from error
+    raise JobCancelledError(reason or f"its run was begun by version {begun} and has ended")
+
+
+def begin_again(session: Session, root_id: str) -> Job | None:
+    """The run that takes this one's place; this one ends cancelled.
+
+    None where there is nothing to begin again: the run has ended or is to stop, or its sequence was deleted. So of jobs
+    that ask at once, one begins a run. Raises `RestartedTooOftenError`, and what `start_processing` raises.
+    """
+    try:
+        sequence = lock_sequence(session, session.get_one(Job, root_id).sequence_id or "")
+    except SequenceDeletedError:
+        return None
+    old = lock_run(session, root_id)
+    if old.state in TERMINAL or old.cancel_reason:
+        return None
+    restarts = old.arguments.get(RESTARTS, 0) + 1
+    if restarts > MOST_RESTARTS:
+        raise RestartedTooOftenError(MOST_RESTARTS)
+    upgraded = f"the platform was upgraded to code version {code_version('labels')}"
+    terminate(session, root_id, upgraded)
+    new = start_processing(session, sequence, _request_of(old.arguments))
+    old.cancel_reason = f"{upgraded}; its sequence is processed by job {new.id} instead"
+    if new.state not in TERMINAL:  # else these labels were made already
+        new.arguments = {**new.arguments, RESTARTS: restarts}
+    return new
+
+
+def _request_of(arguments: Mapping[str, Any]) -> ProcessRequest:
+    """What the owner asked for. The topics are those of the platform's profile as it is now."""
+    return ProcessRequest(
+        profile=arguments["profile"],
+        parameters=arguments["parameters"],
+        odometry_topic=arguments["odometry_topic"],
+        lidar_topic=arguments["lidar_topic"],
+        stages=tuple(arguments.get("stages", STAGES)),
+    )

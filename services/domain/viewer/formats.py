@@ -1,0 +1,88 @@
+"""The viewer's binary formats: four zstd-compressed layouts, written here and read in the browser.
+
+| magic | holds | after the magic |
+|---|---|---|
+| `STV1` | a frame's voxels | u32 planes (3); low class bit, high class bit, seen by LiDAR |
+| `STT1` | the labelled voxels of a tile | u32 n; i32 i, j, k; u8 class; f32 elevation, slope, roughness, D² |
+| `STM1` | the tile's surface | u32 v, u32 t; f32 x y z a vertex; u8 class a vertex; u32 corners, three a triangle |
+| `STC1` | one sweep | u32 n; i16 x y z a point, centimetres in the ego frame; u8 intensity a point |
+
+**Conventions.** Little-endian, nothing between the parts. A plane has a bit for each voxel in C order, 256 × 256 × 32,
+the first in the lowest bit. In `STT1` each of the eight arrays stands whole before the next; voxels are in the order of
+i, then j, then k; the centre of one is (index + 0.5) · 0.2 m in the map frame. `STM1` counts from the tile's `min_m`
+(scene.json); class 0 is a vertex outside every voxel. Equal values give equal bytes.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import zstandard
+from numpy.typing import NDArray
+
+MEDIA_TYPES = {
+    "STV1": "application/vnd.stone.voxels",
+    "STT1": "application/vnd.stone.tile",
+    "STM1": "application/vnd.stone.mesh",
+    "STC1": "application/vnd.stone.cloud",
+}
+PLANES = 3
+LEVEL = 3
+CM_PER_M = 100.0
+MOST_CM = 2**15 - 1
+
+Floats = NDArray[np.floating]
+
+
+@dataclass(frozen=True, eq=False)
+class TileVoxels:
+    """K voxels of the map: `indices` (K, 3), `classes` (K,) 1 to 3, `features` (K, 3), `distance_squared` (K,)."""
+
+    indices: NDArray[np.int64]
+    classes: NDArray[np.uint8]
+    features: Floats
+    distance_squared: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class TileMesh:
+    """A surface: `vertices_m` (V, 3) from the tile's `min_m`, `classes` (V,) 0 to 3, `triangles` (T, 3) of rows."""
+
+    vertices_m: Floats
+    classes: NDArray[np.uint8]
+    triangles: NDArray[np.integer]
+
+
+def voxels_bytes(semantics: NDArray[np.uint8], observed: NDArray[np.uint8]) -> bytes:
+    """`STV1` of the classes 0 to 3 and the mask (0 or 1) of a grid, both C-ordered."""
+    planes = (semantics & 1, semantics >> 1, observed)
+    packed = [np.packbits(plane.reshape(-1), bitorder="little").tobytes() for plane in planes]
+    return _frame(b"STV1", (PLANES,), packed)
+
+
+def tile_bytes(voxels: TileVoxels) -> bytes:
+    """`STT1`; no voxels at all give n = 0."""
+    columns = [column.astype("<i4").tobytes() for column in voxels.indices.T]
+    columns.append(voxels.classes.astype("u1").tobytes())
+    columns += [column.astype("<f4").tobytes() for column in (*voxels.features.T, voxels.distance_squared)]
+    return _frame(b"STT1", (len(voxels.classes),), columns)
+
+
+def mesh_bytes(mesh: TileMesh) -> bytes:
+    """`STM1`."""
+    vertices, triangles = mesh.vertices_m.astype("<f4").tobytes(), mesh.triangles.astype("<u4").tobytes()
+    counts = (len(mesh.vertices_m), len(mesh.triangles))
+    return _frame(b"STM1", counts, [vertices, mesh.classes.astype("u1").tobytes(), triangles])
+
+
+def cloud_bytes(points_ego: Floats, intensity: Floats) -> bytes:
+    """`STC1` of points (N, 3), metres, and intensities (N,) 0 to 255; points beyond 327.67 m are left out."""
+    cm = np.rint(points_ego * CM_PER_M)
+    is_near = (np.abs(cm) <= MOST_CM).all(axis=1)
+    light = np.clip(np.rint(intensity[is_near]), 0, 255)
+    parts = [cm[is_near].astype("<i2").tobytes(), light.astype("u1").tobytes()]
+    return _frame(b"STC1", (int(is_near.sum()),), parts)
+
+
+def _frame(magic: bytes, counts: tuple[int, ...], parts: list[bytes]) -> bytes:
+    head = magic + np.array(counts, "<u4").tobytes()
+    return zstandard.ZstdCompressor(level=LEVEL).compress(b"".join([head, *parts]))

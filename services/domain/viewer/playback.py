@@ -1,0 +1,84 @@
+"""The playback of a label set: small pictures and thinned sweeps beside the viewer's voxels.
+
+    playback.json   cameras/<CHANNEL>/<frame_token>.jpg   clouds/<frame_token>.bin
+
+**Conventions.** An export of its own format, made after labels are published; its files are shown one by one to whoever
+may look at the sequence. `playback.json` is {"cameras": [channel, ...], "has_clouds": bool}.
+"""
+
+import json
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from services.runtime.jobs.specs import TERMINAL
+from services.runtime.orm import Export, Job
+from services.runtime.store.pack_archive import ExportLocation, locate_export, stored_files
+from services.runtime.store.pack_reading import file_pieces
+from services.runtime.store.protocol import Store
+
+PLAYBACK, INDEX = "playback", "playback.json"
+HELD = 64
+State = Literal["none", "making", "ready"]
+
+
+@dataclass(frozen=True)
+class Playback:
+    """The state of a label set's playback; `located` says where its files lie once it is ready."""
+
+    export_id: str | None
+    state: State
+    located: ExportLocation | None = None
+
+
+@dataclass(frozen=True)
+class PlaybackChannels:
+    """The channels of a playback in the order of the rig, and whether there are sweeps."""
+
+    cameras: tuple[str, ...] = ()
+    has_clouds: bool = False
+
+
+def camera_file(channel: str, token: str) -> str:
+    """The name of a picture among the files."""
+    return f"cameras/{channel}/{token}.jpg"
+
+
+def cloud_file(token: str) -> str:
+    """The name of a sweep among the files."""
+    return f"clouds/{token}.bin"
+
+
+def playback_of(session: Session, label_set_id: str) -> Playback:
+    """The one that is ready, else the one that was asked for last."""
+    of_labels = select(Export).where(Export.label_set_id == label_set_id, Export.format == PLAYBACK)
+    export = session.scalars(of_labels.order_by(Export.finished_ns.is_(None), Export.id.desc()).limit(1)).one_or_none()
+    if export is None:
+        return Playback(None, "none")
+    if export.finished_ns is not None:
+        return Playback(export.id, "ready", locate_export(session, export))
+    is_over = session.get_one(Job, export.job_id).state in TERMINAL
+    return Playback(export.id, "none" if is_over else "making")
+
+
+def shown_by(store: Store, playback: Playback) -> PlaybackChannels:
+    """The channels of a playback; reads the store, so not within a transaction."""
+    return PlaybackChannels() if playback.located is None else _shown(store, playback.located)  # type: ignore[arg-type]  # by identity
+
+
+@lru_cache(maxsize=HELD)
+def _shown(store: Store, located: ExportLocation) -> PlaybackChannels:
+    """An export never changes, so neither does what was read of it."""
+    stored = stored_files(store, located)
+    ordinal = stored.files.ordinals[INDEX]
+    span = (0, int(stored.files.sizes_bytes[ordinal]))
+    record = json.loads(b"".join(file_pieces(stored.files, ordinal, span, stored.reader(store))))
+    return PlaybackChannels(tuple(record["cameras"]), bool(record["has_clouds"]))
+
+
+def index_record(shown: PlaybackChannels) -> bytes:
+    """The content of `playback.json`."""
+    return json.dumps({"cameras": list(shown.cameras), "has_clouds": shown.has_clouds}).encode()

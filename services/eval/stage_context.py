@@ -1,0 +1,57 @@
+"""The context of an `eval` stage: the platform, the job's attempt, its folder, and sandboxed examination."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion
+from services.domain.benchmarks.submissions.scoring_ranges import Span
+from services.eval.cases import Case, case_of
+from services.eval.examination import Examination, examine
+from services.eval.ranges import ExaminedRange
+from services.runtime.jobs.specs import Attempt
+from services.runtime.platform import Platform
+from services.runtime.sandbox.job_watch import sandbox_watch_of
+from services.runtime.store.workspace import Workspace
+from services.runtime.telemetry.counters import process_counters
+from services.runtime.telemetry.metric_names import FRAMES
+
+
+@dataclass(frozen=True, eq=False)
+class EvalStageContext:
+    """What every stage is handed."""
+
+    platform: Platform
+    attempt: Attempt
+
+    @property
+    def submission_id(self) -> str:
+        return str(self.attempt.arguments["submission_id"])
+
+    @property
+    def evaluation_version(self) -> EvaluationVersion:
+        """The evaluation version of a join."""
+        return EvaluationVersion(self.attempt.arguments["truth_id"], self.attempt.arguments["metric"])
+
+    @property
+    def folder(self) -> Path:
+        """Of the run; it goes some time after the run has ended."""
+        return Workspace(self.platform.store, self.platform.settings, self.attempt.root_id).folder
+
+    def case(self, truth_id: str) -> Case:
+        """As the rows have it now. Raises `JobCancelledError`, `TruthUnreadyError`."""
+        with self.platform.database.reading() as session:
+            return case_of(session, self.submission_id, truth_id)
+
+    def examined(self, case: Case, span: Span) -> ExaminedRange:
+        """The frames [start, stop) of the submission, counted unless it is only to be checked.
+
+        Raises `PurgedError`, `ScoringCrashedError`, `ScoringInterruptedError`, `JobCancelledError`.
+        """
+        store = self.platform.store
+        tokens = case.truth.manifest(self.platform).tokens
+        pack = None if case.is_validation else store.local(case.truth.pack_key)
+        watch = sandbox_watch_of(self.attempt, "check", span[1] - span[0])
+        found = examine(Examination(store.local(case.kept_key()), tokens, span, pack), watch)
+        if found.counts is not None:
+            process_counters().add(FRAMES, ("scored",), span[1] - span[0])
+        return found

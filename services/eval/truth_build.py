@@ -1,0 +1,166 @@
+"""The stage that builds a ground truth: the labels of one part of a dataset version → a pack, a manifest and facts.
+
+**Conventions.** Here, and nowhere else, are the labels of test read out of a version. Frames follow the version's
+index, inside a sequence that of time. Every label file is held against its digest and read as strictly as a
+submission's. A ground truth that is ready is never written again.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from hashlib import sha256
+from pathlib import Path
+from secrets import token_hex
+from typing import Any
+
+from sqlalchemy import select, update
+from sqlalchemy.orm import Session
+
+from services.domain.benchmarks.phases.ground_truths import LABELS, first_activation
+from services.eval.ground_truth import Mask, truth_in
+from services.eval.scoring_errors import LabelsUnfitError
+from services.eval.stage_context import EvalStageContext
+from services.eval.truth_pack import PackSummary, write_truth_pack
+from services.runtime.jobs.errors import JobCancelledError
+from services.runtime.jobs.specs import Outcome
+from services.runtime.orm import Blob, DatasetMember, DatasetPack, DatasetPart, GroundTruthRow
+from services.runtime.orm.base import now_ns
+from services.runtime.store.blobs import PreparedBlob, link_all, prepare
+from services.runtime.store.pack_archive import ExportLocation, stored_files
+from services.runtime.store.pack_reading import StoredFiles, file_pieces
+from services.runtime.store.protocol import Store
+from stone.scoring.bitplanes import TruthPlanes
+from stone_submissions.errors import GroundTruthError
+from stone_submissions.manifest import MAX_FRAMES, SEQUENCE_NAME, Manifest, is_token, write_manifest
+
+PACK, MANIFEST = "truth.pack", "manifest.json"
+
+
+@dataclass(frozen=True)
+class TruthSource:
+    """What a ground truth is made of: where the part's files lie, and what is said of its sequences by name."""
+
+    mask: Mask
+    located: ExportLocation
+    said: Mapping[str, Mapping[str, Any]]
+
+
+@dataclass(frozen=True)
+class BuiltTruth:
+    """A ground truth that only wants its row."""
+
+    summary: PackSummary
+    pack: PreparedBlob
+    manifest: PreparedBlob
+    facts: Mapping[str, Any]
+
+
+def build_truth(context: EvalStageContext) -> Outcome:
+    """Build the ground truth the job is for; the first of a phase is put in force.
+
+    Raises `JobCancelledError` when it was deleted, `LabelsUnfitError`, and what the store raises.
+    """
+    truth_id = context.attempt.arguments["truth_id"]
+    with context.platform.database.reading() as session:
+        row = session.get(GroundTruthRow, truth_id)
+        if row is None:
+            raise JobCancelledError("its ground truth was deleted")
+        if row.ready_ns is not None:
+            return Outcome({"frames": row.frames})
+        source = _source(session, row)
+    built = _built(context, source)
+    context.attempt.log("built", frames=built.summary.frames, sequences=len(built.facts["sequences"]))
+    return Outcome({"frames": built.summary.frames}, commit=partial(_write, truth_id, built))
+
+
+def _source(session: Session, truth: GroundTruthRow) -> TruthSource:
+    part = session.get_one(DatasetPart, (truth.dataset_id, truth.part))
+    packs = select(Blob.object_key).join(DatasetPack, DatasetPack.blob_sha256 == Blob.sha256)
+    of_part = packs.where(DatasetPack.dataset_id == truth.dataset_id, DatasetPack.part == truth.part)
+    located = ExportLocation(
+        session.get_one(Blob, part.index_sha256).object_key,
+        tuple(session.scalars(of_part.order_by(DatasetPack.ordinal))),
+    )
+    members = select(DatasetMember).where(
+        DatasetMember.dataset_id == truth.dataset_id, DatasetMember.part == truth.part
+    )
+    said = {
+        row.name: {
+            "name": row.name,
+            "frames": row.frames,
+            "environment": row.environment,
+            "illumination": row.illumination,
+            "region": row.region,
+        }
+        for row in session.scalars(members)
+    }
+    mask: Mask = truth.mask  # type: ignore[assignment]  # a phase has no other
+    return TruthSource(mask, located, said)
+
+
+def _built(context: EvalStageContext, source: TruthSource) -> BuiltTruth:
+    stored = stored_files(context.platform.store, source.located)
+    ordinals, manifest = _frames(stored, source.said)
+    labels = partial(_planes, context.platform.store, stored, source.mask)
+    folder = context.folder / f"truth-{token_hex(8)}"
+    folder.mkdir()
+    summary = write_truth_pack(
+        folder / PACK,
+        manifest,
+        lambda token: labels(ordinals[token]),
+        threads=1,
+        progress=context.attempt.progress,
+    )
+    write_manifest(folder / MANIFEST, manifest)
+    pack, listed = (
+        prepare(context.platform.store, context.platform.database, folder / name, adopt=True)
+        for name in (PACK, MANIFEST)
+    )
+    return BuiltTruth(summary, pack, listed, {"sequences": [dict(source.said[name]) for name in manifest.sequences]})
+
+
+def _frames(stored: StoredFiles, said: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, int], Manifest]:
+    """The place of each frame's label file in the index, by token, and the manifest. Raises `LabelsUnfitError`."""
+    ordinals: dict[str, int] = {}
+    sequences: dict[str, list[str]] = {}
+    for ordinal, name in enumerate(stored.files.names):
+        if not name.startswith(LABELS):
+            continue
+        _, sequence, token, file = name.split("/")
+        if not (is_token(token) and SEQUENCE_NAME.fullmatch(sequence) and file == "labels.npz") or token in ordinals:
+            raise LabelsUnfitError(f"file {name[:300]!r}", "not the one label file of a frame")
+        ordinals[token] = ordinal
+        sequences.setdefault(sequence, []).append(token)
+    counted = {name: len(tokens) for name, tokens in sequences.items()}
+    if counted != {name: facts["frames"] for name, facts in said.items()} or not 0 < len(ordinals) <= MAX_FRAMES:
+        raise LabelsUnfitError("the sequences", f"{len(ordinals)} frames that are not those its rows tell of")
+    return ordinals, Manifest({name: tuple(tokens) for name, tokens in sequences.items()})
+
+
+def _planes(store: Store, stored: StoredFiles, mask: Mask, ordinal: int) -> TruthPlanes:
+    """Of one frame. Raises `LabelsUnfitError`, which says nothing of what the file holds."""
+    files = stored.files
+    name, size_bytes = files.names[ordinal], int(files.sizes_bytes[ordinal])
+    npz = b"".join(file_pieces(files, ordinal, (0, size_bytes), stored.reader(store)))
+    if sha256(npz).hexdigest() != files.digest(ordinal):
+        raise LabelsUnfitError(f"file {name}", "its sha256 is another than the index says")
+    try:
+        return truth_in(npz, mask, Path(name))
+    except GroundTruthError as error:
+        raise LabelsUnfitError(f"file {name}", "no label file with the arrays that the phase needs") from error
+
+
+def _write(truth_id: str, built: BuiltTruth, session: Session) -> None:
+    """The row is complete, once; the first of a phase is put in force."""
+    link_all(session, (built.pack, built.manifest))
+    unready = update(GroundTruthRow).where(GroundTruthRow.id == truth_id, GroundTruthRow.ready_ns.is_(None))
+    made = unready.values(
+        sha256=built.summary.sha256,
+        frames=built.summary.frames,
+        manifest_sha256=built.manifest.sha256,
+        pack_sha256=built.pack.sha256,
+        facts=dict(built.facts),
+        ready_ns=now_ns(),
+    )
+    session.execute(made, execution_options={"synchronize_session": False})
+    first_activation(session, session.get_one(GroundTruthRow, truth_id, populate_existing=True))

@@ -1,0 +1,53 @@
+"""Compiled kernels for reading recordings, loaded once in the process that forks children.
+
+**Conventions.** Numba compiles by the type, the alignment and the mutability of columns, so each layout of points that
+drivers are known to send is shown to the kernels as it comes out of a message. Another layout is compiled where it is
+met, a second each time.
+"""
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.geometry.se3 import SE3
+from stone.geometry.trajectory import Trajectory
+from stone.sensors.deskew import SweepMount, deskew
+from stone_recordings.messages.lidar import resolve_points
+
+
+class PointLayout(NamedTuple):
+    """Name, type and byte of a point's time and of its laser, and the bytes of a point."""
+
+    time: tuple[str, str, int]
+    laser: tuple[str, str, int]
+    point_bytes: int
+
+
+HESAI = PointLayout(("timestamp", "<f8", 18), ("ring", "<u2", 16), 26)
+NEBULA = PointLayout(("time_stamp", "<u4", 28), ("channel", "<u2", 14), 32)
+OUSTER = PointLayout(("t", "<u4", 20), ("ring", "u1", 26), 48)
+
+
+@cache
+def warm() -> None:
+    """Call each kernel with four points: once a process."""
+    still = Trajectory(np.array([0, 10**9]), SE3.identity((2,)))
+    mount = SweepMount(still, SE3.identity(), 10**9)
+    for layout in (HESAI, NEBULA, OUSTER):
+        found = resolve_points(_points(layout), 0)
+        if found.offset_ns is not None:
+            deskew(found.points_lidar, found.offset_ns, mount, 10**8)
+
+
+def _points(layout: PointLayout) -> NDArray[np.void]:
+    (time, time_format, time_at), (laser, laser_format, laser_at), point_bytes = layout
+    offsets = [0, 4, 8, time_at, laser_at]
+    formats = ["<f4", "<f4", "<f4", time_format, laser_format]
+    names: dict[str, Any] = {"names": ["x", "y", "z", time, laser], "formats": formats, "offsets": offsets}
+    record: np.dtype[np.void] = np.dtype({**names, "itemsize": point_bytes})  # type: ignore[call-overload]
+    points = np.ones(4, record)
+    points[time] = np.arange(4) * (0.02 if time_format == "<f8" else 2e7)
+    points.setflags(write=False)
+    return points

@@ -1,0 +1,125 @@
+"""The stage that reads a recording once and keeps it: received → registered or refused.
+
+    files → (what was cut off is recovered) → inspection → quality → previews → blobs → rows
+
+**Conventions.** The uploads' files stay until blobs hold their bytes, so an attempt killed anywhere is repeated from
+the start and makes the same; the sweeper removes the files afterwards. A sandboxed child does all the reading
+(`seeing`), so what breaks its reader fails the job and nothing else, and the recording stays as it was received. A
+refusal is written before the job fails by it, in the same words.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from sqlalchemy.orm import Session
+
+from services.domain.sequences.previews import PreparedPreview, PreviewSubject, prepared_previews, replace_previews
+from services.ingest.errors import RecordingChangedError
+from services.ingest.received_files import ReceivedBag, ReceivedFile, received
+from services.ingest.sandboxed_inspection import RECOVERED, STEPS, RecordingSurvey, seen
+from services.ingest.sandboxed_reading import SandboxedReading, private_folder_in
+from services.runtime.access import storage_quota
+from services.runtime.jobs.errors import JobCancelledError
+from services.runtime.jobs.specs import Attempt, Outcome
+from services.runtime.orm import Recording
+from services.runtime.platform import Platform
+from services.runtime.store.blobs import PreparedBlob, link_all, prepare
+from services.runtime.store.workspace import Workspace
+from services.runtime.uploads.backends import remove_bytes
+from stone.errors import PlatformFaultError, StoneError
+from stone.findings import Finding
+from stone_recordings.bags.errors import IngestError
+
+
+@dataclass(frozen=True)
+class _StoredBytes:
+    """The stored bytes: of each file and of what was recovered of it by the file's row, and of the previews."""
+
+    originals: Mapping[str, PreparedBlob]
+    recovered: Mapping[str, PreparedBlob]
+    previews: tuple[PreparedPreview, ...]
+
+    def blobs(self) -> list[PreparedBlob]:
+        return [*self.originals.values(), *self.recovered.values(), *(preview.blob for preview in self.previews)]
+
+
+def register(platform: Platform, attempt: Attempt) -> Outcome:
+    """Inspect the recording and keep it as blobs. Raises the `BAG-*` refusals, `RecordingChangedError`, what `seen`
+    raises."""
+    with received(platform, str(attempt.arguments["recording_id"])) as brought:
+        return _read_and_kept(platform, attempt, brought)
+
+
+def _read_and_kept(platform: Platform, attempt: Attempt, brought: ReceivedBag) -> Outcome:
+    work = Workspace(platform.store, platform.settings, attempt.root_id).folder
+    attempt.progress("inspect", 0, STEPS)
+    try:
+        found = _seen(platform, attempt, brought, work)
+        attempt.progress("keep", 2, STEPS)
+        originals = {file.row_id: _prepared(platform, file) for file in brought.files}
+    except PlatformFaultError:  # a disk that is full, a store that is away: no fault of the recording
+        raise
+    except (IngestError, RecordingChangedError) as error:
+        _refuse(platform, brought, error)
+        raise
+    attempt.progress("keep", 3, STEPS)
+    recovered = {
+        row_id: prepare(platform.store, platform.database, path, adopt=True) for row_id, path in found.recovered.items()
+    }
+    kept = _StoredBytes(originals, recovered, prepared_previews(platform, work, found.drawn))
+    attempt.progress("keep", STEPS, STEPS)
+    score = found.quality["score"]
+    attempt.log("inspected", topics=found.topics, findings=found.findings, score=score, recovered=len(recovered))
+    result = {"recording_id": brought.recording_id, "topics": found.topics, "score": score}
+    return Outcome(result, commit=lambda session: _register(session, brought, found, kept))
+
+
+def _seen(platform: Platform, attempt: Attempt, brought: ReceivedBag, work: Path) -> RecordingSurvey:
+    """What was recovered lies below `work` then, until the run is collected."""
+    with private_folder_in(work) as folder:
+        apart = SandboxedReading(folder, tuple(file.path for file in brought.files), attempt, platform.settings)
+        found = seen(brought, apart)
+        return replace(found, recovered={row_id: _moved(path, work) for row_id, path in found.recovered.items()})
+
+
+def _moved(path: Path, work: Path) -> Path:
+    target = work / RECOVERED / path.name
+    target.parent.mkdir(exist_ok=True)
+    return path.replace(target)
+
+
+def _prepared(platform: Platform, file: ReceivedFile) -> PreparedBlob:
+    """Raises `RecordingChangedError`."""
+    prepared = prepare(platform.store, platform.database, file.path, adopt=True)
+    if prepared.sha256 != file.sha256:
+        raise RecordingChangedError(file.filename, prepared.sha256, file.sha256)
+    return prepared
+
+
+def _register(session: Session, brought: ReceivedBag, found: RecordingSurvey, kept: _StoredBytes) -> None:
+    recording = session.get(Recording, brought.recording_id, with_for_update=True)
+    if recording is None:
+        raise JobCancelledError("its recording was deleted")
+    link_all(session, kept.blobs())
+    for file in recording.files:
+        file.blob_sha256 = kept.originals[file.id].sha256
+        file.recovered_blob_sha256 = kept.recovered[file.id].sha256 if file.id in kept.recovered else None
+    inspection = dict(found.inspection)
+    recording.state = "registered"
+    recording.findings = inspection.pop("findings")
+    recording.inspection, recording.quality = inspection, found.quality
+    replace_previews(session, PreviewSubject(recording.sequence_id, recording.id), kept.previews)
+
+
+def _refuse(platform: Platform, brought: ReceivedBag, error: StoneError) -> None:
+    """Write the refusal down, give the owner's bytes back, remove the files."""
+    with platform.database.transaction() as session:
+        recording = session.get(Recording, brought.recording_id, with_for_update=True)
+        if recording is None or recording.state != "received":
+            return
+        recording.state = "refused"
+        recording.findings = [Finding(error.code, "error", "", str(error)[:2000]).as_record()]
+        for file in brought.files:
+            storage_quota.release(session, file.upload_id, "recording refused")
+    remove_bytes(platform, [file.upload_id for file in brought.files])

@@ -1,0 +1,134 @@
+"""One labelling run on this machine: the jobs of `services/labeler/pipeline.py` in a few processes, for `stone label`.
+
+Poses are refined before that where it is asked for.
+
+**Conventions.** The output folder appears whole or not at all. Its contents (design §4):
+`gts/<sequence>/<frame_token>/labels.npz`, `frames.parquet`, `mesh.ply`, `bev.png`, `map.png`, `features.png`,
+`thumbnail.jpg`, `scene/` for the viewer, `report.json`, and `sequence.npz`, the synchronised sequence itself, of which
+exports are made.
+"""
+
+import json
+import shutil
+from collections import Counter
+from collections.abc import Callable, Mapping
+from collections.abc import Sequence as Listing
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from services.domain.sequences.run_files import SEQUENCE_FILE
+from services.labeler.costs import CostMeter
+from services.labeler.errors import NoUsableFramesError
+from services.labeler.exports.source import SOURCE
+from services.labeler.map.map_files import map_folder
+from services.labeler.map.refinement import refined
+from services.labeler.parameters import LabelParameters
+from services.labeler.pipeline import STAGES, label_graph
+from services.labeler.report import LabelReport, report_of
+from services.labeler.run import LabelRun, silent
+from services.labeler.tables import write_frames
+from services.labeler.workers import Task, Workers
+from stone.sensors.sequence import Sequence, SweepSource
+from stone_files.atomic import atomic_directory
+from stone_recordings.sync.sequence_file import sequence_bytes
+
+Progress = Callable[[str, int, int], None]
+Key = tuple[object, ...]
+REPORT = "report.json"
+
+
+@dataclass(frozen=True)
+class LabelOptions:
+    """How to run, as opposed to what to compute: `workers` never changes a label.
+
+    `source` says where the inputs lay (`recording`, `calibration`: absolute paths), for exports made later on this
+    machine; it is written beside the labels as `source.json`. `late_inputs` are hashes that the sequence's `inputs`
+    lack, asked for at the end.
+    """
+
+    parameters: LabelParameters = field(default_factory=LabelParameters)
+    workers: int = 1
+    source: Mapping[str, str] = field(default_factory=dict)
+    late_inputs: Callable[[], Mapping[str, str]] = dict
+
+
+def label(
+    sequence: Sequence,
+    sweeps: SweepSource,
+    directory: Path,
+    options: LabelOptions | None = None,
+    progress: Progress = lambda *_: None,
+) -> LabelReport:
+    """Label every frame of `sequence` into `directory`, replacing an earlier label set there.
+
+    Raises `NoUsableFramesError` for a sequence without usable frames, `NoReferenceError` when the track touches
+    no surface.
+    """
+    options = options or LabelOptions()
+    if len(sequence.frames) == 0:
+        raise NoUsableFramesError(sequence)
+    with atomic_directory(directory, replaces=REPORT) as staging, Workers(options.workers) as workers:
+        stages, refinement = _Stages(workers, progress, CostMeter()), None
+        if options.parameters.refinement is not None:
+            task = Task(("refine poses",), refined, (sequence, sweeps, options.parameters))
+            sequence, done = stages.run([task])[task.key]
+            refinement = done.as_record()
+        run = LabelRun(sequence, sweeps, options.parameters, staging / ".scratch", staging / "gts" / sequence.name)
+        stages.run(tasks_of(run))
+        report = _published(run, staging, options)
+        report = replace(report, refinement=refinement, costs=stages.meter.as_record())
+        (staging / REPORT).write_text(report.text())
+    return report
+
+
+@dataclass(frozen=True)
+class _Stages:
+    """Tasks are put to the workers, what they cost is noted, and how far each stage is told."""
+
+    workers: Workers
+    progress: Progress
+    meter: CostMeter
+
+    def run(self, tasks: Listing[Task]) -> dict[Key, Any]:
+        """The result of every task by its key, whose first word is the stage; of a stage called "" nothing is told."""
+        totals, counts, results = Counter(_stage(task) for task in tasks), Counter[str](), dict[Key, Any]()
+        for stage, total in totals.items():
+            self._tell(stage, 0, total)
+        for task, done in self.workers.run(tasks):
+            stage = _stage(task)
+            self.meter.note(stage, done)
+            results[task.key] = done.value
+            counts[stage] += 1
+            self._tell(stage, counts[stage], totals[stage])
+        return results
+
+    def _tell(self, stage: str, done: int, total: int) -> None:
+        if stage:
+            self.progress(stage, done, total)
+
+
+def _stage(task: Task) -> str:
+    return str(task.key[0])
+
+
+def tasks_of(run: LabelRun) -> list[Task]:
+    """The jobs of a run as tasks of this machine's processes, all but the publishing."""
+    jobs = [job for job in label_graph(run) if job.kind in STAGES]
+    keys: dict[str, Key] = {job.key: (STAGES[job.kind].shown, job.key) for job in jobs}
+    waits = {job.key: frozenset(keys[one] for one in job.needs) for job in jobs}
+    return [Task(keys[job.key], STAGES[job.kind].work, (run, job.arguments, silent), waits[job.key]) for job in jobs]
+
+
+def _published(run: LabelRun, out: Path, options: LabelOptions) -> LabelReport:
+    """Everything but `report.json` put where it stays, and what is to be reported; scratch is gone then."""
+    sequence = replace(run.sequence, inputs={**options.late_inputs(), **run.sequence.inputs})
+    report = report_of(replace(run, sequence=sequence))
+    for drawn in map_folder(run).iterdir():
+        drawn.replace(out / drawn.name)
+    write_frames(out / "frames.parquet", sequence, report.counts)
+    (out / SEQUENCE_FILE).write_bytes(sequence_bytes(sequence))
+    if options.source:
+        (out / SOURCE).write_text(json.dumps(dict(options.source)) + "\n")
+    shutil.rmtree(run.scratch)
+    return report

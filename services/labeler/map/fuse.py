@@ -1,0 +1,70 @@
+"""Stage 1, per part: read its sweeps once and leave, per tile, the point map and the observed voxels.
+
+Every n-th sweep also leaves a range image, against which the surface stage votes moving things out.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.labeler.map.fused_files import fused_columns
+from services.labeler.run import LabelRun, Part, Step, core_cells, silent, tiles_of
+from services.labeler.scratch import Arrays, fused_path, image_name, images_path, save
+from stone.labels.grid import GRID_MAX_M, GRID_MIN_M
+from stone.labels.observed_voxels import BRICK, Carver, Observed
+from stone.labels.voxels import VOXEL_M
+from stone.sensors.calibration import Box
+from stone.sensors.selection import world_points
+from stone.surface.dynamic import range_image
+from stone.surface.pointmap import PointMap, PointMapBuilder
+
+
+def fuse(run: LabelRun, part: Part, step: Step = silent) -> int:
+    """Fuse the frames of `part`, a step each; returns how many points went into the map."""
+    parameters, frames = run.parameters, run.sequence.frames
+    calibration = run.sequence.calibration
+    builder = PointMapBuilder(parameters.surface.point_voxel_m)
+    carver = Carver(parameters.carve)
+    images: Arrays = {}
+    reach = labelled_box(parameters.selection.margin_m)
+    for index in range(*part):
+        sweep = run.sweeps.sweep(index)
+        pose = frames.map_from_ego[index]
+        points_ego = world_points(
+            sweep.points_lidar, calibration.ego_from_lidar, calibration.self_boxes_ego, parameters.selection.min_range_m
+        )
+        builder.insert(points_ego, pose, run.sensor_ego, reach)
+        if index % parameters.carve.every_frame == 0:
+            carver.carve(points_ego, pose, run.sensor_ego)
+        if index % parameters.dynamic.every_frame == 0:
+            all_ego = world_points(sweep.points_lidar, calibration.ego_from_lidar, (), 0.0)
+            image = range_image(all_ego, pose, run.sensor_ego, parameters.dynamic)
+            images[image_name(index)] = image.ranges_m
+        step(index + 1 - part[0], part[1] - part[0])
+    _leave(run, part, builder.finish(), carver.finish())
+    if images:
+        save(images_path(run, part), images)
+    return int(builder.points)
+
+
+def labelled_box(margin_m: float) -> Box:
+    """The label grid, `margin_m` wider on every side, in the ego frame."""
+    x, y, z = GRID_MIN_M
+    u, v, w = GRID_MAX_M
+    return Box((x - margin_m, y - margin_m, z - margin_m), (u + margin_m, v + margin_m, w + margin_m))
+
+
+def _leave(run: LabelRun, part: Part, points: PointMap, observed: Observed) -> None:
+    """One file per tile that this part touched."""
+    point_tiles = tiles_of(points.keys, core_cells(run.parameters, points.voxel_m))
+    brick_tiles = tiles_of(observed.keys, core_cells(run.parameters, VOXEL_M * BRICK))
+    for i, j in sorted(_distinct(point_tiles) | _distinct(brick_tiles)):
+        mine = (point_tiles[:, 0] == i) & (point_tiles[:, 1] == j)
+        bricks = (brick_tiles[:, 0] == i) & (brick_tiles[:, 1] == j)
+        mapped = points.where(mine), Observed(observed.keys[bricks], observed.words[bricks])
+        save(fused_path(run, (i, j), part), fused_columns(*mapped))
+
+
+def _distinct(tiles: NDArray[np.int64]) -> set[tuple[int, int]]:
+    """The tiles (N, 2) that occur; keys are sorted, so equal tiles come in runs."""
+    starts = np.append(True, (np.diff(tiles, axis=0) != 0).any(axis=1))[: len(tiles)]
+    return {(int(i), int(j)) for i, j in tiles[starts]}

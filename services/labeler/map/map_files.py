@@ -1,0 +1,80 @@
+"""The whole labelled map as pictures, mesh and scene, tile by tile, so that memory holds one tile at a time."""
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.labeler.frames import labelled_tile
+from services.labeler.map.comparison import ComparisonCounter, comparison_path, save_comparison
+from services.labeler.map.ply import Piece, class_at, write_mesh
+from services.labeler.map.scene_files import SceneFiles
+from services.labeler.map.surface import TileSummary
+from services.labeler.previews.map_picture import TopView, write_top_view
+from services.labeler.previews.map_pieces import MapPiece
+from services.labeler.previews.thumbnail import write_thumbnail
+from services.labeler.results import load_reference, load_summaries, reference_path
+from services.labeler.run import LabelRun, Step, Tile
+from services.labeler.scratch import whole
+from services.labeler.stage import Arguments, StageFiles, StageResult
+from stone.labels.traversability import Reference
+
+TOP_VIEW, THUMBNAIL, MESH = "bev.png", "thumbnail.jpg", "mesh.ply"
+
+
+def draw_map(run: LabelRun, _arguments: Arguments, step: Step) -> StageResult:
+    """The labelled map → its pictures, its mesh and its scene, in the folder `map` of scratch."""
+    write_map(run, load_summaries(run), load_reference(run), map_folder(run), step)
+    return StageResult()
+
+
+def files_of_map(run: LabelRun, _arguments: Arguments) -> StageFiles:
+    needed = (reference_path(run).name, "surface", "sums")
+    return StageFiles(needed, needed, (map_folder(run).name, comparison_path(run).name))
+
+
+def map_folder(run: LabelRun) -> Path:
+    """Everything that `draw_map` leaves in it is published under its name."""
+    return run.scratch / "map"
+
+
+def write_map(run: LabelRun, tiles: list[TileSummary], reference: Reference, out: Path, step: Step) -> None:
+    """Write `bev.png`, `thumbnail.jpg`, `mesh.ply`, the map's previews and the viewer's scene into the folder `out`, in
+    the order of the tiles, and leave in scratch how the profiles compare."""
+    view, counter, scene = TopView({}), ComparisonCounter(run, tiles), SceneFiles(run, reference, out)
+    for number, summary in enumerate(tiles):
+        step(number, len(tiles) + 2)
+        arrays, classes = labelled_tile(run, summary.tile, reference)
+        view.add(summary.tile, arrays["keys"], classes)  # type: ignore[arg-type]
+        counter.add(arrays, classes)
+        scene.add(summary.tile, arrays, classes)
+    scene.finish()
+    save_comparison(run, counter.comparison)
+    with whole(out / TOP_VIEW) as staging:
+        write_top_view(staging, view, run.sequence.frames.map_from_ego)
+    with whole(out / THUMBNAIL) as staging:
+        write_thumbnail(staging, view, run.sequence.frames.map_from_ego)
+    step(len(tiles), len(tiles) + 2)
+    totals = (sum(tile.vertices for tile in tiles), sum(tile.triangles for tile in tiles))
+    with whole(out / MESH) as staging:
+        write_mesh(staging, totals, [partial(_piece, run, tile.tile, reference) for tile in tiles])
+    step(len(tiles) + 1, len(tiles) + 2)
+    from services.labeler.previews.preview_files import (
+        write_map_previews,  # it plots and films: half a second of imports
+    )
+
+    pieces = [partial(_map_piece, run, tile.tile, reference) for tile in tiles]
+    write_map_previews(pieces, run.sequence.frames.map_from_ego, out, run.parameters.profile)
+    step(len(tiles) + 2, len(tiles) + 2)
+
+
+def _piece(run: LabelRun, tile: Tile, reference: Reference) -> Piece:
+    arrays, classes = labelled_tile(run, tile, reference)
+    vertices: NDArray[np.float32] = arrays["vertices"]  # type: ignore[assignment]
+    return vertices, arrays["triangles"], class_at(vertices, arrays["keys"], classes)  # type: ignore[return-value,arg-type]
+
+
+def _map_piece(run: LabelRun, tile: Tile, reference: Reference) -> MapPiece:
+    arrays, classes = labelled_tile(run, tile, reference)
+    return MapPiece(arrays["keys"], arrays["features"], classes)  # type: ignore[arg-type]

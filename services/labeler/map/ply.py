@@ -1,0 +1,63 @@
+"""`mesh.ply`: the surface of the whole run, coloured by class, written tile after tile.
+
+**Conventions.** Binary little-endian PLY 1.0 (Turk, 1994): float x y z in the map frame, uchar red green blue; int
+vertex indices. Vertices of neighbouring tiles are not welded.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.geometry.lattice import Keys, keys_of
+from stone.labels.class_colours import CLASS_RGB
+from stone.labels.voxels import VOXEL_M
+
+HEADER = """ply
+format binary_little_endian 1.0
+comment map frame, metres; green traversable, yellow potentially traversable, red non-traversable
+element vertex {vertices}
+property float x
+property float y
+property float z
+property uchar red
+property uchar green
+property uchar blue
+element face {triangles}
+property list uchar int vertex_indices
+end_header
+"""
+VERTEX = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])
+FACE = np.dtype([("n", "u1"), ("indices", "<i4", 3)])
+UNLABELLED = (128, 128, 128)
+
+Piece = tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.uint8]]  # vertices, triangles, class per vertex
+
+
+def write_mesh(path: Path, totals: tuple[int, int], pieces: list[Callable[[], Piece]]) -> None:
+    """Write the pieces, each loaded twice (once for vertices, once for faces) so that memory holds one at a time."""
+    palette = np.array([UNLABELLED, *(CLASS_RGB[c] for c in (1, 2, 3))], np.uint8)
+    with path.open("wb") as file:
+        file.write(HEADER.format(vertices=totals[0], triangles=totals[1]).encode())
+        for load in pieces:
+            vertices, _, classes = load()
+            rows = np.empty(len(vertices), VERTEX)
+            rows["xyz"], rows["rgb"] = vertices, palette[classes]
+            file.write(rows.tobytes())
+        first = 0
+        for load in pieces:
+            vertices, triangles, _ = load()
+            faces = np.empty(len(triangles), FACE)
+            faces["n"], faces["indices"] = 3, triangles + first
+            file.write(faces.tobytes())
+            first += len(vertices)
+
+
+def class_at(vertices: NDArray[np.float32], keys: Keys, classes: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The class of the voxel each vertex (V, 3) lies in; 0 where it lies in none of the sorted `keys` (K,)."""
+    if len(keys) == 0:
+        return np.zeros(len(vertices), np.uint8)
+    wanted = keys_of(vertices.astype(np.float64), VOXEL_M)
+    row = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+    return np.where(keys[row] == wanted, classes[row], 0).astype(np.uint8)

@@ -1,0 +1,186 @@
+"""Pose refinement: every sweep is aligned with the map of those before it (`small_gicp`).
+
+Voxelised GICP (Koide et al., 2021), scan to map. Off unless asked for: it changes where everything lies, so it says
+what it did, and a label set made with it carries its parameters.
+
+**Conventions.** A correction is what is put before the given pose: refined · given⁻¹ of `map_from_ego`, measured at
+the ego origin. The given poses stay in charge: a correction beyond the limits is not taken, and each one is drawn back
+by `pull_ratio`, so the map follows its source in the long run. One thread, so equal inputs give equal poses; the map
+forgets what no sweep touched for `horizon_frames`, so memory is that of a neighbourhood.
+"""
+
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.labeler.parameters import LabelParameters, RefinementParameters
+from services.labeler.run import Step, silent
+from stone.findings import Finding
+from stone.geometry.se3 import SE3, interpolate
+from stone.sensors.selection import world_points
+from stone.sensors.sequence import Sequence, SweepSource
+from stone.surface.sharpness import Sharpness, SharpnessMeter
+
+FEWEST_POINTS = 200
+NEIGHBOURS = 10
+FORGETS_EVERY_FRAMES = 10
+SHARPNESS_EVERY = 4  # points
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """What was done: corrections in metres and radians, how many poses stayed as given and why, the map either way."""
+
+    frames: int
+    kept: dict[str, int]
+    correction_median_m: float
+    correction_max_m: float
+    correction_median_rad: float
+    correction_max_rad: float
+    before: Sharpness
+    after: Sharpness
+
+    def as_record(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+@dataclass
+class _Trail:
+    """What grows with the run: a pose and two numbers a frame."""
+
+    poses: list[NDArray[np.float64]] = field(default_factory=list)
+    moved_m: list[float] = field(default_factory=list)
+    turned_rad: list[float] = field(default_factory=list)
+    kept: dict[str, int] = field(default_factory=lambda: {"too_little_seen": 0, "not_converged": 0, "beyond_limit": 0})
+
+    def add(self, given: SE3, pose: SE3) -> None:
+        moved_m, turned_rad = correction(given, pose)
+        self.poses.append(pose.wxyz_xyz)
+        self.moved_m.append(moved_m)
+        self.turned_rad.append(turned_rad)
+
+
+def refined(
+    sequence: Sequence, sweeps: SweepSource, parameters: LabelParameters, step: Step = silent
+) -> tuple[Sequence, Refinement]:
+    """The sequence with poses aligned frame by frame, and what that did; `parameters.refinement` is not None.
+
+    The first pose stays as given. The findings of the sequence gain what was done (LAB-611) and, where corrections went
+    beyond the limits and were not taken, how many (LAB-612).
+    """
+    options, frames = parameters.refinement or RefinementParameters(), sequence.frames
+    aligner, trail = _Aligner(options), _Trail()
+    before, after = SharpnessMeter(), SharpnessMeter()
+    sensor_ego = sequence.calibration.ego_from_lidar.translation_m
+    for index in range(len(frames)):
+        points_ego = _points(sequence, sweeps.sweep(index).points_lidar, parameters)
+        given = frames.map_from_ego[index]
+        pose, reason = aligner.place(points_ego, given)
+        if reason:
+            trail.kept[reason] += 1
+        trail.add(given, pose)
+        before.add(points_ego[::SHARPNESS_EVERY], given, sensor_ego)
+        after.add(points_ego[::SHARPNESS_EVERY], pose, sensor_ego)
+        step(index + 1, len(frames))
+    done = _refinement(trail, before.measured(), after.measured())
+    moved = replace(frames, map_from_ego=SE3(np.stack(trail.poses)))
+    source = f"{sequence.pose_source}, refined by {options.method}"
+    findings = (*sequence.findings, *_findings(done, options))
+    return replace(sequence, frames=moved, pose_source=source, findings=findings), done
+
+
+def correction(given: SE3, pose: SE3) -> tuple[float, float]:
+    """How far (m) and by how much (rad) `pose` lies from `given`."""
+    turned = (pose @ given.inverse()).wxyz
+    angle = 2 * np.arctan2(np.linalg.norm(turned[1:]), abs(turned[0]))
+    return float(np.linalg.norm(pose.translation_m - given.translation_m)), float(angle)
+
+
+class _Aligner:
+    """The map of what came before, and where the next sweep lies in it."""
+
+    def __init__(self, options: RefinementParameters) -> None:
+        import small_gicp
+
+        self._options = options
+        self._gicp = small_gicp
+        self._map = small_gicp.GaussianVoxelMap(options.voxel_m)
+        self._map.set_lru(options.horizon_frames, FORGETS_EVERY_FRAMES)
+        self._is_empty = True
+
+    def place(self, points_ego: NDArray[np.float32], given: SE3) -> tuple[SE3, str]:
+        """The pose of a sweep, which joins the map there, and why it is the given one ("" when it is not)."""
+        cloud, _ = self._gicp.preprocess_points(points_ego.astype(np.float64), self._options.sampling_m, NEIGHBOURS, 1)
+        if cloud.size() < FEWEST_POINTS:
+            return given, "too_little_seen"
+        pose, reason = (given, "") if self._is_empty else self._aligned(cloud, given)
+        self._map.insert(cloud, pose.as_matrix())
+        self._is_empty = False
+        return pose, reason
+
+    def _aligned(self, cloud: Any, given: SE3) -> tuple[SE3, str]:
+        options = self._options
+        found = self._gicp.align(
+            self._map,
+            cloud,
+            given.as_matrix(),
+            max_correspondence_distance=options.correspondence_m,
+            num_threads=1,
+            max_iterations=options.iterations,
+            rotation_epsilon=1e-4,
+            translation_epsilon=5e-4,
+        )
+        if found.num_inliers < options.least_overlap_ratio * cloud.size():
+            return given, "too_little_seen"
+        if not found.converged or not np.isfinite(found.T_target_source).all():
+            return given, "not_converged"
+        pose = SE3.from_matrix(np.asarray(found.T_target_source))
+        moved_m, turned_rad = correction(given, pose)
+        if moved_m > options.max_correction_m or turned_rad > options.max_correction_rad:
+            return given, "beyond_limit"
+        return interpolate(pose, given, np.array(options.pull_ratio)), ""
+
+
+def _points(sequence: Sequence, points_lidar: NDArray[np.float32], parameters: LabelParameters) -> NDArray[np.float32]:
+    calibration, options = sequence.calibration, parameters.refinement or RefinementParameters()
+    points_ego = world_points(
+        points_lidar, calibration.ego_from_lidar, calibration.self_boxes_ego, parameters.selection.min_range_m
+    )
+    is_near = np.einsum("ij,ij->i", points_ego, points_ego) < options.reach_m**2
+    return np.asarray(points_ego[is_near])
+
+
+def _refinement(trail: _Trail, before: Sharpness, after: Sharpness) -> Refinement:
+    return Refinement(
+        len(trail.poses),
+        trail.kept,
+        float(np.median(trail.moved_m)),
+        max(trail.moved_m),
+        float(np.median(trail.turned_rad)),
+        max(trail.turned_rad),
+        before,
+        after,
+    )
+
+
+def _findings(done: Refinement, options: RefinementParameters) -> tuple[Finding, ...]:
+    said = Finding(
+        "LAB-611",
+        "info",
+        "",
+        f"poses were refined by {options.method}: moved by {1000 * done.correction_median_m:.0f} mm (median; at most "
+        f"{1000 * done.correction_max_m:.0f} mm), and the same points fill {done.after.voxels} voxels of 0.1 m instead "
+        f"of {done.before.voxels}, {1000 * done.after.thickness_m:.1f} mm thick instead of "
+        f"{1000 * done.before.thickness_m:.1f} mm",
+    )
+    if not sum(done.kept.values()):
+        return (said,)
+    reasons = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in done.kept.items() if count)
+    limits = f"{options.max_correction_m:g} m and {np.rad2deg(options.max_correction_rad):.1f} degrees"
+    kept = f"{sum(done.kept.values())} of {done.frames} poses stayed as given ({reasons}; limits {limits}): "
+    if not done.kept["beyond_limit"]:
+        return (said, Finding("LAB-612", "info", "", f"{kept}they lie where the pose source put them"))
+    advice = "poses that far apart are not noise; is the pose source the right one?"
+    return (said, Finding("LAB-612", "warning", "", kept + advice))

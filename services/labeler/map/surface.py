@@ -1,0 +1,162 @@
+"""Stage 2, per tile: from the fused points to the surface and what it is like in every voxel.
+
+merge → vote out what moved → patches with normals → screened Poisson → trim → terrain (Eq. 1–3)
+      → voxel features (Eq. 4–5) → T.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.labeler.map.octree import octree_surface
+from services.labeler.parameters import LabelParameters, Profile, other_profile_of
+from services.labeler.run import LabelRun, Step, Tile, in_core, neighbourhood, silent
+from services.labeler.scratch import Arrays, images_near, load_observed, load_points, save, surface_path
+from stone.geometry.lattice import centres_of
+from stone.labels.footprint import swept
+from stone.labels.observed_voxels import Observed
+from stone.labels.traversability import FeatureSums, sums_of
+from stone.labels.voxels import VOXEL_M, VoxelFeatures, height_above_local_ground, voxel_features
+from stone.surface.band import band_of
+from stone.surface.contour import zero_surface
+from stone.surface.dynamic import carried_along, is_moving, vote
+from stone.surface.mesh import Mesh, vertex_normals
+from stone.surface.neighbours import is_near
+from stone.surface.patches import patches_of
+from stone.surface.pointmap import PointMap, merge
+from stone.surface.screened_poisson import solve_field
+from stone.surface.terrain import ELEVATION, terrain_features, with_elevation
+
+FEWEST_POINTS = 100
+STEPS = 4  # merged, voted, reconstructed, described
+
+
+@dataclass(frozen=True, eq=False)
+class TileSummary:
+    """What the run needs to know of a tile before any voxel gets its class.
+
+    `sums` are of the run's own profile, `other_sums` of what the other profile would measure.
+    """
+
+    tile: Tile
+    sums: FeatureSums
+    other_sums: FeatureSums
+    voxels: int
+    points: int
+    moving: int
+    vertices: int
+    triangles: int
+
+
+def surface(run: LabelRun, tile: Tile, step: Step = silent) -> TileSummary:
+    """Reconstruct one tile, leave its voxels, mesh and observed bricks in scratch, return its sums."""
+    step(0, STEPS)
+    low, high = _cube(run.parameters, tile)
+    points = merge([part for near in neighbourhood(tile) for part in load_points(run, near, low, high)])
+    step(1, STEPS)
+    moving = _moving(run, points)
+    points = points.where(~moving).where_seen(run.parameters.surface.min_frames)
+    step(2, STEPS)
+    mesh, normals = _mesh(run.parameters, points, low)
+    step(3, STEPS)
+    voxels, other_height_m = _features(run.parameters, mesh, normals)
+    mine = in_core(centres_of(voxels.keys, VOXEL_M), tile, run.parameters.core_m)
+    voxels, other_height_m = voxels.where(mine), other_height_m[mine]
+    is_driven = _driven(run, voxels)
+    kept = _core_mesh(mesh, tile, run.parameters.core_m)
+    observed = load_observed(run, tile)
+    _leave(run, tile, (voxels, other_height_m, is_driven), (kept, observed))
+    step(STEPS, STEPS)
+    driven, other_profile = voxels.where(is_driven), other_profile_of(run.parameters.profile)
+    other = with_elevation(driven.features, other_height_m[is_driven])
+    sums = sums_of(driven.features, reference_origin(run, run.parameters.profile))
+    other_sums = sums_of(other, reference_origin(run, other_profile))
+    inside = int(in_core(points.centroids_map(), tile, run.parameters.core_m).sum())
+    counts = (len(voxels), inside, int(moving.sum()), len(kept.vertices_map), len(kept.triangles))
+    return TileSummary(tile, sums, other_sums, *counts)
+
+
+def reference_origin(run: LabelRun, profile: Profile) -> NDArray[np.float64]:
+    """The point all tiles sum about: the first pose's elevation in profile `paper`, nothing in `local`."""
+    elevation_m = run.sequence.frames.map_from_ego.translation_m[0, 2] if profile == "paper" else 0.0
+    return np.array([elevation_m, 0.0, 0.0])
+
+
+def _cube(parameters: LabelParameters, tile: Tile) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The tile's cube in plan [low, high) (2,), half a cell off the voxel lattice so corners are voxel centres."""
+    low = np.array(tile) * parameters.core_m - parameters.tiling.halo_m + parameters.surface.width_m / 2
+    return low, low + parameters.tiling.cube_cells * parameters.surface.width_m
+
+
+def _moving(run: LabelRun, points: PointMap) -> NDArray[np.bool_]:
+    """Vote the points of this tile against every range image taken near enough to see them."""
+    votes = np.zeros((len(points), 2), np.int32)
+    if len(points) == 0:
+        return votes[:, 0] > 0
+    centroids = points.centroids_map()
+    for image in images_near(run, centroids.min(axis=0), centroids.max(axis=0)):
+        vote(centroids, image, run.parameters.dynamic, votes)
+    return carried_along(centroids, points.frames_seen(), votes, is_moving(votes))
+
+
+def _mesh(parameters: LabelParameters, points: PointMap, low: NDArray[np.float64]) -> tuple[Mesh, NDArray[np.float64]]:
+    """The trimmed mesh and its vertex normals; empty where there are too few points for a surface."""
+    surface, centroids = parameters.surface, points.centroids_map()
+    patches, is_in_patch = patches_of(centroids, points.views_map(), surface.width_m, surface.normal_neighbours)
+    if is_in_patch.sum() < FEWEST_POINTS:
+        return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32)), np.zeros((0, 3))
+    if surface.solver == "octree":
+        whole = octree_surface(centroids, points.views_map(), low, (parameters.tiling.cube_cells, surface.width_m))
+    else:
+        band = band_of(patches.cells, surface.width_m)
+        whole = zero_surface(band, solve_field(patches, band, surface.poisson))
+    keep = is_near(whole.vertices_map, centroids[is_in_patch], surface.trim_m)
+    return whole.where(keep), vertex_normals(whole)[keep]
+
+
+def _features(
+    parameters: LabelParameters, mesh: Mesh, normals: NDArray[np.float64]
+) -> tuple[VoxelFeatures, NDArray[np.float64]]:
+    """What the run's profile measures, and the elevation (K,) that the other one would."""
+    voxels = voxel_features(mesh.vertices_map, terrain_features(mesh, normals, parameters.terrain))
+    height_m = height_above_local_ground(voxels, parameters.local_ground_radius_m)
+    if parameters.profile == "paper":
+        return voxels, height_m
+    local = VoxelFeatures(voxels.keys, with_elevation(voxels.features, height_m))
+    return local, voxels.features[:, ELEVATION]
+
+
+def _driven(run: LabelRun, voxels: VoxelFeatures) -> NDArray[np.bool_]:
+    poses = run.sequence.frames.map_from_ego
+    return swept(voxels.keys, poses, run.sequence.calibration.footprint, run.parameters.footprint_band_m)
+
+
+def _core_mesh(mesh: Mesh, tile: Tile, core_m: float) -> Mesh:
+    """The triangles whose centroid lies in the core, so that tiles put side by side leave neither gap nor double."""
+    if len(mesh.triangles) == 0:
+        return mesh
+    mine = mesh.triangles[in_core(mesh.vertices_map[mesh.triangles].mean(axis=1), tile, core_m)]
+    used = np.zeros(len(mesh.vertices_map), np.bool_)
+    used[mine] = True
+    return Mesh(mesh.vertices_map, mine).where(used)
+
+
+def _leave(
+    run: LabelRun,
+    tile: Tile,
+    voxels: tuple[VoxelFeatures, NDArray[np.float64], NDArray[np.bool_]],
+    rest: tuple[Mesh, Observed],
+) -> None:
+    (features, other_height_m, is_driven), (mesh, observed) = voxels, rest
+    arrays: Arrays = {
+        "keys": features.keys,
+        "features": features.features,
+        "other_height_m": other_height_m,
+        "is_driven": is_driven,
+        "vertices": mesh.vertices_map.astype(np.float32),
+        "triangles": mesh.triangles,
+        "bricks": observed.keys,
+        "words": observed.words,
+    }
+    save(surface_path(run, tile), arrays)

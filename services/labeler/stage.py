@@ -1,0 +1,62 @@
+"""The stages that label a sequence, as values: what the jobs of a kind do, and which files they read and leave.
+
+**Conventions.** `services/labeler/pipeline.py` names them and declares the jobs; `stone label` runs these in processes
+(`services/labeler/local_run.py`), the queue as tasks (`services/labeler/stages.py`). Files are named relative to the
+scratch folder of the run, and are all that one stage leaves for another.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from services.labeler.run import LabelRun, Part, Step, Tile
+
+Arguments = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class StageFiles:
+    """What a job reads and writes in scratch.
+
+    `reads` are beginnings of names, of which there may be none; `requires` names a file or folder that must be there;
+    `writes` are patterns of names.
+    """
+
+    reads: tuple[str, ...] = ()
+    requires: tuple[str, ...] = ()
+    writes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class StageResult:
+    """`result` is what the job answers; `facts` go into its log, when there are any."""
+
+    result: Mapping[str, int] = field(default_factory=dict)
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What the jobs of one kind do, and their files.
+
+    `step_name` is how the queue tells the progress within a job, `shown` how `stone label` tells how many jobs are
+    done ("" where it tells nothing), `event` the log line of a job that is done.
+    """
+
+    work: Callable[[LabelRun, Arguments, Step], StageResult]
+    files: Callable[[LabelRun, Arguments], StageFiles]
+    step_name: str
+    shown: str = ""
+    event: str = ""
+
+
+def part_of(arguments: Arguments) -> Part:
+    """The part that a job is about."""
+    begin, end = arguments["part"]
+    return begin, end
+
+
+def tile_of(arguments: Arguments) -> Tile:
+    """The tile that a job is about."""
+    i, j = arguments["tile"]
+    return i, j

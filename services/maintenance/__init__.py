@@ -1,0 +1,1 @@
+"""Maintenance: the sweeper and the programs that check and repair the store."""

@@ -1,0 +1,30 @@
+"""Erasure of a user account: personal data is deleted, what the user made stays without a name.
+
+**Conventions.** The row stays, since ledgers refer to it by id; its name becomes `erased-` and random letters. Lines of
+the audit log keep the name under which somebody acted, for as long as the log is kept (`audit_retention`): they are
+there to be held against whoever would rather be forgotten. Sequences, calibrations and submissions are deleted by
+themselves, before or after.
+"""
+
+from secrets import token_hex
+
+from sqlalchemy import delete
+from sqlalchemy.orm import Session
+
+from services.runtime.access.login_throttle import forgive_name
+from services.runtime.access.users import change_user
+from services.runtime.orm import IdempotentReply, TeamInvitation, Token, User, WebSession
+
+ERASED = "erased-"
+
+
+def erase_user(session: Session, user: User) -> None:
+    """Shut out at once, for good. Raises `LastAdministratorError`."""
+    change_user(session, user, None, is_active=False)
+    forgive_name(session, user.name)
+    for held in (Token, WebSession, IdempotentReply):
+        session.execute(delete(held).where(held.user_id == user.id))
+    unused = (TeamInvitation.created_by == user.id, TeamInvitation.used_by.is_(None))
+    session.execute(delete(TeamInvitation).where(*unused))
+    user.name, user.password_hash = f"{ERASED}{token_hex(8)}", ""
+    session.flush()

@@ -1,0 +1,68 @@
+"""The storage quota: an append-only ledger whose sum is the balance.
+
+**Conventions.** Amounts are bytes, positive when taken, negative when given back; a subject (an upload's id) is what
+they are taken for, and stays so when the upload has become a recording. Each function is part of the caller's
+transaction and locks the owner's row, so that two reservations at once cannot both take the last bytes. The lock is
+the weaker one (PostgreSQL `FOR NO KEY UPDATE`): rows that refer to the owner may be inserted meanwhile.
+"""
+
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+from services.runtime.orm import QuotaEntry, User
+from stone.errors import StoneError
+
+BYTES = "bytes"
+
+
+class QuotaExceededError(StoneError):
+    """The owner would have more than the limit."""
+
+    code = "quota_exceeded"
+
+    def __init__(self, used: int, asked: int, limit: int) -> None:
+        self.used, self.asked, self.limit = used, asked, limit
+        super().__init__(
+            f"{used} of {limit} bytes are used and {asked} more were asked for; "
+            "delete recordings or unfinished uploads that are no longer needed"
+        )
+
+
+def reserve(session: Session, owner_id: str, amount: int, subject_id: str, reason: str, limit: int) -> None:
+    """Take `amount` bytes for the subject. Raises `QuotaExceededError`, and takes nothing then."""
+    _lock(session, owner_id)
+    used = balance(session, owner_id)
+    if used + amount > limit:
+        raise QuotaExceededError(used, amount, limit)
+    session.add(_entry(owner_id, amount, subject_id, reason))
+    session.flush()
+
+
+def release(session: Session, subject_id: str, reason: str) -> int:
+    """Give back all that is taken for the subject; how many bytes that were. A second time it is 0."""
+    owners = select(QuotaEntry.owner_id).where(QuotaEntry.subject_id == subject_id).distinct()
+    released = 0
+    for owner_id in sorted(session.scalars(owners)):
+        _lock(session, owner_id)
+        of_subject = (QuotaEntry.owner_id == owner_id, QuotaEntry.subject_id == subject_id)
+        taken = session.scalar(select(func.coalesce(func.sum(QuotaEntry.amount), 0)).where(*of_subject)) or 0
+        if taken:
+            session.add(_entry(owner_id, -int(taken), subject_id, reason))
+            released += int(taken)
+    session.flush()
+    return released
+
+
+def balance(session: Session, owner_id: str) -> int:
+    """The bytes the owner has taken and not given back."""
+    total = select(func.coalesce(func.sum(QuotaEntry.amount), 0)).where(QuotaEntry.owner_id == owner_id)
+    return int(session.scalar(total) or 0)
+
+
+def _lock(session: Session, owner_id: str) -> None:
+    """Lock the ledger; on SQLite the transaction itself is the lock (`BEGIN IMMEDIATE`)."""
+    session.execute(select(User.id).where(User.id == owner_id).with_for_update(key_share=True))
+
+
+def _entry(owner_id: str, amount: int, subject_id: str, reason: str) -> QuotaEntry:
+    return QuotaEntry(owner_id=owner_id, kind=BYTES, amount=amount, subject_id=subject_id, reason=reason)

@@ -1,0 +1,182 @@
+"""Creates a backup: a database snapshot, then the stored objects that it names.
+
+**Conventions.** Work goes on meanwhile. What the snapshot names and the platform itself has lost or damaged is a flaw:
+it is said and everything else is kept. An outage of database or store ends the backup; the next one finds what was
+brought already.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from sqlalchemy import select
+
+from services.runtime.backup.errors import SourceDamagedError
+from services.runtime.backup.folder import BackupContent, BackupFolder, pieces_of
+from services.runtime.backup.references import BackupReferences, BackupUpload, backup_references
+from services.runtime.backup.snapshot import BackupFile, BackupSnapshot, write_files, write_snapshot
+from services.runtime.backup.tables import TableFacts, dump, dumped_rows, snapshot_of
+from services.runtime.code_version import RELEASE
+from services.runtime.database.migrate import head_revision
+from services.runtime.orm import Base, Blob, Upload, UploadPartRow
+from services.runtime.orm.base import now_ns
+from services.runtime.platform import Platform
+from services.runtime.store.garbage_collection import WORK
+from services.runtime.store.gc_holds import gc_hold
+from services.runtime.store.keys import ObjectMissingError
+from services.runtime.uploads.files import offset_of, upload_file
+from services.runtime.uploads.rows import GONE
+
+COPIES = 4
+AHEAD = 64
+
+
+@dataclass(frozen=True)
+class BackupResult:
+    """`brought` is what was not there from earlier backups."""
+
+    folder: Path
+    snapshot: BackupSnapshot
+    blobs: int
+    brought: int
+    brought_bytes: int
+
+
+@dataclass
+class _BackupWriter:
+    """The writer of one backup."""
+
+    platform: Platform
+    folder: BackupFolder
+    files: list[BackupFile] = field(default_factory=list)
+    flaws: list[str] = field(default_factory=list)
+    given_up: list[str] = field(default_factory=list)
+    blobs: int = 0
+    brought: int = 0
+    brought_bytes: int = 0
+
+    def bring_blobs(self, rows: Iterable[list[object]]) -> None:
+        """`rows` are (sha256, object_key, size_bytes)."""
+        contents = ((BackupContent(str(sha256), int(str(size))), str(key)) for sha256, key, size in rows)
+        with ThreadPoolExecutor(COPIES) as pool:
+            for content, flaw in _few_ahead(pool, self._bring_blob, contents):
+                self.blobs += 1
+                if flaw:
+                    self.flaws.append(flaw)
+                elif content is not None:
+                    self._count(content)
+
+    def bring_upload_parts(self, rows: Iterable[list[object]]) -> None:
+        """`rows` are (object_key, blob_sha256); several may name one object, and that of a blob is brought already."""
+        for key in sorted({str(key) for key, blob_sha256 in rows if blob_sha256 is None}):
+            try:
+                self._keep(BackupFile("object", key, self.folder.add(key, self.platform.store.read(key))))
+            except ObjectMissingError as error:
+                self.flaws.append(str(error))
+
+    def bring_work(self, runs: frozenset[str]) -> None:
+        store = self.platform.store
+        for stored in store.listed(WORK):
+            if stored.key.split("/")[1] in runs:
+                try:
+                    content = self.folder.add(stored.key, store.read(stored.key))
+                except ObjectMissingError:  # of a job that took it back; no row names a file of a workspace
+                    continue
+                self._keep(BackupFile("object", stored.key, content))
+
+    def bring_upload(self, upload: BackupUpload) -> None:
+        """Its bytes as far as they count, at least those of the snapshot's moment."""
+        path = upload_file(self.platform.settings, upload.id)
+        try:
+            content = self.folder.add(path.name, pieces_of(path, offset_of(path)), upload.sha256)
+        except FileNotFoundError:
+            self._bring_ended(upload)
+        except SourceDamagedError as error:
+            self.flaws.append(str(error))
+        else:
+            self._keep(BackupFile("upload", upload.id, content))
+
+    def _bring_ended(self, upload: BackupUpload) -> None:
+        """It became a blob since the snapshot, or was given up, or its file was lost before."""
+        with self.platform.database.reading() as session:
+            row = session.get_one(Upload, upload.id)
+            blob = session.scalar(select(Blob).where(Blob.sha256 == row.sha256)) if row.sha256 else None
+        if blob is not None:
+            content = self.folder.add(upload.id, self.platform.store.read(blob.object_key), blob.sha256)
+            self._keep(BackupFile("upload", upload.id, content))
+        elif row.state in GONE:
+            self.given_up.append(upload.id)
+        else:
+            self.flaws.append(f"upload {upload.id} has no file")
+
+    def _bring_blob(self, named: tuple[BackupContent, str]) -> tuple[BackupContent | None, str]:
+        """What was brought, if anything had to be; the flaw, if there is one."""
+        content, key = named
+        if self.folder.has(content):
+            return None, ""
+        try:
+            return self.folder.add(key, self.platform.store.read(key), content.sha256), ""
+        except (ObjectMissingError, SourceDamagedError) as error:
+            return None, str(error)
+
+    def _keep(self, file: BackupFile) -> None:
+        self.files.append(file)
+        self._count(file.content)
+
+    def _count(self, content: BackupContent) -> None:
+        self.brought += 1
+        self.brought_bytes += content.size_bytes
+
+
+def make_backup(platform: Platform, folder: BackupFolder) -> BackupResult:
+    """Back up database, store and uploads as of now.
+
+    Raises `BackupBusyError`, `SchemaNotCurrentError`, `HoldLostError`, `StoreAwayError`, `OSError`.
+    """
+    writer = _BackupWriter(platform, folder)
+    with folder.writing(), gc_hold(platform.database, "backup") as hold, folder.new_snapshot() as place:
+        made_ns = now_ns()
+        tables, named = _frozen(platform, place)
+        writer.bring_blobs(dumped_rows(place, _named(tables, Blob), ("sha256", "object_key", "size_bytes")))
+        writer.bring_upload_parts(dumped_rows(place, _named(tables, UploadPartRow), ("object_key", "blob_sha256")))
+        writer.bring_work(named.runs)
+        for upload in named.uploads:
+            writer.bring_upload(upload)
+        snapshot = BackupSnapshot(
+            head_revision(),
+            RELEASE,
+            made_ns,
+            tables,
+            write_files(place, tuple(writer.files)),
+            tuple(writer.flaws),
+            tuple(writer.given_up),
+        )
+        write_snapshot(place, snapshot)
+        hold.check()
+    return BackupResult(folder.snapshot(), snapshot, writer.blobs, writer.brought, writer.brought_bytes)
+
+
+def _named(tables: tuple[TableFacts, ...], row: type[Base]) -> TableFacts:
+    return next(table for table in tables if table.name == row.__tablename__)
+
+
+def _frozen(platform: Platform, place: Path) -> tuple[tuple[TableFacts, ...], BackupReferences]:
+    """The database as it is at this moment; the transaction is over before anything slow is copied."""
+    with snapshot_of(platform.database) as connection:
+        return dump(connection, place), backup_references(connection)
+
+
+def _few_ahead(
+    pool: ThreadPoolExecutor,
+    act: Callable[[tuple[BackupContent, str]], tuple[BackupContent | None, str]],
+    items: Iterable[tuple[BackupContent, str]],
+) -> Iterator[tuple[BackupContent | None, str]]:
+    """Results of `act`, in order; never more than `AHEAD` of them under way, however many there are."""
+    waiting = []
+    for item in items:
+        waiting.append(pool.submit(act, item))
+        if len(waiting) >= AHEAD:
+            yield waiting.pop(0).result()
+    for outcome in waiting:
+        yield outcome.result()

@@ -1,6 +1,0 @@
-"""What a method senses with: sums of C (cameras), L (LiDAR) and R (radar), each of which is a track of a board."""
-
-from typing import Literal, get_args
-
-Modality = Literal["C", "L", "R", "C+L", "C+R", "L+R", "C+L+R"]
-MODALITIES: tuple[Modality, ...] = get_args(Modality)

@@ -1,0 +1,87 @@
+"""Database migration: applies all missing schema revisions in one transaction.
+
+**Conventions.** Any number of processes may start at once: one upgrades, the others wait and find nothing left to do
+(PostgreSQL: an advisory lock; SQLite: the write lock taken at BEGIN). SQLite's foreign keys are off meanwhile, since
+rebuilding a table (batch mode) would cascade into its children; they are checked before the commit.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from alembic import command
+from alembic.config import Config
+from alembic.runtime.migration import MigrationContext
+from alembic.script import ScriptDirectory
+from sqlalchemy import Connection, event, text
+
+from services.runtime.database.transactions import Database
+from services.runtime.errors import BrokenReferenceError, NewerSchemaError
+from services.runtime.settings import Settings
+
+MIGRATIONS = Path(__file__).with_name("migrations")
+LOCK = 0x53544F4E45  # "STONE": the advisory lock's number
+
+
+def upgrade(settings: Settings) -> None:
+    """Bring the database of `settings` to the newest revision; nothing happens where it is there already.
+
+    Raises `NewerSchemaError` when a newer version of this code has migrated it, `BrokenReferenceError` when a
+    revision left a row that refers to nothing (and nothing is changed then).
+    """
+    with schema_connection(settings) as connection:
+        stands, wanted = current_revision(connection), head_revision()
+        if stands == wanted:
+            return
+        if stands and not is_known(stands):
+            raise NewerSchemaError(stands, wanted)
+        command.upgrade(alembic_on(connection), "head")
+
+
+def alembic_on(connection: Connection) -> Config:
+    """The Alembic configuration for work in the connection's transaction."""
+    config = Config(attributes={"connection": connection})
+    config.set_main_option("script_location", str(MIGRATIONS).replace("%", "%%"))
+    return config
+
+
+def current_revision(connection: Connection) -> str:
+    """The revision the database is at; empty before the first."""
+    return MigrationContext.configure(connection).get_current_revision() or ""
+
+
+def head_revision() -> str:
+    """The revision this code is of."""
+    return str(ScriptDirectory(str(MIGRATIONS)).get_current_head())
+
+
+def is_known(revision: str) -> bool:
+    """Whether this code knows the way from `revision` to its own."""
+    return revision in {known.revision for known in ScriptDirectory(str(MIGRATIONS)).walk_revisions()}
+
+
+@contextmanager
+def schema_connection(settings: Settings) -> Iterator[Connection]:
+    """A connection in a transaction that no other change of the schema shares; committed at the end."""
+    database = Database(settings)
+    try:
+        if database.is_sqlite:
+            event.listen(database.engine, "connect", _without_foreign_keys)
+        with database.engine.execution_options(stone_writes=True).begin() as connection:
+            if not database.is_sqlite:
+                connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": LOCK})
+            yield connection
+            if database.is_sqlite:
+                _refuse_broken_references(connection)
+    finally:
+        database.close()
+
+
+def _without_foreign_keys(connection: Any, _record: object) -> None:
+    connection.execute("PRAGMA foreign_keys=OFF")
+
+
+def _refuse_broken_references(connection: Connection) -> None:
+    for table, row, parent, _number in connection.execute(text("PRAGMA foreign_key_check")):
+        raise BrokenReferenceError(str(table), str(row), str(parent))

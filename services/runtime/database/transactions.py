@@ -1,0 +1,88 @@
+"""Database transactions on SQLite (WAL) or PostgreSQL, and the wake-ups sent after their commit.
+
+**Conventions.** `transaction()` is for writing: on SQLite it takes the write lock at BEGIN, so two writers wait for
+each other instead of failing half-way; it commits at the end or rolls back whole. `reading()` is for reading and never
+commits. Neither is held while anything slow is done. What `wake_up_after_commit` notes is dropped with a rollback.
+One `Database` belongs to one process: a forked child makes its own (`services/runtime/platform.py`).
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import Connection, Engine, create_engine, event, make_url
+from sqlalchemy.orm import Session
+
+from services.runtime.settings import Settings
+
+WakeUp = Callable[[str, int], None]
+WAKE_UPS = "wake_ups"
+CONNECT_S = 5
+
+
+class Database:
+    """`with database.transaction() as session: …`; `wake_up(queue, times)` is called after the commit."""
+
+    def __init__(self, settings: Settings, wake_up: WakeUp = lambda queue, times: None) -> None:
+        self.engine = _engine(settings)
+        self._writing = self.engine.execution_options(stone_writes=True)
+        self._wake_up = wake_up
+
+    @property
+    def is_sqlite(self) -> bool:
+        return self.engine.dialect.name == "sqlite"
+
+    @contextmanager
+    def transaction(self) -> Iterator[Session]:
+        """Yield a session; commit at the end, then send the wake-ups it noted; roll back on any exception."""
+        with Session(self._writing, expire_on_commit=False) as session:
+            with session.begin():
+                yield session
+            for queue, times in session.info.pop(WAKE_UPS, {}).items():
+                self._wake_up(queue, times)
+
+    @contextmanager
+    def reading(self) -> Iterator[Session]:
+        """Yield a session whose changes are never committed."""
+        with Session(self.engine, expire_on_commit=False) as session:
+            yield session
+
+    def close(self) -> None:
+        self.engine.dispose()
+
+
+def wake_up_after_commit(session: Session, queue: str, times: int = 1) -> None:
+    """Note that `times` jobs of `queue` became ready in this transaction."""
+    wake_ups = session.info.setdefault(WAKE_UPS, {})
+    wake_ups[queue] = wake_ups.get(queue, 0) + times
+
+
+def _engine(settings: Settings) -> Engine:
+    url = make_url(settings.database_url)
+    # As many as the API has threads, so that none waits for a connection and few are opened for one request.
+    pool: dict[str, Any] = {"pool_size": settings.database.pool_size, "max_overflow": 20}
+    if url.get_backend_name() == "sqlite":
+        Path(url.database or "").parent.mkdir(parents=True, exist_ok=True)
+        waits = {"timeout": settings.database.busy_timeout_s}
+        engine = create_engine(url, connect_args=waits, hide_parameters=True, **pool)
+        event.listen(engine, "connect", _prepare_sqlite)
+        event.listen(engine, "begin", _begin_sqlite)
+        return engine
+    password = settings.database.password.get_secret_value() or url.password
+    url = url.set(drivername="postgresql+psycopg", password=password)
+    # What is written may be a secret, so errors and logs show statements without it.
+    return create_engine(
+        url, connect_args={"connect_timeout": CONNECT_S}, hide_parameters=True, pool_pre_ping=True, **pool
+    )
+
+
+def _prepare_sqlite(connection: Any, _record: object) -> None:
+    connection.isolation_level = None  # we say BEGIN ourselves; the driver's own comes too late for a write lock
+    for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON"):
+        connection.execute(f"PRAGMA {pragma}")
+
+
+def _begin_sqlite(connection: Connection) -> None:
+    writes = connection.get_execution_options().get("stone_writes", False)
+    connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")

@@ -1,0 +1,135 @@
+"""A supervised child process: started, restarted when it dies, stopped in bounded time.
+
+**Conventions.** A child leads a process group of its own, so Ctrl-C at the terminal reaches the supervisor only; it is
+killed by the kernel when the supervisor dies. `stop` asks with SIGTERM; what is left of the group is killed.
+"""
+
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from services.runtime.embedded.logs import cut_if_large
+from services.runtime.processes.parent_death import die_with
+
+FIRST_PAUSE_S = 0.5
+LONGEST_PAUSE_S = 30.0
+STEADY_S = 30.0
+
+ReportCallback = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Program:
+    """The command of a child. `stop_s`: how long it may take to end when asked; `passed`: descriptors it inherits."""
+
+    name: str
+    argv: tuple[str, ...]
+    environment: Mapping[str, str]
+    folder: Path
+    stop_s: float
+    passed: tuple[int, ...] = ()
+
+
+class Child:
+    """A program that is kept running. Used by one thread at a time."""
+
+    def __init__(self, program: Program, logs: Path, told: ReportCallback) -> None:
+        self.program = program
+        self.log = logs / f"{program.name}.log"
+        self._told = told
+        self._process: subprocess.Popen[bytes] | None = None
+        self._pause_s = FIRST_PAUSE_S
+        self._started_s = self._due_s = 0.0
+        self._is_asked = False
+
+    @property
+    def pid(self) -> int:
+        """The id of the running or last process; 0 before the first."""
+        return self._process.pid if self._process else 0
+
+    @property
+    def exit_code(self) -> int | None:
+        """The last exit code; None while it runs, or before it was started."""
+        return self._process.poll() if self._process else None
+
+    def start(self) -> None:
+        """Start it, appending to its log. The calling thread must outlive the child."""
+        own_pid = os.getpid()
+        self.log.parent.mkdir(parents=True, exist_ok=True)
+        with self.log.open("ab") as log:
+            self._process = subprocess.Popen(
+                self.program.argv,
+                cwd=self.program.folder,
+                env=dict(self.program.environment),
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                pass_fds=self.program.passed,
+                process_group=0,
+                preexec_fn=lambda: die_with(own_pid),
+            )
+        self._started_s, self._due_s, self._is_asked = time.monotonic(), 0.0, False
+
+    def revive(self) -> None:
+        """Start it again if it died, after a pause that doubles while it keeps dying; cut its log if it is large."""
+        cut_if_large(self.log)
+        now_s = time.monotonic()
+        if self.exit_code is None:
+            return
+        if not self._due_s:
+            self._kill_group()
+            if now_s - self._started_s > STEADY_S:
+                self._pause_s = FIRST_PAUSE_S
+            self._due_s = now_s + self._pause_s
+            fate = f"{self.program.name} {fate_of(self.exit_code)}; starting it again in {self._pause_s:g} s"
+            self._told(f"{fate} (log: {self.log})")
+            self._pause_s = min(2 * self._pause_s, LONGEST_PAUSE_S)
+        elif now_s >= self._due_s:
+            self.start()
+            self._told(f"{self.program.name} started again, process {self.pid}")
+
+    def forgive(self) -> None:
+        """Its next death is not its own fault, say a test's: the pause after it is the first again."""
+        self._pause_s = FIRST_PAUSE_S
+
+    def ask_to_stop(self) -> None:
+        """Send SIGTERM, once, to the child itself; its own children are its own business."""
+        if self._process and self.exit_code is None and not self._is_asked:
+            self._is_asked = True
+            self._process.terminate()
+
+    def stop(self, within_s: float | None = None) -> bool:
+        """Ask it to stop, wait at most `within_s` (else its own time), kill what is left; whether it ended itself."""
+        if self._process is None:
+            return True
+        self.ask_to_stop()
+        try:
+            self._process.wait(self.program.stop_s if within_s is None else max(within_s, 0.0))
+        except subprocess.TimeoutExpired:
+            return False
+        finally:
+            self._kill_group()
+            self._process.wait()
+        return True
+
+    def kill(self) -> None:
+        """End the child and everything in its group at once."""
+        if self._process:
+            self._kill_group()
+            self._process.wait()
+
+    def _kill_group(self) -> None:
+        with suppress(ProcessLookupError):
+            os.killpg(self.pid, signal.SIGKILL)
+
+
+def fate_of(exit_code: int) -> str:
+    """`ended with exit code 3`, `was killed by SIGKILL`."""
+    if exit_code >= 0:
+        return f"ended with exit code {exit_code}"
+    return f"was killed by {signal.Signals(-exit_code).name}"

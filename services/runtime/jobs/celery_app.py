@@ -1,0 +1,59 @@
+"""The Celery application: one queue per service, prefork workers, messages that only wake them up.
+
+**The pool is prefork**, on evidence (Celery 5.7, Open3D 0.20): thread pools enforce no time limits and share a GIL with
+Open3D's bindings; memory, filesystem and SQL brokers lose running work on kill −9. A parent that *used* Open3D
+before forking leaves its children with one thread for ever, one that only imported it does not, so the parent imports
+the kernels (children start in milliseconds) and never calls them. Each child has one thread per library: the
+parallelism is over jobs. `worker_cancel_long_running_tasks_on_connection_loss` stays off: it loses jobs.
+"""
+
+import os
+
+from celery import current_app
+from celery.signals import setup_logging, worker_init, worker_process_init, worker_process_shutdown
+from sqlalchemy.orm import configure_mappers
+
+from services.runtime.jobs.broker_app import make_app
+from services.runtime.jobs.worker_presence import WorkerHeartbeat
+from services.runtime.platform import platform
+from services.runtime.processes.parent_death import die_with
+from services.runtime.settings import Settings
+from services.runtime.telemetry.log_lines import speak_json
+from services.runtime.telemetry.tracing import close_tracing, setup_tracing
+
+app = make_app(Settings())
+_HERE: list[WorkerHeartbeat] = []
+
+
+@worker_process_init.connect
+def _end_with_the_worker(**_: object) -> None:
+    """A pool process whose worker was killed would work on, and hold its job by its heartbeats, until the job ends."""
+    die_with(os.getppid())
+
+
+@worker_process_init.connect
+def _say_here(**_: object) -> None:
+    setup_tracing("stone-worker")  # here: a process that forks takes no exporter with it
+    queues = list(current_app.amqp.queues.consume_from)  # first: the platform's sender is an application too
+    presence = WorkerHeartbeat(platform(), queues)
+    presence.start()
+    _HERE.append(presence)
+
+
+@worker_process_shutdown.connect
+def _say_gone(**_: object) -> None:
+    for presence in _HERE:
+        presence.leave()
+    close_tracing()
+
+
+@worker_init.connect
+def _know_the_rows(**_: object) -> None:
+    """Once, before the fork: half-way through, a signal for the first job would leave the child without its tables."""
+    configure_mappers()
+
+
+@setup_logging.connect
+def _speak(**_: object) -> None:
+    """Celery's lines and ours in one shape, instead of a format of its own."""
+    speak_json()

@@ -1,0 +1,64 @@
+"""Claims the next job of a queue: most urgent first, then the owner with the least running, then the oldest run."""
+
+import os
+import socket
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import select, update
+from sqlalchemy.orm import Session
+
+from services.runtime.jobs.changes import rows_changed
+from services.runtime.jobs.readiness import next_job
+from services.runtime.orm import Job, JobAttempt, Queue
+from services.runtime.orm.base import now_ns
+from services.runtime.telemetry.process_usage import used_cpu_s
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A job that is ours to run: nobody else holds this (job, attempt).
+
+    `tries_left` after this one; `begun_cpu_s` is what the process had used when it claimed, None where another speaks.
+    """
+
+    job_id: str
+    root_id: str
+    sequence_id: str | None
+    kind: str
+    attempt: int
+    arguments: dict[str, Any]
+    tries_left: int = 0
+    begun_cpu_s: float | None = None
+
+
+def claim(session: Session, queue: str) -> Claim | None:
+    """Take the next ready job of `queue`; None when there is none, or when the queue is paused."""
+    if session.scalar(select(Queue.mode).where(Queue.name == queue)) == "paused":
+        return None
+    job = next_job(session, queue)
+    if job is None:
+        return None
+    taken = update(Job).where(Job.id == job.id, Job.state == "queued", Job.attempt == job.attempt)
+    now = now_ns()
+    values = {"state": "running", "attempt": job.attempt + 1, "attempts_left": job.attempts_left - 1}
+    clean = {"started_ns": now, "stage": "", "done": 0, "total": 0, "heartbeats": 0, "revision": Job.revision + 1}
+    if not rows_changed(session, taken.values(**values, **clean)):
+        return None
+    session.add(JobAttempt(job_id=job.id, number=job.attempt + 1, worker=worker_name(), started_ns=now))
+    at = (job.id, job.root_id, job.sequence_id, job.kind, job.attempt + 1)
+    return Claim(*at, dict(job.arguments), job.attempts_left - 1, used_cpu_s())
+
+
+def worker_name() -> str:
+    """Host and pid: enough for an administrator to find the process."""
+    return f"{socket.gethostname()}:{os.getpid()}"
+
+
+def start_run(session: Session, taken: Claim) -> None:
+    """Note that the run of this job has begun.
+
+    A transaction of its own: with the job's row still locked, it would wait crosswise for somebody who cancels the run.
+    """
+    waiting = update(Job).where(Job.id == taken.root_id, Job.queue == "", Job.state == "queued")
+    rows_changed(session, waiting.values(state="running", started_ns=now_ns(), revision=Job.revision + 1))

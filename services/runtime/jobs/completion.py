@@ -1,0 +1,158 @@
+"""Ends jobs: succeeded (dependents become ready), failed or cancelled; and settles their run.
+
+**Conventions.** Each function is one transaction's worth and returns whether this attempt still held the job; when it
+did not, nothing was changed. The run's row is locked first, so two last jobs cannot both leave the run open.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import Update, func, select, update
+from sqlalchemy.orm import Session
+
+from services.runtime.database.transactions import wake_up_after_commit
+from services.runtime.jobs.changes import lock_run, rows_changed
+from services.runtime.jobs.claims import Claim
+from services.runtime.jobs.enqueue import add_jobs
+from services.runtime.jobs.specs import TERMINAL, Outcome
+from services.runtime.orm import Job, JobAttempt, JobNeed
+from services.runtime.orm.base import now_ns
+from services.runtime.telemetry.process_usage import peak_bytes, used_cpu_s
+
+LONGEST_FAILURE = 2000
+
+
+@dataclass(frozen=True)
+class Failure:
+    """The failure of an attempt or a job: a code for programs, a sentence for people."""
+
+    code: str
+    sentence: str
+
+    def columns(self) -> dict[str, str]:
+        return {"failure_code": self.code, "failure": self.sentence[:LONGEST_FAILURE]}
+
+
+def succeed(session: Session, claim: Claim, outcome: Outcome, max_attempts: int) -> bool:
+    """Record the success, the rows it brings and the jobs that follow; wake-ups are sent for ready dependents."""
+    run = lock_run(session, claim.root_id)
+    if not _leave(session, claim, "succeeded", result=dict(outcome.result), done=Job.total):
+        return False
+    _note(session, claim, "succeeded", None)
+    outcome.commit(session)
+    if claim.job_id == claim.root_id:
+        if outcome.then:
+            raise ValueError(f"{claim.kind} is a run of its own and cannot be followed by other jobs")
+        return True
+    if run.state not in TERMINAL and not run.cancel_reason:
+        add_jobs(session, run, outcome.then, max_attempts)
+        _release(session, claim.job_id)
+    _finish_run(session, run)
+    return True
+
+
+def fail(session: Session, claim: Claim, failure: Failure) -> bool:
+    """Record the failure; its run fails with it, and what the run had queued is cancelled."""
+    run = lock_run(session, claim.root_id)
+    if not _leave(session, claim, "failed", **failure.columns()):
+        return False
+    _note(session, claim, "failed", failure)
+    fail_run(session, run, claim.job_id, failure)
+    return True
+
+
+def cancelled(session: Session, claim: Claim) -> bool:
+    """Record that the attempt stopped because it was asked to."""
+    run = lock_run(session, claim.root_id)
+    if not _leave(session, claim, "cancelled"):
+        return False
+    _note(session, claim, "cancelled", None)
+    _finish_run(session, run)
+    return True
+
+
+def lose(session: Session, claim: Claim, failure: Failure) -> bool:
+    """After an attempt that ended for no fault of the input: queue the job again, or end it when no try is left to it.
+
+    A job that was asked to stop is not tried again: it ends cancelled.
+    """
+    run = lock_run(session, claim.root_id)
+    if run.cancel_reason:
+        return cancelled(session, claim)
+    held = _held(claim).where(Job.attempts_left > 0)
+    if not rows_changed(session, held.values(state="queued", ready_ns=now_ns(), revision=Job.revision + 1)):
+        return fail(session, claim, failure)
+    _note(session, claim, "lost", failure)
+    wake_up_after_commit(session, claim.kind.partition(".")[0])
+    return True
+
+
+def fail_run(session: Session, run: Job, job_id: str, failure: Failure) -> None:
+    """The run of a failed job: nothing more of it starts, what runs is asked to stop, and its reason is kept."""
+    if run.id == job_id:
+        return
+    if not run.failure_code:
+        run.failure_code, run.failure = failure.code, failure.sentence[:LONGEST_FAILURE]
+        run.cancel_reason = run.cancel_reason or f"job {job_id} failed: {failure.code}"
+    cancel_queued(session, run)
+    _finish_run(session, run)
+
+
+def cancel_queued(session: Session, run: Job) -> None:
+    """Cancel the jobs of the run that have not started."""
+    queued = update(Job).where(Job.root_id == run.id, Job.id != run.id, Job.state == "queued")
+    session.execute(queued.values(state="cancelled", finished_ns=now_ns(), revision=Job.revision + 1))
+
+
+def settle(session: Session, run: Job) -> None:
+    """End the run if nothing of it is left to end."""
+    _finish_run(session, run)
+
+
+def _finish_run(session: Session, run: Job) -> None:
+    if run.queue:  # a job that is its own run has ended itself
+        return
+    session.flush()
+    counts = dict(
+        session.execute(
+            select(Job.state, func.count()).where(Job.root_id == run.id, Job.id != run.id).group_by(Job.state)
+        ).all()
+    )
+    run.revision += 1
+    if run.state in TERMINAL or counts.get("running", 0) or counts.get("queued", 0):
+        return
+    if run.failure_code:
+        run.state = "failed"
+    else:
+        run.state = "cancelled" if run.cancel_reason else "succeeded"
+    run.finished_ns = now_ns()
+
+
+def _release(session: Session, job_id: str) -> None:
+    """Count this success off in every job that waits for it; wake-ups are sent for those that wait for nothing more."""
+    waiting = select(JobNeed.job_id).where(JobNeed.needed_id == job_id)
+    session.execute(
+        update(Job).where(Job.id.in_(waiting)).values(needs_left=Job.needs_left - 1, ready_ns=now_ns()),
+        execution_options={"synchronize_session": False},
+    )
+    ready = select(Job.queue).where(Job.id.in_(waiting), Job.needs_left == 0, Job.state == "queued")
+    for queue in session.scalars(ready):
+        wake_up_after_commit(session, queue)
+
+
+def _held(claim: Claim) -> Update:
+    return update(Job).where(Job.id == claim.job_id, Job.state == "running", Job.attempt == claim.attempt)
+
+
+def _leave(session: Session, claim: Claim, state: str, **columns: object) -> bool:
+    values = {"state": state, "finished_ns": now_ns(), "revision": Job.revision + 1, **columns}
+    return rows_changed(session, _held(claim).values(**values)) == 1
+
+
+def _note(session: Session, claim: Claim, outcome: str, failure: Failure | None) -> None:
+    """Close the attempt's own row; what it cost, children included, is kept when its own process speaks."""
+    attempt = update(JobAttempt).where(JobAttempt.job_id == claim.job_id, JobAttempt.number == claim.attempt)
+    columns: dict[str, Any] = dict(failure.columns()) if failure else {}
+    if claim.begun_cpu_s is not None:
+        columns |= {"cpu_s": used_cpu_s() - claim.begun_cpu_s, "peak_bytes": peak_bytes()}
+    session.execute(attempt.values(outcome=outcome, finished_ns=now_ns(), **columns))

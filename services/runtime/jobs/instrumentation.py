@@ -1,0 +1,107 @@
+"""Instrumentation of job attempts: log context, span and counters.
+
+**Conventions.** The span is a child of the one the job was queued in, however long ago and in whatever process that
+was; what an attempt queues is a child of its own. An attempt whose process is killed leaves no span: the sweeper, which
+gives its job back, leaves one that says so.
+"""
+
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+from opentelemetry.trace import Span, SpanKind
+from opentelemetry.util.types import AttributeValue
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+from structlog.contextvars import bound_contextvars
+
+from services.runtime.jobs.claims import Claim
+from services.runtime.jobs.specs import queue_of
+from services.runtime.orm import Job
+from services.runtime.telemetry.counters import process_counters
+from services.runtime.telemetry.metric_names import JOB_CPU_SECONDS, JOB_SECONDS, JOB_WAIT_SECONDS, LEASES_EXPIRED
+from services.runtime.telemetry.origins import context_of
+from services.runtime.telemetry.process_usage import used_cpu_s
+from services.runtime.telemetry.tracing import mark_failed, span
+
+
+@dataclass(frozen=True)
+class JobOrigin:
+    """The origin of a job, and how long it was ready before it was claimed (None: not known)."""
+
+    traceparent: str = ""
+    request_id: str = ""
+    waited_s: float | None = None
+
+
+@dataclass
+class JobInstrumentation:
+    """`ended` says how; what ends without a word was lost."""
+
+    span: Span
+    outcome: str = field(default="lost", init=False)
+
+    def ended(self, outcome: str, code: str = "") -> None:
+        """`outcome` as the attempt's row has it; `code` of its failure, empty without one."""
+        self.outcome = outcome
+        if code:
+            mark_failed(self.span, code)
+
+
+def origin_of(session: Session, taken: Claim) -> JobOrigin:
+    """The origin in the job's row."""
+    asked = select(Job.traceparent, Job.request_id, Job.ready_ns, Job.started_ns).where(Job.id == taken.job_id)
+    traceparent, request_id, ready_ns, started_ns = session.execute(asked).one()
+    waited_s = None if ready_ns is None or started_ns is None else max(started_ns - ready_ns, 0) / 1e9
+    return JobOrigin(traceparent, request_id, waited_s)
+
+
+@contextmanager
+def instrumented(taken: Claim, origin: JobOrigin) -> Iterator[JobInstrumentation]:
+    """Instrument what is done inside as this attempt's."""
+    queue, begun_s, cpu_s = queue_of(taken.kind), time.monotonic(), used_cpu_s()
+    if origin.waited_s is not None:
+        process_counters().observe(JOB_WAIT_SECONDS, (queue,), origin.waited_s)
+    with (
+        bound_contextvars(request_id=origin.request_id, **_log_context(taken)),
+        _span(taken, origin.traceparent) as made,
+    ):
+        instrumentation = JobInstrumentation(made)
+        try:
+            yield instrumentation
+        finally:
+            made.set_attribute("stone.job.outcome", instrumentation.outcome)
+            process_counters().observe(JOB_SECONDS, (taken.kind, instrumentation.outcome), time.monotonic() - begun_s)
+            process_counters().add(JOB_CPU_SECONDS, (taken.kind,), used_cpu_s() - cpu_s)
+
+
+def record_lost_attempt(job: Job) -> None:
+    """An attempt was given up after silence for a lease."""
+    process_counters().add(LEASES_EXPIRED, (job.kind,))
+    claim = Claim(job.id, job.root_id, job.sequence_id, job.kind, job.attempt, {})
+    with _span(claim, job.traceparent) as made:
+        mark_failed(made, "lease_expired")
+        made.set_attribute("stone.job.outcome", "lost")
+
+
+def _span(taken: Claim, traceparent: str) -> AbstractContextManager[Span]:
+    within = context_of(traceparent)
+    return span(f"job {taken.kind}", SpanKind.CONSUMER, within=within, attributes=_span_facts(taken))
+
+
+def _log_context(taken: Claim) -> Mapping[str, Any]:
+    """The fields of the attempt in each log line."""
+    words = {"job_id": taken.job_id, "run_id": taken.root_id, "kind": taken.kind, "attempt": taken.attempt}
+    return words if taken.sequence_id is None else {**words, "sequence_id": taken.sequence_id}
+
+
+def _span_facts(taken: Claim) -> Mapping[str, AttributeValue]:
+    facts: dict[str, AttributeValue] = {
+        "stone.job.id": taken.job_id,
+        "stone.run.id": taken.root_id,
+        "stone.job.kind": taken.kind,
+        "stone.job.attempt": taken.attempt,
+    }
+    return facts if taken.sequence_id is None else {**facts, "stone.sensors.sequence.id": taken.sequence_id}

@@ -1,0 +1,98 @@
+"""Recovery of jobs: requeues attempts with expired leases, resends lost wake-ups.
+
+**Conventions.** A sweeper remembers when, on its own monotonic clock, it last saw the heartbeats of an attempt change;
+one that stood still for a lease is given back, or failed as `worker_lost` when no attempt is left. No two clocks are
+ever compared. Several sweepers may run; each change is a compare-and-set, so they do nothing twice.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import structlog
+from redis import RedisError
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from services.runtime.jobs.broker_app import QUEUES
+from services.runtime.jobs.claims import Claim
+from services.runtime.jobs.completion import Failure, lose
+from services.runtime.jobs.instrumentation import record_lost_attempt
+from services.runtime.jobs.readiness import wake_ups_wanted
+from services.runtime.orm import Job, Queue
+from services.runtime.platform import Platform
+from services.runtime.telemetry.counters import process_counters
+from services.runtime.telemetry.metric_names import WAKE_UPS_RESENT
+
+log = structlog.get_logger(__name__)
+
+HeartbeatKey = tuple[str, int]
+
+
+@dataclass
+class Sweeper:
+    """`sweep()` every second or so; `waiting(queue)` counts wake-ups not yet received, `ring` sends more."""
+
+    platform: Platform
+    waiting: Callable[[str], int]
+    ring: Callable[[str, int], None]
+    monotonic_s: Callable[[], float] = time.monotonic
+    _seen: dict[HeartbeatKey, tuple[int, float]] = field(default_factory=dict)
+    _quiet: dict[str, int] = field(default_factory=dict)
+
+    def sweep(self) -> None:
+        """Requeue attempts with expired leases, then send wake-ups for ready jobs that have none."""
+        self.recover()
+        self.resend_wake_ups()
+
+    def recover(self) -> int:
+        """Give back every attempt whose heartbeats stood still for a lease; how many there were."""
+        now_s = self.monotonic_s()
+        with self.platform.database.reading() as session:
+            running = session.scalars(select(Job).where(Job.state == "running", Job.queue != "")).all()
+        pulses = {(job.id, job.attempt): job.heartbeats for job in running}
+        before, self._seen = self._seen, {}
+        for pulse, beats in pulses.items():
+            known, since_s = before.get(pulse, (-1, now_s))
+            self._seen[pulse] = (beats, since_s if known == beats else now_s)
+        lease_s = self.platform.settings.jobs.lease_s
+        silent = [job for job in running if now_s - self._seen[job.id, job.attempt][1] >= lease_s]
+        for job in silent:
+            self._lose(job)
+        return len(silent)
+
+    def resend_wake_ups(self) -> None:
+        """Send wake-ups for ready jobs without one: seen twice in a row, so that one under way is not doubled."""
+        with self.platform.database.reading() as session:
+            ready = _ready(session)
+        missing = {}
+        for queue, jobs in ready.items():
+            try:
+                missing[queue] = max(0, jobs - self.waiting(queue))
+            except (RedisError, OSError) as error:
+                log.warning("broker away", queue=queue, reason=str(error))
+                return
+        for queue, count in missing.items():
+            lost = min(count, self._quiet.get(queue, 0))
+            if lost:
+                self.ring(queue, lost)
+                process_counters().add(WAKE_UPS_RESENT, (queue,), lost)
+        self._quiet = missing
+
+    def _lose(self, job: Job) -> None:
+        claim = Claim(job.id, job.root_id, job.sequence_id, job.kind, job.attempt, {})
+        lease_s = self.platform.settings.jobs.lease_s
+        failure = Failure("worker_lost", f"attempt {job.attempt} gave no sign of life for {lease_s:g} s")
+        with self.platform.database.transaction() as session:
+            if session.get_one(Job, job.id).heartbeats != job.heartbeats:
+                return
+            lose(session, claim, failure)
+        record_lost_attempt(job)
+        log.warning("attempt lost", job_id=job.id, run_id=job.root_id, kind=job.kind, attempt=job.attempt)
+
+
+def _ready(session: Session) -> dict[str, int]:
+    """Ready jobs per queue that is not paused, as many as are worth a wake-up."""
+    paused = set(session.scalars(select(Queue.name).where(Queue.mode == "paused")))
+    counted = {queue: wake_ups_wanted(session, queue) for queue in QUEUES if queue not in paused}
+    return {queue: jobs for queue, jobs in counted.items() if jobs}

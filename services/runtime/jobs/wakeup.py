@@ -1,0 +1,40 @@
+"""Wake-ups: tell a queue's workers that a job is ready. They may fail; the sweeper sends them again.
+
+**Conventions.** Sending happens after the commit, so it must not raise: the job is safe in the database.
+"""
+
+from collections.abc import Callable
+
+import structlog
+from kombu.exceptions import OperationalError
+from redis import Redis
+
+from services.runtime.jobs.broker_app import make_app
+from services.runtime.settings import Settings
+
+log = structlog.get_logger(__name__)
+
+
+def wake_up_sender(settings: Settings) -> Callable[[str, int], None]:
+    """The function that sends `times` wake-ups to a queue in the broker of `settings`."""
+    app = make_app(settings)
+
+    def send_wake_ups(queue: str, times: int) -> None:
+        try:
+            with app.producer_pool.acquire(block=True) as producer:
+                for _ in range(times):
+                    app.send_task(f"{queue}.work", queue=queue, producer=producer, retry=False, ignore_result=True)
+        except (OperationalError, OSError) as error:
+            log.warning("wake-up not sent; the sweeper will send it again", queue=queue, times=times, reason=str(error))
+
+    return send_wake_ups
+
+
+def wake_up_counter(settings: Settings) -> Callable[[str], int]:
+    """The function that counts wake-ups of a queue not yet received. Raises `redis.RedisError` without a broker."""
+    client = Redis.from_url(settings.broker.address, socket_connect_timeout=2, socket_timeout=5)
+
+    def waiting_in(queue: str) -> int:
+        return int(client.llen(queue))
+
+    return waiting_in

@@ -1,0 +1,115 @@
+"""Worker heartbeats: one row per worker process, updated every few seconds.
+
+**Conventions.** For people who look, and for nothing else: who holds a job is decided by `claiming`, whether an attempt
+lives by `sweeping`. A row is aged by the database's clock alone. A process that is idle tells as one that works; one
+that ends in order takes its row away, one that was killed falls silent and is forgotten after `FORGOTTEN_S`.
+"""
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from threading import Event, Thread
+from typing import Any
+
+import structlog
+from sqlalchemy import delete, select, update
+from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.orm import Session
+
+from services.runtime.database.clock import database_ns
+from services.runtime.jobs.changes import rows_changed
+from services.runtime.jobs.claims import worker_name
+from services.runtime.orm import Worker
+from services.runtime.orm.base import now_ns
+from services.runtime.platform import Platform
+from services.runtime.processes.heartbeat_file import HeartbeatFile
+from services.runtime.telemetry.counter_rows import CounterWriter
+from services.runtime.telemetry.counters import process_counters
+from services.runtime.telemetry.process_usage import disk, held_bytes, memory
+
+FORGOTTEN_S = 3600.0
+MISSED_BEATS = 4
+"""So many heartbeats in a row make a process silent."""
+
+log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True)
+class WorkerPresence:
+    """A process and how long ago it was heard."""
+
+    worker: Worker
+    age_s: float
+    is_silent: bool
+
+
+class WorkerHeartbeat:
+    """`start()` tells at once and then every `heartbeat_s` from a thread; `leave()` takes the row away."""
+
+    def __init__(self, platform: Platform, queues: Sequence[str]) -> None:
+        self._platform = platform
+        self._queues = ",".join(sorted(queues))
+        self._heartbeat_file = HeartbeatFile(platform.settings.root)
+        self._started_ns = now_ns()
+        self._counters = CounterWriter(process_counters())
+        self._leaving = Event()
+        self._thread = Thread(target=self._keep_writing, name="presence", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def leave(self) -> None:
+        self._leaving.set()
+        self._thread.join(timeout=self._platform.settings.jobs.heartbeat_s)
+        self._heartbeat_file.stop()
+        try:
+            with self._platform.database.transaction() as session:
+                session.execute(delete(Worker).where(Worker.name == worker_name()))
+                self._counters.tell(session)
+        except SQLAlchemyError as error:
+            log.warning("presence not taken back; it will be forgotten", reason=str(error)[:200])
+
+    def tell(self) -> None:
+        """Write the row as the process is now, and what it counted."""
+        ram, data = memory(), disk(self._platform.settings.root)
+        values: dict[str, Any] = {"held_bytes": held_bytes(), "beat_ns": database_ns()}
+        values |= {"memory_free_bytes": ram.free_bytes, "memory_bytes": ram.total_bytes}
+        values |= {"disk_free_bytes": data.free_bytes, "disk_bytes": data.total_bytes}
+        with self._platform.database.transaction() as session:
+            self._write(session, values)
+            counters_committed = self._counters.tell(session)
+        counters_committed()
+
+    def _write(self, session: Session, values: Mapping[str, Any]) -> None:
+        name = worker_name()
+        again = update(Worker).where(Worker.name == name, Worker.started_ns == self._started_ns)
+        if rows_changed(session, again.values(**values, beats=Worker.beats + 1)):
+            return
+        session.execute(delete(Worker).where(Worker.name == name))  # of a process whose pid came round again
+        session.add(Worker(name=name, queues=self._queues, started_ns=self._started_ns, beats=1, **values))
+
+    def _keep_writing(self) -> None:
+        beat_s = self._platform.settings.jobs.heartbeat_s
+        while not self._leaving.is_set():
+            begin_s = time.monotonic()
+            self._heartbeat_file.beat()
+            try:
+                self.tell()
+            except SQLAlchemyError as error:
+                log.warning("presence not told; the next beat tells", reason=str(error)[:200])
+            self._leaving.wait(max(0.1, beat_s - (time.monotonic() - begin_s)))
+
+
+def workers_seen(session: Session, heartbeat_s: float, limit: int) -> list[WorkerPresence]:
+    """All processes that are not forgotten yet, the silent ones first, then by name."""
+    age_ns = (database_ns() - Worker.beat_ns).label("age_ns")
+    rows = session.execute(select(Worker, age_ns).order_by(Worker.name).limit(limit)).all()
+    found = [WorkerPresence(row, max(0, age) / 1e9, age / 1e9 > MISSED_BEATS * heartbeat_s) for row, age in rows]
+    return sorted(found, key=lambda one: (not one.is_silent, one.worker.name))
+
+
+def forget_silent(platform: Platform, older_than_s: float = FORGOTTEN_S) -> int:
+    """Drop the rows of processes that were not heard for so long; how many there were."""
+    with platform.database.transaction() as session:
+        gone = delete(Worker).where(Worker.beat_ns < database_ns() - int(older_than_s * 1e9))
+        return session.execute(gone).rowcount  # type: ignore[attr-defined,no-any-return]

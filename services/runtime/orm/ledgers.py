@@ -1,0 +1,69 @@
+"""ORM models of append-only ledgers: quotas, the audit log; and stored idempotent replies."""
+
+from sqlalchemy import JSON, BigInteger, ForeignKey, Index, Integer, LargeBinary, String
+from sqlalchemy.orm import Mapped, mapped_column
+
+from services.runtime.orm.base import Base, Id, Ns, Record, new_id, now_ns
+
+
+class QuotaEntry(Base):
+    """`amount` bytes taken (positive) or given back (negative) by an owner for a subject; the balance is the sum."""
+
+    __tablename__ = "quota_ledger"
+    id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
+    owner_id: Mapped[Id] = mapped_column(ForeignKey("users.id"))
+    kind: Mapped[str] = mapped_column(String(16))
+    amount: Mapped[int] = mapped_column(BigInteger)
+    subject_id: Mapped[str] = mapped_column(String(64), index=True)
+    reason: Mapped[str] = mapped_column(String(64))
+    created_ns: Mapped[Ns] = mapped_column(default=now_ns)
+
+    # With the amounts in the index a balance is summed without looking at a row.
+    __table_args__ = (Index("ix_quota_ledger_owner_amount", "owner_id", "amount"),)
+
+
+class AuditEntry(Base):
+    """`hash` = sha256 over the previous entry's hash and this entry: a line taken out or changed is seen."""
+
+    __tablename__ = "audit_log"
+    number: Mapped[int] = mapped_column(Integer, primary_key=True, autoincrement=False)
+    actor_id: Mapped[str] = mapped_column(String(32), default="", index=True)
+    actor: Mapped[str] = mapped_column(String(64))
+    act: Mapped[str] = mapped_column(String(64))
+    subject_id: Mapped[str] = mapped_column(String(64), default="", index=True)
+    reason: Mapped[str] = mapped_column(String(512), default="")
+    facts: Mapped[Record] = mapped_column(JSON, default=dict)
+    request_id: Mapped[str] = mapped_column(String(64), default="")
+    logged_ns: Mapped[Ns] = mapped_column(default=now_ns)
+    hash: Mapped[str] = mapped_column(String(64), unique=True)
+
+    __table_args__ = (
+        Index("ix_audit_log_act_number", "act", "number"),
+        Index("ix_audit_log_actor_number", "actor", "number"),
+    )
+
+
+class AuditAnchor(Base):
+    """The audit log begins behind the line of this number, whose hash its first line follows from."""
+
+    __tablename__ = "audit_anchors"
+    number: Mapped[int] = mapped_column(Integer, primary_key=True, autoincrement=False)
+    hash: Mapped[str] = mapped_column(String(64))
+    cut_ns: Mapped[Ns] = mapped_column(default=now_ns)
+
+
+class IdempotentReply(Base):
+    """The answer to a request that carried an Idempotency-Key; `status` 0 while the first one is being worked on."""
+
+    __tablename__ = "idempotent_replies"
+    id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
+    user_id: Mapped[Id] = mapped_column(ForeignKey("users.id", ondelete="CASCADE"))
+    route: Mapped[str] = mapped_column(String(128))
+    key: Mapped[str] = mapped_column(String(128))
+    request_sha256: Mapped[str] = mapped_column(String(64))
+    status: Mapped[int] = mapped_column(default=0)
+    headers: Mapped[Record] = mapped_column(JSON, default=dict)
+    body: Mapped[bytes] = mapped_column(LargeBinary, default=b"")
+    created_ns: Mapped[Ns] = mapped_column(default=now_ns)
+
+    __table_args__ = (Index("uq_idempotent_replies_user_route_key", "user_id", "route", "key", unique=True),)

@@ -1,0 +1,71 @@
+"""Retries at process start until what the process depends on is available, then reports what is missing.
+
+**Conventions.** Waiting is for outages only; what is refused (a newer schema, a wrong password) ends it at once.
+"""
+
+import time
+from collections.abc import Callable
+from typing import TypeVar
+
+import structlog
+from sqlalchemy.exc import OperationalError
+
+from services.runtime.database.migrate import current_revision, head_revision, is_known
+from services.runtime.database.transactions import Database
+from services.runtime.errors import NewerSchemaError
+from services.runtime.settings import Settings
+from stone.errors import PlatformFaultError
+
+PAUSE_S = 1.0
+OUTAGES: tuple[type[Exception], ...] = (OperationalError, PlatformFaultError)
+T = TypeVar("T")
+
+log = structlog.get_logger(__name__)
+
+
+class SchemaMissingError(PlatformFaultError):
+    """The database is not at the schema of this code."""
+
+    code = "schema_missing"
+
+    def __init__(self, stands: str, wanted: str) -> None:
+        stood = f"at revision {stands!r}" if stands else "empty"
+        super().__init__(
+            f"the database is {stood} and this version works on {wanted!r}; "
+            "has `python -m services.runtime.processes.prepare` of this version run?"
+        )
+
+
+def insist(act: Callable[[], T], within_s: float) -> T:
+    """Call `act` until it succeeds, every second through outages; the last error is raised after `within_s`."""
+    until_s = time.monotonic() + within_s
+    while True:
+        try:
+            return act()
+        except OUTAGES as outage:
+            if time.monotonic() + PAUSE_S > until_s:
+                raise
+            log.warning("waiting", reason=f"{type(outage).__name__}: {outage}"[:300])
+            time.sleep(PAUSE_S)
+
+
+def await_schema(settings: Settings) -> None:
+    """Return once the database is at the schema of this code, within `database.awaited_s`.
+
+    Raises `SchemaMissingError`, `NewerSchemaError`, what the driver raises when the database stays away.
+    """
+    database = Database(settings)
+    try:
+        insist(lambda: _refuse_other_schema(database), settings.database.awaited_s)
+    finally:
+        database.close()
+
+
+def _refuse_other_schema(database: Database) -> None:
+    with database.reading() as session:
+        stands, wanted = current_revision(session.connection()), head_revision()
+    if stands == wanted:
+        return
+    if stands and not is_known(stands):
+        raise NewerSchemaError(stands, wanted)
+    raise SchemaMissingError(stands, wanted)

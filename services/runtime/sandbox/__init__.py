@@ -1,0 +1,22 @@
+"""A sandbox for untrusted bytes: work runs in a forked child process behind fences.
+
+**Conventions.** `running` is the parent's side and says what holds, `child` the child's, `words` what they speak.
+`limits` says how much the child may take, `fences` what it cannot reach (`seccomp`, `landlock`) and on which kernels.
+"""
+
+from services.runtime.sandbox.child import ProgressCallback
+from services.runtime.sandbox.errors import SandboxCrashedError, SandboxInterruptedError
+from services.runtime.sandbox.limits import SandboxLimits
+from services.runtime.sandbox.parent import LIMITS, UNWATCHED, SandboxWatch, sandboxed, sandboxed_with_progress
+
+__all__ = [
+    "LIMITS",
+    "UNWATCHED",
+    "ProgressCallback",
+    "SandboxCrashedError",
+    "SandboxInterruptedError",
+    "SandboxLimits",
+    "SandboxWatch",
+    "sandboxed",
+    "sandboxed_with_progress",
+]

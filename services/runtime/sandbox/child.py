@@ -1,0 +1,95 @@
+"""The child's side of the sandbox: confine itself, work, send the answer, end.
+
+**Conventions.** Nothing goes up the stack from here, which is the parent's; nothing of the parent's is finalised, since
+its connections and files are shared.
+"""
+
+import errno
+import gc
+import os
+import signal
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NoReturn
+
+from services.runtime.processes.parent_death import die_with
+from services.runtime.sandbox.fences import enter_sandbox, replace_inherited_descriptors
+from services.runtime.sandbox.limits import SandboxLimits, apply_limits
+from services.runtime.sandbox.messages import (
+    ANSWER,
+    CRASH,
+    FENCED,
+    FLOODED,
+    MACHINE,
+    MEMORY,
+    REFUSAL,
+    TICK,
+    send_message,
+    texts_of,
+    tick_of,
+)
+from stone.errors import StoneError
+
+ProgressCallback = Callable[[str, int, int], None]
+
+# What our limits and fences answer with; other errors of the system are the machine's.
+OF_OUR_LIMITS = (errno.EFBIG, errno.EMFILE, errno.ENOMEM, errno.EPERM)
+
+
+@dataclass(frozen=True)
+class SandboxTask:
+    """The work, its limits, and where its words go."""
+
+    work: Callable[[ProgressCallback], bytes]
+    limits: SandboxLimits
+    writing: int
+
+    def told(self) -> tuple[int, bytes]:
+        """The last word on the work: its kind and payload."""
+        try:
+            payload = self.work(self._tell)
+            return (ANSWER, payload) if len(payload) <= self.limits.answer_bytes else (FLOODED, b"")
+        except StoneError as error:
+            leaf = type(error)
+            return REFUSAL, texts_of(module=leaf.__module__, name=leaf.__qualname__, sentence=str(error))
+        except MemoryError:
+            return MEMORY, b""
+        except OSError as error:
+            return (CRASH if error.errno in OF_OUR_LIMITS else MACHINE), _exception(error)
+        except BaseException as error:
+            return CRASH, _exception(error)
+
+    def _tell(self, stage: str, done: int, total: int) -> None:
+        send_message(self.writing, TICK, tick_of(stage, done, total))
+
+
+def run_child(answer: SandboxTask, parent: int) -> NoReturn:
+    """All that the child does."""
+    status = 1
+    try:
+        die_with(parent)
+        _forget_the_parent()
+        replace_inherited_descriptors(answer.writing)
+        apply_limits(answer.limits)
+        send_message(answer.writing, FENCED, texts_of(**enter_sandbox(answer.limits.folder)))
+        send_message(answer.writing, *answer.told())
+        status = 0
+    finally:
+        os._exit(status)
+
+
+def _forget_the_parent() -> None:
+    """Its garbage is not ours to finalise, its signals not ours to answer."""
+    gc.freeze()
+    signal.set_wakeup_fd(-1)
+    for number in signal.valid_signals() - {signal.SIGKILL, signal.SIGSTOP}:
+        if callable(signal.getsignal(number)):
+            signal.signal(number, signal.SIG_DFL)
+    signal.signal(signal.SIGXCPU, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_SETMASK, ())
+
+
+def _exception(error: BaseException) -> bytes:
+    """Its type for whoever asked; the text, which may quote anything, for the log of the operator."""
+    return texts_of(exception=type(error).__name__, traceback=traceback.format_exc()[-1900:])

@@ -1,0 +1,23 @@
+"""Errors of sandboxed work that crashed or was interrupted."""
+
+from stone.errors import PlatformFaultError, StoneError
+
+
+class SandboxCrashedError(StoneError):
+    """Reading the input broke its process or its limits; the same bytes would do so again."""
+
+    code = "reader_crashed"
+
+    def __init__(self, fate: str) -> None:
+        self.fate = fate
+        super().__init__(f"the process that read the input {fate}; is the file damaged, or made to do this?")
+
+
+class SandboxInterruptedError(PlatformFaultError):
+    """Reading the input was cut short by the machine; perhaps no fault of the input."""
+
+    code = "reader_interrupted"
+
+    def __init__(self, fate: str) -> None:
+        self.fate = fate
+        super().__init__(f"the process that read the input {fate}; it is tried again")

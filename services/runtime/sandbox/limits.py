@@ -1,0 +1,59 @@
+"""Resource limits of a sandboxed child, and the rlimits that enforce them.
+
+**Conventions.** Memory is counted beyond what the process has when it is forked, twice: as data (what is allocated) and
+as address space (files that are mapped besides). Linux: what is held is read from `/proc/self/statm` (proc(5)).
+"""
+
+import ctypes
+import os
+import resource
+from dataclasses import dataclass
+from itertools import count, islice
+from pathlib import Path
+
+STATM, DESCRIPTORS = Path("/proc/self/statm"), "/proc/self/fd"
+SPACE, DATA = 0, 5  # fields of statm, in pages
+M_ARENA_MAX = -8  # mallopt(3)
+
+
+@dataclass(frozen=True)
+class SandboxLimits:
+    """The limits of a child: memory, processor and wall time, files opened at once, size of its answer.
+
+    `mapped_bytes` are files that it maps, which take address space and no memory. It may write below `folder` only,
+    files of `file_bytes` at most; without a folder nowhere.
+    """
+
+    memory_bytes: int = 256 * 2**20
+    cpu_s: int = 120
+    wall_s: float = 1800.0
+    answer_bytes: int = 64 * 2**20
+    descriptors: int = 32
+    mapped_bytes: int = 0
+    folder: Path | None = None
+    file_bytes: int = 0
+
+
+def apply_limits(limits: SandboxLimits) -> None:
+    """No core is written: it would hold the ground truth. One arena: others reserve 64 MiB of the allowance each."""
+    ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)
+    taken = {int(name) for name in os.listdir(DESCRIPTORS)}
+    free = islice((number for number in count() if number not in taken), limits.descriptors)
+    pages, page_bytes = STATM.read_text().split(), resource.getpagesize()
+    _lower(resource.RLIMIT_NOFILE, max(free))  # it bounds the number of the next one, not how many there are
+    _lower(resource.RLIMIT_FSIZE, limits.file_bytes if limits.folder else 0)
+    _lower(resource.RLIMIT_CORE, 0)
+    _lower(resource.RLIMIT_CPU, limits.cpu_s, hard=limits.cpu_s + 1)
+    _lower(resource.RLIMIT_DATA, int(pages[DATA]) * page_bytes + limits.memory_bytes)
+    _lower(resource.RLIMIT_AS, int(pages[SPACE]) * page_bytes + limits.memory_bytes + limits.mapped_bytes)
+
+
+def _lower(which: int, limit: int, *, hard: int | None = None) -> None:
+    """Never above what holds already."""
+    standing = resource.getrlimit(which)
+    wished = (limit, limit if hard is None else hard)
+    soft, most = (
+        value if held == resource.RLIM_INFINITY else min(value, held)
+        for value, held in zip(wished, standing, strict=True)
+    )
+    resource.setrlimit(which, (soft, most))

@@ -1,0 +1,97 @@
+"""The message protocol from a sandboxed child to its parent: kind, length and payload, each bounded.
+
+**Conventions.** A word is one byte of kind, eight of length (little-endian), then the payload. All but the answer are
+JSON of at most 128 KiB. The child may be in the hands of whoever wrote what it reads, so nothing it says is unpickled,
+and what is not a word ends it.
+"""
+
+import json
+import os
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from services.runtime.sandbox.errors import SandboxCrashedError
+
+TICK, ANSWER, REFUSAL, MEMORY, CRASH, MACHINE, FLOODED, FENCED = range(8)
+HEAD = struct.Struct("<BQ")
+LONGEST_JSON_BYTES = 128 * 2**10
+LONGEST_TEXT, LONGEST_STAGE = 2000, 100
+CHUNK_BYTES = 2**16
+
+
+@dataclass(frozen=True)
+class SandboxMessage:
+    """One of the kinds above, and what belongs to it."""
+
+    kind: int
+    payload: bytes
+
+    def tick(self) -> tuple[str, int, int]:
+        """Stage, done, total. Raises `SandboxCrashedError`."""
+        match _json(self.payload):
+            case [str(stage), int(done), int(total)]:
+                return stage[:LONGEST_STAGE], done, total
+        raise SandboxCrashedError("told no progress but something else")
+
+    def texts(self) -> dict[str, str]:
+        """Texts by name; empty where it is something else."""
+        found = _json(self.payload)
+        return {str(name): str(text) for name, text in found.items()} if isinstance(found, dict) else {}
+
+
+class SandboxMessageReader:
+    """Words out of a pipe that does not block."""
+
+    def __init__(self, reading: int, answer_bytes: int) -> None:
+        self._reading, self._answer_bytes = reading, answer_bytes
+        self._kept = bytearray()
+        self.is_closed = False
+
+    def words(self) -> Iterator[SandboxMessage]:
+        """What has come by now, in order. Raises `SandboxCrashedError` for what is no word."""
+        while not self.is_closed:
+            try:
+                chunk = os.read(self._reading, CHUNK_BYTES)
+            except BlockingIOError:
+                return
+            self.is_closed = not chunk
+            self._kept += chunk
+            yield from self._whole()
+
+    def _whole(self) -> Iterator[SandboxMessage]:
+        while len(self._kept) >= HEAD.size:
+            kind, length = HEAD.unpack_from(self._kept)
+            if kind > FENCED or length > (self._answer_bytes if kind == ANSWER else LONGEST_JSON_BYTES):
+                raise SandboxCrashedError(f"said something of kind {kind} and {length} bytes")
+            stop = HEAD.size + length
+            if len(self._kept) < stop:
+                return
+            word = SandboxMessage(kind, bytes(self._kept[HEAD.size : stop]))
+            del self._kept[:stop]
+            yield word
+
+
+def send_message(writing: int, kind: int, payload: bytes) -> None:
+    """The whole word, waiting for the reader where need be."""
+    rest = memoryview(HEAD.pack(kind, len(payload)) + payload)
+    while rest:
+        rest = rest[os.write(writing, rest) :]
+
+
+def texts_of(**texts: str) -> bytes:
+    """Texts as the payload of a word, each cut to `LONGEST_TEXT`."""
+    return json.dumps({name: text[:LONGEST_TEXT] for name, text in texts.items()}).encode()
+
+
+def tick_of(stage: str, done: int, total: int) -> bytes:
+    """Progress as the payload of a word."""
+    return json.dumps([stage[:LONGEST_STAGE], done, total]).encode()
+
+
+def _json(payload: bytes) -> object:
+    try:
+        found: object = json.loads(payload)
+    except (ValueError, RecursionError):
+        return None
+    return found

@@ -1,0 +1,73 @@
+"""The result of sandboxed work: one JSON record and files, validated before use.
+
+**Conventions.** Four bytes of length (little-endian), that much JSON `{"record": {...}, "files": [[name, media type,
+bytes], ...]}`, then the files one after another. Whoever unpacks checks what the record says; names here are plain and
+media types known, so that a file can be kept and served as what it claims to be.
+"""
+
+import json
+import re
+import struct
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from services.runtime.sandbox.errors import SandboxCrashedError
+
+HEAD = struct.Struct("<I")
+LONGEST_JSON_BYTES = 16 * 2**20
+MOST_FILES = 64
+NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}")
+MEDIA_TYPES = ("application/json", "image/jpeg", "image/png", "text/html")
+
+File = tuple[str, str, bytes]
+
+
+@dataclass(frozen=True)
+class SandboxResult:
+    """`record` is a JSON object of the child's own making; `files` are (name, media type, bytes)."""
+
+    record: dict[str, Any]
+    files: tuple[File, ...] = ()
+
+
+def packed(record: dict[str, Any], files: Iterable[File] = ()) -> bytes:
+    """Raises `ValueError` for NaN and infinities in the record."""
+    kept = tuple(files)[:MOST_FILES]
+    listed = [[name, media_type, len(content)] for name, media_type, content in kept]
+    head = json.dumps({"record": record, "files": listed}, allow_nan=False).encode()
+    return b"".join([HEAD.pack(len(head)), head, *(content for _, _, content in kept)])
+
+
+def unpacked(answer: bytes) -> SandboxResult:
+    """Raises `SandboxCrashedError` for what is no parcel."""
+    if len(answer) < HEAD.size or HEAD.unpack_from(answer)[0] > min(len(answer) - HEAD.size, LONGEST_JSON_BYTES):
+        raise _nonsense()
+    start = HEAD.size + HEAD.unpack_from(answer)[0]
+    try:
+        head = json.loads(answer[HEAD.size : start])
+    except (ValueError, RecursionError):
+        raise _nonsense() from None
+    match head:
+        case {"record": dict(record), "files": list(listed)} if len(listed) <= MOST_FILES:
+            return SandboxResult(record, tuple(_files(listed, answer, start)))
+    raise _nonsense()
+
+
+def _files(listed: list[Any], answer: bytes, start: int) -> Iterable[File]:
+    for entry in listed:
+        match entry:
+            case [str(name), str(media_type), int(length)] if NAME.fullmatch(name) and media_type in MEDIA_TYPES:
+                stop = start + length
+            case _:
+                raise _nonsense()
+        if not start <= stop <= len(answer):
+            raise _nonsense()
+        yield name, media_type, answer[start:stop]
+        start = stop
+    if start != len(answer):
+        raise _nonsense()
+
+
+def _nonsense() -> SandboxCrashedError:
+    return SandboxCrashedError("answered something else than what was asked")

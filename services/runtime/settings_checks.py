@@ -1,0 +1,188 @@
+"""Checks of the settings when a process reads them: names that nothing reads, and values with which it cannot work.
+
+**Conventions.** All that is wrong is said at once. A value is quoted only where it is a number: others may be secrets.
+"""
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, fields, is_dataclass
+from difflib import get_close_matches
+from operator import attrgetter
+from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
+
+from stone.errors import StoneError
+
+if TYPE_CHECKING:
+    from services.runtime.settings import Settings
+
+PREFIX = "STONE_"
+OF_COMMANDS = ("STONE_CONFIG_HOME", "STONE_TOKEN", "STONE_URL")
+OF_DEPLOYMENTS = (
+    "STONE_BUILD_OPTIONS",
+    "STONE_ENGINE",
+    "STONE_EVAL_WORKERS",
+    "STONE_INGEST_WORKERS",
+    "STONE_LABELER_MEMORY",
+    "STONE_LABELER_WORKERS",
+    "STONE_PORTS",
+    "STONE_PYTHON_IMAGE",
+    "STONE_REGISTRY",
+    "STONE_SITE",
+    "STONE_VERSION",
+)
+OF_TESTS = (
+    "STONE_CHROMIUM",
+    "STONE_CRASH_ROUNDS",
+    "STONE_CRASH_SEED",
+    "STONE_FIELD_DATA",
+    "STONE_SCHEMATHESIS_EXAMPLES",
+    "STONE_TEST_DROPPED",
+)
+RENAMED = {"STONE_UPLOADS__PLACE": "STONE_UPLOADS__BACKEND", "STONE_UPLOADS__SLAB_BYTES": "STONE_UPLOADS__PART_BYTES"}
+"""New names of variables (and, in small letters, of secret files) by old ones."""
+OTHERS = frozenset({"STONE_SECRETS_DIR", *OF_COMMANDS, *OF_DEPLOYMENTS, *OF_TESTS})
+"""Variables that are no settings of a process, and may well stand in its environment."""
+
+
+class UnknownSettingError(StoneError):
+    """A variable or a secret file is named like a setting, and is none: what it says would be ignored."""
+
+    code = "unknown_setting"
+
+    def __init__(self, names: Iterable[str], known: Iterable[str]) -> None:
+        nearest = {name: get_close_matches(name.upper(), known, n=1) for name in names}
+        super().__init__("; ".join(f"{name} is no setting{_meant(found)}" for name, found in nearest.items()))
+
+
+class ImpossibleSettingsError(StoneError):
+    """The platform cannot work with these settings, or not as they mean it to."""
+
+    code = "impossible_settings"
+
+    def __init__(self, sentences: Iterable[str]) -> None:
+        super().__init__("; ".join(sentences))
+
+
+@dataclass(frozen=True)
+class Bound:
+    """The least that a setting may be, and what came of less; `is_above`: it must be more than that."""
+
+    setting: str
+    least: float
+    otherwise: str
+    is_above: bool = False
+
+    @property
+    def variable(self) -> str:
+        return variable_of(self.setting)
+
+    def allows(self, value: float) -> bool:
+        """False for what is no number, too."""
+        return value > self.least if self.is_above else value >= self.least
+
+
+BOUNDS = (
+    Bound("workers", 0, "no worker starts (0 is one for every core)"),
+    Bound("database.pool_size", 1, "connections are not bounded, or there is none"),
+    Bound("store.grace_s", 0, "files are deleted before the row that names them is written"),
+    Bound("broker.visibility_timeout_s", 1, "a message is delivered over and over"),
+    Bound("jobs.lease_s", 0, "every attempt is lost as it begins", is_above=True),
+    Bound("jobs.heartbeat_s", 0, "workers do nothing but beat", is_above=True),
+    Bound("jobs.progress_s", 0, "workers do nothing but report", is_above=True),
+    Bound("jobs.sweep_s", 0, "the sweeper never pauses", is_above=True),
+    Bound("jobs.max_attempts", 1, "no job may be tried"),
+    Bound("jobs.rest_s", 0, "there is no such rest"),
+    Bound("jobs.drain_s", 0, "a worker that is told to stop never does"),
+    Bound("jobs.time_limit_s", 0, "every attempt is over its time as it begins", is_above=True),
+    Bound("uploads.max_bytes", 1, "every upload is refused"),
+    Bound("uploads.owner_bytes", 1, "every upload is refused"),
+    Bound("uploads.form_bytes", 1, "every form is refused"),
+    Bound("uploads.expires_s", 0, "every upload has expired as it begins", is_above=True),
+    Bound("uploads.idle_s", 0, "every sender is taken for gone", is_above=True),
+    Bound("submissions.participant_bytes", 1, "every submission is refused"),
+    Bound("submissions.draft_s", 0, "there is no such age"),
+    Bound("submissions.purged_after_s", 0, "there is no such age"),
+    Bound("api.body_bytes", 1, "every request with a body is refused"),
+    Bound("api.requests_per_minute", 1, "every request is refused"),
+    Bound("api.sign_ins_per_minute", 1, "nobody can sign in"),
+    Bound("api.session_s", 0, "whoever signs in is signed out", is_above=True),
+    Bound("api.session_idle_s", 0, "whoever signs in is signed out", is_above=True),
+    Bound("api.token_s", 0, "every token has expired as it is made", is_above=True),
+)
+
+
+def variable_of(setting: str) -> str:
+    """The environment variable of `group.name`."""
+    return PREFIX + setting.upper().replace(".", "__")
+
+
+def variables_of(settings: "type[Settings]") -> Iterator[str]:
+    """The name of every environment variable that is a setting."""
+    for name, field in settings.model_fields.items():
+        if is_dataclass(field.default):
+            yield from (variable_of(f"{name}.{one.name}") for one in fields(field.default))
+        else:
+            yield variable_of(name)
+
+
+def refuse_unknown(settings: "type[Settings]", variables: Iterable[str], files: Iterable[str]) -> None:
+    """Raise `UnknownSettingError` for variables of the environment and secret files that only look like settings.
+
+    A group's own name is one, whose value is JSON. Of files only `stone_<group>__<name>` is meant for us.
+    """
+    known = {*variables_of(settings), *(variable_of(name) for name in settings.model_fields)}
+    ours = [name for name in files if name.upper().startswith(PREFIX) and "__" in name]
+    named = [*(name for name in variables if name.upper().startswith(PREFIX)), *ours]
+    unknown = sorted(name for name in named if name.upper() not in known | OTHERS | RENAMED.keys())
+    if unknown:
+        raise UnknownSettingError(unknown, sorted(known | OTHERS.difference(OF_TESTS)))
+
+
+def refuse_impossible(settings: "Settings") -> None:
+    """Raise `ImpossibleSettingsError` for values out of bounds, and for those that contradict each other."""
+    sentences = [*_out_of_bounds(settings), *_contradictions(settings)]
+    if sentences:
+        raise ImpossibleSettingsError(sentences)
+
+
+def _out_of_bounds(settings: "Settings") -> Iterator[str]:
+    for bound in BOUNDS:
+        value = attrgetter(bound.setting)(settings)
+        if not bound.allows(value):
+            needed = f"more than {bound.least:g}" if bound.is_above else f"at least {bound.least:g}"
+            yield f"{bound.variable} is {value:g} and must be {needed}: otherwise {bound.otherwise}"
+
+
+def _contradictions(settings: "Settings") -> Iterator[str]:
+    jobs, store, port = settings.jobs, settings.store, settings.api.port
+    if not jobs.heartbeat_s < jobs.lease_s / 3:
+        yield (
+            f"STONE_JOBS__HEARTBEAT_S is {jobs.heartbeat_s:g} and must be less than a third of STONE_JOBS__LEASE_S, "
+            f"{jobs.lease_s:g}: otherwise jobs that run are taken for lost"
+        )
+    if not jobs.progress_s <= jobs.heartbeat_s:
+        yield (
+            f"STONE_JOBS__PROGRESS_S is {jobs.progress_s:g} and must not be more than STONE_JOBS__HEARTBEAT_S, "
+            f"{jobs.heartbeat_s:g}: a worker beats no more often than it reports"
+        )
+    if not math.isfinite(jobs.lease_s):
+        yield "STONE_JOBS__LEASE_S must be finite: otherwise jobs of a dead worker are never taken up"
+    if store.s3_endpoint and not store.s3_bucket:
+        yield "STONE_STORE__S3_ENDPOINT needs STONE_STORE__S3_BUCKET: without one the store is a folder"
+    if not 0 <= port <= 65535:
+        yield f"STONE_API__PORT is {port} and must lie from 0 to 65535"
+    if not _is_address(settings.api.url):
+        yield "STONE_API__URL must begin with http:// or https:// and name a host: it decides if cookies are Secure"
+
+
+def _is_address(url: str) -> bool:
+    try:
+        parts = urlsplit(url)
+    except ValueError:  # of a bracket that is left open
+        return False
+    return parts.scheme in ("http", "https") and bool(parts.hostname)
+
+
+def _meant(nearest: list[str]) -> str:
+    return f"; did you mean {nearest[0]}?" if nearest else ", and none has a name like it"

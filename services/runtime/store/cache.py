@@ -1,0 +1,167 @@
+"""A local LRU cache of store objects that never evicts one in use.
+
+**Conventions.** A file's modification time is when it was last asked for. What was asked for within the last hour
+stays, even above the limit: somebody may be about to open it. What is being downloaded lies in `partial`, held by the
+lock of its downloader; several processes that want one object wait for one download.
+"""
+
+import fcntl
+import hashlib
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from services.runtime.store.folder import refusing_full
+
+IN_USE_S = 3600.0
+MIRROR_S = 86400.0
+
+
+class Cache:
+    """Objects below `folder/objects`, and mirrors of runs below `folder/work` (`runtime/store/workspace.py`)."""
+
+    def __init__(self, folder: Path, limit_bytes: int) -> None:
+        self._objects = folder / "objects"
+        self._partial = folder / "partial"
+        self._use = folder / "use.lock"
+        self.work = folder / "work"
+        self._limit_bytes = limit_bytes
+
+    def file(self, key: str, download: Callable[[str, Path], None]) -> Path:
+        """The file of `key`; `download(key, path)` fills it when there is none. Raises `StoreFullError`."""
+        path = self._objects / key
+        with refusing_full(self._objects):
+            for folder in (path.parent, self._partial):
+                folder.mkdir(parents=True, exist_ok=True)
+            if not self._used(path):
+                self._fill(key, path, download)
+        return path
+
+    @contextmanager
+    def borrowed(self, key: str, download: Callable[[str, Path], None]) -> Iterator[Path]:
+        """As `file`; gone at the end unless somebody else has borrowed it too, and not evicted before."""
+        while True:
+            path = self.file(key, download)
+            with _shared(path) as descriptor:
+                if descriptor is None:
+                    continue  # whoever had borrowed it removed it in between
+                try:
+                    yield path
+                finally:
+                    _remove_unless_borrowed(path, descriptor)
+                return
+
+    def tidy(self) -> int:
+        """Remove what dead downloads left, and mirrors of runs unused for a day; the number removed."""
+        removed = 0
+        for partial in self._partial.iterdir() if self._partial.is_dir() else ():
+            with suppress(FileNotFoundError, BlockingIOError), _lock(partial, fcntl.LOCK_EX | fcntl.LOCK_NB):
+                partial.unlink()
+                removed += 1
+        for mirror in self.work.iterdir() if self.work.is_dir() else ():
+            if _unused_s(mirror) > MIRROR_S:
+                shutil.rmtree(mirror, ignore_errors=True)
+                removed += 1
+        return removed
+
+    def _used(self, path: Path) -> bool:
+        """Mark as used, unless it is not there; no eviction comes in between."""
+        with suppress(FileNotFoundError), _lock(self._use, fcntl.LOCK_SH):
+            os.utime(path)
+            return True
+        return False
+
+    def _fill(self, key: str, path: Path, download: Callable[[str, Path], None]) -> None:
+        with _own(self._partial / hashlib.sha256(key.encode()).hexdigest()) as partial:
+            if not self._used(path):
+                download(key, partial)
+                os.replace(partial, path)
+                self._evict()
+
+    def _evict(self) -> None:
+        files = sorted(_files(self._objects))
+        total = sum(size for _, size, _ in files)
+        for _, size, path in files:
+            if total <= self._limit_bytes:
+                return
+            with _lock(self._use, fcntl.LOCK_EX):
+                if _unused_s(path) > IN_USE_S and _evicted(path):
+                    total -= size
+
+
+def _files(folder: Path) -> Iterator[tuple[float, int, Path]]:
+    """Last use, size and path of every whole file."""
+    for path in folder.rglob("*"):
+        with suppress(FileNotFoundError):
+            facts = path.stat()
+            if path.is_file():
+                yield facts.st_mtime, facts.st_size, path
+
+
+def _unused_s(path: Path) -> float:
+    try:
+        return time.time() - path.stat().st_mtime
+    except FileNotFoundError:
+        return 0.0
+
+
+@contextmanager
+def _shared(path: Path) -> Iterator[int | None]:
+    """A descriptor that holds the file's lock together with others; None when it is gone."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY)
+    except FileNotFoundError:
+        yield None
+        return
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH)
+        yield descriptor if _is_file_of(descriptor, path) else None
+    finally:
+        os.close(descriptor)
+
+
+def _remove_unless_borrowed(path: Path, descriptor: int) -> bool:
+    with suppress(BlockingIOError):
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        path.unlink(missing_ok=True)
+        return True
+    return False
+
+
+def _evicted(path: Path) -> bool:
+    with _shared(path) as descriptor:
+        return descriptor is None or _remove_unless_borrowed(path, descriptor)
+
+
+@contextmanager
+def _own(partial: Path) -> Iterator[Path]:
+    """Yield `partial`, empty or half, held by this process alone; it is gone afterwards."""
+    while True:
+        with _lock(partial, fcntl.LOCK_EX) as descriptor:
+            if not _is_file_of(descriptor, partial):
+                continue  # whoever held it before renamed or removed it
+            try:
+                yield partial
+            finally:
+                partial.unlink(missing_ok=True)
+            return
+
+
+def _is_file_of(descriptor: int, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(descriptor), path.stat())
+    except FileNotFoundError:
+        return False
+
+
+@contextmanager
+def _lock(path: Path, operation: int) -> Iterator[int]:
+    descriptor = os.open(path, os.O_RDONLY | os.O_CREAT, 0o644)
+    try:
+        fcntl.flock(descriptor, operation)
+        yield descriptor
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,14 @@
+"""Opens the store that the settings name: an S3 bucket, or a folder on this machine."""
+
+from services.runtime.settings import Settings
+from services.runtime.store.folder import FolderStore
+from services.runtime.store.protocol import Store
+
+
+def open_store(settings: Settings) -> Store:
+    """The bucket of `settings`; without one, the folder `store` below the data folder."""
+    if settings.store.s3_bucket:
+        from services.runtime.store.s3 import S3Store  # boto3 takes most of a second to import
+
+        return S3Store(settings)
+    return FolderStore(settings.root / "store")

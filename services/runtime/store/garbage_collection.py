@@ -1,0 +1,163 @@
+"""Garbage collection of the store: unreferenced blobs, unknown objects, work files of ended runs.
+
+**Conventions.** A blob's row goes before its object, in one transaction with the object's condemnation, so a crash at
+any point leaves something that the next run ends. The grace only spares work; what may be deleted is decided by
+who takes out the row of `loose_objects` (`services/runtime/store/blobs.py`). While somebody holds garbage collection
+(`services/runtime/store/gc_holds.py`), rows go and no object does.
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import chain, groupby, islice
+
+from sqlalchemy import ColumnElement, and_, delete, exists, or_, select, union_all, update
+from sqlalchemy.orm import Session
+
+from services.runtime.database.inserts import insert_new
+from services.runtime.jobs.specs import TERMINAL
+from services.runtime.orm import Base, Blob, Job, LooseObject, UploadPartRow
+from services.runtime.orm.base import now_ns
+from services.runtime.platform import Platform
+from services.runtime.store.gc_cursor import GcCursor
+from services.runtime.store.gc_holds import is_gc_held
+from services.runtime.store.workspace import Workspace
+
+BLOBS = "blobs/"
+UPLOADS = "uploads/"
+WORK = "work/"
+BATCH = 500
+SLOWEST_WRITE_S = 86_400.0
+NAMING = (Blob.object_key, UploadPartRow.object_key)
+"""Where rows say that they need an object."""
+UNSYNCHRONISED = {"synchronize_session": False}
+KEPT_FAILED_NS = 7 * 86_400 * 10**9
+
+
+@dataclass(frozen=True)
+class GcResult:
+    """Numbers of deleted blob rows and objects (blobs, work files, halves of dead writers)."""
+
+    rows: int
+    objects: int
+
+
+def collect_garbage(platform: Platform, turn: GcCursor | None = None) -> GcResult:
+    """Remove what is older than the grace and needed by nobody. Any number may run at once.
+
+    With a `turn` some of it: what fits into its share of time, going on where it ended before.
+    """
+    before_ns = now_ns() - int(platform.settings.store.grace_s * 1e9)
+    rows = _release_blobs(platform, before_ns, turn or GcCursor(share_s=float("inf")))
+    _condemn_loose(platform, before_ns)
+    _condemn_unknown(platform, before_ns, BLOBS if turn is None else turn.next_shard(BLOBS))
+    objects = _delete_condemned(platform) + _delete_work(platform, before_ns)
+    return GcResult(rows, objects + platform.store.tidy(max(platform.settings.store.grace_s, SLOWEST_WRITE_S)))
+
+
+def _release_blobs(platform: Platform, before_ns: int, turn: GcCursor) -> int:
+    """Delete rows without a reference, a slice of all blobs after another."""
+    released, until_s = 0, turn.until_s()
+    while True:
+        ordered = select(Blob.sha256).where(Blob.sha256 > turn.after_sha256).order_by(Blob.sha256)
+        with platform.database.reading() as session:
+            last = session.scalar(ordered.offset(turn.slice_rows - 1).limit(1))
+        slice_of = (Blob.sha256 > turn.after_sha256, *((Blob.sha256 <= last,) if last else ()))
+        released += _release_among(platform, and_(Blob.created_ns <= before_ns, *slice_of))
+        turn.after_sha256 = last or ""
+        if last is None or time.monotonic() >= until_s:
+            return released
+
+
+def _release_among(platform: Platform, claim: ColumnElement[bool]) -> int:
+    """Delete rows without a reference, condemning their objects.
+
+    On PostgreSQL two statements are needed: rows are locked first, against new references; then those are looked for.
+    """
+    released = 0
+    old = select(Blob.sha256).where(claim, ~_is_referenced())
+    while True:
+        with platform.database.transaction() as session:
+            shas = session.scalars(old.limit(BATCH).with_for_update(skip_locked=True)).all()
+            unneeded = delete(Blob).where(Blob.sha256.in_(shas), ~_is_referenced()).returning(Blob.object_key)
+            keys = session.scalars(unneeded.execution_options(**UNSYNCHRONISED)).all()
+            insert_new(session, LooseObject, [{"object_key": key, "is_condemned": True} for key in keys])
+        released += len(keys)
+        if len(shas) < BATCH:
+            return released
+
+
+def _is_referenced() -> ColumnElement[bool]:
+    """Whether a foreign key of any table refers to the blob."""
+    columns = [column for table in Base.metadata.sorted_tables for column in table.columns]
+    referring = [column for column in columns if any(key.column.table is Blob.__table__ for key in column.foreign_keys)]
+    return or_(*(exists().where(column == Blob.sha256) for column in referring))
+
+
+def _condemn_loose(platform: Platform, before_ns: int) -> None:
+    """Objects written and never linked."""
+    forgotten = update(LooseObject).where(LooseObject.is_condemned.is_(False), LooseObject.expected_ns <= before_ns)
+    with platform.database.transaction() as session:
+        session.execute(forgotten.values(is_condemned=True))
+
+
+def _condemn_unknown(platform: Platform, before_ns: int, blobs: str) -> None:
+    """Objects no row speaks of: of transactions rolled back, of a database restored to an earlier day."""
+    listed = chain.from_iterable(platform.store.listed(kind) for kind in (blobs, UPLOADS))
+    found = (stored for stored in listed if stored.modified_ns <= before_ns)
+    while batch := [stored.key for stored in islice(found, BATCH)]:
+        with platform.database.reading() as session:
+            unknown = sorted(set(batch) - _known(session, batch))
+        with platform.database.transaction() as session:
+            condemned = insert_new(session, LooseObject, [{"object_key": key, "is_condemned": True} for key in unknown])
+            _spare(session, condemned)
+
+
+def _known(session: Session, keys: Sequence[str]) -> set[str]:
+    """Keys that a row speaks of; one statement, since a key may go from one table to another between two."""
+    columns = (LooseObject.object_key, *NAMING)
+    return set(session.scalars(union_all(*(select(column).where(column.in_(keys)) for column in columns))))
+
+
+def _spare(session: Session, condemned: Sequence[str]) -> None:
+    """Take back the condemnation of what was named by a transaction that ours had to wait for."""
+    named = union_all(*(select(column).where(column.in_(condemned)) for column in NAMING))
+    session.execute(delete(LooseObject).where(LooseObject.object_key.in_(named)).execution_options(**UNSYNCHRONISED))
+
+
+def _delete_condemned(platform: Platform) -> int:
+    deleted = 0
+    while True:
+        with platform.database.reading() as session:
+            condemned = select(LooseObject.object_key).where(LooseObject.is_condemned, ~is_gc_held())
+            keys = session.scalars(condemned.limit(BATCH)).all()
+        for key in keys:
+            platform.store.delete(key)
+        with platform.database.transaction() as session:
+            gone = delete(LooseObject).where(LooseObject.object_key.in_(keys)).returning(LooseObject.object_key)
+            deleted += len(session.scalars(gone.execution_options(**UNSYNCHRONISED)).all())
+        if len(keys) < BATCH:
+            return deleted
+
+
+def _delete_work(platform: Platform, before_ns: int) -> int:
+    """Remove the workspaces of runs that are over; how many objects they had."""
+    deleted = 0
+    for root_id, objects in groupby(platform.store.listed(WORK), key=lambda stored: stored.key.split("/")[1]):
+        modified_ns = [stored.modified_ns for stored in objects]
+        if _is_over(platform, root_id, max(modified_ns) <= before_ns):
+            Workspace(platform.store, platform.settings, root_id).remove()
+            deleted += len(modified_ns)
+    return deleted
+
+
+def _is_over(platform: Platform, root_id: str, is_old: bool) -> bool:
+    """Whether no job of the run will ask for its work again; of a run nobody knows, whether it is old."""
+    asked = select(is_gc_held(), Job.state, Job.finished_ns).where(Job.id == root_id)
+    with platform.database.reading() as session:
+        known = session.execute(asked).one_or_none()
+        if known is None:
+            return is_old and not session.scalar(select(is_gc_held()))
+    held, state, finished_ns = known
+    is_forgotten = finished_ns is not None and finished_ns <= now_ns() - KEPT_FAILED_NS
+    return not held and (state == "succeeded" or (state in TERMINAL and is_forgotten))

@@ -1,0 +1,80 @@
+"""Validation of store keys, and the store's errors.
+
+**Conventions.** A key is `<kind>/<…>`: at least two parts of [a-z0-9._-], none of which begins with a dot, at most 512
+characters. So no key leaves the store's folder, none is hidden, and none means two things on two filesystems.
+"""
+
+import re
+from pathlib import Path
+from typing import ClassVar
+
+from stone.errors import PlatformFaultError, StoneError
+
+MAX_KEY = 512
+_PART = "[a-z0-9_-][a-z0-9._-]*"
+_KEY = re.compile(rf"{_PART}(/{_PART})+")
+_PREFIX = re.compile(rf"({_PART}/)*({_PART})?")
+
+
+class BadKeyError(StoneError):
+    """No object can have such a key."""
+
+    code: ClassVar[str] = "bad_key"
+
+    def __init__(self, key: str) -> None:
+        super().__init__(
+            f"{key[:200]!r} is no object key; expected at most {MAX_KEY} characters, two or more parts of "
+            "[a-z0-9._-] joined by '/', none beginning with a dot"
+        )
+
+
+class ObjectMissingError(StoneError):
+    """There is no object of this key."""
+
+    code: ClassVar[str] = "object_missing"
+
+    def __init__(self, key: str) -> None:
+        super().__init__(f"the store holds no object {key!r}; it was deleted, or this is another installation's store")
+
+
+class StoreFullError(PlatformFaultError):
+    """The store, or the local cache in front of it, has no room left."""
+
+    code: ClassVar[str] = "store_full"
+
+    def __init__(self, place: Path | str) -> None:
+        super().__init__(f"no space left at {place}; free some, or raise the quota, and try again")
+
+
+class StoreAwayError(PlatformFaultError):
+    """The store did not answer, or answered that it cannot work now."""
+
+    code: ClassVar[str] = "store_away"
+
+    def __init__(self, place: str, reason: str) -> None:
+        super().__init__(f"the store at {place} failed: {reason}; try again when it answers")
+
+
+def is_key(key: str) -> bool:
+    """Whether an object could have this key."""
+    return len(key) <= MAX_KEY and _KEY.fullmatch(key) is not None
+
+
+def checked(key: str) -> str:
+    """`key`. Raises `BadKeyError`."""
+    if not is_key(key):
+        raise BadKeyError(key)
+    return key
+
+
+def checked_prefix(prefix: str) -> str:
+    """`prefix`, which may be empty or end anywhere within a key. Raises `BadKeyError`."""
+    if len(prefix) > MAX_KEY or not _PREFIX.fullmatch(prefix):
+        raise BadKeyError(prefix)
+    return prefix
+
+
+def checked_range(start: int, stop: int | None) -> None:
+    """Raises `ValueError` unless 0 ≤ start ≤ stop."""
+    if start < 0 or (stop is not None and stop < start):
+        raise ValueError(f"no byte range [{start}, {stop}): expected 0 <= start <= stop")

@@ -1,0 +1,59 @@
+"""Objects of the store under the file names that their owner gave them.
+
+**Conventions.** A file is a symbolic link `<folder>/<name of the object>/<filename>`; several that are one bag are
+links in a folder `<folder>/<hash of names and objects>/<name>/`. The path is the same for every job on this machine, so
+a recording once opened is found open; links whose object is gone are removed when others are made.
+"""
+
+import os
+from collections.abc import Iterable
+from contextlib import suppress
+from hashlib import sha256
+from pathlib import Path
+from secrets import token_hex
+
+NAMES_FOLDER = "names"  # below the data folder
+
+
+def named(folder: Path, path: Path, filename: str) -> Path:
+    """A path that ends in `filename` and leads to `path`. Raises `ValueError` where the name is more than a name."""
+    _refuse_path(filename)
+    link = folder / path.name / filename
+    _lead(folder, link, path)
+    return link
+
+
+def named_folder(folder: Path, files: Iterable[tuple[Path, str]], name: str) -> Path:
+    """A folder that ends in `name` and holds a link to each of the (path, filename). Raises as `named`."""
+    targets = {filename: path for path, filename in files}
+    for given in (name, *targets):
+        _refuse_path(given)
+    lines = sorted(f"{path.name}  {filename}\n" for filename, path in targets.items())
+    made = folder / sha256("".join(lines).encode()).hexdigest() / name
+    for filename, path in targets.items():
+        _lead(folder, made / filename, path)
+    return made
+
+
+def _refuse_path(name: str) -> None:
+    if name in ("", ".", "..") or "/" in name:
+        raise ValueError(f"{name!r} is no name of a file; whoever let it in should have refused it")
+
+
+def _lead(folder: Path, link: Path, path: Path) -> None:
+    if link.is_symlink() and link.readlink() == path:
+        return
+    _forget_gone(folder)
+    link.parent.mkdir(parents=True, exist_ok=True)
+    staging = folder / f".{token_hex(8)}"  # beside no bag, or a reader of the folder might meet it
+    staging.symlink_to(path)
+    os.replace(staging, link)
+
+
+def _forget_gone(folder: Path) -> None:
+    for link in sorted({*folder.glob("*/*"), *folder.glob("*/*/*")}):
+        if link.is_symlink() and not link.exists():
+            with suppress(OSError):  # another worker may be at it, or other files of the bag are still there
+                link.unlink()
+                link.parent.rmdir()
+                link.parent.parent.rmdir()

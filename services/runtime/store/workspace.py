@@ -1,0 +1,127 @@
+"""The shared workspace of a run: files below `work/<root_id>/`, mirrored on the worker's machine.
+
+**Conventions.** A name is written once per run and its content is determined by the run, so a second attempt writes the
+same. Names are those of object keys; hidden files are nobody's. With a folder store the workspace is the store's own
+folder; with S3 it is a mirror in the cache, in which a file equal to its object carries the object's modification time.
+"""
+
+import os
+import shutil
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from secrets import token_hex
+from typing import TypeVar
+
+from services.runtime.settings import Settings
+from services.runtime.store.folder import FolderStore, make_folder, refusing_full
+from services.runtime.store.keys import checked, checked_prefix
+from services.runtime.store.protocol import Store, StoredObject
+from stone_files.atomic import flush
+
+TRANSFERS = 8
+T = TypeVar("T")
+
+
+class Workspace:
+    """The files of the run `root_id`: `pull` what a stage reads, write below `folder`, `push` what others will read."""
+
+    def __init__(self, store: Store, settings: Settings, root_id: str) -> None:
+        self._prefix = checked(f"work/{root_id}") + "/"
+        self._store = store
+        self._is_in_place = isinstance(store, FolderStore)
+        base = store.root if isinstance(store, FolderStore) else settings.root / "cache"
+        self._folder = base / "work" / root_id
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the files on this machine; made when first asked for."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+        return self._folder
+
+    def pull(self, *prefixes: str) -> None:
+        """Make local every file whose name begins with one of the prefixes; "" stands for all."""
+        for prefix in prefixes:
+            checked_prefix(prefix)
+        if self._is_in_place:
+            return
+        os.utime(self.folder)  # in use: the cache leaves it alone
+        stale = [stored for stored in self._stored(prefixes).values() if not _is_same(self._path(stored.key), stored)]
+        _all(self._fetch, stale)
+
+    def push(self, *prefixes: str) -> None:
+        """Store every local file whose name begins with one of the prefixes, unless it is stored already.
+
+        When it returns, the files survive a power cut. Raises `BadKeyError` for a name that no object can have.
+        """
+        files = {
+            checked(self._prefix + name): self.folder / name for prefix in prefixes for name in self._names(prefix)
+        }
+        if self._is_in_place:
+            _flush_all(self._folder, files.values())
+            return
+        os.utime(self.folder)
+        stored = self._stored(prefixes)
+        new = {key for key, path in files.items() if key not in stored or not _is_same(path, stored[key])}
+        _all(lambda key: self._store.write(key, files[key]), new)
+        for key, found in (self._stored(prefixes) if new else {}).items():
+            if key in new:  # it equals its object now: no later pull or push moves it again
+                os.utime(files[key], ns=(found.modified_ns, found.modified_ns))
+
+    def remove(self) -> None:
+        """Delete the files, here and in the store."""
+        for stored in list(self._store.listed(self._prefix)):
+            self._store.delete(stored.key)
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _path(self, key: str) -> Path:
+        return self._folder / key.removeprefix(self._prefix)
+
+    def _names(self, prefix: str) -> Iterator[str]:
+        base, _, head = checked_prefix(prefix).rpartition("/")
+        for top in (self.folder / base).glob(f"{head}*"):  # a prefix has no character that glob would read as a sign
+            for path in (top, *top.rglob("*")):
+                name = path.relative_to(self._folder).as_posix()
+                if path.is_file() and "/." not in f"/{name}":
+                    yield name
+
+    def _fetch(self, stored: StoredObject) -> None:
+        """Download beside the target, rename into place."""
+        path = self._path(stored.key)
+        partial = path.with_name(f".{token_hex(8)}.partial")
+        with refusing_full(self._folder):
+            make_folder(path.parent)
+            try:
+                with partial.open("wb") as file:
+                    file.writelines(self._store.read(stored.key))
+                os.utime(partial, ns=(stored.modified_ns, stored.modified_ns))
+                os.replace(partial, path)
+            finally:
+                partial.unlink(missing_ok=True)
+
+    def _stored(self, prefixes: Iterable[str]) -> dict[str, StoredObject]:
+        return {stored.key: stored for prefix in prefixes for stored in self._store.listed(self._prefix + prefix)}
+
+
+def _is_same(path: Path, stored: StoredObject) -> bool:
+    try:
+        facts = path.stat()
+    except FileNotFoundError:
+        return False
+    return (facts.st_size, facts.st_mtime_ns) == (stored.size_bytes, stored.modified_ns)
+
+
+def _all(act: Callable[[T], None], items: Iterable[T]) -> None:
+    """Act on all at once, a few at a time; the first exception is raised."""
+    with ThreadPoolExecutor(TRANSFERS) as pool:
+        list(pool.map(act, items))
+
+
+def _flush_all(folder: Path, files: Iterable[Path]) -> None:
+    """Flush the files and the folders that lead to them."""
+    folders = {folder}
+    for path in files:
+        flush(path)
+        folders |= {above for above in path.parents if above.is_relative_to(folder)}
+    for above in folders:
+        flush(above)

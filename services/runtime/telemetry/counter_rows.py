@@ -1,0 +1,83 @@
+"""Counters as rows: each process writes its own, the metrics endpoint sums them.
+
+**Conventions.** Workers come and go with the work and have no door of their own; the API answers for all of them. A row
+holds what its process counted since its row began, written with the heartbeat and only when it grew. A row that was
+quiet for `FOLDED_AFTER_S` is folded into one that sums them all, so the sum never falls; a process that was merely idle
+finds its row gone and begins another at what it told last. What a killed process counted after its last heartbeat is
+lost: counts are for curves, the rows of jobs are the truth.
+"""
+
+from collections.abc import Callable
+
+from sqlalchemy import delete, select, update
+from sqlalchemy.orm import Session
+
+from services.runtime.database.clock import database_ns
+from services.runtime.jobs.changes import rows_changed
+from services.runtime.orm import CounterRow, new_id
+from services.runtime.platform import Platform
+from services.runtime.telemetry.counters import Counts, ProcessCounters, less, summed
+
+FOLDED = "0" * 32
+FOLDED_AFTER_S = 600.0
+MOST_FOLDED = 1000
+
+
+class CounterWriter:
+    """The row of what these count, in one process; one thread at a time tells."""
+
+    def __init__(self, *sources: ProcessCounters) -> None:
+        self._sources = sources
+        self._id = new_id()
+        self._is_there = False
+        self._base: Counts = {}
+        self._told: Counts = {}
+
+    def counted(self) -> Counts:
+        return summed(source.counts() for source in self._sources)
+
+    def tell(self, session: Session) -> Callable[[], None]:
+        """Write what grew, in the caller's transaction; to be called when that is committed, and only then."""
+        now = self.counted()
+        if now == self._told:
+            return _nothing
+        row_id, base = self._id, self._base
+        if not _rewritten(session, row_id, less(now, base)):
+            if self._is_there:  # folded meanwhile, with what it said last
+                row_id, base = new_id(), self._told
+            session.add(CounterRow(id=row_id, counts=less(now, base), told_ns=database_ns()))
+
+        def committed() -> None:
+            self._id, self._base, self._told, self._is_there = row_id, base, now, True
+
+        return committed
+
+
+def counters_of_all_processes(session: Session) -> Counts:
+    """The sum of all processes' counters, ended ones included."""
+    return summed(session.scalars(select(CounterRow.counts)))
+
+
+def fold(platform: Platform, quiet_s: float = FOLDED_AFTER_S) -> int:
+    """Fold rows that were quiet for so long into one; how many there were."""
+    quiet = select(CounterRow).where(CounterRow.id != FOLDED, CounterRow.told_ns < database_ns() - int(quiet_s * 1e9))
+    with platform.database.transaction() as session:
+        into = session.scalar(select(CounterRow).where(CounterRow.id == FOLDED).with_for_update())
+        rows = session.scalars(quiet.order_by(CounterRow.id).limit(MOST_FOLDED).with_for_update(skip_locked=True)).all()
+        if not rows:
+            return 0
+        if into is None:
+            into = CounterRow(id=FOLDED, counts={})
+            session.add(into)
+        into.counts, into.told_ns = summed([into.counts, *(row.counts for row in rows)]), database_ns()
+        session.execute(delete(CounterRow).where(CounterRow.id.in_([row.id for row in rows])))
+    return len(rows)
+
+
+def _rewritten(session: Session, row_id: str, counts: Counts) -> bool:
+    row = update(CounterRow).where(CounterRow.id == row_id).values(counts=counts, told_ns=database_ns())
+    return rows_changed(session, row) == 1
+
+
+def _nothing() -> None:
+    pass

@@ -1,0 +1,74 @@
+"""The platform's status for monitoring: waiting jobs and their age, workers, chores.
+
+**Conventions.** Cheap however much there is: nothing is counted beyond `MOST`, so a figure of `MOST` says "at least";
+what has ended is not counted here at all but by the processes that ended it. Predicates of partial indexes are literals
+(`orm/jobs.py`). Ages are by the database's clock where the database wrote the time, else by ours.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from sqlalchemy import ColumnElement, func, literal_column, select, text
+from sqlalchemy.orm import Session
+
+from services.runtime.database.clock import database_ns
+from services.runtime.jobs.broker_app import QUEUES
+from services.runtime.jobs.worker_presence import WorkerPresence, workers_seen
+from services.runtime.orm import ChoreRow, FigureRow, Job, Queue, Upload
+from services.runtime.orm.base import now_ns
+from services.runtime.orm.jobs import IS_READY, IS_RUNNING, IS_WAITING
+
+MOST = 10_000
+MOST_WORKERS = 5_000
+STATES = (("ready", IS_READY), ("waiting", IS_WAITING), ("running", IS_RUNNING))
+ONE: ColumnElement[int] = literal_column("1")
+
+
+@dataclass(frozen=True)
+class PlatformStatus:
+    """`jobs` by (queue, state): ready, waiting (for others of their run), running; ages in seconds."""
+
+    jobs: Mapping[tuple[str, str], int]
+    oldest_ready_s: Mapping[str, float]
+    paused: frozenset[str]
+    uploads_open: int
+    workers: tuple[WorkerPresence, ...]
+    chores_s: Mapping[str, float]
+    figures: Mapping[str, int]
+
+
+def platform_status(session: Session, heartbeat_s: float) -> PlatformStatus:
+    """The platform's status now; every queue is named, however empty."""
+    return PlatformStatus(
+        jobs={key: count for state, one in STATES for key, count in _counted(session, state, one).items()},
+        oldest_ready_s={queue: _oldest_s(session, queue) for queue in QUEUES},
+        paused=frozenset(session.scalars(select(Queue.name).where(Queue.mode == "paused"))),
+        uploads_open=_uploads_open(session),
+        workers=tuple(workers_seen(session, heartbeat_s, MOST_WORKERS)),
+        chores_s={name: age / 1e9 for name, age in session.execute(select(ChoreRow.name, _age()))},
+        figures=dict(session.execute(select(FigureRow.name, FigureRow.value)).all()),
+    )
+
+
+def _age() -> ColumnElement[int]:
+    return database_ns() - ChoreRow.done_ns
+
+
+def _counted(session: Session, state: str, predicate: str) -> dict[tuple[str, str], int]:
+    """Jobs by queue, off the index that is partial by the predicate."""
+    found = {}
+    for queue in QUEUES:
+        some = select(ONE).select_from(Job).where(Job.queue == queue, text(predicate)).limit(MOST).subquery()
+        found[queue, state] = session.scalar(select(func.count()).select_from(some)) or 0
+    return found
+
+
+def _oldest_s(session: Session, queue: str) -> float:
+    """The age of the longest ready job; 0 where none is."""
+    since_ns = session.scalar(select(func.min(Job.ready_ns)).where(Job.queue == queue, text(IS_READY)))
+    return 0.0 if since_ns is None else max(now_ns() - since_ns, 0) / 1e9
+
+
+def _uploads_open(session: Session) -> int:
+    some = select(ONE).select_from(Upload).where(Upload.state == "open").limit(MOST).subquery()
+    return session.scalar(select(func.count()).select_from(some)) or 0

@@ -1,0 +1,73 @@
+"""Resource usage of this process and its children, and free memory and disk of the machine.
+
+**Conventions.** Linux tells it in `/proc` (proc(5)) and, of a container, in `/sys/fs/cgroup` (cgroup v2); what cannot
+be read is None.
+"""
+
+import os
+import re
+import resource
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+OURS = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+PROC, CGROUP = Path("/proc"), Path("/sys/fs/cgroup")
+
+
+@dataclass(frozen=True)
+class Room:
+    """Bytes that are left of bytes that there are."""
+
+    free_bytes: int | None = None
+    total_bytes: int | None = None
+
+
+def used_cpu_s() -> float:
+    """Processor time, user and system."""
+    used = [resource.getrusage(who) for who in OURS]
+    return sum(one.ru_utime + one.ru_stime for one in used)
+
+
+def peak_bytes() -> int:
+    """The most memory that any one of them held."""
+    return max(resource.getrusage(who).ru_maxrss for who in OURS) * 1024
+
+
+def held_bytes(proc: Path = PROC) -> int | None:
+    """The memory that this process holds now (resident set)."""
+    try:
+        return int((proc / "self" / "statm").read_text("ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except (OSError, ValueError, IndexError):
+        return None
+
+
+def memory(proc: Path = PROC, cgroup: Path = CGROUP) -> Room:
+    """The machine's memory; of a container with a limit of its own, what is less."""
+    of_machine = _machine_memory(proc)
+    try:
+        limit, used = (int((cgroup / name).read_text("ascii")) for name in ("memory.max", "memory.current"))
+    except (OSError, ValueError):  # no container, or no limit: "max"
+        return of_machine
+    if of_machine.total_bytes is not None and limit >= of_machine.total_bytes:
+        return of_machine
+    left = max(limit - used, 0)
+    return Room(left if of_machine.free_bytes is None else min(left, of_machine.free_bytes), limit)
+
+
+def disk(folder: Path) -> Room:
+    """The disk that the folder is on, or will be."""
+    try:
+        found = shutil.disk_usage(next(path for path in (folder, *folder.parents) if path.exists()))
+    except OSError:
+        return Room()
+    return Room(found.free, found.total)
+
+
+def _machine_memory(proc: Path) -> Room:
+    try:
+        lines = (proc / "meminfo").read_text("ascii")
+    except (OSError, ValueError):
+        return Room()
+    found = {name: int(kib) * 1024 for name, kib in re.findall(r"^(\w+):\s+(\d+) kB$", lines, re.MULTILINE)}
+    return Room(found.get("MemAvailable"), found.get("MemTotal"))

@@ -1,0 +1,82 @@
+"""Finishes uploads: verifies the whole file and completes or fails it.
+
+**Conventions.** Whoever settles holds the upload's bytes; where processes do not lock each other out, the row's
+compare-and-set lets it happen once. A process that dies before the row has changed leaves an open upload with all its
+bytes; the next look at it, or the sweeper, settles it.
+"""
+
+from services.runtime.orm import Upload
+from services.runtime.platform import Platform
+from services.runtime.uploads.backend import LockedUpload
+from services.runtime.uploads.backends import backend_of
+from services.runtime.uploads.errors import FileMismatchError, UploadLockedError, UploadStateError
+from services.runtime.uploads.rows import WHOLE, expiry_ns, find, leave, move
+
+
+def settle(platform: Platform, upload: Upload, held: LockedUpload, sha256: str = "") -> Upload:
+    """Complete an open upload whose bytes are all kept; `sha256` as seen while they came, else it is read again.
+
+    Raises `FileMismatchError` when it is not the declared file, which is removed then.
+    """
+    found = sha256 or held.sha256()
+    if upload.declared_sha256 not in ("", found):
+        mismatch = FileMismatchError(upload.id, found, upload.declared_sha256)
+        end(platform, upload, "failed", str(mismatch))
+        raise mismatch
+    with platform.database.transaction() as session:
+        moved = move(session, upload, "complete", sha256=found, expires_ns=expiry_ns(platform))
+    current = find(platform.database, upload.id, upload.owner_id)
+    if not moved and current.state not in WHOLE:  # another process may have settled it: then it is complete as well
+        raise UploadStateError(upload.id, current.state, "completed", "open")
+    return current
+
+
+def end(platform: Platform, upload: Upload, state: str, detail: str = "") -> bool:
+    """Leave for a state without bytes: row and quota first, then the bytes; false when somebody else was first."""
+    with platform.database.transaction() as session:
+        moved = leave(session, upload, state, detail)
+    if moved:
+        backend_of(platform, upload).remove(upload.id)
+    return moved
+
+
+def terminate(platform: Platform, upload: Upload) -> None:
+    """Give an upload up. Raises `UploadStateError` when it is in use, `UploadLockedError` while bytes come in."""
+    held = backend_of(platform, upload).hold(upload) if upload.state == "open" else None
+    try:
+        current = find(platform.database, upload.id, upload.owner_id)
+        if current.state not in ("open", "complete") or not end(platform, current, "terminated"):
+            raise UploadStateError(upload.id, current.state, "terminated", "open or complete")
+    finally:
+        if held is not None:
+            held.close()
+
+
+def settle_if_whole(platform: Platform, upload: Upload) -> Upload:
+    """The upload, settled first when its bytes are all there and nobody is at it.
+
+    Raises `FileMismatchError`, `FileNotFoundError`.
+    """
+    backend = backend_of(platform, upload)
+    if upload.state != "open" or backend.offset_of(upload.id) < upload.length_bytes:
+        return upload
+    try:
+        held = backend.hold(upload)
+    except UploadLockedError:
+        return upload
+    try:
+        current = find(platform.database, upload.id, upload.owner_id)
+        is_whole = current.state == "open" and held.kept_bytes == current.length_bytes
+        return settle(platform, current, held) if is_whole else current
+    finally:
+        held.close()
+
+
+def bytes_here(platform: Platform, upload: Upload) -> int:
+    """The offset to show: bytes that count while it is open, all of them once it is whole, 0 when it is gone."""
+    if upload.state != "open":
+        return upload.length_bytes if upload.state in WHOLE else 0
+    try:
+        return backend_of(platform, upload).offset_of(upload.id)
+    except FileNotFoundError:
+        return 0

@@ -1,0 +1,147 @@
+"""Upload part rows: appended by compare-and-set, shared between equal uploads, released to garbage collection.
+
+**Conventions.** An object belongs to whoever takes its row out of `loose_objects` (`services/runtime/store/blobs.py`),
+which is committed before its first byte is stored. Parts are only ever added, so what was said to be here stays until
+the upload ends; whoever adds holds the upload's row, and of two that would add at one offset the second is told where
+to resume.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+
+from sqlalchemy import delete, func, select, update
+from sqlalchemy.orm import Session
+
+from services.runtime.database.inserts import insert_new
+from services.runtime.orm import Blob, LooseObject, Upload, UploadPartRow
+from services.runtime.orm.base import now_ns
+from services.runtime.platform import Platform
+from services.runtime.uploads.duplicates import MOST, kept_blob, uploads_like
+from services.runtime.uploads.errors import OffsetMismatchError
+from services.runtime.uploads.rows import WHOLE, expiry_ns, refuse_gone
+
+SLOW_BYTES_PER_S = 2**20
+BATCH = 500
+STORE = "store"
+
+
+@dataclass(frozen=True)
+class UploadPart:
+    """The bytes [offset, offset + length) of an upload, in the object `key`, which may be that of a blob."""
+
+    key: str
+    offset_bytes: int
+    length_bytes: int
+    blob_sha256: str | None = None
+
+    @property
+    def end_bytes(self) -> int:
+        return self.offset_bytes + self.length_bytes
+
+
+def upload_parts_of(session: Session, upload_id: str) -> list[UploadPart]:
+    """The parts of an upload in the order of their bytes."""
+    rows = session.scalars(
+        select(UploadPartRow).where(UploadPartRow.upload_id == upload_id).order_by(UploadPartRow.offset_bytes)
+    )
+    return [UploadPart(row.object_key, row.offset_bytes, row.length_bytes, row.blob_sha256) for row in rows]
+
+
+def end_of(session: Session, upload_id: str) -> int:
+    """The number of bytes in the parts."""
+    ends = select(UploadPartRow.offset_bytes + UploadPartRow.length_bytes).where(UploadPartRow.upload_id == upload_id)
+    return session.scalar(ends.order_by(UploadPartRow.offset_bytes.desc()).limit(1)) or 0
+
+
+def count_of(session: Session, upload_id: str) -> int:
+    return session.scalar(select(func.count()).where(UploadPartRow.upload_id == upload_id)) or 0
+
+
+def announce(platform: Platform, key: str, expected_bytes: int) -> None:
+    """An object is about to be stored, and will be added before so many bytes could come by a slow line."""
+    expected_ns = now_ns() + expected_bytes * 10**9 // SLOW_BYTES_PER_S
+    with platform.database.transaction() as session:
+        session.add(LooseObject(object_key=key, expected_ns=expected_ns))
+
+
+def add(platform: Platform, upload_id: str, parts: Sequence[UploadPart]) -> None:
+    """All of them are the upload's from now on, or none. An upload that goes on does not expire.
+
+    Raises `UploadGoneError`, and `OffsetMismatchError` when somebody else was first or the objects were collected.
+    """
+    first = parts[0].offset_bytes
+    with platform.database.transaction() as session:
+        upload = session.get_one(Upload, upload_id, with_for_update={"key_share": True})
+        if upload.state != "open":  # one that is only overdue goes on, for bytes come in
+            refuse_gone(upload)
+        end = upload.length_bytes if upload.state in WHOLE else end_of(session, upload_id)
+        if end != first or not _taken(session, [part.key for part in parts]):
+            raise OffsetMismatchError(first, end)
+        session.add_all(_row(upload_id, part) for part in parts)
+        if upload.expires_ns - now_ns() < platform.settings.uploads.expires_s * 5e8:
+            upload.expires_ns = expiry_ns(platform)
+
+
+def give_up(platform: Platform, keys: Sequence[str]) -> None:
+    """Objects that were announced and never added are to be collected."""
+    for batch in _batches(keys):
+        with platform.database.transaction() as session:
+            session.execute(update(LooseObject).where(LooseObject.object_key.in_(batch)).values(is_condemned=True))
+
+
+def forget(platform: Platform, upload_id: str) -> None:
+    """The upload has no parts any more; objects that nobody else has are to be collected."""
+    with platform.database.transaction() as session:
+        session.get(Upload, upload_id, with_for_update={"key_share": True})
+        gone = delete(UploadPartRow).where(UploadPartRow.upload_id == upload_id, UploadPartRow.blob_sha256.is_(None))
+        keys = session.scalars(gone.returning(UploadPartRow.object_key)).all()
+        session.execute(delete(UploadPartRow).where(UploadPartRow.upload_id == upload_id))
+        for batch in _batches(keys):
+            shared = set(session.scalars(select(UploadPartRow.object_key).where(UploadPartRow.object_key.in_(batch))))
+            insert_new(
+                session, LooseObject, [{"object_key": key, "is_condemned": True} for key in batch if key not in shared]
+            )
+
+
+def share(session: Session, upload: Upload) -> bool:
+    """Give a new upload the bytes that its owner has here already; false when there are none.
+
+    Of uploads that somebody is just ending none is waited for: then the bytes are sent again.
+    """
+    if not upload.declared_sha256:
+        return False
+    twins = uploads_like(upload).where(Upload.backend == STORE, Upload.id != upload.id).order_by(Upload.id.desc())
+    for duplicate_id in session.scalars(twins.limit(MOST).with_for_update(read=True, skip_locked=True)).all():
+        parts = upload_parts_of(session, duplicate_id)
+        if parts and parts[-1].end_bytes == upload.length_bytes:
+            session.add_all(_row(upload.id, part) for part in parts)
+            return True
+    kept = kept_blob(session, upload)
+    if kept is None:
+        return False
+    held = select(Blob).where(Blob.sha256 == kept.sha256).with_for_update(read=True, key_share=True, skip_locked=True)
+    if (blob := session.scalar(held)) is not None:
+        session.add(_row(upload.id, UploadPart(blob.object_key, 0, blob.size_bytes, blob.sha256)))
+    return blob is not None
+
+
+def _row(upload_id: str, part: UploadPart) -> UploadPartRow:
+    row = UploadPartRow(upload_id=upload_id, offset_bytes=part.offset_bytes, length_bytes=part.length_bytes)
+    row.object_key, row.blob_sha256 = part.key, part.blob_sha256
+    return row
+
+
+def _taken(session: Session, keys: Sequence[str]) -> bool:
+    """Whether all objects are ours now; one that garbage collection condemned is not."""
+    taken = 0
+    for batch in _batches(keys):
+        ours = delete(LooseObject).where(LooseObject.object_key.in_(batch), LooseObject.is_condemned.is_(False))
+        taken += len(session.scalars(ours.returning(LooseObject.object_key)).all())
+    return taken == len(keys)
+
+
+def _batches(keys: Sequence[str]) -> Iterator[list[str]]:
+    left = iter(keys)
+    while batch := list(islice(left, BATCH)):
+        yield batch

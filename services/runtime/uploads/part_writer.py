@@ -1,0 +1,210 @@
+"""Writes the bytes of one request to the store, part by part.
+
+**Conventions.** What comes is spooled; a full part, or one that is old because the line is slow, is stored by a thread
+while the next one comes, and is added to the upload once it is stored: in order, so that what counts is always a prefix
+of what was sent. kill −9 costs what was not added yet, at most `UNDER_WAY` + 1 parts. Requests of one process lock each
+other out as they do in a folder. Those of several processes do not: whose part is added first goes on, the other is
+told where to resume (`part_rows.py`), and at most one part of its bytes is lost.
+"""
+
+import threading
+import time
+from collections import deque
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager
+from secrets import token_hex
+
+import structlog
+from sqlalchemy.exc import SQLAlchemyError
+
+from services.runtime.orm import Upload
+from services.runtime.platform import Platform
+from services.runtime.store.garbage_collection import UPLOADS
+from services.runtime.store.keys import StoreFullError
+from services.runtime.uploads import part_rows
+from services.runtime.uploads.errors import DiskFullError, TooManyUploadPartsError, UploadLockedError
+from services.runtime.uploads.part_reader import sha256_of_parts
+from services.runtime.uploads.part_rows import UploadPart
+from services.runtime.uploads.spool import Spool, split
+from stone.errors import StoneError
+
+UNDER_WAY = 1
+OLD_S = 10.0
+MOST_PARTS = 200_000
+STORING = ThreadPoolExecutor(8, thread_name_prefix="part")
+
+log = structlog.get_logger(__name__)
+
+
+class _UploadLocks:
+    """The uploads that requests of this process hold."""
+
+    def __init__(self) -> None:
+        self._ids: set[str] = set()
+        self._guard = threading.Lock()
+
+    def take(self, upload_id: str) -> None:
+        """Raises `UploadLockedError`."""
+        with self._guard:
+            if upload_id in self._ids:
+                raise UploadLockedError(upload_id)
+            self._ids.add(upload_id)
+
+    def give_back(self, upload_id: str) -> None:
+        with self._guard:
+            self._ids.discard(upload_id)
+
+
+UPLOAD_LOCKS = _UploadLocks()
+
+
+class LockedUploadParts:
+    """`HeldBytes` of an upload in the store. Raises `UploadLockedError`."""
+
+    def __init__(self, platform: Platform, upload: Upload) -> None:
+        UPLOAD_LOCKS.take(upload.id)
+        self._is_held = True
+        try:
+            with platform.database.reading() as session:
+                self._kept_bytes = self._reached = part_rows.end_of(session, upload.id)
+                self._count = part_rows.count_of(session, upload.id)
+        except BaseException:
+            UPLOAD_LOCKS.give_back(upload.id)
+            raise
+        self._platform, self._upload = platform, upload
+        self._spool: Spool | None = None
+        self._begun_s = 0.0
+        self._under_way: deque[tuple[UploadPart, Future[None]]] = deque()
+        self._stored: list[UploadPart] = []
+        self._is_unverified = False
+
+    @property
+    def kept_bytes(self) -> int:
+        return self._kept_bytes
+
+    def mark_unverified(self) -> None:
+        """Parts are stored as they come, and added all at once by `accept`."""
+        self._is_unverified = True
+
+    def append(self, pieces: Sequence[bytes], offset_bytes: int) -> None:
+        """Raises `DiskFullError`, `TooManyUploadPartsError`, and what adding raises; what was added before counts."""
+        with self._failing():
+            if self._count >= MOST_PARTS:
+                raise TooManyUploadPartsError(self._upload.id, MOST_PARTS)
+            try:
+                self._take(pieces)
+            except DiskFullError:  # of this machine: what fitted may still go to the store
+                self._store_all()
+                raise
+            self._add_stored(UNDER_WAY)
+
+    def accept(self, *, is_whole: bool) -> None:
+        """All of it is stored and added. Raises as `append`."""
+        with self._failing():
+            self._is_unverified = False
+            self._store_all()
+
+    def discard(self) -> None:
+        """Drop what was not added yet; what was added is the upload's for ever."""
+        self._give_up()
+
+    def sha256(self) -> str:
+        """Read back from the store."""
+        with self._platform.database.reading() as session:
+            parts = part_rows.upload_parts_of(session, self._upload.id)
+        return sha256_of_parts(self._platform.store, parts)
+
+    def close(self) -> None:
+        """Add what a request that was cut off brought, unless a checksum was to cover it."""
+        if not self._is_held:
+            return
+        self._is_held = False
+        try:
+            self._store_rest()
+        finally:
+            UPLOAD_LOCKS.give_back(self._upload.id)
+
+    def _store_rest(self) -> None:
+        if self._is_unverified:
+            self._give_up()
+        try:
+            self.accept(is_whole=False)
+        except (StoneError, SQLAlchemyError, OSError) as error:
+            log.warning("bytes not kept", upload_id=self._upload.id, reason=f"{type(error).__name__}: {error}"[:500])
+
+    def _take(self, pieces: Sequence[bytes]) -> None:
+        rest = [memoryview(piece) for piece in pieces if piece]
+        part_bytes = self._platform.settings.uploads.part_bytes
+        while rest:
+            spool = self._opened()
+            fitting, rest = split(rest, part_bytes - spool.size_bytes)
+            spool.write(fitting)
+            if spool.size_bytes >= part_bytes or time.monotonic() - self._begun_s > OLD_S:
+                self._hand_over()
+
+    def _opened(self) -> Spool:
+        if self._spool is None:
+            self._spool, self._begun_s = Spool(self._platform.settings.uploads_folder), time.monotonic()
+        return self._spool
+
+    def _hand_over(self) -> None:
+        """Have what is spooled stored by a thread."""
+        spool, self._spool = self._spool, None
+        if spool is None:
+            return
+        key = f"{UPLOADS}{self._upload.id}/{self._reached:012x}-{token_hex(8)}"
+        part = UploadPart(key, self._reached, spool.size_bytes)
+        rest_bytes = self._upload.length_bytes - self._reached
+        try:
+            part_rows.announce(self._platform, key, rest_bytes if self._is_unverified else part.length_bytes)
+            self._under_way.append((part, STORING.submit(self._store, key, spool)))
+        except BaseException:
+            spool.close()
+            raise
+        self._reached = part.end_bytes
+
+    def _store(self, key: str, spool: Spool) -> None:
+        try:
+            self._platform.store.write(key, spool.path)
+        finally:
+            spool.close()
+
+    def _store_all(self) -> None:
+        self._hand_over()
+        self._add_stored(0)
+
+    def _add_stored(self, most_under_way: int) -> None:
+        """Add what is stored; wait as long as more than `most_under_way` are not."""
+        while len(self._under_way) > most_under_way or (self._under_way and self._under_way[0][1].done()):
+            self._under_way[0][1].result()
+            self._stored.append(self._under_way.popleft()[0])
+        if self._stored and not self._is_unverified:
+            part_rows.add(self._platform, self._upload.id, self._stored)
+            self._count += len(self._stored)
+            self._kept_bytes = self._stored[-1].end_bytes
+            self._stored = []
+
+    @contextmanager
+    def _failing(self) -> Iterator[None]:
+        """Whatever is raised, what was not added by then is given up."""
+        try:
+            yield
+        except (DiskFullError, StoreFullError) as error:
+            self._give_up()
+            raise DiskFullError(self._kept_bytes) from error
+        except BaseException:
+            self._give_up()
+            raise
+
+    def _give_up(self) -> None:
+        if self._spool is not None:
+            self._spool.close()
+        wait([storing for _, storing in self._under_way])
+        keys = [part.key for part in (*self._stored, *(part for part, _ in self._under_way))]
+        self._spool, self._stored, self._reached = None, [], self._kept_bytes
+        self._under_way.clear()
+        try:
+            part_rows.give_up(self._platform, keys)
+        except SQLAlchemyError as error:  # garbage collection comes upon them by itself, later
+            log.warning("objects left behind", keys=len(keys), reason=type(error).__name__)

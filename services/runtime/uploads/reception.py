@@ -1,0 +1,191 @@
+"""Receives the bytes of one request into an upload.
+
+**Conventions.** `receive` opens, `write` is called piece by piece, then `end` (all came) or `break_off` (the client is
+gone), and always `close`. None of them waits for the network, all of them for the disk or the database: async callers
+use threads, one call at a time. Bytes are added at the end, never beyond the declared length, so a process killed
+anywhere leaves a prefix of what was sent; where they lie, and what a power cut may take, is the backend's.
+"""
+
+import hashlib
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from services.runtime.orm import Upload
+from services.runtime.orm.base import now_ns
+from services.runtime.platform import Platform
+from services.runtime.uploads.backend import LockedUpload
+from services.runtime.uploads.backends import backend_of
+from services.runtime.uploads.completion import settle
+from services.runtime.uploads.errors import (
+    ChecksumMismatchError,
+    DiskFullError,
+    OffsetMismatchError,
+    OverLengthError,
+    UploadGoneError,
+)
+from services.runtime.uploads.rows import WHOLE, expiry_ns, find_alive, move, refuse_gone
+from services.runtime.uploads.running_hash import ROLLING
+
+ALGORITHMS = ("sha1", "sha256")
+
+
+@dataclass(frozen=True)
+class Checksum:
+    """The expected hash of one request's bytes; `algorithm` is one of `ALGORITHMS`."""
+
+    algorithm: str
+    digest: bytes
+
+
+@dataclass(frozen=True)
+class UploadChunk:
+    """The declaration of one request's bytes; `length_bytes` is None where only their end will tell."""
+
+    offset_bytes: int
+    length_bytes: int | None = None
+    checksum: Checksum | None = None
+
+
+class UploadReceiver:
+    """One request's hold on an upload, whose row was read under the lock.
+
+    A thread that still works for a request that was cancelled is waited for by `close`: no descriptor is closed, and
+    perhaps given to another file, while it is used.
+    """
+
+    def __init__(self, platform: Platform, upload: Upload, held: LockedUpload, piece: UploadChunk) -> None:
+        self.offset_bytes = self._first_byte = piece.offset_bytes
+        self._platform, self._upload, self._held = platform, upload, held
+        self._guard = threading.Lock()
+        self._rolling = ROLLING.take(upload.id, piece.offset_bytes)
+        self._before = self._rolling.copy() if self._rolling and piece.checksum else None
+        self._checksum = piece.checksum
+        self._checking = hashlib.new(piece.checksum.algorithm) if piece.checksum else None
+        if piece.checksum:
+            held.mark_unverified()
+
+    def write(self, pieces: Sequence[bytes]) -> None:
+        """Append bytes. Raises `OverLengthError` (this request's bytes are cut off again), `DiskFullError`."""
+        with self._guard:
+            self._write(pieces)
+
+    def end(self) -> Upload:
+        """All bytes of the request came: check them, flush them, and complete the upload when they were its last.
+
+        Raises `ChecksumMismatchError` (they are cut off again), `DiskFullError`, `FileMismatchError`.
+        """
+        with self._guard:
+            return self._end()
+
+    def break_off(self) -> None:
+        """The client is gone: what came counts, unless a checksum was to cover it. Raises what `accept` raises."""
+        with self._guard:
+            self._give_up_unverified()
+            if self._checksum is None:
+                self._held.accept(is_whole=False)
+                self._remember()
+
+    def close(self) -> None:
+        with self._guard:
+            self._held.close()
+
+    def _write(self, pieces: Sequence[bytes]) -> None:
+        reached = self.offset_bytes + sum(map(len, pieces))
+        if reached > self._upload.length_bytes:
+            self._cut()
+            raise OverLengthError(reached, self._upload.length_bytes)
+        try:
+            self._held.append(pieces, self.offset_bytes)
+        except OSError:
+            self._rolling = None
+            raise
+        except DiskFullError:
+            self._rolling = None
+            self._give_up_unverified()
+            raise DiskFullError(self._held.kept_bytes) from None
+        for piece in pieces:
+            for state in (self._rolling, self._checking):
+                if state is not None:
+                    state.update(piece)
+        self.offset_bytes = reached
+
+    def _end(self) -> Upload:
+        self._verify()
+        is_whole = self.offset_bytes == self._upload.length_bytes
+        self._held.accept(is_whole=is_whole)
+        if is_whole:
+            return settle(self._platform, self._upload, self._held, self._rolling.hexdigest() if self._rolling else "")
+        self._remember()
+        return self._extended()
+
+    def _verify(self) -> None:
+        if self._checksum is None or self._checking is None or self._checking.digest() == self._checksum.digest:
+            return
+        end = self.offset_bytes
+        self._cut()
+        raise ChecksumMismatchError(self._first_byte, end, self._checksum.algorithm)
+
+    def _give_up_unverified(self) -> None:
+        if self._checksum is not None:
+            self._cut()
+
+    def _cut(self) -> None:
+        """Undo this request."""
+        self._held.discard()
+        self.offset_bytes = self._first_byte
+        if self._before is not None:
+            ROLLING.keep(self._upload.id, self._first_byte, self._before)
+
+    def _remember(self) -> None:
+        if self._rolling is not None:
+            ROLLING.keep(self._upload.id, self.offset_bytes, self._rolling)
+
+    def _extended(self) -> Upload:
+        """An upload that goes on does not expire: once half its time is over it is given all of it again."""
+        half_ns = int(self._platform.settings.uploads.expires_s * 5e8)
+        if self._upload.expires_ns - now_ns() < half_ns:
+            self._upload.expires_ns = expiry_ns(self._platform)
+            with self._platform.database.transaction() as session:
+                move(session, self._upload, "open", expires_ns=self._upload.expires_ns)
+        return self._upload
+
+
+def receive(platform: Platform, upload_id: str, owner_id: str, piece: UploadChunk) -> UploadReceiver | None:
+    """Make ready to take the bytes of a request; None when the upload is whole already and they are none.
+
+    Raises `UploadMissingError`, `UploadGoneError`, `UploadLockedError`, `OffsetMismatchError`, `OverLengthError`,
+    `DiskFullError`.
+    """
+    upload = find_alive(platform.database, upload_id, owner_id)
+    if upload.state in WHOLE:
+        _refuse_misplaced(upload, upload.length_bytes, piece)
+        return None
+    held = _held(platform, upload)
+    try:
+        upload = find_alive(platform.database, upload_id, owner_id)
+        refuse_gone(upload)
+        _refuse_misplaced(upload, held.kept_bytes, piece)
+        if upload.state == "open":
+            return UploadReceiver(platform, upload, held, piece)
+    except BaseException:
+        held.close()
+        raise
+    held.close()
+    return None
+
+
+def _held(platform: Platform, upload: Upload) -> LockedUpload:
+    try:
+        return backend_of(platform, upload).hold(upload)
+    except FileNotFoundError:  # it ended between our look at the row and now, or a person removed the file
+        refuse_gone(find_alive(platform.database, upload.id, upload.owner_id))
+        raise UploadGoneError(upload.id, "lost", "its file is not in the uploads folder") from None
+
+
+def _refuse_misplaced(upload: Upload, offset_bytes: int, piece: UploadChunk) -> None:
+    if piece.offset_bytes != offset_bytes:
+        raise OffsetMismatchError(piece.offset_bytes, offset_bytes)
+    reached = piece.offset_bytes + (piece.length_bytes or 0)
+    if reached > upload.length_bytes:
+        raise OverLengthError(reached, upload.length_bytes)

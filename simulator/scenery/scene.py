@@ -1,0 +1,81 @@
+"""The ray-casting scene: the ground and the objects in embree, the walker added in closed form.
+
+**Conventions.** Rays are (N, 3) float32 origins and unit directions in the world; a miss has range inf. The scene
+uses all cores; its answers do not depend on how many.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import open3d as o3d
+from numpy.typing import NDArray
+
+from simulator.scenery.objects import Surface
+from simulator.scenery.terrain import Terrain
+from simulator.scenery.walker import walker_range
+from simulator.scenery.world import SimulatedWorld
+from stone.geometry.se3 import Array
+
+Rays = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Hits:
+    """Per ray: range (N,) metres, `Surface` (N,), and the world normal (N, 3) of what was hit."""
+
+    range_m: NDArray[np.float32]
+    surface: NDArray[np.uint8]
+    normal: NDArray[np.float32]
+
+
+class RayScene:
+    """Built once per world; `cast` as often as needed."""
+
+    def __init__(self, world: SimulatedWorld) -> None:
+        self.world = world
+        objects = world.objects
+        self._scene = o3d.t.geometry.RaycastingScene()
+        self._scene.add_triangles(*(_tensor(part) for part in ground_mesh(world.terrain)))
+        corners = np.ascontiguousarray(objects.triangles.reshape(-1, 3))
+        faces = np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)
+        self._scene.add_triangles(_tensor(corners), _tensor(faces))
+        self._object_surface = objects.surface
+
+    def cast(self, origins: Rays, directions: Rays) -> Hits:
+        """Nearest hit of each ray with what stands still."""
+        rays = np.concatenate([origins, directions], axis=1, dtype=np.float32)
+        answer = self._scene.cast_rays(_tensor(rays))
+        range_m = answer["t_hit"].numpy()
+        is_object = answer["geometry_ids"].numpy() == 1
+        surface = np.where(np.isfinite(range_m), np.uint8(Surface.GROUND), np.uint8(Surface.SKY))
+        surface[is_object] = self._object_surface[answer["primitive_ids"].numpy()[is_object]]
+        return Hits(range_m, surface, answer["primitive_normals"].numpy())
+
+
+def _tensor(array: NDArray[Any]) -> Any:
+    """An Open3D tensor of the array's own type; Open3D's stubs lack this form."""
+    return o3d.core.Tensor.from_numpy(array)
+
+
+def put_walker(hits: Hits, foot_m: Array, rays: tuple[Rays, Rays], where: NDArray[np.int64] | slice) -> None:
+    """Let the walker hide what is behind it, for the rays `where`; changes `hits` in place."""
+    origins, directions = rays[0][where], rays[1][where]
+    reach = walker_range(foot_m, origins, directions)
+    is_nearer = reach < hits.range_m[where]
+    index = np.arange(len(hits.range_m))[where][is_nearer]
+    hits.range_m[index] = reach[is_nearer]
+    hits.surface[index] = Surface.WALKER
+    hits.normal[index] = -directions[is_nearer]
+
+
+def ground_mesh(terrain: Terrain) -> tuple[Rays, NDArray[np.uint32]]:
+    """Vertices (V, 3) and triangles (F, 3) of the lattice, two to a cell."""
+    rows, columns = terrain.height_m.shape
+    x, y = np.meshgrid(np.arange(columns), np.arange(rows))
+    plan = np.stack([x, y], axis=-1) * terrain.resolution_m + np.asarray(terrain.origin_m)
+    vertices = np.concatenate([plan, terrain.height_m[..., None]], axis=-1).reshape(-1, 3).astype(np.float32)
+    cell = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)[None]).ravel()
+    lower = np.stack([cell, cell + 1, cell + columns], axis=1)
+    upper = np.stack([cell + 1, cell + columns + 1, cell + columns], axis=1)
+    return vertices, np.concatenate([lower, upper]).astype(np.uint32)

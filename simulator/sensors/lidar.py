@@ -1,0 +1,126 @@
+"""Sweeps of the spinning LiDAR: every packet of columns is cast from the exact pose at its own time.
+
+**Conventions.** Points are in the LiDAR frame *at their own time* (motion distortion is real). A packet's points
+share one timestamp, as on the OT128; the header stamp is the first packet's. A ray without return is (0, 0, 0).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.options import SimulateOptions
+from simulator.ros_messages import HESAI_POINT
+from simulator.scenery.objects import Surface
+from simulator.scenery.scene import Rays, RayScene, put_walker
+from simulator.sensors import rig
+from stone.geometry.se3 import Array
+from stone.sensors.calibration import Box
+
+REFLECTIVITY = {
+    Surface.SKY: 0.0, Surface.GROUND: 30.0, Surface.ROCK: 45.0, Surface.BUSH: 60.0, Surface.TRUNK: 40.0,
+    Surface.CROWN: 65.0, Surface.WALL: 90.0, Surface.GRASS: 70.0, Surface.WALKER: 80.0, Surface.ROBOT: 20.0,
+}  # fmt: skip
+WALKER_MARGIN_RAD = 0.03
+
+
+@dataclass(frozen=True, eq=False)
+class Lidar:
+    """What does not change from sweep to sweep."""
+
+    directions: NDArray[np.float32]  # (steps, rays of a step, 3), LiDAR frame
+    self_range_m: NDArray[np.float32]  # (rays,), inf where the ray clears the robot
+    ring: NDArray[np.uint16]
+    intensity: NDArray[np.float32]  # by Surface
+    noise_m: float
+
+    @property
+    def steps(self) -> int:
+        return int(self.directions.shape[0])
+
+    def packet_stamps_ns(self, stamp_ns: int) -> NDArray[np.int64]:
+        """When each step of the sweep at `stamp_ns` fires (steps,)."""
+        return stamp_ns + np.arange(self.steps, dtype=np.int64) * rig.SWEEP_NS // self.steps
+
+
+def build_lidar(options: SimulateOptions) -> Lidar:
+    """The ray fan of these options, with the robot's own body in front of it."""
+    fan = rig.lidar_directions(options.channels, options.columns)
+    ring = np.tile(np.arange(options.channels, dtype=np.uint16), options.columns)
+    directions = fan.reshape(rig.sweep_steps(options.columns), -1, 3)
+    intensity = np.array([REFLECTIVITY[surface] for surface in Surface], np.float32)
+    return Lidar(
+        directions.astype(np.float32),
+        robot_range(fan.reshape(-1, 3)),
+        ring,
+        intensity,
+        options.noise_ratio * rig.LIDAR_NOISE_M,
+    )
+
+
+def sweep_points(scene: RayScene, lidar: Lidar, stamp_ns: int, rng: np.random.Generator) -> NDArray[np.void]:
+    """One sweep as `HESAI_POINT` records (rays,), in firing order."""
+    world, packets_ns = scene.world, lidar.packet_stamps_ns(stamp_ns)
+    map_from_lidar = world.trajectory.at(packets_ns) @ rig.EGO_FROM_LIDAR
+    turn = map_from_lidar.rotation().astype(np.float32)
+    directions = np.matmul(lidar.directions, np.swapaxes(turn, -1, -2)).reshape(-1, 3)
+    origins = np.repeat(map_from_lidar.translation_m.astype(np.float32), lidar.directions.shape[1], axis=0)
+    hits = scene.cast(origins, directions)
+    foot = world.walker.foot_m(stamp_ns + rig.SWEEP_NS // 2)
+    put_walker(hits, foot, (origins, directions), _towards(foot, origins, directions))
+    surface = np.where(lidar.self_range_m < hits.range_m, np.uint8(Surface.ROBOT), hits.surface)
+    range_m = np.minimum(lidar.self_range_m, hits.range_m)
+    range_m += lidar.noise_m * rng.standard_normal(len(range_m), np.float32)
+    return _records(lidar, range_m, surface, packets_ns)
+
+
+def _records(
+    lidar: Lidar, range_m: NDArray[np.float32], surface: NDArray[np.uint8], packets_ns: NDArray[np.int64]
+) -> NDArray[np.void]:
+    is_return = (range_m > rig.LIDAR_NEAR_M) & (range_m < rig.LIDAR_FAR_M)
+    reach = np.where(is_return, range_m, np.float32(0))
+    xyz = lidar.directions.reshape(-1, 3) * reach[:, None]
+    records = np.empty(len(reach), HESAI_POINT)
+    for axis, name in enumerate("xyz"):
+        records[name] = xyz[:, axis]
+    records["intensity"] = np.where(is_return, lidar.intensity[surface] / (1 + reach / 60), 0)
+    records["ring"] = lidar.ring
+    records["timestamp"] = np.repeat(packets_ns / 1e9, lidar.directions.shape[1])
+    return records
+
+
+def _towards(foot_m: Array, origins: Rays, directions: Rays) -> NDArray[np.int64]:
+    """Rays whose bearing comes near the walker: those worth the closed form."""
+    offset = foot_m[:2].astype(np.float32) - origins[0, :2]
+    distance = max(float(np.hypot(*offset)), 0.3)
+    along = directions[:, 0] * (offset[0] / distance) + directions[:, 1] * (offset[1] / distance)
+    flat = float(np.cos(min(np.arctan2(0.6, distance) + WALKER_MARGIN_RAD, np.pi / 2)))
+    return np.flatnonzero(along > 0.8 * flat)
+
+
+def robot_range(directions: Array) -> NDArray[np.float32]:
+    """Distance along LiDAR rays (N, 3) to the robot's own boxes and pole, inf where they miss."""
+    ego_directions = directions @ rig.EGO_FROM_LIDAR.rotation().T
+    origin = rig.EGO_FROM_LIDAR.translation_m
+    reach = _pole_range(ego_directions, origin)
+    for box in rig.BODY_BOXES_EGO:
+        reach = np.minimum(reach, _box_range(ego_directions, origin, box))
+    return reach.astype(np.float32)
+
+
+def _box_range(directions: Array, origin: Array, box: Box) -> Array:
+    inverse = 1 / np.where(directions == 0, 1e-12, directions)
+    low, high = (np.asarray(corner) - origin for corner in (box.min_m, box.max_m))
+    near = np.minimum(low * inverse, high * inverse).max(axis=1)
+    far = np.maximum(low * inverse, high * inverse).min(axis=1)
+    return np.where((near < far) & (near > 0), near, np.inf)
+
+
+def _pole_range(directions: Array, origin: Array) -> Array:
+    offset = np.asarray(rig.POLE_EGO_XY_M) - origin[:2]
+    plan = directions[:, :2]
+    a, b = (plan**2).sum(axis=1), plan @ offset
+    disc = b * b - a * (offset @ offset - rig.POLE_RADIUS_M**2)
+    reach = (b - np.sqrt(np.maximum(disc, 0))) / np.maximum(a, 1e-12)
+    z = origin[2] + reach * directions[:, 2]
+    return np.where((disc > 0) & (reach > 0) & (z < rig.POLE_TOP_M) & (z > 0.5), reach, np.inf)

@@ -1,0 +1,1 @@
+"""Geometry: transforms, poses between poses, the voxel lattice."""

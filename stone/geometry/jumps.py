@@ -1,0 +1,83 @@
+"""Jumps of a track: steps that no vehicle can have made, across which nothing may be interpolated.
+
+**Conventions.** Steps are between neighbouring poses: K poses have K − 1. A step is held against the velocities around
+it (the median of five, itself among them), so that a fast vehicle is no jump and an outlier is two. It is a jump where
+it misses the expected place by more than the vehicle's acceleration allows, a·dt², and the source's own noise, or
+where the robot would have turned faster than robots turn.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.geometry.se3 import multiply
+from stone.geometry.trajectory import Trajectory
+
+WINDOW = 5
+LEAST_STEPS = WINDOW // 2 + 1
+
+
+@dataclass(frozen=True)
+class MotionLimits:
+    """What a ground vehicle can do, and the noise of the poses it is measured by.
+
+    `speed_m_s` alone decides where there are too few poses to know the usual speed. Where the status of the solution
+    changes (RTK lost or won), half the noise is suspicious already.
+    """
+
+    speed_m_s: float = 15.0
+    acceleration_m_s2: float = 8.0
+    turn_rad_s: float = 2 * np.pi
+    noise_m: float = 0.10
+
+
+@dataclass(frozen=True, eq=False)
+class Jumps:
+    """The steps (J,) that are jumps: step k is from pose k to pose k + 1, and missed its place by `excess_m` (J,)."""
+
+    steps: NDArray[np.int64]
+    excess_m: NDArray[np.float64]
+
+
+def jumps_of(
+    trajectory: Trajectory, has_changed: NDArray[np.bool_] | None = None, limits: MotionLimits | None = None
+) -> Jumps:
+    """The jumps of a trajectory; `has_changed` (K − 1,) says over which steps the status of the solution changed."""
+    limits = limits or MotionLimits()
+    dt_s = np.diff(trajectory.stamps_ns) * 1e-9
+    rate_m_s = np.diff(trajectory.map_from_ego.translation_m, axis=0) / dt_s[:, None]
+    if len(dt_s) < LEAST_STEPS:
+        excess_m = np.maximum(np.linalg.norm(rate_m_s, axis=1) - limits.speed_m_s, 0) * dt_s
+        allowed_m = np.zeros(len(dt_s))
+    else:
+        excess_m = np.linalg.norm(rate_m_s - _usual(rate_m_s), axis=1) * dt_s
+        allowed_m = limits.acceleration_m_s2 * dt_s**2 + limits.noise_m
+    if has_changed is not None:
+        allowed_m = allowed_m - np.where(has_changed, np.minimum(limits.noise_m / 2, allowed_m), 0)
+    is_jump = (excess_m > allowed_m) | (_turned_rad(trajectory) > limits.turn_rad_s * dt_s)
+    steps = np.flatnonzero(is_jump).astype(np.int64)
+    return Jumps(steps, excess_m[steps])
+
+
+def split(trajectory: Trajectory, steps: NDArray[np.int64]) -> Trajectory:
+    """The trajectory with a new segment after each of these steps; itself where there are none."""
+    if not len(steps):
+        return trajectory
+    begins = np.zeros(len(trajectory), np.int64)
+    begins[steps + 1] = 1
+    return replace(trajectory, segment=np.cumsum(begins))
+
+
+def _usual(rate_m_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Per step the median velocity of the steps around it (M, 3); mirrored at the ends, where M ≥ 3."""
+    padded = np.pad(rate_m_s, ((WINDOW // 2, WINDOW // 2), (0, 0)), mode="reflect")
+    around = np.lib.stride_tricks.sliding_window_view(padded, WINDOW, axis=0)
+    return np.asarray(np.median(around, axis=-1), dtype=np.float64)
+
+
+def _turned_rad(trajectory: Trajectory) -> NDArray[np.float64]:
+    """Angle between neighbouring poses (K − 1,), in [0, π]."""
+    wxyz = trajectory.map_from_ego.wxyz
+    turn = multiply(wxyz[:-1] * np.array([1.0, -1.0, -1.0, -1.0]), wxyz[1:])
+    return np.asarray(2 * np.arctan2(np.linalg.norm(turn[:, 1:], axis=1), np.abs(turn[:, 0])), dtype=np.float64)

@@ -1,0 +1,174 @@
+"""Rigid transforms in three dimensions, one or many at a time.
+
+**Conventions.** A transform is named `dst_from_src` and maps coordinates in `src` to coordinates in `dst`, so inner
+names cancel: `map_from_lidar = map_from_ego @ ego_from_lidar`. Quaternions are `wxyz` of unit norm, float64.
+Leading axes are batch axes and broadcast as in numpy. The layout (one array, `@` for compose and apply) follows
+viser's `transforms`.
+"""
+
+from dataclasses import dataclass
+from typing import overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.errors import ShapeError
+
+Array = NDArray[np.float64]
+
+# Below this angle sin(θ) loses digits and the chord equals the arc to 1e-13: interpolate linearly.
+LINEAR_BELOW_RAD = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class SE3:
+    """`dst_from_src`: rotate by the unit quaternion, then translate; `wxyz_xyz` is (..., 7), metres."""
+
+    wxyz_xyz: Array
+
+    def __post_init__(self) -> None:
+        if self.wxyz_xyz.shape[-1:] != (7,):
+            raise ShapeError("wxyz_xyz", self.wxyz_xyz.shape, "(..., 7)")
+
+    @staticmethod
+    def identity(batch: tuple[int, ...] = ()) -> "SE3":
+        return SE3(np.broadcast_to(np.array([1.0, 0, 0, 0, 0, 0, 0]), (*batch, 7)).copy())
+
+    @staticmethod
+    def from_parts(wxyz: Array, translation_m: Array) -> "SE3":
+        """Quaternion (..., 4), normalised here, and translation (..., 3)."""
+        unit = wxyz / np.linalg.norm(wxyz, axis=-1, keepdims=True)
+        batch = np.broadcast_shapes(unit.shape[:-1], translation_m.shape[:-1])
+        parts = (np.broadcast_to(unit, (*batch, 4)), np.broadcast_to(translation_m, (*batch, 3)))
+        return SE3(np.concatenate(parts, axis=-1).astype(np.float64))
+
+    @staticmethod
+    def from_matrix(matrix: Array) -> "SE3":
+        """Homogeneous (..., 4, 4); the rotation block is taken to be a rotation (see `stone.sensors.calibration`)."""
+        if matrix.shape[-2:] != (4, 4):
+            raise ShapeError("matrix", matrix.shape, "(..., 4, 4)")
+        return SE3.from_parts(wxyz_from_rotation(matrix[..., :3, :3]), matrix[..., :3, 3])
+
+    @property
+    def wxyz(self) -> Array:
+        return self.wxyz_xyz[..., :4]
+
+    @property
+    def translation_m(self) -> Array:
+        return self.wxyz_xyz[..., 4:]
+
+    @property
+    def batch(self) -> tuple[int, ...]:
+        return self.wxyz_xyz.shape[:-1]
+
+    def __len__(self) -> int:
+        return int(self.wxyz_xyz.shape[0])
+
+    def __getitem__(self, index: int | slice | NDArray[np.integer] | NDArray[np.bool_]) -> "SE3":
+        return SE3(self.wxyz_xyz[index])
+
+    def rotation(self) -> Array:
+        """Rotation matrices (..., 3, 3)."""
+        w, x, y, z = np.moveaxis(self.wxyz, -1, 0)
+        rows = [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+        return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+    def as_matrix(self) -> Array:
+        """Homogeneous matrices (..., 4, 4)."""
+        matrix = np.zeros((*self.batch, 4, 4))
+        matrix[..., :3, :3] = self.rotation()
+        matrix[..., :3, 3] = self.translation_m
+        matrix[..., 3, 3] = 1.0
+        return matrix
+
+    def inverse(self) -> "SE3":
+        conjugate = self.wxyz * np.array([1.0, -1.0, -1.0, -1.0])
+        return SE3.from_parts(conjugate, -rotate(conjugate, self.translation_m))
+
+    @overload
+    def __matmul__(self, other: "SE3") -> "SE3": ...
+    @overload
+    def __matmul__(self, other: Array) -> Array: ...
+    def __matmul__(self, other: "SE3 | Array") -> "SE3 | Array":
+        """Compose with a transform, or apply to points (..., 3) that broadcast against the batch."""
+        if isinstance(other, SE3):
+            return SE3.from_parts(
+                multiply(self.wxyz, other.wxyz), rotate(self.wxyz, other.translation_m) + self.translation_m
+            )
+        return rotate(self.wxyz, other) + self.translation_m
+
+
+def multiply(a_wxyz: Array, b_wxyz: Array) -> Array:
+    """Hamilton product: the rotation `b`, then `a`."""
+    aw, ax, ay, az = np.moveaxis(a_wxyz, -1, 0)
+    bw, bx, by, bz = np.moveaxis(b_wxyz, -1, 0)
+    product = (
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+    )
+    return np.stack(product, axis=-1)
+
+
+def rotate(wxyz: Array, vectors: Array) -> Array:
+    """Vectors (..., 3) turned by unit quaternions (..., 4)."""
+    w = wxyz[..., 0]
+    axis = (wxyz[..., 1], wxyz[..., 2], wxyz[..., 3])
+    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    u, v, t = (2.0 * component for component in _cross(axis, (x, y, z)))
+    i, j, k = _cross(axis, (u, v, t))
+    return np.stack([x + w * u + i, y + w * v + j, z + w * t + k], axis=-1).astype(np.float64, copy=False)
+
+
+def _cross(a: tuple[Array, Array, Array], b: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    """By components: numpy's own takes longer to arrange a single vector than to compute ten thousand."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+def wxyz_from_rotation(rotation: Array) -> Array:
+    """Unit quaternions with w ≥ 0 from rotation matrices (..., 3, 3), by the largest component (Shepperd, 1978)."""
+    r = rotation
+    trace = np.trace(r, axis1=-2, axis2=-1)
+    squares = np.stack([trace, r[..., 0, 0], r[..., 1, 1], r[..., 2, 2]], axis=-1)
+    s = r - np.swapaxes(r, -1, -2)
+    a = r + np.swapaxes(r, -1, -2)
+    one = 1.0 - trace
+    candidates = np.stack(
+        [
+            np.stack([1.0 + trace, s[..., 2, 1], s[..., 0, 2], s[..., 1, 0]], axis=-1),
+            np.stack([s[..., 2, 1], one + 2 * r[..., 0, 0], a[..., 0, 1], a[..., 0, 2]], axis=-1),
+            np.stack([s[..., 0, 2], a[..., 0, 1], one + 2 * r[..., 1, 1], a[..., 1, 2]], axis=-1),
+            np.stack([s[..., 1, 0], a[..., 0, 2], a[..., 1, 2], one + 2 * r[..., 2, 2]], axis=-1),
+        ],
+        axis=-2,
+    )
+    best = np.argmax(squares, axis=-1)
+    chosen = np.take_along_axis(candidates, best[..., None, None], axis=-2)[..., 0, :]
+    unit = chosen / np.linalg.norm(chosen, axis=-1, keepdims=True)
+    return np.asarray(np.where(unit[..., :1] < 0, -unit, unit), dtype=np.float64)
+
+
+def slerp(a_wxyz: Array, b_wxyz: Array, ratio: Array) -> Array:
+    """Shortest-arc interpolation of unit quaternions: `a` at ratio 0, `b` at 1 (Shoemake, 1985).
+
+    `ratio` has the batch shape. The angle comes from atan2(|a−b|, |a+b|), which keeps its digits near 0 and π.
+    """
+    b = np.where(np.sum(a_wxyz * b_wxyz, axis=-1, keepdims=True) < 0, -b_wxyz, b_wxyz)
+    angle = 2 * np.arctan2(np.linalg.norm(a_wxyz - b, axis=-1), np.linalg.norm(a_wxyz + b, axis=-1))
+    is_small = angle < LINEAR_BELOW_RAD
+    sine = np.where(is_small, 1.0, np.sin(angle))
+    weight_a = np.where(is_small, 1 - ratio, np.sin((1 - ratio) * angle) / sine)
+    weight_b = np.where(is_small, ratio, np.sin(ratio * angle) / sine)
+    blend = weight_a[..., None] * a_wxyz + weight_b[..., None] * b
+    return np.asarray(blend / np.linalg.norm(blend, axis=-1, keepdims=True), dtype=np.float64)
+
+
+def interpolate(a: SE3, b: SE3, ratio: Array) -> SE3:
+    """Between two transforms: position linear, orientation by `slerp` (paper, III-C)."""
+    position = (1 - ratio)[..., None] * a.translation_m + ratio[..., None] * b.translation_m
+    return SE3.from_parts(slerp(a.wxyz, b.wxyz, ratio), position)

@@ -1,0 +1,1 @@
+"""Kernels: single steps on machine words, to be called from compiled loops."""

@@ -1,0 +1,148 @@
+"""Visibility for many frames at once: every line of sight is looked up once and followed for a batch of frames.
+
+**Conventions.** As in `stone.labels.visibility`, whose lines are followed; a frame is one lane. Frames do not meet: a
+batch of any size gives what its frames give alone.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from llvmlite import ir  # type: ignore[import-untyped]
+from numba import njit, types
+from numba.extending import intrinsic
+
+from stone.kernels.lanes import I8, I32, bits_of, pointer, splat, transpose
+from stone.labels.columns import Words
+from stone.labels.visibility import AT_SOURCE, FRAMED, IN_IMAGE, OPEN, SIDE_BIT, VOXEL_BITS, SightLines, ways
+
+LANES = 32
+VOXEL_MASK, WAY_MASK = np.uint32((1 << VOXEL_BITS) - 1), np.uint32(31)
+
+
+class SightBatch:
+    """Follows the lines of a robot's cameras through up to `LANES` frames at a time; keeps 90 MB to do it in."""
+
+    def __init__(self, cameras: Sequence[SightLines]) -> None:
+        voxels = int(np.prod(FRAMED)) if cameras else 0
+        self._cameras = cameras
+        self._ways = ways()
+        self._open = np.full(voxels * LANES, OPEN, np.uint8)
+        self._free, self._seen = np.zeros(voxels, np.uint32), np.zeros(voxels, np.uint32)
+
+    def visible(self, occupied: Words) -> Words:
+        """What any camera sees past the labelled voxels: (F, 256, 256) columns from such, F up to `LANES`."""
+        if not self._cameras:
+            return np.zeros_like(occupied)
+        frames = len(occupied)
+        batch = np.zeros((LANES, occupied[0].size), np.uint32)
+        batch[:frames] = occupied.reshape(frames, -1)
+        _by_voxel(batch, self._free)
+        self._seen[:] = 0
+        for lines in self._cameras:
+            _look((lines.place, lines.weight), self._ways, (self._free, self._open, self._seen))
+            _look_at_sides(lines.place, self._ways, (self._free, self._open, self._seen))
+        _by_frame(self._seen, batch)
+        return batch[:frames].reshape(occupied.shape)
+
+
+def _reach_of(typing_context: Any, ways: Any, places: Any, weights: Any, free: Any) -> Any:
+    """How open the ways through voxel places[4] are, from the four before it; bit n: at least half open in lane n.
+
+    It goes on where its lane is set in `free`.
+    """
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array, places, weights, free = arguments
+        lanes, wide = ir.VectorType(I8, LANES), ir.VectorType(ir.IntType(16), LANES)
+        total = ir.Constant(wide, [0] * LANES)
+        for corner in range(4):
+            place = builder.extract_value(places, corner)
+            row = builder.load(pointer(context, builder, (signature.args[0], array), place, lanes), align=1)
+            weight = builder.zext(builder.extract_value(weights, corner), ir.IntType(16))
+            total = builder.add(total, builder.mul(builder.zext(row, wide), splat(builder, weight, wide)))
+        reached = builder.udiv(total, ir.Constant(wide, [OPEN] * LANES))
+        seen = builder.icmp_unsigned(">=", reached, ir.Constant(wide, [OPEN // 2] * LANES))
+        onward = builder.select(
+            builder.bitcast(free, bits_of(LANES)), builder.trunc(reached, lanes), ir.Constant(lanes, [0] * LANES)
+        )
+        place = builder.extract_value(places, 4)
+        builder.store(onward, pointer(context, builder, (signature.args[0], array), place, lanes), 1)
+        return builder.bitcast(seen, I32)
+
+    return types.uint32(ways, places, weights, types.uint32), emit
+
+
+def _half_open_of(typing_context: Any, ways: Any, place: Any) -> Any:
+    """Bit n: the way that goes on from ways[place] is at least half open in lane n."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        lanes = ir.VectorType(I8, LANES)
+        row = builder.load(pointer(context, builder, (signature.args[0], arguments[0]), arguments[1], lanes), align=1)
+        return builder.bitcast(builder.icmp_unsigned(">=", row, ir.Constant(lanes, [OPEN // 2] * LANES)), I32)
+
+    return types.uint32(ways, types.int64), emit
+
+
+_reach: Any = intrinsic(_reach_of)
+_half_open: Any = intrinsic(_half_open_of)
+
+
+@njit(cache=True, nogil=True)
+def _look(lines, ways, state):  # type: ignore[no-untyped-def]
+    (place, weight), (free, way, seen) = lines, state
+    for s in range(place.size):
+        voxel = np.int64(place[s] & VOXEL_MASK)
+        code = (place[s] >> np.uint32(VOXEL_BITS)) & WAY_MASK
+        at = voxel * LANES
+        if code == AT_SOURCE:
+            for lane in range(LANES):
+                way[at + lane] = OPEN if (free[voxel] >> np.uint32(lane)) & np.uint32(1) else 0
+            reached = np.uint32(0xFFFFFFFF)
+        else:
+            first = at + ways[code, 0] * LANES
+            one, other = ways[code, 1] * LANES, ways[code, 2] * LANES
+            places = (first, first + one, first + other, first + one + other, at)
+            weights = (weight[s, 0], weight[s, 1], weight[s, 2], weight[s, 3])
+            reached = _reach(way, places, weights, free[voxel])
+        if place[s] & IN_IMAGE:
+            seen[voxel] |= reached
+
+
+@njit(cache=True, nogil=True)
+def _look_at_sides(place, ways, state):  # type: ignore[no-untyped-def]
+    """Labelled voxels are seen where a line ends on their side; the ways have been followed."""
+    free, way, seen = state
+    for s in range(place.size):
+        voxel = np.int64(place[s] & VOXEL_MASK)
+        labelled = ~free[voxel]
+        if labelled == 0 or not place[s] & IN_IMAGE:
+            continue
+        code = (place[s] >> np.uint32(VOXEL_BITS)) & WAY_MASK
+        for axis in range(3):
+            if (place[s] >> np.uint32(SIDE_BIT + axis)) & np.uint32(1):
+                seen[voxel] |= labelled & _half_open(way, (voxel + ways[code, 3 + axis]) * LANES)
+
+
+@njit(cache=True, nogil=True)
+def _by_voxel(batch, free):  # type: ignore[no-untyped-def]
+    """From columns of each frame to lanes of each voxel: in which frames it is free."""
+    words = np.empty(LANES, np.uint32)
+    for a in range(FRAMED[0] - 2):
+        for b in range(FRAMED[1] - 2):
+            column = a * (FRAMED[1] - 2) + b
+            for lane in range(LANES):
+                words[lane] = ~batch[lane, column]
+            transpose(words, 0, free, ((a + 1) * FRAMED[1] + b + 1) * FRAMED[2] + 1)
+
+
+@njit(cache=True, nogil=True)
+def _by_frame(seen, batch):  # type: ignore[no-untyped-def]
+    """And back: what is seen."""
+    words = np.empty(LANES, np.uint32)
+    for a in range(FRAMED[0] - 2):
+        for b in range(FRAMED[1] - 2):
+            column = a * (FRAMED[1] - 2) + b
+            transpose(seen, ((a + 1) * FRAMED[1] + b + 1) * FRAMED[2] + 1, words, 0)
+            for lane in range(LANES):
+                batch[lane, column] = words[lane]

@@ -1,0 +1,114 @@
+"""Traversability: the driven reference, the distance to it, and the class that follows (paper, IV-C, Eq. 6).
+
+**Conventions.** Classes: 0 free, 1 traversable (T), 2 potentially traversable (P), 3 non-traversable (N). Features are
+rows (elevation, slope, roughness). Sums add, so parts of a run can be summed apart; they are taken about `origin`,
+which keeps digits where the map is high above its datum.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from stone.errors import StoneError
+
+FREE, TRAVERSABLE, POTENTIAL, NON_TRAVERSABLE = 0, 1, 2, 3
+FEW_VOXELS = 500
+SINGULAR_RATIO = 1e-10
+
+Array = NDArray[np.float64]
+
+
+class NoReferenceError(StoneError):
+    """Fewer voxels under the robot's track than a Gaussian in three features needs."""
+
+    code = "no_reference"
+
+    def __init__(self, voxels: int) -> None:
+        super().__init__(
+            f"the track covers {voxels} surface voxels and the reference needs at least 4: "
+            "is the ego origin on the ground, and does the LiDAR see the ground the robot drove on?"
+        )
+
+
+@dataclass(frozen=True)
+class ReferenceParameters:
+    """`alpha` is the paper's 0.05. The floor (m, rad, log m²) is added where the covariance is singular and, with
+    `floor_voxels` n₀ > 0 (profile `local`), everywhere in the share n₀/(n₀+n), so it fades as the track grows."""
+
+    alpha: float = 0.05
+    floor: tuple[float, float, float] = (0.3, 0.07, 0.7)
+    floor_voxels: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class FeatureSums:
+    """Σ1, Σ(F−o) (3,) and Σ(F−o)(F−o)ᵀ (3, 3) of the T voxels about `origin` o (3,)."""
+
+    origin: Array
+    count: int
+    total: Array
+    outer: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """The Gaussian of the driven ground: `mean` (3,), `covariance` (3, 3), from `voxels` voxels."""
+
+    mean: Array
+    covariance: Array
+    voxels: int
+    is_floored: bool
+
+
+def sums_of(features: Array, origin: Array) -> FeatureSums:
+    """The sums of features (n, 3) about `origin`; n may be 0."""
+    centred = features - origin
+    return FeatureSums(origin, len(features), centred.sum(axis=0), centred.T @ centred)
+
+
+def total_of(parts: Sequence[FeatureSums]) -> FeatureSums:
+    """The sums of all parts; they share their origin."""
+    return FeatureSums(
+        parts[0].origin,
+        sum(part.count for part in parts),
+        np.sum([part.total for part in parts], axis=0),
+        np.sum([part.outer for part in parts], axis=0),
+    )
+
+
+def reference_of(sums: FeatureSums, parameters: ReferenceParameters) -> Reference:
+    """Mean and unbiased covariance of F over T. Raises `NoReferenceError` below 4 voxels."""
+    if sums.count < 4:
+        raise NoReferenceError(sums.count)
+    mean = sums.total / sums.count
+    covariance = (sums.outer - sums.count * np.outer(mean, mean)) / (sums.count - 1)
+    floor = np.diag(np.square(parameters.floor))
+    if parameters.floor_voxels:
+        covariance = covariance + floor * parameters.floor_voxels / (parameters.floor_voxels + sums.count)
+    scaled = covariance / np.sqrt(np.outer(np.diag(floor), np.diag(floor)))
+    is_singular = bool(np.linalg.eigvalsh(scaled)[0] <= SINGULAR_RATIO)
+    if is_singular:
+        covariance = covariance + floor
+    return Reference(sums.origin + mean, covariance, sums.count, is_singular or parameters.floor_voxels > 0)
+
+
+def distance_squared(features: Array, reference: Reference) -> Array:
+    """D² = (F−μ)ᵀ Σ⁻¹ (F−μ), the squared Mahalanobis distance (K,) of features (K, 3) (Eq. 6)."""
+    centred = features - reference.mean
+    scaled = centred @ np.linalg.inv(reference.covariance)
+    return np.asarray(np.einsum("ki,ki->k", scaled, centred), dtype=np.float64)
+
+
+def threshold(alpha: float) -> float:
+    """χ²(3, 1−α): the D² that a share α of the driven ground itself exceeds, were it Gaussian."""
+    return float(chdtri(3, alpha))
+
+
+def classify(features: Array, is_driven: NDArray[np.bool_], reference: Reference, alpha: float) -> NDArray[np.uint8]:
+    """T where driven, else P where D² ≤ χ²(3, 1−α), else N; (K,) uint8."""
+    is_alike = distance_squared(features, reference) <= threshold(alpha)
+    classes = np.where(is_alike, POTENTIAL, NON_TRAVERSABLE)
+    return np.where(is_driven, TRAVERSABLE, classes).astype(np.uint8)

@@ -1,0 +1,220 @@
+"""Visibility of the grid's voxels from one camera, hidden by other voxels or not.
+
+**Conventions.** Grid as in `stone.labels.grid`. Line of sight is decided voxel by voxel outwards: how open the way to a
+voxel is, is how open it is at the point one step nearer to the camera, interpolated between the four voxels around that
+point (XDraw: Franklin & Ray, 1994). A free voxel is seen when its way is at least half open; a labelled one also when
+that holds for a free voxel before one of its sides that face the camera, for there the line ends (at a grazing angle
+the way to its middle leads through other ground). One neighbour instead of four would bend every line towards the
+grid's axes. The steps depend on the calibration alone, so they are laid out once per robot;
+`stone.labels.sight_batches` follows them for many frames at once.
+
+The grid is framed by one voxel on every side, so that what is nearer than its border has a place; there all is open.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from stone.geometry.se3 import SE3
+from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
+from stone.labels.voxels import VOXEL_M
+from stone.sensors.calibration import CameraIntrinsics
+
+OPEN = 240  # a way that nothing blocks; 16 × 15 levels fit a byte
+NEAR_M = 0.1
+RIM_M = 2 * VOXEL_M  # lines are followed so far around the image, else they would look around walls there
+
+FRAMED = (GRID_SHAPE[0] + 2, GRID_SHAPE[1] + 2, GRID_SHAPE[2] + 2)
+STRIDES = (FRAMED[1] * FRAMED[2], FRAMED[2], 1)
+VOXEL_BITS, SIDE_BIT = 22, 27
+AT_SOURCE = 0  # the way of a voxel beside the camera, or of one that lines come from but that is out of sight itself
+IN_IMAGE = np.uint32(1 << 31)
+
+
+@dataclass(frozen=True, eq=False)
+class SightLines:
+    """Voxels in and around the image, each after all that lie before it.
+
+    `place` (S,) uint32: bits 0–21 the voxel in the framed grid, flat; bits 22–26 the way to the four voxels around the
+    point one step nearer, a row of `ways()`; bits 27–29 whether it turns a side on x, y, z to the camera and what lies
+    before that is in view; bit 31 whether it is in the image. `weight` (S, 4) uint8: what each of the four counts;
+    together `OPEN`.
+    """
+
+    place: NDArray[np.uint32]
+    weight: NDArray[np.uint8]
+
+
+def ways() -> NDArray[np.int64]:
+    """(25, 6) framed flat steps by way: to the first of the four, from there to the second, from the first to the
+    third; towards the camera along x, y and z."""
+    table = np.zeros((25, 6), np.int64)
+    for code in range(1, len(table)):
+        main, step, below_one, below_other = _way_of(code)
+        one, other = (main + 1) % 3, (main + 2) % 3
+        first = STRIDES[main] * step - STRIDES[one] * below_one - STRIDES[other] * below_other
+        table[code, :3] = first, STRIDES[one], STRIDES[other]
+        for axis, sign in ((main, step), (one, 1 - 2 * below_one), (other, 1 - 2 * below_other)):
+            table[code, 3 + axis] = STRIDES[axis] * sign
+    return table
+
+
+def _way_of(code: int) -> tuple[int, int, int, int]:
+    """(axis, ±1, whether the point lies below the voxel on the next axis, and on the one after it) of a way."""
+    return (code - 1) >> 3, 1 if (code - 1) & 4 else -1, (code - 1) >> 1 & 1, (code - 1) & 1
+
+
+def sight_lines(intrinsics: CameraIntrinsics, ego_from_camera: SE3) -> SightLines:
+    """The sight lines of one camera through the grid.
+
+    The image border is that of the undistorted pinhole: distortion bends lines within the image by less than a voxel
+    at the ranges of the grid, and models that fold back would otherwise claim voxels behind the border.
+    """
+    k = intrinsics
+    image = np.array([k.fx_px, k.fy_px, k.cx_px, k.cy_px, k.width_px, k.height_px], np.float64)
+    camera = (ego_from_camera.translation_m - np.array(GRID_MIN_M)) / VOXEL_M
+    kinds = np.zeros(GRID_SHAPE, np.uint8)
+    _project(ego_from_camera.inverse().as_matrix(), image, np.array(GRID_MIN_M), kinds)
+    _add_sources(camera, kinds)
+    ranks, layers = _ranks(camera)
+    places = np.empty((np.count_nonzero(kinds), 3), np.int16)
+    _sort(kinds, ranks, np.zeros(layers + 1, np.int64), places)
+    lines = SightLines(np.empty(len(places), np.uint32), np.zeros((len(places), 4), np.uint8))
+    _lay_out(places, camera, kinds, (lines.place, lines.weight))
+    return lines
+
+
+def _ranks(camera: NDArray[np.float64]) -> tuple[NDArray[np.int64], int]:
+    """For each axis the rank of its layers of voxels by their distance from the camera, (3, 256), and how many."""
+    middles = np.arange(max(GRID_SHAPE)) + 0.5
+    distances = np.abs(middles - camera[:, None])
+    values, ranks = np.unique(distances, return_inverse=True)
+    return ranks.reshape(distances.shape), len(values)
+
+
+OUT_OF_SIGHT, SOURCE, RIM, INSIDE = range(4)
+
+
+@njit(cache=True, nogil=True)
+def _project(camera_from_ego, image, low, kinds):  # type: ignore[no-untyped-def]
+    """Which voxels are in the image, and which nearer than `RIM_M` to it."""
+    m = camera_from_ego
+    fx, fy, cx, cy, width, height = image
+    for a in range(kinds.shape[0]):
+        for b in range(kinds.shape[1]):
+            for c in range(kinds.shape[2]):
+                p = (low[0] + (a + 0.5) * VOXEL_M, low[1] + (b + 0.5) * VOXEL_M, low[2] + (c + 0.5) * VOXEL_M)
+                z = m[2, 0] * p[0] + m[2, 1] * p[1] + m[2, 2] * p[2] + m[2, 3]
+                if z <= NEAR_M:
+                    continue
+                u = fx * (m[0, 0] * p[0] + m[0, 1] * p[1] + m[0, 2] * p[2] + m[0, 3]) / z + cx
+                v = fy * (m[1, 0] * p[0] + m[1, 1] * p[1] + m[1, 2] * p[2] + m[1, 3]) / z + cy
+                rim_u, rim_v = RIM_M * fx / z, RIM_M * fy / z
+                if 0 <= u < width and 0 <= v < height:
+                    kinds[a, b, c] = INSIDE
+                elif -rim_u <= u < width + rim_u and -rim_v <= v < height + rim_v:
+                    kinds[a, b, c] = RIM
+
+
+@njit(inline="always")
+def _nearer(at, camera):  # type: ignore[no-untyped-def]
+    """(way, voxel, weights) of the four voxels around the point one step nearer to the camera.
+
+    The voxel is the first of the four; the others follow on the axes after the main one.
+    """
+    x, y, z = camera[0] - (at[0] + 0.5), camera[1] - (at[1] + 0.5), camera[2] - (at[2] + 0.5)
+    longest = max(abs(x), abs(y), abs(z))
+    if longest <= 1.0:
+        return AT_SOURCE, (at[0], at[1], at[2]), (OPEN, 0, 0, 0)
+    main = 0 if abs(x) == longest else 1 if abs(y) == longest else 2
+    p, q, r = (x, y, z) if main == 0 else (y, z, x) if main == 1 else (z, x, y)
+    step = 1 if p > 0 else -1
+    below_one, below_other = (1 if q < 0 else 0), (1 if r < 0 else 0)
+    u, v = q / longest + below_one, r / longest + below_other  # from the first of the four, 0 to 1
+    first = min(OPEN, round((1.0 - u) * (1.0 - v) * OPEN))
+    second = min(OPEN - first, round(u * (1.0 - v) * OPEN))
+    third = min(OPEN - first - second, round((1.0 - u) * v * OPEN))
+    m, one, other = at[main] + step, at[(main + 1) % 3] - below_one, at[(main + 2) % 3] - below_other
+    voxel = (m, one, other) if main == 0 else (other, m, one) if main == 1 else (one, other, m)
+    way = 1 + main * 8 + (4 if step > 0 else 0) + below_one * 2 + below_other
+    return way, voxel, (first, second, third, OPEN - first - second - third)
+
+
+@njit(inline="always")
+def _corner(voxel, way, corner):  # type: ignore[no-untyped-def]
+    """The voxel that is this corner of the four that begin with `voxel`."""
+    one, other = ((way - 1) // 8 + 1) % 3, ((way - 1) // 8 + 2) % 3
+    du, dv = corner & 1, corner >> 1
+    i = voxel[0] + (du if one == 0 else 0) + (dv if other == 0 else 0)
+    j = voxel[1] + (du if one == 1 else 0) + (dv if other == 1 else 0)
+    k = voxel[2] + (du if one == 2 else 0) + (dv if other == 2 else 0)
+    return i, j, k
+
+
+@njit(cache=True, nogil=True)
+def _add_sources(camera, kinds):  # type: ignore[no-untyped-def]
+    """Lines that come from beyond the rim begin there: what is there blocks, what lies before it does not."""
+    for a in range(kinds.shape[0]):
+        for b in range(kinds.shape[1]):
+            for c in range(kinds.shape[2]):
+                if kinds[a, b, c] < RIM:
+                    continue
+                way, voxel, weights = _nearer((a, b, c), camera)
+                for corner in range(4 if way != AT_SOURCE else 0):
+                    i, j, k = _corner(voxel, way, corner)
+                    inside = 0 <= i < kinds.shape[0] and 0 <= j < kinds.shape[1] and 0 <= k < kinds.shape[2]
+                    if inside and weights[corner] > 0 and kinds[i, j, k] == OUT_OF_SIGHT:
+                        kinds[i, j, k] = SOURCE
+
+
+@njit(cache=True, nogil=True)
+def _sort(kinds, ranks, begins, places):  # type: ignore[no-untyped-def]
+    """Counting sort by the greatest of the three distances: a way leads to voxels that are strictly nearer."""
+    for fill in range(2):
+        for a in range(kinds.shape[0]):
+            for b in range(kinds.shape[1]):
+                flat = max(ranks[0, a], ranks[1, b])
+                for c in range(kinds.shape[2]):
+                    if kinds[a, b, c] == OUT_OF_SIGHT:
+                        continue
+                    rank = max(flat, ranks[2, c])
+                    if fill:
+                        at = begins[rank]
+                        places[at, 0], places[at, 1], places[at, 2] = a, b, c
+                        begins[rank] += 1
+                    else:
+                        begins[rank + 1] += 1
+        if not fill:
+            for rank in range(1, begins.size):
+                begins[rank] += begins[rank - 1]
+
+
+@njit(cache=True, nogil=True)
+def _lay_out(places, camera, kinds, out):  # type: ignore[no-untyped-def]
+    place, weight = out
+    for s in range(places.shape[0]):
+        a, b, c = np.int64(places[s, 0]), np.int64(places[s, 1]), np.int64(places[s, 2])
+        framed = np.uint32(((a + 1) * FRAMED[1] + b + 1) * FRAMED[2] + c + 1)
+        if kinds[a, b, c] == SOURCE:
+            place[s] = framed
+            continue
+        way, _, weights = _nearer((a, b, c), camera)
+        place[s] = framed | np.uint32(way << VOXEL_BITS) | (IN_IMAGE if kinds[a, b, c] == INSIDE else np.uint32(0))
+        for axis in range(3):
+            place[s] |= np.uint32(_shows(kinds, (a, b, c), camera, axis)) << np.uint32(SIDE_BIT + axis)
+        for corner in range(4):
+            weight[s, corner] = weights[corner]
+
+
+@njit(inline="always")
+def _shows(kinds, at, camera, axis):  # type: ignore[no-untyped-def]
+    """Whether a voxel turns a side of this axis to the camera, and the voxel before that side is in view."""
+    gap = camera[axis] - (at[axis] + 0.5)
+    if abs(gap) <= 0.5:
+        return False
+    step = 1 if gap > 0 else -1
+    i, j, k = at[0] + (step if axis == 0 else 0), at[1] + (step if axis == 1 else 0), at[2] + (step if axis == 2 else 0)
+    inside = 0 <= i < kinds.shape[0] and 0 <= j < kinds.shape[1] and 0 <= k < kinds.shape[2]
+    return inside and kinds[i, j, k] >= RIM

@@ -1,0 +1,72 @@
+"""Voxel features: properties of the ground in each voxel of the label lattice (paper, IV-C, Eq. 4–5).
+
+**Conventions.** Rows are sorted by key, on a lattice of `VOXEL_M`. Vertices lie where the surface crosses the lines
+between voxel centres (see `services.labeler.poisson`), never on voxel borders.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.geometry.lattice import Keys, indices_of, keys_of
+
+VOXEL_M = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class VoxelFeatures:
+    """`keys` (K,) sorted; `features` (K, 3) float64: elevation m, slope rad, roughness log m²."""
+
+    keys: Keys
+    features: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.keys)
+
+    def where(self, keep: NDArray[np.bool_]) -> "VoxelFeatures":
+        return VoxelFeatures(self.keys[keep], self.features[keep])
+
+
+def voxel_features(vertices_map: NDArray[np.float64], features: NDArray[np.float64]) -> VoxelFeatures:
+    """F_k = mean of the features of the vertices in voxel k (Eq. 4–5); `vertices_map` (V, 3), `features` (V, 3)."""
+    keys, inverse, counts = np.unique(keys_of(vertices_map, VOXEL_M), return_inverse=True, return_counts=True)
+    sums = np.stack([np.bincount(inverse, column, len(keys)) for column in features.T], axis=1)
+    return VoxelFeatures(keys, sums.reshape(-1, features.shape[1]) / counts[:, None])
+
+
+def height_above_local_ground(voxels: VoxelFeatures, radius_m: float) -> NDArray[np.float64]:
+    """Elevation (K,) above the lowest surface within `radius_m` in plan, that floor smoothed over the same window.
+
+    Profile `local`: what matters is how far a thing stands out of the ground around it, not how high the hill is.
+    The floor is the minimum over a square window of columns, then its mean over the window.
+    """
+    columns = indices_of(voxels.keys)[:, :2]
+    if len(columns) == 0:
+        return np.zeros(0)
+    origin = columns.min(axis=0)
+    reach = round(radius_m / VOXEL_M)
+    at = columns - origin + 2 * reach
+    shape = tuple(at.max(axis=0, initial=0) + 2 * reach + 1)
+    lowest = np.full(shape, np.inf)
+    np.minimum.at(lowest, (at[:, 0], at[:, 1]), voxels.features[:, 0])
+    floor = _smoothed(_window_minimum(lowest, reach), reach)
+    return np.asarray(voxels.features[:, 0] - floor[at[:, 0], at[:, 1]], dtype=np.float64)
+
+
+def _window_minimum(grid: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
+    """Minimum over the square of ± `reach` cells."""
+    for axis in (0, 1):
+        shifted = [np.roll(grid, shift, axis) for shift in range(-reach, reach + 1)]
+        grid = np.minimum.reduce(shifted)
+    return grid
+
+
+def _smoothed(grid: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
+    """Mean over the square of ± `reach` cells, of the finite cells only."""
+    known = np.isfinite(grid)
+    total, weight = np.where(known, grid, 0.0), known.astype(np.float64)
+    for axis in (0, 1):
+        total = np.add.reduce([np.roll(total, shift, axis) for shift in range(-reach, reach + 1)])
+        weight = np.add.reduce([np.roll(weight, shift, axis) for shift in range(-reach, reach + 1)])
+    return np.divide(total, weight, out=np.full_like(total, np.inf), where=weight > 0)

@@ -1,0 +1,1 @@
+"""Scoring: confusions, the metrics read from them, their uncertainty, the ranking."""

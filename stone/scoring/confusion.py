@@ -1,0 +1,108 @@
+"""Ratios of a 4 × 4 confusion: intersection over union of occupancy and of each traversability class.
+
+**Conventions.** Classes: 0 free, 1 traversable (T), 2 potentially traversable (P), 3 non-traversable (N). Rows are the
+ground truth, columns the prediction; counts of voxels, int64 in totals (int32 per frame and ring). Leading axes are
+batch axes. Ratios are in the order of `stone.scoring.metric.RATIOS`; what they mean is written in
+`stone.scoring.metric`.
+
+A ratio over an empty union (the class is in neither) is undefined: NaN in arrays, None in records; never 0, never 1. A
+mean over an undefined part is undefined too: a mean of two classes is not comparable with a mean of three.
+
+Source: Jaccard (1912); the two metrics are the two readings of the STONE paper's "within occupied voxels".
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import isnan
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.errors import ShapeError
+from stone.scoring.metric import CLASS_NAMES, CLASSES, METRIC_VERSION, OCCUPIED_VERSION, RATIOS, metric_of
+
+OCCUPIED = slice(1, None)
+T, N = CLASS_NAMES.index("T"), CLASS_NAMES.index("N")
+
+Counts = NDArray[np.integer[Any]]
+Ratios = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Extras:
+    """What an off-road user asks beside the ranking; each in [0, 1] or None where undefined."""
+
+    n_predicted_t_ratio: float | None
+    t_predicted_n_ratio: float | None
+    bev_drivable_iou: float | None
+
+
+def ratios(confusions: Counts, metric: str = METRIC_VERSION) -> Ratios:
+    """(..., 5) of confusions (..., 4, 4), NaN where undefined.
+
+    Raises `ShapeError` for other shapes and `UnknownMetricError`.
+    """
+    counts = _checked(confusions)
+    of_classes = iou_classes(within_occupied(counts) if metric_of(metric).version == OCCUPIED_VERSION else counts)
+    parts = (iou_occupied(counts)[..., None], of_classes, of_classes.mean(axis=-1, keepdims=True))
+    return np.concatenate(parts, axis=-1)
+
+
+def named_ratios(confusion: Counts, metric: str = METRIC_VERSION) -> dict[str, float | None]:
+    """The ratios of one confusion (4, 4) by name, None where undefined. Raises as `ratios` does."""
+    return dict(zip(RATIOS, map(_or_none, ratios(confusion, metric).tolist()), strict=True))
+
+
+def extras(confusion: Counts, bev: Counts) -> Extras:
+    """Of one confusion (4, 4) and of columns drivable in (both, truth only, prediction only) (3,)."""
+    counts = _checked(confusion)
+    of_truth = counts.sum(axis=-1)
+    return Extras(
+        n_predicted_t_ratio=_or_none(float(_ratio(counts[N, T], of_truth[N]))),
+        t_predicted_n_ratio=_or_none(float(_ratio(counts[T, N], of_truth[T]))),
+        bev_drivable_iou=_or_none(float(_ratio(bev[0].astype(np.int64), bev.sum(dtype=np.int64)))),
+    )
+
+
+def iou_occupied(confusion: Counts) -> Ratios:
+    """IoU_occ (...,) of confusions (..., 4, 4); NaN where nothing is occupied in either."""
+    counts = _checked(confusion)
+    both = counts[..., OCCUPIED, OCCUPIED].sum(axis=(-2, -1))
+    either = counts.sum(axis=(-2, -1)) - counts[..., 0, 0]
+    return _ratio(both, either)
+
+
+def iou_classes(confusion: Counts) -> Ratios:
+    """IoU of T, P, N (..., 3) over all voxels of confusions (..., 4, 4); NaN for a class in neither."""
+    counts = _checked(confusion)
+    both = np.diagonal(counts, axis1=-2, axis2=-1)[..., OCCUPIED]
+    in_truth, in_prediction = counts.sum(axis=-1)[..., OCCUPIED], counts.sum(axis=-2)[..., OCCUPIED]
+    return _ratio(both, in_truth + in_prediction - both)
+
+
+def within_occupied(confusion: Counts) -> NDArray[np.int64]:
+    """The confusions (..., 4, 4) restricted to voxels that the ground truth calls occupied: row free emptied."""
+    counts = _checked(confusion).copy()
+    counts[..., 0, :] = 0
+    return counts
+
+
+def supports(confusion: Counts) -> Mapping[str, int]:
+    """Voxels of each class in the ground truth of one confusion (4, 4)."""
+    return dict(zip(CLASS_NAMES, _checked(confusion).sum(axis=-1).tolist(), strict=True))
+
+
+def _checked(confusion: Counts) -> NDArray[np.int64]:
+    if confusion.shape[-2:] != (CLASSES, CLASSES):
+        raise ShapeError("confusion", confusion.shape, f"(..., {CLASSES}, {CLASSES})")
+    return confusion.astype(np.int64)
+
+
+def _ratio(part: Counts, whole: Counts) -> Ratios:
+    undefined = np.full(np.shape(whole), np.nan)
+    return np.asarray(np.divide(part, whole, out=undefined, where=np.asarray(whole) > 0), dtype=np.float64)
+
+
+def _or_none(ratio: float) -> float | None:
+    return None if isnan(ratio) else ratio

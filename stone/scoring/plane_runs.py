@@ -1,0 +1,68 @@
+"""Bit planes as runs of equal columns: neighbours in a scene are often the same, and runs are quick to unroll.
+
+**Conventions.** Planes (3, WORDS) uint64 are taken as 3 · COLUMNS columns of one uint32 in their order. Bit n of
+`changes` says that column n differs from the one before it (the first always does); `columns` are those that do.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from stone.errors import ShapeError
+from stone.kernels.column_words import unroll8
+from stone.scoring.bitplanes import COLUMNS, WORDS, Planes
+
+PLANES = 3
+CHANGES = PLANES * COLUMNS // 64
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneRuns:
+    """`changes` (CHANGES,) uint64 with as many bits set as `columns` (R,) uint32 has entries."""
+
+    changes: NDArray[np.uint64]
+    columns: NDArray[np.uint32]
+
+
+def runs_of(planes: Planes) -> PlaneRuns:
+    """Raises `ShapeError` for other shapes than (3, WORDS)."""
+    if planes.shape != (PLANES, WORDS):
+        raise ShapeError("planes", planes.shape, f"({PLANES}, {WORDS})")
+    columns = np.ascontiguousarray(planes).view(np.uint32).reshape(-1)
+    is_new = np.concatenate([[True], columns[1:] != columns[:-1]])
+    return PlaneRuns(np.packbits(is_new, bitorder="little").view(np.uint64), columns[is_new])
+
+
+def planes_of(runs: PlaneRuns) -> Planes:
+    """The planes (3, WORDS) that `runs_of` was given.
+
+    Raises `ShapeError` where changes and columns do not belong together.
+    """
+    changes, columns = runs.changes, runs.columns
+    if changes.shape != (CHANGES,) or not changes[0] & np.uint64(1):
+        raise ShapeError("changes", changes.shape, f"({CHANGES},), of which the first bit is set")
+    if columns.shape != (int(np.bitwise_count(changes).sum(dtype=np.int64)),):
+        raise ShapeError("columns", columns.shape, "one entry for each bit that is set in changes")
+    planes = np.empty((PLANES, WORDS), np.uint64)
+    _unroll(changes, columns, planes.view(np.uint32).reshape(-1))
+    return planes
+
+
+@njit(cache=True, nogil=True)
+def _unroll(changes: NDArray[np.uint64], columns: NDArray[np.uint32], out: NDArray[np.uint32]) -> None:
+    run = np.int64(-1)
+    for w in range(changes.size):
+        bits = changes[w]
+        if bits == 0:
+            same = columns[run]
+            for n in range(64):
+                out[64 * w + n] = same
+        elif run >= 0 and run + 64 + 8 < columns.size:  # what is read in advance is there
+            for n in range(0, 64, 8):
+                run += unroll8(np.uint32((bits >> np.uint64(n)) & np.uint64(0xFF)), columns, run, out, 64 * w + n)
+        else:
+            for n in range(64):
+                run += np.int64((bits >> np.uint64(n)) & np.uint64(1))
+                out[64 * w + n] = columns[run]

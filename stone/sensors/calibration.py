@@ -1,0 +1,73 @@
+"""The calibration of a robot: where its sensors sit, how its cameras project, where it touches the ground.
+
+**Conventions.** Extrinsics are `lidar_from_<sensor>`; the ego frame is the base link, x forward, y left, z up, its
+origin on the ground contact plane under the robot (REP 103/105). Cameras are optical: z forward, x right, y down.
+"""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from stone.geometry.se3 import SE3
+
+CameraModel = Literal["pinhole", "plumb_bob", "rational_polynomial", "equidistant"]
+SensorKind = Literal["camera", "radar", "ins", "imu", "lidar"]
+
+
+@dataclass(frozen=True)
+class Box:
+    """Axis-aligned, half-open: min ≤ p < max, metres, in the frame its holder names."""
+
+    min_m: tuple[float, float, float]
+    max_m: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """The rectangle of ground the robot covers, centred on the ego origin (paper, IV: 1.06 × 0.85 m)."""
+
+    length_m: float = 1.06
+    width_m: float = 0.85
+
+
+@dataclass(frozen=True)
+class CameraIntrinsics:
+    """`distortion` has the length its model asks for: pinhole 0, plumb_bob 5, rational_polynomial 8, equidistant 4."""
+
+    model: CameraModel
+    width_px: int
+    height_px: int
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+    distortion: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Mount:
+    """One sensor on the robot; `name` is its channel (CAM_FRONT, RADAR_LEFT, INS, …)."""
+
+    name: str
+    kind: SensorKind
+    lidar_from_sensor: SE3
+    frame_id: str = ""
+    time_offset_ns: int = 0
+    intrinsics: CameraIntrinsics | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """Everything fixed on one robot; immutable, and a sequence pins one."""
+
+    name: str
+    ego_from_lidar: SE3
+    mounts: tuple[Mount, ...] = ()
+    footprint: Footprint = field(default_factory=Footprint)
+    self_boxes_ego: tuple[Box, ...] = ()
+
+    def mount(self, name: str) -> Mount | None:
+        """The mount of this channel, or None when the calibration does not know it."""
+        return next((mount for mount in self.mounts if mount.name == name), None)
+
+    def of_kind(self, kind: SensorKind) -> tuple[Mount, ...]:
+        return tuple(mount for mount in self.mounts if mount.kind == kind)

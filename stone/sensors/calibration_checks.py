@@ -1,0 +1,183 @@
+"""Checks of a calibration before use: small faults are corrected and reported, large ones refused.
+
+**Conventions.** Every check takes `sensor`, the name to say in a message, and returns findings (severity "warning",
+topic = sensor) or raises a leaf of `calibration_errors`. Thresholds: design §2. Four decimals of rounding leave a
+rotation 1e-6…1e-4 off; of 17 extrinsics published with OpenCalib three are beyond 5e-3 (determinants 0, 0.97, 0.999).
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.errors import ShapeError
+from stone.findings import Finding
+from stone.geometry.se3 import SE3
+from stone.sensors.calibration import Calibration, SensorKind
+from stone.sensors.calibration_errors import (
+    FootprintError,
+    LastRowError,
+    MirrorError,
+    MissingSensorError,
+    NotARotationError,
+    NotFiniteError,
+    QuaternionNormError,
+    RepeatedSensorError,
+    TranslationError,
+)
+
+Array = NDArray[np.float64]
+Findings = tuple[Finding, ...]
+
+ROTATION_FINE, ROTATION_LIMIT = 1e-4, 5e-3
+NORM_FINE, NORM_LIMIT = 1e-3, 1e-2
+TRANSLATION_FINE_M, TRANSLATION_LIMIT_M = 10.0, 100.0
+FOOTPRINT_LIMIT_M = 50.0
+
+
+def warning(code: str, sensor: str, sentence: str) -> Finding:
+    return Finding(code, "warning", sensor, f"{sensor}: {sentence}")
+
+
+def checked_transform(sensor: str, matrix: Array) -> tuple[SE3, Findings]:
+    """A homogeneous matrix (4, 4) as SE3.
+
+    Raises ShapeError, NotFiniteError, LastRowError and what `checked_rotation` and `check_translation` raise.
+    """
+    if matrix.shape != (4, 4):
+        raise ShapeError(f"{sensor} matrix", matrix.shape, "(4, 4)")
+    if not np.isfinite(matrix).all():
+        raise NotFiniteError(sensor, "the matrix")
+    if np.abs(matrix[3] - (0, 0, 0, 1)).max() > ROTATION_FINE:
+        raise LastRowError(sensor, matrix[3].tolist())
+    return rotation_and_translation(sensor, matrix[:3, :3], matrix[:3, 3])
+
+
+def rotation_and_translation(sensor: str, rotation: Array, translation_m: Array) -> tuple[SE3, Findings]:
+    """A rotation matrix (3, 3) and a translation (3,) as SE3; raises as the two checks do."""
+    proper, findings = checked_rotation(sensor, rotation)
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = proper, translation_m
+    findings += check_translation(sensor, translation_m)
+    return SE3.from_matrix(matrix), findings
+
+
+def quaternion_and_translation(
+    sensor: str, kind: SensorKind, wxyz: Array, translation_m: Array
+) -> tuple[SE3, Findings]:
+    """A quaternion (4,) declared `wxyz` and a translation (3,) as SE3, with a doubt about the order where there is one.
+
+    Raises NotFiniteError, QuaternionNormError and what `check_translation` raises.
+    """
+    findings = checked_norm(sensor, wxyz) + check_translation(sensor, translation_m)
+    return SE3.from_parts(wxyz, translation_m), findings + order_doubt(sensor, kind, wxyz)
+
+
+def checked_rotation(sensor: str, rotation: Array) -> tuple[Array, Findings]:
+    """The rotation (3, 3) itself when ‖RᵀR−I‖ and |det−1| ≤ 1e-4; up to 5e-3 the nearest rotation (SVD) and a warning.
+
+    Raises ShapeError, NotFiniteError, MirrorError (det < 0), NotARotationError.
+    """
+    if rotation.shape != (3, 3):
+        raise ShapeError(f"{sensor} rotation", rotation.shape, "(3, 3)")
+    if not np.isfinite(rotation).all():
+        raise NotFiniteError(sensor, "the rotation")
+    with np.errstate(over="ignore", invalid="ignore"):
+        determinant = float(np.linalg.det(rotation))
+        residual = max(float(np.linalg.norm(rotation.T @ rotation - np.eye(3))), abs(determinant - 1))
+    if determinant < 0:
+        raise MirrorError(sensor, determinant)
+    if not residual <= ROTATION_LIMIT:
+        raise NotARotationError(sensor, determinant, residual, ROTATION_LIMIT)
+    if residual <= ROTATION_FINE:
+        return rotation, ()
+    u, _, vt = np.linalg.svd(rotation)
+    sentence = f"the rotation is {residual:.2g} off a rotation; the nearest one is used (more digits in the file help)"
+    return u @ vt, (warning("CAL-401", sensor, sentence),)
+
+
+def checked_norm(sensor: str, wxyz: Array) -> Findings:
+    """Fine within ±1e-3 of 1, a warning within ±1e-2. Raises ShapeError, NotFiniteError, QuaternionNormError beyond."""
+    if wxyz.shape != (4,):
+        raise ShapeError(f"{sensor} quaternion", wxyz.shape, "(4,)")
+    if not np.isfinite(wxyz).all():
+        raise NotFiniteError(sensor, "the quaternion")
+    norm = float(np.hypot.reduce(wxyz))
+    if abs(norm - 1) > NORM_LIMIT:
+        raise QuaternionNormError(sensor, norm, NORM_LIMIT)
+    if abs(norm - 1) <= NORM_FINE:
+        return ()
+    return (warning("CAL-402", sensor, f"the quaternion has norm {norm:.4f} and is normalised (rounded in the file?)"),)
+
+
+def order_doubt(sensor: str, kind: SensorKind, wxyz: Array) -> Findings:
+    """A warning when the quaternion read as xyzw would be a much likelier mount: upright, or a LiDAR not turned at all.
+
+    A sensor is expected upright within 60°: cameras with image down (+y) along −z, all others with +z up. Half a turn
+    about the vertical is doubted for the LiDAR alone: beside a Hesai (y forward) a left radar really has it.
+    """
+    declared, other = SE3.from_parts(wxyz, np.zeros(3)), SE3.from_parts(np.roll(wxyz, 1), np.zeros(3))
+    up = np.array([0.0, -1.0, 0.0]) if kind == "camera" else np.array([0.0, 0.0, 1.0])
+    is_tilted, is_upright = (declared @ up)[2] < 0.5, (other @ up)[2] > 0.9
+    is_turned_back = kind == "lidar" and abs(declared.wxyz[0]) < 0.01 and abs(other.wxyz[0]) > 0.99
+    if not ((is_tilted and is_upright) or is_turned_back):
+        return ()
+    order = "the quaternion is declared wxyz but read as xyzw it is the likelier mount; check the order"
+    return (warning("CAL-402", sensor, order),)
+
+
+def check_translation(sensor: str, translation_m: Array) -> Findings:
+    """A warning beyond 10 m. Raises ShapeError, NotFiniteError, TranslationError beyond 100 m."""
+    if translation_m.shape != (3,):
+        raise ShapeError(f"{sensor} translation", translation_m.shape, "(3,)")
+    if not np.isfinite(translation_m).all():
+        raise NotFiniteError(sensor, "the translation")
+    distance_m = float(np.hypot.reduce(translation_m))
+    if distance_m > TRANSLATION_LIMIT_M:
+        raise TranslationError(sensor, distance_m, TRANSLATION_LIMIT_M)
+    if distance_m <= TRANSLATION_FINE_M:
+        return ()
+    return (warning("CAL-409", sensor, f"the sensor sits {distance_m:.1f} m from the LiDAR (unit not metres?)"),)
+
+
+def require_mounts(calibration: Calibration, names: tuple[str, ...], why: str) -> None:
+    """Raises MissingSensorError naming every one of `names` that the calibration does not know."""
+    missing = [name for name in names if calibration.mount(name) is None]
+    if missing:
+        raise MissingSensorError(missing, [mount.name for mount in calibration.mounts], why)
+
+
+def check_calibration(calibration: Calibration) -> Findings:
+    """What only the whole shows: unique channels, a footprint and self boxes with extent, mounts that are not copies.
+
+    Raises RepeatedSensorError, FootprintError.
+    """
+    names = [mount.name for mount in calibration.mounts]
+    for name in names:
+        if names.count(name) > 1:
+            raise RepeatedSensorError(name)
+    for key, value_m in (("length_m", calibration.footprint.length_m), ("width_m", calibration.footprint.width_m)):
+        if not 0 < value_m <= FOOTPRINT_LIMIT_M:
+            raise FootprintError(
+                f"footprint {key}", f"{value_m:g} m", f"more than 0 and at most {FOOTPRINT_LIMIT_M:g} m"
+            )
+    for index, box in enumerate(calibration.self_boxes_ego):
+        if not all(low < high for low, high in zip(box.min_m, box.max_m, strict=True)):
+            raise FootprintError(f"self box {index}", f"{box.min_m} to {box.max_m}", "min below max on every axis")
+    return _unmeasured_mounts(calibration) + _sunken_lidar(calibration)
+
+
+def _sunken_lidar(calibration: Calibration) -> Findings:
+    """The ego origin lies on the ground, so a LiDAR below it is under the ground."""
+    height_m = float(calibration.ego_from_lidar.translation_m[2])
+    if height_m >= 0:
+        return ()
+    sentence = f"the LiDAR lies {-height_m:.2f} m under the ground (inverted, or is the ego origin not on the ground?)"
+    return (warning("CAL-419", "ego_from_lidar", sentence),)
+
+
+def _unmeasured_mounts(calibration: Calibration) -> Findings:
+    """More than one sensor exactly on the LiDAR: extrinsics that nobody filled in."""
+    identity = SE3.identity().wxyz_xyz
+    on_lidar = [m.name for m in calibration.mounts if np.array_equal(m.lidar_from_sensor.wxyz_xyz, identity)]
+    if len(on_lidar) < 2:
+        return ()
+    return (warning("CAL-417", ", ".join(on_lidar), "extrinsics are the identity; were they never measured?"),)

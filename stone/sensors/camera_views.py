@@ -1,0 +1,104 @@
+"""Directions of cameras, compared with their names: what an inverted transform gives away.
+
+**Conventions.** Directions are in the ego frame (x forward, y left, z up). A name says its direction by the words
+FRONT, BACK, REAR, LEFT, RIGHT (CAM_BACK_LEFT); one without any says nothing. The optical axis is +z, the image's up −y.
+"""
+
+import re
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.findings import Finding
+from stone.geometry.se3 import SE3
+from stone.sensors.calibration import Calibration, CameraIntrinsics, Mount
+from stone.sensors.projection import project
+
+# Half of the points that a lens' share of the horizon holds, but never more than the 5 % of design §2.
+LEAST_RATIO = 0.05
+# FRONT_LEFT may mean 20° or 70°; looking more than 75° past what the name says is another direction. LEFT alone may be
+# the left one of a pair that looks forward, so only its opposite is wrong.
+OFF_NAME_LIMIT_DEG, OFF_SIDE_LIMIT_DEG = 75.0, 135.0
+UPRIGHT_LEAST, LEVEL_MOST = 0.5, 0.8
+
+WORDS = {"FRONT": (1, 0), "FORWARD": (1, 0), "BACK": (-1, 0), "REAR": (-1, 0), "LEFT": (0, 1), "RIGHT": (0, -1)}
+
+
+@dataclass(frozen=True)
+class CameraView:
+    """How one camera sees: `off_name_deg` is None where its name says no direction; `is_plausible` as mounts are."""
+
+    seen_ratio: float
+    off_name_deg: float | None
+    is_elsewhere: bool
+    is_plausible: bool
+
+    def is_wrong(self, least_ratio: float) -> bool:
+        return self.seen_ratio <= least_ratio or self.is_elsewhere
+
+
+def named_direction(name: str) -> NDArray[np.float64] | None:
+    """The unit direction (2,) a channel's words add up to; None without any, or where they cancel."""
+    steps = [WORDS[word] for word in re.split(r"[^A-Z]+", name.upper()) if word in WORDS]
+    total = np.sum(steps, axis=0, dtype=np.float64) if steps else np.zeros(2)
+    length = float(np.linalg.norm(total))
+    return np.asarray(total / length) if length else None
+
+
+def off_name_deg(name: str, ego_from_camera: SE3) -> float | None:
+    """Horizontal angle between the optical axis and the name's direction, 0 to 180; None where the name says none.
+
+    An axis that is nearly vertical has no direction and is 180° off any.
+    """
+    wanted = named_direction(name)
+    if wanted is None:
+        return None
+    axis = (ego_from_camera.rotation() @ (0.0, 0.0, 1.0))[:2]
+    length = float(np.linalg.norm(axis))
+    if length < 1e-2:
+        return 180.0
+    return float(np.rad2deg(np.arccos(np.clip(axis @ wanted / length, -1.0, 1.0))))
+
+
+def is_elsewhere(name: str, apart_deg: float | None) -> bool:
+    """Whether a camera of this name that looks `apart_deg` off it is another camera, or its transform wrong."""
+    if apart_deg is None:
+        return False
+    words = set(re.split(r"[^A-Z]+", name.upper())) & set(WORDS)
+    return apart_deg > (OFF_SIDE_LIMIT_DEG if words <= {"LEFT", "RIGHT"} else OFF_NAME_LIMIT_DEG)
+
+
+def least_seen_ratio(intrinsics: CameraIntrinsics) -> float:
+    """Below this share of the sweep's points the camera does not look where the LiDAR measures."""
+    half_rad = intrinsics.width_px / 2 / intrinsics.fx_px
+    width_rad = 2 * (half_rad if intrinsics.model == "equidistant" else float(np.arctan(half_rad)))
+    return min(LEAST_RATIO, width_rad / (2 * pi) / 2)
+
+
+def view_of(mount: Mount, ego_from_lidar: SE3, points_camera: NDArray[np.float64]) -> CameraView:
+    """What the camera makes of a sweep (N, 3) in its own frame; one without intrinsics sees nothing."""
+    is_in_image = project(points_camera, mount.intrinsics)[1] if mount.intrinsics else np.zeros(0, np.bool_)
+    ego_from_camera = ego_from_lidar @ mount.lidar_from_sensor
+    axis, up = ego_from_camera.rotation() @ (0.0, 0.0, 1.0), ego_from_camera.rotation() @ (0.0, -1.0, 0.0)
+    apart_deg = off_name_deg(mount.name, ego_from_camera)
+    return CameraView(
+        float(is_in_image.mean()) if len(is_in_image) else 0.0,
+        apart_deg,
+        is_elsewhere(mount.name, apart_deg),
+        bool(up[2] > UPRIGHT_LEAST and abs(axis[2]) < LEVEL_MOST),
+    )
+
+
+def name_findings(calibration: Calibration) -> tuple[Finding, ...]:
+    """A warning for each camera that looks elsewhere than its name says; no recording is needed to see that."""
+    findings = []
+    for mount in calibration.of_kind("camera"):
+        apart_deg = off_name_deg(mount.name, calibration.ego_from_lidar @ mount.lidar_from_sensor)
+        if is_elsewhere(mount.name, apart_deg):
+            sentence = (
+                f"{mount.name} looks {apart_deg:.0f}° from where its name says (transform inverted, or names swapped?)"
+            )
+            findings.append(Finding("CAL-404", "warning", mount.name, sentence))
+    return tuple(findings)

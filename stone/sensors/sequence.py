@@ -1,0 +1,133 @@
+"""A synchronised sequence, passed from ingest to the labeler: its frames, its calibration and its sweeps.
+
+**Conventions.** Time is integer nanoseconds. A frame is the synchronised sample at one LiDAR stamp; its token is
+`frame_token(sequence name, stamp)`. Poses are `map_from_ego` at the stamp.
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from hashlib import sha256
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.errors import StoneError
+from stone.findings import Finding
+from stone.geometry.se3 import SE3
+from stone.geometry.trajectory import DEFAULT_MAX_GAP_NS, Trajectory
+from stone.sensors.calibration import Calibration
+from stone.sensors.pose_quality import PoseQuality
+
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+
+
+class SequenceNameError(StoneError):
+    """A sequence name becomes a folder name, so it must be a plain one."""
+
+    code = "bad_sequence_name"
+
+    def __init__(self, name: str) -> None:
+        super().__init__(
+            f"{name[:120]!r} cannot name a sequence: 1 to 100 letters, digits, dots, dashes and underscores, "
+            "beginning with a letter or digit (is it a path?)"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """One LiDAR revolution, deskewed to its stamp: finite, non-zero points (N, 3) float32 in the LiDAR frame."""
+
+    stamp_ns: int
+    points_lidar: NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Association:
+    """Which message of one sensor each frame takes: index −1 and dt 0 where none is near enough; dt is signed.
+
+    `phase_ns` is how long after the frame's stamp a triggered camera fires, learnt from the recording; else None.
+    """
+
+    topic: str
+    message_index: NDArray[np.int64]
+    dt_ns: NDArray[np.int64]
+    phase_ns: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Slices:
+    """The samples of a fast sensor between frames: `start` (N + 1,), those of frame i are start[i] to start[i + 1].
+
+    They are counted in stamp order, repeats left out; from the frame's stamp (included) to the next frame's, those of
+    the last frame for one period of the LiDAR.
+    """
+
+    topic: str
+    start: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class ExcludedFrame:
+    """A LiDAR stamp that gives no frame, and why (`code` for programs, `reason` for people)."""
+
+    stamp_ns: int
+    code: str
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """The frame table: N usable frames in time order; `sweeps` are the LiDAR's messages, `slices` by channel.
+
+    `quality` and `sweeps` are None where frames were not made from a recording.
+    """
+
+    stamps_ns: NDArray[np.int64]
+    tokens: tuple[str, ...]
+    map_from_ego: SE3
+    associations: Mapping[str, Association] = field(default_factory=dict)
+    slices: Mapping[str, Slices] = field(default_factory=dict)
+    quality: PoseQuality | None = None
+    sweeps: Association | None = None
+
+    def __len__(self) -> int:
+        return len(self.tokens)
+
+
+@dataclass(frozen=True, eq=False)
+class Sequence:
+    """One continuous run of the robot, synchronised; `inputs` names what it was made from (name → sha256).
+
+    `track` is where the robot was between the frames, as its poses say before any refinement of the frames' own; poses
+    farther apart than `max_pose_gap_ns` are a gap in it. None where frames were not made from a recording.
+    """
+
+    name: str
+    frames: Frames
+    excluded: tuple[ExcludedFrame, ...]
+    calibration: Calibration
+    pose_source: str
+    map_origin_deg_m: tuple[float, float, float] | None = None
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
+    track: Trajectory | None = None
+    max_pose_gap_ns: int = DEFAULT_MAX_GAP_NS
+
+    def __post_init__(self) -> None:
+        if not NAME.fullmatch(self.name):
+            raise SequenceNameError(self.name)
+
+
+class SweepSource(Protocol):
+    """Where sweeps come from: a recording on disk, or arrays in memory. Picklable, so that workers can open it."""
+
+    def sweep(self, index: int) -> Sweep:
+        """The sweep of frame `index`."""
+        ...
+
+
+def frame_token(sequence_name: str, stamp_ns: int) -> str:
+    """First 32 hex digits of sha256("<sequence name>:<stamp_ns>") (design §3)."""
+    return sha256(f"{sequence_name}:{stamp_ns}".encode()).hexdigest()[:32]

@@ -1,0 +1,168 @@
+"""Split proposals by a solver: the rules hold and the parts are alike, or the conflicting rules are named.
+
+**Conventions.** Binary x[s, p]: sequence s is in part p; y[r]: region r is test's. First the cheapest way to bend the
+rules is found (`COSTS`, nothing where all can be kept); then, bending no more than that, the parts are made alike: for
+each part the duration, and T, P and N among its occupied voxels, as near to those of the whole as can be (sum of
+absolute deviations, each relative to what the part would hold if all sequences were alike). A clash is irreducible:
+rules are left out one by one for as long as the rest still clash. Solved by HiGHS through `scipy.optimize.milp`, on one
+thread, bounded by nodes and not by seconds: equal catalogues give equal proposals, in whatever order they are listed.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from stone.splits.composition import CatalogueEntry, sums_of
+from stone.splits.model import COSTS, Model, Rule, SolverLimits, SplitTask, rules_of
+from stone.splits.rules import check_split
+from stone.splits.splits import (
+    LENGTH,
+    MOST_SEQUENCES,
+    PARTS,
+    REGIONS,
+    SIZES,
+    WHOLE,
+    BadSizesError,
+    CatalogueTooLargeError,
+    EmptyCatalogueError,
+    RuleFinding,
+    Split,
+    is_long_enough,
+    twins_of,
+)
+
+__all__ = ["COSTS", "PartShares", "Proposal", "SolverLimits", "propose"]
+
+NAMED = 8
+
+
+@dataclass(frozen=True)
+class PartShares:
+    """What a part holds: ratio of all assigned seconds; T, P, N of its occupied voxels (None: no voxels are known)."""
+
+    sequences: int
+    duration_ratio: float
+    class_ratios: tuple[float, float, float] | None
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A split, and how it stands to the rules.
+
+    `is_feasible`: every rule is kept as far as the data allow. Else `conflict` is a set of rules that cannot all be
+    kept, and any of which could be kept without the others, each with the numbers that make it so. `findings` are what
+    the checks say of the split itself. `is_best`: proven that no split bends the rules less and is more alike by more
+    than the solver's gap; false where it stopped at its limits.
+    """
+
+    split: Split
+    conflict: tuple[RuleFinding, ...]
+    findings: tuple[RuleFinding, ...]
+    whole: PartShares
+    shares: tuple[PartShares, PartShares, PartShares]
+    is_best: bool
+
+    @property
+    def is_feasible(self) -> bool:
+        return not self.conflict
+
+
+def propose(
+    catalogue: Iterable[CatalogueEntry], sizes: tuple[int, int, int], limits: SolverLimits | None = None
+) -> Proposal:
+    """The best split of `catalogue` into parts of these sizes (train, val, test); what is left over is in none.
+
+    Raises `BadSizesError`, `EmptyCatalogueError`, `CatalogueTooLargeError`.
+    """
+    entries = tuple(sorted(catalogue, key=lambda entry: (entry.name, entry.id)))
+    if not all(0 <= size <= MOST_SEQUENCES for size in sizes) or not any(sizes):
+        raise BadSizesError(sizes)
+    if not entries:
+        raise EmptyCatalogueError()
+    if len(entries) > MOST_SEQUENCES:
+        raise CatalogueTooLargeError(len(entries))
+    model = Model(SplitTask(entries, sizes), limits or SolverLimits())
+    bent = model.least_bent()
+    conflict = _clash(model) if bent.cost > 0 else ()
+    solved = model.most_alike(bent)
+    split = _split(entries, solved.parts)
+    return Proposal(
+        split=split,
+        conflict=tuple(_reason(rule, model.sought) for rule in conflict),
+        findings=check_split(split, entries, sizes),
+        whole=_shares(entries, split, (0, 1, 2)),
+        shares=(_shares(entries, split, (0,)), _shares(entries, split, (1,)), _shares(entries, split, (2,))),
+        is_best=bent.is_proven and solved.is_proven,
+    )
+
+
+def _clash(model: Model) -> tuple[Rule, ...]:
+    """The deletion filter (Chinneck 2008, §6.1): what cannot be left out without the clash going away."""
+    kept = list(rules_of(model.sought))
+    for rule in tuple(kept):
+        others = [other for other in kept if other != rule]
+        if not model.can_be_kept(others):
+            kept = others
+    return tuple(kept)
+
+
+def _split(entries: tuple[CatalogueEntry, ...], parts: tuple[int, ...]) -> Split:
+    """`parts`: of each entry the number of its part, −1 for none."""
+    train, val, test = (
+        tuple(entry.id for entry, of in zip(entries, parts, strict=True) if of == part) for part in range(len(PARTS))
+    )
+    return Split(train, val, test)
+
+
+def _shares(entries: tuple[CatalogueEntry, ...], split: Split, parts: tuple[int, ...]) -> PartShares:
+    of_parts = {one for part in parts for one in tuple(split.parts.values())[part]}
+    everything = {one for ids in split.parts.values() for one in ids}
+    sums = sums_of(entry for entry in entries if entry.id in of_parts)
+    whole = sums_of(entry for entry in entries if entry.id in everything)
+    return PartShares(
+        sequences=sums.sequences,
+        duration_ratio=sums.duration_s / whole.duration_s if whole.duration_s else 0.0,
+        class_ratios=sums.class_shares(),
+    )
+
+
+def _reason(rule: Rule, sought: SplitTask) -> RuleFinding:
+    """The numbers for which this rule is one of those that clash."""
+    concerned, message = _facts(rule, sought)
+    return RuleFinding(rule.code, "error", message, tuple(sorted(entry.id for entry in concerned)))
+
+
+def _facts(rule: Rule, sought: SplitTask) -> tuple[tuple[CatalogueEntry, ...], str]:
+    entries, sizes = sought.entries, sought.sizes
+    usable = tuple(entry for entry in entries if is_long_enough(entry))
+    if rule.code == SIZES:
+        asked = f"{' + '.join(map(str, sizes))} = {sum(sizes)} sequences are asked for as train, val and test"
+        return (), f"{asked}; there are {len(entries)}, {len(usable)} of them of 20 s or more"
+    if rule.code == LENGTH:
+        short = tuple(entry for entry in entries if not is_long_enough(entry))
+        return short, f"{len(short)} of {len(entries)} sequences are shorter than 20 s: {_names(short)}"
+    if rule.code == WHOLE:
+        twins = tuple({entry.id: entry for _, group in twins_of(usable) for entry in group}.values())
+        return twins, f"{len(twins)} sequences share a name or a recording, and one of each is taken: {_names(twins)}"
+    if rule.code == REGIONS:
+        counted = _by_region(usable)
+        return (), f"test and train share no region, and a region is taken whole; there are {counted}"
+    return (
+        rule.entries,
+        f"{rule.word} in each split: {len(rule.entries)} sequences have it, in {_by_region(rule.entries)}",
+    )
+
+
+def _by_region(entries: tuple[CatalogueEntry, ...]) -> str:
+    counts = dict[str, int]()
+    for entry in entries:
+        name = entry.region_key or "(not said)"
+        counts[name] = counts.get(name, 0) + 1
+    largest = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
+    more = f" and {len(largest) - NAMED} more" if len(largest) > NAMED else ""
+    named = ", ".join(f"{name} {count}" for name, count in largest[:NAMED])
+    return f"{len(largest)} region(s): {named}{more}"
+
+
+def _names(entries: tuple[CatalogueEntry, ...]) -> str:
+    more = f" and {len(entries) - NAMED} more" if len(entries) > NAMED else ""
+    return ", ".join(entry.name for entry in entries[:NAMED]) + more

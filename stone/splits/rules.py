@@ -1,0 +1,144 @@
+"""The paper's rules for a split, each a check of its own that returns findings.
+
+**Conventions.** Those of `stone/splits/splits.py`. A check looks at the split alone and knows no solver, so that it can
+judge what a solver proposes. `catalogue` is what the data are: sequences in no split count for what the data allow.
+"""
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+
+from stone.splits.composition import CatalogueEntry
+from stone.splits.splits import (
+    LENGTH,
+    LIGHT,
+    REGIONS,
+    SEPARATED_PLACES,
+    SHORTEST_S,
+    SIZES,
+    UNSAID,
+    WHOLE,
+    Part,
+    RuleFinding,
+    Split,
+    conditions_of,
+    is_long_enough,
+    twins_of,
+)
+from stone.splits.surroundings import ENVIRONMENTS
+
+
+def check_whole(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[RuleFinding, ...]:
+    """Whole sequences only: each is known, in one part, once, and under one name."""
+    known = {entry.id: entry for entry in catalogue}
+    times = Counter(one for ids in split.parts.values() for one in ids)
+    unknown = tuple(sorted(one for one in times if one not in known))
+    repeated = tuple(sorted(one for one, count in times.items() if count > 1))
+    findings = []
+    if unknown:
+        findings.append(_error(WHOLE, f"{_many(unknown)} not in the catalogue of labelled sequences", unknown))
+    if repeated:
+        findings.append(_error(WHOLE, f"{_many(repeated)} named more than once; a sequence is in one split", repeated))
+    assigned = [known[one] for one in sorted(times) if one in known]
+    for why, twins in twins_of(assigned):
+        ids = tuple(entry.id for entry in twins)
+        names = ", ".join(entry.name for entry in twins)
+        findings.append(_error(WHOLE, f"{names} are one sequence twice: they share {why}", ids))
+    return tuple(findings)
+
+
+def check_length(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[RuleFinding, ...]:
+    """Every sequence lasts 20 s at least."""
+    short = [entry for _, entry in _assigned(split, catalogue) if not is_long_enough(entry)]
+    return tuple(
+        _error(LENGTH, f"{entry.name} lasts {entry.duration_s:.1f} s; the least is {SHORTEST_S:g} s", (entry.id,))
+        for entry in short
+    )
+
+
+def check_regions(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[RuleFinding, ...]:
+    """No region of test is one of train. A region that was not said is one that both may lie in."""
+    assigned = _assigned(split, catalogue)
+    train = [entry for part, entry in assigned if part == "train"]
+    test = [entry for part, entry in assigned if part == "test"]
+    findings = []
+    for key in sorted({entry.region_key for entry in train} & {entry.region_key for entry in test}):
+        of_train = [entry for entry in train if entry.region_key == key]
+        of_test = [entry for entry in test if entry.region_key == key]
+        named = f"region {of_test[0].region!r}" if key else "a region that was not said"
+        message = f"{named} is in test ({len(of_test)} sequence(s)) and in train ({len(of_train)})"
+        findings.append(_error(REGIONS, message, tuple(entry.id for entry in (*of_train, *of_test))))
+    return tuple(findings)
+
+
+def check_light(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[RuleFinding, ...]:
+    """Day and night in each split, where the data allow."""
+    return tuple(_check_conditions(LIGHT, split, tuple(catalogue)))
+
+
+def check_places(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[RuleFinding, ...]:
+    """Every environment in each split, where the data allow."""
+    return tuple(_check_conditions(SEPARATED_PLACES, split, tuple(catalogue)))
+
+
+def check_sizes(split: Split, sizes: tuple[int, int, int]) -> tuple[RuleFinding, ...]:
+    """The splits have as many sequences as asked for."""
+    return tuple(
+        _error(SIZES, f"{part} has {len(ids)} sequence(s); asked for are {size}")
+        for (part, ids), size in zip(split.parts.items(), sizes, strict=True)
+        if len(ids) != size
+    )
+
+
+def check_said(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[RuleFinding, ...]:
+    """A warning for each fact that rules need and sequences do not say."""
+    entries = [entry for _, entry in _assigned(split, catalogue)]
+    silent = {
+        "environment": [entry for entry in entries if entry.environment not in ENVIRONMENTS],
+        "illumination": [entry for entry in entries if not entry.half],
+        "region": [entry for entry in entries if not entry.region],
+    }
+    return tuple(
+        RuleFinding(UNSAID, "warning", f"{len(of)} sequence(s) do not say their {fact}", tuple(e.id for e in of))
+        for fact, of in silent.items()
+        if of
+    )
+
+
+def check_split(
+    split: Split, catalogue: Iterable[CatalogueEntry], sizes: tuple[int, int, int] | None = None
+) -> tuple[RuleFinding, ...]:
+    """All rules, in their order; errors and warnings of each. Sizes only where they were asked for."""
+    entries = tuple(catalogue)
+    checks = (check_whole, check_length, check_regions, check_light, check_places, check_said)
+    findings = [finding for check in checks for finding in check(split, entries)]
+    return (*findings, *(check_sizes(split, sizes) if sizes is not None else ()))
+
+
+def _check_conditions(rule: str, split: Split, catalogue: tuple[CatalogueEntry, ...]) -> Iterator[RuleFinding]:
+    parts, assigned = split.filled, _assigned(split, catalogue)
+    for condition in conditions_of(catalogue):
+        if condition.rule != rule:
+            continue
+        ids = {entry.id for entry in condition.entries}
+        missing = [part for part in parts if not any(p == part and entry.id in ids for p, entry in assigned)]
+        obstacle = condition.obstacle(parts)
+        if missing and obstacle:
+            message = f"{condition.word} is not in {' and '.join(missing)}; the data do not allow it: {obstacle}"
+            yield RuleFinding(rule, "warning", message, tuple(sorted(ids)))
+        elif missing:
+            message = f"{condition.word} is not in {' and '.join(missing)}, though {len(ids)} sequences have it"
+            yield _error(rule, message, tuple(sorted(ids)))
+
+
+def _assigned(split: Split, catalogue: Iterable[CatalogueEntry]) -> list[tuple[Part, CatalogueEntry]]:
+    """(part, entry) of what is in the split and known, in the order of the split."""
+    known = {entry.id: entry for entry in catalogue}
+    return [(part, known[one]) for part, ids in split.parts.items() for one in ids if one in known]
+
+
+def _many(ids: tuple[str, ...]) -> str:
+    return f"{ids[0]!r} is" if len(ids) == 1 else f"{len(ids)} sequences are"
+
+
+def _error(code: str, message: str, sequences: tuple[str, ...] = ()) -> RuleFinding:
+    return RuleFinding(code, "error", message, sequences)

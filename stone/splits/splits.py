@@ -1,0 +1,139 @@
+"""Splits of a dataset into train, val and test, and the findings about them.
+
+**Conventions.** A rule gives findings: its code, one sentence, the ids of the sequences it is about. `error`: the rule
+is broken. `warning`: the data do not allow what the rule asks for, or do not say what it needs. What "the data allow"
+is judged by the whole catalogue that is handed over, one condition at a time: it can be in every split that is not
+empty if enough sequences (≥ 20 s each) have it, in two regions at least where there are both train and test.
+
+Rules: Park et al., STONE Dataset, ICRA 2026: 43 sequences as 31 train, 7 val, 5 test, by whole sequences; day and night
+and every environment in each split; test regions disjoint from train; each sequence 20 s at least.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from stone.errors import StoneError
+from stone.splits.composition import CatalogueEntry
+from stone.splits.surroundings import ENVIRONMENTS, HALVES
+
+Part = Literal["train", "val", "test"]
+Severity = Literal["error", "warning"]
+
+PARTS: tuple[Part, ...] = ("train", "val", "test")
+SHORTEST_S = 20.0
+MOST_SEQUENCES = 2000
+
+WHOLE = "whole_sequences"
+LENGTH = "sequence_length"
+REGIONS = "test_regions"
+LIGHT = "day_and_night"
+SEPARATED_PLACES = "every_environment"
+SIZES = "split_sizes"
+UNSAID = "not_said"
+
+
+class BadSizesError(StoneError):
+    """The sizes of the parts cannot be those of a split."""
+
+    code = "bad_split_sizes"
+
+    def __init__(self, sizes: tuple[int, ...]) -> None:
+        super().__init__(
+            f"sizes {sizes} are asked for; they are three whole numbers (train, val, test) from 0 to "
+            f"{MOST_SEQUENCES}, and not all 0"
+        )
+
+
+class EmptyCatalogueError(StoneError):
+    """There is nothing to divide."""
+
+    code = "empty_catalogue"
+
+    def __init__(self) -> None:
+        super().__init__("there is no labelled sequence to divide; have some processed first")
+
+
+class CatalogueTooLargeError(StoneError):
+    """There are more sequences than a proposal is made for."""
+
+    code = "catalogue_too_large"
+
+    def __init__(self, sequences: int) -> None:
+        super().__init__(f"{sequences} sequences are to be divided; the most is {MOST_SEQUENCES}, leave some out")
+
+
+@dataclass(frozen=True)
+class Split:
+    """The ids of the sequences of each part."""
+
+    train: tuple[str, ...] = ()
+    val: tuple[str, ...] = ()
+    test: tuple[str, ...] = ()
+
+    @property
+    def parts(self) -> Mapping[Part, tuple[str, ...]]:
+        return {"train": self.train, "val": self.val, "test": self.test}
+
+    @property
+    def filled(self) -> tuple[Part, ...]:
+        """The parts that are not empty."""
+        return tuple(part for part, ids in self.parts.items() if ids)
+
+    @property
+    def sizes(self) -> tuple[int, int, int]:
+        return len(self.train), len(self.val), len(self.test)
+
+
+@dataclass(frozen=True)
+class RuleFinding:
+    """What a rule says: broken (`error`), or not to be kept with these data (`warning`)."""
+
+    code: str
+    severity: Severity
+    message: str
+    sequences: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Condition:
+    """A word that is to occur in every split, the rule that asks for it, and the usable sequences that have it."""
+
+    rule: str
+    word: str
+    entries: tuple[CatalogueEntry, ...]
+
+    def obstacle(self, parts: tuple[Part, ...]) -> str:
+        """Why the data do not let it be in all of `parts`; '' where they do."""
+        regions = {entry.region_key for entry in self.entries}
+        if len(self.entries) < len(parts):
+            return f"{len(self.entries)} sequence(s) of 20 s or more have it, {len(parts)} splits ask for one each"
+        if {"train", "test"} <= {*parts} and len(regions) < 2:
+            return f"its {len(self.entries)} sequences lie in one region, and test and train may not share one"
+        return ""
+
+
+def is_long_enough(entry: CatalogueEntry) -> bool:
+    return entry.duration_s >= SHORTEST_S
+
+
+def conditions_of(catalogue: Iterable[CatalogueEntry]) -> tuple[Condition, ...]:
+    """Day and night, then each environment, with the sequences that have it and are long enough."""
+    usable = tuple(entry for entry in catalogue if is_long_enough(entry))
+    light = [Condition(LIGHT, half, tuple(e for e in usable if e.half == half)) for half in HALVES]
+    places = [
+        Condition(SEPARATED_PLACES, word, tuple(e for e in usable if e.environment == word)) for word in ENVIRONMENTS
+    ]
+    return (*light, *places)
+
+
+def twins_of(entries: Iterable[CatalogueEntry]) -> Iterator[tuple[str, tuple[CatalogueEntry, ...]]]:
+    """Sequences of which a dataset may hold one only, with what they share: a name, or a recording."""
+    rows = sorted(entries, key=lambda entry: entry.id)
+    names, recordings = dict[str, list[CatalogueEntry]](), dict[str, list[CatalogueEntry]]()
+    for entry in rows:
+        names.setdefault(entry.name.casefold(), []).append(entry)
+        for sha256 in sorted(set(entry.recordings)):
+            recordings.setdefault(sha256, []).append(entry)
+    yield from (("their name", tuple(group)) for group in names.values() if len(group) > 1)
+    yield from (("a recording", tuple(group)) for group in recordings.values() if len(group) > 1)

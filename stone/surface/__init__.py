@@ -1,0 +1,1 @@
+"""The surface: point map, moving objects, Poisson reconstruction, terrain features."""

@@ -1,0 +1,270 @@
+"""The k nearest neighbours of every point, as the plane that fits them best.
+
+**Conventions.** Points are sorted into cubic cells, and the search is exact: it widens ring by ring until the k-th
+neighbour is nearer than the border of what was searched, up to the second ring (so at least 2 cell sizes away). A point
+counts as its own neighbour, at distance 0. Ties are broken by the order of the sorted points.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from stone.geometry.lattice import BIAS, MASK, VoxelTable, check_reach, find, keys_of, pack, table_of
+
+AROUND = 27  # a cell and those around it
+FEWEST = 4  # three points always lie on a plane and say nothing
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Points sorted by cell: `points[start[c]:start[c+1]]` lie in cell `keys[c]`; `order` leads back to the input."""
+
+    size_m: float
+    points: NDArray[np.float64]
+    order: NDArray[np.int64]
+    keys: NDArray[np.int64]
+    start: NDArray[np.int64]
+    table: VoxelTable
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneFits:
+    """Per point: mean squared distance (m²) of its neighbours to their plane (NaN below `FEWEST`) and its normal."""
+
+    mean_square_m2: NDArray[np.float64]
+    normals: NDArray[np.float64]
+
+
+def cells_of(points: NDArray[np.float64], size_m: float) -> Cells:
+    """Sort points (N, 3) into cells; raises `OffLatticeError` as `keys_of` does."""
+    keys = keys_of(points, size_m)
+    order = np.argsort(keys, kind="stable")
+    ordered = keys[order]
+    first = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]])) if len(keys) else order
+    start = np.append(first, len(keys)).astype(np.int64)
+    return Cells(size_m, np.ascontiguousarray(points[order]), order, ordered[first], start, table_of(ordered[first]))
+
+
+def plane_fits(cells: Cells, k: int) -> PlaneFits:
+    """Planes through the k nearest neighbours of every point, in the order of the points given to `cells_of`.
+
+    The plane is the total least-squares one: the mean square is the smallest eigenvalue of the neighbours'
+    covariance, the normal (sign arbitrary, zero where there is no plane) its eigenvector.
+    """
+    fits = _fits(cells, (cells.points, cells.start), k)
+    back = np.empty(len(cells.order), np.int64)
+    back[cells.order] = np.arange(len(cells.order))
+    return PlaneFits(fits.mean_square_m2[back], fits.normals[back])
+
+
+def plane_fits_at(cells: Cells, places: NDArray[np.float64], k: int) -> PlaneFits:
+    """The same around one place in each cell (C, 3) instead of around every point."""
+    return _fits(cells, (np.ascontiguousarray(places), np.arange(len(cells.keys) + 1)), k)
+
+
+def _fits(cells: Cells, asked: tuple[NDArray[np.float64], NDArray[np.int64]], k: int) -> PlaneFits:
+    """Around the places asked (Q, 3), those of cell c being asked[1][c] to asked[1][c + 1]."""
+    mean_square = np.empty(len(asked[0]))
+    normals = np.zeros((len(asked[0]), 3))
+    _fit((cells.points, *asked), (cells.keys, cells.start, cells.size_m), k, (mean_square, normals))
+    return PlaneFits(mean_square, normals)
+
+
+def is_near(queries: NDArray[np.float64], points: NDArray[np.float64], radius_m: float) -> NDArray[np.bool_]:
+    """Which queries (Q, 3) have one of the points (N, 3) within `radius_m` (inclusive)."""
+    near = np.zeros(len(queries), np.bool_)
+    if len(points) and len(queries):
+        cells = cells_of(points, radius_m)
+        check_reach(queries, radius_m)
+        _near(
+            np.ascontiguousarray(queries),
+            cells.points,
+            cells.start,
+            (cells.table.keys, cells.table.rows),
+            radius_m,
+            near,
+        )
+    return near
+
+
+@njit(inline="always")
+def smallest_eigenvalue(a00, a01, a02, a11, a12, a22):  # type: ignore[no-untyped-def]
+    """Of a symmetric 3 × 3 matrix, in closed form (Smith, 1961)."""
+    off = a01 * a01 + a02 * a02 + a12 * a12
+    q = (a00 + a11 + a22) / 3.0
+    p = math.sqrt(((a00 - q) ** 2 + (a11 - q) ** 2 + (a22 - q) ** 2 + 2.0 * off) / 6.0)
+    if p < 1e-150:
+        return q
+    b00, b11, b22 = (a00 - q) / p, (a11 - q) / p, (a22 - q) / p
+    b01, b02, b12 = a01 / p, a02 / p, a12 / p
+    r = 0.5 * (b00 * (b11 * b22 - b12 * b12) - b01 * (b01 * b22 - b12 * b02) + b02 * (b01 * b12 - b11 * b02))
+    angle = math.acos(min(1.0, max(-1.0, r))) / 3.0
+    return q + 2.0 * p * math.cos(angle + 2.0943951023931953)
+
+
+@njit(inline="always")
+def eigenvector(a00, a01, a02, a11, a12, a22, value):  # type: ignore[no-untyped-def]
+    """Unit eigenvector of a symmetric 3 × 3 matrix: the longest cross product of two rows of A − λ."""
+    x, y, z = a00 - value, a11 - value, a22 - value
+    u0, u1, u2 = a01 * a12 - a02 * y, a02 * a01 - x * a12, x * y - a01 * a01
+    v0, v1, v2 = a01 * z - a02 * a12, a02 * a02 - x * z, x * a12 - a01 * a02
+    w0, w1, w2 = y * z - a12 * a12, a12 * a02 - a01 * z, a01 * a12 - a02 * y
+    nu, nv, nw = u0 * u0 + u1 * u1 + u2 * u2, v0 * v0 + v1 * v1 + v2 * v2, w0 * w0 + w1 * w1 + w2 * w2
+    if nv > nu and nv >= nw:
+        u0, u1, u2, nu = v0, v1, v2, nv
+    elif nw > nu:
+        u0, u1, u2, nu = w0, w1, w2, nw
+    s = 1.0 / math.sqrt(nu + 1e-300)
+    return u0 * s, u1 * s, u2 * s
+
+
+@njit(inline="always")
+def _offer(points, b, at, best, count):  # type: ignore[no-untyped-def]
+    """Insert point `b` into the sorted list of the nearest; the new length."""
+    distances, rows = best
+    d = (points[b, 0] - at[0]) ** 2 + (points[b, 1] - at[1]) ** 2 + (points[b, 2] - at[2]) ** 2
+    k = distances.size
+    if count < k:
+        slot = count
+        count += 1
+    elif d < distances[k - 1]:
+        slot = k - 1
+    else:
+        return count
+    while slot > 0 and distances[slot - 1] > d:
+        distances[slot] = distances[slot - 1]
+        rows[slot] = rows[slot - 1]
+        slot -= 1
+    distances[slot] = d
+    rows[slot] = b
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _collect(cell, ring, start, table, spans, filled):  # type: ignore[no-untyped-def]
+    """Append the point ranges of the cells exactly `ring` cells away; the new number of spans."""
+    ci, cj, ck = cell
+    for di in range(-ring, ring + 1):
+        for dj in range(-ring, ring + 1):
+            for dk in range(-ring, ring + 1):
+                if max(abs(di), abs(dj), abs(dk)) != ring:
+                    continue
+                row = find(table[0], table[1], pack(ci + di, cj + dj, ck + dk))
+                if row >= 0:
+                    spans[filled, 0], spans[filled, 1] = start[row], start[row + 1]
+                    filled += 1
+    return filled
+
+
+@njit(cache=True, nogil=True)
+def _plane(points, at, best, count):  # type: ignore[no-untyped-def]
+    """(mean square distance, normal) of the first `count` neighbours."""
+    s0 = s1 = s2 = c00 = c01 = c02 = c11 = c12 = c22 = 0.0
+    for t in range(count):
+        b = best[1][t]
+        x, y, z = points[b, 0] - at[0], points[b, 1] - at[1], points[b, 2] - at[2]
+        s0, s1, s2 = s0 + x, s1 + y, s2 + z
+        c00, c01, c02 = c00 + x * x, c01 + x * y, c02 + x * z
+        c11, c12, c22 = c11 + y * y, c12 + y * z, c22 + z * z
+    w = 1.0 / count
+    s0, s1, s2 = s0 * w, s1 * w, s2 * w
+    a00, a01, a02 = c00 * w - s0 * s0, c01 * w - s0 * s1, c02 * w - s0 * s2
+    a11, a12, a22 = c11 * w - s1 * s1, c12 * w - s1 * s2, c22 * w - s2 * s2
+    value = smallest_eigenvalue(a00, a01, a02, a11, a12, a22)
+    n0, n1, n2 = eigenvector(a00, a01, a02, a11, a12, a22, value)
+    return max(value, 0.0), n0, n1, n2
+
+
+@njit(inline="always")
+def _advance(keys, target, row):  # type: ignore[no-untyped-def]
+    """The first row from `row` on whose key is not below `target`."""
+    while row < keys.size and keys[row] < target:
+        row += 1
+    return row
+
+
+@njit(cache=True, nogil=True)
+def _open_columns(keys, key, reach, columns):  # type: ignore[no-untyped-def]
+    """Move the row ranges of the square of columns around a cell, each `reach` cells up and down, on to this cell.
+
+    Cells come in the order of their keys and neighbours are a fixed step away, so every range only ever moves forward.
+    """
+    at = 0
+    for di in range(-reach, reach + 1):
+        for dj in range(-reach, reach + 1):
+            target = key + (np.int64(di) << 42) + (np.int64(dj) << 21)
+            columns[at, 0] = _advance(keys, target - reach, columns[at, 0])
+            columns[at, 1] = _advance(keys, target + reach + 1, max(columns[at, 0], columns[at, 1]))
+            at += 1
+
+
+@njit(inline="always")
+def _offer_rows(points, start, rows, at, best, count):  # type: ignore[no-untyped-def]
+    for b in range(start[rows[0]], start[rows[1]]):
+        count = _offer(points, b, at, best, count)
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _offer_ring(points, start, columns, at, best, count):  # type: ignore[no-untyped-def]
+    """Offer what lies two cells away: all of the outer columns, and the ends of those that were searched before."""
+    near, wide = columns
+    for column in range(wide.shape[0]):
+        i, j = column // 5 - 1, column % 5 - 1
+        first, end = wide[column, 0], wide[column, 1]
+        if not (0 <= i < 3 and 0 <= j < 3):
+            count = _offer_rows(points, start, (first, end), at, best, count)
+            continue
+        count = _offer_rows(points, start, (first, near[3 * i + j, 0]), at, best, count)
+        count = _offer_rows(points, start, (near[3 * i + j, 1], end), at, best, count)
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _fit(asked, cells, k, out):  # type: ignore[no-untyped-def]
+    points, places, first = asked
+    keys, start, size_m = cells
+    mean_square, normals = out
+    best = (np.empty(k), np.empty(k, np.int64))
+    near, wide = np.zeros((9, 2), np.int64), np.zeros((25, 2), np.int64)
+    for c in range(keys.size):
+        cell = ((keys[c] >> 42) - BIAS, ((keys[c] >> 21) & MASK) - BIAS, (keys[c] & MASK) - BIAS)
+        _open_columns(keys, keys[c], 1, near)
+        is_wide_open = False
+        for a in range(first[c], first[c + 1]):
+            at = (places[a, 0], places[a, 1], places[a, 2])
+            count = 0
+            for column in range(9):
+                count = _offer_rows(points, start, near[column], at, best, count)
+            border = size_m * 2.0
+            for axis in range(3):
+                inside = at[axis] - cell[axis] * size_m
+                border = min(border, size_m + min(inside, size_m - inside))
+            if count < k or best[0][k - 1] > border * border:
+                if not is_wide_open:
+                    _open_columns(keys, keys[c], 2, wide)
+                    is_wide_open = True
+                count = _offer_ring(points, start, (near, wide), at, best, count)
+            if count < FEWEST:
+                mean_square[a] = np.nan
+                continue
+            mean_square[a], normals[a, 0], normals[a, 1], normals[a, 2] = _plane(points, at, best, count)
+
+
+@njit(cache=True, nogil=True)
+def _near(queries, points, start, table, radius_m, near):  # type: ignore[no-untyped-def]
+    spans = np.empty((AROUND, 2), np.int64)
+    for q in range(queries.shape[0]):
+        x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
+        cell = (math.floor(x / radius_m), math.floor(y / radius_m), math.floor(z / radius_m))
+        filled = _collect(cell, 1, start, table, spans, _collect(cell, 0, start, table, spans, 0))
+        for s in range(filled):
+            for b in range(spans[s, 0], spans[s, 1]):
+                if (points[b, 0] - x) ** 2 + (points[b, 1] - y) ** 2 + (points[b, 2] - z) ** 2 <= radius_m * radius_m:
+                    near[q] = True
+                    break
+            if near[q]:
+                break

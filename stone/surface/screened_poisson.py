@@ -1,0 +1,163 @@
+"""Screened Poisson reconstruction on the band of the lattice near the data.
+
+The field φ minimises, with ∇φ for the difference along each edge of the lattice (Kazhdan & Hoppe, 2013, Eq. 2),
+
+    Σ_edges (∇φ − N)² · w²  +  α Σ_patches c · φ(p)²
+
+where N is the mean of the patches' normals around the edge, p a patch's point, φ(p) trilinear between the cell's
+corners and c its points, up to `FULL_POINTS`, over `FULL_POINTS`. The surface is φ = 0. Two things differ from the
+octree solvers. N has unit length all through the band, so φ is a distance and not an indicator, and sparse data need
+no coarser cells. And the domain ends a cell beyond the data, with the natural boundary (the rest would be trimmed
+anyway), so φ follows from the data nearby: a cube more or less far away changes nothing.
+
+**Conventions.** φ in metres, positive on the side the data were seen from, one value per corner of the band. Sums run
+in the order of the patches: equal patches give equal bits.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from stone.geometry.lattice import BIAS, MASK, find, pack
+from stone.surface.band import ABOVE, BELOW, Band
+from stone.surface.patches import Patches
+
+FULL_POINTS = 4  # a cell through which a sheet runs holds about so many of the map's 0.1 m voxels
+MOST_ROUNDS = 2000
+NORMAL, DISTANCE = slice(0, 3), 3
+
+
+@dataclass(frozen=True)
+class PoissonParameters:
+    """`screening` is α; normals are averaged by a Gaussian of `blur_ratio` cells.
+
+    Rounds end when the residual (preconditioned, root mean square) is below `tolerance_ratio` cells.
+    """
+
+    screening: float = 8.0
+    blur_ratio: float = 0.75
+    tolerance_ratio: float = 1e-5
+
+
+def solve_field(patches: Patches, band: Band, parameters: PoissonParameters) -> NDArray[np.float64]:
+    """φ (N,) at the corners of the band around these patches."""
+    blurred = blurred_planes(patches, band, parameters.blur_ratio * band.width_m)
+    weights = corner_weights(patches, band)
+    pull = parameters.screening * np.minimum(patches.counts, FULL_POINTS) / FULL_POINTS
+    right, diagonal = np.zeros(len(band)), np.zeros(len(band))
+    _constrain(band.onward, band.width_m * blurred[:, NORMAL], right, diagonal)
+    np.add.at(diagonal, band.corners, pull[:, None] * weights**2)
+    field = np.ascontiguousarray(blurred[:, DISTANCE])
+    enough = (parameters.tolerance_ratio * band.width_m) ** 2 * len(band)
+    _descend((band.onward, band.corners, weights, pull), right, 1.0 / diagonal, enough, field)
+    return field
+
+
+def blurred_planes(patches: Patches, band: Band, sigma_m: float) -> NDArray[np.float64]:
+    """(N, 4): the mean of the patches' normals around each corner, and of its distances to their planes.
+
+    Weighted by the patches' points and a Gaussian; those count whose cell is next to the corner, or one on.
+    """
+    sums = np.zeros((len(band), 5))
+    planes = (patches.cells, patches.points_map, patches.normals, patches.counts)
+    _blur(planes, band.width_m, sigma_m, (band.table.keys, band.table.rows), sums)
+    return np.asarray(sums[:, :4] / sums[:, 4:])
+
+
+def corner_weights(patches: Patches, band: Band) -> NDArray[np.float64]:
+    """(C, 8) trilinear weights of each patch's point on the corners of its cell."""
+    least = band.places_map()[band.corners[:, 0]]
+    far = (patches.points_map - least) / band.width_m
+    near = 1.0 - far
+    sides = [np.stack([near[:, axis], far[:, axis]], axis=1) for axis in range(3)]
+    return np.asarray(np.einsum("ci,cj,ck->cijk", *sides).reshape(-1, 8))
+
+
+@njit(cache=True, nogil=True)
+def _blur(planes, width_m, sigma_m, table, sums):  # type: ignore[no-untyped-def]
+    cells, points, normals, counts = planes
+    span = BELOW + ABOVE + 1
+    off, bell = np.empty((3, span)), np.empty((3, span))
+    for c in range(cells.size):
+        index = ((cells[c] >> 42) - BIAS, ((cells[c] >> 21) & MASK) - BIAS, (cells[c] & MASK) - BIAS)
+        for axis in range(3):
+            for t in range(span):
+                off[axis, t] = (index[axis] - BELOW + t + 0.5) * width_m - points[c, axis]
+                bell[axis, t] = math.exp(-0.5 * (off[axis, t] / sigma_m) ** 2)
+        n0, n1, n2 = normals[c, 0], normals[c, 1], normals[c, 2]
+        for i in range(span):
+            for j in range(span):
+                row = find(table[0], table[1], pack(index[0] - BELOW + i, index[1] - BELOW + j, index[2] - BELOW))
+                flat = off[0, i] * n0 + off[1, j] * n1
+                wide = counts[c] * bell[0, i] * bell[1, j]
+                for k in range(span):
+                    w = wide * bell[2, k]
+                    at = sums[row + k]
+                    at[0] += w * n0
+                    at[1] += w * n1
+                    at[2] += w * n2
+                    at[3] += w * (flat + off[2, k] * n2)
+                    at[4] += w
+
+
+@njit(cache=True, nogil=True)
+def _constrain(onward, rise, right, diagonal):  # type: ignore[no-untyped-def]
+    """The edges' part of the right side and of the diagonal; `rise` (N, 3) is N · w."""
+    for a in range(onward.shape[0]):
+        for axis in range(3):
+            b = onward[a, axis]
+            if b < 0:
+                continue
+            step = 0.5 * (rise[a, axis] + rise[b, axis])
+            right[b] += step
+            right[a] -= step
+            diagonal[a] += 1.0
+            diagonal[b] += 1.0
+
+
+@njit(cache=True, nogil=True)
+def _apply(system, x, y):  # type: ignore[no-untyped-def]
+    """y = A x: the graph Laplacian of the band's edges, and the pull of the patches."""
+    onward, corners, weights, pull = system
+    y[:] = 0.0
+    for a in range(onward.shape[0]):
+        total = 0.0
+        for axis in range(3):
+            b = onward[a, axis]
+            if b >= 0:
+                fall = x[a] - x[b]
+                total += fall
+                y[b] -= fall
+        y[a] += total
+    for c in range(corners.shape[0]):
+        value = 0.0
+        for corner in range(8):
+            value += weights[c, corner] * x[corners[c, corner]]
+        value *= pull[c]
+        for corner in range(8):
+            y[corners[c, corner]] += value * weights[c, corner]
+
+
+@njit(cache=True, nogil=True)
+def _descend(system, right, inverse, enough, x):  # type: ignore[no-untyped-def]
+    """Conjugate gradients from `x` on, preconditioned by the diagonal, until rᵀD⁻¹r ≤ `enough`."""
+    y = np.empty(x.size)
+    _apply(system, x, y)
+    r = right - y
+    p = r * inverse
+    size = (r * p).sum()
+    for _ in range(MOST_ROUNDS):
+        if size <= enough:
+            break
+        _apply(system, p, y)
+        step = size / (p * y).sum()
+        before, size = size, 0.0
+        for i in range(x.size):
+            x[i] += step * p[i]
+            r[i] -= step * y[i]
+            size += r[i] * r[i] * inverse[i]
+        for i in range(x.size):
+            p[i] = r[i] * inverse[i] + size / before * p[i]

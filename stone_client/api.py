@@ -1,0 +1,151 @@
+"""The platform's REST API for programs: requests that are sent again when that is safe, refusals as errors.
+
+**Conventions.** What may be sent twice without harm (GET, HEAD, PUT, DELETE, a POST with an Idempotency-Key) is sent
+again after a broken connection, 429, 502, 503 and 504, waiting as `Retry-After` says; any request is after a
+connection that was never made. A server on this machine is asked directly, whatever proxy the environment names.
+"""
+
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from types import TracebackType
+from typing import Any
+from uuid import uuid4
+
+import httpx
+
+from stone_client.credentials import Server, is_local
+from stone_client.errors import ServerFaultError, ServerRefusedError, ServerUnreachableError
+
+PREFIX = "/api/v1"
+REPLY_S = 60.0
+CONNECT_S = 10.0
+SAFE = frozenset({"GET", "HEAD", "PUT", "DELETE", "OPTIONS"})
+BUSY = frozenset({429, 502, 503, 504})
+FIRST_PAUSE_S = 0.25
+LONGEST_PAUSE_S = 15.0
+PAGE_ITEMS = 200
+
+
+class Api:
+    """`with Api(server) as api: api.read("/sequences")`; every answer that is not a success is raised."""
+
+    def __init__(self, server: Server, patience_s: float = 60.0, transport: httpx.BaseTransport | None = None) -> None:
+        self.url = server.url
+        self._patience_s = patience_s
+        headers = {"User-Agent": "stone-client/0.1"}
+        if server.token:
+            headers["Authorization"] = f"Bearer {server.token}"
+        self._http = httpx.Client(
+            base_url=server.url,
+            headers=headers,
+            timeout=httpx.Timeout(REPLY_S, connect=CONNECT_S),
+            trust_env=not is_local(server.url),
+            transport=transport,
+        )
+
+    def __enter__(self) -> "Api":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._http.close()
+
+    def read(self, path: str, **query: str | int) -> Any:
+        """The JSON at `path`."""
+        return self.send("GET", path, params=query).json()
+
+    def create(self, path: str, body: Mapping[str, Any]) -> Any:
+        """POST a body and return the answer; a broken connection does not make two."""
+        return self.send("POST", path, json=body, headers={"Idempotency-Key": uuid4().hex}).json()
+
+    def pages(self, path: str, **query: str | int) -> Iterator[Any]:
+        """Every item of a list, page by page."""
+        cursor = ""
+        while True:
+            page = self.read(path, limit=PAGE_ITEMS, **query, **({"cursor": cursor} if cursor else {}))
+            yield from page["items"]
+            cursor = page["next"]
+            if not cursor:
+                return
+
+    def send(self, method: str, path: str, **request: Any) -> httpx.Response:
+        """Send a request until it is answered. `path` is below `/api/v1`, or a whole URL of this server.
+
+        Raises `ServerRefusedError`, `ServerFaultError`, `ServerUnreachableError`.
+        """
+        is_repeatable = method in SAFE or "Idempotency-Key" in request.get("headers", {})
+        patience = Patience(self._patience_s)
+        while True:
+            try:
+                answer = self._http.request(method, self._path(path), **request)
+            except httpx.TransportError as error:
+                self._wait_after(error, patience, is_repeatable)
+                continue
+            if answer.is_success:
+                return answer
+            if not (is_repeatable and _is_busy(answer) and patience.wait(_retry_after_s(answer))):
+                raise refusal(answer)
+
+    @contextmanager
+    def stream(
+        self, path: str, headers: Mapping[str, str] | None = None, read_s: float = REPLY_S
+    ) -> Iterator[httpx.Response]:
+        """A GET whose body is read as it comes; not sent again. Raises as `send` does, and httpx's own errors."""
+        timeout = httpx.Timeout(read_s, connect=CONNECT_S)
+        with self._http.stream("GET", self._path(path), headers=dict(headers or {}), timeout=timeout) as answer:
+            if not answer.is_success:
+                answer.read()
+                raise refusal(answer)
+            yield answer
+
+    def _path(self, path: str) -> str:
+        """Never another server's URL: the token is for this one."""
+        if "://" in path:
+            path = httpx.URL(path).raw_path.decode("ascii")
+        return path if path.startswith(PREFIX) else PREFIX + path
+
+    def _wait_after(self, error: httpx.TransportError, patience: "Patience", is_repeatable: bool) -> None:
+        was_sent = not isinstance(error, httpx.ConnectError | httpx.ConnectTimeout)
+        if (was_sent and not is_repeatable) or not patience.wait(None):
+            raise ServerUnreachableError(self.url, str(error) or type(error).__name__) from None
+
+
+class Patience:
+    """The time to go on trying: pauses that double, within `limit_s` from the first."""
+
+    def __init__(self, limit_s: float) -> None:
+        self._until_s = time.monotonic() + limit_s
+        self._pause_s = FIRST_PAUSE_S
+
+    def wait(self, asked_s: float | None) -> bool:
+        """Pause as long as asked, or a little longer than last time; false, at once, when that would be too long."""
+        pause_s = self._pause_s if asked_s is None else asked_s
+        if time.monotonic() + pause_s > self._until_s:
+            return False
+        time.sleep(pause_s)
+        self._pause_s = min(2 * self._pause_s, LONGEST_PAUSE_S)
+        return True
+
+
+def refusal(answer: httpx.Response) -> ServerRefusedError | ServerFaultError:
+    """The refusal in the answer, as an error."""
+    try:
+        problem = answer.json()
+    except ValueError:
+        problem = None
+    if isinstance(problem, dict) and "code" in problem:
+        return ServerRefusedError(answer.status_code, problem, _retry_after_s(answer))
+    return ServerFaultError(answer.status_code, str(answer.request.url), answer.text)
+
+
+def _is_busy(answer: httpx.Response) -> bool:
+    """Whether the same request may be answered in a while."""
+    return answer.status_code in BUSY or (answer.status_code == 409 and "Retry-After" in answer.headers)
+
+
+def _retry_after_s(answer: httpx.Response) -> float | None:
+    """Seconds the server asks us to wait; None where it says nothing, or a date."""
+    said = answer.headers.get("Retry-After", "")
+    return float(said) if said.isdecimal() else None

@@ -1,0 +1,1 @@
+"""Commands for the benchmarks on a server: phases, teams, submissions, leaderboards."""

@@ -1,0 +1,30 @@
+"""`stone benchmarks`: the benchmarks and their phases, with their rules."""
+
+from typing import Annotated, Any
+
+import typer
+
+from stone.errors import one_line
+from stone_client.options import ServerOption
+from stone_client.streams import JsonOption, echo_json
+from stone_client.tables import show
+
+BenchmarkArgument = Annotated[str | None, typer.Argument(metavar="[BENCHMARK]", help="A benchmark's name; else all.")]
+
+
+def benchmarks(benchmark: BenchmarkArgument = None, server: ServerOption = None, as_json: JsonOption = False) -> None:
+    """List the benchmarks with their phases: whether they run, how much may be scored, what is shown to whom."""
+    from stone_client.connection import connected
+    from stone_client.server.benchmarks import phases_table, read_benchmark, read_benchmarks
+
+    with connected(server) as api:
+        found = read_benchmarks(api) if benchmark is None else [read_benchmark(api, benchmark)]
+    record: dict[str, Any] = {"benchmarks": found}
+    if as_json:
+        echo_json(record)
+        return
+    for one in found:
+        show(phases_table(one))
+        for phase in one["phases"] if benchmark is not None else ():
+            for line in phase["visibility"]:
+                typer.echo(one_line(f"{phase['name']}: {line}"))

@@ -1,0 +1,28 @@
+"""`stone compare`: two submissions to one phase, side by side."""
+
+from typing import Annotated
+
+import typer
+
+from stone_client.options import ServerOption
+from stone_client.streams import JsonOption, echo_json, echo_notice
+from stone_client.tables import show
+
+FirstArgument = Annotated[str, typer.Argument(metavar="A", help="Its id, or latest, latest~1, …")]
+SecondArgument = Annotated[str, typer.Argument(metavar="B", help="Another submission's to the same phase.")]
+
+
+def compare(a: FirstArgument, b: SecondArgument, server: ServerOption = None, as_json: JsonOption = False) -> None:
+    """Show how two submissions differ and whether that is more than chance, by paired resampling."""
+    from stone_client.connection import connected
+    from stone_client.server.scores import compare as compare_both
+    from stone_client.server.scores import comparison_table, submission_id
+
+    with connected(server) as api:
+        record = compare_both(api, submission_id(api, a), submission_id(api, b))
+    if as_json:
+        echo_json(record)
+        return
+    show(comparison_table(record))
+    if record["is_withheld"]:
+        echo_notice("intervals and tests of a hidden phase are told once it has ended")

@@ -1,0 +1,72 @@
+"""`stone leaderboard`: the board of a phase."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from stone_client.options import BenchmarkArgument, Modality, PhaseArgument, ServerOption
+from stone_client.streams import JsonOption, echo_json, echo_notice
+from stone_client.tables import show
+
+
+class Form(StrEnum):
+    """For programs, and for papers."""
+
+    JSON = "json"
+    CSV = "csv"
+    MD = "md"
+    TEX = "tex"
+    PARQUET = "parquet"
+
+
+TrackOption = Annotated[Modality | None, typer.Option(help="Entries of this declared modality only.")]
+AsOfOption = Annotated[
+    str, typer.Option(metavar="TIME", help="The board as it stood then, such as 2026-06-01T00:00:00Z.")
+]
+AllOption = Annotated[bool, typer.Option("--all", help="Every entry, not the best of each team.")]
+FormOption = Annotated[Form | None, typer.Option("--format", help="As a file instead of a table.")]
+OutputOption = Annotated[
+    Path | None, typer.Option("-o", "--output", metavar="FILE", dir_okay=False, help="Where to; else stdout.")
+]
+
+
+def leaderboard(
+    benchmark: BenchmarkArgument,
+    phase: PhaseArgument,
+    track: TrackOption = None,
+    as_of: AsOfOption = "",
+    everything: AllOption = False,
+    form: FormOption = None,
+    output: OutputOption = None,
+    server: ServerOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Show the board of a phase, or write it as CSV, Parquet, Markdown or LaTeX."""
+    from stone_client.connection import connected
+    from stone_client.server.boards import BoardSelection, board_file, board_table, read_board
+
+    if form is Form.PARQUET and output is None:
+        raise typer.BadParameter("parquet is not for a terminal; name a file", param_hint="--output")
+    tracked = "all" if track is None else track.value
+    asked = BoardSelection(benchmark, phase, tracked, as_of, "all" if everything else "best")
+    with connected(server) as api:
+        if form is not None:
+            _write(board_file(api, asked, form.value), output)
+            return
+        record = read_board(api, asked)
+    if as_json:
+        echo_json(record)
+        return
+    show(board_table(record))
+    for note in record["notes"]:
+        echo_notice(note)
+
+
+def _write(content: bytes, output: Path | None) -> None:
+    if output is None:
+        typer.echo(content.decode("utf-8").rstrip("\n"))
+    else:
+        output.write_bytes(content)
+        typer.echo(f"{output} ({len(content):,} bytes)")

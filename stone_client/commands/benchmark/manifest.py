@@ -1,0 +1,33 @@
+"""`stone manifest`: which frames a submission to a phase must hold."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from stone_client.options import BenchmarkArgument, PhaseArgument, ServerOption
+from stone_client.streams import JsonOption, echo_json
+
+OutputOption = Annotated[Path, typer.Option("-o", "--output", metavar="M.json", dir_okay=False, help="Where to.")]
+
+
+def manifest(
+    benchmark: BenchmarkArgument,
+    phase: PhaseArgument,
+    output: OutputOption,
+    server: ServerOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Write the manifest of a phase, which `stone validate` and `stone baseline` read."""
+    from stone_client.connection import connected
+    from stone_client.server.benchmarks import fetch_manifest
+    from stone_submissions.manifest import read_manifest
+
+    with connected(server) as api:
+        written = fetch_manifest(api, (benchmark, phase), output)
+    found = read_manifest(output)
+    record = {**written, "frames": len(found.tokens), "sequences": len(found.sequences)}
+    if as_json:
+        echo_json(record)
+    else:
+        typer.echo(f"{output}: {record['frames']:,} frames of {record['sequences']} sequences")

@@ -1,0 +1,78 @@
+"""`stone teams`: one's teams, founded and entered by invitation."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+import typer
+
+from stone.errors import one_line
+from stone_client.options import ServerOption
+from stone_client.streams import JsonOption, echo_json
+from stone_client.tables import plain_table, safe_text, show
+
+teams = typer.Typer(help="Found a team, invite into it, join one, list yours.", no_args_is_help=True)
+
+NameArgument = Annotated[str, typer.Argument(metavar="NAME", help="What the team is called on boards.")]
+TeamArgument = Annotated[str, typer.Argument(metavar="TEAM", help="A team of yours, by name or id.")]
+SecretArgument = Annotated[str, typer.Argument(metavar="SECRET", help="What `stone teams invite` printed.")]
+
+
+@teams.command("list")
+def listed(server: ServerOption = None, as_json: JsonOption = False) -> None:
+    """Show your teams with their members."""
+    from stone_client.connection import connected
+    from stone_client.server.teams import read_teams
+
+    with connected(server) as api:
+        found = read_teams(api)
+    if as_json:
+        echo_json({"teams": found})
+        return
+    table = plain_table("teams", "name", "captain", "members", "id")
+    for team in found:
+        members = ", ".join(team["members"])
+        table.add_row(safe_text(team["name"]), safe_text(team["captain"] or ""), safe_text(members), team["id"])
+    show(table)
+
+
+@teams.command()
+def found(name: NameArgument, server: ServerOption = None, as_json: JsonOption = False) -> None:
+    """Found a team; you are its captain."""
+    from stone_client.connection import connected
+    from stone_client.server.teams import found_team
+
+    with connected(server) as api:
+        _say(found_team(api, name), "founded", as_json)
+
+
+@teams.command()
+def invite(team: TeamArgument, server: ServerOption = None, as_json: JsonOption = False) -> None:
+    """Print a secret by which one user may join the team; it is shown this once."""
+    from stone_client.connection import connected
+    from stone_client.server.teams import invite as invite_into
+
+    with connected(server) as api:
+        issued = invite_into(api, team)
+    if as_json:
+        echo_json(issued)
+    else:
+        typer.echo(issued["secret"])
+        typer.echo(f"Whoever is to join {issued['team']}: stone teams join SECRET", err=True)
+
+
+@teams.command()
+def join(secret: SecretArgument, server: ServerOption = None, as_json: JsonOption = False) -> None:
+    """Join the team that an invitation is into."""
+    from stone_client.connection import connected
+    from stone_client.server.teams import join as join_by
+
+    with connected(server) as api:
+        _say(join_by(api, secret), "joined", as_json)
+
+
+def _say(team: Mapping[str, Any], act: str, as_json: bool) -> None:
+    record: dict[str, Any] = dict(team)
+    if as_json:
+        echo_json(record)
+    else:
+        typer.echo(one_line(f"{act}: {team['name']} ({', '.join(team['members'])})"))

@@ -1,0 +1,1 @@
+"""Commands for the dataset on a server: statistics, splits, versions."""

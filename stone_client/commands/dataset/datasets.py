@@ -1,0 +1,54 @@
+"""`stone datasets`: versions of the dataset, listed, published, downloaded."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from stone_client.options import ServerOption
+from stone_client.streams import JsonOption, echo_json
+
+VersionArgument = Annotated[str | None, typer.Argument(metavar="[VERSION]", help="A version's name; else all.")]
+CreateOption = Annotated[bool, typer.Option("--create", help="Publish the splits as they stand, as VERSION.")]
+LicenceOption = Annotated[str, typer.Option(metavar="TEXT", help="Of the version that is published.")]
+ReasonOption = Annotated[str, typer.Option(metavar="TEXT", help="Why; kept in the audit log.")]
+DownloadOption = Annotated[
+    Path | None,
+    typer.Option("--download", metavar="DIR", file_okay=False, help="Fetch manifest, train and val; goes on if begun."),
+]
+
+
+def datasets(
+    version: VersionArgument = None,
+    create: CreateOption = False,
+    licence: LicenceOption = "",
+    reason: ReasonOption = "published by the stone command",
+    download: DownloadOption = None,
+    server: ServerOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List the versions of the dataset or show one; publish one (it never changes); download train and val."""
+    from stone_client.connection import connected
+    from stone_client.progress import transferred
+    from stone_client.server.datasets import (
+        download_dataset,
+        publish_dataset,
+        read_dataset,
+        read_datasets,
+        show_datasets,
+    )
+
+    if version is None and (create or download is not None):
+        raise typer.BadParameter("which version?", param_hint="VERSION")
+    with connected(server) as api:
+        if version is None:
+            record: dict[str, Any] = {"datasets": read_datasets(api)}
+        else:
+            record = publish_dataset(api, version, licence, reason) if create else read_dataset(api, version)
+            if download is not None:
+                with transferred() as progress:
+                    record["files"] = download_dataset(api, record, download, progress)
+    if as_json:
+        echo_json(record)
+    else:
+        show_datasets(record)

@@ -1,0 +1,67 @@
+"""`stone export`: labels of this machine in the formats that other tools open."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from stone_client.progress import reported
+from stone_client.streams import JsonOption, echo_json
+
+FolderArgument = Annotated[
+    Path, typer.Argument(metavar="DIR", exists=True, file_okay=False, help="A folder that `stone label` wrote.")
+]
+FormatOption = Annotated[
+    str,
+    typer.Option(
+        "--format",
+        metavar="FORMAT",
+        help="nuscenes (release layout), inputs (the same without labels), kitti (SemanticKITTI voxels), mesh (PLY, "
+        "GLB), mcap (Foxglove), rrd (Rerun), previews (films, pictures).",
+    ),
+]
+OutputOption = Annotated[
+    Path | None,
+    typer.Option(
+        "-o",
+        "--output",
+        metavar="OUT",
+        help="A new folder, or an export in this format that is to take the sequence in.",
+        show_default="DIR-FORMAT",
+    ),
+]
+BagOption = Annotated[
+    Path | None, typer.Option("--bag", metavar="BAG", exists=True, help="Where the recording is now, if it was moved.")
+]
+
+
+def export(
+    directory: FolderArgument,
+    format_name: FormatOption,
+    output: OutputOption = None,
+    bag: BagOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Export a labelled sequence; what did not change since is not written again.
+
+    The recording is read again for pictures and points, and must be the one that was labelled.
+    """
+    from services.labeler.exports.folder import ExportRequest
+    from services.labeler.exports.folder import export as export_folder
+    from services.labeler.exports.source import folder_source, read_report
+    from stone_recordings.sync.samples import checked_samples
+
+    out = output or directory.with_name(f"{directory.resolve().name}-{format_name}")
+    request = ExportRequest(format_name, out, read_report(directory))
+    with reported() as progress:
+        outcome = export_folder(
+            request,
+            lambda: folder_source(directory, checked_samples, bag),
+            lambda done, total: progress("export", done, total),
+        )
+    if as_json:
+        echo_json({**asdict(outcome), "output": str(out)})
+    else:
+        beside = f", now {len(outcome.sequences)} sequences" if outcome.status == "added" else ""
+        typer.echo(f"{outcome.status}: {outcome.sequence}, {outcome.frames} frames{beside}\nExport: {out}")

@@ -1,0 +1,46 @@
+"""`stone simulate`: a recording of a robot that does not exist, with the truth about its world."""
+
+from pathlib import Path
+from typing import Annotated, cast
+
+import typer
+
+from simulator.options import FAULT_NAMES, MAX_CHANNELS, MAX_COLUMNS, MAX_SECONDS, FaultName, SimulateOptions
+from stone_client.progress import reported
+
+DEFAULT = SimulateOptions()
+
+OutputArgument = Annotated[Path, typer.Argument(metavar="OUT.mcap", dir_okay=False, help="The recording to write.")]
+SecondsOption = Annotated[float, typer.Option(min=0.2, max=MAX_SECONDS, help="How long the robot drives.")]
+SeedOption = Annotated[int, typer.Option(min=0, max=2**31, help="The world and its noise; one seed, one recording.")]
+TruthOption = Annotated[
+    Path | None, typer.Option("--truth", metavar="DIR", file_okay=False, help="Also write the exact terrain and poses.")
+]
+ChannelsOption = Annotated[int, typer.Option(min=2, max=MAX_CHANNELS, help="Beams of the LiDAR.")]
+ColumnsOption = Annotated[int, typer.Option(min=12, max=MAX_COLUMNS, help="Firings in one LiDAR revolution.")]
+CamerasOption = Annotated[bool, typer.Option(help="Also draw the six cameras; they take most of the bytes.")]
+FaultOption = Annotated[
+    list[str], typer.Option("--fault", metavar="NAME", help=f"What goes wrong; repeatable: {', '.join(FAULT_NAMES)}.")
+]
+
+
+def simulate(
+    out: OutputArgument,
+    seconds: SecondsOption = DEFAULT.seconds,
+    seed: SeedOption = DEFAULT.seed,
+    truth: TruthOption = None,
+    channels: ChannelsOption = DEFAULT.channels,
+    columns: ColumnsOption = DEFAULT.columns,
+    cameras: CamerasOption = DEFAULT.cameras,
+    fault: FaultOption = [],  # noqa: B006
+) -> None:
+    """Write a ROS 2 bag of a full rig on synthetic off-road terrain, and with --truth what only the world knows."""
+    from simulator.pipeline import simulate as simulate_recording
+
+    faults = cast(tuple[FaultName, ...], tuple(fault))
+    options = SimulateOptions(
+        seconds=seconds, seed=seed, channels=channels, columns=columns, cameras=cameras, faults=faults
+    )
+    with reported() as progress:
+        simulate_recording(out, options, truth, progress)
+    typer.echo(out)

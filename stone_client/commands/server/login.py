@@ -1,0 +1,47 @@
+"""`stone login`: a token for a server."""
+
+import sys
+from typing import Annotated
+
+import typer
+
+from stone_client.streams import JsonOption, echo_json
+
+UrlArgument = Annotated[str, typer.Argument(metavar="[URL]", help="The server; http where no scheme is named.")]
+NameOption = Annotated[str | None, typer.Option(help="Who you are there; asked for otherwise.")]
+PasswordOption = Annotated[bool, typer.Option("--password-stdin", help="Read the password from stdin.")]
+TokenOption = Annotated[
+    bool, typer.Option("--token-stdin", help="Read a token from stdin, instead of name and password.")
+]
+AdminOption = Annotated[bool, typer.Option("--admin", help="A token that may also administrate.")]
+
+
+def login(
+    url: UrlArgument = "http://127.0.0.1:8080",
+    name: NameOption = None,
+    password_stdin: PasswordOption = False,
+    token_stdin: TokenOption = False,
+    admin: AdminOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Sign in to a server; its token is kept in ~/.config/stone/credentials.json and used by the other commands."""
+    from stone_client.credentials import plain_url
+    from stone_client.sign_in import sign_in_by_password, sign_in_by_token
+
+    if token_stdin and (password_stdin or name or admin):
+        raise typer.BadParameter("a token says who you are and what you may", param_hint="--token-stdin")
+    server = plain_url(url)
+    if token_stdin:
+        signed_in = sign_in_by_token(server, sys.stdin.readline().strip())
+    else:
+        name = name or typer.prompt("Name", err=True)
+        password = _line() if password_stdin else typer.prompt("Password", hide_input=True, err=True)
+        signed_in = sign_in_by_password(server, name, password, as_administrator=admin)
+    if as_json:
+        echo_json(signed_in.as_record())
+    else:
+        typer.echo(f"{signed_in.name} ({signed_in.role}) at {signed_in.url}; may {', '.join(signed_in.scopes)}")
+
+
+def _line() -> str:
+    return sys.stdin.readline().rstrip("\n")

@@ -1,0 +1,104 @@
+"""Files of an export, read from a folder or in place from a tar archive.
+
+**Conventions.** A file is a `ExportFileSpan`: bytes of some file on the disk. Names are relative paths of plain parts
+(`stone_files/virtual_archive.py`); others are not seen. Whatever is read is bounded first: an export may come from
+anywhere.
+"""
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar, Protocol
+
+from stone.errors import StoneError
+from stone_files.virtual_archive import NAME
+
+PIECE_BYTES = 2**20
+LONGEST_LINE_BYTES = 2**20
+
+
+class DamagedExportError(StoneError):
+    """A file of an export is not what it should be."""
+
+    code: ClassVar[str] = "damaged_export"
+
+    def __init__(self, path: Path, name: str, why: str) -> None:
+        super().__init__(f"{path}: {name[:200]!r} cannot be read: {why}; make the export again, or download it again")
+
+
+@dataclass(frozen=True)
+class ExportFileSpan:
+    """The bytes [offset, offset + size) of the file at `path`, which are the file `name` of an export."""
+
+    path: Path
+    name: str
+    offset_bytes: int
+    size_bytes: int
+
+    def read(self, most_bytes: int) -> bytes:
+        """All of it. Raises `DamagedExportError` where it is larger than that, or ends early."""
+        if self.size_bytes > most_bytes:
+            raise self.damaged(f"it has {self.size_bytes} bytes, at most {most_bytes} are expected")
+        return b"".join(self._pieces())
+
+    def lines(self) -> Iterator[bytes]:
+        """Its lines without their ends. Raises `DamagedExportError` for one longer than a row can be."""
+        held = b""
+        for piece in self._pieces():
+            *whole, held = (held + piece).split(b"\n")
+            yield from whole
+            if len(held) > LONGEST_LINE_BYTES:
+                raise self.damaged(f"it has a line of more than {LONGEST_LINE_BYTES} bytes")
+        if held:
+            yield held
+
+    def damaged(self, why: str) -> DamagedExportError:
+        return DamagedExportError(self.path, self.name, why)
+
+    def _pieces(self) -> Iterator[bytes]:
+        place, end = self.offset_bytes, self.offset_bytes + self.size_bytes
+        with self.path.open("rb") as file:
+            while place < end:
+                piece = os.pread(file.fileno(), min(PIECE_BYTES, end - place), place)
+                if not piece:
+                    raise self.damaged(f"it ends {end - place} bytes early")
+                place += len(piece)
+                yield piece
+
+
+class Files(Protocol):
+    """The files of one export."""
+
+    @property
+    def path(self) -> Path: ...
+
+    def span(self, name: str) -> ExportFileSpan | None:
+        """The file of this name; None where there is none, or no such name can be."""
+        ...
+
+
+@dataclass(frozen=True)
+class FolderFiles:
+    """An export as a folder."""
+
+    path: Path
+
+    def span(self, name: str) -> ExportFileSpan | None:
+        file = self.path / name
+        if not NAME.fullmatch(name) or not file.is_file():
+            return None
+        return ExportFileSpan(file, name, 0, file.stat().st_size)
+
+
+@dataclass(frozen=True)
+class TarFiles:
+    """An export as a tar: where each file lies in it, by name below `root` (which ends in a slash, or is empty)."""
+
+    path: Path
+    places: dict[str, tuple[int, int]]
+    root: str = ""
+
+    def span(self, name: str) -> ExportFileSpan | None:
+        place = self.places.get(self.root + name)
+        return None if place is None else ExportFileSpan(self.path, name, *place)

@@ -1,0 +1,117 @@
+"""Downloads of single files: resumed after interruptions, verified by size and sha256.
+
+**Conventions.** The promise is the sha256 in the ETag. What has arrived is asked for no more (Range), unless the server
+means another file by now (If-Range). A server that sends nothing new for `PATIENCE_S` is given up.
+"""
+
+from collections.abc import Callable, Iterator
+from hashlib import sha256
+from pathlib import Path
+
+import httpx
+
+from stone_client.api import BUSY, Api, Patience
+from stone_client.errors import DamagedDownloadError, ServerRefusedError, ServerUnreachableError
+
+PATIENCE_S = 60.0
+PIECE_BYTES = 2**20
+BEYOND_THE_END = 416
+IDENTITY = {"Accept-Encoding": "identity"}
+ByteListener = Callable[[int], None]
+
+
+def ignore_bytes(_arrived_bytes: int) -> None:
+    """Nobody asks how much has arrived."""
+
+
+class PartialFile:
+    """A file that fills: how much of it is there, and what that hashes to.
+
+    `promised` is the sha256 of the whole, where it is known before the server says it: then what is in the file already
+    is its beginning; else the file begins anew.
+    """
+
+    def __init__(self, target: Path, promised: str = "") -> None:
+        self.target, self.promised = target, promised
+        self._found, self.size_bytes = sha256(), 0
+        target.touch()
+        for piece in _pieces(target) if promised else ():
+            self._count(piece)
+        self._keep_counted()
+
+    def headers(self) -> dict[str, str]:
+        """Request headers for the missing bytes."""
+        if not self.size_bytes:
+            return IDENTITY
+        return {**IDENTITY, "Range": f"bytes={self.size_bytes}-", "If-Range": f'"{self.promised}"'}
+
+    def begin(self, promised: str) -> None:
+        """The server sends the whole of a file of this sha256."""
+        self.promised, self._found, self.size_bytes = promised, sha256(), 0
+        self._keep_counted()
+
+    def add(self, pieces: Iterator[bytes], on_bytes: ByteListener) -> None:
+        with self.target.open("ab") as file:
+            for piece in pieces:
+                file.write(piece)
+                self._count(piece)
+                on_bytes(self.size_bytes)
+
+    @property
+    def is_whole(self) -> bool:
+        return bool(self.promised) and self._found.hexdigest() == self.promised
+
+    def check(self, path: str) -> None:
+        """Raises `DamagedDownloadError`; nothing of the file is kept then, or it would never become whole."""
+        if not self.is_whole:
+            found, promised = self._found.hexdigest(), self.promised
+            self.begin("")
+            raise DamagedDownloadError(path, found, promised)
+
+    def _count(self, piece: bytes) -> None:
+        self._found.update(piece)
+        self.size_bytes += len(piece)
+
+    def _keep_counted(self) -> None:
+        with self.target.open("r+b") as file:
+            file.truncate(self.size_bytes)
+
+
+def save(api: Api, path: str, target: Path) -> None:
+    """Fetch one file into `target`. Raises as `fetch` does."""
+    fetch(api, path, PartialFile(target))
+
+
+def fetch(api: Api, path: str, arriving: PartialFile, on_bytes: ByteListener = ignore_bytes) -> None:
+    """Fetch what is missing of a file, again after a broken connection or when the server is busy.
+
+    Raises `DamagedDownloadError`, `ServerUnreachableError`, `ServerRefusedError`.
+    """
+    patience, before = Patience(PATIENCE_S), arriving.size_bytes
+    while not arriving.is_whole:
+        if arriving.size_bytes > before:
+            patience, before = Patience(PATIENCE_S), arriving.size_bytes
+        try:
+            _fetch(api, path, arriving, on_bytes)
+            return arriving.check(path)
+        except httpx.TransportError as error:
+            if not patience.wait(None):
+                raise ServerUnreachableError(api.url, str(error) or type(error).__name__) from None
+        except ServerRefusedError as error:
+            if error.status == BEYOND_THE_END and arriving.size_bytes:
+                arriving.begin(arriving.promised)
+            elif error.status not in BUSY or not patience.wait(error.retry_after_s):
+                raise
+
+
+def _fetch(api: Api, path: str, arriving: PartialFile, on_bytes: ByteListener) -> None:
+    with api.stream(path, arriving.headers()) as answer:
+        if answer.status_code != 206:
+            arriving.begin(answer.headers.get("ETag", "").strip('"'))
+        arriving.add(answer.iter_bytes(), on_bytes)
+
+
+def _pieces(path: Path) -> Iterator[bytes]:
+    with path.open("rb") as file:
+        while piece := file.read(PIECE_BYTES):
+            yield piece

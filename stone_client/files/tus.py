@@ -1,0 +1,147 @@
+"""A tus 1.0 client: uploads a file with a checksum for every piece and the sha256 of the whole.
+
+**Conventions.** Nothing is kept on this side: the server is asked for an upload of the same bytes to the same target,
+so a client that was killed, or another one, goes on where the bytes on the server's disk end.
+"""
+
+import base64
+import os
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import BinaryIO
+
+from stone_client.api import Api, Patience
+from stone_client.errors import FileChangedError, ServerRefusedError, ServerUnreachableError
+from stone_client.progress import Report
+
+TUS = {"Tus-Resumable": "1.0.0"}
+PIECE_BYTES = 16 * 2**20
+PATIENCE_S = 120.0
+TRY_AGAIN = frozenset({408, 409, 423, 429, 460, 502, 503, 504})
+
+
+@dataclass(frozen=True)
+class Purpose:
+    """The purpose of an upload, and the id of what it is for."""
+
+    name: str
+    target_id: str = ""
+
+
+@dataclass(frozen=True)
+class LocalFile:
+    """A file as it was when its sha256 was taken."""
+
+    path: Path
+    size_bytes: int
+    modified_ns: int
+    sha256: str
+
+    def refuse_change(self, file: BinaryIO) -> None:
+        """Raises `FileChangedError`."""
+        now = os.fstat(file.fileno())
+        if (now.st_size, now.st_mtime_ns) != (self.size_bytes, self.modified_ns):
+            raise FileChangedError(self.path)
+
+
+def upload_file(api: Api, local: LocalFile, purpose: Purpose, progress: Report) -> str:
+    """Send the file, or what of it the server does not have yet; the id of the complete upload.
+
+    Raises what `Api.send` raises, and `FileChangedError`.
+    """
+    upload_id, offset = _begun(api, local, purpose) or _create(api, local, purpose)
+    with local.path.open("rb") as file:
+        _send_rest(api, f"/uploads/{upload_id}", _Rest(file, local, offset), progress)
+    return upload_id
+
+
+def hashed(path: Path, progress: Report) -> LocalFile:
+    """The file with its sha256. Raises `FileChangedError`."""
+    with path.open("rb") as file:
+        now = os.fstat(file.fileno())
+        whole, done = sha256(), 0
+        progress("hash", done, now.st_size)
+        while piece := file.read(PIECE_BYTES):
+            whole.update(piece)
+            done += len(piece)
+            progress("hash", done, now.st_size)
+        local = LocalFile(path, now.st_size, now.st_mtime_ns, whole.hexdigest())
+        local.refuse_change(file)
+    return local
+
+
+@dataclass
+class _Rest:
+    """The bytes still to be sent; `offset` is where the bytes on the server end."""
+
+    file: BinaryIO
+    local: LocalFile
+    offset: int
+
+
+def _send_rest(api: Api, address: str, rest: _Rest, progress: Report) -> None:
+    size_bytes = rest.local.size_bytes
+    patience = Patience(PATIENCE_S)
+    progress("upload", rest.offset, size_bytes)
+    while rest.offset < size_bytes:
+        rest.local.refuse_change(rest.file)
+        rest.file.seek(rest.offset)
+        piece = rest.file.read(PIECE_BYTES)
+        before = rest.offset
+        try:
+            rest.offset = _send_piece(api, address, piece, rest.offset)
+        except (ServerRefusedError, ServerUnreachableError) as error:
+            if not _may_pass(error) or not patience.wait(None):
+                raise
+            rest.offset = _offset(api, address)
+        if rest.offset > before:
+            patience = Patience(PATIENCE_S)
+        progress("upload", rest.offset, size_bytes)
+
+
+def _send_piece(api: Api, address: str, piece: bytes, offset: int) -> int:
+    """Send one piece; where the server's bytes end now."""
+    checksum = base64.b64encode(sha256(piece).digest()).decode("ascii")
+    headers = {
+        **TUS,
+        "Upload-Offset": str(offset),
+        "Upload-Checksum": f"sha256 {checksum}",
+        "Content-Type": "application/offset+octet-stream",
+    }
+    return int(api.send("PATCH", address, content=piece, headers=headers).headers["Upload-Offset"])
+
+
+def _may_pass(error: ServerRefusedError | ServerUnreachableError) -> bool:
+    """Whether the next try may fare better: broken connections, a lock, a piece that was damaged on its way."""
+    return isinstance(error, ServerUnreachableError) or error.status in TRY_AGAIN
+
+
+def _begun(api: Api, local: LocalFile, purpose: Purpose) -> tuple[str, int] | None:
+    """The upload of these bytes to this target that is under way or complete, with its offset.
+
+    Asked of the upload itself: a server killed after the last byte then verifies what it has.
+    """
+    asked = (purpose.name, purpose.target_id or None, local.path.name, local.size_bytes, local.sha256)
+    for state in ("open", "complete"):
+        for item in api.pages("/uploads", state=state):
+            keys = ("purpose", "target_id", "filename", "length_bytes", "declared_sha256")
+            if tuple(item[key] for key in keys) == asked:
+                return str(item["id"]), _offset(api, f"/uploads/{item['id']}")
+    return None
+
+
+def _create(api: Api, local: LocalFile, purpose: Purpose) -> tuple[str, int]:
+    """Announce the file; its id, and how much of it the server has already."""
+    said = {"filename": local.path.name, "purpose": purpose.name, "sha256": local.sha256}
+    if purpose.target_id:
+        said["target_id"] = purpose.target_id
+    metadata = ",".join(f"{key} {base64.b64encode(value.encode()).decode('ascii')}" for key, value in said.items())
+    headers = {**TUS, "Upload-Length": str(local.size_bytes), "Upload-Metadata": metadata}
+    created = api.send("POST", "/uploads", headers=headers).headers
+    return created["Location"].rpartition("/")[2], int(created["Upload-Offset"])
+
+
+def _offset(api: Api, address: str) -> int:
+    """The offset of the server's bytes."""
+    return int(api.send("HEAD", address, headers=TUS).headers["Upload-Offset"])

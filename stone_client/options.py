@@ -1,0 +1,76 @@
+"""The options that several commands share, so that they read and behave the same."""
+
+import os
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+BagArgument = Annotated[
+    Path,
+    typer.Argument(
+        metavar="BAG", exists=True, readable=True, help="The recording: an .mcap file, a .db3 file or a rosbag2 folder."
+    ),
+]
+SubmissionArgument = Annotated[
+    Path, typer.Argument(metavar="SUB.zip", exists=True, dir_okay=False, help="The zip of <frame_token>.npz to judge.")
+]
+ManifestOption = Annotated[
+    Path, typer.Option("--manifest", metavar="M.json", exists=True, dir_okay=False, help="The frames to predict.")
+]
+WorkersOption = Annotated[
+    int | None, typer.Option(min=1, max=256, help="Processes; as many as cores unless said.", show_default="cores")
+]
+ServerOption = Annotated[
+    str | None, typer.Option("--server", metavar="URL", help="The server; else STONE_URL, else the last login.")
+]
+BenchmarkArgument = Annotated[str, typer.Argument(metavar="BENCHMARK", help="A benchmark's name.")]
+PhaseArgument = Annotated[str, typer.Argument(metavar="PHASE", help="A phase of it, such as val or test.")]
+BenchmarkOption = Annotated[str, typer.Option("--benchmark", metavar="B", help="A benchmark's name.")]
+PhaseOption = Annotated[str, typer.Option("--phase", metavar="P", help="A phase of it, such as val or test.")]
+SequenceArgument = Annotated[str, typer.Argument(metavar="SEQUENCE", help="A sequence's name or id.")]
+CalibrationOption = Annotated[
+    Path,
+    typer.Option("--calibration", metavar="CAL", exists=True, help="Where the sensors sit: file, folder or zip."),
+]
+
+
+DataOption = Annotated[
+    Path | None,
+    typer.Option(metavar="DIR", file_okay=False, help="Everything the platform keeps.", show_default="stone-data"),
+]
+
+
+class Modality(StrEnum):
+    """What a method senses with: cameras, LiDAR, radar, and their sums."""
+
+    C = "C"
+    L = "L"
+    R = "R"
+    CL = "C+L"
+    CR = "C+R"
+    LR = "L+R"
+    CLR = "C+L+R"
+
+
+class LabelProfile(StrEnum):
+    """How height enters the labels: `paper` takes it to the letter, `local` above the ground nearby."""
+
+    PAPER = "paper"
+    LOCAL = "local"
+
+
+ProfileOption = Annotated[LabelProfile, typer.Option(help="Height as in the paper, or above the ground nearby.")]
+OdometryOption = Annotated[
+    str | None,
+    typer.Option(metavar="TOPIC", help="What gives the poses: a topic, or kiss-icp; else the best the bag has."),
+]
+LidarOption = Annotated[
+    str | None, typer.Option(metavar="TOPIC", help="The topic of the LiDAR's clouds, where the bag has several.")
+]
+
+
+def cores() -> int:
+    """The number of cores this process may use."""
+    return len(os.sched_getaffinity(0))

@@ -1,0 +1,70 @@
+"""Exit codes and messages of the command for refused inputs.
+
+**Conventions.** A refusal is one line `code: sentence` on stderr for each finding and exit code 1; under `--json` the
+same findings are an object on stdout. Errors that are not `StoneError` and not the machine's own refusals (no
+permission, no space) are faults of the program and keep their traceback.
+"""
+
+import errno
+from collections.abc import Iterable, Mapping
+from typing import Any, NoReturn
+
+import typer
+from typer.core import TyperGroup
+
+from stone.errors import StoneError, one_line
+from stone.findings import Finding
+from stone_client.streams import echo_findings, echo_json, wants_json
+from stone_submissions.verdict import Validation
+
+REFUSED = 1
+MACHINE_SAYS_NO = {
+    errno.EACCES: "not_permitted",
+    errno.EPERM: "not_permitted",
+    errno.EROFS: "not_permitted",
+    errno.ENOSPC: "disk_full",
+    errno.EDQUOT: "disk_full",
+    errno.EFBIG: "disk_full",
+}
+
+
+class RefusingGroup(TyperGroup):
+    """A group of commands whose `StoneError`s end as refusals."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except StoneError as error:
+            refuse([Finding(error.code, "error", "", str(error))], as_json=wants_json(ctx))
+        except OSError as error:
+            if error.errno not in MACHINE_SAYS_NO:
+                raise
+            code = MACHINE_SAYS_NO[error.errno]
+            refuse([Finding(code, "error", "", f"{error.filename}: {error.strerror}")], as_json=wants_json(ctx))
+
+
+def refuse(findings: Iterable[Finding], *, as_json: bool) -> NoReturn:
+    """Say each finding on a line of its own and end the command with exit code 1."""
+    said = tuple(findings)
+    echo_findings(said)
+    if as_json:
+        echo_json({"findings": [finding.as_record() for finding in said]})
+    raise typer.Exit(REFUSED)
+
+
+def refuse_submission(validation: Validation, *, as_json: bool) -> NoReturn:
+    """Say each problem of a submission on a line of its own and end the command with exit code 1."""
+    refuse_report(validation.as_record(), as_json=as_json)
+
+
+def refuse_report(report: Mapping[str, Any], *, as_json: bool) -> NoReturn:
+    """The same for a record of a validation, ours or a server's."""
+    for one in report["errors"]:
+        typer.echo(
+            one_line(f"{one['code']}: {one['file']}: expected {one['expected']}, found {one['actual']}"), err=True
+        )
+    if report["errors_total"] > len(report["errors"]):
+        typer.echo(f"… and {report['errors_total'] - len(report['errors'])} more", err=True)
+    if as_json:
+        echo_json(report)
+    raise typer.Exit(REFUSED)

@@ -1,0 +1,116 @@
+"""A submission from exported data by geometry alone: one sweep a frame, no training, the same bytes every time.
+
+**Conventions.** Frames are those of the manifest, in its order. A few frames are in memory at a time, however many
+there are. Source of the method: `stone/labels/baseline.py`.
+"""
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from hashlib import file_digest
+from itertools import islice
+from pathlib import Path
+from typing import Any, ClassVar, TypeVar
+
+from stone.errors import StoneError
+from stone.labels.baseline import predict_from_sweep
+from stone_client.files.exported_sweeps import SweepFile, exports_in, sweeps_in
+from stone_client.progress import Report
+from stone_submissions.manifest import Manifest, read_manifest
+from stone_submissions.writer import frame_file, write_files
+
+AHEAD = 3
+T = TypeVar("T")
+Frame = tuple[str, bytes]
+
+
+class FramesMissingError(StoneError):
+    """The exports do not have all the frames that are to be predicted."""
+
+    code: ClassVar[str] = "frames_missing"
+
+    def __init__(self, missing: Sequence[str], sequences: Sequence[str]) -> None:
+        super().__init__(
+            f"{len(missing)} frames of the manifest have no sweep in what was given (the first is {missing[0]}); they "
+            f"are of {', '.join(sequences[:5])}{', …' if len(sequences) > 5 else ''}: give the exports of those too"
+        )
+
+
+@dataclass(frozen=True)
+class WrittenBaseline:
+    """The record of a written baseline submission."""
+
+    output: str
+    frames: int
+    sequences: int
+    size_bytes: int
+    sha256: str
+
+    def as_record(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class BaselinePlan:
+    """Which frames to predict (a manifest's path), where to, and by how many threads."""
+
+    manifest: Path
+    output: Path
+    workers: int
+
+
+def write_baseline(sources: Sequence[Path], plan: BaselinePlan, progress: Report) -> WrittenBaseline:
+    """Predict every frame of the manifest from its own sweep in one of the sources.
+
+    Raises `ManifestError`, `NotExportedError`, `BadTarError`, `DamagedExportError`, `FramesMissingError`.
+    """
+    manifest = read_manifest(plan.manifest)
+    sweeps = find_sweeps(sources, manifest)
+    frames = ((token, sweeps[token]) for token in manifest.tokens)
+    write_files(plan.output, _with_progress(_in_order(predicted, frames, plan.workers), len(manifest.tokens), progress))
+    with plan.output.open("rb") as file:
+        digest = file_digest(file, "sha256").hexdigest()
+    size_bytes = plan.output.stat().st_size
+    return WrittenBaseline(str(plan.output), len(manifest.tokens), len(manifest.sequences), size_bytes, digest)
+
+
+def find_sweeps(sources: Sequence[Path], manifest: Manifest) -> Mapping[str, SweepFile]:
+    """The sweep of every frame of the manifest; of several exports that have it, the first named.
+
+    Raises `NotExportedError`, `BadTarError`, `DamagedExportError`, `FramesMissingError`.
+    """
+    found, tokens = dict[str, SweepFile](), frozenset(manifest.tokens)
+    for source in sources:
+        for files in exports_in(source):
+            found = {**sweeps_in(files, tokens), **found}
+    missing = [token for token in manifest.tokens if token not in found]
+    if missing:
+        without = [name for name, own in manifest.sequences.items() if not set(own) <= found.keys()]
+        raise FramesMissingError(missing, without)
+    return found
+
+
+def predicted(frame: tuple[str, SweepFile]) -> Frame:
+    """The file of one frame. Raises `DamagedExportError`."""
+    token, sweep = frame
+    return token, frame_file(predict_from_sweep(sweep.points_ego()))
+
+
+def _with_progress(frames: Iterable[Frame], total: int, progress: Report) -> Iterator[Frame]:
+    for done, frame in enumerate(frames, start=1):
+        yield frame
+        progress("predict", done, total)
+
+
+def _in_order(work: Callable[[T], Frame], items: Iterator[T], workers: int) -> Iterator[Frame]:
+    """The results in the order of the items, a few ahead of whoever takes them."""
+    with ThreadPoolExecutor(workers) as pool:
+        waiting = deque[Future[Frame]]()
+        try:
+            waiting.extend(pool.submit(work, item) for item in islice(items, workers + AHEAD))
+            while waiting:
+                yield waiting.popleft().result()
+                waiting.extend(pool.submit(work, item) for item in islice(items, 1))
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)

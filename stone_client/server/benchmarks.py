@@ -1,0 +1,82 @@
+"""Benchmarks on a server, for participants: phases by name, their manifests, their inputs."""
+
+from hashlib import file_digest, sha256
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from rich.table import Table
+
+from stone_client.api import Api
+from stone_client.progress import Report
+from stone_client.server.exports import download_file
+from stone_client.server.sequences import Item
+from stone_client.tables import DASH, plain_table, safe_text
+from stone_files.atomic import atomic_file
+
+
+def phase_path(benchmark: str, phase: str) -> str:
+    """The URL path of a phase."""
+    return f"/benchmarks/{quote(benchmark, safe='')}/phases/{quote(phase, safe='')}"
+
+
+def read_benchmarks(api: Api) -> list[Item]:
+    """All of them with their phases, newest first."""
+    return [read_benchmark(api, str(one["name"])) for one in api.pages("/benchmarks")]
+
+
+def read_benchmark(api: Api, name: str) -> Item:
+    """A benchmark with its phases in full."""
+    found: Item = api.read(f"/benchmarks/{quote(name, safe='')}")
+    return found
+
+
+def read_phase(api: Api, benchmark: str, phase: str) -> Item:
+    """A phase: its rules, whether it runs, by what it is scored."""
+    found: Item = api.read(phase_path(benchmark, phase))
+    return found
+
+
+def fetch_manifest(api: Api, of: tuple[str, str], output: Path) -> dict[str, Any]:
+    """Write the frames that a submission to this phase (benchmark, name) must hold; what was written."""
+    content = api.send("GET", f"{phase_path(*of)}/manifest").content
+    output.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_file(output) as staging:
+        staging.write_bytes(content)
+    digest = sha256(content).hexdigest()
+    return {"output": str(output), "size_bytes": len(content), "sha256": digest}
+
+
+def download_inputs(api: Api, of: tuple[str, str], folder: Path, progress: Report) -> list[dict[str, Any]]:
+    """Fetch the tar of each sequence of this phase (benchmark, name) as far as it is not there; what is there now.
+
+    Raises `DamagedDownloadError`, `DownloadUnderWayError`, and what `fetch` raises.
+    """
+    own = f"/phases/{read_phase(api, *of)['id']}/inputs"
+    made = []
+    for one in list(api.pages(own)):
+        promised = {"size_bytes": one["tar_bytes"], "sha256": one["tar_sha256"]}
+        output = folder / f"{one['name']}.tar"
+        is_there = output.is_file() and _sha256(output) == promised["sha256"]
+        path = f"{own}/{quote(one['name'], safe='')}.tar"
+        begun_bytes = promised["size_bytes"] if is_there else download_file(api, path, promised, output, progress)
+        made.append({"name": one["name"], **promised, "output": str(output), "resumed_at_bytes": begun_bytes})
+    return made
+
+
+def phases_table(benchmark: Item) -> Table:
+    """One row for each phase."""
+    table = plain_table(safe_text(benchmark["name"]), "phase", "runs", "truth", "frames", "scorings", "closes")
+    for phase in benchmark["phases"]:
+        active, limit = phase["active"], phase["scorings_per_window"]
+        frames = f"{active['frames']:,}" if active else DASH
+        allowed = "as many as you like" if limit is None else f"{limit} in {phase['window_s'] / 86_400:g} days"
+        truth = "hidden" if phase["is_hidden"] else "open"
+        closes = (phase["closes_at"] or DASH)[:16]
+        table.add_row(safe_text(phase["name"]), phase["standing"], truth, frames, allowed, closes)
+    return table
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,122 @@
+"""A sequence's exports on a server: requested, followed, listed, downloaded so that nothing is fetched twice.
+
+**Conventions.** What has arrived of an archive lies beside the target as `.<name>.<sha256>.partial`, held by its
+downloader's lock; the next download of the same bytes goes on with it. The target appears whole or not at all.
+"""
+
+import fcntl
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from glob import escape
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+
+from stone_client.api import Api
+from stone_client.errors import DamagedDownloadError, DownloadUnderWayError, NoExportError
+from stone_client.files.fetch import PartialFile, fetch
+from stone_client.progress import Report
+from stone_client.server.job_following import follow
+from stone_client.server.sequences import Item
+from stone_client.tables import DASH, plain_table
+from stone_files.atomic import flush
+from stone_files.errors import OutputExistsError
+
+ARCHIVES = ("tar", "zip")
+
+
+def make_export(api: Api, sequence: Item, form: str, progress: Report) -> Item:
+    """The finished export of the sequence's labels in this format; one that stands already is not made again.
+
+    Raises `JobFailedError`, and what `Api.send` raises.
+    """
+    asked = api.create(f"/sequences/{sequence['id']}/exports", {"format": form})
+    follow(api, asked["job"]["id"], progress)
+    export: Item = api.read(f"/sequences/{sequence['id']}/exports/{asked['export']['id']}")
+    return export
+
+
+def exports_of(api: Api, sequence: Item) -> list[Item]:
+    """All of them, newest first."""
+    return list(api.pages(f"/sequences/{sequence['id']}/exports"))
+
+
+def finished_export(api: Api, sequence: Item, form: str) -> Item:
+    """The export of the labels that count. Raises `NoExportError`."""
+    fresh = [one for one in exports_of(api, sequence) if one["format"] == form and not one["is_stale"]]
+    for export in fresh:
+        if export["state"] == "succeeded":
+            return export
+    raise NoExportError(sequence["name"], form, fresh[0]["state"] if fresh else "")
+
+
+def download_archive(api: Api, export: Item, output: Path, progress: Report) -> dict[str, Any]:
+    """Fetch all files of an export as the archive that `output` is called by (`.tar` or `.zip`); what came.
+
+    Raises what `download_file` raises.
+    """
+    kind = output.suffix[1:]
+    wanted = next(one for one in export["archives"] if one["format"] == kind)
+    path = f"/sequences/{export['sequence_id']}/exports/{export['id']}/archive?format={kind}"
+    begun_bytes = download_file(api, path, wanted, output, progress)
+    return {**wanted, "output": str(output), "export": export["id"], "resumed_at_bytes": begun_bytes}
+
+
+def download_file(api: Api, path: str, wanted: Item, output: Path, progress: Report) -> int:
+    """Fetch what is at `path`, whose `size_bytes` and `sha256` are known; how much of it was there already.
+
+    Raises `DamagedDownloadError`, `DownloadUnderWayError`, `OutputExistsError`, and what `fetch` raises.
+    """
+    if output.exists() and not output.is_file():
+        raise OutputExistsError(output, "a folder")
+    with _partial(output, wanted["sha256"]) as partial:
+        arriving = PartialFile(partial, wanted["sha256"])
+        begun_bytes = arriving.size_bytes
+        fetch(api, path, arriving, lambda arrived: progress(output.name, arrived, wanted["size_bytes"]))
+        if arriving.promised != wanted["sha256"]:
+            raise DamagedDownloadError(path, arriving.promised, wanted["sha256"])
+        flush(partial)
+        os.replace(partial, output)
+    flush(output.parent)
+    return begun_bytes
+
+
+def exports_table(name: str, exports: list[Item]) -> Table:
+    """One row each."""
+    table = plain_table(f"exports of {name}", "format", "state", "files", "bytes", "made")
+    for one in exports:
+        state = f"{one['state']}, stale" if one["is_stale"] else one["state"]
+        counts = (f"{one['files']:,}", f"{one['size_bytes']:,}") if one["finished_at"] else (DASH, DASH)
+        table.add_row(one["format"], state, *counts, (one["finished_at"] or one["created_at"])[:19])
+    return table
+
+
+@contextmanager
+def _partial(output: Path, sha256: str) -> Iterator[Path]:
+    """The partial file for this sha256, for us alone; those of others that nobody downloads any more are removed.
+
+    Raises `DownloadUnderWayError`.
+    """
+    output.parent.mkdir(parents=True, exist_ok=True)
+    partial = output.with_name(f".{output.name}.{sha256[:32]}.partial")
+    for other in output.parent.glob(f".{escape(output.name)}.*.partial"):
+        with suppress(BlockingIOError, FileNotFoundError), _held(other):
+            if other != partial:
+                other.unlink()
+    try:
+        with _held(partial, os.O_CREAT):
+            yield partial
+    except BlockingIOError:
+        raise DownloadUnderWayError(output) from None
+
+
+@contextmanager
+def _held(path: Path, flags: int = 0) -> Iterator[None]:
+    descriptor = os.open(path, os.O_RDWR | flags, 0o666)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,104 @@
+"""Follows a job to its end: server-sent events while they last, polling where they do not.
+
+**Conventions.** An event's data is the job as `GET /jobs/{id}` shows it. A stream that breaks is taken up again with
+the id of the last event; a server that is away for longer than `AWAY_S` is given up.
+"""
+
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import httpx
+
+from stone_client.api import Api, Patience
+from stone_client.errors import JobFailedError, ServerFaultError, ServerRefusedError, ServerUnreachableError
+from stone_client.progress import Report
+
+AWAY_S = 120.0
+SILENCE_S = 45.0
+POLL_S = 1.0
+TERMINAL = ("succeeded", "failed", "cancelled")
+NO_STREAM = frozenset({404, 405, 406, 429, 501, 503})
+
+
+@dataclass(frozen=True)
+class Event:
+    """One server-sent event; `id` is empty where it has none."""
+
+    name: str
+    id: str
+    data: str
+
+
+def follow(api: Api, job_id: str, progress: Report) -> Mapping[str, Any]:
+    """The job as it ended well. Raises `JobFailedError` for any other end, and what `Api.send` raises."""
+    told: dict[str, tuple[int, int]] = {}
+    job: Mapping[str, Any] = {}
+    for job in _states(api, job_id):
+        _report(job, told, progress)
+    if job["state"] != "succeeded":
+        raise JobFailedError(job)
+    return job
+
+
+def events(lines: Iterable[str]) -> Iterator[Event]:
+    """The events of a stream, as the HTML standard reads it: fields until an empty line, comments skipped."""
+    name, event_id = "message", ""
+    data: list[str] = []
+    for line in lines:
+        key, _, value = line.partition(":")
+        value = value.removeprefix(" ")
+        if not line:
+            if data:
+                yield Event(name, event_id, "\n".join(data))
+            name, data = "message", []
+        elif key == "event":
+            name = value
+        elif key == "id":
+            event_id = value
+        elif key == "data":
+            data.append(value)
+
+
+def _states(api: Api, job_id: str) -> Iterator[Mapping[str, Any]]:
+    """The job again and again until it has ended; the last one is how it ended."""
+    job: Mapping[str, Any] = api.read(f"/jobs/{job_id}")
+    yield job
+    seen, patience = "", Patience(AWAY_S)
+    while job["state"] not in TERMINAL:
+        try:
+            for event in _stream(api, job_id, seen):
+                seen, job, patience = event.id or seen, _job_of(event, job), Patience(AWAY_S)
+                yield job
+        except (httpx.TransportError, ServerFaultError) as error:
+            if not patience.wait(None):
+                raise ServerUnreachableError(api.url, str(error) or type(error).__name__) from None
+        except ServerRefusedError as error:
+            if error.status not in NO_STREAM or not patience.wait(POLL_S):
+                raise
+        if job["state"] not in TERMINAL:  # the stream ended, or there is none: look for ourselves
+            job = api.read(f"/jobs/{job_id}")
+            yield job
+
+
+def _stream(api: Api, job_id: str, seen: str) -> Iterator[Event]:
+    headers = {"Accept": "text/event-stream", **({"Last-Event-ID": seen} if seen else {})}
+    with api.stream(f"/jobs/{job_id}/events", headers, read_s=SILENCE_S) as answer:
+        yield from events(answer.iter_lines())
+
+
+def _job_of(event: Event, before: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The job after an event; what the event leaves out is as before."""
+    said = json.loads(event.data)
+    return {**before, **said} if isinstance(said, dict) and "state" in said else before
+
+
+def _report(job: Mapping[str, Any], told: dict[str, tuple[int, int]], progress: Report) -> None:
+    """Report what changed: a run's stages, or the job's own count."""
+    own = {"kind": job["progress"]["stage"] or job["kind"], **job["progress"]}
+    for stage in job.get("stages") or (own,):
+        counts = (int(stage["done"]), int(stage["total"]))
+        if counts[1] and told.get(stage["kind"]) != counts:
+            told[stage["kind"]] = counts
+            progress(stage["kind"], *counts)

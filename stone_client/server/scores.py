@@ -1,0 +1,129 @@
+"""Scores of submissions, as records of the server and as tables for people.
+
+**Conventions.** Ratios are shown in percent; null is a dash: undefined, or not shown to the caller yet.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+from rich.table import Table
+
+from stone.errors import StoneError
+from stone_client.api import Api
+from stone_client.server.benchmarks import phase_path
+from stone_client.server.sequences import Item
+from stone_client.tables import CLASSES, DASH, confusion_table, plain_table, safe_text
+
+ID, LATEST = re.compile("[0-9a-f]{32}"), re.compile(r"latest(?:~(\d{1,4}))?")
+RATIOS = {"miou": "mIoU", "iou_occ": "IoU occ", "iou_t": "IoU T", "iou_p": "IoU P", "iou_n": "IoU N"}
+EXTRAS = {
+    "n_predicted_t_ratio": "of N predicted T (dangerous)",
+    "t_predicted_n_ratio": "of T predicted N (over-cautious)",
+    "bev_drivable_iou": "IoU of drivable columns from above",
+}
+
+
+class NoSubmissionError(StoneError):
+    """The caller's teams have no such submission."""
+
+    code: ClassVar[str] = "no_submission"
+
+    def __init__(self, named: str, count: int) -> None:
+        super().__init__(
+            f"{named[:80]!r} is no submission: expected is an id, or latest, latest~1, … of the {count} of your teams "
+            "(`stone results` lists them)"
+        )
+
+
+def submission_id(api: Api, named: str) -> str:
+    """The id, or that of the newest but so many of the caller's that are scored. Raises `NoSubmissionError`."""
+    if ID.fullmatch(named):
+        return named
+    found = LATEST.fullmatch(named)
+    own = [one["id"] for one in read_submissions(api) if one["kind"] != "validation"] if found else []
+    before = int(found[1] or 0) if found else 0
+    if before >= len(own):
+        raise NoSubmissionError(named, len(own))
+    return str(own[before])
+
+
+def read_results(api: Api, submission_id: str) -> dict[str, Any]:
+    record: dict[str, Any] = api.read(f"/submissions/{submission_id}/results")
+    return record
+
+
+def read_breakdown(api: Api, submission_id: str, by: str) -> dict[str, Any]:
+    """The breakdown of a score; of a hidden phase once it has ended."""
+    record: dict[str, Any] = api.read(f"/submissions/{submission_id}/results/breakdowns", by=by)
+    return record
+
+
+def read_submissions(api: Api) -> list[Item]:
+    """The submissions of one's teams, newest first."""
+    return list(api.pages("/submissions"))
+
+
+def compare(api: Api, a: str, b: str) -> dict[str, Any]:
+    """The differences of two submissions to one phase, and whether they are more than chance."""
+    of = read_results(api, a)
+    record: dict[str, Any] = api.read(f"{phase_path(of['benchmark'], of['phase'])}/compare", a=a, b=b)
+    return record
+
+
+def results_tables(record: Mapping[str, Any]) -> list[Table]:
+    """The totals with their intervals, then what else is shown to the caller."""
+    named = f"{record['method']} ({record['modality']}) in {record['benchmark']} / {record['phase']}"
+    table = plain_table(safe_text(named), "", "%", "95 % here", "95 % in a new place", "within occupied")
+    drawn, within = record["intervals"] or {}, record["within_occupied"] or {}
+    for key, name in RATIOS.items():
+        spans = (interval((drawn.get(kind) or {}).get(key)) for kind in ("block", "sequence"))
+        table.add_row(name, percent(record["total"][key]), *spans, percent(within.get(key)))
+    for key, name in EXTRAS.items() if record["extras"] else ():
+        table.add_row(name, percent(record["extras"][key]), *[DASH] * 3)
+    return [table, *([confusion_table(record["confusion"])] if record["confusion"] else [])]
+
+
+def breakdown_table(record: Mapping[str, Any]) -> Table:
+    """One row for each sequence, environment, illumination or ring of distance."""
+    names = (*RATIOS.values(), "frames", *(f"{name} voxels" for name in CLASSES[1:]))
+    table = plain_table(f"by {record['by']}, %", str(record["by"]), *names)
+    for part in record["parts"]:
+        counts = (f"{part['frames']:,}", *(f"{part['support'][name]:,}" for name in CLASSES[1:]))
+        table.add_row(safe_text(part["name"]), *(percent(part["ratios"][key]) for key in RATIOS), *counts)
+    return table
+
+
+def comparison_table(record: Mapping[str, Any]) -> Table:
+    """A, B and their difference, ratio by ratio."""
+    columns = ("A", "B", "A − B", "95 % of A − B", "p", "p in a new place")
+    table = plain_table(f"A {record['a']}  B {record['b']}, %", "", *columns)
+    for key, name in RATIOS.items():
+        one = record["ratios"][key]
+        block, sequence = one["block"] or {}, one["sequence"] or {}
+        said = (percent(one[which]) for which in ("a", "b", "difference"))
+        tests = (chance(block.get("p")), chance(sequence.get("p")))
+        table.add_row(name, *said, interval(block.get("interval")), *tests)
+    return table
+
+
+def submissions_table(submissions: Sequence[Item]) -> Table:
+    table = plain_table("submissions", "method", "track", "kind", "state", "problems", "sent", "id")
+    for one in submissions:
+        state = f"{one['state']}, withdrawn" if one["withdrawn_at"] else str(one["state"])
+        problems = DASH if one["problems_total"] is None else f"{one['problems_total']:,}"
+        sent = (one["finalized_at"] or one["created_at"])[:16]
+        table.add_row(safe_text(one["method"]), one["modality"], one["kind"], state, problems, sent, one["id"])
+    return table
+
+
+def percent(ratio: float | None) -> str:
+    return DASH if ratio is None else f"{100 * ratio:.2f}"
+
+
+def interval(bounds: Sequence[float] | None) -> str:
+    return DASH if bounds is None else f"{100 * bounds[0]:.2f} to {100 * bounds[1]:.2f}"
+
+
+def chance(p: float | None) -> str:
+    return DASH if p is None else f"{p:.4f}"

@@ -1,0 +1,141 @@
+"""The splits on a server: read, proposed, put from a file; as records and as tables.
+
+**Conventions.** A file holds an object with the keys train, val and test, each a list of sequences: their names, their
+ids, or objects with `sequence_id`, as the server's own answers. A file with a `revision` replaces that one only.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, ClassVar
+
+from stone.errors import StoneError
+from stone.findings import Finding
+from stone.splits.splits import PARTS
+from stone_client.api import Api
+from stone_client.errors import UnknownSubjectError
+from stone_client.server.sequences import Item
+from stone_client.streams import echo_findings
+from stone_client.tables import DASH, plain_table, safe_text, show
+
+MOST_BYTES = 16 * 2**20
+
+
+class BadSplitsFileError(StoneError):
+    """The file does not say which sequences are in train, val and test."""
+
+    code: ClassVar[str] = "bad_splits_file"
+
+    def __init__(self, path: Path, why: str) -> None:
+        super().__init__(
+            f"{path} holds no splits: {why}; expected is an object with lists train, val and test of sequences' names "
+            "or ids (`stone splits --propose 31,7,5 --json` prints one)"
+        )
+
+
+class AmbiguousNameError(StoneError):
+    """Sequences of several owners have this name."""
+
+    code: ClassVar[str] = "ambiguous_name"
+
+    def __init__(self, name: str, ids: Sequence[str]) -> None:
+        super().__init__(f"{name[:100]!r} is the name of {len(ids)} sequences; say which by id: {', '.join(ids[:4])}")
+
+
+def current(api: Api) -> dict[str, Any]:
+    record: dict[str, Any] = api.read("/splits")
+    return record
+
+
+def proposal(api: Api, sizes: tuple[int, int, int], left_out: Sequence[str]) -> dict[str, Any]:
+    """A split proposed by the server, not saved. Raises `UnknownSubjectError`, `AmbiguousNameError`."""
+    ids = _ids_of(current(api), left_out) if left_out else []
+    record: dict[str, Any] = api.create(
+        "/splits/proposal", {"sizes": dict(zip(PARTS, sizes, strict=True)), "leave_out": ids}
+    )
+    return record
+
+
+def put_file(api: Api, path: Path, reason: str) -> dict[str, Any]:
+    """Put the splits of a file in the place of those there are.
+
+    Raises `BadSplitsFileError`, `UnknownSubjectError`, `AmbiguousNameError`, and what `Api.send` raises.
+    """
+    wanted = _read(path)
+    split_now = current(api)
+    body = {part: _ids_of(split_now, wanted[part]) for part in PARTS}
+    match = f'"{wanted.get("revision", split_now["revision"])}"'
+    answer = api.send("PUT", "/splits", json={**body, "reason": reason}, headers={"If-Match": match})
+    record: dict[str, Any] = answer.json()
+    return record
+
+
+def show_splits(record: Mapping[str, Any], *, as_json: bool) -> None:
+    """Tables of the splits, or of a proposal with its shares; what the rules say on stderr."""
+    if not as_json:
+        for part in PARTS:
+            _show_part(part, record[part])
+        if record.get("unassigned"):
+            _show_part("in no split", record["unassigned"])
+        if record.get("shares"):
+            _show_shares(record["shares"])
+    clash, said = record.get("conflict") or [], record["findings"] or []
+    echo_findings(Finding(f"clash of {rule['code']}", "error", "", rule["message"]) for rule in clash)
+    echo_findings(Finding(rule["code"], rule["severity"], "", rule["message"]) for rule in said)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    if path.stat().st_size > MOST_BYTES:
+        raise BadSplitsFileError(path, f"it is larger than {MOST_BYTES} bytes")
+    try:
+        found = json.loads(path.read_text("utf-8"))
+    except (ValueError, RecursionError):
+        raise BadSplitsFileError(path, "it is no JSON") from None
+    if not isinstance(found, dict) or not all(isinstance(found.get(part), list) for part in PARTS):
+        raise BadSplitsFileError(path, "a list is missing")
+    named: dict[str, Any] = {part: [_named(path, one) for one in found[part]] for part in PARTS}
+    revision = found.get("revision")
+    return {**named, "revision": revision} if isinstance(revision, int) else named
+
+
+def _named(path: Path, one: Any) -> str:
+    named = one.get("sequence_id") if isinstance(one, dict) else one
+    if not isinstance(named, str):
+        raise BadSplitsFileError(path, "a sequence is neither a name nor an id")
+    return named
+
+
+def _ids_of(split_now: Mapping[str, Any], named: Sequence[str]) -> list[str]:
+    """The ids of sequences that are called by name or id."""
+    entries = [entry for part in (*PARTS, "unassigned") for entry in split_now[part]]
+    ids = {entry["sequence_id"] for entry in entries}
+    by_name = dict[str, list[str]]()
+    for entry in entries:
+        by_name.setdefault(entry["name"], []).append(entry["sequence_id"])
+    return [one if one in ids else _only(one, by_name.get(one, [])) for one in named]
+
+
+def _only(name: str, ids: list[str]) -> str:
+    if not ids:
+        raise UnknownSubjectError(name)
+    if len(ids) > 1:
+        raise AmbiguousNameError(name, ids)
+    return ids[0]
+
+
+def _show_part(title: str, entries: Sequence[Item]) -> None:
+    table = plain_table(f"{title}: {len(entries)}", "sequence", "environment", "illumination", "region", "s", "frames")
+    for entry in entries:
+        said = (safe_text(entry[key]) or DASH for key in ("environment", "illumination", "region"))
+        table.add_row(safe_text(entry["name"]), *said, f"{entry['duration_s']:.0f}", f"{entry['frames']:,}")
+    show(table)
+
+
+def _show_shares(shares: Mapping[str, Any]) -> None:
+    table = plain_table("shares", "part", "sequences", "of the time", "T", "P", "N")
+    for part in ("whole", *PARTS):
+        one = shares[part]
+        ratios = one["class_ratios"]
+        classes = [f"{100 * ratio:.1f} %" for ratio in ratios.values()] if ratios else [DASH] * 3
+        table.add_row(part, str(one["sequences"]), f"{100 * one['duration_ratio']:.1f} %", *classes)
+    show(table)

@@ -1,0 +1,93 @@
+"""The status of a server's sequences, of one sequence or of a job, as a record and as tables."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from rich.table import Table
+
+from stone_client.api import Api
+from stone_client.server.sequences import Item, find_job, find_sequence, job_by_id
+from stone_client.tables import DASH, plain_table, safe_text, show
+
+LAST_LINES = 12
+
+
+@dataclass(frozen=True)
+class ServerStatus:
+    """`record` is what `--json` prints; the tables show the same."""
+
+    record: dict[str, Any]
+    tables: tuple[Table, ...]
+
+    def show(self) -> None:
+        for table in self.tables:
+            show(table)
+
+
+def server_status_of(api: Api, subject: str | None) -> ServerStatus:
+    """The status of all sequences the caller may see, of one, or of a job. Raises `UnknownSubjectError`."""
+    if subject is None:
+        items = list(api.pages("/sequences"))
+        return ServerStatus({"sequences": items}, (_sequences_table(api.url, items),))
+    job = job_by_id(api, subject)
+    if job is not None:
+        lines = _last_lines(api, job)
+        return ServerStatus({**job, "lines": lines}, (_job_table(job), *_lines_tables(lines)))
+    sequence = find_sequence(api, subject)
+    recordings = list(api.pages(f"/sequences/{sequence['id']}/recordings"))
+    tables = [_sequences_table(api.url, [sequence]), _recordings_table(recordings)]
+    if sequence["job"] is not None:
+        tables.append(_job_table(find_job(api, sequence["job"]["id"])))
+    return ServerStatus({**sequence, "recordings": recordings}, tuple(tables))
+
+
+def _sequences_table(url: str, items: Iterable[Item]) -> Table:
+    table = plain_table(f"sequences on {url}", "name", "recordings", "newest run", "labelled frames")
+    for item in items:
+        run = f"{item['job']['kind']} {item['job']['state']}" if item["job"] else DASH
+        frames = str(item["labels"]["frames"]) if item["labels"] else DASH
+        table.add_row(safe_text(item["name"]), str(item["recordings"]), run, frames)
+    return table
+
+
+def _recordings_table(items: Iterable[Item]) -> Table:
+    table = plain_table("recordings", "file", "bytes", "state", "sha256")
+    for item in items:
+        table.add_row(safe_text(item["filename"]), f"{item['size_bytes']:,}", item["state"], item["sha256"][:16])
+    return table
+
+
+def _job_table(job: Item) -> Table:
+    table = plain_table(f"{job['kind']} {job['id']}: {_state_of(job)}", "stage", "done", "of", "running", "failed")
+    own = {"kind": job["progress"]["stage"] or job["kind"], "running": "", "failed": "", **job["progress"]}
+    for stage in job["stages"] or (own,):
+        counts = (str(stage[key]) for key in ("done", "total", "running", "failed"))
+        table.add_row(safe_text(stage["kind"]), *counts)
+    return table
+
+
+def _state_of(job: Item) -> str:
+    failure = job["failure"]
+    return safe_text(f"{job['state']}, {failure['code']}: {failure['sentence']}" if failure else job["state"])
+
+
+def _last_lines(api: Api, job: Item) -> list[Item]:
+    """The job's last log lines; long logs are read from their beginning, a page at a time."""
+    lines: list[Item] = []
+    after: dict[str, str | int] = {}
+    while True:
+        page = api.read(f"/jobs/{job['id']}/logs", limit=1000, **after)
+        lines = [*lines, *page["items"]][-LAST_LINES:]
+        if not page["items"] or page["next"] is None:
+            return lines
+        after = {"after": page["next"]}
+
+
+def _lines_tables(lines: list[Item]) -> Iterable[Table]:
+    if lines:
+        table = plain_table("last lines", "logged", "level", "line")
+        for line in lines:
+            table.add_row(line["logged_at"][11:19], line["level"], safe_text(line["event"]))
+        table.columns[2].justify = "left"
+        yield table

@@ -1,0 +1,153 @@
+"""Submission of a file: announce, upload, finalise and follow; repeated, it resumes.
+
+**Conventions.** Nothing is kept on this side: the server is asked for the team's submission of the same bytes under the
+same name, so a client that was killed goes on where it was, and the same file is never scored twice by accident.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from time import sleep
+from typing import Any, ClassVar
+
+from stone.errors import StoneError
+from stone_client.api import Api
+from stone_client.errors import JobFailedError, ServerRefusedError
+from stone_client.files.tus import LocalFile, Purpose, hashed, upload_file
+from stone_client.progress import Report
+from stone_client.server.job_following import POLL_S, follow
+from stone_client.server.sequences import Item
+
+PURPOSE = "submission"
+GONE_ON = ("draft", "queued", "scoring", "scored", "valid", "invalid")
+SETTLED = ("scored", "valid", "invalid", "failed", "cancelled")
+NOT_OURS = 404
+
+
+@dataclass(frozen=True)
+class SubmissionDescription:
+    """The description of a submitted file: phase, team, method. `kind`: entry, baseline or validation."""
+
+    phase_id: str
+    team_id: str
+    method: str
+    modality: str
+    description: str = ""
+    kind: str = "entry"
+
+
+class SubmissionInvalidError(StoneError):
+    """The file was checked and is not valid; `code` is that of the first problem, `report` the server's own."""
+
+    code: ClassVar[str] = "invalid"
+
+    def __init__(self, report: Mapping[str, Any]) -> None:
+        self.report = dict(report)
+        first: Mapping[str, Any] = next(iter(report["errors"]), {})
+        self.code = str(first.get("code") or type(self).code)  # type: ignore[misc] # the problem names the reason
+        where = (
+            f"; the first is {first['file']}: expected {first['expected']}, found {first['actual']}" if first else ""
+        )
+        super().__init__(f"submission {report['submission_id']} has {report['errors_total']} problems{where}")
+
+
+class SubmissionEndedError(StoneError):
+    """The submission failed for no fault of the file, or was cancelled; `code` is that of its failure."""
+
+    code: ClassVar[str] = "not_scored"
+
+    def __init__(self, submission: Item) -> None:
+        self.submission = dict(submission)
+        failure = submission["failure"] or {}
+        self.code = str(failure.get("code") or submission["state"])  # type: ignore[misc] # the failure names the reason
+        why = failure.get("sentence") or f"it was {submission['state']}"
+        super().__init__(f"submission {submission['id']} {submission['state']}: {why}; it cost no scoring")
+
+
+def submit(api: Api, path: Path, entry: SubmissionDescription, progress: Report, *, again: bool = False) -> Item:
+    """The submission of the file at `path`, sent and finalised; one that stands is gone on with, unless `again`.
+
+    Raises what `Api.send` raises, and `FileChangedError`.
+    """
+    local = hashed(path, progress)
+    submission = (None if again else _existing_submission(api, entry, local)) or _announced(api, entry, local)
+    submission = _described(api, submission, entry)
+    if submission["state"] != "draft":
+        return submission
+    upload_id = upload_file(api, local, Purpose(PURPOSE, submission["id"]), progress)
+    finalised: Item = api.create(f"/submissions/{submission['id']}/finalize", {"upload_id": upload_id})
+    return finalised
+
+
+def settled(api: Api, submission: Item, progress: Report) -> Item:
+    """The submission once it is scored or found valid.
+
+    Raises `SubmissionInvalidError`, `SubmissionEndedError`, and what `Api.send` raises.
+    """
+    if submission["state"] not in SETTLED and submission["job_id"]:
+        _follow(api, str(submission["job_id"]), progress)
+    submission = _ended(api, str(submission["id"]), progress)
+    if submission["state"] == "invalid":
+        raise SubmissionInvalidError(api.read(f"/submissions/{submission['id']}/validation-report"))
+    if submission["state"] not in ("scored", "valid"):
+        raise SubmissionEndedError(submission)
+    return submission
+
+
+def withdraw(api: Api, submission_id: str, reason: str) -> Item:
+    """Take a submission off every board for good."""
+    taken: Item = api.create(f"/submissions/{submission_id}/withdraw", {"reason": reason})
+    return taken
+
+
+def _existing_submission(api: Api, entry: SubmissionDescription, local: LocalFile) -> Item | None:
+    """The newest submission of this file to this phase by this team, under this name and in this track."""
+    wanted = (local.sha256, local.size_bytes, entry.method, entry.modality)
+    mine = api.pages("/submissions", phase_id=entry.phase_id, team_id=entry.team_id, kind=entry.kind)
+    for one in mine:
+        same = tuple(one[key] for key in ("sha256", "size_bytes", "method", "modality")) == wanted
+        if same and one["state"] in GONE_ON and one["withdrawn_at"] is None:
+            found: Item = api.read(f"/submissions/{one['id']}")
+            return found
+    return None
+
+
+def _announced(api: Api, entry: SubmissionDescription, local: LocalFile) -> Item:
+    body: dict[str, Any] = {"team_id": entry.team_id, "method": entry.method, "modality": entry.modality}
+    body |= {"description": entry.description, "sha256": local.sha256, "size_bytes": local.size_bytes}
+    if entry.kind == "validation":
+        draft: Item = api.create(f"/phases/{entry.phase_id}/validations", body)
+    else:
+        draft = api.create(f"/phases/{entry.phase_id}/submissions", {**body, "kind": entry.kind})
+    return draft
+
+
+def _described(api: Api, submission: Item, entry: SubmissionDescription) -> Item:
+    """The submission with the page that was given now, if one was."""
+    if not entry.description or submission["description"] == entry.description:
+        return submission
+    own, match = f"/submissions/{submission['id']}", {"If-Match": f'"{submission["revision"]}"'}
+    changed: Item = api.send("PATCH", own, json={"description": entry.description}, headers=match).json()
+    return changed
+
+
+def _follow(api: Api, job_id: str, progress: Report) -> None:
+    """Stay with the run; another member's is not ours to see, and why one ended is told by its submission."""
+    try:
+        follow(api, job_id, progress)
+    except JobFailedError:
+        return
+    except ServerRefusedError as error:
+        if error.status != NOT_OURS:
+            raise
+
+
+def _ended(api: Api, submission_id: str, progress: Report) -> Item:
+    """The submission as it ended, asked for until it has."""
+    while True:
+        submission: Item = api.read(f"/submissions/{submission_id}")
+        if submission["state"] in SETTLED:
+            return submission
+        if said := submission["progress"]:
+            progress("score", int(said["done"]), int(said["total"]))
+        sleep(POLL_S)

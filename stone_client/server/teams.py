@@ -1,0 +1,52 @@
+"""One's teams on a server: found by name, founded, entered by invitation."""
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+from stone.errors import StoneError
+from stone_client.api import Api
+from stone_client.server.sequences import Item
+
+
+class UnknownTeamError(StoneError):
+    """None of the caller's teams is called so."""
+
+    code: ClassVar[str] = "unknown_team"
+
+    def __init__(self, name: str, known: Sequence[str]) -> None:
+        yours = f"yours are {', '.join(known)}" if known else "you are in none"
+        super().__init__(f"{name[:100]!r} is no team of yours; {yours} (`stone teams found NAME` founds one)")
+
+
+def read_teams(api: Api) -> list[Item]:
+    """The caller's teams, newest first; for an administrator all."""
+    return list(api.pages("/teams"))
+
+
+def find_team(api: Api, named: str) -> Item:
+    """The team of that name, however it is written, or id. Raises `UnknownTeamError`."""
+    teams = read_teams(api)
+    for team in teams:
+        if named == team["id"] or named.strip().casefold() == str(team["name"]).casefold():
+            return team
+    raise UnknownTeamError(named, [str(team["name"]) for team in teams])
+
+
+def found_team(api: Api, name: str) -> Item:
+    """A new team, whose captain the caller is."""
+    team: Item = api.create("/teams", {"name": name})
+    return team
+
+
+def invite(api: Api, named: str) -> dict[str, Any]:
+    """An invitation into a team, with the secret that one user may join by."""
+    team = find_team(api, named)
+    # not kept for repetition: the secret is shown once
+    issued = api.send("POST", f"/teams/{team['id']}/invitations", json={}).json()
+    return {"team": team["name"], **issued}
+
+
+def join(api: Api, secret: str) -> Item:
+    """The team that the invitation is into; the caller is a member from now on."""
+    team: Item = api.send("POST", "/teams/memberships", json={"secret": secret}).json()
+    return team

@@ -1,0 +1,50 @@
+"""Output streams of the command: what goes to stdout and stderr, and in which style.
+
+**Conventions.** stdout carries the answer (a table, or one JSON object under `--json`); stderr carries progress,
+warnings and refusals. Names from recordings and archives are hostile: control characters are shown, never sent.
+"""
+
+import json
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any
+
+import typer
+
+from stone.errors import one_line
+from stone.findings import Finding
+
+WANTS_JSON = "stone.wants_json"
+
+
+def _remember(context: typer.Context, value: bool) -> bool:
+    context.find_root().meta[WANTS_JSON] = value
+    return value
+
+
+JsonOption = Annotated[
+    bool, typer.Option("--json", callback=_remember, help="Print one JSON object instead of tables.")
+]
+
+
+def wants_json(context: typer.Context) -> bool:
+    """Whether the command that runs under this context was given `--json`."""
+    return bool(context.find_root().meta.get(WANTS_JSON, False))
+
+
+def echo_json(record: Mapping[str, Any]) -> None:
+    """One JSON object and a newline; NaN and infinity are not JSON, so they raise `ValueError`."""
+    typer.echo(json.dumps(record, allow_nan=False))
+
+
+def echo_notice(line: str) -> None:
+    """One line on stderr about what happens meanwhile."""
+    typer.echo(one_line(line), err=True)
+
+
+def echo_findings(findings: Iterable[Finding]) -> None:
+    """One line each on stderr; what is not an error says so first."""
+    for finding in findings:
+        grade = "" if finding.severity == "error" else f"{finding.severity}: "
+        is_named = not finding.topic or finding.message.startswith(finding.topic)
+        about = "" if is_named else f"{finding.topic}: "
+        typer.echo(one_line(f"{grade}{finding.code}: {about}{finding.message}"), err=True)

@@ -1,0 +1,78 @@
+"""A fast, deterministic npz writer.
+
+**Conventions.** A zip of `<key>.npy` members in the order given, deflated by ISA-L, dated 1980-01-01 so that
+content addressing works; `numpy.load` reads it without pickle. C order only. No zip64: an array stays below 4 GiB.
+
+Source: PKWARE APPNOTE 6.3.10 §4.3; NEP 1 (npy 1.0).
+"""
+
+import io
+import struct
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from isal import igzip_lib, isal_zlib
+from numpy.typing import NDArray
+
+from stone.errors import StoneError
+
+# ISA-L's level 1 takes a fifth of the time of libdeflate's best on label grids, for 1.4 times the bytes.
+LEVEL = 1
+MAX_MEMBER_BYTES = 2**32 - 2**20
+DEFLATED, VERSION, DOS_1980_01_01 = 8, 20, 0x0021
+
+
+class UnwritableArrayError(StoneError):
+    """An array cannot be stored in a plain npz: an object array, or one of 4 GiB and more."""
+
+    code = "unwritable_array"
+
+    def __init__(self, key: str, array: NDArray[Any]) -> None:
+        super().__init__(
+            f"array {key!r} of dtype {array.dtype} and {array.nbytes} bytes cannot be stored; numeric arrays below"
+            f" {MAX_MEMBER_BYTES} bytes can (was a list of arrays turned into an object array?)"
+        )
+
+
+def npz_bytes(arrays: Mapping[str, NDArray[Any]], level: int = LEVEL) -> bytes:
+    """The npz file that holds these arrays under these keys; deterministic.
+
+    `level` is ISA-L's, 0 (fastest) to 3.
+
+    Raises:
+        UnwritableArrayError: a dtype that would need pickle, or an array of 4 GiB and more.
+    """
+    body, directory, buffer = bytearray(), bytearray(), np.empty(0, np.uint8)
+    for key, array in arrays.items():
+        header, data = npy_parts(key, array)
+        size = len(header) + len(data)
+        buffer = (
+            buffer if buffer.size >= size else np.empty(size, np.uint8)
+        )  # fresh pages would cost more than the copy
+        npy = buffer[:size]
+        npy[: len(header)], npy[len(header) :] = np.frombuffer(header, np.uint8), data
+        payload = igzip_lib.compress(npy, level, igzip_lib.COMP_DEFLATE)
+        _add_member(body, directory, f"{key}.npy".encode(), npy, payload)
+    count = len(arrays)
+    end = struct.pack("<4s4H2IH", b"PK\5\6", 0, 0, count, count, len(directory), len(body), 0)
+    return bytes(body + directory + end)
+
+
+def npy_parts(key: str, array: NDArray[Any]) -> tuple[bytes, NDArray[np.uint8]]:
+    """Header and data of one array as a npy 1.0 file in C order; `key` only names it in the refusal."""
+    if array.dtype.hasobject or array.nbytes > MAX_MEMBER_BYTES:
+        raise UnwritableArrayError(key, array)
+    header = io.BytesIO()
+    contiguous = np.ascontiguousarray(array).reshape(array.shape)
+    np.lib.format.write_array_header_1_0(header, np.lib.format.header_data_from_array_1_0(contiguous))
+    return header.getvalue(), contiguous.reshape(-1).view(np.uint8)
+
+
+def _add_member(body: bytearray, directory: bytearray, name: bytes, npy: NDArray[np.uint8], payload: bytes) -> None:
+    facts = (isal_zlib.crc32(npy), len(payload), len(npy), len(name), 0)
+    shared = struct.pack("<5H3I2H", VERSION, 0, DEFLATED, 0, DOS_1980_01_01, *facts)
+    offset = len(body)
+    body += b"PK\3\4" + shared + name
+    body += payload
+    directory += struct.pack("<4sH", b"PK\1\2", VERSION) + shared + struct.pack("<3H2I", 0, 0, 0, 0, offset) + name

@@ -1,0 +1,149 @@
+"""Opens a recording of any container, and reads its messages by topic in log-time order.
+
+**Conventions.** Log time is integer nanoseconds. A payload is the whole CDR message, its 4-byte header included, and
+stays valid after the bag is closed. `index` counts within the topic, in log-time order.
+"""
+
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.findings import Finding
+from stone_recordings.bags.containers import opened_store
+from stone_recordings.bags.errors import EncodingRefusedError, UnknownTopicError
+from stone_recordings.bags.members import members_of
+from stone_recordings.bags.message_store import MessageStore
+from stone_recordings.bags.split_store import SplitStore
+from stone_recordings.bags.topic import Topic
+from stone_recordings.bags.unpacked_messages import is_packed, unpacked, unpacked_head
+from stone_recordings.messages.types.definitions_beside import described
+
+__all__ = ["Bag", "MessageStore", "RawMessage", "Topic", "open_bag"]
+
+
+@dataclass(frozen=True, slots=True)
+class RawMessage:
+    log_time_ns: int
+    index: int
+    payload: memoryview
+
+
+class Bag:
+    """An open recording; a context manager."""
+
+    def __init__(self, path: Path, store: MessageStore, findings: tuple[Finding, ...] = ()) -> None:
+        topics, noticed = described(store.topics, path) if path.is_dir() else (store.topics, ())
+        self.path, self.topics = path, topics
+        """Every topic that is declared, by name; `count` may be 0."""
+        self.findings = (*findings, *store.findings, *noticed)
+        self._store = store
+        self._topics = {topic.name: topic for topic in topics}
+
+    def __enter__(self) -> "Bag":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        self._store.close()
+
+    @property
+    def is_indexed(self) -> bool:
+        """False where the recording had no usable index and had to be walked."""
+        return self._store.is_indexed
+
+    @property
+    def start_ns(self) -> int:
+        """Log time of the first message; 0 for a recording without messages."""
+        return min((int(times[0]) for times in self._all_times()), default=0)
+
+    @property
+    def end_ns(self) -> int:
+        """Log time of the last message; 0 for a recording without messages."""
+        return max((int(times[-1]) for times in self._all_times()), default=0)
+
+    def log_times_ns(self, topic: str) -> NDArray[np.int64]:
+        """Ascending log times (N,) of one topic."""
+        self._check_known(topic)
+        return self._store.log_times_ns(topic)
+
+    def messages(self, topic: str, start: int = 0, stop: int | None = None) -> Iterator[RawMessage]:
+        """Messages `start` to `stop` (half-open indices within the topic) in log-time order.
+
+        Raises: UnknownTopicError, EncodingRefusedError, and where the container lies, its coded refusals.
+        """
+        self._check_readable(topic)
+        times = self._store.log_times_ns(topic)
+        for index in range(*slice(start, stop).indices(len(times))):
+            yield RawMessage(int(times[index]), index, self._payload(topic, index))
+
+    def message(self, topic: str, index: int) -> RawMessage:
+        """One message; raises IndexError beyond the topic's count, else as `messages`."""
+        self._check_readable(topic)
+        times = self._store.log_times_ns(topic)
+        position = range(len(times))[index]
+        return RawMessage(int(times[position]), position, self._payload(topic, position))
+
+    def heads(self, topics: Sequence[str], whole: Collection[str] = ()) -> Iterator[tuple[str, int, memoryview]]:
+        """(topic, index, payload) of all messages, in storage order, for a scan of their first bytes.
+
+        A payload may end after `stone_recordings.bags.message_store.HEAD_BYTES`, except of the topics named in `whole`.
+        Every chunk is inflated once, whatever the number of topics; plain chunks are neither read whole nor checked,
+        databases not beyond the pages that hold the heads. Raises: as `messages`.
+        """
+        for topic in topics:
+            self._check_readable(topic)
+        for topic, index, payload in self._store.heads(topics, whole):
+            yield topic, index, self._head(topic, index, topic in whole) if is_packed(payload) else payload
+
+    def _payload(self, topic: str, index: int) -> memoryview:
+        payload = self._store.payload(topic, index)
+        return unpacked(payload, self._where(topic, index)) if is_packed(payload) else payload
+
+    def _head(self, topic: str, index: int, is_whole: bool) -> memoryview:
+        """Of a packed message, which is read whole: its first bytes alone may not unpack."""
+        unpack = unpacked if is_whole else unpacked_head
+        return unpack(self._store.payload(topic, index), self._where(topic, index))
+
+    def _where(self, topic: str, index: int) -> str:
+        return f"{self.path.name}, {topic} message {index}"
+
+    def _all_times(self) -> Iterator[NDArray[np.int64]]:
+        return (self._store.log_times_ns(topic.name) for topic in self.topics if topic.count)
+
+    def _check_known(self, topic: str) -> None:
+        if topic not in self._topics:
+            raise UnknownTopicError(self.path.name, topic, tuple(self._topics))
+
+    def _check_readable(self, topic: str) -> None:
+        self._check_known(topic)
+        if (encoding := self._topics[topic].encoding) != "cdr":
+            raise EncodingRefusedError(self.path.name, topic, encoding)
+
+
+def open_bag(path: Path) -> Bag:
+    """Open an `.mcap` file, a `.db3` file or a rosbag2 folder of either, told apart by content.
+
+    Split bags are one recording; files and messages that were compressed by the recorder are unpacked as they are read.
+    What was noticed is in `findings` (BAG-021 … BAG-031).
+    Raises: FileNotFoundError, NotABagError (BAG-001), CutBagError (BAG-010), MalformedBagError (BAG-012),
+    MembersRefusedError (BAG-019) and the other `BAG-*` refusals.
+    """
+    members = members_of(path)
+    with ExitStack() as opened:
+        parts: list[MessageStore] = []
+        for file in members.files:
+            parts.append(opened_store(file))
+            opened.callback(parts[-1].close)
+            if len(members.files) > 1:
+                parts[-1].release()
+        store = parts[0] if len(parts) == 1 else SplitStore(path.name, parts)
+        bag = Bag(path, store, members.findings)
+        opened.pop_all()
+    return bag

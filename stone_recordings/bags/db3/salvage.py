@@ -1,0 +1,95 @@
+"""Rows of a damaged database, page by page: first those that its trees still lead to, then the leaves that no tree
+reaches.
+
+**Conventions.** A row is kept where its whole payload can be put together, and once. A leaf without a parent counts
+only where every row in it looks like a recorder's. The number lost is what rowids are missing up to the last one found
+(a recorder numbers them without gaps); what came after the last cannot be known.
+"""
+
+import mmap
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.findings import Finding
+from stone_recordings.bags.db3.collection import Db3CollectedRows, collect
+from stone_recordings.bags.db3.pages import Db3Pages
+from stone_recordings.bags.db3.readable_copy import Db3Location
+from stone_recordings.bags.db3.records import layout_of
+from stone_recordings.bags.db3.rows import RowIndex
+from stone_recordings.bags.errors import DatabaseRefusedError, MalformedBagError
+
+DATA = 3
+
+
+class SalvagedRows:
+    """What can be read of `place`, as `stone_recordings.bags.db3.rows`; `problem` is what SQLite said."""
+
+    def __init__(self, place: Db3Location, name: str, problem: str) -> None:
+        self._place, self._name = place, name
+        self._pages = opened_pages(place, name)
+        found = collect(self._pages, name)
+        if not found.topics:
+            raise DatabaseRefusedError(name, f"{problem}, and no topic can be found in its pages")
+        self.topics = tuple(found.topics[topic_id] for topic_id in sorted(found.topics))
+        self.definitions = found.definitions
+        table = _unique(found)
+        rowid, topic_id, time_ns, size_bytes = np.ascontiguousarray(table[:, :4].T)
+        self._places = table[:, 4:]
+        self.index = RowIndex(rowid, topic_id, time_ns, size_bytes, 0)
+        self.findings: tuple[Finding, ...] = (_finding(name, problem, rowid),)
+
+    def data(self, rowid: int) -> bytes:
+        return self._read(rowid, None)
+
+    def several(self, rowids: Sequence[int]) -> dict[int, bytes]:
+        return {rowid: self.data(rowid) for rowid in rowids}
+
+    def head(self, rowid: int, size_bytes: int) -> bytes:
+        return self._read(rowid, size_bytes)
+
+    def release(self) -> None:
+        """Nothing to do: pages of the map that are not in use cost nothing."""
+
+    def close(self) -> None:
+        self._place.close()
+
+    def _read(self, rowid: int, size_bytes: int | None) -> bytes:
+        row = int(np.searchsorted(self.index.rowid, rowid))
+        number, slot = (int(value) for value in self._places[row])
+        cell = list(self._pages.cells(number))[slot]
+        layout = layout_of(cell.local, cell.payload_bytes)
+        if layout is None:
+            raise MalformedBagError(self._name, f"row {rowid} changed while it was open")
+        payload = self._pages.payload(cell, None if size_bytes is None else layout.at[DATA] + size_bytes)
+        if payload is None:
+            raise MalformedBagError(self._name, f"row {rowid} changed while it was open")
+        return payload[layout.at[DATA] :]
+
+
+def opened_pages(place: Db3Location, name: str) -> Db3Pages:
+    """The pages of a database and of the log beside it, as memory maps."""
+    return Db3Pages(_mapped(place.path), _mapped(place.wal), name)
+
+
+def _mapped(path: Path | None) -> memoryview:
+    if path is None or path.stat().st_size == 0:
+        return memoryview(b"")
+    with path.open("rb") as file:
+        return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+
+
+def _unique(found: Db3CollectedRows) -> NDArray[np.int64]:
+    """One line per row, rowids ascending; of a rowid that comes twice the one found first, through a tree."""
+    table = np.array(found.messages, np.int64).reshape(-1, 6)
+    _rowids, first = np.unique(table[:, 0], return_index=True)
+    return table[first]
+
+
+def _finding(name: str, problem: str, rowid: NDArray[np.int64]) -> Finding:
+    missing = int(rowid[-1]) - len(rowid) if len(rowid) else 0
+    lost = f"at least {missing} more are lost" if missing > 0 else "what came after the last of them cannot be known"
+    message = f"{name} is damaged ({problem}): {len(rowid)} messages could be read from its pages, {lost}."
+    return Finding("BAG-030", "error", name, message)

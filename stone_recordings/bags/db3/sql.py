@@ -1,0 +1,160 @@
+"""Rows of a sound database through SQLite, opened so that the file can neither change nor be made to work for others.
+
+**Conventions.** Read-only; only the three tables of a recording, no view, trigger, function or file beyond them; no
+memory map (SQLite's own advice for hostile files). Payloads are read by rowid; their heads through blob handles, which
+touch the first pages of a message and no others. Source: sqlite.org/security.html.
+"""
+
+import sqlite3
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from itertools import chain
+from urllib.parse import quote
+
+import numpy as np
+
+from stone.findings import Finding
+from stone_recordings.bags.db3.readable_copy import Db3Location
+from stone_recordings.bags.db3.rows import Db3Topic, RowIndex
+from stone_recordings.bags.errors import DatabaseRefusedError
+from stone_recordings.bags.unpacked_messages import MESSAGE_LIMIT_BYTES
+
+READ_TABLES = frozenset({"sqlite_master", "topics", "messages", "message_definitions"})
+FUNCTIONS = frozenset({"length", "typeof", "substr"})
+PRAGMAS = frozenset({"quick_check"})
+SQL_LIMIT_BYTES = 128 * 1024
+MOST_TOPICS = 10_000
+DEFINITION_LIMIT_BYTES = 2**20
+BATCH_ROWS = 65_536
+# Up to this size every page is checked when the file is opened; of a larger one only those that say where messages lie.
+CHECKED_BYTES = 64 * 2**20
+INDEX_QUERY = """
+SELECT rowid, CASE WHEN sound THEN topic_id ELSE -1 END, CASE WHEN sound THEN timestamp ELSE 0 END,
+       CASE WHEN sound THEN length(data) ELSE -1 END
+FROM (SELECT rowid, topic_id, timestamp, data,
+             typeof(topic_id) = 'integer' AND typeof(timestamp) = 'integer' AND typeof(data) = 'blob' AS sound
+      FROM messages NOT INDEXED) ORDER BY rowid"""
+
+
+class DamagedDatabaseError(Exception):
+    """SQLite says that the file is malformed; the sentence is its own."""
+
+
+class SqlRows:
+    """Rows of `place`, as `stone_recordings.bags.db3.rows`; `name` is what messages call the file."""
+
+    def __init__(self, place: Db3Location, name: str) -> None:
+        self._place, self._name = place, name
+        self.findings: tuple[Finding, ...] = ()
+        self._connection: sqlite3.Connection | None = None
+        with self._reading() as connection:
+            if _bytes_of(place) <= CHECKED_BYTES:
+                _check(connection)
+            self.topics = _topics(connection, name)
+            self.definitions = _definitions(connection)
+            self.index = _index(connection, _bytes_of(place))
+
+    def data(self, rowid: int) -> bytes:
+        """By a blob handle, which copies once where a query copies twice."""
+        with self._reading() as connection, connection.blobopen("messages", "data", rowid, readonly=True) as blob:
+            return blob.read()
+
+    def several(self, rowids: Sequence[int]) -> dict[int, bytes]:
+        query = f"SELECT rowid, data FROM messages WHERE rowid IN ({', '.join('?' * len(rowids))})"
+        with self._reading() as connection:
+            return dict(connection.execute(query, rowids))
+
+    def head(self, rowid: int, size_bytes: int) -> bytes:
+        with self._reading() as connection, connection.blobopen("messages", "data", rowid, readonly=True) as blob:
+            return blob.read(size_bytes)
+
+    def release(self) -> None:
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+
+    def close(self) -> None:
+        self.release()
+        self._place.close()
+
+    @contextmanager
+    def _reading(self) -> Iterator[sqlite3.Connection]:
+        """The connection, opened again after `release`; what SQLite finds wrong is DamagedDatabaseError."""
+        try:
+            if self._connection is None:
+                self._connection = _connected(self._place)
+            yield self._connection
+        except (sqlite3.Error, UnicodeError) as error:  # its sentences quote names that need not be text
+            self.release()
+            raise DamagedDatabaseError(str(error)) from None
+
+
+def _connected(place: Db3Location) -> sqlite3.Connection:
+    mode = "mode=ro&immutable=1" if place.is_clean else "mode=rw" if place.wal is None else "mode=ro"
+    location = f"file:{quote(str(place.path.resolve()))}?{mode}"  # a rollback needs rw
+    connection = sqlite3.connect(location, uri=True, check_same_thread=False, isolation_level=None)
+    connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MESSAGE_LIMIT_BYTES)
+    connection.setlimit(sqlite3.SQLITE_LIMIT_SQL_LENGTH, SQL_LIMIT_BYTES)
+    connection.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 0)
+    for pragma in ("trusted_schema = OFF", "cell_size_check = ON", "mmap_size = 0", "query_only = ON"):
+        connection.execute(f"PRAGMA {pragma}")
+    connection.text_factory = lambda text: text.decode(errors="replace")
+    connection.set_authorizer(_allowed)
+    return connection
+
+
+def _allowed(action: int, first: str | None, second: str | None, _database: str | None, inner: str | None) -> int:
+    """Only what this module asks, and nothing on behalf of a view or trigger (`inner`)."""
+    is_ours = inner is None and (
+        action == sqlite3.SQLITE_SELECT
+        or (action == sqlite3.SQLITE_READ and (first or "").lower() in READ_TABLES | {"sqlite_schema", ""})
+        or (action == sqlite3.SQLITE_FUNCTION and (second or "").lower() in FUNCTIONS)
+        or (action == sqlite3.SQLITE_PRAGMA and (first or "").lower() in PRAGMAS)
+    )
+    return sqlite3.SQLITE_OK if is_ours else sqlite3.SQLITE_DENY
+
+
+def _bytes_of(place: Db3Location) -> int:
+    return place.path.stat().st_size + (place.wal.stat().st_size if place.wal else 0)
+
+
+def _check(connection: sqlite3.Connection) -> None:
+    """Every page of the messages, also those that an index of them does not need."""
+    said = [str(row[0]) for row in connection.execute("PRAGMA quick_check('messages')").fetchmany(4)]
+    if said != ["ok"]:
+        raise DamagedDatabaseError(said[0] if said else "no answer to quick_check")
+
+
+def _topics(connection: sqlite3.Connection, name: str) -> tuple[Db3Topic, ...]:
+    query = """SELECT rowid, name, type, serialization_format FROM topics
+               WHERE typeof(name) = 'text' AND typeof(type) = 'text' AND typeof(serialization_format) = 'text'"""
+    rows = connection.execute(query).fetchmany(MOST_TOPICS + 1)
+    if len(rows) > MOST_TOPICS:
+        raise DatabaseRefusedError(name, f"it has more than {MOST_TOPICS} topics")
+    return tuple(Db3Topic(*row) for row in rows)
+
+
+def _definitions(connection: sqlite3.Connection) -> dict[str, str]:
+    """By type; the table came with schema version 4, older databases have none."""
+    query = "SELECT name FROM sqlite_master WHERE type = 'table' AND name = 'message_definitions'"
+    if connection.execute(query).fetchone() is None:
+        return {}
+    query = """SELECT topic_type, encoded_message_definition FROM message_definitions
+               WHERE typeof(topic_type) = 'text' AND typeof(encoded_message_definition) = 'text'
+               AND length(encoded_message_definition) <= ?"""
+    return dict(connection.execute(query, (DEFINITION_LIMIT_BYTES,)).fetchmany(MOST_TOPICS))
+
+
+def _index(connection: sqlite3.Connection, file_bytes: int) -> RowIndex:
+    """Raises DamagedDatabaseError where rowids do not ascend: a tree that leads twice to one page never ends."""
+    cursor, parts, last = connection.execute(INDEX_QUERY), [np.zeros((0, 4), np.int64)], -(2**63) - 1
+    while rows := cursor.fetchmany(BATCH_ROWS):
+        part = np.fromiter(chain.from_iterable(rows), np.int64, 4 * len(rows)).reshape(-1, 4)
+        if part[0, 0] <= last or (np.diff(part[:, 0]) <= 0).any():
+            raise DamagedDatabaseError("its rows are not in order")
+        last = int(part[-1, 0])
+        parts.append(part)
+    table = np.concatenate(parts)
+    is_sound = (table[:, 2] >= 0) & (table[:, 3] >= 0) & (table[:, 3] <= file_bytes)
+    rowid, topic_id, time_ns, size_bytes = np.ascontiguousarray(table[is_sound].T)
+    return RowIndex(rowid, topic_id, time_ns, size_bytes, int((~is_sound).sum()))

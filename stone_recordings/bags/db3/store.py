@@ -1,0 +1,151 @@
+"""Messages of one rosbag2 database (`.db3`), sound or damaged.
+
+**Conventions.** Opened by SQLite where it lies, its bytes never written; where SQLite calls it malformed, whatever rows
+its pages still hold (finding BAG-030). Payloads are copies. Memory is the index, 32 bytes a message.
+"""
+
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.findings import Finding
+from stone_recordings.bags.db3.objects import DamagedSchemaError, tables_of
+from stone_recordings.bags.db3.readable_copy import Db3Location, db3_location_of
+from stone_recordings.bags.db3.rows import Db3Rows, Db3Topic
+from stone_recordings.bags.db3.salvage import SalvagedRows, opened_pages
+from stone_recordings.bags.db3.sql import DamagedDatabaseError, SqlRows
+from stone_recordings.bags.errors import EncodingRefusedError, MalformedBagError
+from stone_recordings.bags.message_store import HEAD_BYTES
+from stone_recordings.bags.topic import Topic
+
+# Small messages are read so many at a time, while they are read in order.
+AHEAD_ROWS = 256
+
+
+class SqliteStore:
+    """One open database; `is_indexed` is True because its rows are."""
+
+    is_indexed = True
+
+    def __init__(self, path: Path) -> None:
+        self._name = path.name
+        self._ahead: dict[int, bytes] = {}
+        self._next = ("", 0)
+        place = db3_location_of(path)
+        try:
+            self._rows: Db3Rows = _rows_of(place, path.name)
+            self._order = _by_topic(self._rows, path.name)
+        except BaseException:
+            place.close()
+            raise
+        self.topics = tuple(self._topic(name) for name in sorted(self._order))
+        self.findings: tuple[Finding, ...] = (*place.findings, *self._rows.findings, *self._left_out())
+        if self.topics and all(topic.encoding != "cdr" for topic in self.topics):
+            self.close()
+            raise EncodingRefusedError(path.name, self.topics[0].name, self.topics[0].encoding)
+
+    def log_times_ns(self, topic: str) -> NDArray[np.int64]:
+        return self._rows.index.time_ns[self._order[topic]]
+
+    def payload(self, topic: str, index: int) -> memoryview:
+        rows, is_in_order = self._order[topic], self._next == (topic, index)
+        self._next = (topic, index + 1)
+        found = self._ahead.pop(int(rows[index]), None)
+        upcoming = rows[index : index + AHEAD_ROWS if is_in_order else index + 1]
+        return memoryview(self._read(upcoming, is_whole=True) if found is None else found)
+
+    def heads(self, topics: Sequence[str], whole: Collection[str] = ()) -> Iterator[tuple[str, int, memoryview]]:
+        """By rowid, which is the order in the file."""
+        if not topics:
+            return
+        rows = np.concatenate([self._order[topic] for topic in topics])
+        numbers = np.concatenate([np.full(len(self._order[topic]), n) for n, topic in enumerate(topics)])
+        indices = np.concatenate([np.arange(len(self._order[topic])) for topic in topics])
+        order = np.argsort(rows, kind="stable")
+        rows = rows[order]
+        told = zip(rows.tolist(), numbers[order].tolist(), indices[order].tolist(), strict=True)
+        for place, (row, number, index) in enumerate(told):
+            head = self._ahead.pop(row, None)
+            if head is None:
+                head = self._read(rows[place : place + AHEAD_ROWS], is_whole=topics[number] in whole)
+            yield topics[number], index, memoryview(head)
+
+    def release(self) -> None:
+        self._ahead = {}
+        self._rows.release()
+
+    def close(self) -> None:
+        self._rows.close()
+
+    def _read(self, upcoming: NDArray[np.int64], *, is_whole: bool) -> bytes:
+        """The message of the first of the rows that are wanted next; small ones are read many at a time."""
+        index = self._rows.index
+        rowid, size_bytes = int(index.rowid[upcoming[0]]), int(index.size_bytes[upcoming[0]])
+        try:
+            if size_bytes <= HEAD_BYTES and len(upcoming) > 1:
+                self._read_ahead(upcoming)
+                if (found := self._ahead.pop(int(upcoming[0]), None)) is not None:
+                    return found
+            return (
+                self._rows.data(rowid) if is_whole or size_bytes <= HEAD_BYTES else self._rows.head(rowid, HEAD_BYTES)
+            )
+        except DamagedDatabaseError as error:
+            raise MalformedBagError(f"{self._name}, message row {rowid}", str(error)) from None
+
+    def _read_ahead(self, upcoming: NDArray[np.int64]) -> None:
+        index = self._rows.index
+        small = upcoming[index.size_bytes[upcoming] <= HEAD_BYTES]
+        rowids = index.rowid[small].tolist()
+        with suppress(DamagedDatabaseError):  # then each is read alone, and the damaged one says so
+            found = self._rows.several(rowids)
+            self._ahead = {
+                row: found[rowid] for row, rowid in zip(small.tolist(), rowids, strict=True) if rowid in found
+            }
+
+    def _topic(self, name: str) -> Topic:
+        told = next(topic for topic in self._rows.topics if topic.name == name)
+        schema = self._rows.definitions.get(told.type, "")
+        return Topic(name, told.type, len(self._order[name]), schema, told.encoding)
+
+    def _left_out(self) -> Iterator[Finding]:
+        known = sum(len(rows) for rows in self._order.values())
+        count = self._rows.index.left_out + len(self._rows.index.rowid) - known
+        if count:
+            message = f"{count} rows of {self._name} are no messages (other columns, or a topic that is not listed)."
+            yield Finding("BAG-031", "warning", self._name, message)
+
+
+def _rows_of(place: Db3Location, name: str) -> Db3Rows:
+    """SQLite is asked only after its schema was found to be a recorder's, and believed when it says no."""
+    if place.path.stat().st_size == 0:  # SQLite would not read the log of an empty file but delete it
+        return SalvagedRows(place, name, "its own file is empty, all there is lies in its log")
+    try:
+        tables_of(opened_pages(place, name), name)
+        return SqlRows(place, name)
+    except DamagedSchemaError:
+        return SalvagedRows(place, name, "its schema cannot be read")
+    except DamagedDatabaseError as error:
+        return SalvagedRows(place, name, str(error)[:160])
+
+
+def _by_topic(rows: Db3Rows, name: str) -> dict[str, NDArray[np.int64]]:
+    """Rows of each topic in log-time order, ties in that of the file; several ids may carry one topic, of one type."""
+    types: dict[str, Db3Topic] = {}
+    for topic in rows.topics:
+        first = types.setdefault(topic.name, topic)
+        if (first.type, first.encoding) != (topic.type, topic.encoding):
+            raise MalformedBagError(name, f"topic {topic.name!r} is recorded as {first.type} and as {topic.type}")
+    names = sorted(types)
+    number_of = {topic_name: number for number, topic_name in enumerate(names)}
+    ids = np.array(sorted(topic.topic_id for topic in rows.topics), np.int64)
+    name_of_id = {topic.topic_id: number_of[topic.name] for topic in rows.topics}
+    numbers = np.array([name_of_id[topic_id] for topic_id in ids.tolist()], np.int64)
+    place = np.searchsorted(ids, rows.index.topic_id)
+    known = np.flatnonzero(np.append(ids, 0)[place] == rows.index.topic_id if len(ids) else np.zeros(0, np.bool_))
+    number = numbers[place[known]]
+    order = known[np.lexsort((known, rows.index.time_ns[known], number))]
+    stops = np.cumsum(np.bincount(number, minlength=len(names)))
+    return dict(zip(names, np.split(order, stops[:-1]), strict=True)) if names else {}

@@ -1,0 +1,98 @@
+"""File type detection by the first bytes of a file.
+
+**Conventions.** Names are never trusted: an HTML page called `.mcap` (a login page saved by a download) is the
+commonest broken upload.
+"""
+
+from pathlib import Path
+from typing import Literal
+
+from stone_recordings.bags import packed_file
+from stone_recordings.bags.errors import CutBagError, NotABagError
+from stone_recordings.bags.mcap.records import MAGIC
+
+Container = Literal["mcap", "sqlite", "zstd"]
+SNIFFED_BYTES = 512
+SQLITE_MAGIC = b"SQLite format 3\x00"
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+
+_KNOWN: tuple[tuple[bytes, str], ...] = (
+    (b"#ROSBAG V", "a ROS 1 bag: convert it with rosbags-convert"),
+    (b"PK\x03\x04", "a zip archive: unpack it first"),
+    (b"\x1f\x8b", "a gzip archive: unpack it first"),
+    (ZSTD_MAGIC, "a file compressed with zstd, and no bag in it"),
+    (b"\x04\x22\x4d\x18", "a file compressed with lz4: unpack it first"),
+    (b"BZh", "a bzip2 archive: unpack it first"),
+    (b"\xfd7zXZ", "an xz archive: unpack it first"),
+    (b"version https://git-lfs", "a Git LFS pointer: fetch the file itself"),
+    (b"\xd4\xc3\xb2\xa1", "a network capture (pcap)"),
+    (b"\x0a\x0d\x0d\x0a", "a network capture (pcapng)"),
+    (b"\x7fELF", "a program"),
+)
+
+
+def container_of(path: Path) -> Container:
+    """ "zstd" where an MCAP or SQLite file was compressed as a whole.
+
+    Raises: FileNotFoundError, NotABagError, CutBagError (fewer bytes than the magic has).
+    """
+    first = _first_bytes(path)
+    container = _container(first)
+    if container is not None:
+        return container
+    if first.startswith(ZSTD_MAGIC) and _container(packed_file.first_bytes(path, SNIFFED_BYTES)):
+        return "zstd"
+    if not first and has_wal(path):
+        return "sqlite"  # a recorder in WAL mode that died before it ever wrote the database itself
+    if first and MAGIC.startswith(first):
+        raise CutBagError(path.name, len(first))
+    raise NotABagError(path.name, first, _looks_like(first))
+
+
+def is_container(path: Path) -> bool:
+    """Whether `container_of` would not refuse it as something else; a cut one counts."""
+    try:
+        container_of(path)
+    except NotABagError:
+        return False
+    except CutBagError:
+        return True
+    return True
+
+
+def has_wal(path: Path) -> bool:
+    """Whether a write-ahead log with content lies beside a database."""
+    wal = path.with_name(f"{path.name}-wal")
+    return wal.is_file() and wal.stat().st_size > 0
+
+
+def _first_bytes(path: Path) -> bytes:
+    if path.exists() and not path.is_file():  # a pipe or a device could be read forever
+        raise NotABagError(path.name, b"", "a folder" if path.is_dir() else "no regular file")
+    with path.open("rb") as file:
+        return file.read(SNIFFED_BYTES)
+
+
+def _container(first: bytes) -> Container | None:
+    if first.startswith(MAGIC):
+        return "mcap"
+    return "sqlite" if first.startswith(SQLITE_MAGIC) else None
+
+
+def _looks_like(first: bytes) -> str:
+    if not first:
+        return "an empty file"
+    for magic, name in _KNOWN:
+        if first.startswith(magic):
+            return name
+    if first[257:262] == b"ustar":
+        return "a tar archive: unpack it first"
+    text = first.lstrip().lower()
+    if text.startswith((b"<!doctype html", b"<html")) or b"<html" in text:
+        return "an HTML page: the download gave a login or error page instead of the file"
+    if text.startswith((b"<?xml", b"<")):
+        return "XML"
+    if text.startswith((b"{", b"[")):
+        return "JSON"
+    is_text = all(byte >= 32 or byte in b"\t\r\n" for byte in first)
+    return "plain text" if is_text else "nothing that is known here"

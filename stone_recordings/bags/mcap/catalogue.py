@@ -1,0 +1,212 @@
+"""Places of all messages of an MCAP file: from its summary and message indexes, else by walking the whole file.
+
+**Conventions.** An entry is (log time, chunk number, offset of the message record in that chunk's records); chunk −1
+is the file itself, for recordings without chunks. The summary is believed only where it agrees with its own statistics;
+anything missing or contradictory falls back to the walk, which believes nothing but the records.
+"""
+
+import zlib
+from array import array
+from dataclasses import dataclass, field
+from struct import Struct
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone_recordings.bags.errors import ChecksumError, CutBagError, MalformedBagError
+from stone_recordings.bags.mcap import records as wire
+from stone_recordings.bags.mcap.chunks import inflate
+from stone_recordings.bags.mcap.records import Chunk, Fields, McapChannel, Record, Schema
+
+FOOTER_BYTES = wire.PREFIX_BYTES + 20
+INDEX_ENTRY_BYTES = 16  # log time and offset, both u64
+_MESSAGE_HEAD = Struct("<HIQ")
+_Definition = TypeVar("_Definition", Schema, McapChannel)
+
+
+@dataclass(frozen=True, eq=False)
+class Entries:
+    """The messages of one channel in the order of the file."""
+
+    log_time_ns: NDArray[np.int64]
+    chunk: NDArray[np.int32]
+    offset: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Catalogue:
+    """What is in the file and where; `is_indexed` says whether its own index could be used."""
+
+    schemas: dict[int, Schema]
+    channels: dict[int, McapChannel]
+    chunks: tuple[Chunk, ...]
+    entries: dict[int, Entries]
+    is_indexed: bool
+
+
+@dataclass
+class _Draft:
+    """A catalogue while it is written."""
+
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, McapChannel] = field(default_factory=dict)
+    chunks: list[Chunk] = field(default_factory=list)
+    columns: dict[int, tuple["array[int]", "array[int]", "array[int]"]] = field(default_factory=dict)
+
+    def define(self, record: Record, fields: Fields) -> None:
+        """Take a schema or channel; the same id twice must say the same thing."""
+        if record.opcode == wire.SCHEMA:
+            _define(self.schemas, *wire.read_schema(fields), fields.where)
+        elif record.opcode == wire.CHANNEL:
+            _define(self.channels, *wire.read_channel(fields), fields.where)
+
+    def columns_of(self, channel_id: int) -> tuple["array[int]", "array[int]", "array[int]"]:
+        return self.columns.setdefault(channel_id, (array("q"), array("i"), array("q")))
+
+    def missing(self) -> list[str]:
+        """Channels that messages speak of and schemas that channels speak of, without a definition."""
+        schemas = {channel.schema_id for channel in self.channels.values() if channel.schema_id}
+        return [f"channel {channel_id}" for channel_id in sorted(self.columns.keys() - self.channels.keys())] + [
+            f"schema {schema_id}" for schema_id in sorted(schemas - self.schemas.keys())
+        ]
+
+    def finished(self, where: str, is_indexed: bool) -> Catalogue:
+        if missing := self.missing():
+            raise MalformedBagError(where, f"its records speak of {missing[0]}, which is nowhere defined")
+        entries = {channel_id: _entries(columns) for channel_id, columns in self.columns.items()}
+        return Catalogue(self.schemas, self.channels, tuple(self.chunks), entries, is_indexed)
+
+
+def read_catalogue(view: memoryview, name: str) -> Catalogue:
+    """Index of a sealed file that starts with the MCAP magic.
+
+    Raises: CutBagError (no closing magic), MalformedBagError, ChecksumError and the refusals of `inflate`.
+    """
+    size = len(view)
+    if size < 2 * len(wire.MAGIC) + FOOTER_BYTES or bytes(view[-len(wire.MAGIC) :]) != wire.MAGIC:
+        raise CutBagError(name, size)
+    footer_offset = size - len(wire.MAGIC) - FOOTER_BYTES
+    footer = wire.record_at(view, footer_offset, size - len(wire.MAGIC), name)
+    if footer.opcode != wire.FOOTER or footer.stop - footer.start != FOOTER_BYTES - wire.PREFIX_BYTES:
+        raise MalformedBagError(name, f"no footer stands before the closing magic (opcode {footer.opcode})")
+    summary_offset = _summary_offset(view, footer, name)
+    data = Record(0, len(wire.MAGIC), summary_offset)
+    draft = _from_summary(view, data, footer_offset, name) if summary_offset < footer_offset else None
+    if draft is not None:
+        return draft.finished(name, is_indexed=True)
+    return _from_walk(view, data, name).finished(name, is_indexed=False)
+
+
+def _summary_offset(view: memoryview, footer: Record, name: str) -> int:
+    """Where the summary starts; the footer itself when there is none."""
+    fields = Fields(view, footer, name)
+    start, _offsets, crc32 = fields.u64(), fields.u64(), fields.u32()
+    footer_offset = footer.start - wire.PREFIX_BYTES
+    if start == 0:
+        return footer_offset
+    if not len(wire.MAGIC) <= start <= footer_offset:
+        raise MalformedBagError(name, f"the footer puts the summary at byte {start}, the footer is at {footer_offset}")
+    if crc32 and (found := zlib.crc32(view[start : footer.stop - 4])) != crc32:
+        raise ChecksumError(f"{name}, summary at byte {start}", found, crc32)
+    return start
+
+
+def _from_summary(view: memoryview, data: Record, footer_offset: int, name: str) -> _Draft | None:
+    """None where the summary does not tell everything."""
+    draft, indexes, statistics = _Draft(), [], None
+    for record in wire.walk(view, data.stop, footer_offset, name):
+        fields = Fields(view, record, name)
+        draft.define(record, fields)
+        if record.opcode == wire.CHUNK_INDEX:
+            indexes.append(wire.read_chunk_index(fields))
+        elif record.opcode == wire.STATISTICS:
+            statistics = wire.read_statistics(fields)
+    if statistics is None or not indexes or statistics.chunk_count != len(indexes):
+        return None
+    reached = data.start
+    for index in sorted(indexes, key=lambda index: index.chunk_offset):
+        if index.chunk_offset < reached:
+            raise MalformedBagError(name, f"the chunk index at byte {index.chunk_offset} overlaps the one before it")
+        reached = _add_indexed_chunk(view, data, index, draft, name)
+    told = sum(len(columns[0]) for columns in draft.columns.values())
+    return draft if told == statistics.message_count and not draft.missing() else None
+
+
+def _add_indexed_chunk(view: memoryview, data: Record, index: wire.ChunkIndex, draft: _Draft, name: str) -> int:
+    """Take the message indexes of one chunk; gives the byte where they end."""
+    record = wire.record_at(view, index.chunk_offset, data.stop, name)
+    if record.opcode != wire.CHUNK:
+        raise MalformedBagError(name, f"the chunk index points at byte {index.chunk_offset}, where no chunk starts")
+    draft.chunks.append(wire.read_chunk(Fields(view, record, name)))
+    stop = record.stop + index.message_index_bytes
+    if stop > data.stop:
+        raise MalformedBagError(name, f"the message index of the chunk at byte {index.chunk_offset} ends past the data")
+    for channel_id, offset in index.message_index_offsets:
+        if offset < record.stop:
+            raise MalformedBagError(name, f"a message index is said to lie at byte {offset}, inside its chunk")
+        _add_message_index(view, wire.record_at(view, offset, stop, name), channel_id, draft, name)
+    return stop
+
+
+def _add_message_index(view: memoryview, record: Record, channel_id: int, draft: _Draft, name: str) -> None:
+    fields = Fields(view, record, name)
+    if record.opcode != wire.MESSAGE_INDEX or fields.u16() != channel_id:
+        raise MalformedBagError(name, f"byte {record.start} holds no message index of channel {channel_id}")
+    start, stop = fields.span(fields.u32())
+    if (stop - start) % INDEX_ENTRY_BYTES:
+        raise MalformedBagError(name, f"the message index at byte {record.start} is {stop - start} bytes, not n × 16")
+    table = np.frombuffer(view[start:stop], "<i8")
+    if len(table) and table.min() < 0:  # as unsigned: beyond the last time that can be told
+        raise MalformedBagError(name, f"the message index at byte {record.start} holds times beyond the year 2262")
+    times, chunks, offsets = draft.columns_of(channel_id)
+    times.frombytes(table[::2].tobytes())
+    offsets.frombytes(table[1::2].tobytes())
+    chunks.extend([len(draft.chunks) - 1] * (len(table) // 2))
+
+
+def _from_walk(view: memoryview, data: Record, name: str) -> _Draft:
+    draft = _Draft()
+    for record in wire.walk(view, data.start, data.stop, name):
+        if record.opcode == wire.DATA_END:
+            break
+        if record.opcode != wire.CHUNK:
+            _add_record(view, record, -1, draft, name)
+            continue
+        chunk = wire.read_chunk(Fields(view, record, name))
+        draft.chunks.append(chunk)
+        records = inflate(view, chunk)
+        for inner in wire.walk(records, 0, len(records), chunk.where):
+            _add_record(records, inner, len(draft.chunks) - 1, draft, chunk.where)
+    return draft
+
+
+def _add_record(view: memoryview, record: Record, chunk: int, draft: _Draft, where: str) -> None:
+    if record.opcode != wire.MESSAGE:
+        draft.define(record, Fields(view, record, where))
+        return
+    channel_id, log_time_ns = message_head(view, record, where)
+    times, chunks, offsets = draft.columns_of(channel_id)
+    times.append(log_time_ns)
+    chunks.append(chunk)
+    offsets.append(record.start - wire.PREFIX_BYTES)
+
+
+def message_head(view: memoryview, record: Record, where: str) -> tuple[int, int]:
+    """Channel and log time of a message record."""
+    if record.stop - record.start < wire.MESSAGE_HEAD_BYTES:
+        raise MalformedBagError(where, f"the message record at byte {record.start} is shorter than its own head")
+    channel_id, _sequence, log_time_ns = _MESSAGE_HEAD.unpack_from(view, record.start)
+    if log_time_ns > wire.LAST_LOG_TIME_NS:
+        raise MalformedBagError(where, f"the message at byte {record.start} was logged beyond the year 2262")
+    return int(channel_id), int(log_time_ns)
+
+
+def _define(known: dict[int, _Definition], key: int, value: _Definition, where: str) -> None:
+    if known.setdefault(key, value) != value:
+        raise MalformedBagError(where, f"id {key} is defined twice, as {known[key]} and as {value}"[:300])
+
+
+def _entries(columns: tuple["array[int]", "array[int]", "array[int]"]) -> Entries:
+    times, chunks, offsets = columns
+    return Entries(np.array(times, np.int64), np.array(chunks, np.int32), np.array(offsets, np.int64))

@@ -1,0 +1,143 @@
+"""Inflate one chunk to exactly the size it declares, or refuse it before the memory is spent.
+
+**Conventions.** A chunk may declare at most `CHUNK_LIMIT_BYTES`. One that claims to grow both large and manyfold is
+first inflated piece by piece into nothing, so a bomb costs time, never memory. The CRC-32 is checked whenever one was
+written and the whole chunk is about to be touched anyway: compressed chunks when they are inflated, plain chunks when
+their first message is read, never on a header-only scan (which would turn milliseconds into a read of the file) nor
+where such a scan needs the head of a chunk alone (a cloud of megabytes is mostly the last message of its chunk).
+"""
+
+from collections.abc import Iterator
+from contextlib import suppress
+
+import cramjam
+import numpy as np
+import zstandard
+from isal import isal_zlib
+from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
+
+from stone_recordings.bags.errors import (
+    ChecksumError,
+    ChunkTooLargeError,
+    CompressionRefusedError,
+    MalformedBagError,
+)
+from stone_recordings.bags.mcap.records import Chunk
+
+CHUNK_LIMIT_BYTES = 512 * 1024 * 1024
+# Below this a wrong size costs little memory; above it, growth beyond the ratio is measured before it is allocated.
+UNDOUBTED_BYTES = 32 * 1024 * 1024
+DOUBTED_RATIO = 20
+PIECE_BYTES = 1024 * 1024
+_DAMAGED = (RuntimeError, zstandard.ZstdError, EOFError)
+
+
+def inflate(view: memoryview, chunk: Chunk) -> memoryview:
+    """The chunk's records, read-only; a slice of `view` where nothing is compressed.
+
+    Raises: ChunkTooLargeError, CompressionRefusedError, MalformedBagError (other size than declared, or no such data),
+    ChecksumError.
+    """
+    packed = view[chunk.start : chunk.stop]
+    _check_size(chunk, len(packed))
+    if not chunk.compression:
+        return packed
+    if chunk.uncompressed_bytes > max(UNDOUBTED_BYTES, DOUBTED_RATIO * len(packed)):
+        _check_true_size(packed, chunk)
+    records = _inflated(packed, chunk)
+    check_crc32(records, chunk)
+    return records
+
+
+def inflate_head(view: memoryview, chunk: Chunk, stop: int) -> memoryview:
+    """The first `stop` bytes of a compressed chunk's records, without its checksum, which is of them all.
+
+    Raises: ChunkTooLargeError, CompressionRefusedError, MalformedBagError (fewer bytes, or no such data).
+    """
+    packed = view[chunk.start : chunk.stop]
+    _check_size(chunk, len(packed))
+    pieces = _lz4_pieces(packed, stop) if chunk.compression == "lz4" else _zstd_pieces(packed, stop)
+    found = bytearray()
+    try:
+        while len(found) < stop and (piece := next(pieces, b"")):
+            found += piece
+    except _DAMAGED as error:
+        raise MalformedBagError(chunk.where, _problem(chunk, str(error))) from None
+    if len(found) < stop:
+        raise MalformedBagError(chunk.where, _problem(chunk, f"only {len(found)} came out"))
+    return memoryview(found).toreadonly()[:stop]
+
+
+def pieces_of(packed: memoryview, compression: str, piece_bytes: int = PIECE_BYTES) -> Iterator[bytes | memoryview]:
+    """What inflates, in order and piece by piece, of a stream that was cut off; it ends where nothing more does."""
+    if compression == "":
+        yield from (packed[at : at + piece_bytes] for at in range(0, len(packed), piece_bytes))
+    elif compression in ("lz4", "zstd"):
+        with suppress(*_DAMAGED):
+            yield from _lz4_pieces(packed, piece_bytes) if compression == "lz4" else _zstd_pieces(packed, piece_bytes)
+
+
+def check_crc32(records: memoryview, chunk: Chunk) -> None:
+    """0 means that the writer did not compute one (ROS 2 Humble's default)."""
+    if chunk.crc32 and (found := isal_zlib.crc32(records)) != chunk.crc32:
+        raise ChecksumError(chunk.where, found, chunk.crc32)
+
+
+def _check_size(chunk: Chunk, packed_bytes: int) -> None:
+    if chunk.compression not in ("", "lz4", "zstd"):
+        raise CompressionRefusedError(chunk.where, chunk.compression)
+    if not chunk.compression and chunk.uncompressed_bytes != packed_bytes:
+        problem = f"uncompressed, yet {packed_bytes} bytes are stored for {chunk.uncompressed_bytes} declared"
+        raise MalformedBagError(chunk.where, problem)
+    if chunk.compression and chunk.uncompressed_bytes > CHUNK_LIMIT_BYTES:
+        raise ChunkTooLargeError(chunk.where, chunk.uncompressed_bytes, CHUNK_LIMIT_BYTES)
+
+
+def _inflated(packed: memoryview, chunk: Chunk) -> memoryview:
+    codec = cramjam.lz4 if chunk.compression == "lz4" else cramjam.zstd
+    records = np.empty(chunk.uncompressed_bytes, np.uint8)
+    try:
+        size = codec.decompress_into(packed, records) if len(packed) else 0
+    except cramjam.DecompressionError as error:
+        raise MalformedBagError(chunk.where, _problem(chunk, str(error))) from None
+    if size != chunk.uncompressed_bytes:
+        raise MalformedBagError(chunk.where, _problem(chunk, f"only {size} came out"))
+    return records.data.toreadonly()
+
+
+def _check_true_size(packed: memoryview, chunk: Chunk) -> None:
+    pieces = _lz4_pieces(packed) if chunk.compression == "lz4" else _zstd_pieces(packed)
+    total = 0
+    try:
+        for piece in pieces:
+            total += len(piece)
+            if total > chunk.uncompressed_bytes:
+                break
+    except _DAMAGED as error:
+        raise MalformedBagError(chunk.where, _problem(chunk, str(error))) from None
+    if total != chunk.uncompressed_bytes:
+        raise MalformedBagError(chunk.where, _problem(chunk, f"{total} or more came out"))
+
+
+def _lz4_pieces(packed: memoryview, piece_bytes: int = PIECE_BYTES) -> Iterator[bytes]:
+    # Fed in slices: what it has not consumed yet the decompressor copies at every call.
+    codec = LZ4FrameDecompressor()
+    for at in range(0, len(packed), PIECE_BYTES):
+        piece = codec.decompress(packed[at : at + PIECE_BYTES], max_length=piece_bytes)
+        while piece or not (codec.eof or codec.needs_input):
+            yield piece
+            piece = b"" if codec.eof else codec.decompress(b"", max_length=piece_bytes)
+        if codec.eof:
+            return
+
+
+def _zstd_pieces(packed: memoryview, piece_bytes: int = PIECE_BYTES) -> Iterator[bytes]:
+    # The window is memory too: nothing larger than the limit of an ordinary level-19 frame is granted.
+    codec = zstandard.ZstdDecompressor(max_window_size=UNDOUBTED_BYTES)
+    with codec.stream_reader(packed, read_across_frames=True) as stream:
+        while piece := stream.read(piece_bytes):
+            yield piece
+
+
+def _problem(chunk: Chunk, fault: str) -> str:
+    return f"{chunk.compression} data does not inflate to the declared {chunk.uncompressed_bytes} bytes ({fault})"

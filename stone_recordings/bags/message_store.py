@@ -1,0 +1,45 @@
+"""The interface of message stores: what every container format implements.
+
+**Conventions.** As `stone_recordings.bags.bag`. A store is told by `release` that it will rest for a while, and by
+`close` that it is over; payloads stay valid after both.
+"""
+
+from collections.abc import Collection, Iterator, Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.findings import Finding
+from stone_recordings.bags.topic import Topic
+
+# A scan of headers reads no further into a message than this, so that clouds stay on the disk.
+HEAD_BYTES = 8192
+
+
+class MessageStore(Protocol):
+    """An MCAP file, a database, or several of them."""
+
+    topics: tuple[Topic, ...]
+    is_indexed: bool
+    findings: tuple[Finding, ...]
+
+    def log_times_ns(self, topic: str) -> NDArray[np.int64]:
+        """Ascending log times of the topic's messages."""
+        ...
+
+    def payload(self, topic: str, index: int) -> memoryview:
+        """The CDR message at `index` in log-time order."""
+        ...
+
+    def heads(self, topics: Sequence[str], whole: Collection[str] = ()) -> Iterator[tuple[str, int, memoryview]]:
+        """Topic, index and at least the first `HEAD_BYTES` of every message (all of one that is shorter, or whose
+        topic is among `whole`), in the order in which they are stored.
+        """
+        ...
+
+    def release(self) -> None:
+        """Give back what can be had again: inflated chunks, open files."""
+        ...
+
+    def close(self) -> None: ...

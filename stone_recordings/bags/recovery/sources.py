@@ -1,0 +1,124 @@
+"""One file of a recording that is recovered: what is whole of it goes into the copy.
+
+**Conventions.** An MCAP file is walked record by record and its index ignored; a database is read row by row, in
+log-time order. `losses` says what was not whole once `keep` is through.
+"""
+
+import mmap
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from stone_recordings.bags.db3.store import SqliteStore
+from stone_recordings.bags.errors import IngestError
+from stone_recordings.bags.magic import container_of
+from stone_recordings.bags.mcap.copy import Copy
+from stone_recordings.bags.mcap.extras import Message
+from stone_recordings.bags.mcap.salvage import Losses, complete_records, first_compression
+from stone_recordings.bags.packed_file import unpacked_file
+from stone_recordings.bags.private_folder import PrivateFolder
+
+FORGET_BYTES = 16 * 2**20
+LOSSES = ("BAG-030", "BAG-031")  # damaged pages; rows that are no messages
+
+
+class RecoverySource(Protocol):
+    """`read_bytes` of `total_bytes` hold complete records, known after `keep`; `compression` is that of its chunks."""
+
+    name: str
+    compression: str
+    losses: Losses
+    total_bytes: int
+
+    @property
+    def read_bytes(self) -> int: ...
+
+    def keep(self, copy: Copy) -> None: ...
+
+
+class McapSource:
+    """A mapped MCAP file."""
+
+    def __init__(self, name: str, mapped: mmap.mmap) -> None:
+        self.name, self.losses, self.total_bytes = name, Losses(), len(mapped)
+        self._mapped, self._view = mapped, memoryview(mapped)
+        self.compression = first_compression(self._view, name)
+
+    @property
+    def read_bytes(self) -> int:
+        return self.total_bytes if self.losses.is_sealed else self.losses.stop_byte
+
+    def keep(self, copy: Copy) -> None:
+        copy.begin(self.losses)
+        forgotten = 0
+        for found in complete_records(self._view, self.name, self.losses):
+            copy.keep(found)
+            if self.losses.stop_byte - forgotten > FORGET_BYTES:
+                forgotten = self.losses.stop_byte // mmap.PAGESIZE * mmap.PAGESIZE
+                self._mapped.madvise(mmap.MADV_DONTNEED, 0, forgotten)
+        copy.say_unknown()
+
+
+class DatabaseSource:
+    """A database, sound or damaged; its chunks are not packed, as it was not."""
+
+    compression = ""
+
+    def __init__(self, path: Path) -> None:
+        self.name, self.losses, self.total_bytes = path.name, Losses(is_sealed=True), path.stat().st_size
+        self._store = SqliteStore(path)
+
+    @property
+    def read_bytes(self) -> int:
+        return self.total_bytes
+
+    def keep(self, copy: Copy) -> None:
+        copy.begin(self.losses)
+        copy.start("ros2")
+        for finding in self._store.findings:
+            if finding.code in LOSSES:
+                self.losses.add(finding.message.removesuffix("."))
+        topics = [topic for topic in self._store.topics if topic.count]
+        channels = [copy.declare(topic) for topic in topics]
+        for number, index, time_ns in self._in_log_order([topic.name for topic in topics]):
+            name = topics[number].name
+            try:
+                data = self._store.payload(name, index)
+            except IngestError as error:
+                self.losses.add(f"{error} ({error.code})")
+                continue
+            copy.write(channels[number], name, Message(0, 0, time_ns, time_ns, data))
+
+    def close(self) -> None:
+        self._store.close()
+
+    def _in_log_order(self, names: list[str]) -> Iterator[tuple[int, int, int]]:
+        """Topic number, index and log time of every message."""
+        times = [self._store.log_times_ns(name) for name in names]
+        if not times:
+            return
+        number = np.concatenate([np.full(len(own), n) for n, own in enumerate(times)])
+        index = np.concatenate([np.arange(len(own)) for own in times])
+        time_ns = np.concatenate(times)
+        for row in np.argsort(time_ns, kind="stable").tolist():
+            yield int(number[row]), int(index[row]), int(time_ns[row])
+
+
+@contextmanager
+def opened_source(file: Path) -> Iterator[RecoverySource]:
+    """Raises as `container_of`, `SqliteStore` and `unpacked_file`."""
+    folder = PrivateFolder()
+    try:
+        path = unpacked_file(file, folder) if container_of(file) == "zstd" else file
+        if container_of(path) == "sqlite":
+            with closing(DatabaseSource(path)) as database:
+                yield database
+        else:
+            with path.open("rb") as stream:
+                mapped = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+            yield McapSource(path.name, mapped)
+    finally:
+        folder.close()

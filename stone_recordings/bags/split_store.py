@@ -1,0 +1,92 @@
+"""Several files as one recording: a split bag, whatever holds its parts.
+
+**Conventions.** Messages of a topic are in log-time order over all files; of equal times those of the earlier file come
+first. Only the files used last are kept awake, so that memory and open files do not grow with their number.
+"""
+
+from collections import OrderedDict
+from collections.abc import Collection, Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.findings import Finding
+from stone_recordings.bags.errors import MalformedBagError
+from stone_recordings.bags.message_store import MessageStore
+from stone_recordings.bags.topic import Topic
+
+AWAKE = 2
+
+
+class SplitStore:
+    """`parts` in the order of the recording; they are closed with it."""
+
+    def __init__(self, name: str, parts: Sequence[MessageStore]) -> None:
+        self._parts = tuple(parts)
+        self._awake: OrderedDict[int, None] = OrderedDict()
+        self.is_indexed = all(part.is_indexed for part in self._parts)
+        self.findings: tuple[Finding, ...] = tuple(finding for part in self._parts for finding in part.findings)
+        listed = _by_name(self._parts)
+        self.topics = tuple(_joined(name, listed[topic]) for topic in sorted(listed))
+        self._places = {topic: self._placed(topic) for topic in listed}
+
+    def log_times_ns(self, topic: str) -> NDArray[np.int64]:
+        return self._places[topic][0]
+
+    def payload(self, topic: str, index: int) -> memoryview:
+        _times, parts, indices = self._places[topic]
+        return self._woken(int(parts[index])).payload(topic, int(indices[index]))
+
+    def heads(self, topics: Sequence[str], whole: Collection[str] = ()) -> Iterator[tuple[str, int, memoryview]]:
+        """File after file, each in its own order."""
+        for number, part in enumerate(self._parts):
+            own = {topic.name for topic in part.topics}
+            here = [topic for topic in topics if topic in own]
+            joined = {topic: np.flatnonzero(self._places[topic][1] == number) for topic in here}
+            order = {topic: np.argsort(self._places[topic][2][rows]) for topic, rows in joined.items()}
+            for topic, index, payload in self._woken(number).heads(here, whole):
+                yield topic, int(joined[topic][order[topic][index]]), payload
+
+    def release(self) -> None:
+        for part in self._parts:
+            part.release()
+
+    def close(self) -> None:
+        for part in self._parts:
+            part.close()
+
+    def _woken(self, number: int) -> MessageStore:
+        self._awake[number] = None
+        self._awake.move_to_end(number)
+        while len(self._awake) > AWAKE:
+            self._parts[self._awake.popitem(last=False)[0]].release()
+        return self._parts[number]
+
+    def _placed(self, topic: str) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int64]]:
+        """Log times, part and index within it of every message."""
+        own = [(number, part) for number, part in enumerate(self._parts) if topic in {t.name for t in part.topics}]
+        times = [part.log_times_ns(topic) for _number, part in own]
+        numbers = [np.full(len(part.log_times_ns(topic)), number, np.int32) for number, part in own]
+        indices = [np.arange(len(part_times), dtype=np.int64) for part_times in times]
+        joined_ns = np.concatenate(times)
+        order = np.argsort(joined_ns, kind="stable")
+        return joined_ns[order], np.concatenate(numbers)[order], np.concatenate(indices)[order]
+
+
+def _by_name(parts: Sequence[MessageStore]) -> dict[str, list[Topic]]:
+    listed: dict[str, list[Topic]] = {}
+    for part in parts:
+        for topic in part.topics:
+            listed.setdefault(topic.name, []).append(topic)
+    return listed
+
+
+def _joined(name: str, told: Sequence[Topic]) -> Topic:
+    """One topic of what the files say; raises MalformedBagError where they contradict each other."""
+    first = told[0]
+    for other in told[1:]:
+        if (other.type, other.encoding) != (first.type, first.encoding):
+            problem = f"topic {first.name!r} is {first.type} in one file and {other.type} in another"
+            raise MalformedBagError(name, problem)
+    schema = next((topic.schema for topic in told if topic.schema), "")
+    return Topic(first.name, first.type, sum(topic.count for topic in told), schema, first.encoding)

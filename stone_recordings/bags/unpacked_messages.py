@@ -1,0 +1,59 @@
+"""Messages that the recorder packed one by one (rosbag2's `compression_mode: message`), unpacked as they are read.
+
+**Conventions.** A CDR message begins with a zero byte, a zstd frame with 28 B5 2F FD, so every message says itself
+whether it is packed. One may unpack to `MESSAGE_LIMIT_BYTES`; what claims to grow large and manyfold is measured before
+it is allocated.
+"""
+
+import cramjam
+import numpy as np
+import zstandard
+
+from stone_recordings.bags.errors import MalformedBagError, PackedTooLargeError
+from stone_recordings.bags.mcap.chunks import DOUBTED_RATIO, UNDOUBTED_BYTES, pieces_of
+from stone_recordings.bags.message_store import HEAD_BYTES
+
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+MESSAGE_LIMIT_BYTES = 512 * 2**20
+FRAME_HEAD_BYTES = 18  # the longest frame header that zstd writes
+
+
+def is_packed(payload: memoryview) -> bool:
+    return bytes(payload[:4]) == ZSTD_MAGIC
+
+
+def unpacked(payload: memoryview, where: str) -> memoryview:
+    """The message in a frame that is whole. Raises: MalformedBagError, PackedTooLargeError (BAG-027)."""
+    size_bytes = _size_of(payload, where)
+    message = np.empty(size_bytes, np.uint8)
+    try:
+        unpacked_bytes = cramjam.zstd.decompress_into(payload, message.data)
+    except cramjam.DecompressionError as error:
+        raise MalformedBagError(where, f"its zstd frame does not unpack ({error})") from None
+    if unpacked_bytes != size_bytes:
+        raise MalformedBagError(where, f"its zstd frame gives {unpacked_bytes} bytes and declares {size_bytes}")
+    return message.data.toreadonly()
+
+
+def unpacked_head(payload: memoryview, where: str) -> memoryview:
+    """At least the first `HEAD_BYTES` of the message in a frame, or all of it. Raises: MalformedBagError."""
+    head = next(iter(pieces_of(payload, "zstd", HEAD_BYTES)), b"")
+    if not head:
+        raise MalformedBagError(where, "its zstd frame does not unpack")
+    return memoryview(head)
+
+
+def _size_of(payload: memoryview, where: str) -> int:
+    """What the frame declares, or what comes out where it declares nothing or more than is believed."""
+    try:
+        declared_bytes = zstandard.get_frame_parameters(payload[:FRAME_HEAD_BYTES]).content_size
+    except zstandard.ZstdError as error:
+        raise MalformedBagError(where, f"its zstd frame does not unpack ({error})") from None
+    if declared_bytes <= max(UNDOUBTED_BYTES, DOUBTED_RATIO * len(payload)):
+        return int(declared_bytes)
+    size_bytes = 0
+    for piece in pieces_of(payload, "zstd"):
+        size_bytes += len(piece)
+        if size_bytes > MESSAGE_LIMIT_BYTES:
+            raise PackedTooLargeError(where, len(payload), MESSAGE_LIMIT_BYTES)
+    return size_bytes

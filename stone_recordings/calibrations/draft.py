@@ -1,0 +1,94 @@
+"""The merged parts of a calibration bundle: one frame tree, the lenses by name, and the sensors.
+
+**Conventions.** Frames come in the order in which files name them. Two files may say the same twice; where they differ
+by more than rounding they are refused, because the shortest path would silently choose one.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from stone.sensors.calibration import CameraIntrinsics, SensorKind
+from stone_recordings.calibrations.errors import ConflictingFilesError
+from stone_recordings.calibrations.part import CalibrationPart, Edge
+from stone_recordings.calibrations.plain_names import is_optical, kind_of, sensor_key
+from stone_recordings.poses.static_tree import StaticTree
+
+SAME_M_OR_RATIO = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class RigDraft:
+    """`name` is the file's, folder's or zip's; the rest is what all parts say together."""
+
+    name: str
+    tree: StaticTree
+    frames: tuple[str, ...]
+    lenses: Mapping[str, CameraIntrinsics]
+    offsets_ns: Mapping[str, int]
+    kinds: Mapping[str, SensorKind]
+    optical: frozenset[str]
+
+    def kind(self, frame: str) -> SensorKind | None:
+        if frame in self.kinds:
+            return self.kinds[frame]
+        return "camera" if frame in self.lenses else kind_of(frame)
+
+    def frame_of_lens(self, lens: str) -> str:
+        """The frame a camera's lens sits in: called as it, else the only camera's frame that means the same sensor."""
+        if lens in self.frames:
+            return lens
+        same = [frame for frame in self.frames_of("camera") if sensor_key(frame) == sensor_key(lens)]
+        return self.foremost(same) if same else lens
+
+    def frames_of(self, kind: SensorKind) -> list[str]:
+        return [frame for frame in self.frames if self.kind(frame) == kind]
+
+    def sensors_of(self, kind: SensorKind) -> list[str]:
+        """One frame for each sensor of a kind: those that mean the same sensor are one."""
+        groups: dict[str, list[str]] = {}
+        for frame in self.frames_of(kind):
+            key = frame if frame in self.kinds or frame in self.lenses else sensor_key(frame)
+            groups.setdefault(key, []).append(frame)
+        return [self.foremost(group) for group in groups.values()]
+
+    def foremost(self, frames: list[str]) -> str:
+        """The optical frame, else the one at the end of the chain."""
+        optical = [frame for frame in frames if frame in self.optical or is_optical(frame)]
+        parents = {parent for parent, child in self.tree.edges if child in frames and self.tree.is_down(parent, child)}
+        ends = [frame for frame in frames if frame not in parents]
+        return (optical or ends or frames)[0]
+
+
+def draft_of(name: str, parts: Iterable[CalibrationPart]) -> RigDraft:
+    """Raises ConflictingFilesError."""
+    edges: dict[frozenset[str], tuple[Edge, str]] = {}
+    lenses: dict[str, tuple[CameraIntrinsics, str]] = {}
+    offsets_ns, kinds, optical = dict[str, int](), dict[str, SensorKind](), frozenset[str]()
+    for part in parts:
+        for edge in part.edges:
+            _add_edge(name, edges, edge, part.file)
+        for lens, intrinsics in part.lenses.items():
+            known, file = lenses.setdefault(lens, (intrinsics, part.file))
+            if known != intrinsics:
+                raise ConflictingFilesError(name, f"the lens of {lens}", (file, part.file))
+        offsets_ns |= part.offsets_ns
+        kinds |= part.kinds
+        optical |= part.optical
+    all_edges = [edge for edge, _ in edges.values()]
+    frames = tuple(dict.fromkeys(frame for edge in all_edges for frame in (edge.parent, edge.child)))
+    tree = StaticTree.of((edge.parent, edge.child, edge.parent_from_child) for edge in all_edges)
+    return RigDraft(
+        name, tree, frames, {lens: found for lens, (found, _) in lenses.items()}, offsets_ns, kinds, optical
+    )
+
+
+def _add_edge(name: str, edges: dict[frozenset[str], tuple[Edge, str]], edge: Edge, file: str) -> None:
+    pair = frozenset((edge.parent, edge.child))
+    known, before = edges.setdefault(pair, (edge, file))
+    same = known.parent_from_child if known.parent == edge.parent else known.parent_from_child.inverse()
+    apart = np.abs(same.as_matrix() - edge.parent_from_child.as_matrix()).max()
+    if apart > SAME_M_OR_RATIO or len(pair) == 1:
+        files = tuple(dict.fromkeys((before, file)))
+        raise ConflictingFilesError(name, f"where {edge.child} sits to {edge.parent}", files)

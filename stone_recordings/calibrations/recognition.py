@@ -1,0 +1,103 @@
+"""Recognition of a document's format, and its content as a part of a rig.
+
+**Conventions.** A format is known by keys that only it has at its top level, never by a file's name. What is close to a
+calibration and is none that is read is named in the refusal.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import PurePath
+
+from stone_recordings.calibrations import autoware, kalibr, nuscenes, opencalib, rig, ros
+from stone_recordings.calibrations.bundle import Bundle
+from stone_recordings.calibrations.document import RigDocument
+from stone_recordings.calibrations.errors import CalibrationFormatError, ConflictingFilesError
+from stone_recordings.calibrations.native import is_native
+from stone_recordings.calibrations.part import CalibrationPart, Node
+from stone_recordings.calibrations.plain_yaml import parse_documents
+
+Mapping = dict[str, object]
+# In the order in which they are asked: a claim → the part. What carries camera names is told the file's stem.
+READERS: tuple[tuple[Callable[[Mapping], bool], Callable[[Node], CalibrationPart]], ...] = (
+    (ros.is_camera_info, lambda node: ros.camera_info(node, stem_of(node.file))),
+    (ros.is_camera_info_message, lambda node: ros.camera_info_message(node, stem_of(node.file))),
+    (ros.is_matrices, ros.matrices),
+    (kalibr.is_camchain, kalibr.camchain),
+    (kalibr.is_imu, lambda node: CalibrationPart(node.file, "kalibr")),
+    (opencalib.is_opencalib, opencalib.opencalib),
+    (autoware.is_autoware, autoware.autoware),
+)
+# A key that only one other format has at its top level.
+OTHERS = {
+    "calibration_time": "a KITTI calibration",
+    "P0": "a KITTI calibration",
+    "R_rect_00": "a KITTI calibration",
+    "Tr_velo_to_cam": "a KITTI calibration",
+    "camera_matrix": "a camera matrix without the size of its images",
+    "image_width": "a camera_info file without its camera_matrix",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class RecognisedBundle:
+    """`native` stands alone: its file and content; else the parts and the rig document that completes them."""
+
+    native: tuple[str, object] | None
+    parts: tuple[CalibrationPart, ...]
+    rig: RigDocument
+
+
+def recognised(bundle: Bundle, name: str) -> RecognisedBundle:
+    """Raises what reading YAML and the formats raise; ConflictingFilesError for two files that each claim the whole."""
+    documents = [(file, parse_documents(file, content)) for file, content in bundle.documents]
+    whole = [(file, found[0]) for file, found in documents if isinstance(found[0], dict) and is_native(found[0])]
+    if whole:
+        if len(documents) > 1:
+            raise ConflictingFilesError(
+                name, "the rig, of which a native file says all", [file for file, _ in documents]
+            )
+        return RecognisedBundle(whole[0], (), RigDocument(stone_rig=1))
+    tables: dict[str, object] = {file: found[0] for file, found in documents if isinstance(found[0], list)}
+    parts, rigs = list[CalibrationPart](), list[tuple[str, RigDocument]]()
+    for file, found in documents:
+        if file not in tables and isinstance(found[0], dict) and rig.is_rig(found[0]):
+            rigs.append((file, rig.rig_document(Node(file, "", found[0]))))
+        elif file not in tables:
+            parts.append(_part(file, found))
+    parts += _tables(tables)
+    if len(rigs) > 1:
+        raise ConflictingFilesError(name, "what completes the rig", [file for file, _ in rigs])
+    parts += [rig.rig_part(file, document) for file, document in rigs]
+    return RecognisedBundle(None, tuple(parts), rigs[0][1] if rigs else RigDocument(stone_rig=1))
+
+
+def stem_of(file: str) -> str:
+    return PurePath(file).stem[:100]
+
+
+def _part(file: str, documents: tuple[object, ...]) -> CalibrationPart:
+    content = documents[0]
+    if not isinstance(content, dict):
+        raise CalibrationFormatError(file, "an empty file" if content is None else "plain text")
+    if any(not isinstance(key, str) for key in content):
+        raise CalibrationFormatError(file, "another YAML file (a key is no text)")
+    if "transforms" in content:
+        return ros.tf_message([Node(file, "", document) for document in documents])
+    for is_it, read in READERS:
+        if is_it(content):
+            return read(Node(file, "", content))
+    looks_like = next((named for key, named in OTHERS.items() if key in content), "another YAML file")
+    raise CalibrationFormatError(file, looks_like)
+
+
+def _tables(tables: dict[str, object]) -> list[CalibrationPart]:
+    """The nuScenes tables among lists; a list that is none of them is refused."""
+    rows = {file: content for file, content in tables.items() if isinstance(content, list)}
+    calibrated = [file for file, content in rows.items() if nuscenes.is_calibrated(content)]
+    sensors = [file for file, content in rows.items() if nuscenes.is_sensors(content)]
+    for file in rows:
+        if file not in calibrated and (file not in sensors or not calibrated):
+            looks_like = "a nuScenes sensor table without its calibrated_sensor" if file in sensors else "a list"
+            raise CalibrationFormatError(file, looks_like)
+    named = Node(sensors[0], "", rows[sensors[0]]) if sensors else None
+    return [nuscenes.nuscenes(Node(file, "", rows[file]), named) for file in calibrated]

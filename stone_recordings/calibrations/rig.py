@@ -1,0 +1,46 @@
+"""`stone_rig: 1`: a document that completes the files of another tool, in a bundle with them.
+
+    stone_rig: 1
+    name: warthog-1
+    ego: base_link            # which frame is the ego frame, where names leave a doubt
+    lidar: os_sensor          # which frame is the LiDAR's
+    transforms:               # what no other file says; parent_from_child
+      - {parent: base_link, child: os_sensor, translation_m: [0, 0, 0.9], rotation_wxyz: [1, 0, 0, 0]}
+    sensors:                  # which frame of the other files is which channel
+      CAM_FRONT: {frame: cam0, frame_id: cam_front_optical, width_px: 1920, height_px: 1200}
+    footprint: {length_m: 1.06, width_m: 0.85}
+
+**Conventions.** As in the native format. A sensor that is named here is of the calibration even if its frame's name
+says nothing; sensors that are not named stay, under the channel their frame's name gives.
+"""
+
+from pydantic import ValidationError
+
+from stone.sensors.calibration import SensorKind
+from stone.sensors.calibration_checks import Findings
+from stone_recordings.calibrations.document import RigDocument
+from stone_recordings.calibrations.native import key_error, transform_of
+from stone_recordings.calibrations.part import CalibrationPart, Edge, Node
+
+
+def is_rig(content: dict[str, object]) -> bool:
+    return "stone_rig" in content
+
+
+def rig_document(document: Node) -> RigDocument:
+    """Raises CalibrationKeyError."""
+    try:
+        return RigDocument.model_validate(document.value)
+    except ValidationError as error:
+        raise key_error(document.file, error) from None
+
+
+def rig_part(file: str, rig: RigDocument) -> CalibrationPart:
+    """The transforms and kinds the rig adds."""
+    edges, findings = list[Edge](), Findings()
+    for given in rig.transforms:
+        transform, noticed = transform_of(given.child, None, given)
+        edges.append(Edge(given.parent, given.child, transform))
+        findings += noticed
+    kinds: dict[str, SensorKind] = {sensor.frame: sensor.kind for sensor in rig.sensors.values() if sensor.kind}
+    return CalibrationPart(file, None, tuple(edges), kinds=kinds, findings=findings)

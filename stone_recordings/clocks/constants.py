@@ -1,0 +1,26 @@
+"""Known mistakes of clocks by their constant difference: leap seconds, time zones.
+
+**Conventions.** A difference is stamp − true time, ns: positive for a clock that is ahead. TAI has been 37 s and GPS
+time 18 s ahead of UTC since 2017. Sources: IERS Bulletin C, IS-GPS-200.
+"""
+
+NS_PER_S = 1_000_000_000
+KNOWN_S = ((37, "TAI-UTC"), (18, "GPS-UTC"), (19, "TAI-GPS"))
+# What transport and a slightly wrong clock add to the constant.
+TOLERANCE_NS = 400_000_000
+HALF_HOUR_NS = 1_800 * NS_PER_S
+LAST_ZONE_HALF_HOURS = 28  # UTC+14
+# Whoever stamps a date before 2001 counts from the start of its own computer.
+FIRST_DATE_NS = 1_000_000_000 * NS_PER_S
+
+
+def constant_of(ahead_ns: int, stamp_ns: int = FIRST_DATE_NS) -> str:
+    """ "TAI-UTC", "GPS-UTC", "TAI-GPS", "time zone" or "since boot"; "" for no constant that is known."""
+    if abs(ahead_ns) > FIRST_DATE_NS // 2 and abs(stamp_ns) < FIRST_DATE_NS:
+        return "since boot"
+    for seconds, name in KNOWN_S:
+        if abs(abs(ahead_ns) - seconds * NS_PER_S) < TOLERANCE_NS:
+            return name
+    half_hours = round(ahead_ns / HALF_HOUR_NS)
+    is_zone = 0 < abs(half_hours) <= LAST_ZONE_HALF_HOURS
+    return "time zone" if is_zone and abs(ahead_ns - half_hours * HALF_HOUR_NS) < TOLERANCE_NS else ""

@@ -1,0 +1,57 @@
+"""Start, end and stamp of every LiDAR sweep.
+
+**Conventions.** A sweep's stamp is its header's. How far its points reach around the stamp is measured, not assumed: a
+driver may stamp the start, the middle or the end of a revolution.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.findings import Finding
+from stone_recordings.bags.bag import Bag
+from stone_recordings.messages.pointcloud2 import decode_cloud, lidar_points
+from stone_recordings.sync.recorded_messages import OrderedStamps, RecordedTopics, in_order
+
+# The first and the last sweep may be cut short; a few from beginning to end show the true length.
+SPAN_SAMPLES = 5
+
+
+@dataclass(frozen=True, eq=False)
+class LidarClock:
+    """The sweeps of a topic in time order: declared `points` (N,), and `span_ns` = (first, last) point time, ns.
+
+    Where points have no time, `is_timed` is False and the span is (0, 0).
+    """
+
+    topic: str
+    ordered: OrderedStamps
+    points: NDArray[np.int64]
+    span_ns: tuple[int, int]
+    is_timed: bool
+    findings: tuple[Finding, ...]
+
+
+def lidar_clock(bag: Bag, recorded: RecordedTopics, topic: str) -> LidarClock:
+    """Raises what decoding a cloud raises."""
+    ordered = in_order(topic, recorded.stamps_ns(topic))
+    points = recorded.cloud_sizes(topic)[ordered.index]
+    span_ns = _span_ns(bag, topic, ordered.index[points > 0])
+    findings = ordered.findings if span_ns is not None else (*ordered.findings, _no_time(topic))
+    return LidarClock(topic, ordered, points, span_ns or (0, 0), span_ns is not None, findings)
+
+
+def _span_ns(bag: Bag, topic: str, rows: NDArray[np.int64]) -> tuple[int, int] | None:
+    """First and last point time around the stamp over a few clouds from beginning to end; None without."""
+    picked = rows[np.linspace(0, len(rows) - 1, min(SPAN_SAMPLES, len(rows))).astype(np.int64)]
+    clouds = (lidar_points(decode_cloud(bag.message(topic, row).payload)) for row in picked.tolist())
+    offsets = [cloud.offset_ns for cloud in clouds if cloud.offset_ns is not None and len(cloud.offset_ns)]
+    if not offsets:
+        return None
+    return min(int(offset_ns.min()) for offset_ns in offsets), max(int(offset_ns.max()) for offset_ns in offsets)
+
+
+def _no_time(topic: str) -> Finding:
+    sentence = "its points carry no time that can be read; sweeps are taken as they are (a turning robot smears them)"
+    return Finding("TOP-102", "warning", topic, sentence)

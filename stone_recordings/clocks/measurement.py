@@ -1,0 +1,103 @@
+"""Measure the clock of every topic of a scanned recording.
+
+**Conventions.** A sensor's own time decides where its messages carry one: stamps that scatter around it by more than
+`HOST_JITTER_NS` were made on the host. Otherwise stamps that are irregular, yet follow the recorder's within a few
+milliseconds more closely than they follow their own beat, are those of publishing. What cannot be told from a sensor's
+is called a sensor's.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.errors import StoneError
+from stone.findings import Finding
+from stone.sensors.clocks import ClockLine, clock_line, interval_jitter_ns, spread
+from stone_recordings.bags.bag import Bag
+from stone_recordings.bags.topic import Topic
+from stone_recordings.clocks.constants import constant_of
+from stone_recordings.clocks.imu_lag import IMU_BYTES, POSE_BYTES, imu_lag
+from stone_recordings.clocks.report import ClockReport, StampSource, TopicClock
+from stone_recordings.clocks.sensor_times import OWN_TIME_BYTES, OwnTimes, has_own_time, own_times
+from stone_recordings.report.checks import Inspected
+from stone_recordings.report.scan import Scan
+from stone_recordings.topics.roles import ROLE_OF_TYPE
+
+# Stamps of one clock differ from each other by rounding; a host's publish times differ by its scheduling.
+HOST_JITTER_NS = 500_000
+# From publishing to recording; exposure, transfer and a sweep take longer.
+LAST_PUBLISH_DELAY_NS = 5_000_000
+
+
+@dataclass(frozen=True)
+class ClockMeasurement:
+    """The report, and what kept parts of it from being measured."""
+
+    report: ClockReport
+    findings: tuple[Finding, ...] = ()
+    own_times: dict[str, OwnTimes] = field(default_factory=dict)
+
+
+def kept_bytes(topic: Topic) -> int:
+    """How much of each message the scan should copy for `measured`."""
+    role = ROLE_OF_TYPE.get(topic.type)
+    if role == "imu":
+        return IMU_BYTES
+    if role in ("ins", "odometry"):
+        return POSE_BYTES
+    return OWN_TIME_BYTES if has_own_time(topic) else 0
+
+
+def measured(bag: Bag, scan: Scan, inspected: Sequence[Inspected]) -> ClockMeasurement:
+    """A topic whose messages lie is a finding here, never a failure."""
+    findings: list[Finding] = []
+    own: dict[str, OwnTimes] = {}
+    for topic, _role, _timing in inspected:
+        if scan.kept.get(topic.name) and has_own_time(topic):
+            try:
+                own[topic.name] = own_times(topic, scan.kept[topic.name])
+            except StoneError as error:
+                findings.append(Finding(error.code, "error", topic.name, str(error)))
+    clocks = tuple(_clock(bag, part, own.get(part[0].name)) for part in inspected)
+    try:
+        lag = imu_lag(scan, [(topic, role) for topic, role, _timing in inspected])
+    except StoneError as error:
+        lag = None
+        findings.append(Finding(error.code, "warning", "", f"The lag of the IMU cannot be measured: {error}"))
+    return ClockMeasurement(ClockReport(clocks, lag), tuple(findings), own)
+
+
+def _clock(bag: Bag, inspected: Inspected, own: OwnTimes | None) -> TopicClock:
+    topic, role, timing = inspected
+    log_times_ns = bag.log_times_ns(topic.name)
+    line = clock_line(timing.stamps_ns, log_times_ns) if timing.has_header else None
+    late_ns = own.late_ns if own is not None and len(own.late_ns) else None
+    steps_ns = timing.steps_back_ns if timing.has_header else np.zeros(0, np.int64)
+    return TopicClock(
+        topic=topic.name,
+        role=role,
+        count=topic.count,
+        rate_hz=timing.rate_hz,
+        stamp_source="recorder" if line is None else _source(timing.stamps_ns, line, late_ns),
+        offset_ns=None if line is None else line.offset_ns,
+        drift_ppm=None if line is None else line.drift_ppm,
+        drift_sigma_ppm=None if line is None else line.drift_sigma_ppm,
+        jitter_ns=None if line is None else line.jitter_ns,
+        constant="" if line is None else constant_of(-line.offset_ns, int(np.median(timing.stamps_ns))),
+        gaps=len(timing.gaps),
+        steps_back=len(steps_ns),
+        worst_step_back_ns=int(steps_ns.max(initial=0)),
+        repeats=timing.repeats if timing.has_header else 0,
+        own_offset_ns=None if late_ns is None else int(np.median(late_ns)),
+        own_jitter_ns=None if late_ns is None else round(spread(late_ns - np.median(late_ns))),
+    )
+
+
+def _source(stamps_ns: NDArray[np.int64], line: ClockLine, late_ns: NDArray[np.int64] | None) -> StampSource:
+    if late_ns is not None:
+        return "host" if spread(late_ns - np.median(late_ns)) > HOST_JITTER_NS else "sensor"
+    is_prompt = 0 < line.offset_ns < LAST_PUBLISH_DELAY_NS
+    beat_ns = interval_jitter_ns(stamps_ns)
+    return "host" if is_prompt and beat_ns > HOST_JITTER_NS and line.jitter_ns < beat_ns else "sensor"

@@ -1,0 +1,107 @@
+"""Timing of a topic's messages: stamps, period, gaps and steps back.
+
+**Conventions.** The header stamp where the type begins with one (the first eight bytes of the body) and it is set, the
+log time otherwise. A gap is an interval longer than `GAP_RATIO` median periods, so that one lost message of a jittery
+topic is no gap and two always are; only topics that keep a period have gaps.
+"""
+
+from dataclasses import asdict, dataclass
+from struct import Struct
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone_recordings.bags.errors import DefinitionMissingError, MessageLayoutError
+from stone_recordings.bags.topic import Topic
+from stone_recordings.messages.types.cdr import HEAD_BYTES, NS_PER_S, check_encapsulation
+from stone_recordings.messages.types.registry import message_definition
+
+GAP_RATIO = 2.5
+# A topic keeps a period when at least half of its intervals are within a half of the median.
+STEADY_SHARE, STEADY_RATIO = 0.5, 0.5
+LEAST_STEADY_COUNT = 4
+# Messages are counted as lost only where the beat is as strict as a trigger's.
+STRICT_RATIO = 0.1
+
+_HEADERS = ("std_msgs/Header ", "std_msgs/msg/Header ", "Header ")
+_STAMP = Struct("<iI")
+
+
+@dataclass(frozen=True)
+class Gap:
+    """From the last message before to the first one after; half-open in time."""
+
+    start_ns: int
+    end_ns: int
+    duration_ns: int
+
+    def as_record(self) -> dict[str, int]:
+        return asdict(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Timing:
+    """Of one topic: `stamps_ns` (N,) in log order, `has_header` whether they are the sensor's or the recorder's.
+
+    `repeats` counts the messages whose stamp another one has, too.
+    """
+
+    stamps_ns: NDArray[np.int64]
+    has_header: bool
+    rate_hz: float | None
+    gaps: tuple[Gap, ...]
+    steps_back_ns: NDArray[np.int64]
+    repeats: int = 0
+
+
+def measure(stamps_ns: NDArray[np.int64], has_header: bool) -> Timing:
+    """Rate (from the median period; None below two stamps), gaps and steps back of stamps in log order."""
+    steps_ns = np.diff(stamps_ns)
+    ordered = np.sort(stamps_ns)
+    periods_ns = np.diff(ordered)
+    median_ns = float(np.median(periods_ns)) if len(periods_ns) else 0.0
+    rate_hz = NS_PER_S / median_ns if median_ns > 0 else None
+    gaps = _gaps(ordered, periods_ns, median_ns)
+    return Timing(stamps_ns, has_header, rate_hz, gaps, -steps_ns[steps_ns < 0], int((periods_ns == 0).sum()))
+
+
+def lost_messages(timing: Timing) -> int:
+    """Beats without a message, where nine of ten intervals are whole periods within a tenth of one; else 0."""
+    periods_ns = np.diff(np.sort(timing.stamps_ns)).astype(np.float64)
+    if len(timing.stamps_ns) < LEAST_STEADY_COUNT or timing.rate_hz is None:
+        return 0
+    beats = periods_ns * timing.rate_hz / NS_PER_S
+    whole = np.rint(beats)
+    is_strict = float(np.mean(np.abs(beats - whole) <= STRICT_RATIO)) >= 1 - STRICT_RATIO
+    return int(np.maximum(whole - 1, 0).sum()) if is_strict else 0
+
+
+def begins_with_header(topic: Topic) -> bool:
+    """By the embedded definition, else by the registry's; False for types that nobody describes."""
+    text = topic.schema
+    if not text:
+        try:
+            text = message_definition(topic.type)
+        except DefinitionMissingError:
+            return False
+    lines = (line.split("#")[0].strip() for line in text.splitlines())
+    return next((line for line in lines if line), "").startswith(_HEADERS)
+
+
+def stamp_of(payload: memoryview, type_name: str) -> int:
+    """Header stamp of a message whose type begins with one. Raises: MessageLayoutError, ByteOrderError."""
+    check_encapsulation(payload, type_name)
+    if len(payload) < HEAD_BYTES + _STAMP.size:
+        raise MessageLayoutError(type_name, f"{len(payload)} bytes hold no header")
+    sec, nanosec = _STAMP.unpack_from(payload, HEAD_BYTES)
+    return int(sec) * NS_PER_S + int(nanosec)
+
+
+def _gaps(ordered_ns: NDArray[np.int64], periods_ns: NDArray[np.int64], median_ns: float) -> tuple[Gap, ...]:
+    if len(ordered_ns) < LEAST_STEADY_COUNT or median_ns <= 0:
+        return ()
+    is_steady = np.abs(periods_ns - median_ns) <= STEADY_RATIO * median_ns
+    if is_steady.mean() < STEADY_SHARE:
+        return ()
+    rows = np.flatnonzero(periods_ns > GAP_RATIO * median_ns)
+    return tuple(Gap(int(ordered_ns[row]), int(ordered_ns[row + 1]), int(periods_ns[row])) for row in rows)

@@ -1,0 +1,107 @@
+"""Points, times and rings out of a LiDAR cloud, whatever its driver calls them.
+
+**Conventions.** Points without a return are NaN or (0, 0, 0) and are dropped. A time field is recognised by its values:
+the unit is the one in which a cloud lasts between 1 ms and 1 s; it is absolute when the values are a date, relative to
+the header stamp otherwise. Names only nominate fields. Source: Hesai ROS 2.0, Nebula, Velodyne and Ouster drivers.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone_recordings.bags.errors import CloudLayoutError
+from stone_recordings.messages.point_kernel import pack_points, scaled, small_wholes, span
+
+NS_PER_S = 1_000_000_000
+TIME_NAMES = ("timestamp", "time_stamp", "time", "t", "offset_time", "timeStamp", "ts")
+RING_NAMES = ("ring", "channel", "laser_id", "line")
+LAST_RING = 1023
+# Nanoseconds per unit; a sweep of 1 to 1000 Hz lasts 1e6 to 1e9 ns, so at most one unit fits a spread of values.
+UNIT_NAMES = {NS_PER_S: "s", 1_000_000: "ms", 1_000: "µs", 1: "ns"}
+UNITS_NS = tuple(UNIT_NAMES)
+LEAST_SWEEP_NS, LAST_SWEEP_NS = 1e6, 1e9
+# Dates begin here (1973): no offset within a sweep is that long.
+FIRST_DATE_NS = 1e17
+# An absolute time further from the stamp than this is another clock's, and says nothing about this stamp.
+LAST_CLOCK_DISTANCE_NS = 5 * NS_PER_S
+
+
+@dataclass(frozen=True, eq=False)
+class LidarPoints:
+    """N returns: (N, 3) float32 metres in the LiDAR frame, and where the cloud says so when and by which laser.
+
+    `offset_ns` is relative to the header stamp; `time_meaning` says how it was read ("absolute s", "relative ns",
+    "none", "another clock"); `rows` (N,) are the records of the cloud that the returns are.
+    """
+
+    points_lidar: NDArray[np.float32]
+    offset_ns: NDArray[np.int64] | None
+    ring: NDArray[np.uint16] | None
+    time_meaning: str
+    rows: NDArray[np.int32]
+
+
+def resolve_points(points: NDArray[np.void], stamp_ns: int, *, with_ring: bool = True) -> LidarPoints:
+    """Raises: CloudLayoutError when there are no x, y, z of one floating type."""
+    names = points.dtype.names or ()
+    codes = {points.dtype[name].str for name in "xyz" if name in names}
+    if not set("xyz") <= set(names) or codes not in ({"<f4"}, {"<f8"}):
+        raise CloudLayoutError(f"x, y and z must be floats of one size, its fields are {', '.join(names)}"[:200])
+    xyz, kept = _packed(points)
+    offset_ns, meaning = _offsets(points, kept, stamp_ns)
+    return LidarPoints(xyz, offset_ns, _rings(points, kept) if with_ring else None, meaning, kept)
+
+
+def _packed(points: NDArray[np.void]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """The returns and their rows."""
+    xyz = np.empty((len(points), 3), np.float32)
+    kept = np.empty(len(points), np.int32)
+    count = pack_points((points["x"], points["y"], points["z"]), xyz, kept)
+    return xyz[:count], kept[:count]
+
+
+def _offsets(points: NDArray[np.void], kept: NDArray[np.int32], stamp_ns: int) -> tuple[NDArray[np.int64] | None, str]:
+    """The first nominated field whose values are times."""
+    meaning = "none"
+    for name in TIME_NAMES:
+        if name not in (points.dtype.names or ()) or points.dtype[name].kind not in "fiu" or not len(kept):
+            continue
+        offset_ns, meaning = offsets_from_values(points[name], kept, stamp_ns)
+        if offset_ns is not None:
+            return offset_ns, meaning
+    return None, meaning
+
+
+def offsets_from_values(
+    column: NDArray[Any], kept: NDArray[np.int32], stamp_ns: int
+) -> tuple[NDArray[np.int64] | None, str]:
+    """Offsets of `column[kept]` from the stamp in ns, and how they were read; None where they are no times."""
+    least, last = span(column, kept)
+    length = last - least
+    unit_ns = next((unit for unit in UNITS_NS if LEAST_SWEEP_NS < length * unit <= LAST_SWEEP_NS), None)
+    if unit_ns is None:
+        return None, "none"
+    unit, offset_ns = UNIT_NAMES[unit_ns], np.empty(len(kept), np.int64)
+    if abs(least) * unit_ns < FIRST_DATE_NS:
+        scaled(column, kept, 0.0, float(unit_ns), offset_ns)
+        return offset_ns, f"relative {unit}"
+    if abs(least * unit_ns - stamp_ns) > LAST_CLOCK_DISTANCE_NS:
+        return None, "another clock"
+    # Whole units of the stamp are taken off first: what is left keeps every digit that the field had.
+    whole, rest_ns = divmod(stamp_ns, unit_ns)
+    scaled(column, kept, float(whole), float(unit_ns), offset_ns)
+    offset_ns -= rest_ns
+    return offset_ns, f"absolute {unit}"
+
+
+def _rings(points: NDArray[np.void], kept: NDArray[np.int32]) -> NDArray[np.uint16] | None:
+    """The first nominated field that holds small whole numbers."""
+    for name in RING_NAMES:
+        if name not in (points.dtype.names or ()) or points.dtype[name].kind not in "fiu":
+            continue
+        values = np.empty(len(kept), np.uint16)
+        if small_wholes(points[name], kept, LAST_RING, values):
+            return values
+    return None

@@ -1,0 +1,99 @@
+"""sensor_msgs/msg/PointCloud2 as a structured view of its own bytes, checked before it is believed.
+
+**Conventions.** `points` has one record a point, in the order of the message, with the driver's field names; nothing
+is copied unless rows are padded. Offsets need not be aligned (Hesai: 26 bytes a point). Source: sensor_msgs (Humble).
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone_recordings.bags.errors import ByteOrderError, CloudLayoutError
+from stone_recordings.messages.lidar import LidarPoints, resolve_points
+from stone_recordings.messages.types.cdr import Cursor
+
+__all__ = ["Cloud", "LidarPoints", "decode_cloud", "lidar_points"]
+
+TYPE = "sensor_msgs/msg/PointCloud2"
+FORMATS = {1: "i1", 2: "u1", 3: "<i2", 4: "<u2", 5: "<i4", 6: "<u4", 7: "<f4", 8: "<f8"}
+# name length, terminator, offset, datatype, count: what a PointField takes at least.
+LEAST_FIELD_BYTES = 4 + 1 + 4 + 1 + 4
+FIELD_LIMIT = 256
+
+
+class _PointField(NamedTuple):
+    name: str
+    offset: int
+    datatype: int
+    length: int
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """One message: stamp, frame and N point records."""
+
+    stamp_ns: int
+    frame_id: str
+    points: NDArray[np.void]
+
+
+def decode_cloud(payload: memoryview) -> Cloud:
+    """The cloud as a view of `payload`.
+
+    Raises: MessageLayoutError, ByteOrderError (CDR or `is_bigendian`), CloudLayoutError (a field beyond point_step,
+    steps or data that contradict the size of the cloud).
+    """
+    cursor = Cursor(payload, TYPE)
+    stamp_ns, frame_id = cursor.stamp_ns(), cursor.text()
+    height, width = cursor.u32(), cursor.u32()
+    count = cursor.count(LEAST_FIELD_BYTES)
+    if count > FIELD_LIMIT:
+        raise CloudLayoutError(f"{count} fields are declared, the limit is {FIELD_LIMIT}")
+    fields = tuple(_PointField(cursor.text(), cursor.u32(), cursor.u8(), cursor.u32()) for _ in range(count))
+    is_bigendian = cursor.u8() != 0
+    point_step, row_step = cursor.u32(), cursor.u32()
+    data_bytes = cursor.count(1)
+    start = cursor.take(data_bytes)
+    if is_bigendian:
+        raise ByteOrderError(TYPE)
+    record = record_of(fields, point_step)
+    _check_steps(height, width, point_step, row_step, data_bytes)
+    view = np.ndarray((height, width), record, payload, start, (row_step, point_step))
+    return Cloud(stamp_ns, frame_id, view.reshape(height * width))
+
+
+def lidar_points(cloud: Cloud, *, with_ring: bool = True) -> LidarPoints:
+    """Finite, non-zero points with their time and, unless spared, ring; see `stone_recordings.messages.lidar`."""
+    return resolve_points(cloud.points, cloud.stamp_ns, with_ring=with_ring)
+
+
+@lru_cache(maxsize=64)
+def record_of(fields: tuple[_PointField, ...], point_step: int) -> np.dtype[np.void]:
+    """The numpy record of a point; fields named "" or "_…" are padding. Raises: CloudLayoutError."""
+    named = [field for field in fields if field.name.strip("_")]
+    if len({field.name for field in named}) != len(named):
+        raise CloudLayoutError(f"a field is declared twice: {', '.join(field.name for field in named)}"[:200])
+    formats: list[str] = []
+    for field in named:
+        if field.datatype not in FORMATS:
+            raise CloudLayoutError(f"field {field.name!r} has datatype {field.datatype}, known are 1 to 8")
+        code, count = FORMATS[field.datatype], max(1, field.length)
+        end = field.offset + np.dtype(code).itemsize * count
+        if end > point_step:
+            raise CloudLayoutError(f"field {field.name!r} ends at byte {end}, point_step is {point_step}")
+        formats.append(code if count == 1 else f"{count}{code}")
+    if point_step == 0 or point_step > 1 << 16:
+        raise CloudLayoutError(f"point_step is {point_step}, expected 1 to {1 << 16}")
+    names, offsets = [field.name for field in named], [field.offset for field in named]
+    return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": point_step})
+
+
+def _check_steps(height: int, width: int, point_step: int, row_step: int, data_bytes: int) -> None:
+    if row_step < width * point_step:
+        problem = f"row_step {row_step} holds no {width} points of {point_step} bytes ({width * point_step})"
+        raise CloudLayoutError(problem)
+    if data_bytes != height * row_step:
+        raise CloudLayoutError(f"{height} rows of {row_step} bytes are {height * row_step}, data has {data_bytes}")

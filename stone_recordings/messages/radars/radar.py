@@ -1,0 +1,45 @@
+"""Any radar message that is understood → detections, by the type of its topic.
+
+**Conventions.** `stone_recordings.messages.radars.detections` says what the columns mean. Scan i is message i.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from itertools import islice
+
+from stone_recordings.bags.errors import DefinitionMissingError
+from stone_recordings.messages.batch import StampedMessage
+from stone_recordings.messages.radars import ars548, cloud, continental, packets, scan
+from stone_recordings.messages.radars.detections import RadarDetections, joined
+
+__all__ = ["RADAR_TYPES", "RadarDetections", "decode_radar"]
+
+_DECODERS: dict[str, Callable[[Iterable[StampedMessage], str], RadarDetections]] = {
+    ars548.TYPE: ars548.decode_ars548,
+    continental.TYPE: continental.decode_continental,
+    scan.TYPE: scan.decode_radar_scan,
+    packets.TYPE: packets.decode_packets,
+    cloud.TYPE: lambda messages, _schema: cloud.decode_radar_cloud(messages),
+}
+# An ARS 548 list has 41,741 bytes, so this is some 21 MB.
+_PORTION = 512
+RADAR_TYPES = frozenset(_DECODERS)
+
+
+def decode_radar(topic_type: str, messages: Iterable[StampedMessage], schema: str = "") -> RadarDetections:
+    """`schema` is the definition that the recording embeds, "" for none.
+
+    Raises: DefinitionMissingError (no radar type), MessageLayoutError, ByteOrderError, CloudLayoutError, PacketError.
+    """
+    if topic_type not in _DECODERS:
+        raise DefinitionMissingError(topic_type, tuple(sorted(RADAR_TYPES)))
+    decode = _DECODERS[topic_type]
+    return joined([decode(some, schema) for some in _portions(messages)])
+
+
+def _portions(messages: Iterable[StampedMessage]) -> Iterator[list[StampedMessage]]:
+    """So many at once that whoever inflates chunks to get at them need not keep them all; an empty one where there
+    are none."""
+    remaining = iter(messages)
+    yield list(islice(remaining, _PORTION))
+    while some := list(islice(remaining, _PORTION)):
+        yield some

@@ -1,0 +1,57 @@
+"""tf2_msgs/msg/TFMessage: any number of transforms a message, sorted by pair of frames.
+
+**Conventions.** `parent_from_child` maps `child` to `parent` coordinates. Samples of a pair are in the order of the
+messages; pairs in order of their names. Source: tf2_msgs, geometry_msgs (Humble), REP 105.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.geometry.se3 import SE3
+from stone_recordings.messages.batch import StampedMessage, poses
+from stone_recordings.messages.types.cdr import NS_PER_S
+from stone_recordings.messages.types.columns import MessageTable
+from stone_recordings.messages.types.table import decode_table
+
+TYPE = "tf2_msgs/msg/TFMessage"
+
+
+@dataclass(frozen=True, eq=False)
+class TransformSamples:
+    """N transforms of one pair of frames."""
+
+    parent: str
+    child: str
+    stamps_ns: NDArray[np.int64]
+    parent_from_child: SE3
+
+
+def decode_transforms(messages: Iterable[StampedMessage]) -> tuple[TransformSamples, ...]:
+    """One value per (parent, child). Raises: MessageLayoutError, ByteOrderError, PoseValueError."""
+    table = decode_table(TYPE, messages)
+    stamps_ns = _numbers(table, "header.stamp.sec").astype(np.int64) * NS_PER_S
+    stamps_ns += _numbers(table, "header.stamp.nanosec")
+    translations = np.stack([_numbers(table, f"transform.translation.{axis}") for axis in "xyz"], axis=1)
+    rotations = np.stack([_numbers(table, f"transform.rotation.{axis}") for axis in "xyzw"], axis=1)
+    transforms = poses(translations, rotations, TYPE)
+    return tuple(
+        TransformSamples(*pair, stamps_ns[rows], transforms[np.array(rows)])
+        for pair, rows in sorted(_rows_of_pairs(table).items())
+    )
+
+
+def _numbers(table: MessageTable, name: str) -> NDArray[Any]:
+    """One value a transform, in the order of the messages."""
+    return table.ragged(f"transforms.{name}")[1]
+
+
+def _rows_of_pairs(table: MessageTable) -> dict[tuple[str, str], list[int]]:
+    parents, children = (table.ragged_texts(f"transforms.{name}")[1] for name in ("header.frame_id", "child_frame_id"))
+    rows: dict[tuple[str, str], list[int]] = {}
+    for row, pair in enumerate(zip(parents, children, strict=True)):
+        rows.setdefault(pair, []).append(row)
+    return rows

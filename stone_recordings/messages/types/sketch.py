@@ -1,0 +1,129 @@
+"""The byte layout of one payload: where each field lies, with every length checked.
+
+**Conventions.** Offsets are bytes from the start of the payload, encapsulation included. Elements of numbers lie in
+strides; because CDR aligns from the body's start, the first elements of a sequence can be laid out otherwise than the
+rest: such a sequence becomes several runs. Whatever holds text or sequences is walked element by element.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from stone_recordings.bags.errors import MessageLayoutError
+from stone_recordings.messages.types.cdr import HEAD_BYTES, Cursor
+from stone_recordings.messages.types.plan import Leaf, Node, Repeat, TextNode
+
+# Elements that hold text or sequences are walked one by one: more of them than any real message has are refused.
+MOST_WALKED = 100_000
+
+
+class ElementRun(NamedTuple):
+    """Elements first, first + step, … (`elements` of them) of one repetition, `stride` bytes apart."""
+
+    first: int
+    step: int
+    elements: int
+    stride: int
+
+
+class PayloadPiece(NamedTuple):
+    """One leaf or text (`text_bytes` of it): the elements that enclose it (outermost first), then a run of them.
+
+    `run` is None where the last enclosing repetition, if any, is in `above` already.
+    """
+
+    node: Leaf | TextNode
+    above: tuple[int, ...]
+    offset: int
+    run: ElementRun | None = None
+    text_bytes: int = 0
+
+
+@dataclass
+class Sketch:
+    """`counts` holds, for every repetition of unknown length, how many elements it has in which enclosing elements;
+    `lengths` are the offsets of all words that this layout depends on."""
+
+    pieces: list[PayloadPiece] = field(default_factory=list)
+    counts: dict[str, list[tuple[tuple[int, ...], int]]] = field(default_factory=dict)
+    lengths: list[int] = field(default_factory=list)
+
+
+def sketched(payload: memoryview, plan: Sequence[Node], type_name: str) -> Sketch:
+    """Raises: MessageLayoutError (fields end beyond or well before the payload's end), ByteOrderError."""
+    cursor = Cursor(payload, type_name)
+    pen = _Pen(cursor)
+    pen.draw(plan, ())
+    cursor.end()
+    return pen.sketch
+
+
+class _Pen:
+    def __init__(self, cursor: Cursor) -> None:
+        self.cursor, self.sketch, self._walked = cursor, Sketch(), 0
+
+    def draw(self, nodes: Sequence[Node], above: tuple[int, ...]) -> None:
+        for node in nodes:
+            if isinstance(node, Leaf):
+                at = self.cursor.take(node.size_bytes, node.code.itemsize)
+                self.sketch.pieces.append(PayloadPiece(node, above, at))
+            elif isinstance(node, TextNode):
+                place, size = self.cursor.length()
+                self.sketch.lengths.append(place)
+                self.sketch.pieces.append(PayloadPiece(node, above, self.cursor.take(size), None, size))
+            else:
+                self._repeat(node, above)
+
+    def _repeat(self, node: Repeat, above: tuple[int, ...]) -> None:
+        count = node.length
+        if count is None:
+            place, count = self.cursor.length()
+            self.sketch.lengths.append(place)
+        self.cursor.bounded(count, node.least_bytes)
+        self.sketch.counts.setdefault(node.name, []).append((above, count))
+        if node.is_flat:
+            self._flat(node, above, count)
+            return
+        self._walked += count
+        if self._walked > MOST_WALKED:
+            problem = f"{node.name} has {count} elements of varying size, {MOST_WALKED} are read"
+            raise MessageLayoutError(self.cursor.type_name, problem)
+        for index in range(count):
+            self.draw(node.element, (*above, index))
+
+    def _flat(self, node: Repeat, above: tuple[int, ...], count: int) -> None:
+        for run, offsets in self._runs(node, count):
+            for leaf, offset in zip(node.leaves, offsets, strict=True):
+                self.sketch.pieces.append(PayloadPiece(leaf, above, offset, run))
+
+    def _runs(self, node: Repeat, count: int) -> Iterator[tuple[ElementRun, list[int]]]:
+        """Elements one by one until one begins as an earlier one did; from there on they repeat."""
+        seen: dict[int, int] = {}
+        begun: list[list[int]] = []
+        for index in range(count):
+            offsets = [self.cursor.take(leaf.size_bytes, leaf.code.itemsize) for leaf in node.leaves]
+            phase = (offsets[0] - HEAD_BYTES) % node.alignment
+            if phase in seen:
+                yield from self._cycle(node, begun, (seen[phase], index, offsets[0]), count)
+                return
+            seen[phase] = index
+            begun.append(offsets)
+        yield from ((ElementRun(place, 1, 1, 0), offsets) for place, offsets in enumerate(begun))
+
+    def _cycle(
+        self, node: Repeat, begun: list[list[int]], again: tuple[int, int, int], count: int
+    ) -> Iterator[tuple[ElementRun, list[int]]]:
+        """Elements before the cycle by themselves, then one run for each that the cycle has.
+
+        `again` is the element with which it begins, the one with which it begins again, and that one's offset.
+        """
+        first, index, offset = again
+        step, stride = index - first, offset - begun[first][0]
+        last = node.leaves[-1].size_bytes
+        end = self.cursor.at
+        yield from ((ElementRun(place, 1, 1, 0), offsets) for place, offsets in enumerate(begun[:first]))
+        for place, offsets in enumerate(begun[first:], first):
+            elements = (count - place + step - 1) // step
+            yield ElementRun(place, step, elements, stride), offsets
+            end = max(end, offsets[-1] + last + (elements - 1) * stride)
+        self.cursor.take(end - self.cursor.at)

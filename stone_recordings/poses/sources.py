@@ -1,0 +1,101 @@
+"""The ego trajectory from whatever the recording has: odometry or TF here, an INS in `ins_poses`.
+
+**Conventions.** The result is `map_from_ego`; `map` is the source's own fixed frame. A source that reports the pose of
+another frame than the ego's is carried over by the mounts: over the LiDAR where tf_static ties it to that frame, so
+that the LiDAR's path is the one the source measured, whatever the two say about the base.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.findings import Finding
+from stone.geometry.se3 import SE3
+from stone.geometry.trajectory import Trajectory
+from stone.sensors.calibration import Calibration
+from stone.sensors.pose_quality import SolutionQuality
+from stone_recordings.messages.batch import StampedMessage
+from stone_recordings.messages.odometry import decode_odometry
+from stone_recordings.messages.tf import TransformSamples, decode_transforms
+from stone_recordings.poses.extrinsics import BASE_FRAMES, plain
+from stone_recordings.poses.static_tree import StaticTree
+from stone_recordings.sync.errors import NoPoseSourceError, NoUsablePoseError
+from stone_recordings.sync.recorded_messages import in_order
+
+FIXED_FRAMES = ("odom", "map", "world")
+
+
+@dataclass(frozen=True, eq=False)
+class PoseTrack:
+    """Where the robot was, by which `source` of which `topic`; `solution` is the quality of each pose where it is told.
+
+    `is_smooth` says that the source knows how the robot moved between its samples, and filtered them so (an INS).
+    `map_origin_deg_m` is latitude, longitude, height of the map's origin where there is one.
+    """
+
+    trajectory: Trajectory
+    source: str
+    topic: str
+    findings: tuple[Finding, ...] = ()
+    map_origin_deg_m: tuple[float, float, float] | None = None
+    solution: SolutionQuality | None = None
+    is_smooth: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class RigMounts:
+    """The mounts by calibration and by tf_static, and the frame the sweeps are in."""
+
+    calibration: Calibration
+    tree: StaticTree
+    lidar_frame: str
+
+
+def track_from_odometry(messages: Iterable[StampedMessage], topic: str, rig: RigMounts) -> PoseTrack:
+    """Raises NoUsablePoseError and what `decode_odometry` raises."""
+    samples = decode_odometry(messages)
+    source = f"{topic} ({samples.frame_id} to {samples.child_frame_id}, nav_msgs/msg/Odometry)"
+    return _track((source, topic), samples.child_frame_id, (samples.stamps_ns, samples.parent_from_child), rig)
+
+
+def track_from_tf(messages: Iterable[StampedMessage], topic: str, rig: RigMounts) -> PoseTrack:
+    """The robot's base, or its LiDAR, in odom, map or world, in that order.
+
+    Raises NoPoseSourceError when no such pair is published, and what `decode_transforms` raises.
+    """
+    samples = decode_transforms(messages)
+    wanted = [(fixed, child) for fixed in FIXED_FRAMES for child in (*BASE_FRAMES, rig.lidar_frame)]
+    found = {(plain(pair.parent), plain(pair.child)): pair for pair in samples}
+    chosen: TransformSamples | None = next((found[pair] for pair in wanted if pair in found), None)
+    if chosen is None:
+        raise NoPoseSourceError([f"{topic} {pair.parent} to {pair.child}" for pair in samples])
+    source = f"{topic} ({chosen.parent} to {chosen.child}, tf2_msgs/msg/TFMessage)"
+    return _track((source, topic), chosen.child, (chosen.stamps_ns, chosen.parent_from_child), rig)
+
+
+def child_from_ego(child: str, rig: RigMounts) -> tuple[SE3, tuple[Finding, ...]]:
+    """The fixed step from the frame a source speaks of to the ego frame; a warning where it had to be assumed."""
+    calibration, frame = rig.calibration, plain(child)
+    lidar_from_ego = calibration.ego_from_lidar.inverse()
+    if rig.lidar_frame and (child_from_lidar := rig.tree.transform(frame, rig.lidar_frame)) is not None:
+        return child_from_lidar @ lidar_from_ego, ()
+    for mount in calibration.mounts:
+        if frame and frame == plain(mount.frame_id):
+            return mount.lidar_from_sensor.inverse() @ lidar_from_ego, ()
+    if frame in BASE_FRAMES:
+        return SE3.identity(), ()
+    sentence = f"neither the calibration nor tf_static knows its frame {child!r}; it is taken for the ego frame"
+    return SE3.identity(), (Finding("CAL-405", "warning", child, sentence),)
+
+
+def _track(named: tuple[str, str], child: str, samples: tuple[NDArray[np.int64], SE3], rig: RigMounts) -> PoseTrack:
+    source, topic = named
+    stamps_ns, fixed_from_child = samples
+    if not len(stamps_ns):
+        raise NoUsablePoseError(source, 0, "no message")
+    ordered = in_order(source, stamps_ns)
+    step, findings = child_from_ego(child, rig)
+    trajectory = Trajectory(ordered.stamps_ns, fixed_from_child[ordered.index] @ step)
+    return PoseTrack(trajectory, source, topic, ordered.findings + findings)

@@ -1,0 +1,45 @@
+"""Fixed transforms between named frames, and the way from one to another."""
+
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from stone.geometry.se3 import SE3
+
+
+@dataclass(frozen=True, eq=False)
+class StaticTree:
+    """`edges[(dst, src)]` is `dst_from_src`, given both ways round; `down` are the pairs as (parent, child)."""
+
+    edges: dict[tuple[str, str], SE3]
+    down: frozenset[tuple[str, str]] = frozenset()
+
+    @staticmethod
+    def of(given: Iterable[tuple[str, str, SE3]]) -> "StaticTree":
+        """From (parent, child, parent_from_child); the last one of a pair counts."""
+        edges: dict[tuple[str, str], SE3] = {}
+        down = set[tuple[str, str]]()
+        for parent, child, parent_from_child in given:
+            edges[(parent, child)] = parent_from_child
+            edges[(child, parent)] = parent_from_child.inverse()
+            down = (down - {(child, parent)}) | {(parent, child)}
+        return StaticTree(edges, frozenset(down))
+
+    def is_down(self, parent: str, child: str) -> bool:
+        return (parent, child) in self.down
+
+    def transform(self, dst: str, src: str) -> SE3 | None:
+        """`dst_from_src` along the shortest path, or None where the frames are not connected."""
+        near: dict[str, list[str]] = {}
+        for frame, far in self.edges:
+            near.setdefault(frame, []).append(far)
+        seen, waiting = {dst}, deque([(dst, SE3.identity())])
+        while waiting:
+            frame, dst_from_frame = waiting.popleft()
+            if frame == src:
+                return dst_from_frame
+            for far in near.get(frame, []):
+                if far not in seen:
+                    seen.add(far)
+                    waiting.append((far, dst_from_frame @ self.edges[(frame, far)]))
+        return None

@@ -1,0 +1,147 @@
+"""Inspection of a recording without decoding it: topics, roles, rates, gaps, and findings about them.
+
+**Conventions.** Stamps are header stamps where a type has them (`stone_recordings.clocks.timing`). Of a cloud topic one
+cloud is viewed, of a NovAtel topic all messages are (they are small). A topic that cannot be read is a finding,
+not a failure; a container that cannot be read is refused.
+"""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from stone.errors import StoneError
+from stone.findings import Finding
+from stone_recordings.bags.bag import Bag, Topic, open_bag
+from stone_recordings.clocks.findings import clock_findings
+from stone_recordings.clocks.measurement import kept_bytes, measured
+from stone_recordings.clocks.report import ClockReport
+from stone_recordings.clocks.timing import Timing, measure
+from stone_recordings.messages.pointcloud2 import decode_cloud
+from stone_recordings.messages.types.cdr import Cursor
+from stone_recordings.messages.types.definition_checks import definition_findings
+from stone_recordings.report import checks
+from stone_recordings.report.scan import Scan, scan_of
+from stone_recordings.topics.profiles import Assignment, Candidate, TopicProfile, resolve
+from stone_recordings.topics.roles import POINT_CLOUD, Role, TopicFacts, role_of
+
+MOST_FRAMES = 64
+NO_STAMPS = np.zeros(0, np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class InspectedTopic:
+    """One topic and when its messages were taken."""
+
+    topic: Topic
+    role: Role
+    timing: Timing
+
+    def as_record(self) -> dict[str, object]:
+        rate_hz = self.timing.rate_hz
+        return {
+            "name": self.topic.name,
+            "type": self.topic.type,
+            "count": self.topic.count,
+            "role": self.role,
+            "rate_hz": None if rate_hz is None else round(rate_hz, 3),
+            "gaps": [gap.as_record() for gap in self.timing.gaps],
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Inspection:
+    """What `stone inspect` prints; `duration_ns` is from the first to the last message in log time."""
+
+    duration_ns: int
+    topics: tuple[InspectedTopic, ...]
+    findings: tuple[Finding, ...]
+    clocks: ClockReport = field(default_factory=ClockReport)
+    candidates: tuple[Candidate, ...] = ()
+    assignment: Assignment = field(default_factory=Assignment)
+
+    def as_record(self) -> dict[str, object]:
+        return {
+            "duration_ns": self.duration_ns,
+            "topics": [topic.as_record() for topic in self.topics],
+            "findings": [finding.as_record() for finding in self.findings],
+            "clocks": self.clocks.as_record(),
+            "channels": dict(self.assignment.channels),
+        }
+
+
+def inspect(path: Path, profile: TopicProfile | None = None) -> Inspection:
+    """`profile` chooses between topics that fit one role.
+
+    Raises: FileNotFoundError and the `BAG-*` refusals of `open_bag`.
+    """
+    with open_bag(path) as bag:
+        return inspect_in(bag, profile)
+
+
+def inspect_in(bag: Bag, profile: TopicProfile | None = None) -> Inspection:
+    """As `inspect`, of the recording that the caller has open. Raises as it does, but for opening."""
+    scan = scan_of(bag, kept_bytes)
+    findings: list[Finding] = [*checks.container_findings(bag), *definition_findings(bag.topics)]
+    topics = tuple(_inspected(bag, topic, scan, findings) for topic in bag.topics)
+    by_role = [(topic.topic, topic.role, topic.timing) for topic in topics]
+    candidates = _candidates(bag, topics)
+    assignment = resolve(candidates, profile or TopicProfile())
+    findings += assignment.findings
+    clocks = measured(bag, scan, by_role)
+    findings += clock_findings(by_role, clocks)
+    duration_ns = bag.end_ns - bag.start_ns
+    return Inspection(duration_ns, topics, tuple(findings), clocks.report, candidates, assignment)
+
+
+def _inspected(bag: Bag, topic: Topic, scan: Scan, findings: list[Finding]) -> InspectedTopic:
+    """A topic that lies is timed by the recorder's clock, and named for its lie."""
+    stamps_ns = scan.stamps_ns.get(topic.name, NO_STAMPS)
+    has_header = bool(stamps_ns.any())
+    timing = measure(stamps_ns if has_header else bag.log_times_ns(topic.name), has_header)
+    facts = TopicFacts(topic.name, topic.type, timing.rate_hz)
+    try:
+        if topic.name in scan.refused:
+            raise scan.refused[topic.name]
+        if topic.type == POINT_CLOUD and topic.encoding == "cdr" and topic.count:
+            facts = _cloud_facts(bag, facts, topic, findings)
+    except StoneError as error:
+        findings.append(Finding(error.code, "error", topic.name, str(error)))
+    return InspectedTopic(topic, role_of(facts), timing)
+
+
+def _cloud_facts(bag: Bag, facts: TopicFacts, topic: Topic, findings: list[Finding]) -> TopicFacts:
+    """What one cloud, of the middle of the recording, adds."""
+    cloud = decode_cloud(bag.message(topic.name, topic.count // 2).payload)
+    fields = frozenset(cloud.points.dtype.names or ())
+    known = replace(facts, point_fields=fields, point_count=len(cloud.points))
+    if role_of(known) == "lidar":
+        findings += checks.cloud_findings(topic, cloud)
+    return known
+
+
+def _candidates(bag: Bag, topics: tuple[InspectedTopic, ...]) -> tuple[Candidate, ...]:
+    """Of cameras and radars the frame of the first message tells where they sit; no robot has more than are asked."""
+    placed = [topic.topic for topic in topics if topic.role in ("camera", "radar") and topic.topic.count]
+    frame_ids = {topic.name: _frame_id(bag, topic) for topic in placed[:MOST_FRAMES]}
+    return tuple(
+        Candidate(
+            part.topic.name,
+            part.topic.type,
+            part.role,
+            part.topic.count,
+            part.timing.rate_hz,
+            frame_ids.get(part.topic.name, ""),
+        )
+        for part in topics
+    )
+
+
+def _frame_id(bag: Bag, topic: Topic) -> str:
+    """ "" for a message that cannot be read, which the scan has named already."""
+    try:
+        cursor = Cursor(bag.message(topic.name, 0).payload, topic.type)
+        cursor.stamp_ns()
+        return cursor.text()
+    except StoneError:
+        return ""

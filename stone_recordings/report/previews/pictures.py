@@ -1,0 +1,25 @@
+"""The previews of a recording, by name: the first thing an engineer sees of it."""
+
+from collections.abc import Iterator
+
+from stone_recordings.bags.bag import Bag
+from stone_recordings.report.inspection import Inspection
+from stone_recordings.report.previews.camera_strip import camera_strip
+from stone_recordings.report.previews.sweep_view import sweep_view
+from stone_recordings.report.previews.track import track_of
+from stone_recordings.report.previews.track_view import track_view
+
+CAMERAS, SWEEP, TRACK = "cameras.jpg", "sweep.png", "track.png"
+
+
+def previews_of(bag: Bag, inspection: Inspection) -> Iterator[tuple[str, str, bytes]]:
+    """(name, media type, bytes) of those the recording has something for, in the order of their names.
+
+    A few messages are read whatever the recording's length, and one picture is in memory at a time.
+    """
+    if (strip := camera_strip(bag, inspection)) is not None:
+        yield CAMERAS, "image/jpeg", strip
+    if (sweep := sweep_view(bag, inspection)) is not None:
+        yield SWEEP, "image/png", sweep
+    if (track := track_of(bag, inspection)) is not None:
+        yield TRACK, "image/png", track_view(track)

@@ -1,0 +1,89 @@
+"""The templates of the quality page: they escape everything, so that a topic's name is never markup.
+
+**Conventions.** Names come from recordings and are hostile: control and direction characters are spelled out, long ones
+lose their middle, and each stands in a `<bdi>` of its own. What a template says passes through `plain` even where it
+does not ask for it.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup, escape
+
+LONGEST_NAME, LONGEST_SENTENCE = 80, 600
+DASH = "–"
+TEMPLATES = Path(__file__).parent / "templates"
+
+
+@dataclass(frozen=True)
+class HtmlTable:
+    """`columns` head it; the first cell of a row heads the row, `numeric` columns (by place) are right-aligned.
+
+    Cells are text, or HTML where they are `Markup`.
+    """
+
+    caption: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    numeric: frozenset[int] = frozenset()
+
+
+@dataclass(frozen=True)
+class DrawnFigure:
+    """A picture (SVG or `<img>`) with what it shows in words; `legend` is (class of the swatch, label) of its lines."""
+
+    title: str
+    picture: Markup
+    told: str
+    legend: tuple[tuple[str, str], ...] = ()
+    table: HtmlTable | None = None
+
+
+def plain(words: str, longest: int) -> str:
+    """One line that sends nothing: what does not print is spelled out, what is too long loses its middle."""
+    if len(words) > longest:
+        words = f"{words[: longest // 2]}…{words[-(longest // 2) :]}"
+    return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in words)
+
+
+def text(words: str, longest: int = LONGEST_SENTENCE) -> Markup:
+    """Somebody's words as HTML text or attribute value."""
+    return escape(plain(words, longest))
+
+
+def name(words: str) -> Markup:
+    """A topic's or file's name."""
+    return Markup('<bdi class="name">{}</bdi>').format(text(words, LONGEST_NAME))
+
+
+def number(value: float | int | None, digits: int = 1) -> Markup:
+    """With thousands apart, by a thin space that `plain` would spell out; a dash for None."""
+    if value is None:
+        return Markup(DASH)
+    return Markup(f"{round(value, digits) + 0.0:,.{digits}f}".replace(",", "\u202f"))
+
+
+def percent(ratio: float | None, digits: int = 1) -> str:
+    return DASH if ratio is None else f"{100 * ratio:.{digits}f} %"
+
+
+def rendered(template: str, **values: object) -> str:
+    """The template with the values in it."""
+    return _TEMPLATES.get_template(template).render(**values)
+
+
+def _said(value: object) -> object:
+    """What an expression of a template puts into the page."""
+    return plain(value, LONGEST_SENTENCE) if isinstance(value, str) and not isinstance(value, Markup) else value
+
+
+_TEMPLATES = Environment(
+    loader=FileSystemLoader(TEMPLATES),
+    autoescape=True,
+    undefined=StrictUndefined,
+    finalize=_said,
+    trim_blocks=True,
+    lstrip_blocks=True,
+)
+_TEMPLATES.filters |= {"name": name, "number": number, "percent": percent}

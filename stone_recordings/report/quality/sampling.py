@@ -1,0 +1,124 @@
+"""Sampling of messages for quality measurements: the same instants from every topic.
+
+**Conventions.** `at_ns` is log time since the recording's start. Instants divide the recording evenly. About 1 % of a
+topic's messages are looked at, within the bounds of its kind: 16 to 32 of those that take milliseconds each, a few
+hundred of the small ones. A message that lies is left out and counted, and its topic named for it.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from stone.errors import StoneError
+from stone.findings import Finding
+from stone_recordings.bags.bag import Bag, Topic
+
+# A power of two, so that the instants of fewer samples are among those of more.
+INSTANTS = 512
+SAMPLED_SHARE = 0.01
+
+
+@dataclass(frozen=True)
+class Effort:
+    """The fewest and the most samples of a topic, powers of two up to `INSTANTS`."""
+
+    least: int
+    most: int
+
+
+HEAVY, LIGHT, TINY = Effort(16, 32), Effort(128, 128), Effort(INSTANTS, INSTANTS)
+
+
+@dataclass(frozen=True)
+class TopicSampling:
+    """`see` is shown (at_ns, payload) of sampled messages of `topic`; it may refuse one by raising a StoneError.
+
+    A payload is valid during the call only as far as memory goes: whoever keeps it keeps its chunk.
+    """
+
+    topic: Topic
+    see: Callable[[int, memoryview], None]
+    effort: Effort
+
+
+@dataclass(frozen=True)
+class RecordingSpan:
+    """Log times of the first and the last message of a recording; asked once, since it takes a look at every topic."""
+
+    start_ns: int
+    length_ns: int
+
+
+def span_of(bag: Bag) -> RecordingSpan:
+    start_ns = bag.start_ns
+    return RecordingSpan(start_ns, bag.end_ns - start_ns)
+
+
+@dataclass
+class _Refusals:
+    """Of one topic: how many samples were taken and which were refused, by code, with the first sentence of each."""
+
+    taken: int = 0
+    counts: Counter[str] = field(default_factory=Counter)
+    sentences: dict[str, str] = field(default_factory=dict)
+
+    def add(self, error: StoneError | None) -> None:
+        self.taken += 1
+        if error is not None:
+            self.counts[error.code] += 1
+            self.sentences.setdefault(error.code, str(error))
+
+
+def sample(bag: Bag, looks: Sequence[TopicSampling]) -> tuple[Finding, ...]:
+    """Show every look its samples, in log order; what was refused is returned, one finding per topic and code."""
+    span = span_of(bag)
+    wanted = [_indices(bag, look, span) for look in looks]
+    refusals = [_Refusals() for _ in looks]
+    for instant in range(INSTANTS):
+        for look, indices, refused in zip(looks, wanted, refusals, strict=True):
+            if instant in indices:
+                refused.add(_show(bag, look, indices[instant], span.start_ns))
+    return tuple(_findings(looks, refusals))
+
+
+def _indices(bag: Bag, look: TopicSampling, span: RecordingSpan) -> dict[int, int]:
+    """Which message of the topic is shown at which instant; none twice, all of a topic that has few."""
+    times_ns = bag.log_times_ns(look.topic.name)
+    count = len(times_ns)
+    if not count:
+        return {}
+    samples = _samples(count, look.effort)
+    if count <= samples:
+        return {index * INSTANTS // count: index for index in range(count)}
+    instants = np.arange(INSTANTS // samples // 2, INSTANTS, INSTANTS // samples)
+    asked_ns = span.start_ns + ((2 * instants + 1) * (max(1, span.length_ns) / (2 * INSTANTS))).astype(np.int64)
+    found = np.minimum(np.searchsorted(times_ns, asked_ns), count - 1)
+    _distinct, first = np.unique(found, return_index=True)
+    return {int(instants[row]): int(found[row]) for row in first}
+
+
+def _samples(count: int, effort: Effort) -> int:
+    samples = effort.least
+    while samples < min(effort.most, count * SAMPLED_SHARE):
+        samples *= 2
+    return samples
+
+
+def _show(bag: Bag, look: TopicSampling, index: int, start_ns: int) -> StoneError | None:
+    """Why the message was refused, if it was."""
+    try:
+        message = bag.message(look.topic.name, index)
+        look.see(message.log_time_ns - start_ns, message.payload)
+    except StoneError as error:
+        return error
+    return None
+
+
+def _findings(looks: Sequence[TopicSampling], refusals: Sequence[_Refusals]) -> Iterator[Finding]:
+    for look, refused in zip(looks, refusals, strict=True):
+        is_lost = refused.counts.total() == refused.taken
+        for code, count in sorted(refused.counts.items()):
+            said = f"{count} of {refused.taken} sampled messages are left out: {refused.sentences[code]}"
+            yield Finding(code, "error" if is_lost else "warning", look.topic.name, said)

@@ -1,0 +1,51 @@
+"""The page's first words: the score and its verdict, the pictures, and the findings.
+
+**Conventions.** The words for a score are as the thresholds in `VERDICTS` say.
+"""
+
+from base64 import b64encode
+from collections.abc import Iterator, Sequence
+
+from markupsafe import Markup
+
+from stone.findings import Finding
+from stone_recordings.report.quality.markup import DrawnFigure
+
+# From this score on: the class of the ring, and the word.
+VERDICTS = (
+    (90, "good", "Good"),
+    (70, "usable", "Usable: look at what it lost"),
+    (0, "poor", "Poor: labels will suffer"),
+)
+SEVERITIES = ("error", "warning", "info")
+WIDE = "cameras.jpg"
+TOLD = {
+    WIDE: ("What the cameras saw", "One picture of each camera from the middle of the recording."),
+    "sweep.png": ("One sweep from above", "The LiDAR's sweep in the middle of the recording, coloured by height."),
+    "track.png": ("Where the robot went", "The track of the recording's own positions, seen from above."),
+}
+Picture = tuple[str, str, bytes]
+
+
+def verdict_of(score: int) -> tuple[str, str]:
+    """The class of the ring, and the word."""
+    return next((tone, word) for least, tone, word in VERDICTS if score >= least)
+
+
+def pictures_section(pictures: Sequence[Picture]) -> dict[str, list[DrawnFigure]]:
+    """The previews of the recording, inside the page: those over its whole width, and the others."""
+    shown = {"wide": list(_figures(pictures, is_wide=True)), "others": list(_figures(pictures, is_wide=False))}
+    return shown if any(shown.values()) else {}
+
+
+def ordered(findings: Sequence[Finding]) -> list[Finding]:
+    """Errors first."""
+    return sorted(findings, key=lambda finding: SEVERITIES.index(finding.severity))
+
+
+def _figures(pictures: Sequence[Picture], *, is_wide: bool) -> Iterator[DrawnFigure]:
+    for file_name, media_type, content in pictures:
+        if file_name in TOLD and (file_name == WIDE) == is_wide:
+            title, told = TOLD[file_name]
+            source = f"data:{media_type};base64,{b64encode(content).decode()}"
+            yield DrawnFigure(title, Markup('<img src="{}" alt="">').format(source), told)

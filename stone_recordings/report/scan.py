@@ -1,0 +1,79 @@
+"""One pass over the messages of a recording: header stamps, and copies of selected small messages.
+
+**Conventions.** Storage order, so each chunk is inflated once. A topic whose messages lie is remembered with its
+refusal and left out of the rest of the pass; damage of the container itself is raised. Of a topic that is looked at,
+at most `MOST_KEPT` messages in its middle are copied, and of all together at most `MOST_KEPT_BYTES`, shared alike:
+memory does not grow with the recording.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone_recordings.bags.bag import Bag, Topic
+from stone_recordings.bags.errors import ByteOrderError, MessageLayoutError
+from stone_recordings.clocks.timing import begins_with_header, stamp_of
+
+# Three minutes of a 200 Hz IMU, half an hour of a 20 Hz receiver.
+MOST_KEPT = 36_000
+MOST_KEPT_BYTES = 48 * 2**20
+
+
+@dataclass(frozen=True, slots=True)
+class KeptMessage:
+    payload: memoryview
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """By topic: header stamps (N,) in log order, kept messages in log order, or why the topic was given up.
+
+    `kept_from` is the index in the topic of its first kept message.
+    """
+
+    stamps_ns: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
+    kept: Mapping[str, list[KeptMessage]] = field(default_factory=dict)
+    kept_from: Mapping[str, int] = field(default_factory=dict)
+    refused: Mapping[str, ByteOrderError | MessageLayoutError] = field(default_factory=dict)
+
+
+def scan_of(bag: Bag, kept_bytes: Callable[[Topic], int]) -> Scan:
+    """`kept_bytes` says how much of a topic's messages to copy, 0 for nothing.
+
+    Touches a page per message, never a whole cloud. Raises: the `BAG-*` refusals.
+    """
+    stamped = {topic.name: topic for topic in bag.topics if topic.encoding == "cdr" and begins_with_header(topic)}
+    stamps_ns = {name: np.zeros(topic.count, np.int64) for name, topic in stamped.items()}
+    copied = {name: size for name, topic in stamped.items() if (size := kept_bytes(topic))}
+    windows = {name: _middle(stamped[name].count, MOST_KEPT_BYTES // len(copied) // copied[name]) for name in copied}
+    kept = {name: [b""] * len(window) for name, window in windows.items()}
+    refused: dict[str, ByteOrderError | MessageLayoutError] = {}
+    for name, index, payload in bag.heads(tuple(stamped)):
+        if name in refused:
+            continue
+        try:
+            stamps_ns[name][index] = stamp_of(payload, stamped[name].type)
+        except (ByteOrderError, MessageLayoutError) as error:
+            refused[name] = error
+            continue
+        if name in kept and index in windows[name]:
+            kept[name][index - windows[name].start] = bytes(payload[: copied[name]])
+    return Scan(
+        {name: stamps for name, stamps in stamps_ns.items() if name not in refused},
+        {name: _messages(payloads) for name, payloads in kept.items() if name not in refused},
+        {name: window.start for name, window in windows.items()},
+        refused,
+    )
+
+
+def _middle(count: int, most: int) -> range:
+    """The indices that are kept."""
+    most = min(most, MOST_KEPT)
+    first = max(0, (count - most) // 2)
+    return range(first, min(count, first + most))
+
+
+def _messages(payloads: list[bytes]) -> list[KeptMessage]:
+    return [KeptMessage(memoryview(payload)) for payload in payloads]

@@ -1,0 +1,85 @@
+"""Why a recording cannot be synchronised: no LiDAR, no pose source, or no time in which both speak.
+
+**Conventions.** TOP-1xx is about which topics there are, SYN-5xx about what they amount to together. Each sentence says
+what was found and what to do.
+"""
+
+from collections.abc import Sequence
+
+from stone.errors import StoneError
+
+SHOWN = 6
+
+
+def listed(names: Sequence[str]) -> str:
+    """The first names, and how many more."""
+    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    return (", ".join(names[:SHOWN]) + more) or "none"
+
+
+class NoLidarError(StoneError):
+    """No topic holds the sweeps of a LiDAR."""
+
+    code = "TOP-101"
+
+    def __init__(self, packets: Sequence[str]) -> None:
+        cause = (
+            f"{listed(packets)} holds raw packets (record the driver's point cloud: send_point_cloud_ros)"
+            if packets
+            else "name its topic with --lidar if a cloud was taken for a radar's"
+        )
+        super().__init__(f"no LiDAR sensor_msgs/msg/PointCloud2 was recorded; {cause}")
+
+
+class WrongTopicError(StoneError):
+    """The topic that was asked for has no messages, or none of a type that can serve."""
+
+    code = "TOP-104"
+
+    def __init__(self, topic: str, found: str, expected: str) -> None:
+        super().__init__(f"topic {topic!r} {found}; expected {expected}")
+
+
+class AmbiguousTopicsError(StoneError):
+    """Several topics fit one role and nothing says which is meant."""
+
+    code = "TOP-110"
+
+    def __init__(self, role: str, topics: Sequence[str], option: str) -> None:
+        super().__init__(f"{len(topics)} topics fit the role {role}: {listed(topics)}; choose one with {option}")
+
+
+class NoPoseSourceError(StoneError):
+    """Nothing in the recording says where the robot was."""
+
+    code = "SYN-502"
+
+    def __init__(self, found: Sequence[str]) -> None:
+        super().__init__(
+            "no pose source: no NovAtel INSPVA(X), no nav_msgs/msg/Odometry, and no /tf from odom, map or world to the "
+            f"robot (found: {listed(found)}); record one, or have the sweeps tell: --odometry kiss-icp"
+        )
+
+
+class NoUsablePoseError(StoneError):
+    """There is a pose source, but none of its samples is a pose."""
+
+    code = "SYN-503"
+
+    def __init__(self, source: str, count: int, why: str) -> None:
+        super().__init__(
+            f"{source}: none of its {count} samples is usable ({why}); was it initialised while recording?"
+        )
+
+
+class NoPosedFramesError(StoneError):
+    """No LiDAR stamp has a pose."""
+
+    code = "SYN-501"
+
+    def __init__(self, reasons: str, lidar_s: tuple[float, float], poses_s: tuple[float, float]) -> None:
+        super().__init__(
+            f"no sweep is usable ({reasons}): LiDAR stamps run from {lidar_s[0]:.3f} to {lidar_s[1]:.3f} s, poses from "
+            f"{poses_s[0]:.3f} to {poses_s[1]:.3f} s, {lidar_s[0] - poses_s[0]:+.3f} s apart at the start (18 s is "
+            "GPS, 37 s TAI, hours a time zone; for pose_gap, raise the limit or the rate of the poses)"
+        )

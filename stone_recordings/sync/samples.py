@@ -1,0 +1,144 @@
+"""Samples of each sensor for a frame: the sweep deskewed, the picture as it was recorded, the radar's scan.
+
+**Conventions.** The recording is opened once per process and thread and stays open; samples in the order of frames are
+cheap. Which message a frame takes is the sequence's word; nothing is associated anew.
+"""
+
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from stone.errors import StoneError
+from stone.sensors.deskew import BIN_NS, SweepMount, deskew, sweep_motion
+from stone.sensors.samples import CameraSample, LidarSample, RadarSample
+from stone.sensors.sequence import Association, Sequence
+from stone_recordings.bags.fingerprint import recording_sha256
+from stone_recordings.messages.camera import CameraPicture, decode_image
+from stone_recordings.messages.lidar import LidarPoints
+from stone_recordings.messages.pointcloud2 import decode_cloud, lidar_points
+from stone_recordings.sync.radars import BagRadar, radars_of
+from stone_recordings.sync.sweeps import BagSweeps, opened
+
+INTENSITY_NAMES = ("intensity", "reflectivity", "i")
+# Of pictures that were not recorded as JPEG; colours keep their full resolution.
+JPEG_QUALITY = 95
+
+
+class NotRecordedError(StoneError):
+    """The frames of a sequence name no messages."""
+
+    code = "not_recorded"
+
+    def __init__(self, name: str) -> None:
+        super().__init__(f"the frames of sequence {name} name no LiDAR messages; was it made without a recording?")
+
+
+class RecordingMismatchError(StoneError):
+    """The recording is not the one that was labelled."""
+
+    code = "recording_changed"
+
+    def __init__(self, path: Path, found: str, sequence: Sequence) -> None:
+        super().__init__(
+            f"{path} has sha256 {found}, but sequence {sequence.name} was made from {dict(sequence.inputs)}; "
+            "label it again, or say where the recording of these labels is"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class BagSamples:
+    """A SampleSource over a recording and the sequence that was made of it. Picklable: it carries the path only."""
+
+    path: Path
+    sequence: Sequence
+
+    def lidar(self, index: int) -> LidarSample:
+        """Raises IndexError, NotRecordedError, PointOffsetError, what opening and decoding raise (BAG-*, MSG-*)."""
+        sweeps = self._sweeps
+        cloud = decode_cloud(opened(self.path).message(sweeps.topic, int(sweeps.message_index[index])).payload)
+        found = lidar_points(cloud)
+        ring = np.zeros(len(found.rows), np.uint16) if found.ring is None else found.ring
+        points_lidar, is_kept = self._deskewed(found, int(sweeps.stamps_ns[index]))
+        return LidarSample(points_lidar, _intensity(cloud.points, found.rows)[is_kept], ring[is_kept])
+
+    def camera(self, channel: str, index: int) -> CameraSample | None:
+        """Raises IndexError, and what opening and decoding raise (BAG-*, MSG-*)."""
+        taken = self.sequence.frames.associations.get(channel)
+        if taken is None or taken.message_index[index] < 0:
+            return None
+        bag = opened(self.path)
+        topic = next(topic for topic in bag.topics if topic.name == taken.topic)
+        picture = decode_image(bag.message(topic.name, int(taken.message_index[index])).payload, topic.type)
+        content = bytes(picture.data) if picture.encoding == "JPEG" else _encoded(picture)
+        return CameraSample(self._taken_ns(taken, index), content, picture.width_px, picture.height_px)
+
+    def radar(self, channel: str, index: int) -> RadarSample | None:
+        """Raises as `camera`. A sequence without a track has no radar samples."""
+        radar = self._radars.get(channel)
+        return None if radar is None else radar.frame(index)
+
+    def _taken_ns(self, taken: Association, index: int) -> int:
+        return int(self.sequence.frames.stamps_ns[index]) + int(taken.dt_ns[index])
+
+    @cached_property
+    def _sweeps(self) -> BagSweeps:
+        frames, sequence = self.sequence.frames, self.sequence
+        if frames.sweeps is None:
+            raise NotRecordedError(sequence.name)
+        mount = None
+        if sequence.track is not None:
+            mount = SweepMount(sequence.track, sequence.calibration.ego_from_lidar, sequence.max_pose_gap_ns)
+        return BagSweeps(self.path, frames.sweeps.topic, frames.sweeps.message_index, frames.stamps_ns, mount)
+
+    @cached_property
+    def _radars(self) -> Mapping[str, BagRadar]:
+        return radars_of(self.sequence, self._sweeps)
+
+    def _deskewed(self, found: LidarPoints, stamp_ns: int) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """The points at the stamp, and which of them have a pose and so are there."""
+        mount = self._sweeps.mount
+        if mount is None or found.offset_ns is None:
+            return found.points_lidar, np.ones(len(found.rows), np.bool_)
+        is_kept = _has_pose(found.offset_ns, mount, stamp_ns)
+        points_lidar = found.points_lidar[is_kept]
+        return deskew(points_lidar, found.offset_ns[is_kept], mount, stamp_ns), is_kept
+
+
+def checked_samples(path: Path, sequence: Sequence) -> BagSamples:
+    """The samples of the recording at `path`, which is read whole to know it again.
+
+    Raises RecordingChangedError, and what opening raises.
+    """
+    found = recording_sha256(path)
+    if found not in sequence.inputs.values():
+        raise RecordingMismatchError(path, found, sequence)
+    return BagSamples(path, sequence)
+
+
+def _has_pose(offset_ns: NDArray[np.int64], mount: SweepMount, stamp_ns: int) -> NDArray[np.bool_]:
+    """Which points `deskew` keeps."""
+    if not len(offset_ns):
+        return np.zeros(0, np.bool_)
+    motion = sweep_motion(mount, stamp_ns, (int(offset_ns.min()), int(offset_ns.max())))
+    bins = (offset_ns + BIN_NS // 2) // BIN_NS - motion.first_bin
+    return np.asarray(motion.has_pose[bins], np.bool_)
+
+
+def _intensity(points: NDArray[np.void], rows: NDArray[np.int32]) -> NDArray[np.float32]:
+    for name in INTENSITY_NAMES:
+        if name in (points.dtype.names or ()) and points.dtype[name].kind in "fiu":
+            values = np.asarray(points[name][rows], np.float32)
+            return np.where(np.isfinite(values), values, np.float32(0))
+    return np.zeros(len(rows), np.float32)
+
+
+def _encoded(picture: CameraPicture) -> bytes:
+    file = io.BytesIO()
+    Image.fromarray(picture.pixels()).save(file, "JPEG", quality=JPEG_QUALITY, subsampling=0)
+    return file.getvalue()

@@ -1,0 +1,30 @@
+"""The check that a recording was made while its calibration was valid.
+
+**Conventions.** Valid is [from, to), nanoseconds since 1970, None where it is open on that side.
+"""
+
+from datetime import UTC, datetime
+
+from stone.findings import Finding
+from stone.sensors.sequence import Sequence
+
+
+def validity_findings(sequence: Sequence, valid_from_ns: int | None, valid_to_ns: int | None) -> tuple[Finding, ...]:
+    """CAL-418 where a frame lies outside the calibration's time; () for a sequence without frames."""
+    stamps_ns = sequence.frames.stamps_ns
+    if not len(stamps_ns):
+        return ()
+    first_ns, last_ns = int(stamps_ns[0]), int(stamps_ns[-1])
+    is_early = valid_from_ns is not None and first_ns < valid_from_ns
+    is_late = valid_to_ns is not None and last_ns >= valid_to_ns
+    if not (is_early or is_late):
+        return ()
+    sentence = (
+        f"recorded from {_shown(first_ns)} to {_shown(last_ns)}, but the calibration {sequence.calibration.name!r} is "
+        f"valid from {_shown(valid_from_ns)} to {_shown(valid_to_ns)}; it is used all the same (another version?)"
+    )
+    return (Finding("CAL-418", "warning", "", sentence),)
+
+
+def _shown(moment_ns: int | None) -> str:
+    return "ever" if moment_ns is None else f"{datetime.fromtimestamp(moment_ns // 10**9, UTC):%Y-%m-%d %H:%M:%S}Z"

@@ -1,0 +1,1 @@
+"""Topics: which of them is which sensor of the robot."""

@@ -1,0 +1,115 @@
+"""Roles of topics, resolved by type, then fields and size, then rate; the name only breaks ties.
+
+**Conventions.** A cloud is a radar's when it measures speed or cross section and has no ring, or when it is too
+small to be a revolution and has no ring. Source: field layouts of the Hesai, Nebula, Velodyne, Ouster and
+ARS 548 drivers.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol, TypeVar
+
+Role = Literal["lidar", "camera", "radar", "gnss", "ins", "imu", "odometry", "tf", "tf_static", "camera_info", "other"]
+
+ROLE_OF_TYPE: dict[str, Role] = {
+    "sensor_msgs/msg/Image": "camera",
+    "sensor_msgs/msg/CompressedImage": "camera",
+    "sensor_msgs/msg/CameraInfo": "camera_info",
+    "sensor_msgs/msg/Imu": "imu",
+    "sensor_msgs/msg/NavSatFix": "gnss",
+    "gps_msgs/msg/GPSFix": "gnss",
+    "gps_common/msg/GPSFix": "gnss",
+    "novatel_oem7_msgs/msg/BESTPOS": "gnss",
+    "novatel_oem7_msgs/msg/INSPVA": "ins",
+    "novatel_oem7_msgs/msg/INSPVAX": "ins",
+    "nav_msgs/msg/Odometry": "odometry",
+    "ars548_messages/msg/DetectionList": "radar",
+    "continental_msgs/msg/ContinentalArs548DetectionList": "radar",
+    "radar_msgs/msg/RadarScan": "radar",
+}
+# Whose packets these are, a LiDAR's or a radar's, only the topic's name says.
+PACKETS_OF_EITHER = "nebula_msgs/msg/NebulaPackets"
+PACKET_TYPES = frozenset(
+    {
+        "hesai_ros_driver/msg/UdpFrame",
+        "pandar_msgs/msg/PandarScan",
+        PACKETS_OF_EITHER,
+        "velodyne_msgs/msg/VelodyneScan",
+    }
+)
+POSE_ROLES: tuple[Role, ...] = ("ins", "odometry", "tf")
+INSPVAX = "novatel_oem7_msgs/msg/INSPVAX"
+# A LiDAR turns 5 to 20 times a second, some 30; what is slower is a map. An IMU that integrates well samples faster
+# than any pose source; what is slower is a copy for people to look at.
+PLAUSIBLE_HZ: dict[Role, tuple[float, float]] = {"lidar": (3.0, 40.0), "imu": (50.0, 2000.0)}
+POINT_CLOUD, TRANSFORMS = "sensor_msgs/msg/PointCloud2", "tf2_msgs/msg/TFMessage"
+RING_FIELDS = frozenset({"ring", "channel", "laser_id", "line"})
+DOPPLER_FIELDS = frozenset({"rcs", "range_rate", "v", "v_r", "doppler", "velocity", "radial_speed"})
+# A 16-beam LiDAR returns tens of thousands of points a turn, an ARS 548 at most 800.
+LEAST_LIDAR_POINTS = 1000
+# Static transforms are latched: whoever repeats them does so less often than any moving joint is reported.
+LAST_STATIC_RATE_HZ = 1.0
+
+
+@dataclass(frozen=True)
+class TopicFacts:
+    """What is known of a topic without reading it all; `point_fields` and `point_count` are of its first cloud."""
+
+    name: str
+    type: str
+    rate_hz: float | None
+    point_fields: frozenset[str] = frozenset()
+    point_count: int = 0
+
+
+def role_of(facts: TopicFacts) -> Role:
+    """The one role of a topic; "other" where nothing here uses it."""
+    if facts.type == POINT_CLOUD:
+        return _role_of_cloud(facts)
+    if facts.type == TRANSFORMS:
+        is_slow = facts.rate_hz is None or facts.rate_hz < LAST_STATIC_RATE_HZ
+        return "tf_static" if is_slow and facts.name.rstrip("/").endswith("static") else "tf"
+    if facts.type == PACKETS_OF_EITHER and "radar" in facts.name.lower():
+        return "radar"
+    return ROLE_OF_TYPE.get(facts.type, "other")
+
+
+def _role_of_cloud(facts: TopicFacts) -> Role:
+    names = frozenset(name.lower() for name in facts.point_fields)
+    if names & RING_FIELDS:
+        return "lidar"
+    if names & DOPPLER_FIELDS:
+        return "radar"
+    if facts.point_count >= LEAST_LIDAR_POINTS:
+        return "lidar"
+    if facts.point_count > 0:
+        return "radar"
+    return "radar" if "radar" in facts.name.lower() else "lidar"
+
+
+class TopicRating(Protocol):
+    """What tells two topics of one role apart."""
+
+    @property
+    def type(self) -> str: ...
+    @property
+    def count(self) -> int: ...
+    @property
+    def rate_hz(self) -> float | None: ...
+
+
+Topical = TypeVar("Topical", bound=TopicRating)
+
+
+def with_plausible_rate(role: Role, topics: Sequence[Topical]) -> Sequence[Topical]:
+    """Those whose rate is the role's; all of them where none is, or where the role has none."""
+    low_hz, high_hz = PLAUSIBLE_HZ.get(role, (0.0, float("inf")))
+    plausible = [topic for topic in topics if topic.rate_hz is not None and low_hz <= topic.rate_hz <= high_hz]
+    return plausible or topics
+
+
+def fullest(topics: Sequence[Topical]) -> Sequence[Topical]:
+    """INSPVA and INSPVAX of one receiver are the same solution: the more frequent, else the one with its quality."""
+    if len({topic.type for topic in topics}) < len(topics):
+        return topics
+    return sorted(topics, key=lambda topic: (-topic.count, topic.type != INSPVAX))[:1]

@@ -1,0 +1,128 @@
+"""The choice of a recording's topics for its synchronisation; nothing is guessed between two that fit.
+
+**Conventions.** The pose source is the topic asked for, else NovAtel INSPVA(X), else nav_msgs/Odometry, else /tf; asked
+for by the name kiss-icp, it is the LiDAR itself (`stone_recordings.poses.kiss_odometry`).
+Topics without messages count as absent.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from stone_recordings.bags.bag import Bag, Topic
+from stone_recordings.messages.pointcloud2 import decode_cloud
+from stone_recordings.sync.errors import (
+    AmbiguousTopicsError,
+    NoLidarError,
+    NoPoseSourceError,
+    WrongTopicError,
+)
+from stone_recordings.topics.profiles import Candidate
+from stone_recordings.topics.roles import (
+    PACKET_TYPES,
+    POINT_CLOUD,
+    POSE_ROLES,
+    Role,
+    TopicFacts,
+    fullest,
+    role_of,
+    with_plausible_rate,
+)
+
+BESTPOS = "novatel_oem7_msgs/msg/BESTPOS"
+KISS_ICP = "kiss-icp"
+ROLE_OF_SWEEPS: Role = "lidar"
+ASSOCIATED_ROLES: tuple[Role, ...] = ("camera", "radar", "imu")
+
+
+@dataclass(frozen=True)
+class Sources:
+    """`pose_role` says how `pose` is read ("lidar": by odometry from the sweeps).
+
+    `associated` are the topics that frames point into, with their role.
+    """
+
+    lidar: Topic
+    pose: Topic
+    pose_role: Role
+    fixes: Topic | None
+    tf_static: tuple[str, ...]
+    associated: tuple[tuple[Topic, Role], ...]
+
+    @property
+    def scanned(self) -> tuple[str, ...]:
+        """Topics of which the header stamps are needed."""
+        return (self.lidar.name, *(topic.name for topic, _ in self.associated))
+
+    @property
+    def whole(self) -> tuple[str, ...]:
+        """Topics of which every message is needed; they are small."""
+        fixes = (self.fixes.name,) if self.fixes is not None and self.pose_role == "ins" else ()
+        poses = (self.pose.name,) if self.pose_role != "lidar" else ()
+        return (*self.tf_static, *fixes, *poses)
+
+
+def choose_sources(bag: Bag, lidar_topic: str | None, odometry_topic: str | None) -> Sources:
+    """Raises NoLidarError, NoPoseSourceError, AmbiguousTopicsError, WrongTopicError; what decoding a cloud raises."""
+    topics = {topic.name: topic for topic in bag.topics if topic.count and topic.encoding == "cdr"}
+    roles = [_candidate(bag, topic) for topic in topics.values()]
+    lidar = _lidar(roles, lidar_topic)
+    pose = lidar if odometry_topic == KISS_ICP else _pose(roles, odometry_topic)
+    return Sources(
+        lidar=topics[lidar.name],
+        pose=topics[pose.name],
+        pose_role=ROLE_OF_SWEEPS if pose is lidar else pose.role,
+        fixes=next((topic for topic in topics.values() if topic.type == BESTPOS), None),
+        tf_static=tuple(topic.name for topic in roles if topic.role == "tf_static"),
+        associated=tuple((topics[topic.name], topic.role) for topic in roles if topic.role in ASSOCIATED_ROLES),
+    )
+
+
+def _candidate(bag: Bag, topic: Topic) -> Candidate:
+    duration_s = (bag.end_ns - bag.start_ns) / 1e9
+    rate_hz = topic.count / duration_s if duration_s > 0 else None
+    return Candidate(topic.name, topic.type, _role(bag, topic), topic.count, rate_hz)
+
+
+def _role(bag: Bag, topic: Topic) -> Role:
+    if topic.type != POINT_CLOUD:
+        return role_of(TopicFacts(topic.name, topic.type, None))
+    cloud = decode_cloud(bag.message(topic.name, topic.count // 2).payload)
+    fields = frozenset(cloud.points.dtype.names or ())
+    return role_of(TopicFacts(topic.name, topic.type, None, fields, len(cloud.points)))
+
+
+def _lidar(roles: list[Candidate], asked: str | None) -> Candidate:
+    if asked is not None:
+        return _asked(roles, asked, [topic for topic in roles if topic.type == POINT_CLOUD], POINT_CLOUD)
+    lidars = [topic for topic in roles if topic.role == "lidar"]
+    if not lidars:
+        raise NoLidarError([topic.name for topic in roles if topic.role == "other" and topic.type in PACKET_TYPES])
+    return _only("lidar", with_plausible_rate("lidar", lidars), "--lidar")
+
+
+def _pose(roles: list[Candidate], asked: str | None) -> Candidate:
+    fitting = [topic for topic in roles if topic.role in POSE_ROLES]
+    if asked is not None:
+        return _asked(roles, asked, fitting, "nav_msgs/msg/Odometry, INSPVA(X) or /tf")
+    for wanted in POSE_ROLES:
+        topics: Sequence[Candidate] = [topic for topic in fitting if topic.role == wanted]
+        if wanted == "ins":
+            topics = fullest(topics)
+        if topics:
+            return _only(wanted, topics, "--odometry")
+    raise NoPoseSourceError([f"{topic.name} ({topic.type})" for topic in roles])
+
+
+def _asked(roles: list[Candidate], asked: str, fitting: list[Candidate], expected: str) -> Candidate:
+    for topic in fitting:
+        if topic.name == asked:
+            return topic
+    found = next((f"is of type {topic.type}" for topic in roles if topic.name == asked), "has no messages here")
+    names = ", ".join(topic.name for topic in fitting[:6]) or "there is none"
+    raise WrongTopicError(asked, found, f"{expected} ({names})")
+
+
+def _only(role: Role, topics: Sequence[Candidate], option: str) -> Candidate:
+    if len(topics) > 1:
+        raise AmbiguousTopicsError(role, [topic.name for topic in topics], option)
+    return topics[0]

@@ -1,0 +1,147 @@
+"""A submission on disk: a zip of `<frame_token>.npz`, read in place, never extracted.
+
+**Conventions.** Names are those of the manifest, all behind one common folder prefix or none; the empty entries of such
+folders themselves are let pass. Reading is by `pread`, so threads share the descriptor.
+"""
+
+import os
+import stat
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import deflate
+
+from stone_submissions.errors import (
+    CorruptError,
+    DuplicateFrameError,
+    MissingFrameError,
+    SubmissionError,
+    TooLargeError,
+    TruncatedError,
+    UnexpectedFileError,
+    UnreadableInputError,
+)
+from stone_submissions.npz_frame import inflate_exactly
+from stone_submissions.verdict import ValidationProblem, problem_of
+from stone_submissions.zip_directory import DEFLATED, ZipMember, payload_span, read_directory
+
+MAX_FRAME_BYTES = 3 * 2**20
+SPARE_ENTRIES = 1000
+EMPTY_DEFLATED_BYTES = 2
+
+
+@dataclass(frozen=True)
+class SubmissionZip:
+    """The frames found by token, and what is wrong with the archive as a whole."""
+
+    name: str
+    descriptor: int
+    frames: dict[str, ZipMember]
+    problems: tuple[ValidationProblem, ...]
+
+    def read(self, token: str) -> bytes | bytearray:
+        """The npz file of one frame; a few hundred kB, at most `MAX_FRAME_BYTES`.
+
+        Raises `TruncatedError`, `CorruptError`, `TooLargeError`, `UnsupportedZipError`, `OverlapError`.
+        """
+        member = self.frames[token]
+        start, stop = payload_span(self._read_at, member)
+        packed = self._read_at(start, stop - start)
+        if len(packed) < member.packed_bytes:
+            raise TruncatedError(f"{member.packed_bytes} bytes", f"{len(packed)}")
+        npz = inflate_exactly(packed, member.unpacked_bytes) if member.method == DEFLATED else packed
+        if deflate.crc32(npz) != member.crc32:
+            raise CorruptError(f"CRC-32 {member.crc32:08x}", f"{deflate.crc32(npz):08x}")
+        return npz
+
+    def _read_at(self, offset: int, count: int) -> bytes:
+        return os.pread(self.descriptor, count, offset)
+
+
+@contextmanager
+def open_submission(path: Path, tokens: Sequence[str]) -> Iterator[SubmissionZip]:
+    """The submission against the tokens it must hold; a broken archive opens too, with its one problem and no frames.
+
+    Raises `UnreadableInputError` where the file cannot be opened.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)  # a pipe would keep us waiting
+    except OSError as error:
+        raise UnreadableInputError(path, error.strerror or "unknown reason") from error
+    try:
+        yield _matched(path, descriptor, tokens)
+    finally:
+        os.close(descriptor)
+
+
+def _matched(path: Path, descriptor: int, tokens: Sequence[str]) -> SubmissionZip:
+    try:
+        facts = os.fstat(descriptor)
+        if not stat.S_ISREG(facts.st_mode):
+            raise UnreadableInputError(path, "it is no file")
+        limit = len(tokens) + SPARE_ENTRIES
+        members = read_directory(lambda offset, count: os.pread(descriptor, count, offset), facts.st_size, limit)
+    except OSError as error:
+        raise UnreadableInputError(path, error.strerror or "unknown reason") from error
+    except SubmissionError as error:
+        return SubmissionZip(path.name, descriptor, {}, (problem_of(error, path.name, None),))
+    return _matching(path.name, descriptor, members, frozenset(tokens))
+
+
+def _matching(name: str, descriptor: int, members: Sequence[ZipMember], tokens: frozenset[str]) -> SubmissionZip:
+    prefix = _common_prefix(members, tokens)
+    frames: dict[str, ZipMember] = {}
+    problems: list[ValidationProblem] = []
+    for member in members:
+        token = member.name.removeprefix(prefix).removesuffix(".npz")
+        if prefix.startswith(member.name) and _is_folder(member):
+            continue
+        is_ours = f"{prefix}{token}.npz" == member.name and token in tokens
+        fault = _fault(member, is_ours, token in frames)
+        if fault is not None:
+            problems.append(problem_of(fault, member.name, token if is_ours else None))
+        if is_ours:
+            frames.setdefault(token, member)
+    problems += [
+        problem_of(MissingFrameError(f"{prefix}{token}.npz", "no such file"), f"{prefix}{token}.npz", token)
+        for token in sorted(tokens - frames.keys())
+    ]
+    refused = {problem.frame for problem in problems}
+    sound = {token: member for token, member in frames.items() if token not in refused}
+    return SubmissionZip(name, descriptor, sound, tuple(problems))
+
+
+def _fault(member: ZipMember, is_ours: bool, is_second: bool) -> SubmissionError | None:
+    if not is_ours:
+        return UnexpectedFileError("the frames of the manifest only", _stranger(member.name))
+    if is_second:
+        return DuplicateFrameError("each frame once", "a second file of this name")
+    size_bytes = max(member.packed_bytes, member.unpacked_bytes)
+    if size_bytes > MAX_FRAME_BYTES:
+        return TooLargeError(f"at most {MAX_FRAME_BYTES} bytes a frame", f"{size_bytes} bytes")
+    return None
+
+
+def _stranger(name: str) -> str:
+    """What a file is that is no frame, where that is likely to help."""
+    is_finders = name.startswith("__MACOSX/") or name.rpartition("/")[2] == ".DS_Store"
+    return "what macOS's Finder adds to a zip; `zip -r -X` does not" if is_finders else "another file"
+
+
+def _common_prefix(members: Sequence[ZipMember], tokens: frozenset[str]) -> str:
+    """The folder that most of the manifest's frames are in; it is not followed, so it may be any plain one."""
+    folders = Counter(
+        folder + slash
+        for folder, slash, file in (member.name.rpartition("/") for member in members)
+        if file.removesuffix(".npz") in tokens
+    )
+    likely = next((folder for folder, _ in folders.most_common(1)), "")
+    is_plain = likely.isprintable() and not {"", ".."} & set(likely.split("/")[:-1])
+    return likely if is_plain else ""
+
+
+def _is_folder(member: ZipMember) -> bool:
+    return member.name.endswith("/") and member.unpacked_bytes == 0 and member.packed_bytes <= EMPTY_DEFLATED_BYTES

@@ -1,0 +1,81 @@
+"""The manifest: which frames a submission must hold, no more and no fewer.
+
+**Conventions.** JSON: `{"stone_manifest": 1, "sequences": {"<sequence name>": ["<frame_token>", …]}}`. A sequence is
+named as everywhere (`stone/sensors/sequence.py`); a frame token is 32 lower-case hex digits and occurs once. The
+order of tokens carries no meaning. Nothing in it tells a label.
+"""
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from stone.sensors.sequence import NAME
+from stone_files.atomic import atomic_file
+from stone_submissions.bounded_file import read_bounded
+from stone_submissions.errors import ManifestError
+
+VERSION = 1
+TOKEN = re.compile(r"[0-9a-f]{32}")
+SEQUENCE_NAME = NAME
+MAX_MANIFEST_BYTES = 8 * 2**20
+MAX_FRAMES = 200_000
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """Sequence name → its frame tokens."""
+
+    sequences: Mapping[str, tuple[str, ...]]
+
+    @property
+    def tokens(self) -> tuple[str, ...]:
+        return tuple(token for tokens in self.sequences.values() for token in tokens)
+
+    def as_record(self) -> dict[str, object]:
+        return {"stone_manifest": VERSION, "sequences": {name: list(tokens) for name, tokens in self.sequences.items()}}
+
+
+def read_manifest(path: Path) -> Manifest:
+    """The manifest in this file.
+
+    Raises `UnreadableInputError` where it cannot be opened and `ManifestError` where it is not as described above.
+    """
+    raw = read_bounded(path, MAX_MANIFEST_BYTES, ManifestError)
+    try:
+        record = json.loads(raw)
+    except (ValueError, RecursionError) as error:
+        raise ManifestError(path, "not JSON") from error
+    fault = next(_faults(record), None)
+    if fault is not None:
+        raise ManifestError(path, fault)
+    return Manifest({name: tuple(tokens) for name, tokens in record["sequences"].items()})
+
+
+def write_manifest(path: Path, manifest: Manifest) -> None:
+    """Atomic: the file is whole or absent."""
+    with atomic_file(path) as staging:
+        staging.write_text(json.dumps(manifest.as_record(), indent=1) + "\n", encoding="utf-8")
+
+
+def _faults(record: object) -> Iterator[str]:
+    if not isinstance(record, dict) or record.get("stone_manifest") != VERSION:
+        yield f"expected an object with stone_manifest {VERSION}"
+        return
+    sequences = record.get("sequences")
+    if not isinstance(sequences, dict) or not all(isinstance(tokens, list) for tokens in sequences.values()):
+        yield "expected sequences: name → list of frame tokens"
+        return
+    yield from (f"sequence name {name[:40]!r}" for name in sequences if not SEQUENCE_NAME.fullmatch(name))
+    tokens = [token for listed in sequences.values() for token in listed]
+    yield from (f"frame token {str(token)[:40]!r}" for token in tokens if not is_token(token))
+    if not 0 < len(tokens) <= MAX_FRAMES:
+        yield f"{len(tokens)} frames; from 1 to {MAX_FRAMES} are possible"
+    if len(set(map(str, tokens))) < len(tokens):
+        yield "a frame token occurs twice"
+
+
+def is_token(text: object) -> bool:
+    """Whether this is a frame token: 32 lower-case hex digits."""
+    return isinstance(text, str) and TOKEN.fullmatch(text) is not None

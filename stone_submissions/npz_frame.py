@@ -1,0 +1,213 @@
+"""One label grid out of an npz file that may be hostile: bounds first, no pickle anywhere, exact sizes, CRC.
+
+**Conventions.** A grid is (256, 256, 32) uint8, C order. The file is in memory whole (its reader bounds it); nothing
+but the one grid is allocated. The values 0–3 are checked by who counts them, so that they are read once only.
+
+Source: NEP 1 (npy 1.0, 2.0, 3.0); Occ3D and SurroundOcc name the array `semantics`, `numpy.savez(path, grid)` `arr_0`.
+"""
+
+import ast
+import re
+import struct
+import zlib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import deflate
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.labels.grid import GRID_SHAPE
+from stone.scoring.bitplanes import VOXELS
+from stone_submissions.errors import (
+    BadDtypeError,
+    BadShapeError,
+    CorruptError,
+    ExtraArrayError,
+    MissingArrayError,
+    NotNpzError,
+    NotZipError,
+    SubmissionError,
+    TooLargeError,
+    TruncatedError,
+)
+from stone_submissions.plain_npz import plain_member
+from stone_submissions.zip_directory import STORED, ZipMember, payload_span, read_directory
+from stone_submissions.zip_end import ReadAt
+
+PREDICTION_KEYS = ("semantics", "arr_0")
+PLAIN_NAMES = tuple(f"{key}.npy".encode() for key in PREDICTION_KEYS)
+MAX_HEADER_BYTES = 4096
+MAX_ARRAYS = 64
+# Escapes, and digits that run into letters (0xF…, 1if): what Python's parser warns of or makes large numbers from.
+NOT_IN_A_HEADER = re.compile(rb"\\|\d[A-Za-z_]")
+MOST_BRACKETS = 64
+LEAST_NPY_BYTES, MOST_NPY_BYTES = VOXELS + 64, VOXELS + 12 + MAX_HEADER_BYTES
+
+Buffer = bytes | bytearray | memoryview
+
+
+@dataclass(frozen=True)
+class NpyHeader:
+    """What a npy header declares; `start` is the offset of the data."""
+
+    descr: str
+    is_fortran: bool
+    shape: tuple[int, ...]
+    start: int
+
+
+def prediction_grid(npz: Buffer) -> NDArray[np.uint8]:
+    """The one array of a submitted frame, under one of `PREDICTION_KEYS`.
+
+    Raises the `SubmissionError` leaf that names what is wrong; values are not looked at.
+    """
+    plain = plain_member(npz, PLAIN_NAMES)
+    if plain is not None:
+        member, start = plain
+        return _grid_of(memoryview(npz)[start : member.limit], member)
+    members = npz_members(npz)
+    known = [key for key in PREDICTION_KEYS if key in members]
+    if not known:
+        raise MissingArrayError(" or ".join(PREDICTION_KEYS), _listed(members))
+    if len(members) > 1:
+        raise ExtraArrayError("one array", _listed(members))
+    return read_grid(npz, members[known[0]])
+
+
+def npz_members(npz: Buffer) -> dict[str, ZipMember]:
+    """The arrays of an npz by key, none of them read yet.
+
+    Raises `NotNpzError`, `ExtraArrayError` (one key twice) and what `read_directory` raises.
+    """
+    try:
+        members = read_directory(_reader(npz), len(npz), MAX_ARRAYS)
+    except NotZipError as error:
+        code = TruncatedError if bytes(npz[:4]) == b"PK\3\4" or not len(npz) else NotNpzError
+        raise code("an npz file (a zip of .npy arrays)", error.actual if len(npz) else "an empty file") from error
+    by_key = {member.name.removesuffix(".npy"): member for member in members}
+    if len(by_key) < len(members):
+        raise ExtraArrayError("each array once", _listed([member.name for member in members]))
+    return by_key
+
+
+def read_grid(npz: Buffer, member: ZipMember) -> NDArray[np.uint8]:
+    """The grid stored as `member` of this npz.
+
+    Raises `BadDtypeError`, `BadShapeError`, `TooLargeError`, `TruncatedError`, `CorruptError`, `NotNpzError`.
+    """
+    start, stop = payload_span(_reader(npz), member)
+    return _grid_of(memoryview(npz)[start:stop], member)
+
+
+def _grid_of(packed: memoryview, member: ZipMember) -> NDArray[np.uint8]:
+    """The grid in the packed bytes of `member`."""
+    if not LEAST_NPY_BYTES <= member.unpacked_bytes <= MOST_NPY_BYTES:
+        raise _size_refusal(packed, member)
+    npy = packed if member.method == STORED else inflate_exactly(packed, member.unpacked_bytes)
+    if deflate.crc32(npy) != member.crc32:
+        raise CorruptError(f"CRC-32 {member.crc32:08x}", f"{deflate.crc32(npy):08x}")
+    header = _checked(parse_header(bytes(npy[: 12 + MAX_HEADER_BYTES])))
+    if len(npy) - header.start != VOXELS:
+        raise TruncatedError(f"{VOXELS} bytes of voxels", f"{len(npy) - header.start}")
+    return np.frombuffer(npy, np.uint8, VOXELS, header.start).reshape(GRID_SHAPE)
+
+
+def parse_header(head: bytes) -> NpyHeader:
+    """The header of a npy file from its first bytes; nothing but literals is evaluated.
+
+    Raises `NotNpzError` where it is none, or is longer than 4 KiB.
+    """
+    if head[:6] != b"\x93NUMPY" or len(head) < 12 or head[6] not in (1, 2, 3):
+        raise NotNpzError("a npy array of version 1 to 3", f"bytes {head[:8]!r}")
+    length, at = (
+        (struct.unpack_from("<H", head, 8)[0], 10) if head[6] == 1 else (*struct.unpack_from("<I", head, 8), 12)
+    )
+    if length > MAX_HEADER_BYTES or at + length > len(head):
+        raise NotNpzError(f"a npy header of at most {MAX_HEADER_BYTES} bytes", f"{length} bytes")
+    return _literal_header(head[at : at + length], at + length)
+
+
+@lru_cache(maxsize=64)
+def _literal_header(text: bytes, start: int) -> NpyHeader:
+    odd = NOT_IN_A_HEADER.search(text)
+    if odd or sum(map(text.count, (b"(", b"[", b"{"))) > MOST_BRACKETS:
+        found = repr(odd.group()) if odd else f"more than {MOST_BRACKETS} brackets"
+        raise NotNpzError("a npy header of plain literals", found)
+    try:
+        facts = ast.literal_eval(text.decode("latin-1").strip())
+        shape, descr, is_fortran = (facts[key] for key in ("shape", "descr", "fortran_order"))
+    except (ValueError, SyntaxError, TypeError, KeyError, RecursionError, MemoryError) as error:
+        raise NotNpzError("a npy header with descr, fortran_order and shape", "another text") from error
+    is_sound = isinstance(shape, tuple) and all(map(_is_size, shape)) and isinstance(is_fortran, bool)
+    if len(facts) != 3 or not is_sound:
+        raise NotNpzError("a npy header with descr, fortran_order and shape", "other values")
+    return NpyHeader(str(descr)[:80], is_fortran, shape[:16], start)
+
+
+def _is_size(number: object) -> bool:
+    return type(number) is int and 0 <= number < 2**63
+
+
+def _checked(header: NpyHeader) -> NpyHeader:
+    if header.descr not in ("|u1", "u1", "<u1", ">u1"):
+        hint = ", an object array, which only pickle could read" if "O" in header.descr else ""
+        raise BadDtypeError("uint8 ('|u1')", f"{header.descr!r}{hint}")
+    if header.shape != GRID_SHAPE:
+        raise BadShapeError(str(GRID_SHAPE), str(header.shape))
+    if header.is_fortran:
+        raise BadShapeError(f"{GRID_SHAPE} in C order", "Fortran order")
+    return header
+
+
+def _size_refusal(packed: memoryview, member: ZipMember) -> SubmissionError:
+    """Why a member of this size is no grid: its own header says so best, and 4 KiB of it cost nothing."""
+    raw: bytes
+    try:
+        raw = bytes(packed[: 12 + MAX_HEADER_BYTES]) if member.method == STORED else _peek(packed)
+        _checked(parse_header(raw))
+    except (BadDtypeError, BadShapeError, NotNpzError) as error:
+        is_small = member.unpacked_bytes < LEAST_NPY_BYTES
+        if not (isinstance(error, NotNpzError) and not is_small):
+            return error
+    except zlib.error:
+        return CorruptError("a deflate stream", "other bytes")
+    kind = TruncatedError if member.unpacked_bytes < LEAST_NPY_BYTES else TooLargeError
+    return kind(f"{LEAST_NPY_BYTES} to {MOST_NPY_BYTES} bytes of npy", f"{member.unpacked_bytes} bytes")
+
+
+def _peek(packed: memoryview) -> bytes:
+    return zlib.decompressobj(-15).decompress(packed[: 4 * MAX_HEADER_BYTES], 12 + MAX_HEADER_BYTES)
+
+
+def inflate_exactly(packed: Buffer, size_bytes: int) -> bytearray:
+    """Exactly `size_bytes`, or a refusal: no stream is followed beyond what it declared."""
+    try:
+        npy: bytearray = deflate.deflate_decompress(packed, size_bytes)
+    except deflate.DeflateError as error:
+        raise _inflate_refusal(packed, size_bytes) from error
+    if len(npy) != size_bytes:
+        raise TruncatedError(f"{size_bytes} bytes", f"{len(npy)}")
+    return npy
+
+
+def _inflate_refusal(packed: Buffer, size_bytes: int) -> SubmissionError:
+    """Broken, or longer than declared (a bomb): told apart by inflating one byte more than the declared size."""
+    try:
+        longer = zlib.decompressobj(-15).decompress(packed, size_bytes + 1)
+    except zlib.error:
+        return CorruptError(f"a deflate stream of {size_bytes} bytes", "a broken one")
+    if len(longer) > size_bytes:
+        return TooLargeError(f"the declared {size_bytes} bytes", "a stream that goes on")
+    return TruncatedError(f"a deflate stream of {size_bytes} bytes", f"its end after {len(longer)}")
+
+
+def _reader(npz: Buffer) -> ReadAt:
+    view = memoryview(npz)
+    return lambda offset, count: bytes(view[offset : offset + count])
+
+
+def _listed(names: Iterable[str]) -> str:
+    shown = [name[:40] for name in names]
+    return ", ".join(shown[:4]) + (f" and {len(shown) - 4} more" if len(shown) > 4 else "") if shown else "no array"

@@ -1,0 +1,65 @@
+"""Validation problems of a submission: a code per file and frame, the first hundred and the total.
+
+**Conventions.** `ok` is true exactly when `errors_total` is 0. Texts from outside are cut to 200 characters; what
+is not printable in them (commands to a terminal, marks that turn the writing round) is escaped.
+"""
+
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+
+from stone.errors import StoneError, one_line
+from stone_submissions.errors import SubmissionError
+
+SHOWN = 100
+LONGEST_TEXT = 200
+
+
+@dataclass(frozen=True)
+class ValidationProblem:
+    """One refusal: `file` as named in the archive, `frame` its token where there is one."""
+
+    code: str
+    file: str
+    frame: str | None
+    expected: str
+    actual: str
+
+    def as_record(self) -> dict[str, str | None]:
+        return asdict(self)
+
+    def __str__(self) -> str:
+        return f"{self.code}: {self.file}: expected {self.expected}, found {self.actual}"
+
+
+@dataclass(frozen=True)
+class Validation:
+    """The verdict on a submission: at most `SHOWN` problems, and how many there are in all."""
+
+    ok: bool
+    errors: tuple[ValidationProblem, ...]
+    errors_total: int
+
+    def as_record(self) -> dict[str, object]:
+        errors = [problem.as_record() for problem in self.errors]
+        return {"ok": self.ok, "errors": errors, "errors_total": self.errors_total}
+
+
+class SubmissionRefusedError(StoneError):
+    """A submission is not scored because it is not valid; `validation` says all."""
+
+    code = "submission_refused"
+
+    def __init__(self, validation: Validation) -> None:
+        self.validation = validation
+        super().__init__(f"{validation.errors_total} problems in the submission; the first is {validation.errors[0]}")
+
+
+def problem_of(error: SubmissionError, file: str, frame: str | None) -> ValidationProblem:
+    texts = (file, error.expected, error.actual)
+    file, expected, actual = (one_line(text[:LONGEST_TEXT])[:LONGEST_TEXT] for text in texts)
+    return ValidationProblem(error.code, file, frame, expected, actual)
+
+
+def verdict(problems: Iterable[ValidationProblem]) -> Validation:
+    found = tuple(problems)
+    return Validation(not found, found[:SHOWN], len(found))

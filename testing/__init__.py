@@ -1,0 +1,1 @@
+"""Real servers, worlds and people for whoever tries the platform: tests, chaos and benchmarks."""

@@ -1,0 +1,93 @@
+"""What each test costs: `pytest --costs FILE` writes its CPU seconds and the memory of the process after it.
+
+**Conventions.** CPU seconds are those of the test process and of all that it started, so another load on the machine
+changes them little. What the first user of a shared fixture pays is written as that test's setup. One line a test,
+tab-separated (`COLUMNS`), appended, so that the processes of `pytest-xdist` may share a file. The end lists those
+that cost more than `DEAR_CPU_S`.
+"""
+
+import os
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+COLUMNS = ("cpu_s", "setup_cpu_s", "wall_s", "resident_mb", "test")
+DEAR_CPU_S = 5.0
+TICKS_PER_S = os.sysconf("SC_CLK_TCK")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--costs", metavar="FILE", type=Path, help="write what each test costs to this file")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    path: Path | None = config.getoption("--costs")
+    if path is not None:
+        config.pluginmanager.register(Costs(path.absolute()), "costs")
+
+
+@dataclass(eq=False)  # pytest keeps plugins in sets
+class Costs:
+    """Measures every test and appends it to the file at `path`."""
+
+    path: Path
+    _setup_cpu_s: float = field(default=0.0)
+
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
+        before_cpu_s, before_s = tree_cpu_s(), time.monotonic()
+        try:
+            return (yield)
+        finally:
+            # What nobody waited for is forgotten: a test in which a browser ends would cost less than nothing.
+            used_cpu_s, passed_s = tree_cpu_s() - before_cpu_s, time.monotonic() - before_s
+            self._write(max(0.0, used_cpu_s), self._setup_cpu_s, passed_s, resident_mb(), item.nodeid)
+
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_runtest_setup(self, item: pytest.Item) -> Iterator[None]:
+        before_cpu_s = tree_cpu_s()
+        try:
+            return (yield)
+        finally:
+            self._setup_cpu_s = tree_cpu_s() - before_cpu_s
+
+    def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
+        lines = [line.split("\t") for line in self.path.read_text("utf-8").splitlines()]
+        dear = sorted((line for line in lines if float(line[0]) > DEAR_CPU_S), key=lambda line: -float(line[0]))
+        terminalreporter.section(f"more than {DEAR_CPU_S:g} CPU seconds")
+        for line in [COLUMNS, *dear]:
+            terminalreporter.write_line("  ".join(f"{word:>11}" for word in line))
+
+    def _write(self, *told: float | str) -> None:
+        with self.path.open("a", encoding="utf-8") as file:
+            file.write("\t".join(one if isinstance(one, str) else f"{one:.2f}" for one in told) + "\n")
+
+
+def tree_cpu_s() -> float:
+    """User and system time of this process, of its living descendants, and of those that were waited for."""
+    parent_of, ticks_of = _processes()
+    below = [os.getpid()]
+    for pid in below:
+        below += [child for child, parent in parent_of.items() if parent == pid]
+    return sum(ticks_of[pid] for pid in below) / TICKS_PER_S
+
+
+def _processes() -> tuple[dict[int, int], dict[int, int]]:
+    """The parent, and the ticks with those of children that it waited for, of every process."""
+    parent_of, ticks_of = {}, {}
+    for folder in Path("/proc").iterdir():
+        with suppress(ValueError, OSError):  # no process, or one that ended meanwhile
+            pid = int(folder.name)
+            said = (folder / "stat").read_text("utf-8", "replace").rpartition(")")[2].split()
+            parent_of[pid], ticks_of[pid] = int(said[1]), sum(int(number) for number in said[11:15])
+    return parent_of, ticks_of
+
+
+def resident_mb() -> float:
+    """What this process holds in memory, in units of 2^20 bytes."""
+    pages = int(Path("/proc/self/statm").read_text("ascii").split()[1])
+    return pages * os.sysconf("SC_PAGESIZE") / 2**20

@@ -1,0 +1,106 @@
+"""`stone serve` as a user runs it: a process with a data folder, a URL once it is ready, and children.
+
+**Conventions.** Its configuration folder lies beside the data, so that no test touches this user's.
+"""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import psutil
+
+from stone_client.api import Api
+from stone_client.credentials import Server
+from testing.signals import hear_signals
+
+STONE = (str(Path(sys.executable).parent / "stone"),)
+PATIENCE_S = 300.0
+
+
+@dataclass(frozen=True)
+class Serving:
+    """A platform that is up. `said` is the file of its stderr."""
+
+    process: subprocess.Popen[str]
+    url: str
+    data: Path
+    said: Path
+
+    @property
+    def token(self) -> str:
+        return (self.data / "local-token").read_text().strip()
+
+    def api(self) -> Api:
+        return Api(Server(self.url, self.token))
+
+    def descendants(self) -> list[psutil.Process]:
+        """Every process below the supervisor, the worker's own included."""
+        return list(psutil.Process(self.process.pid).children(recursive=True))
+
+    def child(self, name: str) -> psutil.Process:
+        """The child whose command line holds `name`."""
+        children = psutil.Process(self.process.pid).children()
+        return next(one for one in children if any(name in part for part in one.cmdline()))
+
+    def kill_9(self) -> None:
+        """End the supervisor as a power cut would, and wait until nothing of it is left."""
+        below = self.descendants()
+        self.process.kill()
+        self.process.wait()
+        until(lambda: not any(is_alive(one) for one in below))
+
+    def stop(self) -> int:
+        """Ask it to drain; its exit code."""
+        self.process.send_signal(signal.SIGTERM)
+        return self.process.wait(PATIENCE_S)
+
+
+def environment(data: Path, **extra: str) -> Mapping[str, str]:
+    """This environment, with a configuration folder beside `data` and no setting of the platform."""
+    kept = {name: value for name, value in os.environ.items() if not name.startswith("STONE_")}
+    return {**kept, "STONE_CONFIG_HOME": str(data.parent / "configuration"), **extra}
+
+
+@contextmanager
+def serving(data: Path, command: Sequence[str] = STONE, **extra: str) -> Iterator[Serving]:
+    """Yield a platform on `data` once it is ready; end it, kindly if it still runs. `command` is that of `stone`."""
+    said = data.parent / "serve.stderr"
+    with said.open("a") as stderr:
+        process = subprocess.Popen(
+            [*command, "serve", "--data", str(data), "--port", "0", "--workers", "2", "--json"],
+            stdout=subprocess.PIPE,
+            stderr=stderr,
+            text=True,
+            env=environment(data, **extra),
+            preexec_fn=hear_signals,
+        )
+    try:
+        assert process.stdout is not None
+        with process.stdout:
+            line = process.stdout.readline()
+        assert line, said.read_text()
+        yield Serving(process, json.loads(line)["url"], data, said)
+    finally:
+        if process.poll() is None:
+            process.terminate()
+            process.wait(PATIENCE_S)
+
+
+def until(claim: Callable[[], bool], patience_s: float = PATIENCE_S) -> None:
+    """Wait for something to come true; fail where it does not."""
+    end = time.monotonic() + patience_s
+    while not claim():
+        assert time.monotonic() < end, "it never came true"
+        time.sleep(0.05)
+
+
+def is_alive(process: psutil.Process) -> bool:
+    """Whether it runs; a zombie does not."""
+    return bool(process.is_running() and process.status() != psutil.STATUS_ZOMBIE)

@@ -1,0 +1,36 @@
+"""The two tiers of the tests: `make test` leaves out what is marked `whole`, `make test-all` runs everything.
+
+**Conventions.** A test is `whole` where it says so, where it asks for one of `DEAR_FIXTURES` however it comes by them,
+and where it runs on PostgreSQL what runs on SQLite too; `everyday` keeps such a test in both tiers. A test that costs
+more than five CPU seconds (`pytest --costs FILE`) says in its docstring, or its module's, what it alone would catch.
+Files with such tests come first: the last to end would otherwise be a dear one that began late.
+"""
+
+from pathlib import Path
+
+import pytest
+
+DEAR_FIXTURES = frozenset({"browser", "postgres_server"})
+DEAR_KIND = "postgres"  # as parameters of fixtures and tests name it
+TIERS = ("whole", "everyday")
+
+
+@pytest.hookimpl(tryfirst=True)  # before `-m` chooses
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if is_dear(item) and item.get_closest_marker("everyday") is None:
+            item.add_marker(pytest.mark.whole)
+    first = {item.path for item in items if any(item.get_closest_marker(tier) for tier in TIERS)}
+    items.sort(key=lambda item: _turn(item.path, first))
+
+
+def is_dear(item: pytest.Item) -> bool:
+    """Whether it needs a server or a program that is not started for everyday's tests."""
+    if not isinstance(item, pytest.Function):
+        return False
+    kinds = item.callspec.params.values() if hasattr(item, "callspec") else ()
+    return not DEAR_FIXTURES.isdisjoint(item.fixturenames) or DEAR_KIND in [str(kind) for kind in kinds]
+
+
+def _turn(path: Path, first: set[Path]) -> int:
+    return 0 if path in first else 1

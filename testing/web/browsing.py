@@ -1,0 +1,81 @@
+"""People at a browser: the site on a real socket, Debian's Chromium, and who is signed in.
+
+**Conventions.** Signing in by cookie is what a test does that is not about signing in. Whatever a page writes to the
+console as an error, and whatever it asks of another host, fails the test that looked at it.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+from urllib.parse import urlsplit
+
+from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, Request
+
+from api.middleware.context import COOKIE
+from services.runtime.access import sessions
+from services.runtime.orm import User
+from services.runtime.platform import Platform
+from testing.api.serving import Person
+
+PATIENCE_MS = 300_000
+DESKTOP = {"width": 1280, "height": 860}
+PHONE = {"width": 390, "height": 844}
+
+
+@dataclass
+class Watch:
+    """What a page must not do: `faults` are sentences. `expected` are words of errors that a test provokes."""
+
+    origin: str
+    faults: list[str] = field(default_factory=list)
+    expected: list[str] = field(default_factory=list)
+
+    def console(self, message: ConsoleMessage) -> None:
+        if message.type == "error":
+            self.faults.append(f"console: {message.text} ({message.location.get('url')})")
+
+    def request(self, request: Request) -> None:
+        parts = urlsplit(request.url)
+        if parts.scheme in ("http", "https") and f"{parts.scheme}://{parts.netloc}" != self.origin:
+            self.faults.append(f"asked another host: {request.url}")
+
+    def unexpected(self) -> list[str]:
+        return [fault for fault in self.faults if not any(words in fault for words in self.expected)]
+
+
+@dataclass(frozen=True)
+class Site:
+    """The site of a platform, and a browser to look at it."""
+
+    url: str
+    platform: Platform
+    browser: Browser
+
+    @contextmanager
+    def visit(self, who: Person | None = None, **options: Any) -> Iterator[Page]:
+        """A page of a fresh browser of `who` (None: a visitor); what it must not do is checked at the end.
+
+        `expected=["401"]` names errors of the console that the test provokes; the rest are options of the context.
+        """
+        expected = options.pop("expected", [])
+        context: BrowserContext = self.browser.new_context(
+            base_url=self.url, **{"viewport": DESKTOP, "reduced_motion": "reduce", **options}
+        )
+        context.set_default_timeout(PATIENCE_MS)
+        watch = Watch(self.url, expected=list(expected))
+        if who is not None:
+            context.add_cookies([{"name": COOKIE, "value": self._secret(who), "url": self.url}])
+        page = context.new_page()
+        page.on("console", watch.console)
+        page.on("pageerror", lambda error: watch.faults.append(f"thrown: {error}"))
+        page.on("request", watch.request)
+        try:
+            yield page
+            assert watch.unexpected() == []
+        finally:
+            context.close()
+
+    def _secret(self, who: Person) -> str:
+        with self.platform.database.transaction() as session:
+            return sessions.open_session(session, session.get_one(User, who.user_id), 3600.0).secret

@@ -1,0 +1,1 @@
+"""Recordings, label sets, benchmarks and submissions that are laid into a platform."""

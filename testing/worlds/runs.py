@@ -1,0 +1,269 @@
+"""A sequence brought to a platform as the routes do it, and its jobs run in this process until none is left."""
+
+import hashlib
+import json
+import shutil
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import select
+
+from services.domain.sequences.processing import ProcessRequest, start_processing
+from services.domain.sequences.recordings import NewRecording, add_recording
+from services.ingest import stages as ingest
+from services.labeler import stages as labeler
+from services.runtime.access.storage_quota import reserve
+from services.runtime.jobs.execution import run_next
+from services.runtime.jobs.specs import Attempt, Handler
+from services.runtime.orm import (
+    Artefact,
+    Blob,
+    CalibrationRow,
+    Job,
+    LabelledFrameRow,
+    LabelSet,
+    Recording,
+    SequenceRow,
+    Upload,
+    User,
+)
+from services.runtime.platform import Platform
+from services.runtime.store.blobs import keep
+from services.runtime.uploads import upload_file
+from simulator.options import SimulateOptions
+from simulator.pipeline import calibration_path, simulate
+
+# Two parts, several tiles, cameras in the calibration but no images.
+SMALL = SimulateOptions(seconds=6.4, seed=3, channels=16, columns=180, cameras=False)
+NAME = "field"
+
+Wrap = Callable[[str, Handler], Handler]
+
+
+def simulated(folder: Path) -> Path:
+    """The recording all of these tests share; its calibration lies beside it."""
+    bag = folder / "run.mcap"
+    simulate(bag, SMALL)
+    return bag
+
+
+@dataclass
+class Brought:
+    """A sequence on a platform, by ids."""
+
+    platform: Platform
+    owner_id: str
+    sequence_id: str
+    recording_ids: list[str] = field(default_factory=list)
+
+    def sequence(self) -> SequenceRow:
+        with self.platform.database.reading() as session:
+            return session.get_one(SequenceRow, self.sequence_id)
+
+    def recording(self, number: int = 0) -> Recording:
+        with self.platform.database.reading() as session:
+            return session.get_one(Recording, self.recording_ids[number])
+
+    def job(self, job_id: str) -> Job:
+        with self.platform.database.reading() as session:
+            return session.get_one(Job, job_id)
+
+    def jobs(self, root_id: str) -> list[Job]:
+        with self.platform.database.reading() as session:
+            return list(session.scalars(select(Job).where(Job.root_id == root_id).order_by(Job.id)))
+
+    def label_sets(self) -> list[LabelSet]:
+        with self.platform.database.reading() as session:
+            return list(session.scalars(select(LabelSet).where(LabelSet.sequence_id == self.sequence_id)))
+
+    def add(self, path: Path, filename: str = "") -> str:
+        """Upload a file, or every file of a folder, as a recording; the id of the job that reads it."""
+        files = sorted(path.iterdir()) if path.is_dir() else [path]
+        received = NewRecording(
+            tuple(self._uploaded(file, "" if path.is_dir() else filename) for file in files), path.name
+        )
+        with self.platform.database.transaction() as session:
+            sequence = session.get_one(SequenceRow, self.sequence_id)
+            recording, job = add_recording(session, sequence, received, self.owner_id)
+            self.recording_ids.append(recording.id)
+            return job.id
+
+    def _uploaded(self, path: Path, filename: str) -> str:
+        content = path.read_bytes()
+        with self.platform.database.transaction() as session:
+            facts = {"purpose": "recording", "filename": filename or path.name, "length_bytes": len(content)}
+            upload = Upload(owner_id=self.owner_id, state="complete", expires_ns=0, **facts)
+            upload.sha256 = hashlib.sha256(content).hexdigest()
+            session.add(upload)
+            session.flush()
+            reserve(session, self.owner_id, len(content), upload.id, "upload", 2**40)
+            file = upload_file(self.platform.settings, upload.id)
+            file.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(path, file)
+            return upload.id
+
+    def calibrate(self, path: Path) -> None:
+        with self.platform.database.transaction() as session:
+            blob = keep(session, self.platform.store, path)
+            calibration = CalibrationRow(owner_id=self.owner_id, name="rig", version=1, filename=path.name)
+            calibration.sha256 = calibration.blob_sha256 = blob.sha256
+            calibration.sensors, calibration.findings = [], []
+            session.add(calibration)
+            session.flush()
+            session.get_one(SequenceRow, self.sequence_id).calibration_id = calibration.id
+
+    def process(self, **request: Any) -> str:
+        """The id of the run."""
+        with self.platform.database.transaction() as session:
+            sequence = session.get_one(SequenceRow, self.sequence_id)
+            return start_processing(session, sequence, ProcessRequest(**request)).id
+
+    def files(self) -> dict[str, bytes]:
+        """Every artefact of the one label set, the packs taken apart to `<token>/labels.npz`."""
+        with self.platform.database.reading() as session:
+            rows = session.execute(select(Artefact, Blob).join(Blob, Blob.sha256 == Artefact.blob_sha256)).all()
+            frames = session.scalars(select(LabelledFrameRow).order_by(LabelledFrameRow.ordinal)).all()
+        content = {a.id: b"".join(self.platform.store.read(blob.object_key)) for a, blob in rows}
+        files = {a.name: content[a.id] for a, _ in rows if not a.name.startswith("labels/")}
+        for frame in frames:
+            payload = content[frame.pack_id][frame.offset_bytes :][: frame.length_bytes]
+            assert hashlib.sha256(payload).hexdigest() == frame.sha256
+            files[f"{frame.token}/labels.npz"] = payload
+        assert sum(len(content[a.id]) for a, _ in rows if a.name.startswith("labels/")) == sum(
+            frame.length_bytes for frame in frames
+        )
+        return files
+
+
+def bring(platform: Platform, name: str = NAME) -> Brought:
+    """An owner with an empty sequence."""
+    with platform.database.transaction() as session:
+        owner = User(name=f"engineer-{name}", role="curator")
+        session.add(owner)
+        session.flush()
+        sequence = SequenceRow(owner_id=owner.id, name=name)
+        session.add(sequence)
+        session.flush()
+        return Brought(platform, owner.id, sequence.id)
+
+
+def bring_ready(platform: Platform, bag: Path, name: str = NAME) -> Brought:
+    """A sequence with its calibration and its recording registered."""
+    brought = bring(platform, name)
+    brought.calibrate(calibration_path(bag))
+    brought.add(bag)
+    run_all(platform)
+    return brought
+
+
+def unchanged(_kind: str, handler: Handler) -> Handler:
+    return handler
+
+
+def run_all(*platforms: Platform, wrap: Wrap = unchanged) -> int:
+    """Run both queues until they are empty, the platforms (machines) in turn; how many attempts there were."""
+    tables = [
+        (platform, queue, {kind: wrap(kind, handler) for kind, handler in made(platform).items()})
+        for platform in platforms
+        for queue, made in (("ingest", ingest.handlers), ("labeler", labeler.handlers))
+    ]
+    attempts = 0
+    while ran := sum(run_next(*table) for table in tables):
+        attempts += ran
+    return attempts
+
+
+@dataclass
+class Said:
+    """An attempt at `job` that counts its words, and passes them on where there is somebody to hear them."""
+
+    job: Job
+    words: list[int] = field(default_factory=list)
+    heard_by: Attempt | None = None
+
+    @property
+    def job_id(self) -> str:
+        return self.job.id
+
+    @property
+    def root_id(self) -> str:
+        return self.job.root_id
+
+    @property
+    def sequence_id(self) -> str | None:
+        return self.job.sequence_id
+
+    @property
+    def arguments(self) -> Mapping[str, Any]:
+        return self.job.arguments
+
+    def progress(self, stage: str, done: int, total: int) -> None:
+        self.words.append(done)
+        if self.heard_by:
+            time.sleep(0.05)  # as long as a stage takes between two words
+            self.heard_by.progress(stage, done, total)
+
+    def log(self, event: str, level: str = "info", **facts: Any) -> None:
+        if self.heard_by:
+            self.heard_by.log(event, level, **facts)
+
+
+class Listening(Said):
+    """An attempt whose word lasts until it has heard of the cancellation: the platform asks about twice a second."""
+
+    def progress(self, stage: str, done: int, total: int) -> None:
+        for _ in range(200):
+            super().progress(stage, done, total)
+
+
+@dataclass
+class Interrupted:
+    """An attempt whose second word, or else whose end, is an interruption."""
+
+    attempt: Attempt
+    words: int = 0
+
+    @property
+    def job_id(self) -> str:
+        return self.attempt.job_id
+
+    @property
+    def root_id(self) -> str:
+        return self.attempt.root_id
+
+    @property
+    def sequence_id(self) -> str | None:
+        return self.attempt.sequence_id
+
+    @property
+    def arguments(self) -> Mapping[str, Any]:
+        return self.attempt.arguments
+
+    def progress(self, stage: str, done: int, total: int) -> None:
+        self.words += 1
+        if self.words == 2:
+            raise RuntimeError("interrupted in the middle")
+        self.attempt.progress(stage, done, total)
+
+    def log(self, event: str, level: str = "info", **facts: Any) -> None:
+        self.attempt.log(event, level, **facts)
+
+
+def files_of_label(folder: Path) -> dict[str, bytes]:
+    """What `stone label` wrote, named as `Brought.files` names it and without what was measured."""
+    told = [path for path in (*folder.iterdir(), *folder.glob("scene/*")) if path.is_file()]
+    files = {path.relative_to(folder).as_posix(): path.read_bytes() for path in told}
+    record = json.loads(files["report.json"])
+    for name in ("stages_busy_s", "cpu_s", "peak_bytes"):
+        del record[name]
+    files["report.json"] = (json.dumps(record, indent=1) + "\n").encode()
+    labels = (folder / "gts" / NAME).glob("*/labels.npz")
+    return files | {f"{path.parent.name}/labels.npz": path.read_bytes() for path in labels}
+
+
+def differing(ours: dict[str, bytes], theirs: dict[str, bytes]) -> list[str]:
+    """The names of files that are not in both, or differ."""
+    return sorted(name for name in ours.keys() | theirs.keys() if ours.get(name) != theirs.get(name))

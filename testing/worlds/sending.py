@@ -1,0 +1,121 @@
+"""A world on a platform of its own for the tests of a module, and submissions sent into it as a client's are.
+
+**Conventions.** Every submission has bytes of its own, unless a test says otherwise, so that none meets what another
+left. What is asked of the rows is asked anew each time.
+"""
+
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from sqlalchemy import select
+
+from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion, active
+from services.domain.benchmarks.submissions.submissions import SubmissionDraft, create_draft, finalise
+from services.runtime.orm import Blob, Job, JobLine, Score, ScorePart, ScoringEntry, SubmissionRow, new_id
+from services.runtime.platform import Platform
+from testing.servers.fixtures import make_settings, opened
+from testing.worlds import made
+from testing.worlds.benchmark_world import Grid, World, benchmark_world
+from testing.worlds.submission_files import write_submission
+
+
+@contextmanager
+def standing_world(folder: Path, template: Path, frames: int = 1) -> Iterator[World]:
+    """A world of few frames, its database copied from the migrated `template`."""
+    settings = make_settings(folder)
+    settings.root.mkdir(parents=True)
+    shutil.copyfile(template, settings.root / "stone.sqlite3")
+    platform = opened(settings, [])
+    yield benchmark_world(platform, frames)
+    platform.database.close()
+
+
+def guess(world: World, part: str = "val", turn: int = 0) -> dict[str, Grid]:
+    """A prediction that is half right: the truth moved by some voxels, others for each `turn`."""
+    return {token: np.roll(grid, 1 + turn, axis=1) for token, grid in world.truth(part).items()}
+
+
+def zipped(world: World, frames: Mapping[str, Grid]) -> bytes:
+    """These frames as a submission."""
+    path = Path(world.platform.settings.root) / f"{new_id()}.zip"
+    write_submission(path, frames.items())
+    return path.read_bytes()
+
+
+def send(world: World, content: bytes, part: str = "val", **said: Any) -> str:
+    """The id of a submission whose file has come and whose run is queued; `said` may set kind and team (its number)."""
+    digest, team = sha256(content).hexdigest(), said.get("team", 0)
+    captain = world.captains[team]
+    what = (said.get("kind", "entry"), "a guess", "", "L")
+    facts = SubmissionDraft(
+        world.phase(part), world.teams[team], captain.user_id, *what, sha256=digest, size_bytes=len(content)
+    )
+    with world.platform.database.transaction() as session:
+        submission_id = create_draft(session, facts).id
+    sent = {"purpose": "submission", "target_id": submission_id, "filename": "guess.zip", "declared_sha256": digest}
+    upload_id = made.upload(world.platform, captain, content, **sent)
+    with world.platform.database.transaction() as session:
+        finalise(session, session.get_one(SubmissionRow, submission_id), upload_id)
+    return submission_id
+
+
+def row_of(platform: Platform, submission_id: str) -> SubmissionRow:
+    with platform.database.reading() as session:
+        return session.get_one(SubmissionRow, submission_id)
+
+
+def scores_of(platform: Platform, submission_id: str) -> list[Score]:
+    with platform.database.reading() as session:
+        return list(session.scalars(select(Score).where(Score.submission_id == submission_id).order_by(Score.id)))
+
+
+def jobs_of(platform: Platform, submission_id: str) -> list[Job]:
+    """Those of its run, in their order."""
+    root_id = row_of(platform, submission_id).job_id
+    with platform.database.reading() as session:
+        return list(session.scalars(select(Job).where(Job.root_id == root_id, Job.queue != "").order_by(Job.id)))
+
+
+def taken(platform: Platform, submission_id: str) -> int:
+    """How many scorings it holds."""
+    with platform.database.reading() as session:
+        amounts = select(ScoringEntry.amount).where(ScoringEntry.submission_id == submission_id)
+        return sum(session.scalars(amounts))
+
+
+def parts_left(platform: Platform) -> int:
+    """How many counted parts wait for a join, of all submissions."""
+    with platform.database.reading() as session:
+        return len(session.scalars(select(ScorePart.start)).all())
+
+
+def counts_of(platform: Platform, score: Score) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    """The kept confusions [F, 3, 4, 4] and drivable columns [F, 3, 3] of a score."""
+    with platform.database.reading() as session:
+        key = session.get_one(Blob, score.confusions_sha256).object_key
+    with np.load(platform.store.local(key), allow_pickle=False) as arrays:
+        return arrays["confusions"], arrays["bev"]
+
+
+def pair_of(world: World, part: str) -> EvaluationVersion:
+    """The evaluation version in force."""
+    with world.platform.database.reading() as session:
+        found = active(session, world.phase(part))
+    assert found is not None
+    return found
+
+
+def said_of(platform: Platform, submission_id: str) -> list[Any]:
+    """Everything that its jobs told anybody: results, failures, log lines."""
+    jobs = jobs_of(platform, submission_id)
+    with platform.database.reading() as session:
+        lines = session.scalars(select(JobLine).where(JobLine.job_id.in_([job.id for job in jobs]))).all()
+    return [
+        *((job.result, job.failure, job.failure_code, job.stage) for job in jobs),
+        *((line.event, line.facts) for line in lines),
+    ]

@@ -1,0 +1,235 @@
+"""The board: who stands on it, in which order, how surely, at which time; against what the counts say."""
+
+from inspect import unwrap
+from typing import Any
+
+import numpy as np
+import pytest
+
+from services.domain.benchmarks.boards.board import MOST_ROWS, Board, LeaderboardRow, board
+from services.domain.benchmarks.boards.bootstrap import rank_confidence_of
+from services.domain.benchmarks.boards.entries import BoardQuery
+from services.domain.benchmarks.visibility import ANYBODY, Viewer
+from services.runtime.orm import Reported
+from services.runtime.orm.base import now_ns
+from services.runtime.platform import Platform
+from stone.scoring.confusion import ratios
+from stone.scoring.metric import RATIOS
+from tests.services.domain.benchmarks.boards import ADMINISTRATOR, HOUR_NS, Made, Scene, counts, scene
+
+ALL = BoardQuery(entries="all")
+
+
+def shown(at: Scene, query: BoardQuery = ALL, viewer: Viewer = ANYBODY) -> Board:
+    return board(at.platform, at.phase_id, query, viewer)
+
+
+def ranked(found: Board) -> list[LeaderboardRow]:
+    return [row for row in found.rows if row.standing == "ranked"]
+
+
+def ids(found: Board) -> list[str | None]:
+    return [row.submission_id for row in ranked(found)]
+
+
+def test_the_order_is_that_of_ratios_computed_from_the_counts(platform_on: Platform) -> None:
+    at = scene(platform_on)
+    errors = {at.enter(at.team(), Made(error, seed)): error for seed, error in enumerate((0.4, 0.2, 0.3))}
+    found = shown(at)
+    assert [errors[str(one)] for one in ids(found)] == [0.2, 0.3, 0.4]
+    assert [row.rank for row in found.rows] == [1, 2, 3]
+    for row, (seed, error) in zip(found.rows, ((1, 0.2), (2, 0.3), (0, 0.4)), strict=True):
+        expected = ratios(counts(Made(error, seed)).sum(axis=(0, 1), dtype=np.int64))
+        assert [row.ratios[name] for name in RATIOS] == pytest.approx(expected.tolist())
+
+
+def test_entries_that_surely_differ_are_in_groups_of_their_own(platform: Platform) -> None:
+    at = scene(platform)
+    for error in (0.2, 0.3, 0.4):
+        at.enter(at.team(), Made(error))
+    assert [(row.rank_interval, row.tie_group) for row in shown(at).rows] == [((1, 1), 1), ((2, 2), 2), ((3, 3), 3)]
+
+
+def test_entries_that_hardly_differ_share_a_group_and_their_intervals_overlap(platform: Platform) -> None:
+    at = scene(platform)
+    for seed in (1, 2):
+        at.enter(at.team(), Made(0.3, seed))
+    at.enter(at.team(), Made(0.5, 3))
+    assert [(row.rank_interval, row.tie_group) for row in shown(at).rows] == [((1, 2), 1), ((1, 2), 1), ((3, 3), 2)]
+
+
+def test_equal_values_share_a_rank_and_the_earlier_stands_first(platform: Platform) -> None:
+    at = scene(platform)
+    later = at.enter(at.team(), Made(0.3), finalized_ns=2000)
+    earlier = at.enter(at.team(), Made(0.3), finalized_ns=1000)
+    last = at.enter(at.team(), Made(0.5))
+    found = shown(at)
+    assert ids(found) == [earlier, later, last]
+    assert [row.rank for row in found.rows] == [1, 1, 3]
+    assert [row.tie_group for row in found.rows] == [1, 1, 2]
+
+
+@pytest.mark.parametrize("decides", ["iou_occ", "iou_n"])
+def test_what_is_equal_in_miou_is_ordered_by_the_next_ratio(platform: Platform, decides: str) -> None:
+    at = scene(platform)
+    first, second = (at.enter(at.team(), Made(total=((decides, value),))) for value in (0.8, 0.9))
+    assert ids(shown(at)) == [second, first]
+
+
+def test_what_differs_less_than_is_shown_does_not_decide(platform: Platform) -> None:
+    at = scene(platform)
+    first = at.enter(at.team(), Made(total=(("miou", 0.51231), ("iou_occ", 0.7))))
+    second = at.enter(at.team(), Made(total=(("miou", 0.51229), ("iou_occ", 0.8))))
+    assert ids(shown(at)) == [second, first]
+
+
+def test_an_undefined_entry_is_listed_without_a_rank_and_never_first(platform: Platform) -> None:
+    at = scene(platform)
+    undefined = at.enter(at.team(), Made(0.0, without=3))
+    defined = at.enter(at.team(), Made(0.9))
+    found = shown(at)
+    assert ids(found) == [defined]
+    last = found.rows[-1]
+    assert (last.submission_id, last.standing, last.rank, last.tie_group) == (undefined, "undefined", None, None)
+    assert (last.ratios["iou_n"], last.ratios["miou"]) == (None, None)
+    assert last.support is not None
+    assert last.support["N"] == 0
+
+
+def test_a_baseline_is_shown_but_has_no_rank(platform: Platform) -> None:
+    at = scene(platform)
+    at.enter(at.team(), Made(0.1), kind="baseline")
+    at.enter(at.team(), Made(0.3))
+    found = shown(at)
+    assert [(row.standing, row.rank) for row in found.rows] == [("ranked", 1), ("baseline", None)]
+    assert found.rows[0].rank_interval == (1, 1)
+
+
+def test_reported_results_stand_last_with_their_source(platform: Platform) -> None:
+    at = scene(platform)
+    at.enter(at.team(), Made(0.3))
+    with platform.database.transaction() as session:
+        for method, miou in (("Old", 0.1), ("Unknown", None), ("New", 0.2)):
+            row = Reported(phase_id=at.phase_id, method=method, modality="C", source="a paper", miou=miou)
+            session.add(row)
+    found = shown(at)
+    assert [row.method for row in found.rows[1:]] == ["New", "Old", "Unknown"]
+    assert {row.standing for row in found.rows[1:]} == {"reported"}
+    assert {(row.rank, row.source, row.submission_id) for row in found.rows[1:]} == {(None, "a paper", None)}
+    assert shown(at, BoardQuery("L", None, "all")).rows == found.rows[:1]
+
+
+def test_only_scored_entries_that_stand_are_on_the_board(platform: Platform) -> None:
+    at = scene(platform)
+    one = at.enter(at.team(), Made(0.3))
+    states = ("draft", "queued", "scoring", "valid", "invalid", "failed", "cancelled")
+    gone: tuple[dict[str, Any], ...] = (
+        {"withdrawn_ns": 1},
+        {"hidden_ns": 1},
+        {"kind": "validation"},
+        *({"state": state} for state in states),
+    )
+    standing = {"withdrawn_ns": None, "hidden_ns": None, "kind": "entry", "state": "scored"}
+    for columns in gone:
+        at.change(one, **{**standing, **columns})
+        assert shown(at, viewer=ADMINISTRATOR).rows == (), columns
+        at.change(one, **standing)
+        assert ids(shown(at)) == [one]
+
+
+def test_best_is_one_entry_of_each_team_and_all_is_all(platform: Platform) -> None:
+    at = scene(platform)
+    one, other = at.team(), at.team()
+    worse, best, second = (at.enter(team, Made(e)) for team, e in ((one, 0.4), (one, 0.2), (other, 0.3)))
+    at.enter(one, Made(0.0, without=3))
+    assert ids(shown(at, BoardQuery())) == [best, second]
+    assert [row.standing for row in shown(at, BoardQuery()).rows] == ["ranked", "ranked"]
+    assert ids(shown(at)) == [best, second, worse]
+
+
+def test_a_team_with_nothing_defined_is_listed_once_among_the_best(platform: Platform) -> None:
+    at = scene(platform)
+    team = at.team()
+    for error in (0.1, 0.2):
+        at.enter(team, Made(error, without=1))
+    assert [row.standing for row in shown(at, BoardQuery()).rows] == ["undefined"]
+
+
+def test_a_track_is_of_the_entries_that_declared_it(platform: Platform) -> None:
+    at = scene(platform)
+    camera = at.enter(at.team(), Made(0.3), modality="C")
+    both = at.enter(at.team(), Made(0.2), modality="C+L")
+    assert ids(shown(at, BoardQuery("C"))) == [camera]
+    assert ids(shown(at, BoardQuery("C+L"))) == [both]
+    assert ids(shown(at, BoardQuery("R"))) == []
+    assert shown(at, BoardQuery("C")).rows[0].rank == 1
+
+
+def test_a_board_of_the_past_is_that_of_the_past(platform_on: Platform) -> None:
+    at, now = scene(platform_on), now_ns()
+    early = at.enter(at.team(), Made(0.4), settled_ns=now - 50 * HOUR_NS)
+    gone = at.enter(at.team(), Made(0.3), settled_ns=now - 50 * HOUR_NS, withdrawn_ns=now - 20 * HOUR_NS)
+    hidden = at.enter(at.team(), Made(0.2), settled_ns=now - 50 * HOUR_NS, hidden_ns=now - 30 * HOUR_NS)
+    late = at.enter(at.team(), Made(0.1), settled_ns=now - 10 * HOUR_NS)
+
+    def then(hours: int) -> list[str | None]:
+        return ids(shown(at, BoardQuery(as_of_ns=now - hours * HOUR_NS)))
+
+    assert then(60) == []
+    assert then(40) == [hidden, gone, early]
+    assert then(25) == [gone, early]
+    assert then(15) == [early]
+    assert then(5) == ids(shown(at)) == [late, early]
+
+
+def test_the_future_is_now(platform: Platform) -> None:
+    at = scene(platform)
+    entered = at.enter(at.team(), Made())
+    found = shown(at, BoardQuery(as_of_ns=now_ns() + HOUR_NS))
+    assert ids(found) == [entered]
+    assert found.query.as_of_ns is not None
+    assert found.query.as_of_ns <= now_ns()
+
+
+def test_a_board_shows_one_pair_and_the_old_one_for_the_past(platform: Platform) -> None:
+    at, now = scene(platform), now_ns()
+    entered = at.enter(at.team(), Made(0.4), settled_ns=now - 50 * HOUR_NS)
+    new = at.another_pair(activated_ns=now - 10 * HOUR_NS)
+    at.score(entered, Made(0.2), new)
+    unscored = at.enter(at.team(), Made(0.1), settled_ns=now - 50 * HOUR_NS)
+    today, before = shown(at), shown(at, BoardQuery(as_of_ns=now - 20 * HOUR_NS, entries="all"))
+    assert today.pair is not None
+    assert before.pair is not None
+    assert (today.pair.truth_number, before.pair.truth_number) == (2, 1)
+    assert (ids(today), ids(before)) == ([entered], [unscored, entered])
+    assert (today.rows[0].ratios["miou"] or 0) > (before.rows[1].ratios["miou"] or 0)
+
+
+def test_before_the_first_ground_truth_there_is_an_empty_board(platform: Platform) -> None:
+    at = scene(platform)
+    at.enter(at.team(), Made())
+    found = shown(at, BoardQuery(as_of_ns=1))
+    assert (found.pair, found.rows, found.ranked_total) == (None, (), 0)
+
+
+def test_sequences_shorter_than_a_block_claim_nothing(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Resampled to themselves, they would show a certainty that nobody has."""
+    at = scene(platform)
+    entered = at.enter(at.team(), Made(0.2))
+    draws = shown(at).rows[0]
+    assert draws.rank_interval == (1, 1)
+    monkeypatch.setattr("services.domain.benchmarks.boards.bootstrap.varies", lambda draws: False)
+    monkeypatch.setattr(
+        "services.domain.benchmarks.boards.board.rank_confidence_of", unwrap(rank_confidence_of)
+    )  # nothing is remembered
+    assert (ids(shown(at)), shown(at).rows[0].rank_interval, shown(at).rows[0].tie_group) == ([entered], None, None)
+
+
+def test_a_board_tells_at_most_so_many(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
+    at = scene(platform)
+    for error in (0.1, 0.2, 0.3):
+        at.enter(at.team(), Made(error))
+    assert MOST_ROWS > 600
+    monkeypatch.setattr("services.domain.benchmarks.boards.board.MOST_ROWS", 2)
+    found = shown(at)
+    assert ([row.rank for row in found.rows], found.ranked_total) == ([1, 2], 3)

@@ -1,0 +1,293 @@
+"""A re-score begins once, covers what stands, is taken up again, and switches the board as a whole or not at all."""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import pytest
+from sqlalchemy import select
+
+from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion, active, in_force, versions_to_score
+from services.domain.benchmarks.rescores.errors import (
+    AlreadyActiveError,
+    BoardMovedError,
+    ForeignTruthError,
+    RescoreIncompleteError,
+    RescoreStateError,
+    TruthNotReadyError,
+)
+from services.domain.benchmarks.rescores.progress import RescoreProgress, rescore_progress
+from services.domain.benchmarks.rescores.rescore import NewRescore, abandon, activate, old_version, start_rescore
+from services.runtime.jobs.claims import claim
+from services.runtime.jobs.completion import Failure, fail
+from services.runtime.jobs.enqueue import enqueue
+from services.runtime.jobs.specs import Context, JobSpec
+from services.runtime.orm import Activation, GroundTruthRow, Job, Rescore
+from services.runtime.orm.base import now_ns
+from services.runtime.platform import Platform
+from stone.scoring.metric import METRIC_VERSION, OCCUPIED_VERSION, UnknownMetricError
+from tests.services.domain.benchmarks.scored import (
+    Place,
+    another_truth,
+    entry,
+    phase_of_rows,
+    scored,
+    scored_entry,
+    team,
+)
+
+
+@dataclass(frozen=True)
+class Started:
+    rescore_id: str
+    job_id: str | None
+
+
+def _start(place: Place, pair: EvaluationVersion) -> Started:
+    with place.platform.database.transaction() as session:
+        rescore, run = start_rescore(session, place.phase, NewRescore(pair, place.user.id, "labels corrected"))
+        return Started(rescore.id, run.id if run else None)
+
+
+def _submissions_of(place: Place, job_id: str | None) -> list[str]:
+    """The submissions that the run's joins score, in the order in which they are taken."""
+    with place.platform.database.reading() as session:
+        joins = select(Job.arguments).where(Job.root_id == job_id, Job.kind == "eval.join").order_by(Job.id)
+        return [arguments["submission_id"] for arguments in session.scalars(joins) if arguments]
+
+
+def _progress(place: Place, rescore_id: str) -> RescoreProgress:
+    with place.platform.database.reading() as session:
+        return rescore_progress(session, session.get_one(Rescore, rescore_id))
+
+
+def _activate(place: Place, rescore_id: str, expected: str | None = "") -> str:
+    with place.platform.database.transaction() as session:
+        shown = in_force(session, place.phase.id)
+        expected = (shown.id if shown else None) if expected == "" else expected
+        return activate(session, session.get_one(Rescore, rescore_id), expected, place.user.id).id
+
+
+def test_a_bulk_run_covers_entries_and_baselines_that_stand_and_nothing_else(platform_on: Platform) -> None:
+    place = phase_of_rows(platform_on)
+    ours = team(place)
+    standing = [scored_entry(place, ours), scored_entry(place, ours, kind="baseline")]
+    hidden = scored_entry(place, ours, hidden_ns=1)
+    for columns in ({"state": "invalid"}, {"state": "queued"}, {"withdrawn_ns": 1}, {"kind": "validation"}):
+        entry(place, ours, **columns)
+    purged = scored_entry(place, ours, blob_sha256=None)
+    pair = EvaluationVersion(another_truth(place), METRIC_VERSION)
+    started = _start(place, pair)
+    assert _submissions_of(place, started.job_id) == [*standing, hidden]
+    assert purged not in _submissions_of(place, started.job_id)
+    assert _progress(place, started.rescore_id) == RescoreProgress(total=4, scored=0, missing=2, hidden=1, gone=1)
+
+
+def test_another_metric_needs_no_file(platform: Platform) -> None:
+    place = phase_of_rows(platform)
+    purged = scored_entry(place, team(place), blob_sha256=None)
+    started = _start(place, EvaluationVersion(place.truth_id, OCCUPIED_VERSION))
+    assert _submissions_of(place, started.job_id) == [purged]
+    assert _progress(place, started.rescore_id).gone == 0
+
+
+def test_a_new_submission_goes_before_a_re_score(platform_on: Platform) -> None:
+    place = phase_of_rows(platform_on)
+    scored_entry(place, team(place))
+    _start(place, EvaluationVersion(another_truth(place), METRIC_VERSION))
+    with platform_on.database.transaction() as session:
+        fresh = enqueue(session, JobSpec("eval.open", {"submission_id": "new"}), Context(place.user.id)).id
+    with platform_on.database.transaction() as session:
+        taken = claim(session, "eval")
+    assert taken is not None
+    assert taken.job_id == fresh
+
+
+def test_started_again_while_its_run_works_it_is_the_same_one(platform_on: Platform) -> None:
+    place = phase_of_rows(platform_on)
+    scored_entry(place, team(place))
+    pair = EvaluationVersion(another_truth(place), METRIC_VERSION)
+    assert _start(place, pair) == _start(place, pair)
+
+
+def test_started_again_after_its_run_failed_it_does_what_is_missing_and_what_failed_last(platform_on: Platform) -> None:
+    place = phase_of_rows(platform_on)
+    ours = team(place)
+    done, poisoned, rest = (scored_entry(place, ours) for _ in range(3))
+    pair = EvaluationVersion(another_truth(place), METRIC_VERSION)
+    first = _start(place, pair)
+    scored(place, done, 0.4, pair.truth_id)
+    _fail_for(place, first.job_id, poisoned)
+    again = _start(place, pair)
+    assert again.rescore_id == first.rescore_id
+    assert again.job_id != first.job_id
+    assert _submissions_of(place, again.job_id) == [rest, poisoned]
+
+
+def _fail_for(place: Place, run_id: str | None, submission_id: str) -> None:
+    """Let the first job of the run for this submission fail, as a worker does."""
+    with place.platform.database.transaction() as session:
+        for job in session.scalars(select(Job).where(Job.root_id == run_id, Job.id != run_id)):
+            job.priority = 1 if (job.arguments or {}).get("submission_id") == submission_id else job.priority
+    with place.platform.database.transaction() as session:
+        taken = claim(session, "eval")
+        assert taken is not None
+        assert taken.arguments["submission_id"] == submission_id
+        assert fail(session, taken, Failure("internal_error", "it broke"))
+
+
+def test_nothing_missing_needs_no_run_and_is_complete(platform: Platform) -> None:
+    place = phase_of_rows(platform)
+    one = scored_entry(place, team(place))
+    pair = EvaluationVersion(another_truth(place), METRIC_VERSION)
+    scored(place, one, 0.4, pair.truth_id)
+    started = _start(place, pair)
+    assert started.job_id is None
+    assert _progress(place, started.rescore_id).is_complete
+
+
+def test_what_cannot_be_re_scored_is_refused(platform: Platform) -> None:
+    place, other = phase_of_rows(platform), phase_of_rows(platform)
+    scored_entry(place, team(place))
+    for pair, error in (
+        (EvaluationVersion(place.truth_id, METRIC_VERSION), AlreadyActiveError),
+        (EvaluationVersion(place.truth_id, "stone-iou-0"), UnknownMetricError),
+        (EvaluationVersion(other.truth_id, METRIC_VERSION), ForeignTruthError),
+        (EvaluationVersion("0" * 32, METRIC_VERSION), ForeignTruthError),
+        (EvaluationVersion(another_truth(place, is_ready=False), METRIC_VERSION), TruthNotReadyError),
+    ):
+        with pytest.raises(error):
+            _start(place, pair)
+    with platform.database.reading() as session:
+        assert not session.scalars(select(Rescore)).all()
+
+
+def test_an_entry_that_was_hidden_during_a_re_score_catches_up_by_the_pair_of_the_board(platform: Platform) -> None:
+    place = phase_of_rows(platform)
+    ours = team(place)
+    shown, hidden = scored_entry(place, ours), scored_entry(place, ours, hidden_ns=1)
+    pair = EvaluationVersion(another_truth(place), METRIC_VERSION)
+    started = _start(place, pair)
+    scored(place, shown, 0.4, pair.truth_id)
+    _activate(place, started.rescore_id)
+    assert _submissions_of(place, _start(place, pair).job_id) == [hidden]
+
+
+def test_the_board_switches_as_a_whole_and_the_old_pair_stays_readable(platform_on: Platform) -> None:
+    place = phase_of_rows(platform_on)
+    one = scored_entry(place, team(place))
+    old, new = (
+        EvaluationVersion(place.truth_id, METRIC_VERSION),
+        EvaluationVersion(another_truth(place), METRIC_VERSION),
+    )
+    started = _start(place, new)
+    before_ns = now_ns()
+    with platform_on.database.reading() as session:
+        assert active(session, place.phase.id) == old
+        assert versions_to_score(session, place.phase.id) == (old, new)
+    with pytest.raises(RescoreIncompleteError, match="1 entries"):
+        _activate(place, started.rescore_id)
+    scored(place, one, 0.4, new.truth_id)
+    _activate(place, started.rescore_id)
+    with platform_on.database.reading() as session:
+        assert active(session, place.phase.id) == new
+        assert active(session, place.phase.id, before_ns) == old
+        assert versions_to_score(session, place.phase.id) == (new,)
+        assert old_version(session, session.get_one(Rescore, started.rescore_id)) == old
+
+
+def test_a_switch_from_a_board_that_moved_is_refused(platform: Platform) -> None:
+    place = phase_of_rows(platform)
+    with platform.database.reading() as session:
+        shown = in_force(session, place.phase.id)
+    assert shown is not None
+    first = _start(place, EvaluationVersion(another_truth(place), METRIC_VERSION))
+    second = _start(place, EvaluationVersion(another_truth(place), METRIC_VERSION))
+    moved = _activate(place, first.rescore_id, shown.id)
+    with pytest.raises(BoardMovedError, match=moved):
+        _activate(place, second.rescore_id, shown.id)
+    assert _activate(place, second.rescore_id, moved)
+
+
+def test_a_switch_to_a_ground_truth_that_is_not_ready_any_more_is_refused(platform: Platform) -> None:
+    place = phase_of_rows(platform)
+    truth_id = another_truth(place)
+    started = _start(place, EvaluationVersion(truth_id, METRIC_VERSION))
+    with platform.database.transaction() as session:
+        session.get_one(GroundTruthRow, truth_id).ready_ns = None
+    with pytest.raises(TruthNotReadyError):
+        _activate(place, started.rescore_id)
+
+
+def test_a_clock_set_back_does_not_bring_the_old_board_back(platform: Platform) -> None:
+    place = phase_of_rows(platform)
+    with platform.database.transaction() as session:
+        ahead = Activation(phase_id=place.phase.id, truth_id=place.truth_id, metric=OCCUPIED_VERSION)
+        ahead.activated_by, ahead.activated_ns = place.user.id, now_ns() + 10**12
+        session.add(ahead)
+    new = EvaluationVersion(another_truth(place), METRIC_VERSION)
+    _activate(place, _start(place, new).rescore_id)
+    with platform.database.reading() as session:
+        assert active(session, place.phase.id) == new
+
+
+def test_of_two_switches_at_once_one_passes(platform_on: Platform) -> None:
+    place = phase_of_rows(platform_on)
+    with platform_on.database.reading() as session:
+        shown = in_force(session, place.phase.id)
+    assert shown is not None
+    rescores = [_start(place, EvaluationVersion(another_truth(place), METRIC_VERSION)).rescore_id for _ in range(4)]
+
+    def attempt(rescore_id: str) -> bool:
+        try:
+            return bool(_activate(place, rescore_id, shown.id))
+        except BoardMovedError:
+            return False
+
+    with ThreadPoolExecutor(len(rescores)) as pool:
+        assert sum(pool.map(attempt, rescores)) == 1
+    with platform_on.database.reading() as session:
+        assert len(session.scalars(select(Activation)).all()) == 2
+
+
+def test_two_starts_at_once_make_one_re_score_and_one_run(platform_on: Platform) -> None:
+    place = phase_of_rows(platform_on)
+    scored_entry(place, team(place))
+    pair = EvaluationVersion(another_truth(place), METRIC_VERSION)
+    with ThreadPoolExecutor(4) as pool:
+        started = set(pool.map(lambda _: _start(place, pair), range(4)))
+    assert len(started) == 1
+
+
+def test_abandoned_its_run_stops_its_pair_is_pending_no_more_and_scores_stay(platform_on: Platform) -> None:
+    place = phase_of_rows(platform_on)
+    ours = team(place)
+    done = scored_entry(place, ours)
+    scored_entry(place, ours)
+    pair = EvaluationVersion(another_truth(place), METRIC_VERSION)
+    started = _start(place, pair)
+    scored(place, done, 0.4, pair.truth_id)
+    with platform_on.database.transaction() as session:
+        abandon(session, session.get_one(Rescore, started.rescore_id), "a mistake")
+    with platform_on.database.reading() as session:
+        assert session.get_one(Job, started.job_id).state == "cancelled"
+        assert versions_to_score(session, place.phase.id) == (EvaluationVersion(place.truth_id, METRIC_VERSION),)
+    assert _progress(place, started.rescore_id).scored == 1
+    for act in (lambda: _activate(place, started.rescore_id), lambda: _abandon(place, started.rescore_id)):
+        with pytest.raises(RescoreStateError, match="abandoned"):
+            act()
+
+
+def _abandon(place: Place, rescore_id: str) -> None:
+    with place.platform.database.transaction() as session:
+        abandon(session, session.get_one(Rescore, rescore_id), "again")
+
+
+def test_every_part_of_every_entry_is_a_job_of_the_one_run(platform: Platform) -> None:
+    place = phase_of_rows(platform)
+    ours = team(place)
+    ids = [scored_entry(place, ours) for _ in range(5)]
+    started = _start(place, EvaluationVersion(another_truth(place), METRIC_VERSION))
+    assert _submissions_of(place, started.job_id) == ids
+    with platform.database.reading() as session:
+        kinds = session.scalars(select(Job.kind).where(Job.root_id == started.job_id, Job.queue == "eval")).all()
+    assert sorted(kinds) == ["eval.join"] * 5 + ["eval.part"] * 5 * 4

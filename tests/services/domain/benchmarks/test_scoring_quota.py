@@ -1,0 +1,231 @@
+"""The ledger of scorings: what is taken is given back once, and nobody takes the last one twice."""
+
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from sqlalchemy.orm import Session
+
+from services.domain.benchmarks.submissions import scoring_quota
+from services.domain.benchmarks.submissions.errors import ScoringsExhaustedError
+from services.domain.benchmarks.submissions.scoring_quota import ScoringQuota
+from services.runtime.orm import Phase, ScoringEntry, SubmissionRow, new_id
+from services.runtime.orm.base import now_ns
+from services.runtime.platform import Platform
+from tests.services.domain.benchmarks.drafts import Entrant, another_entrant, drafted, entrant_on
+
+DAY_NS = 86_400 * 10**9
+NOW_NS = 1_800_000_000 * 10**9
+
+
+def reserved(entrant: Entrant) -> str:
+    """The id of a draft for which a scoring is taken."""
+    submission_id = drafted(entrant)
+    with entrant.platform.database.transaction() as session:
+        scoring_quota.reserve(session, session.get_one(Phase, entrant.phase_id), entrant.team_id, submission_id)
+    return submission_id
+
+
+def standing(entrant: Entrant, at_ns: int | None = None) -> ScoringQuota:
+    with entrant.platform.database.reading() as session:
+        return scoring_quota.scoring_quota(session, session.get_one(Phase, entrant.phase_id), entrant.team_id, at_ns)
+
+
+def granted(entrant: Entrant, amount: int) -> None:
+    with entrant.platform.database.transaction() as session:
+        scoring_quota.grant(session, session.get_one(Phase, entrant.phase_id), entrant.team_id, amount, "a broken week")
+
+
+def wait(monkeypatch: pytest.MonkeyPatch, passed_ns: int) -> None:
+    """From now on it is this much later."""
+    monkeypatch.setattr(scoring_quota, "now_ns", lambda: now_ns() + passed_ns)
+
+
+def test_what_is_released_is_free_again_and_only_once(platform_on: Platform) -> None:
+    entrant = entrant_on(platform_on, scorings_per_window=1)
+    first = reserved(entrant)
+    assert (standing(entrant).used, standing(entrant).reserved) == (0, 1)
+    with pytest.raises(ScoringsExhaustedError, match="1 of 1 scorings within 7 days are used or under way; the next"):
+        reserved(entrant)
+    for given_back in (1, 0):
+        with platform_on.database.transaction() as session:
+            assert scoring_quota.release(session, first, "released: failed") == given_back
+    assert standing(entrant).reserved == 0
+    reserved(entrant)
+
+
+def test_what_is_consumed_stays_taken(platform_on: Platform) -> None:
+    entrant = entrant_on(platform_on, scorings_per_window=2)
+    submission_id = reserved(entrant)
+    with platform_on.database.transaction() as session:
+        scoring_quota.consume(session, submission_id)
+    assert (standing(entrant).used, standing(entrant).reserved) == (1, 0)
+    with platform_on.database.reading() as session:
+        assert scoring_quota.balance(session, entrant.phase_id, entrant.team_id) == 1
+
+
+def test_the_window_rolls_and_says_when_it_is_open_again(
+    platform_on: Platform, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    entrant = entrant_on(platform_on, scorings_per_window=1)
+    reserved(entrant)
+    with pytest.raises(ScoringsExhaustedError) as refused:
+        reserved(entrant)
+    next_ns = refused.value.next_ns
+    assert next_ns is not None
+    assert standing(entrant).next_slot_ns == next_ns
+    assert standing(entrant, next_ns - 1).next_slot_ns == next_ns
+    assert standing(entrant, next_ns).next_slot_ns == next_ns
+    assert standing(entrant, next_ns).reserved == 0
+    wait(monkeypatch, 7 * DAY_NS)
+    reserved(entrant)
+
+
+def test_a_total_that_is_used_up_has_no_next_time_until_more_are_granted(
+    platform_on: Platform, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    entrant = entrant_on(platform_on, scorings_total=1)
+    reserved(entrant)
+    wait(monkeypatch, 300 * DAY_NS)
+    assert (standing(entrant).total_left, standing(entrant).next_slot_ns) == (0, None)
+    with pytest.raises(ScoringsExhaustedError, match=r"1 of 1 scorings in this phase .* may grant more"):
+        reserved(entrant)
+    granted(entrant, 2)
+    assert standing(entrant).total_left == 2
+    reserved(entrant)
+    assert standing(entrant).total_left == 1
+
+
+def test_a_grant_opens_the_window_too_and_is_taken_back_the_same_way(platform_on: Platform) -> None:
+    entrant = entrant_on(platform_on, scorings_per_window=1)
+    reserved(entrant)
+    granted(entrant, 1)
+    assert standing(entrant).limit == 2
+    granted(entrant, -1)
+    assert standing(entrant).limit == 1
+    with pytest.raises(ScoringsExhaustedError):
+        reserved(entrant)
+
+
+def test_teams_do_not_share_what_they_have(platform_on: Platform) -> None:
+    entrant = entrant_on(platform_on, scorings_per_window=1, scorings_total=1)
+    other = another_entrant(entrant.place)
+    reserved(entrant)
+    granted(entrant, -5)
+    assert (standing(other).reserved, standing(other).total_left, standing(other).limit) == (0, 1, 1)
+    reserved(other)
+
+
+def test_a_phase_without_limits_counts_all_the_same(platform: Platform) -> None:
+    entrant = entrant_on(platform)
+    for _ in range(3):
+        reserved(entrant)
+    now = standing(entrant)
+    assert (now.limit, now.reserved, now.total_left) == (None, 3, None)
+    assert now.next_slot_ns is not None
+    assert now.next_slot_ns <= now_ns()
+
+
+def test_what_is_tried_again_is_taken_again_beyond_any_limit(platform_on: Platform) -> None:
+    entrant = entrant_on(platform_on, scorings_per_window=1)
+    first = reserved(entrant)
+    with platform_on.database.transaction() as session:
+        scoring_quota.release(session, first, "released: failed")
+    reserved(entrant)
+    for taken in (1, 0):
+        with platform_on.database.transaction() as session:
+            assert scoring_quota.retake(session, first) == taken
+    assert standing(entrant).reserved == 2
+
+
+def test_what_never_held_a_scoring_takes_and_gives_none(platform: Platform) -> None:
+    entrant = entrant_on(platform)
+    submission_id = drafted(entrant, kind="validation")
+    with platform.database.transaction() as session:
+        scoring_quota.consume(session, submission_id)
+        assert scoring_quota.release(session, submission_id, "released: valid") == 0
+        assert scoring_quota.retake(session, submission_id) == 0
+        assert session.query(ScoringEntry).count() == 0
+
+
+def test_of_many_at_once_exactly_as_many_pass_as_are_left(platform_on: Platform) -> None:
+    entrant = entrant_on(platform_on, scorings_per_window=3)
+    drafts = [drafted(entrant) for _ in range(8)]
+    together = Barrier(len(drafts))
+
+    def attempt(submission_id: str) -> bool:
+        together.wait()
+        try:
+            with platform_on.database.transaction() as session:
+                scoring_quota.reserve(session, session.get_one(Phase, entrant.phase_id), entrant.team_id, submission_id)
+        except ScoringsExhaustedError:
+            return False
+        return True
+
+    with ThreadPoolExecutor(len(drafts)) as threads:
+        assert sum(threads.map(attempt, drafts)) == 3
+    assert standing(entrant).reserved == 3
+
+
+ENTRIES = st.lists(
+    st.tuples(st.integers(0, 20), st.sampled_from(["reserved", "consumed", "released", "granted"]), st.integers(-2, 3)),
+    max_size=12,
+)
+
+
+def has_room(entries: Iterable[tuple[int, str, int]], limits: tuple[int | None, int | None], at_day: int) -> bool:
+    """Counted one by one: whether one more may be reserved at this day, 7 days after which a scoring is forgotten."""
+    per_window, total = limits
+    entries = list(entries)
+    held = [day for day, kind, _ in entries if kind in ("reserved", "consumed")]
+    gifts = [(day, amount) for day, kind, amount in entries if kind == "granted"]
+    in_window = sum(1 for day in held if at_day - day < 7) - sum(amount for day, amount in gifts if at_day - day < 7)
+    in_all = len(held) - sum(amount for _, amount in gifts)
+    return (per_window is None or in_window < per_window) and (total is None or in_all < total)
+
+
+@pytest.fixture
+def counted(platform: Platform) -> Entrant:
+    return entrant_on(platform)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(entries=ENTRIES, per_window=st.none() | st.integers(0, 3), total=st.none() | st.integers(0, 6))
+def test_the_next_time_is_the_first_at_which_there_is_room(
+    counted: Entrant, entries: list[tuple[int, str, int]], per_window: int | None, total: int | None
+) -> None:
+    """Against a count of every day by itself; what is released leaves no trace."""
+    with counted.platform.database.transaction() as session:
+        phase = Phase(benchmark_id=counted.place.phase.benchmark_id, name=new_id(), part="val", is_hidden=False)
+        phase.scorings_per_window, phase.scorings_total, phase.dataset_id = per_window, total, counted.place.dataset_id
+        session.add(phase)
+        session.flush()
+        for entry in entries:
+            _write(session, phase, counted, entry)
+        session.flush()
+        found = scoring_quota.scoring_quota(session, phase, counted.team_id, NOW_NS + 20 * DAY_NS).next_slot_ns
+    days = range(20, 60)
+    expected = next((day for day in days if has_room(entries, (per_window, total), day)), None)
+    assert found == (None if expected is None else NOW_NS + expected * DAY_NS)
+
+
+def _write(session: Session, phase: Phase, entrant: Entrant, entry: tuple[int, str, int]) -> None:
+    """One of the entries as the ledger holds it: a reservation is followed by its end."""
+    day, kind, amount = entry
+    steps = [(0, -amount, "granted")] if kind == "granted" else [(0, 1, "reserved")]
+    steps += {"consumed": [(1, 0, "consumed")], "released": [(1, -1, "released: failed")]}.get(kind, [])
+    submission_id = None
+    if kind != "granted":
+        row = SubmissionRow(phase_id=phase.id, team_id=entrant.team_id, user_id=entrant.captain.user_id, method="Net")
+        row.modality, row.declared_sha256, row.size_bytes = "L", "0" * 64, 1
+        session.add(row)
+        session.flush()
+        submission_id = row.id
+    for later_ns, step, reason in steps:
+        at_ns = NOW_NS + day * DAY_NS + later_ns
+        line = ScoringEntry(phase_id=phase.id, team_id=entrant.team_id, submission_id=submission_id, created_ns=at_ns)
+        line.amount, line.reason = step, reason
+        session.add(line)

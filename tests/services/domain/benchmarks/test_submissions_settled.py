@@ -1,0 +1,203 @@
+"""A submission ends once, its scoring with it, whoever ends it: a stage, its team, the sweeper, an administrator."""
+
+from collections.abc import Callable
+
+import pytest
+from sqlalchemy.orm import Session
+
+from services.domain.benchmarks.submissions.errors import SubmissionStateError
+from services.domain.benchmarks.submissions.submissions import cancel, mark_scoring, reopen, settle, settle_ended
+from services.runtime.jobs import control
+from services.runtime.jobs.claims import claim
+from services.runtime.jobs.completion import Failure, fail
+from services.runtime.jobs.errors import JobCancelledError
+from services.runtime.jobs.execution import run_next
+from services.runtime.jobs.specs import Attempt, Outcome
+from services.runtime.orm import Job, SubmissionRow
+from services.runtime.platform import Platform
+from tests.services.domain.benchmarks.drafts import Entrant, entrant_on, finalised, seen, taken
+
+FOUND = {"ok": False, "errors": [{"code": "missing_frame"}], "errors_total": 1}
+
+
+def ended(entrant: Entrant, submission_id: str, state: str, **found: object) -> bool:
+    with entrant.platform.database.transaction() as session:
+        return settle(session, submission_id, state, **found)  # type: ignore[arg-type]
+
+
+def begun(entrant: Entrant, submission_id: str) -> None:
+    with entrant.platform.database.transaction() as session:
+        mark_scoring(session, submission_id)
+
+
+def run_of(entrant: Entrant, submission_id: str) -> Job:
+    with entrant.platform.database.reading() as session:
+        return session.get_one(Job, seen(entrant, submission_id).job_id)
+
+
+def failed_with(entrant: Entrant, failure: Failure) -> None:
+    """The next job of `eval` is claimed and fails."""
+    with entrant.platform.database.transaction() as session:
+        taken_by_us = claim(session, "eval")
+        assert taken_by_us is not None
+    with entrant.platform.database.transaction() as session:
+        fail(session, taken_by_us, failure)
+
+
+def retried(entrant: Entrant, submission_id: str) -> None:
+    """As the administrator's route does it."""
+    with entrant.platform.database.transaction() as session:
+        reopen(session, control.retry(session, seen(entrant, submission_id).job_id or "", 3))
+
+
+@pytest.mark.parametrize(
+    ("state", "held"), [("scored", 1), ("valid", 0), ("invalid", 0), ("failed", 0), ("cancelled", 0)]
+)
+def test_only_a_score_uses_a_scoring_up(platform_on: Platform, state: str, held: int) -> None:
+    entrant = entrant_on(platform_on)
+    submission_id = finalised(entrant)
+    begun(entrant, submission_id)
+    assert (seen(entrant, submission_id).state, taken(entrant)) == ("scoring", 1)
+    assert ended(entrant, submission_id, state)
+    assert (seen(entrant, submission_id).state, taken(entrant)) == (state, held)
+    assert seen(entrant, submission_id).settled_ns is not None
+    assert not ended(entrant, submission_id, state)
+    assert taken(entrant) == held
+
+
+def test_what_was_found_and_why_is_kept(platform: Platform) -> None:
+    entrant = entrant_on(platform)
+    first, second = finalised(entrant), finalised(entrant)
+    ended(entrant, first, "invalid", problems=FOUND)
+    ended(entrant, second, "failed", failure=Failure("scoring_crashed", "the reader ended"))
+    assert seen(entrant, first).problems == FOUND
+    assert (seen(entrant, second).failure_code, seen(entrant, second).failure) == (
+        "scoring_crashed",
+        "the reader ended",
+    )
+
+
+@pytest.mark.parametrize("write", [begun, lambda entrant, id: ended(entrant, id, "scored")], ids=["begun", "scored"])
+def test_what_was_cancelled_takes_nothing_from_a_stage(
+    platform: Platform, write: Callable[[Entrant, str], None]
+) -> None:
+    entrant = entrant_on(platform)
+    submission_id = finalised(entrant)
+    with platform.database.transaction() as session:
+        cancel(session, session.get_one(SubmissionRow, submission_id))
+    with pytest.raises(JobCancelledError, match="is cancelled"):
+        write(entrant, submission_id)
+    assert (seen(entrant, submission_id).state, taken(entrant)) == ("cancelled", 0)
+
+
+def test_a_score_that_comes_after_the_cancelling_is_rolled_back_whole(platform: Platform) -> None:
+    """The stage had finished its work: what it would write beside the settling goes too, and its job is cancelled."""
+    entrant = entrant_on(platform)
+    submission_id = finalised(entrant)
+
+    def commit(session: Session) -> None:
+        session.get_one(SubmissionRow, submission_id).method = "written beside"
+        settle(session, submission_id, "scored")
+
+    def stage(_attempt: Attempt) -> Outcome:
+        return Outcome(commit=commit)
+
+    with platform.database.transaction() as session:
+        session.get_one(SubmissionRow, submission_id).state = "cancelled"  # after the last look at the wish to stop
+    assert run_next(platform, "eval", {"eval.open": stage})
+    assert seen(entrant, submission_id).method == "Net"
+    assert run_of(entrant, submission_id).state == "succeeded"  # nobody had asked the run itself to stop
+    with platform.database.reading() as session:
+        assert session.query(Job).filter_by(kind="eval.open").one().state == "cancelled"
+
+
+def test_a_score_by_another_pair_changes_nothing_of_one_that_is_scored(platform: Platform) -> None:
+    entrant = entrant_on(platform)
+    submission_id = finalised(entrant)
+    ended(entrant, submission_id, "scored")
+    revision = seen(entrant, submission_id).revision
+    begun(entrant, submission_id)
+    assert not ended(entrant, submission_id, "scored")
+    assert (seen(entrant, submission_id).revision, taken(entrant)) == (revision, 1)
+
+
+def test_a_state_that_is_no_end_is_a_mistake_of_the_caller(platform: Platform) -> None:
+    entrant = entrant_on(platform)
+    with pytest.raises(ValueError, match="'queued' is no state"):
+        ended(entrant, finalised(entrant), "queued")
+
+
+@pytest.mark.parametrize(
+    ("failure", "told"),
+    [
+        (Failure("worker_lost", "attempt 3 gave no sign of life"), ("worker_lost", "attempt 3 gave no sign of life")),
+        (Failure("internal_error", "KeyError: 'a secret'"), ("internal_error", "a fault of the platform ended it")),
+    ],
+)
+def test_a_run_that_failed_ends_its_submission(platform_on: Platform, failure: Failure, told: tuple[str, str]) -> None:
+    entrant = entrant_on(platform_on)
+    submission_id = finalised(entrant)
+    assert settle_ended(platform_on) == 0
+    failed_with(entrant, failure)
+    assert (settle_ended(platform_on), settle_ended(platform_on)) == (1, 0)
+    row = seen(entrant, submission_id)
+    assert (row.state, taken(entrant)) == ("failed", 0)
+    assert row.failure_code == told[0]
+    assert row.failure.startswith(told[1])
+    assert "secret" not in row.failure
+
+
+@pytest.mark.parametrize("act", [control.cancel, control.terminate])
+def test_a_run_that_was_stopped_cancels_its_submission(
+    platform_on: Platform, act: Callable[[Session, str, str], Job]
+) -> None:
+    entrant = entrant_on(platform_on)
+    submission_id = finalised(entrant)
+    begun(entrant, submission_id)
+    with platform_on.database.transaction() as session:
+        act(session, seen(entrant, submission_id).job_id or "", "maintenance")
+    assert settle_ended(platform_on) == 1
+    row = seen(entrant, submission_id)
+    assert (row.state, row.failure, taken(entrant)) == ("cancelled", "cancelled: maintenance", 0)
+
+
+def test_a_run_that_forgot_its_submission_does_not_leave_it_waiting(platform: Platform) -> None:
+    entrant = entrant_on(platform)
+    submission_id = finalised(entrant)
+    assert run_next(platform, "eval", {"eval.open": lambda _attempt: Outcome()})
+    assert settle_ended(platform) == 1
+    assert (seen(entrant, submission_id).state, seen(entrant, submission_id).failure_code) == ("failed", "unsettled")
+
+
+def test_what_is_tried_again_is_queued_again_and_paid_again(platform_on: Platform) -> None:
+    entrant = entrant_on(platform_on, scorings_total=1)
+    submission_id = finalised(entrant)
+    failed_with(entrant, Failure("worker_lost", "gone"))
+    settle_ended(platform_on)
+    retried(entrant, submission_id)
+    row = seen(entrant, submission_id)
+    assert (row.state, row.failure_code, row.settled_ns, taken(entrant)) == ("queued", "", None, 1)
+    assert settle_ended(platform_on) == 0
+    ended(entrant, submission_id, "scored")
+    assert taken(entrant) == 1
+
+
+def test_what_is_tried_again_before_the_sweeper_came_was_never_given_back(platform: Platform) -> None:
+    entrant = entrant_on(platform)
+    submission_id = finalised(entrant)
+    failed_with(entrant, Failure("worker_lost", "gone"))
+    retried(entrant, submission_id)
+    assert settle_ended(platform) == 0
+    assert (seen(entrant, submission_id).state, taken(entrant)) == ("queued", 1)
+
+
+def test_what_was_purged_is_not_tried_again(platform: Platform) -> None:
+    entrant = entrant_on(platform)
+    submission_id = finalised(entrant)
+    failed_with(entrant, Failure("worker_lost", "gone"))
+    settle_ended(platform)
+    with platform.database.transaction() as session:
+        session.get_one(SubmissionRow, submission_id).upload_id = None
+    with pytest.raises(SubmissionStateError, match="without its file"):
+        retried(entrant, submission_id)
+    assert run_of(entrant, submission_id).state == "failed"

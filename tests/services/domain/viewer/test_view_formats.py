@@ -1,0 +1,108 @@
+"""The viewer's formats, read by a decoder that shares nothing with their writer, and golden bytes."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+import zstandard
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from numpy.typing import NDArray
+
+from services.domain.viewer.formats import TileMesh, TileVoxels, cloud_bytes, mesh_bytes, tile_bytes, voxels_bytes
+from tests.services.runtime.view_decoding import Read
+
+COUNTS = st.integers(0, 40)
+NO_NAN = {"allow_nan": False, "allow_infinity": False, "width": 32}
+
+
+def float32(values: NDArray[Any]) -> list[float]:
+    return np.asarray(values, np.float32).ravel().tolist()
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_every_voxel_is_found_at_its_bit(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    shape = (4, 3, 32)
+    semantics = rng.integers(0, 4, shape, dtype=np.uint8)
+    observed = rng.integers(0, 2, shape, dtype=np.uint8)
+    read = Read(voxels_bytes(semantics, observed), b"STV1")
+    assert read.values("I", 1) == [3]
+    planes = [read.values("B", 4 * 3 * 32 // 8) for _ in range(3)]
+    assert read.is_over()
+    for i, j, k in np.ndindex(shape):
+        index = (i * 3 + j) * 32 + k
+        low, high, seen = ((plane[index // 8] >> (index % 8)) & 1 for plane in planes)
+        assert (low + 2 * high, seen) == (semantics[i, j, k], observed[i, j, k])
+
+
+def test_a_whole_grid_is_768_kib_before_it_is_packed() -> None:
+    empty = np.zeros((256, 256, 32), np.uint8)
+    content = zstandard.ZstdDecompressor().decompress(voxels_bytes(empty, empty))
+    assert len(content) == 8 + 3 * 256 * 256 * 32 // 8
+
+
+@given(count=COUNTS, data=st.data())
+def test_a_tile_gives_its_columns_one_after_another(count: int, data: st.DataObject) -> None:
+    indices = data.draw(arrays.arrays(np.int64, (count, 3), elements=st.integers(-(2**20), 2**20)))
+    classes = data.draw(arrays.arrays(np.uint8, count, elements=st.integers(1, 3)))
+    features = data.draw(arrays.arrays(np.float64, (count, 3), elements=st.floats(**NO_NAN)))  # type: ignore[arg-type]
+    squared = data.draw(arrays.arrays(np.float64, count, elements=st.floats(0, 2**40, width=32)))
+    read = Read(tile_bytes(TileVoxels(indices, classes, features, squared)), b"STT1")
+    assert read.values("I", 1) == [count]
+    assert [read.values("i", count) for _ in range(3)] == indices.T.tolist()
+    assert read.values("B", count) == classes.tolist()
+    assert [read.values("f", count) for _ in range(3)] == [float32(column) for column in features.T]
+    assert read.values("f", count) == float32(squared)
+    assert read.is_over()
+
+
+@given(vertices=st.integers(1, 30), triangles=COUNTS, seed=st.integers(0, 2**32 - 1))
+def test_a_surface_gives_its_vertices_their_classes_and_its_triangles(vertices: int, triangles: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    mesh = TileMesh(
+        rng.normal(size=(vertices, 3)),
+        rng.integers(0, 4, vertices, dtype=np.uint8),
+        rng.integers(0, vertices, (triangles, 3), dtype=np.int32),
+    )
+    read = Read(mesh_bytes(mesh), b"STM1")
+    assert read.values("I", 2) == [vertices, triangles]
+    assert read.values("f", 3 * vertices) == float32(mesh.vertices_m)
+    assert read.values("B", vertices) == mesh.classes.tolist()
+    assert read.values("I", 3 * triangles) == mesh.triangles.ravel().tolist()
+    assert read.is_over()
+
+
+@given(points=arrays.arrays(np.float64, st.tuples(COUNTS, st.just(3)), elements=st.floats(-400, 400)))
+def test_a_sweep_keeps_centimetres_and_leaves_out_what_they_cannot_say(points: NDArray[np.float64]) -> None:
+    light = np.linspace(-20, 300, len(points))
+    read = Read(cloud_bytes(points, light), b"STC1")
+    kept = [row for row in range(len(points)) if all(abs(round(100 * value)) <= 32767 for value in points[row])]
+    assert read.values("I", 1) == [len(kept)]
+    found = np.array(read.values("h", 3 * len(kept))).reshape(-1, 3) / 100
+    assert np.abs(found - points[kept]).max(initial=0) <= 0.00501
+    assert read.values("B", len(kept)) == [min(max(round(light[row]), 0), 255) for row in kept]
+    assert read.is_over()
+
+
+def test_the_bytes_are_these() -> None:
+    voxels = TileVoxels(np.array([[-1, 2, 3]]), np.array([2], np.uint8), np.array([[0.5, 0.25, -9.0]]), np.array([7.5]))
+    content = zstandard.ZstdDecompressor().decompress(tile_bytes(voxels))
+    assert content.hex() == ("5354543101000000ffffffff0200000003000000020000003f0000803e000010c10000f040")
+    content = zstandard.ZstdDecompressor().decompress(cloud_bytes(np.array([[1.0, -2.0, 0.005]]), np.array([9.0])))
+    assert content.hex() == "5354433101000000640038ff000009"
+
+
+@pytest.mark.parametrize("magic", [b"STV1", b"STT1", b"STM1", b"STC1"])
+def test_a_frame_says_how_large_its_content_is(magic: bytes) -> None:
+    none, rows = np.zeros((0, 3)), np.zeros(0, np.uint8)
+    packed = {
+        b"STV1": voxels_bytes(np.zeros((2, 2, 32), np.uint8), np.zeros((2, 2, 32), np.uint8)),
+        b"STT1": tile_bytes(TileVoxels(none.astype(np.int64), rows, none, np.zeros(0))),
+        b"STM1": mesh_bytes(TileMesh(none, rows, none.astype(np.int32))),
+        b"STC1": cloud_bytes(none, np.zeros(0)),
+    }[magic]
+    content = zstandard.ZstdDecompressor().decompress(packed)
+    assert zstandard.get_frame_parameters(packed).content_size == len(content)
+    assert content.startswith(magic)

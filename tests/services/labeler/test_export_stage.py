@@ -1,0 +1,327 @@
+"""An export goes through the queue: its files are what the exporter writes, there once, all or none."""
+
+import json
+import shutil
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+
+import pytest
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+from services.domain.exports.requests import EXPORT, FORMATS, delete_export, start_export
+from services.domain.sequences.recordings import RecordingInUseError, remove_recording
+from services.labeler.export_stage import platform_source
+from services.labeler.exports.registry import EXPORTERS, exporter_of
+from services.labeler.stages import handlers
+from services.runtime.access import storage_quota
+from services.runtime.code_version import code_version
+from services.runtime.database.migrate import upgrade
+from services.runtime.jobs.control import cancel
+from services.runtime.jobs.execution import run_next
+from services.runtime.jobs.interruption import CRASHED, give_back_running
+from services.runtime.jobs.specs import Attempt, Handler, Outcome
+from services.runtime.orm import Artefact, Blob, Export, ExportPack, Job, Recording
+from services.runtime.platform import Platform
+from services.runtime.settings import Settings, UploadSettings
+from services.runtime.store.pack_archive import locate_export, stored_files
+from services.runtime.store.pack_reading import file_pieces
+from simulator.options import SimulateOptions
+from simulator.pipeline import simulate
+from testing.servers.fixtures import make_settings, opened
+from testing.stone_serve import until
+from testing.worlds.runs import Brought, Listening, Said, bring_ready, run_all
+
+RUN = SimulateOptions(seconds=2.0, seed=3, channels=16, columns=180, cameras=False)
+FORM = "nuscenes"
+
+
+@pytest.fixture(scope="module")
+def labelled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The data folder of a platform with a labelled sequence."""
+    bag = tmp_path_factory.mktemp("field") / "run.mcap"
+    simulate(bag, RUN)
+    root = tmp_path_factory.mktemp("labelled")
+    platform = opened(make_settings(root), [])
+    upgrade(platform.settings)
+    brought = bring_ready(platform, bag)
+    brought.process()
+    run_all(platform)
+    platform.database.close()
+    (root / "ids.json").write_text(json.dumps([brought.owner_id, brought.sequence_id, brought.recording_ids]))
+    return root
+
+
+@pytest.fixture
+def brought(labelled: Path, tmp_path: Path) -> Iterator[Brought]:
+    """A copy of that platform."""
+    shutil.copytree(labelled, tmp_path / "platform")
+    platform = opened(make_settings(tmp_path / "platform"), [])
+    owner_id, sequence_id, recording_ids = json.loads((tmp_path / "platform" / "ids.json").read_text())
+    yield Brought(platform, owner_id, sequence_id, recording_ids)
+    platform.database.close()
+
+
+def asked(brought: Brought, form: str = FORM) -> tuple[str, str]:
+    """The export asked for, and its job, by ids."""
+    with brought.platform.database.transaction() as session:
+        export, job = start_export(session, brought.sequence(), form)
+        return export.id, job.id
+
+
+def row(platform: Platform, export_id: str) -> Export | None:
+    with platform.database.reading() as session:
+        return session.get(Export, export_id)
+
+
+def files_of(platform: Platform, export_id: str) -> dict[str, bytes]:
+    with platform.database.reading() as session:
+        located = locate_export(session, session.get_one(Export, export_id))
+    stored = stored_files(platform.store, located)
+    files, read = stored.files, stored.reader(platform.store)
+    return {
+        name: b"".join(file_pieces(files, ordinal, (0, int(files.sizes_bytes[ordinal])), read))
+        for ordinal, name in enumerate(files.names)
+    }
+
+
+def written_directly(brought: Brought, form: str, out: Path) -> dict[str, bytes]:
+    """What the exporter writes into a folder when it is called by itself."""
+    (label_set,) = brought.label_sets()
+    out.mkdir(parents=True)
+    source = platform_source(brought.platform, label_set.id, out.with_name("inputs"))
+    exporter_of(form)(source, out, lambda done, total: None)
+    return {path.relative_to(out).as_posix(): path.read_bytes() for path in out.rglob("*") if path.is_file()}
+
+
+def leftovers(platform: Platform, job_id: str) -> list[str]:
+    work = platform.settings.root / "store" / "work" / job_id
+    return sorted(path.name for path in work.iterdir()) if work.exists() else []
+
+
+def test_every_format_can_be_asked_for_by_the_name_the_exporters_have() -> None:
+    assert set(FORMATS) == set(EXPORTERS)
+
+
+@pytest.mark.parametrize("form", ["nuscenes", "mesh"])
+def test_an_export_has_every_file_the_exporter_writes_and_their_checksums(
+    brought: Brought, tmp_path: Path, form: str
+) -> None:
+    export_id, job_id = asked(brought, form)
+    assert run_all(brought.platform) == 1
+    assert brought.job(job_id).state == "succeeded", brought.job(job_id).failure
+    files = files_of(brought.platform, export_id)
+    sums = files.pop("sha256sum.txt").decode().splitlines()
+    assert [line.split("  ")[1] for line in sums] == sorted(files)
+    assert files == written_directly(brought, form, tmp_path / "direct" / "out")
+    export = row(brought.platform, export_id)
+    assert export is not None
+    assert (export.files, brought.job(job_id).result["files"]) == (len(files) + 1,) * 2  # type: ignore[index]
+    assert asked(brought, form) == (export_id, job_id)
+    assert run_all(brought.platform) == 0
+
+
+def test_an_export_that_another_version_was_asked_for_is_of_the_version_that_writes_it(brought: Brought) -> None:
+    export_id, job_id = asked(brought, "mesh")
+    of_another_version(brought.platform, export_id)
+    assert run_all(brought.platform) == 1
+    export = row(brought.platform, export_id)
+    assert export is not None
+    assert (export.code_version, export.files > 0) == (code_version("labels"), True)
+    assert asked(brought, "mesh") == (export_id, job_id), "nor is it made again"
+
+
+def test_exports_of_two_versions_under_way_are_both_written(brought: Brought) -> None:
+    before_id, _ = asked(brought, "mesh")
+    of_another_version(brought.platform, before_id)
+    after_id, after_job_id = asked(brought, "mesh")
+    assert run_all(brought.platform) == 2
+    before, after = row(brought.platform, before_id), row(brought.platform, after_id)
+    assert before is not None
+    assert after is not None
+    assert (before.code_version, before.recipe) == (code_version("labels"), "0" * 64)
+    assert (after.code_version, after.tar_sha256) == (code_version("labels"), before.tar_sha256)
+    assert asked(brought, "mesh") == (after_id, after_job_id)
+
+
+def of_another_version(platform: Platform, export_id: str) -> None:
+    with platform.database.transaction() as session:
+        export = session.get_one(Export, export_id)
+        export.code_version, export.recipe = "0.1.0", "0" * 64
+
+
+def test_attempts_that_die_anywhere_leave_one_export_and_no_halves(brought: Brought) -> None:
+    export_id, job_id = asked(brought)
+    deaths = iter((3, 40, 10**6))
+
+    def dying(_kind: str, handler: Handler) -> Handler:
+        def run(attempt: Attempt) -> Outcome:
+            left = next(deaths, None)
+            if left is None:
+                return handler(attempt)
+            if left == 10**6:
+                outcome = handler(attempt)
+                return replace(outcome, commit=partial(broken, outcome))
+            return handler(Mortal(brought.job(attempt.job_id), heard_by=attempt, left=left))
+
+        return run
+
+    assert run_all(brought.platform, wrap=dying) == 3
+    # the third try, which broke in its commit, was the last one there was
+    assert brought.job(job_id).state == "failed"
+    with brought.platform.database.reading() as session:
+        assert session.scalar(select(func.count()).select_from(ExportPack)) == 0
+        assert session.scalar(select(Blob.sha256).join(ExportPack, ExportPack.blob_sha256 == Blob.sha256)) is None
+    again = asked(brought)
+    assert (again[0], again[1] != job_id) == (export_id, True)
+    assert run_all(brought.platform) == 1
+    assert brought.job(again[1]).state == "succeeded"
+    assert len(leftovers(brought.platform, again[1])) == 1
+
+
+def broken(outcome: Outcome, session: Session) -> None:
+    outcome.commit(session)
+    raise RuntimeError("interrupted in the commit")
+
+
+@dataclass
+class Mortal(Said):
+    """An attempt that is over after so many words."""
+
+    left: int = 0
+
+    def progress(self, stage: str, done: int, total: int) -> None:
+        if len(self.words) >= self.left:
+            raise RuntimeError("interrupted in the middle")
+        self.words.append(done)
+
+
+def test_an_export_survives_kill_9(brought: Brought, tmp_path: Path) -> None:
+    """A worker is killed while some files are in packs and some are not; the next one begins anew and is alone."""
+    export_id, job_id = asked(brought)
+    half = tmp_path / "half"
+    worker = get_context("fork").Process(target=work_until, args=(brought.platform.settings, half))
+    worker.start()
+    until(half.exists)
+    worker.kill()
+    worker.join()
+    killed = leftovers(brought.platform, job_id)
+    assert give_back_running(brought.platform, CRASHED, is_counted=True) == 1
+    assert run_all(brought.platform) == 1
+    assert brought.job(job_id).state == "succeeded"
+    assert set(leftovers(brought.platform, job_id)).isdisjoint(killed)
+    assert files_of(brought.platform, export_id).keys() > {"sha256sum.txt"}
+
+
+def work_until(settings: Settings, half: Path) -> None:
+    """Work on the next job, and say by the file `half` that it is in the middle; then wait to be killed."""
+    platform = opened(settings, [])
+
+    def pause(attempt: Attempt) -> Outcome:
+        with platform.database.reading() as session:
+            return handlers(platform)[EXPORT](Pausing(session.get_one(Job, attempt.job_id), half=half))
+
+    run_next(platform, "labeler", {EXPORT: pause})
+
+
+@dataclass
+class Pausing(Said):
+    """An attempt that stays where some files are in packs."""
+
+    half: Path = Path()
+
+    def progress(self, stage: str, done: int, total: int) -> None:
+        if stage == "pack" and done == total // 2:
+            self.half.touch()
+            time.sleep(60)
+
+
+def test_what_a_killed_attempt_left_is_removed_by_the_next(brought: Brought) -> None:
+    _, job_id = asked(brought)
+    left = brought.platform.settings.root / "store" / "work" / job_id / f"export-{job_id}-01234567" / "files"
+    left.mkdir(parents=True)
+    (left / "half.bin").write_bytes(b"half")
+    run_all(brought.platform)
+    assert not left.exists()
+    assert brought.job(job_id).state == "succeeded"
+
+
+def test_a_cancelled_export_stops_at_its_next_word_and_leaves_nothing(brought: Brought) -> None:
+    export_id, job_id = asked(brought)
+
+    def cancelled_meanwhile(_kind: str, handler: Handler) -> Handler:
+        def run(attempt: Attempt) -> Outcome:
+            with brought.platform.database.transaction() as session:
+                cancel(session, job_id, "the field engineer changed her mind")
+            return handler(Listening(brought.job(job_id), heard_by=attempt))
+
+        return run
+
+    run_all(brought.platform, wrap=cancelled_meanwhile)
+    assert (brought.job(job_id).state, leftovers(brought.platform, job_id)) == ("cancelled", [])
+    export = row(brought.platform, export_id)
+    assert export is not None
+    assert export.finished_ns is None
+
+
+def test_an_export_deleted_while_it_is_written_gets_no_row(brought: Brought) -> None:
+    export_id, job_id = asked(brought, "mesh")
+
+    def deleted_meanwhile(_kind: str, handler: Handler) -> Handler:
+        def run(attempt: Attempt) -> Outcome:
+            outcome = handler(attempt)
+            with brought.platform.database.transaction() as session:
+                delete_export(session, session.get_one(Export, export_id))
+            return outcome
+
+        return run
+
+    run_all(brought.platform, wrap=deleted_meanwhile)
+    assert (row(brought.platform, export_id), brought.job(job_id).state) == (None, "cancelled")
+    with brought.platform.database.reading() as session:
+        assert session.scalar(select(func.count()).select_from(ExportPack)) == 0
+
+
+def test_an_export_beyond_the_owners_bytes_is_refused_and_takes_none(brought: Brought) -> None:
+    with brought.platform.database.reading() as session:
+        before = storage_quota.balance(session, brought.owner_id)
+    bounded = brought.platform.settings.model_copy(update={"uploads": UploadSettings(owner_bytes=before + 100)})
+    export_id, job_id = asked(brought, "mesh")
+    run_all(Platform(bounded, brought.platform.database, brought.platform.store))
+    job = brought.job(job_id)
+    assert (job.state, job.failure_code) == ("failed", "quota_exceeded")
+    with brought.platform.database.reading() as session:
+        assert storage_quota.balance(session, brought.owner_id) == before
+        assert session.get_one(Export, export_id).finished_ns is None
+
+
+def test_a_recording_stays_while_an_export_reads_it_and_afterwards_need_not(brought: Brought) -> None:
+    _, job_id = asked(brought)
+    with pytest.raises(RecordingInUseError, match=job_id), brought.platform.database.transaction() as session:
+        remove_recording(session, session.get_one(Recording, brought.recording_ids[0]))
+    run_all(brought.platform)
+    with brought.platform.database.transaction() as session:
+        remove_recording(session, session.get_one(Recording, brought.recording_ids[0]))
+    _, mesh_job = asked(brought, "mesh")
+    run_all(brought.platform)
+    assert brought.job(mesh_job).state == "succeeded", "a mesh is made of labels alone"
+
+
+def test_labels_that_are_not_what_they_were_fail_the_export(brought: Brought, tmp_path: Path) -> None:
+    """Every frame is checked against its sha256 as it is read."""
+    (label_set,) = brought.label_sets()
+    of_labels = (Artefact.label_set_id == label_set.id, Artefact.name.startswith("labels/"))
+    with brought.platform.database.reading() as session:
+        pack = session.scalars(select(Blob).join(Artefact, Artefact.blob_sha256 == Blob.sha256).where(*of_labels)).one()
+    path = brought.platform.store.local(pack.object_key)
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.unlink()
+    path.write_bytes(content)
+    _, job_id = asked(brought)
+    run_all(brought.platform)
+    assert (brought.job(job_id).state, brought.job(job_id).failure_code) == ("failed", "damaged_labels")

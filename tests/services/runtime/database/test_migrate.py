@@ -1,0 +1,94 @@
+"""The schema: what the revisions make is what the rows say, on both databases, however many start at once."""
+
+import multiprocessing
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from alembic.autogenerate import compare_metadata
+from alembic.runtime.migration import MigrationContext
+from sqlalchemy import inspect, text
+
+from services.runtime.database.migrate import schema_connection, upgrade
+from services.runtime.database.transactions import Database
+from services.runtime.errors import BrokenReferenceError, NewerSchemaError
+from services.runtime.orm import Base
+from services.runtime.platform import Platform
+from services.runtime.settings import DatabaseSettings, Settings
+from testing.servers.fixtures import make_settings
+from testing.servers.postgres import PostgresServer
+
+
+@pytest.fixture(params=["sqlite", "postgres"])
+def empty(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Settings]:
+    """Settings of a database without any table."""
+    if request.param == "sqlite":
+        yield make_settings(tmp_path)
+        return
+    server: PostgresServer = request.getfixturevalue("postgres_server")
+    with server.fresh_database() as url:
+        yield make_settings(tmp_path, database=DatabaseSettings(url))
+
+
+def test_a_database_of_a_newer_version_is_refused(platform_on: Platform) -> None:
+    with platform_on.database.transaction() as session:
+        session.execute(text("UPDATE alembic_version SET version_num = '9999'"))
+    with pytest.raises(NewerSchemaError, match="revision '9999'"):
+        upgrade(platform_on.settings)
+
+
+def test_a_change_that_leaves_a_row_without_its_parent_is_undone(platform: Platform) -> None:
+    with pytest.raises(BrokenReferenceError, match="'tokens' refers to a row of 'users'"):  # noqa: SIM117
+        with schema_connection(platform.settings) as connection:
+            connection.execute(
+                text("INSERT INTO tokens VALUES ('t', 'nobody', 'n', 'h', '[]', 1, 2, NULL)"),
+            )
+    with platform.database.reading() as session:
+        assert session.scalar(text("SELECT count(*) FROM tokens")) == 0
+
+
+def test_the_revisions_make_exactly_the_tables_of_the_rows(platform_on: Platform) -> None:
+    with platform_on.database.engine.connect() as connection:
+        context = MigrationContext.configure(connection, opts={"compare_server_default": True})
+        assert compare_metadata(context, Base.metadata) == []
+
+
+def test_an_upgrade_of_an_upgraded_database_changes_nothing(platform_on: Platform) -> None:
+    with platform_on.database.transaction() as session:
+        session.execute(text("INSERT INTO queues VALUES ('ingest', 'paused')"))
+    upgrade(platform_on.settings)
+    with platform_on.database.reading() as session:
+        assert session.execute(text("SELECT name, mode FROM queues")).all() == [("ingest", "paused")]
+
+
+def test_processes_that_upgrade_at_once_all_succeed(empty: Settings) -> None:
+    context = multiprocessing.get_context("spawn")
+    processes = [context.Process(target=upgrade, args=(empty,)) for _ in range(2)]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join(300)
+    assert [process.exitcode for process in processes] == [0, 0]
+    assert tables_of(empty) == {*Base.metadata.tables, "alembic_version"}
+
+
+def test_downgrading_to_the_base_leaves_no_table(empty: Settings) -> None:
+    from alembic import command
+    from alembic.config import Config
+
+    from services.runtime.database.migrate import MIGRATIONS
+
+    upgrade(empty)
+    config = Config(attributes={})
+    config.set_main_option("script_location", str(MIGRATIONS))
+    with schema_connection(empty) as connection:
+        config.attributes["connection"] = connection
+        command.downgrade(config, "base")
+    assert tables_of(empty) == {"alembic_version"}
+
+
+def tables_of(settings: Settings) -> set[str]:
+    database = Database(settings)
+    names = set(inspect(database.engine).get_table_names())
+    database.close()
+    return names

@@ -1,0 +1,198 @@
+"""What died is taken up again, what lives is left alone, whatever the clocks say."""
+
+import pytest
+from redis import ConnectionError as RedisConnectionError
+from sqlalchemy import update
+
+from services.runtime.database.transactions import Database
+from services.runtime.jobs import claims
+from services.runtime.jobs.claims import claim
+from services.runtime.jobs.control import cancel, set_mode
+from services.runtime.jobs.enqueue import enqueue
+from services.runtime.jobs.lease_sweep import Sweeper
+from services.runtime.jobs.specs import Context, JobSpec
+from services.runtime.orm import Job, base
+from services.runtime.platform import Platform
+from tests.services.runtime.jobs.steps import a_job, a_run, an_owner, job, run_all, states
+
+
+class WakeUps:
+    """A broker whose queues can be read and emptied."""
+
+    def __init__(self) -> None:
+        self.in_queue: dict[str, int] = {}
+
+    def ring(self, queue: str, times: int) -> None:
+        self.in_queue[queue] = self.in_queue.get(queue, 0) + times
+
+    def waiting(self, queue: str) -> int:
+        return self.in_queue.get(queue, 0)
+
+
+class Clock:
+    """A monotonic clock that moves when told."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def a_sweeper(platform: Platform, clock: Clock, bells: WakeUps | None = None) -> Sweeper:
+    bells = bells or WakeUps()
+    return Sweeper(platform, bells.waiting, bells.ring, clock)
+
+
+def start(platform: Platform) -> str:
+    """A job of an attempt that will say nothing more: its worker was killed."""
+    with platform.database.transaction() as session:
+        taken = claim(session, "ingest")
+    assert taken is not None
+    return taken.job_id
+
+
+def silence(platform: Platform, sweeper: Sweeper, clock: Clock) -> int:
+    """Let a lease pass; how many attempts were given back."""
+    sweeper.recover()
+    clock.now_s += platform.settings.jobs.lease_s
+    return sweeper.recover()
+
+
+def test_an_attempt_silent_for_a_lease_is_queued_again(platform_on: Platform) -> None:
+    clock = Clock()
+    a_job(platform_on, an_owner(platform_on))
+    job_id = start(platform_on)
+    assert silence(platform_on, a_sweeper(platform_on, clock), clock) == 1
+    assert job(platform_on, job_id).state == "queued"
+    run_all(platform_on)
+    assert (job(platform_on, job_id).state, job(platform_on, job_id).attempt) == ("succeeded", 2)
+
+
+def test_an_attempt_that_beats_is_left_alone_however_long_it_takes(platform_on: Platform) -> None:
+    clock = Clock()
+    sweeper = a_sweeper(platform_on, clock)
+    a_job(platform_on, an_owner(platform_on))
+    job_id = start(platform_on)
+    for _ in range(10):
+        sweeper.recover()
+        clock.now_s += platform_on.settings.jobs.lease_s * 0.9
+        with platform_on.database.transaction() as session:
+            session.execute(update(Job).where(Job.id == job_id).values(heartbeats=Job.heartbeats + 1))
+    assert job(platform_on, job_id).state == "running"
+
+
+def test_a_job_whose_every_worker_dies_fails_as_worker_lost_and_its_run_too(platform_on: Platform) -> None:
+    clock = Clock()
+    sweeper = a_sweeper(platform_on, clock)
+    root = a_run(platform_on, an_owner(platform_on), JobSpec("ingest.ok", key="a"), JobSpec("ingest.ok", needs=("a",)))
+    for _ in range(3):
+        start(platform_on)
+        silence(platform_on, sweeper, clock)
+    failed = job(platform_on, root)
+    assert (failed.state, failed.failure_code) == ("failed", "worker_lost")
+    assert "no sign of life" in failed.failure
+    assert states(platform_on, root) == {"failed": 1, "cancelled": 1}
+
+
+def test_a_cancelled_job_whose_worker_died_ends_cancelled_not_queued(platform_on: Platform) -> None:
+    clock = Clock()
+    root = a_run(platform_on, an_owner(platform_on), JobSpec("ingest.ok"))
+    start(platform_on)
+    with platform_on.database.transaction() as session:
+        cancel(session, root, "stop")
+    silence(platform_on, a_sweeper(platform_on, clock), clock)
+    assert job(platform_on, root).state == "cancelled"
+    assert run_all(platform_on) == 0
+
+
+@pytest.mark.parametrize("jump_ns", [-(10**18), 10**18], ids=["back 30 years", "on 30 years"])
+def test_a_clock_that_is_set_back_or_on_loses_and_doubles_nothing(
+    platform_on: Platform, monkeypatch: pytest.MonkeyPatch, jump_ns: int
+) -> None:
+    clock = Clock()
+    sweeper = a_sweeper(platform_on, clock)
+    owner = an_owner(platform_on)
+    first, second = a_job(platform_on, owner), a_job(platform_on, owner)
+    assert start(platform_on) == first
+    sweeper.recover()
+    shifted = base.now_ns() + jump_ns
+    for module in (base, claims):
+        monkeypatch.setattr(module, "now_ns", lambda: shifted)
+    assert sweeper.recover() == 0, "the worker lives; its lease does not hang on the wall clock"
+    assert run_all(platform_on) == 1
+    assert job(platform_on, second).state == "succeeded"
+    clock.now_s += platform_on.settings.jobs.lease_s
+    assert sweeper.recover() == 1
+    assert run_all(platform_on) == 1
+    assert job(platform_on, first).state == "succeeded"
+
+
+def test_two_sweepers_give_an_attempt_back_once(platform_on: Platform) -> None:
+    clock = Clock()
+    one, other = a_sweeper(platform_on, clock), a_sweeper(platform_on, clock)
+    a_job(platform_on, an_owner(platform_on))
+    job_id = start(platform_on)
+    one.recover(), other.recover()
+    clock.now_s += platform_on.settings.jobs.lease_s
+    one.recover(), other.recover()
+    assert (job(platform_on, job_id).state, job(platform_on, job_id).attempts_left) == ("queued", 2)
+
+
+def test_a_lost_wake_up_is_sent_again_and_none_is_doubled(platform_on: Platform) -> None:
+    bells, clock = WakeUps(), Clock()
+    sweeper = a_sweeper(platform_on, clock, bells)
+    owner = an_owner(platform_on)
+    for _ in range(3):
+        a_job(platform_on, owner)
+    bells.ring("ingest", 1)
+    for _ in range(5):
+        sweeper.sweep()
+    assert bells.in_queue == {"ingest": 3}
+
+
+def test_nothing_is_rung_for_a_paused_queue(platform: Platform) -> None:
+    bells = WakeUps()
+    sweeper = a_sweeper(platform, Clock(), bells)
+    a_job(platform, an_owner(platform))
+    with platform.database.transaction() as session:
+        set_mode(session, "ingest", "paused")
+    sweeper.sweep()
+    sweeper.sweep()
+    assert bells.in_queue == {}
+
+
+def test_a_broker_that_is_away_stops_no_sweep(platform: Platform) -> None:
+    def away(_queue: str) -> int:
+        raise RedisConnectionError("refused")
+
+    clock = Clock()
+    sweeper = Sweeper(platform, away, WakeUps().ring, clock)
+    owner = an_owner(platform)
+    job_id = a_job(platform, owner)
+    a_job(platform, owner)
+    start(platform)
+    sweeper.sweep()
+    clock.now_s += platform.settings.jobs.lease_s
+    sweeper.sweep()
+    assert job(platform, job_id).state == "queued"
+
+
+def test_bells_ring_after_the_commit_and_never_for_what_was_rolled_back(platform_on: Platform) -> None:
+    rung: list[tuple[str, int]] = []
+    database = Database(platform_on.settings, lambda queue, times: rung.append((queue, times)))
+    loud = Platform(platform_on.settings, database, platform_on.store)
+    owner = an_owner(loud)
+    a_job(loud, owner)
+    assert rung == [("ingest", 1)]
+
+    def change_its_mind() -> None:
+        with loud.database.transaction() as session:
+            enqueue(session, JobSpec("ingest.ok"), Context(owner))
+            raise RuntimeError("changed its mind")
+
+    with pytest.raises(RuntimeError, match="changed its mind"):
+        change_its_mind()
+    assert rung == [("ingest", 1)]
+    assert run_all(loud) == 1
+    database.close()

@@ -1,0 +1,342 @@
+"""Blobs: each content once, and a collection that never takes what a row names, however it races with writers."""
+
+import hashlib
+import random
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from sqlalchemy import delete, func, select
+from sqlalchemy.exc import IntegrityError
+from sqlalchemy.orm import Session
+
+from services.runtime.orm import Blob, CalibrationRow, Job, LooseObject, User
+from services.runtime.orm.base import new_id, now_ns
+from services.runtime.platform import Platform
+from services.runtime.settings import Settings, StoreSettings
+from services.runtime.store.blobs import GcResult, PreparedBlob, collect_garbage, keep, link, prepare
+from services.runtime.store.factory import open_store
+from services.runtime.store.protocol import Store
+
+DAY_NS = 86_400 * 10**9
+RACES = 8
+PATIENCE_S = 300.0
+
+
+def with_store(platform: Platform, store: StoreSettings) -> Platform:
+    settings = Settings(data_folder=platform.settings.data_folder, database=platform.settings.database, store=store)
+    return Platform(settings, platform.database, open_store(settings))
+
+
+@pytest.fixture
+def hasty(platform_on: Platform) -> Platform:
+    """A platform whose grace is nothing: whatever may be collected is collected."""
+    return with_store(platform_on, StoreSettings(grace_s=0.0))
+
+
+@pytest.fixture(params=["folder", "s3"])
+def anywhere(request: pytest.FixtureRequest, platform_on: Platform) -> Platform:
+    """`hasty`, on each store."""
+    chosen = StoreSettings() if request.param == "folder" else request.getfixturevalue("s3_settings")
+    return with_store(platform_on, replace(chosen, grace_s=0.0))
+
+
+@pytest.fixture
+def owner_id(platform_on: Platform) -> str:
+    with platform_on.database.transaction() as session:
+        user = User(id=new_id(), name="ada", role="curator")
+        session.add(user)
+    return user.id
+
+
+def file_of(folder: Path, content: bytes) -> Path:
+    path = folder / hashlib.sha256(content).hexdigest()[:8]
+    path.write_bytes(content)
+    return path
+
+
+def refer(session: Session, blob: Blob, owner_id: str) -> CalibrationRow:
+    """A row that needs the blob."""
+    id = new_id()
+    row = CalibrationRow(id=id, owner_id=owner_id, name=id, version=1, filename="c.yaml", sha256=blob.sha256)
+    row.blob_sha256, row.sensors, row.findings = blob.sha256, [], []
+    session.add(row)
+    session.flush()
+    return row
+
+
+def keep_for(platform: Platform, owner_id: str, path: Path) -> Blob:
+    with platform.database.transaction() as session:
+        blob = keep(session, platform.store, path)
+        refer(session, blob, owner_id)
+    return blob
+
+
+def keys_of(store: Store) -> list[str]:
+    return [found.key for found in store.listed("")]
+
+
+def rows_of(platform: Platform, row: type[Blob] | type[LooseObject]) -> int:
+    with platform.database.reading() as session:
+        return session.scalar(select(func.count()).select_from(row)) or 0
+
+
+def test_a_blob_that_something_refers_to_cannot_be_deleted(hasty: Platform, owner_id: str, tmp_path: Path) -> None:
+    blob = keep_for(hasty, owner_id, file_of(tmp_path, b"content"))
+    with pytest.raises(IntegrityError), hasty.database.transaction() as session:
+        session.delete(session.get_one(Blob, blob.sha256))
+
+
+def test_a_file_that_is_not_there_leaves_no_trace(hasty: Platform, tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        prepare(hasty.store, hasty.database, tmp_path / "none")
+    assert (rows_of(hasty, Blob), rows_of(hasty, LooseObject), keys_of(hasty.store)) == (0, 0, [])
+
+
+def test_a_content_is_stored_once_under_its_sha256(anywhere: Platform, owner_id: str, tmp_path: Path) -> None:
+    sha256 = hashlib.sha256(b"content").hexdigest()
+    first = keep_for(anywhere, owner_id, file_of(tmp_path, b"content"))
+    again = keep_for(anywhere, owner_id, file_of(tmp_path, b"content"))
+    assert (first.sha256, first.size_bytes, again.object_key) == (sha256, 7, first.object_key)
+    assert first.object_key.startswith(f"blobs/{sha256[:2]}/{sha256}.")
+    assert keys_of(anywhere.store) == [first.object_key]
+    assert rows_of(anywhere, LooseObject) == 0
+    assert b"".join(anywhere.store.read(first.object_key)) == b"content"
+
+
+def test_bytes_are_stored_before_the_transaction_and_named_in_it(
+    anywhere: Platform, owner_id: str, tmp_path: Path
+) -> None:
+    prepared = prepare(anywhere.store, anywhere.database, file_of(tmp_path, b"content"))
+    assert keys_of(anywhere.store) == [prepared.object_key]
+    assert (rows_of(anywhere, Blob), rows_of(anywhere, LooseObject)) == (0, 1)
+    with anywhere.database.transaction() as session:
+        blob = link(session, prepared)
+        refer(session, blob, owner_id)
+    assert blob.object_key == prepared.object_key
+    assert (rows_of(anywhere, Blob), rows_of(anywhere, LooseObject)) == (1, 0)
+
+
+def test_a_content_that_is_kept_already_is_not_stored_again(hasty: Platform, owner_id: str, tmp_path: Path) -> None:
+    blob = keep_for(hasty, owner_id, file_of(tmp_path, b"content"))
+    prepared = prepare(hasty.store, hasty.database, file_of(tmp_path, b"content"))
+    assert prepared.object_key == ""
+    with hasty.database.transaction() as session:
+        assert link(session, prepared).object_key == blob.object_key
+
+
+def test_an_adopted_file_outlives_a_transaction_that_fails(hasty: Platform, owner_id: str, tmp_path: Path) -> None:
+    path = file_of(tmp_path, b"content")
+    with suppress(ZeroDivisionError), hasty.database.transaction() as session:
+        keep(session, hasty.store, path, adopt=True)
+        raise ZeroDivisionError
+    assert path.read_bytes() == b"content"
+    assert collect_garbage(hasty) == GcResult(0, 1)
+    with hasty.database.transaction() as session:
+        blob = keep(session, hasty.store, path, adopt=True)
+        refer(session, blob, owner_id)
+    path.unlink()
+    assert b"".join(hasty.store.read(blob.object_key)) == b"content"
+
+
+def test_of_two_that_prepared_one_content_one_is_kept_and_the_other_collected(
+    anywhere: Platform, owner_id: str, tmp_path: Path
+) -> None:
+    one, other = (prepare(anywhere.store, anywhere.database, file_of(tmp_path, b"content")) for _ in range(2))
+    for prepared in (one, other):
+        with anywhere.database.transaction() as session:
+            blob = link(session, prepared)
+            refer(session, blob, owner_id)
+    assert sorted(keys_of(anywhere.store)) == sorted([one.object_key, other.object_key])
+    assert collect_garbage(anywhere) == GcResult(0, 1)
+    assert keys_of(anywhere.store) == [blob.object_key] == [one.object_key]
+
+
+def test_what_nothing_refers_to_is_collected_row_and_object(anywhere: Platform, owner_id: str, tmp_path: Path) -> None:
+    kept = keep_for(anywhere, owner_id, file_of(tmp_path, b"needed"))
+    with anywhere.database.transaction() as session:
+        keep(session, anywhere.store, file_of(tmp_path, b"forgotten"))
+    prepare(anywhere.store, anywhere.database, file_of(tmp_path, b"never linked"))
+    anywhere.store.write("blobs/00/unknown", file_of(tmp_path, b"of a database that was restored"))
+    assert collect_garbage(anywhere) == GcResult(rows=1, objects=3)
+    assert keys_of(anywhere.store) == [kept.object_key]
+    assert (rows_of(anywhere, Blob), rows_of(anywhere, LooseObject)) == (1, 0)
+    assert collect_garbage(anywhere) == GcResult(0, 0)
+
+
+def test_a_blob_is_collected_when_its_last_reference_is_gone(hasty: Platform, owner_id: str, tmp_path: Path) -> None:
+    path = file_of(tmp_path, b"content")
+    with hasty.database.transaction() as session:
+        blob = keep(session, hasty.store, path)
+        rows = [refer(session, blob, owner_id), refer(session, blob, owner_id)]
+    for row, left in zip(rows, (1, 0), strict=True):
+        with hasty.database.transaction() as session:
+            session.delete(session.merge(row))
+        collect_garbage(hasty)
+        assert len(keys_of(hasty.store)) == left
+
+
+def test_more_than_a_batch_is_collected_at_once(
+    hasty: Platform, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("services.runtime.store.garbage_collection.BATCH", 3)
+    for number in range(10):
+        with hasty.database.transaction() as session:
+            keep(session, hasty.store, file_of(tmp_path, b"%d" % number))
+        hasty.store.write(f"blobs/00/{number}", file_of(tmp_path, b"x"))
+    assert collect_garbage(hasty) == GcResult(rows=10, objects=20)
+    assert keys_of(hasty.store) == []
+
+
+def test_within_the_grace_nothing_is_collected(platform_on: Platform, tmp_path: Path) -> None:
+    with platform_on.database.transaction() as session:
+        keep(session, platform_on.store, file_of(tmp_path, b"forgotten"))
+    prepare(platform_on.store, platform_on.database, file_of(tmp_path, b"never linked"))
+    platform_on.store.write("blobs/00/unknown", file_of(tmp_path, b"x"))
+    platform_on.store.write("work/unknown/file", file_of(tmp_path, b"x"))
+    assert collect_garbage(platform_on) == GcResult(0, 0)
+    assert len(keys_of(platform_on.store)) == 4
+
+
+def test_what_was_collected_before_it_was_linked_is_stored_again(
+    anywhere: Platform, owner_id: str, tmp_path: Path
+) -> None:
+    prepared = prepare(anywhere.store, anywhere.database, file_of(tmp_path, b"content"))
+    assert collect_garbage(anywhere) == GcResult(0, 1)
+    assert link_and_read(anywhere, prepared, owner_id) == b"content"
+    collect_garbage(anywhere)
+    assert len(keys_of(anywhere.store)) == 1
+
+
+def test_what_was_kept_when_prepared_and_collected_before_it_was_linked_is_stored_again(
+    anywhere: Platform, owner_id: str, tmp_path: Path
+) -> None:
+    with anywhere.database.transaction() as session:
+        keep(session, anywhere.store, file_of(tmp_path, b"content"))
+    prepared = prepare(anywhere.store, anywhere.database, file_of(tmp_path, b"content"))
+    assert collect_garbage(anywhere) == GcResult(1, 1)
+    assert link_and_read(anywhere, prepared, owner_id) == b"content"
+
+
+def link_and_read(platform: Platform, prepared: PreparedBlob, owner_id: str) -> bytes:
+    with platform.database.transaction() as session:
+        blob = link(session, prepared)
+        refer(session, blob, owner_id)
+    return b"".join(platform.store.read(blob.object_key))
+
+
+def test_a_collection_that_the_store_interrupted_is_ended_by_the_next(
+    hasty: Platform, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with hasty.database.transaction() as session:
+        keep(session, hasty.store, file_of(tmp_path, b"forgotten"))
+
+    def away(key: str) -> None:
+        raise ConnectionError(key)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(hasty.store, "delete", away)
+        with pytest.raises(ConnectionError, match="blobs/"):
+            collect_garbage(hasty)
+    assert (rows_of(hasty, Blob), rows_of(hasty, LooseObject)) == (0, 1)
+    assert collect_garbage(hasty) == GcResult(0, 1)
+    assert (rows_of(hasty, LooseObject), keys_of(hasty.store)) == (0, [])
+
+
+def test_a_clock_set_back_or_forth_takes_nothing_that_a_row_names(
+    platform_on: Platform, owner_id: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept = keep_for(platform_on, owner_id, file_of(tmp_path, b"needed"))
+    prepared = prepare(platform_on.store, platform_on.database, file_of(tmp_path, b"under way"))
+    for shift_ns in (-400 * DAY_NS, 400 * DAY_NS):
+        monkeypatch.setattr(
+            "services.runtime.store.garbage_collection.now_ns", lambda shift_ns=shift_ns: time.time_ns() + shift_ns
+        )
+        collect_garbage(platform_on)
+    assert b"".join(platform_on.store.read(kept.object_key)) == b"needed"
+    assert link_and_read(platform_on, prepared, owner_id) == b"under way"
+
+
+@pytest.mark.parametrize(
+    ("state", "ended_ns", "stays"),
+    [
+        ("running", None, True),
+        ("queued", None, True),
+        ("failed", -6 * DAY_NS, True),
+        ("cancelled", -6 * DAY_NS, True),
+        ("failed", -8 * DAY_NS, False),
+        ("cancelled", -8 * DAY_NS, False),
+        ("succeeded", -1, False),
+    ],
+)
+def test_the_work_of_a_run_stays_while_somebody_may_ask_for_it(
+    anywhere: Platform, owner_id: str, tmp_path: Path, state: str, ended_ns: int | None, stays: bool
+) -> None:
+    id = new_id()
+    finished_ns = None if ended_ns is None else now_ns() + ended_ns
+    with anywhere.database.transaction() as session:
+        session.add(Job(id=id, root_id=id, owner_id=owner_id, kind="run", state=state, finished_ns=finished_ns))
+    for name in ("a", "tiles/b"):
+        anywhere.store.write(f"work/{id}/{name}", file_of(tmp_path, b"x"))
+    assert collect_garbage(anywhere) == GcResult(0, 0 if stays else 2)
+    assert len(keys_of(anywhere.store)) == (2 if stays else 0)
+
+
+@pytest.mark.whole
+def test_a_row_s_object_exists_however_keeping_and_collecting_race(
+    anywhere: Platform, owner_id: str, tmp_path: Path
+) -> None:
+    """Catches alone an object that is collected while it is being kept, on every database and store."""
+    paths = [file_of(tmp_path, content) for content in (b"one", b"two")]
+    race(
+        anywhere,
+        lambda: prepare_and_refer(anywhere, owner_id, random.choice(paths)),
+        lambda: keep_for(anywhere, owner_id, random.choice(paths)),
+    )
+
+
+def prepare_and_refer(platform: Platform, owner_id: str, path: Path) -> None:
+    prepared = prepare(platform.store, platform.database, path)
+    with platform.database.transaction() as session:
+        refer(session, link(session, prepared), owner_id)
+
+
+def race(platform: Platform, *writers: Callable[[], object]) -> None:
+    """Writers, one that takes references away, and collectors: at no moment is missing what a row names."""
+    over, failures, collected = threading.Event(), list[BaseException](), list[int]()
+
+    def again_and_again(act: Callable[[], object]) -> None:
+        try:
+            while not over.is_set():
+                act()
+        except BaseException as error:
+            failures.append(error)
+            over.set()
+
+    def check_and_forget() -> None:
+        with platform.database.transaction() as session:
+            for blob in session.scalars(select(Blob).where(Blob.sha256.in_(select(CalibrationRow.blob_sha256)))):
+                content = b"".join(platform.store.read(blob.object_key))
+                assert hashlib.sha256(content).hexdigest() == blob.sha256
+            session.execute(delete(CalibrationRow))
+
+    acts = [*writers, check_and_forget, *[lambda: collected.append(collect_garbage(platform).rows)] * 2]
+    threads = [threading.Thread(target=again_and_again, args=(act,)) for act in acts]
+    for thread in threads:
+        thread.start()
+    deadline_s = time.monotonic() + PATIENCE_S
+    while sum(collected) < RACES and not over.wait(0.05) and time.monotonic() < deadline_s:
+        pass
+    over.set()
+    for thread in threads:
+        thread.join()
+    if failures:
+        raise failures[0]
+    assert sum(collected) >= RACES, "collectors never met a blob to take: the race did not happen"
+    check_and_forget()
+    collect_garbage(platform)
+    assert (rows_of(platform, Blob), rows_of(platform, LooseObject), keys_of(platform.store)) == (0, 0, [])

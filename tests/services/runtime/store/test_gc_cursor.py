@@ -1,0 +1,66 @@
+"""The sweeper's collections look at some of very many blobs each time, and miss none in the end."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from sqlalchemy import func, select
+
+from services.runtime.orm import Blob
+from services.runtime.platform import Platform
+from services.runtime.settings import StoreSettings
+from services.runtime.store.blobs import keep
+from services.runtime.store.garbage_collection import BLOBS, collect_garbage
+from services.runtime.store.gc_cursor import SHARDS, GcCursor
+
+
+@pytest.fixture
+def hasty(platform_on: Platform) -> Platform:
+    """A platform whose grace is nothing."""
+    settings = platform_on.settings.model_copy(update={"store": StoreSettings(grace_s=0.0)})
+    return replace(platform_on, settings=settings)
+
+
+def laid(platform: Platform, folder: Path, count: int) -> None:
+    """So many blobs that nothing refers to."""
+    for number in range(count):
+        path = folder / f"{number}"
+        path.write_text(f"nobody needs {number}")
+        with platform.database.transaction() as session:
+            keep(session, platform.store, path)
+
+
+def left(platform: Platform) -> int:
+    with platform.database.reading() as session:
+        return session.scalar(select(func.count()).select_from(Blob)) or 0
+
+
+def test_a_short_turn_looks_at_a_slice_and_goes_on_where_it_ended(hasty: Platform, tmp_path: Path) -> None:
+    laid(hasty, tmp_path, 5)
+    turn = GcCursor(share_s=0.0, slice_rows=2)
+    assert [collect_garbage(hasty, turn).rows for _ in range(3)] == [2, 2, 1]
+    assert turn.after_sha256 == "", "what comes next is looked at from the beginning"
+    laid(hasty, tmp_path, 1)
+    assert collect_garbage(hasty, turn).rows == 1
+
+
+def test_a_turn_with_time_enough_looks_at_everything(hasty: Platform, tmp_path: Path) -> None:
+    laid(hasty, tmp_path, 5)
+    assert collect_garbage(hasty, GcCursor(share_s=60.0, slice_rows=2)).rows == 5
+    assert left(hasty) == 0
+
+
+def test_objects_no_row_speaks_of_are_found_when_their_turn_comes(hasty: Platform, tmp_path: Path) -> None:
+    stray = tmp_path / "stray"
+    stray.write_text("of a transaction that was rolled back")
+    key = f"{BLOBS}02/{'02' * 32}.00000000"
+    hasty.store.write(key, stray)
+    turn = GcCursor()
+    assert [collect_garbage(hasty, turn).objects for _ in range(3)] == [0, 0, 1]
+    assert list(hasty.store.listed(BLOBS)) == []
+
+
+def test_every_shard_has_its_turn() -> None:
+    turn = GcCursor()
+    assert {turn.next_shard(BLOBS) for _ in range(SHARDS)} == {f"blobs/{number:02x}/" for number in range(SHARDS)}
+    assert turn.next_shard(BLOBS) == "blobs/00/"

@@ -1,0 +1,91 @@
+"""The baseline on closed-form worlds: a plane, a wall, a slope, nothing."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from numpy.typing import NDArray
+
+from stone.errors import ShapeError
+from stone.labels.baseline import N, P, T, column_centres_m, ground_heights, predict_from_sweep
+from stone.labels.grid import GRID_SHAPE
+
+Points = NDArray[np.float32]
+FLAT_LAYER = 10  # z = 0.05 m lies in [0, 0.2)
+
+
+def sheet(slope_rad: float = 0.0, reach_m: float = 25.0, step_m: float = 0.15) -> Points:
+    """A dense tilted plane through (0, 0, 0.05), rising with x."""
+    axis = np.arange(-reach_m, reach_m, step_m) + 0.02  # off the borders of columns
+    x, y = np.meshgrid(axis, axis, indexing="ij")
+    return np.stack([x, y, 0.05 + math.tan(slope_rad) * x], axis=-1).reshape(-1, 3).astype(np.float32)
+
+
+def test_flat_ground_is_one_closed_sheet_of_t_ahead_and_p_beside() -> None:
+    grid = predict_from_sweep(sheet())
+    assert set(np.unique(grid)) == {0, T, P}
+    assert (grid[5:-5, 5:-5, FLAT_LAYER] > 0).all()
+    assert (np.delete(grid, FLAT_LAYER, axis=2) == 0).all()
+    x_m, y_m = column_centres_m()
+    is_corridor = (np.abs(x_m) <= 15) & (np.abs(y_m) <= 0.425)
+    np.testing.assert_array_equal(grid[..., FLAT_LAYER] == T, is_corridor)
+
+
+@pytest.mark.parametrize(("slope_deg", "is_climbable"), [(10, True), (22, True), (28, False), (40, False)])
+def test_a_slope_is_climbable_up_to_its_limit(slope_deg: float, is_climbable: bool) -> None:
+    grid = predict_from_sweep(sheet(math.radians(slope_deg), reach_m=2.0, step_m=0.05))
+    middle = grid[120:137, 120:137]
+    assert set(np.unique(middle[middle > 0])) == ({T, P} if is_climbable else {N})
+
+
+def test_a_wall_is_n_and_the_ground_before_it_is_not() -> None:
+    y, z = np.meshgrid(np.arange(-3, 3, 0.05), np.arange(0.05, 2.0, 0.05), indexing="ij")
+    wall = np.stack([np.full(y.shape, 5.1), y, z], axis=-1).reshape(-1, 3).astype(np.float32)
+    grid = predict_from_sweep(np.concatenate([sheet(), wall]))
+    column = grid[int((5.1 + 25.6) / 0.2), 128]
+    assert (column[FLAT_LAYER + 3 : FLAT_LAYER + 9] == N).all()
+    assert grid[int((3.1 + 25.6) / 0.2), 128, FLAT_LAYER] == T
+
+
+def test_the_ground_under_the_robot_is_known_without_a_point() -> None:
+    far = sheet()
+    far = far[np.hypot(far[:, 0], far[:, 1]) > 1.5]
+    assert predict_from_sweep(far)[128, 128, FLAT_LAYER] == T
+
+
+def test_gaps_are_closed_from_neighbours_and_no_further() -> None:
+    lowest = np.full(GRID_SHAPE[:2], np.inf, np.float32)
+    lowest[10:12] = 0.5
+    ground = ground_heights(lowest)
+    assert ground[12:18, 40] == pytest.approx(0.5)
+    assert np.isnan(ground[18:40, 40]).all()
+
+
+def test_no_points_give_an_empty_grid() -> None:
+    assert not predict_from_sweep(np.zeros((0, 3), np.float32)).any()
+
+
+@settings(max_examples=30, deadline=None)
+@given(hnp.arrays(np.float32, st.tuples(st.integers(0, 50), st.just(3)), elements=st.floats(width=32)))
+def test_any_points_give_classes_and_every_measured_voxel_is_occupied(points: Points) -> None:
+    grid = predict_from_sweep(points)
+    assert grid.shape == GRID_SHAPE
+    assert grid.dtype == np.uint8
+    assert grid.max() <= N
+    finite = points[np.isfinite(points).all(axis=1)].astype(np.float64)
+    index = (finite - (-25.6, -25.6, -2.0)) / 0.2
+    inside = ((index >= 1e-3) & (index < np.array(GRID_SHAPE) - 1e-3) & (np.abs(index % 1 - 0.5) < 0.499)).all(axis=1)
+    assert (grid[tuple(index[inside].astype(int).T)] > 0).all()
+
+
+def test_the_order_of_points_does_not_matter() -> None:
+    points = sheet(0.2, reach_m=5.0)
+    np.testing.assert_array_equal(predict_from_sweep(points), predict_from_sweep(points[::-1]))
+
+
+def test_other_shapes_are_refused() -> None:
+    with pytest.raises(ShapeError, match=r"points_ego has shape \(5, 4\)"):
+        predict_from_sweep(np.zeros((5, 4), np.float32))

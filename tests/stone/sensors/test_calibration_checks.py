@@ -1,0 +1,232 @@
+"""Small faults of a calibration are mended and said, large ones refused."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from stone.errors import ShapeError
+from stone.geometry.se3 import SE3
+from stone.sensors.calibration import Box, Calibration, CameraIntrinsics, Footprint, Mount
+from stone.sensors.calibration_checks import (
+    check_calibration,
+    check_translation,
+    checked_norm,
+    checked_rotation,
+    checked_transform,
+    quaternion_and_translation,
+    require_mounts,
+)
+from stone.sensors.calibration_errors import (
+    CameraMatrixError,
+    DistortionLengthError,
+    FootprintError,
+    ImageSizeError,
+    LastRowError,
+    MirrorError,
+    MissingSensorError,
+    NotARotationError,
+    NotFiniteError,
+    QuaternionNormError,
+    RepeatedSensorError,
+    TranslationError,
+)
+from stone.sensors.camera_checks import check_image_size, check_intrinsics
+
+seeds = st.integers(0, 2**32)
+CAMERA = CameraIntrinsics("plumb_bob", 1920, 1200, 1000.0, 1000.0, 960.0, 600.0, (0.0,) * 5)
+OPTICAL_WXYZ = np.array([0.5, -0.5, 0.5, -0.5])
+
+
+def a_rotation(seed):
+    return Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
+
+
+def changed(**facts):
+    return CameraIntrinsics(**{**CAMERA.__dict__, **facts})
+
+
+@settings(max_examples=50, deadline=None)
+@given(seeds)
+def test_a_rotation_with_five_decimals_passes_as_it_is(seed):
+    rounded = np.round(a_rotation(seed), 5)
+    kept, findings = checked_rotation("CAM", rounded)
+    np.testing.assert_array_equal(kept, rounded)
+    assert findings == ()
+
+
+@settings(max_examples=50, deadline=None)
+@given(seeds)
+def test_a_rotation_slightly_off_is_projected_to_the_nearest_and_said(seed):
+    random = np.random.default_rng(seed)
+    stretch = random.normal(size=(3, 3))
+    stretch += stretch.T
+    stretch *= random.uniform(2e-4, 2e-3) / np.linalg.norm(stretch)  # so ‖RᵀR−I‖ is 4e-4 to 4e-3, within the warning
+    exact = a_rotation(seed)
+    mended, findings = checked_rotation("CAM", exact @ (np.eye(3) + stretch))
+    np.testing.assert_allclose(mended.T @ mended, np.eye(3), atol=1e-12)
+    assert np.linalg.det(mended) == pytest.approx(1)
+    np.testing.assert_allclose(mended, exact, atol=1e-12)  # the rotation of a polar decomposition is the nearest
+    assert [(f.code, f.severity, f.topic) for f in findings] == [("CAL-401", "warning", "CAM")]
+
+
+@settings(max_examples=30, deadline=None)
+@given(seeds, st.sampled_from([0.0, 0.9687, 0.9990, 1.1, 1e200]))
+def test_scaled_and_collapsed_rotations_are_refused(seed, factor):
+    with pytest.raises(NotARotationError, match=r"CAM: the rotation is not a rotation \(determinant"):
+        checked_rotation("CAM", a_rotation(seed) * [1, 1, factor if factor != 0.999 else 0.99])
+
+
+@settings(max_examples=30, deadline=None)
+@given(seeds, st.integers(0, 2))
+def test_a_mirror_is_refused_whatever_the_axis(seed, axis):
+    mirrored = a_rotation(seed)
+    mirrored[:, axis] *= -1
+    with pytest.raises(MirrorError, match=r"LIDAR: the rotation has determinant -1, so it mirrors"):
+        checked_rotation("LIDAR", mirrored)
+
+
+def test_a_transposed_matrix_is_refused_by_its_last_row():
+    matrix = np.eye(4)
+    matrix[:3, 3] = 1, 2, 3
+    with pytest.raises(LastRowError, match=r"last row of the matrix is \(1, 2, 3, 1\)"):
+        checked_transform("CAM", matrix.T)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seeds)
+def test_a_good_matrix_is_read_exactly(seed):
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = a_rotation(seed), (0.1, -0.2, 1.5)
+    transform, findings = checked_transform("CAM", matrix)
+    np.testing.assert_allclose(transform.as_matrix(), matrix, atol=1e-12)
+    assert findings == ()
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_what_is_not_finite_is_refused_everywhere(bad):
+    with pytest.raises(NotFiniteError, match="the matrix holds NaN"):
+        checked_transform("CAM", np.full((4, 4), bad))
+    with pytest.raises(NotFiniteError, match="the rotation holds NaN"):
+        checked_rotation("CAM", np.full((3, 3), bad))
+    with pytest.raises(NotFiniteError, match="the quaternion holds NaN"):
+        checked_norm("CAM", np.full(4, bad))
+    with pytest.raises(NotFiniteError, match="the translation holds NaN"):
+        check_translation("CAM", np.full(3, bad))
+    with pytest.raises(NotFiniteError, match="the intrinsics holds NaN"):
+        check_intrinsics("CAM", changed(fx_px=bad))
+
+
+def test_other_shapes_are_refused():
+    for check, shape in ((checked_transform, (3, 4)), (checked_rotation, (2, 2)), (checked_norm, (3,))):
+        with pytest.raises(ShapeError, match="CAM"):
+            check("CAM", np.zeros(shape))
+    with pytest.raises(ShapeError, match="CAM translation"):
+        check_translation("CAM", np.zeros(2))
+
+
+@pytest.mark.parametrize(("norm", "count"), [(1.0, 0), (1.0009, 0), (0.9985, 1), (1.0095, 1)])
+def test_the_norm_of_a_quaternion_is_graded(norm, count):
+    transform, findings = quaternion_and_translation("INS", "ins", np.array([norm, 0, 0, 0]), np.zeros(3))
+    assert [f.code for f in findings] == ["CAL-402"] * count
+    np.testing.assert_allclose(transform.wxyz, [1, 0, 0, 0])
+
+
+@pytest.mark.parametrize("norm", [0.0, 0.98, 1.02, 1e300])
+def test_a_quaternion_far_from_unit_is_refused(norm):
+    with pytest.raises(QuaternionNormError, match=r"quaternion has norm .* it must be 1 ± 0.01"):
+        checked_norm("INS", np.array([norm, 0, 0, 0]))
+
+
+def test_an_identity_written_as_xyzw_raises_a_doubt_about_the_lidar():
+    _, findings = quaternion_and_translation("ego_from_lidar", "lidar", np.array([0.0, 0, 0, 1]), np.zeros(3))
+    assert "read as xyzw it is the likelier mount" in findings[0].message
+
+
+@pytest.mark.parametrize("kind", ["radar", "ins", "imu"])
+def test_a_sensor_that_looks_backwards_is_not_doubted(kind):
+    assert quaternion_and_translation("REAR", kind, np.array([0.0, 0, 0, 1]), np.zeros(3))[1] == ()
+
+
+@pytest.mark.parametrize("yaw_deg", [75, 90, 150, 180])
+def test_a_level_sensor_turned_sideways_and_written_as_xyzw_is_doubted(yaw_deg):
+    """At small angles the mistake reads as another level mount; nothing in the numbers tells."""
+    half_rad = np.deg2rad(yaw_deg) / 2
+    _, findings = quaternion_and_translation(
+        "INS", "ins", np.array([0, 0, np.sin(half_rad), np.cos(half_rad)]), np.zeros(3)
+    )
+    assert [finding.code for finding in findings] == ["CAL-402"]
+
+
+@pytest.mark.parametrize("yaw_deg", [-150, -60, 0, 45, 120])
+def test_an_upright_camera_is_not_doubted_and_its_xyzw_is_when_it_tips(yaw_deg):
+    turned = Rotation.from_euler("z", yaw_deg, degrees=True) * Rotation.from_quat(np.roll(OPTICAL_WXYZ, -1))
+    wxyz = np.roll(turned.as_quat(), 1)
+    assert quaternion_and_translation("CAM", "camera", wxyz, np.zeros(3))[1] == ()
+    swapped = SE3.from_parts(np.roll(wxyz, -1), np.zeros(3))
+    is_tipped = (swapped @ np.array([0.0, -1.0, 0.0]))[2] < 0.5
+    findings = quaternion_and_translation("CAM", "camera", swapped.wxyz, np.zeros(3))[1]
+    assert [f.code for f in findings] == ["CAL-402"] * bool(is_tipped)
+
+
+def test_a_long_lever_is_graded():
+    assert check_translation("GNSS", np.array([9.9, 0, 0])) == ()
+    assert check_translation("GNSS", np.array([0, 11.0, 0]))[0].code == "CAL-409"
+    with pytest.raises(TranslationError, match="GNSS: the translation is 1200 m long; the limit is 100 m"):
+        check_translation("GNSS", np.array([0, 0, 1200.0]))
+
+
+def test_intrinsics_are_checked_against_model_and_image():
+    assert check_intrinsics("CAM", CAMERA) == ()
+    with pytest.raises(DistortionLengthError, match="4 distortion coefficients for the model plumb_bob, which has 5"):
+        check_intrinsics("CAM", changed(distortion=(0.0,) * 4))
+    with pytest.raises(CameraMatrixError, match="fy_px is -5 px; expected a positive"):
+        check_intrinsics("CAM", changed(fy_px=-5.0))
+    with pytest.raises(CameraMatrixError, match="cy_px is 1200 px; expected inside the image, 0 to 1200"):
+        check_intrinsics("CAM", changed(cy_px=1200.0))
+
+
+@pytest.mark.parametrize(
+    ("facts", "message"),
+    [
+        ({"fx_px": 100.0, "fy_px": 100.0}, "fx_px 100.0 is unusual"),
+        ({"cx_px": 100.0}, "far from the middle"),
+        ({"fx_px": 1100.0}, "pixels are square"),
+    ],
+)
+def test_unusual_intrinsics_are_said(facts, message):
+    findings = check_intrinsics("CAM", changed(**facts))
+    assert message in findings[0].message
+    assert {f.severity for f in findings} == {"warning"}
+
+
+def test_a_camera_calibrated_for_another_image_size_is_refused():
+    mount = Mount("CAM_FRONT", "camera", SE3.identity(), intrinsics=CAMERA)
+    check_image_size(mount, 1920, 1200)
+    check_image_size(Mount("INS", "ins", SE3.identity()), 1, 1)
+    with pytest.raises(ImageSizeError, match="calibrated for 1920x1200 px, its images are 960x600 px"):
+        check_image_size(mount, 960, 600)
+
+
+def moved(name, x_m=1.0):
+    return Mount(name, "radar", SE3.from_parts(np.array([1.0, 0, 0, 0]), np.array([x_m, 0, 0])))
+
+
+def test_a_whole_calibration_is_checked():
+    assert check_calibration(Calibration("a", SE3.identity(), (moved("A"), moved("B", 0.0)))) == ()
+    with pytest.raises(RepeatedSensorError, match="A is in the calibration twice"):
+        check_calibration(Calibration("a", SE3.identity(), (moved("A"), moved("A", 2.0))))
+    with pytest.raises(FootprintError, match="footprint width_m is 0 m"):
+        check_calibration(Calibration("a", SE3.identity(), footprint=Footprint(1.0, 0.0)))
+    with pytest.raises(FootprintError, match=r"self box 0 is .* expected min below max"):
+        check_calibration(Calibration("a", SE3.identity(), self_boxes_ego=(Box((0, 0, 0), (1, 1, 0)),)))
+    copies = check_calibration(Calibration("a", SE3.identity(), (moved("A", 0.0), moved("B", 0.0))))
+    assert "never measured" in copies[0].message
+
+
+def test_a_missing_sensor_is_named_with_those_there_are():
+    calibration = Calibration("a", SE3.identity(), (moved("RADAR_LEFT"),))
+    require_mounts(calibration, ("RADAR_LEFT",), "the test")
+    with pytest.raises(MissingSensorError, match="has no INS, which the INS pose needs; it has RADAR_LEFT"):
+        require_mounts(calibration, ("INS",), "the INS pose")

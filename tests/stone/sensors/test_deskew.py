@@ -1,0 +1,186 @@
+"""Deskew against a loop that asks scipy for the pose of each single point, and a wall that must become flat."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation, Slerp
+
+from stone.errors import ShapeError
+from stone.geometry.se3 import SE3
+from stone.geometry.trajectory import Trajectory
+from stone.sensors.deskew import BIN_NS, PointOffsetError, SweepMount, deskew, sweep_motion
+
+STAMP_NS = 1_760_000_000_000_000_000
+SWEEP_NS = 100_000_000
+SPEED_M_S, YAW_RATE_RAD_S = 4.8, np.deg2rad(28)
+EGO_FROM_LIDAR = SE3.from_parts(np.array([0.9, 0.1, -0.2, 0.3]), np.array([0.3, -0.1, 1.2]))
+
+
+def arc(times_ns):
+    """Exact `map_from_ego` of a robot on a circle: 4.8 m/s, 28 °/s, level."""
+    seconds = (np.asarray(times_ns) - STAMP_NS) * 1e-9
+    yaw, radius_m = YAW_RATE_RAD_S * seconds, SPEED_M_S / YAW_RATE_RAD_S
+    wxyz = np.stack([np.cos(yaw / 2), 0 * yaw, 0 * yaw, np.sin(yaw / 2)], axis=-1)
+    return SE3.from_parts(wxyz, np.stack([radius_m * np.sin(yaw), radius_m * (1 - np.cos(yaw)), 0 * yaw], axis=-1))
+
+
+def driven(first_ns=-100_000_000, last_ns=300_000_000, step_ns=1_000_000, ego_from_lidar=EGO_FROM_LIDAR):
+    stamps_ns = STAMP_NS + np.arange(first_ns, last_ns + 1, step_ns, dtype=np.int64)
+    return SweepMount(Trajectory(stamps_ns, arc(stamps_ns)), ego_from_lidar)
+
+
+def scattered(count, seed=0):
+    rng = np.random.default_rng(seed)
+    return rng.uniform(-25, 25, (count, 3)).astype(np.float32), rng.integers(0, SWEEP_NS, count)
+
+
+def deskewed_slowly(points, offset_ns, mount):
+    """One scipy pose per point, float64."""
+    path = mount.trajectory
+    seconds = (path.stamps_ns - STAMP_NS) * 1e-9
+    turn = Slerp(seconds, Rotation.from_quat(np.roll(path.map_from_ego.wxyz, -1, axis=-1)))
+    lever, mounted = mount.ego_from_lidar.translation_m, Rotation.from_quat(np.roll(mount.ego_from_lidar.wxyz, -1))
+
+    def position(at_s):
+        return np.array([np.interp(at_s, seconds, path.map_from_ego.translation_m[:, i]) for i in range(3)])
+
+    moved = []
+    for point, offset in zip(points.astype(np.float64), offset_ns, strict=True):
+        at_s = offset * 1e-9
+        in_map = turn(at_s).apply(mounted.apply(point) + lever) + position(at_s)
+        in_ego = turn(0.0).inv().apply(in_map - position(0.0))
+        moved.append(mounted.inv().apply(in_ego - lever))
+    return np.array(moved)
+
+
+def motion_slowly(mount, stamp_ns, span_ns):
+    """`stamp_from_bin` of each bin by the trajectory and transforms themselves, one after the other."""
+    first, last = ((offset + BIN_NS // 2) // BIN_NS for offset in span_ns)
+    whole = []
+    for time_ns in [stamp_ns, *(stamp_ns + b * BIN_NS for b in range(first, last + 1))]:
+        found = mount.trajectory.at(np.array([time_ns]), mount.max_gap_ns)
+        whole.append((found.map_from_ego[0] @ mount.ego_from_lidar, bool(found.is_ok[0]), int(found.segment[0])))
+    stamp, *bins = whole
+    has_pose = [stamp[1] and is_ok and segment == stamp[2] for _, is_ok, segment in bins]
+    return first, [stamp[0].inverse() @ at if ok else None for (at, _, _), ok in zip(bins, has_pose, strict=True)]
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32), st.sampled_from([4_000_000, 40_000_000, 250_000_000]), st.booleans())
+def test_the_motion_of_a_sweep_is_what_the_trajectory_says_bin_by_bin(seed, max_gap_ns, is_split):
+    rng = np.random.default_rng(seed)
+    stamps_ns = STAMP_NS + np.cumsum(rng.choice([1_000_000, 3_000_000, 5_000_000, 60_000_000], 12)) - 60_000_000
+    poses = SE3.from_parts(rng.normal(size=(12, 4)), rng.uniform(-300, 300, (12, 3)))
+    track = Trajectory(stamps_ns, poses, np.arange(12) // 5 if is_split else None)
+    mount = SweepMount(track, EGO_FROM_LIDAR, max_gap_ns)
+    stamp_ns = int(rng.choice(stamps_ns[2:])) + int(rng.choice([0, 7]))
+    span_ns = -int(rng.integers(0, 9_000_000)), int(rng.integers(0, 9_000_000))
+    made = sweep_motion(mount, stamp_ns, span_ns)
+    first, expected = motion_slowly(mount, stamp_ns, span_ns)
+    assert made.first_bin == first
+    assert made.has_pose.tolist() == [at is not None for at in expected]
+    for b, at in enumerate(expected):
+        if at is not None:
+            np.testing.assert_allclose(made.rotation[b], at.rotation(), atol=1e-7)
+            np.testing.assert_allclose(made.translation_m[b], at.translation_m, rtol=2e-7, atol=1e-10)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32))
+def test_the_order_of_points_in_a_sweep_does_not_matter(seed):
+    """Neighbours of one bin are moved together, wherever they stand."""
+    points, offset_ns = scattered(500, seed)
+    shuffled = np.random.default_rng(seed).permutation(500)
+    mount = driven(first_ns=-10_000_000, last_ns=60_000_000)
+    in_order = np.argsort(offset_ns, kind="stable")
+    sorted_first = deskew(points[in_order], offset_ns[in_order], mount, STAMP_NS)
+    moved = deskew(points[shuffled], offset_ns[shuffled], mount, STAMP_NS)
+    assert 0 < len(moved) < 500
+    assert sorted(map(tuple, moved.tolist())) == sorted(map(tuple, sorted_first.tolist()))
+
+
+@settings(max_examples=5, deadline=None)
+@given(st.integers(0, 2**32))
+def test_every_point_is_within_two_millimetres_of_its_own_exact_pose(seed):
+    points, offset_ns = scattered(300, seed)
+    mount = driven(step_ns=50_000_000)
+    moved = deskew(points, offset_ns, mount, STAMP_NS)
+    assert moved.dtype == np.float32
+    off_m = np.linalg.norm(moved - deskewed_slowly(points, offset_ns, mount), axis=1)
+    # Half a bin: 50 µs × (4.8 m/s + 28 °/s × the reach of a corner of the cube, 43 m).
+    assert off_m.max() < 50e-6 * (SPEED_M_S + YAW_RATE_RAD_S * 45) + 1e-5
+
+
+def test_a_wall_passed_in_a_turn_becomes_flat_where_it_was_curved():
+    """The robot drives and turns past the wall y = 8 m; each point is measured from where the LiDAR then was."""
+    mount = driven()
+    offset_ns = np.arange(0, SWEEP_NS, 50_000, dtype=np.int64)
+    wall_map = np.stack(
+        [np.linspace(-20, 20, len(offset_ns)), np.full(len(offset_ns), 8.0), np.ones(len(offset_ns))], 1
+    )
+    map_from_lidar = arc(STAMP_NS + offset_ns) @ EGO_FROM_LIDAR
+    points = (map_from_lidar.inverse() @ wall_map).astype(np.float32)
+    map_from_stamp = arc(STAMP_NS) @ EGO_FROM_LIDAR
+    moved = map_from_stamp @ deskew(points, offset_ns, mount, STAMP_NS).astype(np.float64)
+    raw = map_from_stamp @ points.astype(np.float64)
+    assert np.abs(raw[:, 1] - 8.0).max() > 0.5
+    np.testing.assert_allclose(moved, wall_map, atol=1.3e-3)
+
+
+def test_a_robot_at_rest_changes_nothing():
+    points, offset_ns = scattered(1000)
+    still = Trajectory(STAMP_NS + np.array([0, SWEEP_NS]), SE3.identity((2,)))
+    np.testing.assert_allclose(
+        deskew(points, offset_ns, SweepMount(still, EGO_FROM_LIDAR), STAMP_NS), points, atol=2e-5
+    )
+
+
+def test_moving_the_map_does_not_move_the_sweep():
+    points, offset_ns = scattered(500)
+    mount = driven()
+    elsewhere = SE3.from_parts(np.array([0.2, -0.4, 0.1, 0.8]), np.array([120.0, -40.0, 7.0]))
+    moved_map = Trajectory(mount.trajectory.stamps_ns, elsewhere @ mount.trajectory.map_from_ego)
+    np.testing.assert_allclose(
+        deskew(points, offset_ns, SweepMount(moved_map, EGO_FROM_LIDAR), STAMP_NS),
+        deskew(points, offset_ns, mount, STAMP_NS),
+        atol=1e-5,
+    )
+
+
+def test_points_at_the_stamp_stay_and_negative_times_are_measured_before_it():
+    points = np.array([[10.0, 0, 0], [10.0, 0, 0]], np.float32)
+    offset_ns = np.array([0, -SWEEP_NS], np.int64)
+    moved = deskew(points, offset_ns, driven(ego_from_lidar=SE3.identity()), STAMP_NS)
+    np.testing.assert_array_equal(moved[0], points[0])
+    oracle = arc(STAMP_NS - SWEEP_NS) @ np.array([10.0, 0, 0])
+    np.testing.assert_allclose(moved[1], oracle, atol=1e-3)
+
+
+def test_points_without_a_pose_are_dropped_and_the_others_keep_their_order():
+    points, offset_ns = scattered(1000)
+    cut = driven(last_ns=60_000_000, step_ns=20_000_000)
+    whole = deskew(points, offset_ns, driven(step_ns=20_000_000), STAMP_NS)
+    kept = (offset_ns + 50_000) // 100_000 * 100_000 <= 60_000_000
+    moved = deskew(points, offset_ns, cut, STAMP_NS)
+    assert 0 < kept.sum() < 1000
+    np.testing.assert_array_equal(moved, whole[kept])
+
+
+def test_a_sweep_whose_stamp_has_no_pose_keeps_nothing():
+    points, offset_ns = scattered(10)
+    assert deskew(points, offset_ns, driven(first_ns=10_000_000), STAMP_NS).shape == (0, 3)
+
+
+def test_an_empty_sweep_stays_empty():
+    assert deskew(np.zeros((0, 3), np.float32), np.zeros(0, np.int64), driven(), STAMP_NS).shape == (0, 3)
+
+
+def test_implausible_inputs_are_refused():
+    points, offset_ns = scattered(4)
+    with pytest.raises(PointOffsetError, match="absolute times taken for relative"):
+        deskew(points, offset_ns + STAMP_NS, driven(), STAMP_NS)
+    with pytest.raises(ShapeError, match="one per point"):
+        deskew(points, offset_ns[:3], driven(), STAMP_NS)
+    with pytest.raises(ShapeError, match=r"\(N, 3\)"):
+        deskew(points[:, :2], offset_ns, driven(), STAMP_NS)

@@ -1,0 +1,136 @@
+"""Projection by four lens models, held to a slow one point at a time, to its inverse, and to closed forms."""
+
+from math import atan2, hypot
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from scipy.optimize import brentq
+
+from stone.errors import ShapeError
+from stone.sensors.calibration import CameraIntrinsics
+from stone.sensors.projection import corner_reach, field_limit, is_folded, project
+
+LENSES = {
+    "pinhole": CameraIntrinsics("pinhole", 640, 480, 500, 505, 322.5, 241.0),
+    "plumb_bob": CameraIntrinsics(
+        "plumb_bob", 752, 480, 458.6, 457.3, 367.2, 248.4, (-0.283, 0.074, 2e-4, -1.8e-5, 0.0)
+    ),
+    "rational_polynomial": CameraIntrinsics(
+        "rational_polynomial", 1280, 720, 610, 611, 640, 365, (0.4, -0.1, 1e-3, -4e-4, 0.02, 0.7, -0.05, 0.01)
+    ),
+    "equidistant": CameraIntrinsics("equidistant", 512, 512, 191, 191, 255, 257, (0.0035, 0.0007, -0.002, 0.0002)),
+}
+MODELS = pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
+# Mostly before the camera, so that many are in the image.
+points = st.tuples(st.floats(-0.8, 0.8), st.floats(-0.8, 0.8), st.floats(0.2, 30)).map(
+    lambda p: (p[0] * p[2], p[1] * p[2], p[2])
+)
+
+
+def slow_pixel(point: tuple[float, float, float], lens: CameraIntrinsics) -> tuple[float, float]:
+    """The models as they are written in their papers, for one point before the camera."""
+    x, y, z = point
+    d = lens.distortion
+    if lens.model == "equidistant":
+        side = hypot(x, y)
+        t = atan2(side, z)
+        bent = t + d[0] * t**3 + d[1] * t**5 + d[2] * t**7 + d[3] * t**9
+        a, b = (x / side * bent, y / side * bent) if side else (0.0, 0.0)
+        return lens.fx_px * a + lens.cx_px, lens.fy_px * b + lens.cy_px
+    a, b = x / z, y / z
+    r2 = a * a + b * b
+    k1, k2, p1, p2, k3, k4, k5, k6 = (*d, *[0.0] * (8 - len(d)))
+    radial = (1 + k1 * r2 + k2 * r2**2 + k3 * r2**3) / (1 + k4 * r2 + k5 * r2**2 + k6 * r2**3)
+    u = a * radial + 2 * p1 * a * b + p2 * (r2 + 2 * a * a)
+    v = b * radial + p1 * (r2 + 2 * b * b) + 2 * p2 * a * b
+    return lens.fx_px * u + lens.cx_px, lens.fy_px * v + lens.cy_px
+
+
+@MODELS
+@given(point=points)
+def test_every_point_in_the_image_is_where_the_slow_model_puts_it(lens: CameraIntrinsics, point) -> None:
+    pixels, is_in_image = project(np.array([point]), lens)
+    assume(is_in_image[0])
+    np.testing.assert_allclose(pixels[0], slow_pixel(point, lens), atol=1e-9 * lens.width_px)
+
+
+@MODELS
+@given(ratio=st.tuples(st.floats(0.001, 0.999), st.floats(0.001, 0.999)), range_m=st.floats(0.5, 100))
+def test_every_pixel_has_a_point_that_is_seen_there(lens: CameraIntrinsics, ratio, range_m) -> None:
+    """The ray of a pixel, found along its own direction from the principal point; tangential terms left out."""
+    radial = tuple(0.0 if place in (2, 3) else value for place, value in enumerate(lens.distortion))
+    lens = lens if lens.model == "equidistant" else CameraIntrinsics(lens.model, *_numbers(lens), radial)
+    pixel = np.array([ratio[0] * lens.width_px - 0.5, ratio[1] * lens.height_px - 0.5])
+    aside = (pixel - (lens.cx_px, lens.cy_px)) / (lens.fx_px, lens.fy_px)
+    reach = float(np.linalg.norm(aside))
+    assume(1e-6 < reach < corner_reach(lens))
+    direction = aside / reach
+    is_fisheye = lens.model == "equidistant"
+
+    def point_at(field: float):
+        sine, cosine = (np.sin(field), np.cos(field)) if is_fisheye else (field, 1.0)
+        return np.array([[direction[0] * sine, direction[1] * sine, cosine]]) * range_m
+
+    def off(field: float) -> float:
+        seen = np.array(slow_pixel(tuple(point_at(field)[0]), lens))
+        return float(np.linalg.norm((seen - (lens.cx_px, lens.cy_px)) / (lens.fx_px, lens.fy_px))) - reach
+
+    field = brentq(off, 0.0, field_limit(lens), xtol=1e-13)
+    pixels, is_in_image = project(point_at(field), lens)
+    assert is_in_image[0]
+    np.testing.assert_allclose(pixels[0], pixel, atol=1e-6)
+
+
+def _numbers(lens: CameraIntrinsics):
+    return lens.width_px, lens.height_px, lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px
+
+
+@MODELS
+@given(point=points, scale=st.floats(0.1, 10))
+def test_a_point_farther_along_its_ray_is_seen_in_the_same_pixel(lens: CameraIntrinsics, point, scale) -> None:
+    assume(np.linalg.norm(point) > 0.1)
+    (near, far), is_in_image = project(np.array([point, np.array(point) * scale]), lens)
+    assert is_in_image[0] == is_in_image[1] or not is_in_image.all()
+    assume(is_in_image.all())
+    np.testing.assert_allclose(near, far, atol=1e-6)
+
+
+@MODELS
+def test_the_axis_is_seen_at_the_principal_point(lens: CameraIntrinsics) -> None:
+    pixels, is_in_image = project(np.array([[0.0, 0, 5]]), lens)
+    assert is_in_image.all()
+    np.testing.assert_allclose(pixels, [[lens.cx_px, lens.cy_px]])
+
+
+@MODELS
+def test_what_is_behind_or_nowhere_is_not_seen(lens: CameraIntrinsics) -> None:
+    nowhere = np.array([[0.0, 0, -5], [0, 0, 0], [np.nan, 0, 1], [0, np.inf, 1], [0, 0, -np.inf]])
+    assert not project(nowhere, lens)[1].any()
+    assert project(np.zeros((0, 3)), lens)[0].shape == (0, 2)
+
+
+def test_the_image_reaches_half_a_pixel_around_its_pixels() -> None:
+    lens = CameraIntrinsics("pinhole", 100, 50, 100, 100, 0, 0)
+    edges = np.array([[-0.005, 0, 1], [-0.00501, 0, 1], [0.99499, 0.49499, 1], [0.9951, 0, 1], [0, 0.4951, 1]])
+    assert project(edges, lens)[1].tolist() == [True, False, True, False, False]
+
+
+def test_a_lens_that_turns_back_shows_nothing_twice() -> None:
+    """With k1 = −0.5 the picture turns at r = √(2/3): a point at r = 1.3 would be put at 0.2, well inside."""
+    lens = CameraIntrinsics("plumb_bob", 640, 480, 500, 500, 320, 240, (-0.5, 0, 0, 0, 0))
+    assert field_limit(lens) == pytest.approx((2 / 3) ** 0.5, abs=5e-3)
+    assert slow_pixel((1.3, 0, 1), lens)[0] < 640
+    assert project(np.array([[1.3, 0, 1.0], [0.5, 0, 1.0]]), lens)[1].tolist() == [False, True]
+    assert is_folded(lens)
+
+
+@MODELS
+def test_a_real_lens_is_one_to_one_up_to_its_corner(lens: CameraIntrinsics) -> None:
+    assert not is_folded(lens)
+
+
+def test_points_of_another_shape_are_refused() -> None:
+    with pytest.raises(ShapeError, match=r"points_camera has shape \(3,\)"):
+        project(np.zeros(3), LENSES["pinhole"])

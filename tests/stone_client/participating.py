@@ -1,0 +1,116 @@
+"""A served platform with a benchmark and a worker that scores, and commands as one of its participants gives them."""
+
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import func, select
+from typer.testing import CliRunner, Result
+
+from services.domain.benchmarks.teams import teams
+from services.eval.stages import handlers
+from services.runtime.database.migrate import upgrade
+from services.runtime.orm import Phase, SubmissionRow, Upload, new_id
+from services.runtime.platform import Platform
+from stone_client.main import app
+from testing.api.serving import Person, person, serving
+from testing.servers.fixtures import make_settings, opened
+from testing.worlds.benchmark_world import World, benchmark_world, predicted, submission_zip
+from tests.working import working
+
+
+@dataclass(frozen=True)
+class Served:
+    """Where the world is served, and who asks: the captain of a team that nothing was ever submitted for."""
+
+    world: World
+    url: str
+    captain: Person
+    team: str
+    team_id: str
+
+    @property
+    def platform(self) -> Platform:
+        return self.world.platform
+
+    def at(self, part: str) -> tuple[str, ...]:
+        """The options that name the phase over this part."""
+        return ("--benchmark", self.world.benchmark, "--phase", part)
+
+    def count(self, row: type[SubmissionRow] | type[Upload]) -> int:
+        """How many the team has sent."""
+        owned = Upload.owner_id == self.captain.user_id if row is Upload else SubmissionRow.team_id == self.team_id
+        with self.platform.database.reading() as session:
+            return session.scalar(select(func.count()).select_from(row).where(owned)) or 0
+
+
+@contextmanager
+def serving_world(root: Path, frames: int = 1) -> Iterator[tuple[World, str]]:
+    """A world of its own below `root`, and its URL."""
+    platform = opened(make_settings(root), [])
+    upgrade(platform.settings)
+    try:
+        world = benchmark_world(platform, frames)
+        with serving(platform) as url:
+            yield world, url
+    finally:
+        platform.database.close()
+
+
+def joined(world: World, url: str) -> Served:
+    """Somebody new, with a new team."""
+    captain = person(world.platform, "participant")
+    name = f"crew-{new_id()[-8:]}"
+    with world.platform.database.transaction() as session:
+        team_id = teams.found(session, name, captain.user_id).id
+    return Served(world, url, captain, name, team_id)
+
+
+@contextmanager
+def changed_phase(served: Served, part: str, **columns: Any) -> Iterator[None]:
+    """The phase over this part with other rules, for a while."""
+    before = _set(served, part, columns)
+    try:
+        yield
+    finally:
+        _set(served, part, before)
+
+
+def _set(served: Served, part: str, columns: Mapping[str, Any]) -> dict[str, Any]:
+    with served.platform.database.transaction() as session:
+        phase = session.get_one(Phase, served.world.phase(part))
+        before = {name: getattr(phase, name) for name in columns}
+        for name, value in columns.items():
+            setattr(phase, name, value)
+        return before
+
+
+def stone(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def answered(*arguments: str | Path) -> dict[str, Any]:
+    """What the command prints under --json."""
+    result = stone(*arguments, "--json")
+    assert result.exit_code == 0, (result.stdout, result.stderr, result.exception)
+    record: dict[str, Any] = json.loads(result.stdout)
+    return record
+
+
+def refused(result: Result) -> str:
+    """The refusal's code; a traceback is none."""
+    assert result.exit_code == 1, (result.stdout, result.stderr, result.exception)
+    return result.stderr.rstrip("\n").splitlines()[-1].partition(":")[0]
+
+
+def zipped(served: Served, path: Path, part: str = "val", errors: float = 0.1, seed: int = 1) -> Path:
+    """Predictions of a part with about this share of errors."""
+    return submission_zip(path, predicted(served.world.truth(part), errors, seed))
+
+
+def scoring(platform: Platform) -> AbstractContextManager[None]:
+    """A worker of the queue `eval` in a thread."""
+    return working(platform, "eval", handlers)

@@ -1,0 +1,235 @@
+"""What participants look at by command: benchmarks, manifests, inputs, teams, results, boards, comparisons."""
+
+import json
+from collections.abc import Iterator
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import pytest
+from structlog.testing import capture_logs
+
+from services.runtime.orm.base import now_ns
+from stone_client.server.boards import board_table
+from stone_client.tables import show
+from stone_submissions.manifest import read_manifest
+from testing.api.serving import person
+from testing.worlds.benchmark_world import World
+from tests.api.inputs_made import made_input
+from tests.stone_client.participating import (
+    Served,
+    answered,
+    changed_phase,
+    joined,
+    refused,
+    scoring,
+    serving_world,
+    stone,
+    zipped,
+)
+
+SWEEPS = {"samples/LIDAR_TOP/a.pcd.bin": bytes(range(256)) * 900, "v1.0-trainval/sample.json": b"[\n]\n"}
+
+
+@pytest.fixture(scope="module")
+def _world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[World, str]]:
+    with serving_world(tmp_path_factory.mktemp("world")) as served:
+        yield served
+
+
+@pytest.fixture(scope="module")
+def entries(_world: tuple[World, str], tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """The ids of three scored submissions by method: two of one team to val, one to test."""
+    folder, captain = tmp_path_factory.mktemp("sent"), joined(*_world)
+    made: dict[str, str] = {}
+    with pytest.MonkeyPatch.context() as patched, capture_logs(), scoring(captain.platform):
+        be(captain, patched, folder)
+        for method, part, errors in (("Good", "val", 0.05), ("Bad", "val", 0.6), ("Hidden", "test", 0.1)):
+            path = zipped(captain, folder / f"{method}.zip", part, errors)
+            said = (*captain.at(part), "--team", captain.team, "--method", method, "--modality", "C+L")
+            made[method] = answered("submit", path, *said)["id"]
+    return made | {"team": captain.team, "secret": captain.captain.secret}
+
+
+def be(served: Served, patched: pytest.MonkeyPatch, folder: Path) -> None:
+    patched.setenv("STONE_CONFIG_HOME", str(folder / "configuration"))
+    patched.setenv("STONE_URL", served.url)
+    patched.setenv("STONE_TOKEN", served.captain.secret)
+
+
+@pytest.fixture
+def served(_world: tuple[World, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
+    """As somebody who has nothing to do with the entries."""
+    made = joined(*_world)
+    be(made, monkeypatch, tmp_path)
+    with capture_logs():
+        yield made
+
+
+@pytest.fixture
+def as_team(served: Served, entries: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
+    monkeypatch.setenv("STONE_TOKEN", entries["secret"])
+    return entries
+
+
+def test_benchmarks_are_listed_with_what_their_phases_allow(served: Served) -> None:
+    shown = stone("benchmarks").stdout
+    assert all(word in shown for word in (served.world.benchmark, "val", "test", "hidden", "open"))
+    one = stone("benchmarks", served.world.benchmark).stdout
+    assert "test: " in one, "what is shown to whom"
+    (record,) = answered("benchmarks")["benchmarks"]
+    assert {phase["name"] for phase in record["phases"]} == {"val", "test"}
+    assert refused(stone("benchmarks", "nothing")) == "not_found"
+
+
+def test_a_manifest_is_written_and_names_the_frames(served: Served, tmp_path: Path) -> None:
+    record = answered("manifest", served.world.benchmark, "test", "-o", tmp_path / "M.json")
+    assert set(read_manifest(tmp_path / "M.json").tokens) == set(served.world.truth("test"))
+    assert record["sha256"] == sha256((tmp_path / "M.json").read_bytes()).hexdigest()
+    assert refused(stone("manifest", served.world.benchmark, "nothing", "-o", tmp_path / "no.json")) == "not_found"
+    assert not (tmp_path / "no.json").exists()
+
+
+def test_validating_against_the_server_is_validating_against_its_manifest(served: Served, tmp_path: Path) -> None:
+    stone("manifest", served.world.benchmark, "test", "-o", tmp_path / "M.json")
+    for part, code in (("test", 0), ("val", 1)):
+        path = zipped(served, tmp_path / f"{part}.zip", part)
+        local, by_server = (
+            stone("validate", path, *how, "--json")
+            for how in (("--manifest", str(tmp_path / "M.json")), served.at("test"))
+        )
+        assert (local.exit_code, by_server.exit_code) == (code, code)
+        assert local.stdout == by_server.stdout
+    assert stone("validate", path).exit_code == 2
+    assert stone("validate", path, "--benchmark", "b").exit_code == 2
+    assert stone("validate", path, "--manifest", tmp_path / "M.json", *served.at("test")).exit_code == 2
+
+
+def test_inputs_are_downloaded_and_go_on_where_they_broke_off(served: Served, tmp_path: Path) -> None:
+    assert answered("inputs", served.world.benchmark, "val", "-o", tmp_path / "none") == {"inputs": []}
+    made = made_input(served.platform, served.world.test, "drive", SWEEPS)
+    output = tmp_path / "inputs" / "drive.tar"
+    (first,) = answered("inputs", served.world.benchmark, "test", "-o", output.parent)["inputs"]
+    content = output.read_bytes()
+    assert (len(content), sha256(content).hexdigest()) == made.tar
+    assert (first["resumed_at_bytes"], first["output"]) == (0, str(output))
+    (again,) = answered("inputs", served.world.benchmark, "test", "-o", output.parent)["inputs"]
+    assert again["resumed_at_bytes"] == len(content), "nothing is fetched twice"
+    output.unlink()
+    output.with_name(f".drive.tar.{made.tar[1][:32]}.partial").write_bytes(content[:100_000])
+    (resumed,) = answered("inputs", served.world.benchmark, "test", "-o", output.parent)["inputs"]
+    assert (resumed["resumed_at_bytes"], output.read_bytes() == content) == (100_000, True)
+
+
+def test_a_team_is_founded_invited_into_and_joined(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert stone("teams", "found", "Terrain Gang").stdout.startswith("founded: Terrain Gang (participant-")
+    assert refused(stone("teams", "found", "terrain  gang")) == "name_taken"
+    invited = stone("teams", "invite", "terrain gang")
+    assert "stone teams join" in invited.stderr
+    newcomer = person(served.platform, "participant", "grace")
+    monkeypatch.setenv("STONE_TOKEN", newcomer.secret)
+    assert stone("teams", "join", invited.stdout.strip()).exit_code == 0
+    (team,) = answered("teams", "list")["teams"]
+    assert team["name"] == "Terrain Gang"
+    assert "grace" in team["members"]
+    assert "Terrain Gang" in stone("teams", "list").stdout
+    assert refused(stone("teams", "join", invited.stdout.strip())) != "internal_error", "it lets one in"
+    assert refused(stone("teams", "invite", "nobody's")) == "unknown_team"
+
+
+def test_results_are_shown_whole_and_in_parts(as_team: dict[str, str]) -> None:
+    shown = stone("results", as_team["Good"]).stdout
+    assert all(word in shown for word in ("Good (C+L)", "mIoU", "IoU T", "95 % here", "ground truth in rows"))
+    for by, name in (("sequence", "val-forest"), ("environment", "lake"), ("illumination", "night"), ("distance", "m")):
+        result = stone("results", as_team["Good"], "--by", by)
+        assert result.exit_code == 0, result.stderr
+        assert name in result.stdout
+    assert len(answered("results", as_team["Good"], "--by", "sequence")["parts"]) == 2
+
+
+def test_of_a_hidden_phase_totals_are_rounded_and_parts_withheld_until_it_ends(
+    served: Served, as_team: dict[str, str]
+) -> None:
+    record = answered("results", as_team["Hidden"])
+    assert record["is_rounded"]
+    assert all(round(ratio, 4) == ratio for ratio in record["total"].values())
+    assert (record["confusion"], record["intervals"]) == (None, None)
+    assert "ground truth in rows" not in stone("results", as_team["Hidden"]).stdout
+    assert refused(stone("results", as_team["Hidden"], "--by", "sequence")) not in ("internal_error", "not_found")
+    with changed_phase(served, "test", closes_ns=now_ns() - 1):
+        assert stone("results", as_team["Hidden"], "--by", "sequence").exit_code == 0
+
+
+def test_submissions_are_listed_newest_first_and_named_by_how_late_they_are(as_team: dict[str, str]) -> None:
+    listed = answered("results")["submissions"]
+    assert [one["method"] for one in listed] == ["Hidden", "Bad", "Good"]
+    assert "Hidden" in stone("results").stdout
+    assert answered("results", "latest")["submission_id"] == as_team["Hidden"]
+    assert answered("results", "latest~2")["submission_id"] == as_team["Good"]
+    assert refused(stone("results", "latest~3")) == "no_submission"
+    assert stone("results", "--by", "sequence").exit_code == 2
+
+
+def test_what_is_no_submission_is_not_found(served: Served) -> None:
+    assert refused(stone("results", "0" * 32)) == "not_found"
+    assert refused(stone("results", "../phases")) == "no_submission"
+    assert refused(stone("results", "latest")) == "no_submission"
+
+
+def test_a_board_is_a_table_and_every_file_the_server_makes(
+    served: Served, as_team: dict[str, str], tmp_path: Path
+) -> None:
+    at = (served.world.benchmark, "val")
+    shown = stone("leaderboard", *at)
+    assert all(word in shown.stdout for word in ("Good", "C+L", f"{as_team['team']} *", "mIoU"))
+    assert "Bad" not in shown.stdout
+    assert "Bad" in stone("leaderboard", *at, "--all").stdout
+    rows = answered("leaderboard", *at)["rows"]
+    assert rows[0]["submission_id"] == as_team["Good"]
+    assert json.loads(stone("leaderboard", *at, "--format", "json").stdout)["rows"] == rows
+    for form, sign in (("csv", "miou"), ("md", "| Good |"), ("tex", "\\begin{tabular}")):
+        text = stone("leaderboard", *at, "--format", form).stdout
+        assert "Good" in text, form
+        assert sign in text, form
+    parquet = tmp_path / "board.parquet"
+    assert stone("leaderboard", *at, "--format", "parquet", "-o", parquet).exit_code == 0
+    assert parquet.read_bytes()[:4] == b"PAR1"
+    assert stone("leaderboard", *at, "--format", "parquet").exit_code == 2
+
+
+def test_a_board_is_narrowed_by_track_and_time(served: Served, as_team: dict[str, str]) -> None:
+    at = (served.world.benchmark, "val")
+    assert answered("leaderboard", *at, "--track", "L")["rows"] == []
+    assert len(answered("leaderboard", *at, "--track", "C+L")["rows"]) == 1
+    assert answered("leaderboard", *at, "--as-of", "2020-01-01T00:00:00Z")["rows"] == []
+    assert refused(stone("leaderboard", *at, "--as-of", "yesterday")) == "invalid_request"
+    assert stone("leaderboard", *at, "--track", "X").exit_code == 2
+
+
+def test_two_entries_are_compared_by_paired_draws(as_team: dict[str, str]) -> None:
+    record = answered("compare", as_team["Good"], as_team["Bad"])
+    assert record["ratios"]["miou"]["difference"] > 0
+    shown = stone("compare", "latest~2", "latest~1").stdout
+    assert all(word in shown for word in ("A − B", "mIoU", as_team["Good"], as_team["Bad"]))
+    assert refused(stone("compare", as_team["Good"], as_team["Hidden"])) not in ("internal_error",)
+
+
+def test_what_is_withdrawn_is_on_no_board(served: Served, as_team: dict[str, str]) -> None:
+    at = (served.world.benchmark, "test")
+    assert len(answered("leaderboard", *at)["rows"]) == 1
+    assert stone("withdraw", as_team["Hidden"], "--reason", "a mistake").exit_code == 0
+    assert answered("leaderboard", *at)["rows"] == []
+    assert refused(stone("withdraw", as_team["Hidden"])) == "wrong_state"
+
+
+def test_names_of_others_are_text_and_nothing_else(
+    served: Served, as_team: dict[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What a server says is shown, not obeyed: neither markup nor escapes reach the terminal."""
+    record: dict[str, Any] = answered("leaderboard", served.world.benchmark, "val")
+    record["rows"][0] |= {"method": "[red]x[/red]\x1b[2J", "team": "[link=file:///]y"}
+    show(board_table(record))
+    printed = capsys.readouterr().out
+    assert "[red]x[/red]" in printed
+    assert "[link=file:///]y" in printed
+    assert "\x1b" not in printed

@@ -1,0 +1,194 @@
+"""`stone splits`, `stone statistics` and `stone datasets` against the real API on a real socket."""
+
+import hashlib
+import io
+import json
+import tarfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from PIL import Image
+from structlog.testing import capture_logs
+from typer.testing import CliRunner, Result
+
+from services.runtime.platform import Platform
+from stone_client.main import app
+from testing.api.serving import Person, person, serving
+from testing.worlds.published import published_sequence
+
+
+def stone(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def answered(*arguments: str | Path) -> dict[str, Any]:
+    """What the command prints under --json."""
+    result = stone(*arguments, "--json")
+    assert result.exit_code == 0, (result.stdout, result.stderr, result.exception)
+    record: dict[str, Any] = json.loads(result.stdout)
+    return record
+
+
+def refused(result: Result) -> str:
+    assert result.exit_code == 1, (result.stdout, result.stderr, result.exception)
+    return result.stderr.rstrip("\n").splitlines()[-1].partition(":")[0]
+
+
+@pytest.fixture(autouse=True)
+def _silence() -> Iterator[None]:
+    with capture_logs():
+        yield
+
+
+@pytest.fixture
+def owner(platform: Platform) -> Person:
+    return person(platform, "curator")
+
+
+@pytest.fixture
+def names(platform: Platform, owner: Person) -> list[str]:
+    """Of three sequences on three lakes, one of them by night."""
+    said = [("day", "A"), ("dusk", "B"), ("night", "C")]
+    for illumination, region in said:
+        published_sequence(platform, owner.user_id, environment="lake", illumination=illumination, region=region)
+    from services.domain.datasets.catalogue import labelled_sequences
+
+    with platform.database.reading() as session:
+        found = {one.entry.illumination: one.entry.name for one in labelled_sequences(session)}
+    return [found[illumination] for illumination, _ in said]
+
+
+@pytest.fixture(autouse=True)
+def as_administrator(platform: Platform, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    with serving(platform) as url:
+        monkeypatch.setenv("STONE_URL", url)
+        monkeypatch.setenv("STONE_TOKEN", person(platform, "administrator").secret)
+        monkeypatch.setenv("STONE_CONFIG_HOME", str(tmp_path / "configuration"))
+        yield
+
+
+def put(tmp_path: Path, **parts: Any) -> Result:
+    path = tmp_path / "splits.json"
+    path.write_text(json.dumps(parts))
+    return stone("splits", "--put", path, "--reason", "test")
+
+
+def test_a_proposal_is_printed_and_put_as_it_was_printed(tmp_path: Path, names: list[str]) -> None:
+    printed = stone("splits", "--propose", "1,1,1", "--json")
+    assert printed.exit_code == 0
+    path = tmp_path / "splits.json"
+    path.write_text(printed.stdout)
+    shown = stone("splits", "--put", path)
+    assert shown.exit_code == 0, shown.stderr
+    assert "train: 1" in shown.stdout
+    record = answered("splits")
+    assert record["revision"] == 1
+    assert sorted(one["name"] for part in ("train", "val", "test") for one in record[part]) == sorted(names)
+
+
+def test_a_proposal_that_cannot_be_says_why_and_ends_with_1(names: list[str]) -> None:
+    result = stone("splits", "--propose", "2,2,2")
+    assert result.exit_code == 1
+    assert "clash of split_sizes: 2 + 2 + 2 = 6 sequences are asked for" in result.stderr
+    assert "of the time" in result.stdout
+
+
+def test_what_is_left_out_is_not_proposed(names: list[str]) -> None:
+    record = answered("splits", "--propose", "1,0,1", "--leave-out", names[0])
+    assert names[0] not in json.dumps(record)
+
+
+def test_splits_are_put_by_name_and_a_rule_that_is_broken_is_said(tmp_path: Path, names: list[str]) -> None:
+    assert put(tmp_path, train=names[:1], val=[], test=names[2:]).exit_code == 0
+    broken = put(tmp_path, train=names[:2], val=names[:1], test=[])
+    assert refused(broken) == "split_refused"
+    assert "named more than once" in broken.stderr
+
+
+def test_a_file_of_an_older_revision_is_refused(tmp_path: Path, names: list[str]) -> None:
+    assert put(tmp_path, train=names, val=[], test=[], revision=0).exit_code == 0
+    assert refused(put(tmp_path, train=[], val=[], test=[], revision=0)) == "precondition_failed"
+
+
+@pytest.mark.parametrize(
+    ("text", "code"),
+    [
+        ("nothing", "bad_splits_file"),
+        ("[" * 100_000, "bad_splits_file"),
+        ('{"train": []}', "bad_splits_file"),
+        ('{"train": [7], "val": [], "test": []}', "bad_splits_file"),
+        ('{"train": ["unheard"], "val": [], "test": []}', "not_found"),
+    ],
+)
+def test_a_file_without_splits_is_refused(tmp_path: Path, text: str, code: str) -> None:
+    path = tmp_path / "splits.json"
+    path.write_text(text)
+    assert refused(stone("splits", "--put", path)) == code
+
+
+def test_a_name_that_two_owners_gave_is_not_guessed(tmp_path: Path, platform: Platform, owner: Person) -> None:
+    ids = [published_sequence(platform, person(platform, "curator").user_id, region=region) for region in "ab"]
+    from services.runtime.orm import SequenceRow
+
+    with platform.database.transaction() as session:
+        for one in ids:
+            session.get_one(SequenceRow, one).name = "lake"
+    assert refused(put(tmp_path, train=["lake"], val=[], test=[])) == "ambiguous_name"
+    assert put(tmp_path, train=ids[:1], val=[], test=[]).exit_code == 0
+
+
+@pytest.mark.parametrize("sizes", ["31,7", "a,b,c", "-1,2,3", "1,2,3,4", ""])
+def test_sizes_that_are_none_are_a_usage_error(sizes: str) -> None:
+    assert stone("splits", "--propose", sizes).exit_code == 2
+
+
+def test_statistics_are_shown_and_drawn(tmp_path: Path, names: list[str]) -> None:
+    result = stone("statistics", "--figure", tmp_path / "composition.png")
+    assert result.exit_code == 0, result.stderr
+    for word in ("lake", "dusk", "night", "by region", "all"):
+        assert word in result.stdout
+    with Image.open(tmp_path / "composition.png") as picture:
+        assert picture.format == "PNG"
+    assert answered("statistics")["total"]["sequences"] == 3
+    assert refused(stone("statistics", "--dataset", "nothing")) == "not_found"
+
+
+def test_a_version_is_published_and_downloaded_by_a_participant(
+    tmp_path: Path, platform: Platform, names: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert put(tmp_path, train=names[:1], val=names[1:2], test=names[2:]).exit_code == 0
+    made = answered("datasets", "stone-1.0", "--create", "--licence", "CC0")
+    assert made["sizes"] == {"train": 1, "val": 1, "test": 1}
+    monkeypatch.setenv("STONE_TOKEN", person(platform, "participant").secret)
+    assert "stone-1.0" in stone("datasets").stdout
+    folder = tmp_path / "dataset"
+    files = answered("datasets", "stone-1.0", "--download", folder)["files"]
+    called = ["stone-1.0-train.tar", "stone-1.0-val.tar", "stone-1.0.manifest.json"]
+    assert sorted(path.name for path in folder.iterdir()) == called
+    for file in files:
+        assert hashlib.sha256(Path(file["output"]).read_bytes()).hexdigest() == file["sha256"]
+    with tarfile.open(folder / called[0]) as tar:
+        sums = io.TextIOWrapper(tar.extractfile("sha256sum.txt")).read().splitlines()  # type: ignore[type-var]
+        for line in sums:
+            digest, _, name = line.partition("  ")
+            assert hashlib.sha256(tar.extractfile(name).read()).hexdigest() == digest  # type: ignore[union-attr]
+    again = answered("datasets", "stone-1.0", "--download", folder)["files"]
+    assert [file["resumed_at_bytes"] for file in again] == [file["size_bytes"] for file in again]
+
+
+def test_a_participant_publishes_nothing(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("STONE_TOKEN", person(platform, "participant").secret)
+    assert refused(stone("datasets", "stone-1.0", "--create")) == "forbidden"
+    assert refused(stone("splits", "--propose", "1,1,1")) == "forbidden"
+
+
+def test_a_version_that_was_never_published_is_not_found() -> None:
+    assert refused(stone("datasets", "../users")) == "not_found"
+    assert refused(stone("datasets", "nothing")) == "not_found"
+
+
+def test_creating_or_downloading_asks_which_version(tmp_path: Path) -> None:
+    assert stone("datasets", "--create").exit_code == 2
+    assert stone("datasets", "--download", tmp_path).exit_code == 2

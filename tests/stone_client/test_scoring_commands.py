@@ -1,0 +1,137 @@
+"""`stone validate` and `stone score` on folders and archives written here."""
+
+import json
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from typer.testing import CliRunner, Result
+
+from stone_client.main import app
+
+TOKENS = ("0" * 32, "1" * 32)
+
+
+def stone(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def world() -> NDArray[np.uint8]:
+    """A grid that holds every class."""
+    grid = np.zeros((256, 256, 32), np.uint8)
+    grid[100:150, 100:150, 10], grid[150:160, 100:150, 10], grid[20:30, 20:30, 5:20] = 1, 2, 3
+    return grid
+
+
+def write_zip(path: Path, grids: dict[str, NDArray[np.uint8]]) -> Path:
+    with zipfile.ZipFile(path, "w") as archive:
+        for token, grid in grids.items():
+            with archive.open(f"{token}.npz", "w") as member:
+                np.savez_compressed(member, semantics=grid)
+    return path
+
+
+@pytest.fixture
+def truth(tmp_path: Path) -> Path:
+    for token in TOKENS:
+        folder = tmp_path / "truth" / "gts" / "field" / token
+        folder.mkdir(parents=True)
+        np.savez_compressed(folder / "labels.npz", semantics=world(), mask_lidar=np.ones_like(world()))
+    return tmp_path / "truth"
+
+
+@pytest.fixture
+def manifest(tmp_path: Path) -> Path:
+    path = tmp_path / "manifest.json"
+    path.write_text(json.dumps({"stone_manifest": 1, "sequences": {"field": list(TOKENS)}}))
+    return path
+
+
+def test_a_perfect_prediction_is_valid_and_scores_one(tmp_path: Path, truth: Path, manifest: Path) -> None:
+    submission = write_zip(tmp_path / "sub.zip", dict.fromkeys(TOKENS, world()))
+    assert stone("validate", submission, "--manifest", manifest).exit_code == 0
+    result = stone("score", submission, "--ground-truth", truth, "--json")
+    assert result.exit_code == 0
+    record = json.loads(result.stdout)
+    assert record["frames"] == 2
+    assert record["total"] == dict.fromkeys(("iou_occ", "iou_t", "iou_p", "iou_n", "miou"), 1.0)
+    assert np.trace(record["confusion"]) == 2 * world().size
+    assert record["signature"]
+
+
+def test_the_score_is_a_table_for_people(tmp_path: Path, truth: Path) -> None:
+    absent = np.zeros_like(world())
+    submission = write_zip(tmp_path / "sub.zip", {TOKENS[0]: world(), TOKENS[1]: absent})
+    result = stone("score", submission, "--ground-truth", truth)
+    assert result.exit_code == 0
+    assert "50.0 %" in result.stdout
+    assert "Signature: " in result.stdout
+
+
+def test_an_undefined_score_is_null_and_a_dash(tmp_path: Path, truth: Path) -> None:
+    free = np.zeros_like(world())
+    for labels in truth.rglob("labels.npz"):
+        np.savez_compressed(labels, semantics=free)
+    submission = write_zip(tmp_path / "sub.zip", dict.fromkeys(TOKENS, free))
+    record = json.loads(stone("score", submission, "--ground-truth", truth, "--json").stdout)
+    assert (record["total"]["iou_occ"], record["total"]["miou"]) == (None, None)
+    assert "–" in stone("score", submission, "--ground-truth", truth).stdout
+
+
+def test_a_missing_frame_is_refused_by_both_commands(tmp_path: Path, truth: Path, manifest: Path) -> None:
+    submission = write_zip(tmp_path / "sub.zip", {TOKENS[0]: world()})
+    for command in (("validate", submission, "--manifest", manifest), ("score", submission, "--ground-truth", truth)):
+        result = stone(*command, "--json")
+        assert result.exit_code == 1
+        assert [line for line in result.stderr.splitlines() if line.startswith("missing_frame: ")]
+        record = json.loads(result.stdout)
+        assert (record["ok"], record["errors_total"]) == (False, 1)
+        assert record["errors"][0]["code"] == "missing_frame"
+        assert record["errors"][0]["frame"] == TOKENS[1]
+
+
+def test_only_the_first_hundred_problems_are_listed(tmp_path: Path, manifest: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "sub.zip", "w") as archive:
+        for number in range(150):
+            archive.writestr(f"stray{number}.txt", "")
+    result = stone("validate", tmp_path / "sub.zip", "--manifest", manifest)
+    assert result.exit_code == 1
+    assert "… and 52 more" in result.stderr
+    assert len(result.stderr.splitlines()) == 101
+
+
+@pytest.mark.parametrize("content", [b"<html><body>404</body></html>", b"", b"PK\3\4" + bytes(60)])
+def test_what_is_no_zip_is_refused(tmp_path: Path, truth: Path, manifest: Path, content: bytes) -> None:
+    (tmp_path / "sub.zip").write_bytes(content)
+    for option, other in (("--manifest", manifest), ("--ground-truth", truth)):
+        command = "validate" if option == "--manifest" else "score"
+        result = stone(command, tmp_path / "sub.zip", option, other)
+        assert result.exit_code == 1
+        assert ": " in result.stderr.splitlines()[-1]
+
+
+def test_a_label_of_four_is_refused(tmp_path: Path, truth: Path) -> None:
+    grid = world()
+    grid[7, 8, 9] = 4
+    submission = write_zip(tmp_path / "sub.zip", {TOKENS[0]: world(), TOKENS[1]: grid})
+    result = stone("score", submission, "--ground-truth", truth)
+    assert result.exit_code == 1
+    assert "label_out_of_range: " in result.stderr
+
+
+def test_a_manifest_that_is_none_is_refused(tmp_path: Path, manifest: Path) -> None:
+    manifest.write_text("{")
+    submission = write_zip(tmp_path / "sub.zip", {TOKENS[0]: world()})
+    result = stone("validate", submission, "--manifest", manifest, "--json")
+    assert result.exit_code == 1
+    assert json.loads(result.stdout)["findings"][0]["code"] == "bad_manifest"
+
+
+def test_ground_truth_without_labels_is_refused(tmp_path: Path) -> None:
+    submission = write_zip(tmp_path / "sub.zip", {TOKENS[0]: world()})
+    (tmp_path / "empty").mkdir()
+    result = stone("score", submission, "--ground-truth", tmp_path / "empty")
+    assert result.exit_code == 1
+    assert result.stderr.startswith("bad_ground_truth: ")

@@ -1,0 +1,102 @@
+"""The platform from Python: the same submissions as by command, refusals as errors with their codes."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from structlog.testing import capture_logs
+
+from stone_client.errors import NoServerError, ServerRefusedError
+from stone_client.sdk import Stone
+from stone_client.server.submission import SubmissionEndedError, SubmissionInvalidError
+from stone_client.server.teams import UnknownTeamError
+from stone_submissions.manifest import read_manifest
+from testing.worlds.benchmark_world import World, predicted, submission_zip
+from tests.api.inputs_made import made_input
+from tests.stone_client.participating import Served, answered, joined, scoring, serving_world, zipped
+
+
+@pytest.fixture(scope="module")
+def _world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[World, str]]:
+    with serving_world(tmp_path_factory.mktemp("world")) as served:
+        yield served
+
+
+@pytest.fixture
+def served(_world: tuple[World, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
+    for name in ("STONE_URL", "STONE_TOKEN"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("STONE_CONFIG_HOME", str(tmp_path / "configuration"))
+    with capture_logs():
+        yield joined(*_world)
+
+
+@pytest.fixture
+def stone(served: Served) -> Iterator[Stone]:
+    with Stone(served.url, served.captain.secret) as made:
+        yield made
+
+
+def said(served: Served, part: str = "val", **more: str) -> dict[str, str]:
+    entry = {"benchmark": served.world.benchmark, "phase": part, "team": served.team}
+    return {**entry, "method": "GroundNet", "modality": "L", **more}
+
+
+def test_a_submission_waits_and_tells_its_scores(
+    served: Served, stone: Stone, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = zipped(served, tmp_path / "sub.zip")
+    with scoring(served.platform):
+        submission = stone.submit(path, **said(served)).wait()
+    assert (submission.state, repr(submission)) == ("scored", f"<Submission {submission.id} scored>")
+    assert set(submission.scores) == {"miou", "iou_occ", "iou_t", "iou_p", "iou_n"}
+    assert len(submission.breakdown("sequence")["parts"]) == 2
+    assert stone.submit(str(path), **said(served)).id == submission.id, "the same file is the same submission"
+    monkeypatch.setenv("STONE_URL", served.url)
+    monkeypatch.setenv("STONE_TOKEN", served.captain.secret)
+    assert answered("results", submission.id) == submission.results
+    with Stone() as by_login:
+        assert by_login.submission(submission.id).scores == submission.scores
+        board = by_login.leaderboard(served.world.benchmark, "val")
+        assert board == answered("leaderboard", served.world.benchmark, "val")
+        assert by_login.compare(submission.id, submission.id)["ratios"]["miou"]["difference"] == 0
+    submission.withdraw("a mistake")
+    assert stone.leaderboard(served.world.benchmark, "val")["rows"] == []
+
+
+def test_what_is_invalid_is_raised_with_the_whole_report(served: Served, stone: Stone, tmp_path: Path) -> None:
+    frames = predicted(served.world.truth("val"), 0.1)
+    path = submission_zip(tmp_path / "sub.zip", dict(list(frames.items())[:1]))
+    with scoring(served.platform), pytest.raises(SubmissionInvalidError, match="1 problems") as caught:
+        stone.submit(path, **said(served, kind="validation")).wait()
+    assert caught.value.code == "missing_frame"
+    assert caught.value.report["errors_total"] == 1
+
+
+def test_what_is_cancelled_is_raised_when_it_is_waited_for(served: Served, stone: Stone, tmp_path: Path) -> None:
+    submission = stone.submit(zipped(served, tmp_path / "sub.zip"), **said(served))
+    stone.api.create(f"/submissions/{submission.id}/cancel", {"reason": "no"})
+    with pytest.raises(SubmissionEndedError, match="cancelled"):
+        submission.wait()
+
+
+def test_refusals_are_errors_with_the_servers_codes(served: Served, stone: Stone, tmp_path: Path) -> None:
+    path = zipped(served, tmp_path / "sub.zip")
+    with pytest.raises(UnknownTeamError):
+        stone.submit(path, **said(served, team="nobody's"))
+    with pytest.raises(ServerRefusedError, match="no phase") as caught:
+        stone.submit(path, **said(served, phase="nothing"))
+    assert caught.value.code == "not_found"
+    with pytest.raises(NoServerError):
+        Stone()
+
+
+def test_what_is_to_be_predicted_comes_with_its_frames(served: Served, stone: Stone, tmp_path: Path) -> None:
+    made = made_input(served.platform, served.world.test, "drive", {"samples/LIDAR_TOP/a.pcd.bin": b"points"})
+    told: list[str] = []
+    with Stone(served.url, served.captain.secret, lambda stage, done, total: told.append(stage)) as heard:
+        (tar,) = heard.inputs(served.world.benchmark, "test", tmp_path / "inputs")
+    assert (tar.name, tar.stat().st_size) == ("drive.tar", made.tar[0])
+    assert set(told) == {"drive.tar"}
+    manifest = stone.manifest(served.world.benchmark, "test", tmp_path / "deep" / "M.json")
+    assert set(read_manifest(manifest).tokens) == set(served.world.truth("test"))

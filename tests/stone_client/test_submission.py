@@ -1,0 +1,246 @@
+"""`stone submit` against the real API: sent, scored, printed; interrupted anywhere it goes on with what stands."""
+
+import hashlib
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from sqlalchemy import select
+from structlog.testing import capture_logs
+from typer.testing import Result
+
+from services.runtime.orm import SubmissionRow, Upload
+from services.runtime.orm.base import now_ns
+from stone_client.api import Api
+from stone_client.credentials import choose_server
+from stone_client.files import tus
+from stone_client.server import submission as submitting
+from testing.api.serving import person
+from testing.worlds.benchmark_world import World, predicted, run_eval, submission_zip
+from tests.stone_client.participating import (
+    Served,
+    answered,
+    changed_phase,
+    joined,
+    refused,
+    scoring,
+    serving_world,
+    stone,
+    zipped,
+)
+
+
+@pytest.fixture(scope="module")
+def _world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[World, str]]:
+    with serving_world(tmp_path_factory.mktemp("world")) as served:
+        yield served
+
+
+@pytest.fixture
+def served(_world: tuple[World, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
+    made = joined(*_world)
+    monkeypatch.setenv("STONE_CONFIG_HOME", str(tmp_path / "configuration"))
+    monkeypatch.setenv("STONE_URL", made.url)
+    monkeypatch.setenv("STONE_TOKEN", made.captain.secret)
+    with capture_logs():
+        yield made
+
+
+def options(served: Served, part: str = "val") -> tuple[str, ...]:
+    return (*served.at(part), "--team", served.team, "--method", "GroundNet", "--modality", "L")
+
+
+def sent(served: Served, path: Path, *more: str, part: str = "val") -> Result:
+    with scoring(served.platform):
+        return stone("submit", path, *options(served, part), *more)
+
+
+def test_predictions_are_scored_and_the_table_is_printed(served: Served, tmp_path: Path) -> None:
+    (tmp_path / "page.txt").write_text("One sweep.\nNo training.\n")
+    result = sent(served, zipped(served, tmp_path / "sub.zip"), "--description", str(tmp_path / "page.txt"))
+    assert result.exit_code == 0, (result.stderr, result.exception)
+    for word in ("GroundNet (L)", "mIoU", "IoU occ", "95 % here", "dangerous", "over-cautious"):
+        assert word in result.stdout
+    assert f"Next: stone leaderboard {served.world.benchmark} val" in result.stdout
+    for step in ("hash", "upload", "queued"):
+        assert step in result.stderr
+    with served.platform.database.reading() as session:
+        row = session.scalars(select(SubmissionRow).where(SubmissionRow.team_id == served.team_id)).one()
+    assert (row.state, row.description, row.kind) == ("scored", "One sweep.\nNo training.\n", "entry")
+
+
+def test_under_json_the_result_is_the_servers_own_and_1_for_the_truth_itself(served: Served, tmp_path: Path) -> None:
+    path = submission_zip(tmp_path / "sub.zip", served.world.truth("val"))
+    record = json.loads(sent(served, path, "--json").stdout)
+    assert record["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert record["results"] == answered("results", record["id"])
+    assert set(record["results"]["total"].values()) == {1.0}
+
+
+def test_an_invalid_file_ends_with_1_and_the_servers_codes(served: Served, tmp_path: Path) -> None:
+    frames = predicted(served.world.truth("val"), 0.1)
+    frames.pop(next(iter(frames)))
+    path = submission_zip(tmp_path / "sub.zip", frames)
+    result = sent(served, path)
+    assert refused(result) == "missing_frame"
+    assert stone("validate", path, *served.at("val")).stderr.splitlines()[-1] == result.stderr.splitlines()[-1]
+    again = sent(served, path, "--json")
+    report = json.loads(again.stdout)
+    assert (again.exit_code, report["errors_total"], report["errors"][0]["code"]) == (1, 1, "missing_frame")
+    assert served.count(SubmissionRow) == 1, "what stands answers; nothing is sent twice"
+
+
+def test_a_file_that_is_only_checked_costs_nothing(served: Served, tmp_path: Path) -> None:
+    path = zipped(served, tmp_path / "sub.zip", "test")
+    result = sent(served, path, "--validate-only", part="test")
+    assert (result.exit_code, result.stdout) == (0, "valid\n")
+    with served.platform.database.reading() as session:
+        kind = select(SubmissionRow.kind).where(SubmissionRow.team_id == served.team_id)
+        assert session.scalars(kind).one() == "validation"
+    entered = answered("submit", path, *options(served, "test"), "--no-wait")
+    assert (entered["kind"], served.count(SubmissionRow)) == ("entry", 2), "the same file is an entry besides"
+
+
+def test_without_waiting_it_says_where_to_look(served: Served, tmp_path: Path) -> None:
+    result = stone("submit", zipped(served, tmp_path / "sub.zip"), *options(served), "--no-wait")
+    assert result.exit_code == 0, result.stderr
+    submission_id = result.stdout.split()[1]
+    assert result.stdout == f"submission {submission_id} queued\nNext: stone results {submission_id}\n"
+    assert refused(stone("results", submission_id)) == "not_scored"
+    run_eval(served.platform)
+    assert stone("results", submission_id).exit_code == 0
+
+
+class PowerCutError(Exception):
+    """The client is gone."""
+
+
+def cut(*_arguments: Any, **_named: Any) -> Any:
+    raise PowerCutError
+
+
+CUTS = {
+    "before the first byte": (submitting, "upload_file"),
+    "between pieces": (tus, "_send_rest"),
+    "before it is finalised": (submitting, "Purpose"),
+}
+
+
+@pytest.mark.parametrize("moment", CUTS)
+def test_interrupted_and_run_again_it_goes_on_with_the_same_draft(
+    served: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moment: str
+) -> None:
+    path = zipped(served, tmp_path / "sub.zip")
+    with monkeypatch.context() as patched:
+        patched.setattr(*CUTS[moment], cut)
+        assert isinstance(stone("submit", path, *options(served)).exception, PowerCutError)
+    assert stone("submit", path, *options(served), "--no-wait").exit_code == 0
+    assert (served.count(SubmissionRow), served.count(Upload)) == (1, 1)
+
+
+def test_bytes_that_arrived_are_not_sent_again(served: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = zipped(served, tmp_path / "sub.zip")
+    piece_bytes = path.stat().st_size // 3
+    monkeypatch.setattr(tus, "PIECE_BYTES", piece_bytes)
+    pieces: list[int] = []
+    send_piece = tus._send_piece
+
+    def counted(api: Api, address: str, piece: bytes, offset: int) -> int:
+        if len(pieces) == 1:
+            pieces.append(0)
+            raise PowerCutError
+        pieces.append(len(piece))
+        return send_piece(api, address, piece, offset)
+
+    monkeypatch.setattr(tus, "_send_piece", counted)
+    assert isinstance(stone("submit", path, *options(served)).exception, PowerCutError)
+    assert stone("submit", path, *options(served), "--no-wait").exit_code == 0
+    assert sum(pieces) == path.stat().st_size
+
+
+def test_interrupted_while_it_waits_nothing_is_scored_twice(served: Served, tmp_path: Path) -> None:
+    path = zipped(served, tmp_path / "sub.zip")
+    first = stone("submit", path, *options(served), "--no-wait").stdout.split()[1]
+    for _ in range(2):  # while it is queued, and when it has been scored
+        assert json.loads(sent(served, path, "--json").stdout)["id"] == first
+    assert served.count(SubmissionRow) == 1
+    assert stone("submit", path, *options(served), "--again", "--no-wait").stdout.split()[1] != first
+
+
+def test_another_name_is_another_entry_and_a_new_page_is_not(served: Served, tmp_path: Path) -> None:
+    path = zipped(served, tmp_path / "sub.zip")
+    first = answered("submit", path, *options(served), "--no-wait")["id"]
+    (tmp_path / "page.txt").write_text("Now with a page.")
+    told = answered("submit", path, *options(served), "--no-wait", "--description", tmp_path / "page.txt")
+    assert (told["id"], told["description"]) == (first, "Now with a page.")
+    renamed = (*options(served)[:-3], "OtherNet", *options(served)[-2:])
+    assert answered("submit", path, *renamed, "--no-wait")["id"] != first
+
+
+def test_a_team_mate_goes_on_where_the_captain_left(
+    served: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = zipped(served, tmp_path / "sub.zip")
+    first = stone("submit", path, *options(served), "--no-wait").stdout.split()[1]
+    secret = answered("teams", "invite", served.team)["secret"]
+    monkeypatch.setenv("STONE_TOKEN", person(served.platform, "participant").secret)
+    assert stone("teams", "join", secret).exit_code == 0
+    assert json.loads(sent(served, path, "--json").stdout)["id"] == first
+
+
+def test_a_submission_that_is_cancelled_meanwhile_ends_with_1(served: Served, tmp_path: Path) -> None:
+    path = zipped(served, tmp_path / "sub.zip")
+    submission = json.loads(stone("submit", path, *options(served), "--no-wait", "--json").stdout)
+    with Api(choose_server()) as api:
+        api.create(f"/submissions/{submission['id']}/cancel", {"reason": "no"})
+        with pytest.raises(submitting.SubmissionEndedError, match="cancelled"):
+            submitting.settled(api, submission, lambda stage, done, total: None)
+
+
+def test_a_quota_that_is_used_up_says_when_the_next_is_free(served: Served, tmp_path: Path) -> None:
+    path = zipped(served, tmp_path / "a.zip", "test")
+    with changed_phase(served, "test", scorings_per_window=1):
+        assert stone("submit", path, *options(served, "test"), "--no-wait").exit_code == 0
+        result = stone("submit", path, *options(served, "test"), "--no-wait", "--again")
+    assert refused(result) == "scorings_exhausted"
+    assert "1 of 1 scorings within 7 days" in result.stderr
+    assert "the next one is free at" in result.stderr
+
+
+def test_a_phase_that_is_closed_takes_nothing(served: Served, tmp_path: Path) -> None:
+    path = zipped(served, tmp_path / "sub.zip")
+    with changed_phase(served, "val", closes_ns=now_ns() - 1):
+        assert refused(stone("submit", path, *options(served))) == "phase_closed"
+
+
+def test_what_is_not_there_or_not_yours_is_refused_before_a_byte_is_sent(served: Served, tmp_path: Path) -> None:
+    path = zipped(served, tmp_path / "sub.zip")
+    method = ("--method", "GroundNet", "--modality", "L")
+    other = stone("submit", path, *served.at("val"), "--team", served.world.teams[0], *method)
+    assert refused(other) == "unknown_team"
+    assert f"yours are {served.team}" in other.stderr
+    nowhere = ("--benchmark", "nothing", "--phase", "val", "--team", served.team)
+    assert refused(stone("submit", path, *nowhere, *method)) == "not_found"
+    assert served.count(SubmissionRow) == 0
+
+
+def test_what_cannot_be_said_is_a_usage_error(served: Served, tmp_path: Path) -> None:
+    path = zipped(served, tmp_path / "sub.zip")
+    assert stone("submit", path, *options(served)[:-1], "X").exit_code == 2
+    assert stone("submit", path, *options(served), "--validate-only", "--baseline").exit_code == 2
+    (tmp_path / "page.txt").write_bytes(b"\xff\xfe")
+    assert stone("submit", path, *options(served), "--description", tmp_path / "page.txt").exit_code == 2
+    (tmp_path / "page.txt").write_text("a" * 20_001)
+    assert stone("submit", path, *options(served), "--description", tmp_path / "page.txt").exit_code == 2
+    assert stone("submit", tmp_path / "none.zip", *options(served)).exit_code == 2
+
+
+def test_a_baseline_is_for_organisers(served: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = zipped(served, tmp_path / "sub.zip")
+    assert refused(stone("submit", path, *options(served), "--baseline")) == "forbidden"
+    monkeypatch.setenv("STONE_TOKEN", served.world.administrator.secret)
+    assert stone("teams", "found", "Organisers").exit_code == 0
+    said = (*served.at("val"), "--team", "organisers", "--method", "G", "--modality", "L", "--baseline", "--no-wait")
+    assert answered("submit", path, *said)["kind"] == "baseline"

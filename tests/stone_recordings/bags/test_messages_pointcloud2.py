@@ -1,0 +1,252 @@
+"""Clouds are views of what was recorded; points come out bit for bit, and a cloud that lies is refused."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from stone_recordings.bags.bag import open_bag
+from stone_recordings.bags.errors import ByteOrderError, CloudLayoutError, MessageLayoutError
+from stone_recordings.messages.lidar import offsets_from_values
+from stone_recordings.messages.pointcloud2 import Cloud, LidarPoints, decode_cloud, lidar_points
+from stone_recordings.messages.types.registry import typestore
+from tests.stone_recordings.writing import (
+    HESAI,
+    KITTI,
+    NEBULA,
+    POINT_CLOUD,
+    START_NS,
+    CloudText,
+    cloud_payload,
+    sweep,
+)
+
+LAYOUTS = {"hesai": HESAI, "nebula": NEBULA, "kitti": KITTI}
+layouts = st.sampled_from(sorted(LAYOUTS))
+seeds = st.integers(0, 2**32 - 1)
+
+
+def _cloud(points: NDArray[np.void], text: CloudText | None = None) -> Cloud:
+    return decode_cloud(memoryview(cloud_payload(points, text)))
+
+
+def _read(points: NDArray[np.void], text: CloudText | None = None) -> LidarPoints:
+    return lidar_points(_cloud(points, text))
+
+
+def _slow_points(points: NDArray[np.void]) -> list[int]:
+    """Rows that are a return, one at a time."""
+    rows = []
+    for row, point in enumerate(points):
+        xyz = [float(point[name]) for name in "xyz"]
+        if all(np.isfinite(xyz)) and any(value != 0 for value in xyz):
+            rows.append(row)
+    return rows
+
+
+@settings(max_examples=60, deadline=None)
+@given(layout=layouts, seed=seeds, count=st.integers(0, 60), frame_id=st.text("abc/é", max_size=9))
+def test_a_cloud_is_what_rosbags_reads(layout: str, seed: int, count: int, frame_id: str) -> None:
+    record = LAYOUTS[layout]
+    points = np.frombuffer(np.random.default_rng(seed).bytes(count * record.itemsize), record)
+    payload = cloud_payload(points, CloudText(frame_id=frame_id))
+    theirs = typestore().deserialize_cdr(payload, POINT_CLOUD)
+    ours = decode_cloud(memoryview(payload))
+    assert (ours.stamp_ns, ours.frame_id) == (START_NS, theirs.header.frame_id)
+    assert ours.points.tobytes() == theirs.data.tobytes() == points.tobytes()
+    assert ours.points.dtype == record
+
+
+@settings(max_examples=80, deadline=None)
+@given(layout=layouts, seed=seeds, count=st.integers(0, 60))
+def test_points_are_the_finite_non_zero_ones_bit_for_bit(layout: str, seed: int, count: int) -> None:
+    """Random bits hold every kind of NaN and infinity; zeros of both signs are put in."""
+    record, generator = LAYOUTS[layout], np.random.default_rng(seed)
+    points = np.frombuffer(generator.bytes(count * record.itemsize), record).copy()
+    for name in "xyz":
+        points[name][generator.random(count) < 0.4] = generator.choice([0.0, -0.0, np.nan, np.inf, 1.0])
+    read = _read(points)
+    expected = points[_slow_points(points)]
+    assert read.points_lidar.dtype == np.float32
+    for axis, name in enumerate("xyz"):
+        assert read.points_lidar[:, axis].tobytes() == expected[name].tobytes()
+
+
+def test_a_view_does_not_copy() -> None:
+    payload = memoryview(cloud_payload(sweep(HESAI, 100)))
+    assert np.shares_memory(decode_cloud(payload).points, np.frombuffer(payload, np.uint8))
+
+
+def test_hesai_points_carry_the_offset_of_their_absolute_time_and_their_ring() -> None:
+    """float64 seconds of today have a grain of 238 ns."""
+    points = sweep(HESAI, 1000)
+    points["x"][::7] = np.nan
+    points["x"][3], points["y"][3], points["z"][3] = 0, 0, 0
+    kept = _slow_points(points)
+    read = _read(points)
+    assert read.time_meaning == "absolute s"
+    assert read.offset_ns is not None
+    assert read.ring is not None
+    assert np.abs(read.offset_ns - np.array(kept) * 100_000).max() < 240
+    assert read.ring.tolist() == [row % 128 for row in kept]
+
+
+def test_nebula_points_carry_nanoseconds_since_the_stamp() -> None:
+    read = _read(sweep(NEBULA, 1000))
+    assert read.time_meaning == "relative ns"
+    assert read.offset_ns is not None
+    assert read.offset_ns.tolist() == [row * 100_000 for row in range(1000)]
+
+
+def test_a_cloud_without_time_and_ring_says_so() -> None:
+    read = _read(sweep(KITTI, 1000))
+    assert (read.offset_ns, read.ring, read.time_meaning) == (None, None, "none")
+
+
+@pytest.mark.parametrize(
+    ("code", "scale", "is_absolute", "meaning"),
+    [
+        ("f4", 1.0, False, "relative s"),
+        ("f8", 1.0, False, "relative s"),
+        ("f4", 1e3, False, "relative ms"),
+        ("f4", 1e6, False, "relative µs"),
+        ("u4", 1e6, False, "relative µs"),
+        ("u4", 1e9, False, "relative ns"),
+        ("f8", 1e9, False, "relative ns"),
+        ("f8", 1.0, True, "absolute s"),
+        ("f8", 1e6, True, "absolute µs"),
+        ("f8", 1e9, True, "absolute ns"),
+    ],
+)
+@pytest.mark.parametrize("name", ["t", "time", "timestamp", "time_stamp"])
+def test_a_time_is_read_by_its_values_whatever_its_name(
+    name: str, code: str, scale: float, is_absolute: bool, meaning: str
+) -> None:
+    points = np.zeros(500, np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), (name, f"<{code}")]))
+    offset_s = np.arange(500) * 0.0002
+    points["x"], points[name] = 1, (offset_s + (START_NS / 1e9 if is_absolute else 0)) * scale
+    read = _read(points)
+    assert read.time_meaning == meaning
+    assert read.offset_ns is not None
+    assert np.abs(read.offset_ns - offset_s * 1e9).max() < 1100
+
+
+UNTIMED = [np.where(np.arange(9) == 4, bad, np.arange(9) * 0.01) for bad in (np.nan, np.inf, -np.inf)]
+
+
+@pytest.mark.parametrize(
+    "values", [np.zeros(9), np.full(9, START_NS / 1e9), np.arange(9) * 1e-9, np.arange(9) * 1e30, *UNTIMED]
+)
+def test_values_that_no_sweep_lasts_are_no_times(values: NDArray[np.float64]) -> None:
+    assert offsets_from_values(values, np.arange(9, dtype=np.int32), START_NS) == (None, "none")
+
+
+def test_times_of_another_clock_are_not_taken_for_offsets() -> None:
+    values = START_NS / 1e9 - 37 + np.arange(500) * 0.0002
+    assert offsets_from_values(values, np.arange(500, dtype=np.int32), START_NS) == (None, "another clock")
+
+
+def test_a_ring_is_a_small_whole_number_whatever_its_name() -> None:
+    for name, code in (("ring", "u1"), ("channel", "<u2"), ("laser_id", "<u4"), ("line", "<f4")):
+        points = np.zeros(200, np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), (name, code)]))
+        points["x"], points[name] = 1, np.arange(200) % 128
+        ring = _read(points).ring
+        assert ring is not None
+        assert ring.tolist() == [row % 128 for row in range(200)]
+        points[name] = 5000 if code != "u1" else 255
+        ring = _read(points).ring
+        assert (ring is None) == (code != "u1")
+
+
+def test_double_coordinates_are_rounded_once() -> None:
+    record = np.dtype([("x", "<f8"), ("y", "<f8"), ("z", "<f8")])
+    points = np.zeros(4, record)
+    points["x"] = [1 / 3, 0, np.nan, 1e300]
+    assert _read(points).points_lidar.tolist() == [[np.float32(1 / 3), 0, 0]]
+
+
+def test_padded_rows_are_skipped_over() -> None:
+    """Two rows of three points, four bytes of padding behind each."""
+    points = sweep(KITTI, 6)
+    rows = [points[:3].tobytes() + b"junk", points[3:].tobytes() + b"junk"]
+    payload = cloud_payload(points, CloudText(height=2, width=3, row_step=52))
+    length_at = payload.index(points.tobytes()) - 4
+    padded = payload[:length_at] + (104).to_bytes(4, "little") + b"".join(rows) + b"\x00"
+    assert decode_cloud(memoryview(padded)).points.tobytes() == points.tobytes()
+
+
+LIES = {
+    "a step smaller than its fields": (
+        CloudText(point_step=12),
+        r"'(intensity|ring|timestamp)' ends at byte \d+, point_step",
+    ),
+    "a step of nothing": (CloudText(point_step=0), r"point_step is 0"),
+    "a step of gigabytes": (CloudText(point_step=0xFFFFFFFF), r"point_step is 4294967295|holds no 10 points"),
+    "a step larger than the data": (CloudText(point_step=2600), r"row_step 260 holds no 10 points of 2600 bytes"),
+    "a row of nothing": (CloudText(row_step=0), r"row_step 0 holds no 10 points"),
+    "a row of gigabytes": (CloudText(row_step=0xFFFFFFFF), r"1 rows of 4294967295 bytes are 4294967295, data has 260"),
+    "more points than data": (CloudText(width=11, row_step=286), r"1 rows of 286 bytes are 286, data has 260"),
+    "fewer points than data": (CloudText(width=9, row_step=234), r"1 rows of 234 bytes are 234, data has 260"),
+    "more rows than data": (CloudText(height=4_000_000_000, width=10, row_step=260), r"data has 260"),
+    "a field beyond the point": (CloudText(offset_of_x=23), r"'x' ends at byte 27, point_step is 26"),
+    "a field beyond everything": (CloudText(offset_of_x=0xFFFFFFFF), r"'x' ends at byte 4294967299"),
+    "a datatype that is none": (CloudText(datatype_of_x=9), r"'x' has datatype 9, known are 1 to 8"),
+    "x as an integer": (CloudText(datatype_of_x=6), r"x, y and z must be floats of one size"),
+}
+
+
+@pytest.mark.parametrize("lie", LIES)
+def test_a_cloud_that_lies_is_refused(lie: str) -> None:
+    text, sentence = LIES[lie]
+    with pytest.raises(CloudLayoutError, match=sentence) as caught:
+        _read(sweep(HESAI, 10), text)
+    assert caught.value.code == "MSG-303"
+
+
+def test_a_big_endian_cloud_is_refused() -> None:
+    with pytest.raises(ByteOrderError, match="PointCloud2 is big-endian"):
+        _read(sweep(HESAI, 10), CloudText(is_bigendian=True))
+
+
+def test_a_cloud_without_coordinates_is_refused() -> None:
+    with pytest.raises(CloudLayoutError, match="its fields are range"):
+        _read(np.zeros(3, np.dtype([("range", "<f4")])))
+
+
+def test_a_field_declared_twice_is_refused_and_padding_is_not() -> None:
+    payload = cloud_payload(np.zeros(3, np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("q", "<f4")])))
+    name = b"\x02\x00\x00\x00q\x00"
+    with pytest.raises(CloudLayoutError, match="declared twice: x, y, z, x"):
+        decode_cloud(memoryview(payload.replace(name, b"\x02\x00\x00\x00x\x00")))
+    assert decode_cloud(memoryview(payload.replace(name, b"\x02\x00\x00\x00_\x00"))).points.dtype.names == (
+        "x",
+        "y",
+        "z",
+    )
+
+
+@settings(max_examples=200, deadline=None)
+@given(layout=layouts, ratio=st.floats(0, 1, exclude_max=True), junk=st.binary(max_size=8), is_cut=st.booleans())
+def test_a_damaged_cloud_is_read_or_refused_by_code(layout: str, ratio: float, junk: bytes, is_cut: bool) -> None:
+    whole = cloud_payload(sweep(LAYOUTS[layout], 5))
+    at = int(ratio * len(whole))
+    damaged = whole[:at] + junk + (b"" if is_cut else whole[at + len(junk) :])
+    try:
+        read = lidar_points(decode_cloud(memoryview(damaged)))
+    except (MessageLayoutError, CloudLayoutError, ByteOrderError):
+        return
+    assert np.isfinite(read.points_lidar).all()
+
+
+@pytest.mark.field_data
+def test_real_clouds_are_what_rosbags_reads(field_data: Path) -> None:
+    with open_bag(field_data / "kitti0005_ros2_mcap/kitti0005_fullres_1s.mcap") as bag:
+        for message in bag.messages("/velodyne_points"):
+            theirs = typestore().deserialize_cdr(message.payload, POINT_CLOUD)
+            ours = decode_cloud(message.payload)
+            assert ours.points.tobytes() == theirs.data.tobytes()
+            xyz = theirs.data.view(np.float32).reshape(-1, 4)[:, :3]
+            assert lidar_points(ours).points_lidar.tobytes() == xyz[(xyz != 0).any(axis=1)].tobytes()

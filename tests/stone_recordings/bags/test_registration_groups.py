@@ -1,0 +1,261 @@
+"""Several files that are one bag are read, kept and processed as one; what was cut off is recovered."""
+
+import json
+import shutil
+import sqlite3
+from pathlib import Path
+
+import pytest
+from sqlalchemy import func, select
+
+from services.domain.sequences.processing import delete_sequence
+from services.domain.sequences.recordings import remove_recording
+from services.ingest.pipeline import SynchroniseOptions
+from services.ingest.sequence import open_sequence
+from services.runtime.orm import Blob, Preview, QuotaEntry
+from services.runtime.platform import Platform
+from services.runtime.uploads import expire, upload_file
+from simulator.options import SimulateOptions
+from simulator.pipeline import calibration_path, simulate
+from stone_recordings.bags import private_folder
+from stone_recordings.sync.sequence_file import sequence_bytes
+from testing.worlds.runs import Brought, bring, run_all
+from tests.stone_recordings.databases import SCHEMAS, insert
+from tests.stone_recordings.splitting import split_into
+from tests.stone_recordings.writing import HESAI, POINT_CLOUD, Recorded, cloud_payload, sweep
+
+TINY = SimulateOptions(seconds=1.0, seed=3, channels=16, columns=120, cameras=False)
+PAGES = {"quality.html", "quality.json"}
+PICTURES = {"sweep.png", "track.png"}
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("tiny") / "run.mcap"
+    simulate(path, TINY)
+    return path
+
+
+@pytest.fixture(scope="module")
+def split(bag: Path) -> Path:
+    """The same messages in a folder of three files."""
+    folder = bag.parent / "run_split"
+    folder.mkdir()
+    split_into(bag, folder, 3)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def cut(bag: Path) -> Path:
+    """The first part of the bag, as a recorder leaves it that loses power."""
+    path = bag.parent / "cut.mcap"
+    path.write_bytes(bag.read_bytes()[: bag.stat().st_size * 3 // 4])
+    return path
+
+
+def blob_bytes(brought: Brought, sha256: str | None) -> bytes:
+    with brought.platform.database.reading() as session:
+        blob = session.get_one(Blob, sha256)
+    return b"".join(brought.platform.store.read(blob.object_key))
+
+
+def previews(brought: Brought) -> dict[str, Preview]:
+    with brought.platform.database.reading() as session:
+        return {row.name: row for row in session.scalars(select(Preview))}
+
+
+def test_a_split_bag_is_registered_with_every_file_kept(platform_on: Platform, split: Path, bag: Path) -> None:
+    brought, alone = bring(platform_on), bring(platform_on, "alone")
+    job_id = brought.add(split)
+    alone.add(bag)
+    run_all(platform_on)
+    recording = brought.recording()
+    assert (brought.job(job_id).failure, recording.state, recording.filename) == ("", "registered", "run_split")
+    assert [file.filename for file in recording.files] == ["run_0.mcap", "run_1.mcap", "run_2.mcap"]
+    for file in recording.files:
+        assert blob_bytes(brought, file.blob_sha256) == (split / file.filename).read_bytes()
+        assert file.recovered_blob_sha256 is None
+    assert recording.size_bytes == sum(path.stat().st_size for path in split.iterdir())
+    whole = alone.recording().inspection
+    assert recording.inspection is not None
+    assert whole is not None
+    counts = [{topic["name"]: topic["count"] for topic in seen["topics"]} for seen in (recording.inspection, whole)]
+    assert counts[0] == counts[1]
+    expire(platform_on)
+    assert not any(upload_file(platform_on.settings, file.upload_id or "").exists() for file in recording.files)
+
+
+def test_a_split_bag_makes_the_sequence_of_the_whole(platform: Platform, split: Path, bag: Path) -> None:
+    brought = bring(platform)
+    brought.calibrate(calibration_path(bag))
+    brought.add(split)
+    run_all(platform)
+    root_id = brought.process(stages=("synchronise",))
+    run_all(platform)
+    assert brought.job(root_id).failure == ""
+    left = b"".join(platform.store.read(f"work/{root_id}/sequence.npz"))
+    sequence, _ = open_sequence(split, calibration_path(bag), "field", SynchroniseOptions())
+    assert left == sequence_bytes(sequence)
+    whole, _ = open_sequence(bag, calibration_path(bag), "field", SynchroniseOptions())
+    assert sequence.frames.tokens == whole.frames.tokens
+    assert sequence.inputs["run_split"] == brought.recording().sha256
+
+
+def test_a_recording_is_measured_and_shown(platform: Platform, bag: Path) -> None:
+    brought = bring(platform)
+    brought.add(bag)
+    run_all(platform)
+    recording, shown = brought.recording(), previews(brought)
+    assert set(shown) == PAGES | PICTURES
+    assert all(row.recording_id == recording.id for row in shown.values())
+    assert json.loads(blob_bytes(brought, shown["quality.json"].blob_sha256)) == recording.quality
+    assert recording.quality is not None
+    assert 0 < recording.quality["score"] <= 100
+    assert blob_bytes(brought, shown["sweep.png"].blob_sha256).startswith(b"\x89PNG")
+    page = blob_bytes(brought, shown["quality.html"].blob_sha256)
+    assert b"run.mcap" in page
+    assert b"<script" not in page
+
+
+def test_what_was_cut_off_is_recovered_and_the_original_kept(platform_on: Platform, cut: Path, bag: Path) -> None:
+    brought = bring(platform_on)
+    brought.calibrate(calibration_path(bag))
+    job_id = brought.add(cut)
+    run_all(platform_on)
+    recording = brought.recording()
+    (file,) = recording.files
+    assert (brought.job(job_id).failure, recording.state) == ("", "registered")
+    assert recording.findings[0]["code"] == "BAG-010"
+    assert blob_bytes(brought, file.blob_sha256) == cut.read_bytes()
+    recovered = blob_bytes(brought, file.recovered_blob_sha256)
+    assert recovered.endswith(b"\x89MCAP0\r\n")
+    root_id = brought.process(stages=("synchronise",))
+    run_all(platform_on)
+    job = next(job for job in brought.jobs(root_id) if job.queue)
+    assert (job.state, job.failure) == ("succeeded", "")
+    assert job.result is not None
+    assert 0 < job.result["frames"] < 10
+
+
+def test_a_cut_member_of_a_split_bag_is_recovered_alone(platform: Platform, split: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "run_split"
+    shutil.copytree(split, folder)
+    last = folder / "run_2.mcap"
+    last.write_bytes(last.read_bytes()[: last.stat().st_size * 3 // 4])
+    brought = bring(platform)
+    brought.add(folder)
+    run_all(platform)
+    files = brought.recording().files
+    assert [file.recovered_blob_sha256 is not None for file in files] == [False, False, True]
+    assert [finding["code"] for finding in brought.recording().findings].count("BAG-010") == 1
+
+
+def test_a_recovery_that_is_repeated_is_the_same(platform: Platform, cut: Path) -> None:
+    """Two recordings of the same bytes stand for two attempts at one."""
+    brought = bring(platform)
+    brought.add(cut)
+    run_all(platform)
+    brought.add(cut)
+    run_all(platform)
+    first, second = (brought.recording(number).files[0] for number in range(2))
+    assert first.recovered_blob_sha256 == second.recovered_blob_sha256
+    with platform.database.reading() as session:
+        pictures = select(Preview.name, Preview.blob_sha256).where(Preview.name.in_(PICTURES | {"quality.json"}))
+        rows = {(name, blob) for name, blob in session.execute(pictures)}
+    assert len(rows) == len(PICTURES) + 1, "the same pictures"
+
+
+def test_of_nothing_nothing_is_recovered(platform: Platform, tmp_path: Path, bag: Path) -> None:
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(bag.read_bytes()[:60])
+    brought = bring(platform)
+    job_id = brought.add(path)
+    run_all(platform)
+    assert brought.job(job_id).failure_code == "BAG-010"
+    assert brought.recording().state == "refused"
+
+
+def test_a_refused_group_gives_every_byte_back(platform_on: Platform, split: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "run_split"
+    shutil.copytree(split, folder)
+    (folder / "run_1.mcap").write_text("<!doctype html><title>Sign in</title>")
+    listed = "".join(f"\n    - run_{number}.mcap" for number in range(3))
+    (folder / "metadata.yaml").write_text(f"rosbag2_bagfile_information:\n  relative_file_paths:{listed}\n")
+    brought = bring(platform_on)
+    job_id = brought.add(folder)
+    upload_ids = [file.upload_id or "" for file in brought.recording().files]
+    run_all(platform_on)
+    assert (brought.recording().state, brought.job(job_id).failure_code) == ("refused", "BAG-001")
+    assert not any(upload_file(platform_on.settings, upload_id).exists() for upload_id in upload_ids)
+    assert taken_bytes(platform_on) == 0
+
+
+@pytest.mark.parametrize("ends", ["recording", "sequence"])
+def test_what_ends_gives_all_its_files_back(platform_on: Platform, split: Path, ends: str) -> None:
+    brought = bring(platform_on)
+    brought.add(split)
+    run_all(platform_on)
+    assert taken_bytes(platform_on) == brought.recording().size_bytes
+    with platform_on.database.transaction() as session:
+        if ends == "recording":
+            remove_recording(session, brought.recording())
+        else:
+            delete_sequence(session, brought.sequence())
+    assert taken_bytes(platform_on) == 0
+    assert previews(brought) == {}
+
+
+def taken_bytes(platform: Platform) -> int:
+    with platform.database.reading() as session:
+        return int(session.scalar(select(func.coalesce(func.sum(QuotaEntry.amount), 0))) or 0)
+
+
+def test_a_database_that_was_not_closed_is_read_with_its_journal_and_neither_changes(
+    platform: Platform, tmp_path: Path
+) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    unclosed_database(tmp_path / "recorder.db3", folder / "run_0.db3")
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert before["run_0.db3-wal"], "the recorder died with a journal"
+    brought = bring(platform)
+    job_id = brought.add(folder)
+    run_all(platform)
+    recording = brought.recording()
+    assert (brought.job(job_id).failure, recording.state) == ("", "registered")
+    assert recording.inspection is not None
+    assert [(topic["name"], topic["count"]) for topic in recording.inspection["topics"]] == [("/points", 5)]
+    assert "BAG-029" in [finding["code"] for finding in recording.findings]
+    assert {file.filename: blob_bytes(brought, file.blob_sha256) for file in recording.files} == before
+
+
+def test_a_disk_without_room_is_no_fault_of_the_recording(
+    platform: Platform, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    unclosed_database(tmp_path / "recorder.db3", folder / "run_0.db3")
+    brought = bring(platform)
+    job_id = brought.add(folder)
+    with monkeypatch.context() as full:
+        full.setattr(private_folder, "SPARED_BYTES", 2**62)
+        run_all(platform)
+    assert (brought.job(job_id).state, brought.job(job_id).failure_code) == ("failed", "BAG-028")
+    assert brought.recording().state == "received"
+    assert all(upload_file(platform.settings, file.upload_id or "").exists() for file in brought.recording().files)
+
+
+def unclosed_database(recorder: Path, left: Path) -> None:
+    """What is left on the disk of five messages when the recorder dies before it closes."""
+    start_ns = 1_700_000_000_000_000_000
+    clouds = [
+        Recorded("/points", POINT_CLOUD, start_ns + number * 10**8, cloud_payload(sweep(HESAI, 10, seed=number)))
+        for number in range(5)
+    ]
+    connection = sqlite3.connect(recorder, isolation_level=None)
+    connection.execute("PRAGMA journal_mode=WAL")
+    connection.executescript(SCHEMAS[4])
+    insert(connection, clouds)
+    for suffix in ("", "-wal"):
+        shutil.copyfile(f"{recorder}{suffix}", f"{left}{suffix}")
+    connection.close()

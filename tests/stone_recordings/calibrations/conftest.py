@@ -1,0 +1,28 @@
+"""One short drive of the simulated rig with pictures, synchronised once."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from services.ingest.sequence import open_sequence
+from simulator.options import SimulateOptions
+from simulator.pipeline import calibration_path, simulate
+from stone.sensors.sequence import Sequence
+from stone_recordings.sync.sweeps import BagSweeps
+
+DRIVE = SimulateOptions(seconds=1.5, seed=3, channels=32, columns=450, camera_width_px=240, world_width_m=50.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    path: Path
+    sequence: Sequence
+    sweeps: BagSweeps
+
+
+@pytest.fixture(scope="package")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Drive:
+    path = tmp_path_factory.mktemp("drive") / "drive.mcap"
+    simulate(path, DRIVE)
+    return Drive(path, *open_sequence(path, calibration_path(path), "drive"))

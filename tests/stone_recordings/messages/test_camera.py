@@ -1,0 +1,202 @@
+"""Images become the pixels that were taken; what is not an image is refused before it costs anything."""
+
+import zlib
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from PIL import Image
+
+from stone_recordings.bags.errors import IngestError
+from stone_recordings.messages.bayer import binned, debayered
+from stone_recordings.messages.camera import COMPRESSED, IMAGE, decode_image, picture_of
+from stone_recordings.messages.errors import PictureError
+from stone_recordings.messages.picture_head import MOST_PIXELS, MOST_SCANS
+from tests.stone_recordings.writing import header, made, serialised
+
+# Where red, green and blue are in a pixel as it is sent.
+ORDERS = {
+    "rgb8": (0, 1, 2), "bgr8": (2, 1, 0), "rgba8": (0, 1, 2), "bgra8": (2, 1, 0), "mono8": (0, 0, 0),
+    "rgb16": (0, 1, 2), "bgr16": (2, 1, 0), "mono16": (0, 0, 0), "rgba16": (0, 1, 2), "bgra16": (2, 1, 0),
+}  # fmt: skip
+PATTERNS = ("rggb", "bggr", "gbrg", "grbg")
+
+
+def _image(encoding: str, data: bytes, size: tuple[int, int], step: int, **said: Any) -> memoryview:
+    fields = {"height": size[0], "width": size[1], "encoding": encoding, "is_bigendian": 0, "step": step} | said
+    content = np.frombuffer(data, np.uint8)
+    return memoryview(serialised(made(IMAGE, header=header(5, "cam"), data=content, **fields)))
+
+
+def _compressed(data: bytes, text: str = "bgr8; jpeg compressed bgr8") -> memoryview:
+    content = np.frombuffer(data, np.uint8)
+    return memoryview(serialised(made(COMPRESSED, header=header(5, "cam"), format=text, data=content)))
+
+
+def _encoded(pixels: NDArray[Any], kind: str, **options: Any) -> bytes:
+    file = BytesIO()
+    Image.fromarray(pixels).save(file, kind, **options)
+    return file.getvalue()
+
+
+def _random(shape: tuple[int, ...], seed: int = 0) -> NDArray[np.uint8]:
+    return np.random.default_rng(seed).integers(0, 256, shape, dtype=np.uint8)
+
+
+@pytest.mark.parametrize("encoding", ORDERS)
+@pytest.mark.parametrize("is_bigendian", [0, 1])
+def test_raw_images_are_their_bytes_in_order(encoding: str, is_bigendian: int) -> None:
+    channels = 1 if "mono" in encoding else 4 if "a" in encoding else 3
+    samples = _random((6, 5, channels), 3)
+    rows = samples
+    if encoding.endswith("16"):
+        halves = (samples, _random(samples.shape, 9)) if is_bigendian else (_random(samples.shape, 9), samples)
+        rows = np.stack(halves, axis=-1).reshape(6, -1)
+    padded = np.pad(rows.reshape(6, -1), ((0, 0), (0, 7)))
+    payload = _image(encoding, padded.tobytes(), (6, 5), padded.shape[1], is_bigendian=is_bigendian)
+    picture = decode_image(payload, IMAGE)
+    assert (picture.stamp_ns, picture.frame_id, picture.width_px, picture.height_px) == (5, "cam", 5, 6)
+    np.testing.assert_array_equal(picture.pixels(), samples[..., ORDERS[encoding]])
+
+
+def _slowly_debayered(mosaic: NDArray[np.uint8], pattern: str) -> NDArray[np.uint8]:
+    """Pixel by pixel: the weighted mean of the neighbours that see the colour."""
+    height, width = mosaic.shape
+    picture = np.zeros((height, width, 3), np.uint8)
+    for y, x, channel in np.ndindex(height, width, 3):
+        total = weight = 0
+        for dy, dx in np.ndindex(3, 3):
+            v, u = y + dy - 1, x + dx - 1
+            if 0 <= v < height and 0 <= u < width and pattern[2 * (v % 2) + u % 2] == "rgb"[channel]:
+                share = (2 - abs(dy - 1)) * (2 - abs(dx - 1))
+                total, weight = total + share * int(mosaic[v, u]), weight + share
+        picture[y, x, channel] = (total + weight // 2) // max(weight, 1)
+    return picture
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    height=st.integers(1, 7), width=st.integers(1, 7), pattern=st.sampled_from(PATTERNS), seed=st.integers(0, 2**32 - 1)
+)
+def test_debayering_is_the_mean_of_the_nearest(height: int, width: int, pattern: str, seed: int) -> None:
+    mosaic = _random((height, width), seed)
+    np.testing.assert_array_equal(debayered(mosaic, pattern), _slowly_debayered(mosaic, pattern))
+
+
+@pytest.mark.parametrize("pattern", PATTERNS)
+@pytest.mark.parametrize("bits", [8, 16])
+def test_one_colour_everywhere_stays_that_colour(pattern: str, bits: int) -> None:
+    colour = np.array([200, 120, 30], np.uint8)
+    mosaic = np.zeros((8, 10), np.uint8)
+    for place, name in enumerate(pattern):
+        mosaic[place // 2 :: 2, place % 2 :: 2] = colour["rgb".index(name)]
+    data = mosaic if bits == 8 else mosaic.astype(np.uint16) << 8
+    payload = _image(f"bayer_{pattern}{bits}", data.tobytes(), (8, 10), 10 * bits // 8)
+    np.testing.assert_array_equal(picture_of(IMAGE, payload), np.broadcast_to(colour, (8, 10, 3)))
+    np.testing.assert_array_equal(binned(mosaic, pattern), np.broadcast_to(colour, (4, 5, 3)))
+    assert picture_of(IMAGE, payload, 5).shape == (4, 5, 3)
+
+
+def test_compressed_images_are_told_by_their_first_bytes() -> None:
+    smooth = np.linspace(0, 255, 40 * 60 * 3).reshape(40, 60, 3).astype(np.uint8)
+    np.testing.assert_array_equal(picture_of(COMPRESSED, _compressed(_encoded(smooth, "PNG"), "jpeg")), smooth)
+    lossy = picture_of(COMPRESSED, _compressed(_encoded(smooth, "JPEG", quality=95), "png"))
+    assert np.abs(lossy.astype(int) - smooth).max() < 16
+    assert decode_image(_compressed(_encoded(smooth, "JPEG")), COMPRESSED).encoding == "JPEG"
+
+
+def test_grey_and_sixteen_bit_pictures_are_read_too() -> None:
+    grey = _random((9, 11))
+    for content in (_encoded(grey, "PNG"), _encoded(grey.astype(np.uint16) << 8, "PNG")):
+        np.testing.assert_array_equal(
+            picture_of(COMPRESSED, _compressed(content)), np.broadcast_to(grey[..., None], (9, 11, 3))
+        )
+
+
+@pytest.mark.parametrize("kind", ["JPEG", "PNG"])
+def test_a_narrow_picture_keeps_its_shape(kind: str) -> None:
+    content = _encoded(_random((600, 960, 3)), kind)
+    assert picture_of(COMPRESSED, _compressed(content), 320).shape == (200, 320, 3)
+    assert picture_of(COMPRESSED, _compressed(content), 5000).shape == (600, 960, 3)
+
+
+def _png_of(width: int, height: int) -> bytes:
+    """A header that declares any size; little else."""
+    ihdr = b"IHDR" + width.to_bytes(4, "big") + height.to_bytes(4, "big") + b"\x08\x02\0\0\0"
+    idat = b"IDAT" + zlib.compress(bytes(1000))
+    chunks = (len(c[4:]).to_bytes(4, "big") + c + zlib.crc32(c).to_bytes(4, "big") for c in (ihdr, idat, b"IEND"))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
+
+
+def _jpeg_of(width: int, height: int) -> bytes:
+    content = _encoded(_random((8, 8, 3)), "JPEG")
+    at = content.index(b"\xff\xc0")
+    return content[: at + 5] + height.to_bytes(2, "big") + width.to_bytes(2, "big") + content[at + 9 :]
+
+
+REFUSED = {
+    "a bomb of a PNG": (_png_of(100_000, 100_000), rf"declares 100000 × 100000 pixels, the limit is {MOST_PIXELS}"),
+    "a bomb of a JPEG": (_jpeg_of(65_535, 65_535), r"declares 65535 × 65535 pixels"),
+    "no width": (_png_of(0, 7), r"it is 0 × 7 pixels"),
+    "scans without end": (
+        _encoded(_random((8, 8, 3)), "JPEG") + b"\xff\xda" * MOST_SCANS,
+        rf"has {MOST_SCANS + 1} scans, the limit is {MOST_SCANS}",
+    ),
+    "half a JPEG": (_encoded(_random((64, 64, 3)), "JPEG")[:700], r"JPEG cannot be decoded|ends before it says"),
+    "a PNG whose pixels are missing": (_png_of(500, 500), r"PNG cannot be decoded"),
+    "a film": (b"\0\0\0\1\x67\x42\0\x1e", r"first bytes 00 00 00 01 67 42 00 1e are neither JPEG nor PNG"),
+    "nothing": (b"", r"first bytes  are neither"),
+    "a JPEG without a frame": (
+        b"\xff\xd8\xff\xe0\0\x04\0\0\xff\xda\0\x02" + bytes(30),
+        r"ends before it says its size",
+    ),
+    "a JPEG of anything": (b"\xff\xd8\xff\xe0\0\x03\0\0\0\0\0", r"byte 7 of the JPEG is no marker"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_a_picture_that_is_none_is_refused(case: str) -> None:
+    content, sentence = REFUSED[case]
+    with pytest.raises(PictureError, match=sentence) as caught:
+        picture_of(COMPRESSED, _compressed(content))
+    assert caught.value.code == "MSG-306"
+
+
+RAW_REFUSED = {
+    "too few rows": ((7, 5), 15, {}, "rgb8", r"7 rows of 15 bytes do not hold 5 × 7 rgb8 in 90"),
+    "a step smaller than a row": ((6, 5), 14, {}, "rgb8", r"6 rows of 14 bytes do not hold"),
+    "an encoding of another world": ((6, 5), 15, {}, "yuv422_nv21", r"encoding 'yuv422_nv21' is not read"),
+    "no rows": ((0, 5), 15, {}, "rgb8", r"it is 5 × 0 pixels"),
+    "more pixels than any camera": ((60_000, 60_000), 15, {}, "rgb8", r"declares 60000 × 60000 pixels"),
+}
+
+
+@pytest.mark.parametrize("case", RAW_REFUSED)
+def test_a_raw_image_that_lies_is_refused(case: str) -> None:
+    size, step, said, encoding, sentence = RAW_REFUSED[case]
+    with pytest.raises(PictureError, match=sentence):
+        decode_image(_image(encoding, bytes(90), size, step, **said), IMAGE)
+
+
+@settings(max_examples=120, deadline=None)
+@given(
+    kind=st.sampled_from(["raw", "JPEG", "PNG"]),
+    ratio=st.floats(0, 1, exclude_max=True),
+    junk=st.binary(min_size=1, max_size=8),
+    is_cut=st.booleans(),
+)
+def test_damaged_images_are_read_or_refused_by_code(kind: str, ratio: float, junk: bytes, is_cut: bool) -> None:
+    pixels = _random((16, 24, 3))
+    payload = _image("rgb8", pixels.tobytes(), (16, 24), 72) if kind == "raw" else _compressed(_encoded(pixels, kind))
+    type_name, content = (IMAGE if kind == "raw" else COMPRESSED), bytes(payload)
+    at = int(ratio * len(content))
+    damaged = content[:at] + junk + (b"" if is_cut else content[at + len(junk) :])
+    try:
+        found = str(picture_of(type_name, memoryview(damaged), 20).dtype)
+    except IngestError as error:
+        found = error.code[:5]
+    assert found in ("uint8", "MSG-3")

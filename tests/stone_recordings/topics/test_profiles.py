@@ -1,0 +1,184 @@
+"""What a topic is for is resolved once, by profile, type, rate and names; what cannot be told is said, not guessed."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from stone_recordings.topics.profile_errors import BadProfileError
+from stone_recordings.topics.profiles import LONGEST_TOPIC, MOST_TOPICS, Assignment, Candidate, TopicProfile, resolve
+from stone_recordings.topics.roles import INSPVAX, POINT_CLOUD, Role
+
+IMU, IMAGE, ODOMETRY = "sensor_msgs/msg/Imu", "sensor_msgs/msg/Image", "nav_msgs/msg/Odometry"
+INSPVA = "novatel_oem7_msgs/msg/INSPVA"
+LIDAR = Candidate("/lidar_points", POINT_CLOUD, "lidar", 100, 10.0)
+INS = Candidate("/novatel/inspvax", INSPVAX, "ins", 200, 20.0)
+GYRO = Candidate("/imu/data", IMU, "imu", 2000, 200.0)
+FRONT = Candidate("/camera/front/image_raw", IMAGE, "camera", 100, 10.0, "cam_a")
+BACK = Candidate("/camera/back/image_raw", IMAGE, "camera", 100, 10.0, "cam_b")
+RIG = (LIDAR, INS, GYRO, FRONT, BACK)
+PARTS = {
+    "lidar": LIDAR.name,
+    "pose": INS.name,
+    "imu": GYRO.name,
+    "CAM_FRONT": FRONT.name,
+    "CAM_BACK": BACK.name,
+}
+
+
+def codes(assignment: Assignment) -> list[tuple[str, str]]:
+    return [(finding.code, finding.topic) for finding in assignment.findings]
+
+
+def test_a_plain_rig_is_resolved_without_a_word() -> None:
+    assert resolve(RIG, TopicProfile()) == Assignment(PARTS)
+
+
+def test_two_lidars_are_an_ambiguity_with_the_line_that_ends_it() -> None:
+    second = Candidate("/rear/points", POINT_CLOUD, "lidar", 100, 10.0)
+    assignment = resolve((*RIG, second), TopicProfile())
+    assert "lidar" not in assignment.channels
+    assert codes(assignment) == [("TOP-110", LIDAR.name)]
+    sentence = assignment.findings[0].message
+    assert "/lidar_points, /rear/points" in sentence
+    part, _, topic = sentence.rpartition("--topic ")[2].partition("=")
+    assert resolve((*RIG, second), TopicProfile({part: topic})) == Assignment(PARTS)
+    assert resolve((*RIG, second), TopicProfile({part: "/rear/points"})).channels == PARTS | {"lidar": "/rear/points"}
+
+
+def test_the_rate_tells_a_lidar_from_a_map_and_an_imu_from_its_copy() -> None:
+    clutter = (
+        Candidate("/map", POINT_CLOUD, "lidar", 5, 0.2),
+        Candidate("/imu/slow", IMU, "imu", 10, 1.0),
+        Candidate("/mystery", POINT_CLOUD, "lidar", 1, None),
+    )
+    assert resolve((*clutter, *RIG), TopicProfile()) == Assignment(PARTS)
+
+
+def test_a_second_imu_costs_nothing_and_is_only_mentioned() -> None:
+    assignment = resolve((*RIG, Candidate("/lidar/imu", IMU, "imu", 1000, 100.0)), TopicProfile())
+    assert [(finding.code, finding.severity) for finding in assignment.findings] == [("TOP-110", "info")]
+
+
+def test_poses_come_from_the_ins_before_odometry_and_from_the_fuller_of_its_two_logs() -> None:
+    odometry = Candidate("/odom", ODOMETRY, "odometry", 500, 50.0)
+    second = Candidate("/novatel/inspva", INSPVA, "ins", 400, 40.0)
+    assert resolve((odometry, *RIG), TopicProfile()).channels["pose"] == INS.name
+    assert resolve((odometry, second, *RIG), TopicProfile()).channels["pose"] == second.name
+    assert resolve((odometry, LIDAR), TopicProfile()).channels["pose"] == odometry.name
+    twins = (INS, Candidate("/other/inspvax", INSPVAX, "ins", 200, 20.0), LIDAR)
+    assert codes(resolve(twins, TopicProfile())) == [("TOP-110", INS.name)]
+
+
+def test_raw_and_compressed_pictures_of_one_camera_are_an_ambiguity() -> None:
+    compressed = Candidate("/camera/front/image/compressed", "sensor_msgs/msg/CompressedImage", "camera", 100, 10.0)
+    assignment = resolve((*RIG, compressed), TopicProfile())
+    assert codes(assignment) == [("TOP-110", FRONT.name)]
+    assert "CAM_FRONT" not in assignment.channels
+    assert (
+        resolve((*RIG, compressed), TopicProfile({"CAM_FRONT": compressed.name})).channels["CAM_FRONT"]
+        == compressed.name
+    )
+
+
+def test_the_frames_of_a_calibration_overrule_words() -> None:
+    assignment = resolve(RIG, TopicProfile(), {"cam_a": "CAM_BACK", "cam_b": "CAM_FRONT"})
+    assert assignment == Assignment(PARTS | {"CAM_BACK": FRONT.name, "CAM_FRONT": BACK.name})
+
+
+def test_a_camera_that_no_name_places_is_mentioned_until_the_profile_places_it() -> None:
+    nameless = Candidate("/image_raw", IMAGE, "camera", 100, 10.0)
+    assert codes(resolve((*RIG, nameless), TopicProfile())) == [("TOP-112", "/image_raw")]
+    assert resolve((*RIG, nameless), TopicProfile({"CAM_LEFT": "/image_raw"})) == Assignment(
+        {"CAM_LEFT": "/image_raw", **PARTS}
+    )
+
+
+@pytest.mark.parametrize(
+    ("chosen", "why"),
+    [({"lidar": "/gone"}, "has no messages here"), ({"lidar": "/imu/data"}, "is of type sensor_msgs/msg/Imu")],
+)
+def test_a_choice_that_the_recording_does_not_bear_out_is_said_and_left(chosen: dict[str, str], why: str) -> None:
+    assignment = resolve(RIG, TopicProfile(chosen))
+    assert assignment.channels == PARTS
+    assert codes(assignment) == [("TOP-111", chosen["lidar"])]
+    assert why in assignment.findings[0].message
+
+
+def test_a_thousand_nameless_cameras_are_one_finding() -> None:
+    crowd = tuple(Candidate(f"/image{row}", IMAGE, "camera", 100, 10.0) for row in range(1000))
+    (finding,) = resolve((*RIG, *crowd), TopicProfile()).findings
+    assert finding.code == "TOP-112"
+    assert "/image5 and 994 more" in finding.message
+
+
+def test_a_cloud_may_be_chosen_against_what_it_was_taken_for() -> None:
+    small = Candidate("/tiny_lidar", POINT_CLOUD, "radar", 100, 10.0)
+    assert resolve((small, INS), TopicProfile({"lidar": "/tiny_lidar"})) == Assignment(
+        {"lidar": "/tiny_lidar", "pose": INS.name}
+    )
+
+
+def test_what_labels_need_and_nobody_recorded_is_named() -> None:
+    packets = Candidate("/lidar_packets", "nebula_msgs/msg/NebulaPackets", "other", 10, 10.0)
+    assert codes(resolve((), TopicProfile())) == [("TOP-101", ""), ("TOP-103", "")]
+    assert codes(resolve((packets, INS), TopicProfile())) == [("TOP-101", "/lidar_packets")]
+    silent = Candidate("/lidar_points", POINT_CLOUD, "lidar", 0)
+    assert codes(resolve((silent, INS), TopicProfile())) == [("TOP-101", "")]
+
+
+def test_the_resolution_saved_as_a_profile_resolves_the_same() -> None:
+    once = resolve(RIG, TopicProfile())
+    assert resolve(RIG, once.as_profile("rover")) == once
+
+
+@given(st.permutations(RIG))
+def test_the_order_of_topics_does_not_matter(topics: list[Candidate]) -> None:
+    assert resolve(topics, TopicProfile()) == Assignment(PARTS)
+
+
+@pytest.mark.parametrize(
+    ("topics", "found"),
+    [
+        ({"cam_front": "/a"}, "the part 'cam_front'"),
+        ({"CAM": "/a"}, "the part 'CAM'"),
+        ({"lidar": ""}, "the topic ''"),
+        ({"lidar": "/a\n"}, "the topic"),
+        ({"lidar": "/" + "a" * LONGEST_TOPIC}, "the topic"),
+        ({"lidar": "/a", "CAM_FRONT": "/a"}, "lidar and CAM_FRONT"),
+        ({f"CAM_{row}": f"/{row}" for row in range(MOST_TOPICS + 1)}, "65 topics"),
+    ],
+)
+def test_a_profile_that_cannot_be_is_refused(topics: dict[str, str], found: str) -> None:
+    with pytest.raises(BadProfileError, match=found):
+        TopicProfile(topics)
+
+
+ROLES: tuple[Role, ...] = ("lidar", "camera", "radar", "ins", "imu", "odometry", "tf", "other")
+ANY = st.builds(
+    Candidate,
+    name=st.sampled_from(["front", "left", "rear/left", "odd", "\x00", "x" * 400]).flatmap(
+        lambda word: st.integers(0, 5).map(lambda number: f"/{word}/{number}")
+    ),
+    type=st.sampled_from([POINT_CLOUD, IMAGE, IMU, INSPVA, INSPVAX, "std_msgs/msg/String"]),
+    role=st.sampled_from(ROLES),
+    count=st.integers(0, 3),
+    rate_hz=st.none() | st.floats(0.0, 1e6),
+    frame_id=st.sampled_from(["", "a", "/a", "cam_front"]),
+)
+CHOSEN = st.dictionaries(st.sampled_from(["lidar", "pose", "imu", "CAM_FRONT"]), st.sampled_from(["/odd/1", "/left/2"]))
+
+
+@given(
+    st.lists(ANY, unique_by=lambda candidate: candidate.name, max_size=12),
+    CHOSEN.filter(lambda topics: len(set(topics.values())) == len(topics)),
+)
+def test_whatever_was_recorded_each_topic_plays_one_part_at_most(
+    topics: list[Candidate], chosen: dict[str, str]
+) -> None:
+    assignment = resolve(topics, TopicProfile(chosen), {"a": "CAM_BACK"})
+    played = list(assignment.channels.values())
+    assert len(set(played)) == len(played)
+    assert set(played) <= {topic.name for topic in topics if topic.count}
+    refused = {finding.topic for finding in assignment.findings if finding.code == "TOP-111"}
+    for part, topic in chosen.items():
+        assert (assignment.channels.get(part) == topic) or topic in refused

@@ -1,0 +1,208 @@
+"""The page's reader of zips and the platform's say the same of every archive, honest or hostile, as far as one can see
+in its directory.
+
+**Conventions.** Both are given the same bytes; what is compared is the code, file and frame of each problem, in order.
+"""
+
+import io
+import random
+import stat
+import struct
+import zipfile
+from base64 import b64encode
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from stone_submissions.archive import open_submission
+from stone_submissions.errors import SubmissionError
+from stone_submissions.npz_frame import prediction_grid
+from testing.web.browsing import Site
+
+TOKENS = tuple(f"{number:032x}" for number in (11, 22, 33, 44))
+Found = list[tuple[str, str, str | None]]
+READ = """async ({at, zips, tokens}) => {
+  const { examined, manifestOf } = await import(at);
+  const manifest = manifestOf({ sequences: { run: tokens } });
+  const said = [];
+  for (const zip of zips) {
+    const bytes = Uint8Array.from(atob(zip), (one) => one.charCodeAt(0));
+    const { problems } = await examined(new File([bytes], "run.zip"), manifest);
+    said.push(problems.map(({ code, file, frame }) => [code, file, frame]));
+  }
+  return said;
+}"""
+LOOK = """async ({at, zips}) => {
+  const { faultIn } = await import(at);
+  const { readDirectory } = await import(at.replace("first_frame", "zip"));
+  const said = [];
+  for (const zip of zips) {
+    const file = new Blob([Uint8Array.from(atob(zip), (one) => one.charCodeAt(0))]);
+    const [member] = await readDirectory(file, 1);
+    said.push((await faultIn(file, member))?.code ?? null);
+  }
+  return said;
+}"""
+END_64 = struct.Struct("<4sQ2H2I4Q")
+
+
+def packed(names: list[str], method: int = zipfile.ZIP_DEFLATED, size_bytes: int = 30) -> bytes:
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w", method) as archive:
+        for name in names:
+            archive.writestr(name, b"\1" * size_bytes)
+    return content.getvalue()
+
+
+def whole(folder: str = "") -> list[str]:
+    return [f"{folder}{token}.npz" for token in TOKENS]
+
+
+def widened(archive: bytes) -> bytes:
+    """The same archive with a zip64 end, the narrow one saying 0xFF… throughout."""
+    end = archive.rfind(b"PK\5\6")
+    _, _, _, _, entries, length, offset, _ = struct.unpack("<4s4H2IH", archive[end:])
+    record = END_64.pack(b"PK\6\6", END_64.size - 12, 45, 45, 0, 0, entries, entries, length, offset)
+    locator = struct.pack("<4sIQI", b"PK\6\7", 0, end, 1)
+    narrow = struct.pack("<4s4H2IH", b"PK\5\6", 0, 0, 0xFFFF, 0xFFFF, 0xFFFFFFFF, 0xFFFFFFFF, 0)
+    return archive[:end] + record + locator + narrow
+
+
+def linked() -> bytes:
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as archive:
+        link = zipfile.ZipInfo(f"{TOKENS[0]}.npz")
+        link.create_system, link.external_attr = 3, (stat.S_IFLNK | 0o777) << 16
+        archive.writestr(link, "/etc/passwd")
+    return content.getvalue()
+
+
+def flagged(archive: bytes, flag: int) -> bytes:
+    """With a flag set in the directory's first record."""
+    at = archive.find(b"PK\1\2") + 8
+    return archive[:at] + struct.pack("<H", flag) + archive[at + 2 :]
+
+
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+def told() -> Iterator[bytes]:
+    """Archives that are each wrong, or right, in their own way."""
+    yield packed(whole())
+    yield packed(whole("run 7/"), zipfile.ZIP_STORED)
+    yield packed(["run/", *whole("run/")])
+    yield widened(packed(whole()))
+    yield packed(whole()[1:])
+    yield packed([*whole(), "README.md", "__MACOSX/._a", ".DS_Store", "ünï/x.npz", "\u2603.txt"])
+    yield packed([*whole()[:2], *(f"deep/er/{name}" for name in whole()[2:])])
+    yield packed(whole("../"))
+    yield packed([*whole(), whole()[0]])
+    yield packed(whole(), size_bytes=3 * 2**20 + 1)
+    yield packed([])
+    yield packed([f"{number}.txt" for number in range(1010)])
+    yield packed(["x" * 600])
+    yield linked()
+    yield from (flagged(packed(whole()), flag) for flag in (1, 1 << 6, 1 << 11, 1 << 13))
+    yield b""
+    yield b"PK\5\6"
+    yield b"not a zip at all" * 9
+    yield packed(whole()) + b"more"
+    yield b"before" + packed(whole())
+
+
+def mangled(seed: int) -> bytes:
+    """An honest archive with a few of its bytes changed, cut or doubled, most of them in its directory."""
+    chance = random.Random(seed)
+    archive = bytearray(chance.choice((packed(whole()), widened(packed(whole("a/"))), packed([*whole(), "b.txt"]))))
+    directory = archive.find(b"PK\1\2")
+    for _ in range(chance.randint(1, 3)):
+        at = chance.randrange(directory, len(archive))
+        act = chance.randrange(6)
+        if act == 0:
+            del archive[at : at + chance.randint(1, 40)]
+        elif act == 1:
+            archive[at:at] = archive[at : at + chance.randint(1, 60)]
+        else:
+            archive[at] = chance.choice((0, 1, 0x7F, 0xFF, chance.randrange(256)))
+        directory = min(directory, len(archive) - 2)
+    return bytes(archive)
+
+
+def frame(save: Callable[..., None], **arrays: object) -> bytes:
+    content = io.BytesIO()
+    save(content, **arrays)
+    return content.getvalue()
+
+
+def frames() -> Iterator[bytes]:
+    """Frames that are right, or wrong, in the ways that happen."""
+    grid = np.zeros((256, 256, 32), np.uint8)
+    yield from (frame(np.savez, semantics=grid), frame(np.savez, arr_0=grid[:200]))
+    save = np.savez_compressed
+    yield from (frame(save, semantics=grid), frame(save, arr_0=grid), frame(save, labels=grid))
+    yield from (frame(save, semantics=grid, mask=grid), frame(save, semantics=grid[:200]))
+    yield from (frame(save, semantics=np.asfortranarray(grid)), frame(save, semantics=grid.astype(bool)))
+    yield from (frame(save, semantics=grid.astype(np.int16)), frame(save, semantics=np.array([{}], object)))
+    yield frame(save)
+    yield b"PICKLED" * 9
+    yield packed(["semantics.npy"])
+
+
+def code_by_the_platform(npz: bytes) -> str | None:
+    try:
+        prediction_grid(npz)
+    except SubmissionError as error:
+        return error.code
+    return None
+
+
+def by_the_platform(folder: Path, archives: list[bytes]) -> list[Found]:
+    path = folder / "run.zip"
+    said: list[Found] = []
+    for archive in archives:
+        path.write_bytes(archive)
+        with open_submission(path, TOKENS) as submission:
+            said.append([(one.code, one.file, one.frame) for one in submission.problems])
+    return said
+
+
+def asked(site: Site, script: str, module: str, archives: list[bytes]) -> list[Any]:
+    """What the script says of the archives, by this module of the form."""
+    with site.visit() as page:
+        page.goto("/sign-in")
+        sheet = page.locator("link[rel=stylesheet]").get_attribute("href") or ""
+        at = f"{sheet.rpartition('/')[0]}/modules/submission/{module}.js"
+        zips = [b64encode(archive).decode() for archive in archives]
+        said: list[Any] = page.evaluate(script, {"at": at, "zips": zips, "tokens": list(TOKENS)})
+    return said
+
+
+def by_the_page(site: Site, archives: list[bytes]) -> list[Found]:
+    said = asked(site, READ, "frames", archives)
+    return [[(code, file, frame) for code, file, frame in problems] for problems in said]
+
+
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+def test_the_page_refuses_what_the_platform_refuses_in_the_same_words(site: Site, tmp_path: Path) -> None:
+    archives = [*told(), *(mangled(seed) for seed in range(400))]
+    ours = by_the_platform(tmp_path, archives)
+    theirs = by_the_page(site, archives)
+    differing = [(number, one, two) for number, (one, two) in enumerate(zip(ours, theirs, strict=True)) if one != two]
+    assert differing[:2] == [], differing[:2]
+    codes = {problem[0] for problems in ours for problem in problems}
+    assert codes >= {"missing_frame", "unexpected_file", "duplicate_frame", "too_large", "not_zip", "truncated"}
+    assert codes >= {"encrypted", "symlink", "unsupported_zip", "overlapping_files"}
+    assert sum(not problems for problems in ours) > 20, "some of the mangled ones are still whole"
+
+
+def test_a_look_into_a_frame_finds_what_the_platform_finds(site: Site) -> None:
+    archives, given = [], list(frames())
+    for number, npz in enumerate(given):
+        content = io.BytesIO()
+        with zipfile.ZipFile(content, "w", (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)[number % 2]) as archive:
+            archive.writestr(f"{TOKENS[0]}.npz", npz)
+        archives.append(content.getvalue())
+    ours = [code_by_the_platform(npz) for npz in given]
+    assert asked(site, LOOK, "first_frame", archives) == ours
+    assert {None, "bad_dtype", "bad_shape", "missing_array", "extra_array", "not_npz"} == set(ours)

@@ -1,0 +1,217 @@
+"""Rows of a leaderboard page: groups, tie groups as brackets, intervals on one common axis.
+
+**Conventions.** Made of what the API answers with (`LeaderboardAnswer`), so that nothing is drawn which a viewer may
+not read. Sorting by another column moves rows, never ranks; brackets are drawn in the order of the ranks only, since
+elsewhere a group is not together. The bests are those of the ranked rows.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Literal
+from urllib.parse import urlencode
+
+from api.schemas.leaderboard import BoardRow, LeaderboardAnswer
+from api.views.boards import board_answer
+from services.domain.benchmarks.boards.board import board
+from services.domain.benchmarks.boards.entries import BoardQuery, EntryStatus
+from services.domain.benchmarks.visibility import Viewer
+from services.runtime.platform import Platform
+from web.boards.axes import Axis, axis_over
+
+Sort = Literal["rank", "miou", "iou_occ", "iou_t", "iou_p", "iou_n", "submitted", "method"]
+RATIO_COLUMNS = (("iou_occ", "occupied"), ("iou_t", "T"), ("iou_p", "P"), ("iou_n", "N"))
+RATIO_NAMES = ("miou", *(name for name, _ in RATIO_COLUMNS))
+TITLES: Mapping[EntryStatus, str] = {
+    "ranked": "Entries",
+    "baseline": "Baselines, scored here and not ranked",
+    "undefined": "Entries without a rank: a class is undefined",
+    "reported": "Reported elsewhere, not scored here",
+}
+FEW = 5
+
+
+@dataclass(frozen=True)
+class BoardWhisker:
+    """A row's mIoU and its interval on the axis; the ends are null where the interval is not shown."""
+
+    at: str
+    low: str | None
+    high: str | None
+    length: str | None
+
+
+@dataclass(frozen=True)
+class ShownRow:
+    """`tied` is how many rows the bracket that begins here spans, 0 where it began above; `best` names the columns."""
+
+    row: BoardRow
+    whisker: BoardWhisker | None
+    tied: int
+    best: frozenset[str]
+
+
+@dataclass(frozen=True)
+class Group:
+    """Rows of one standing."""
+
+    standing: EntryStatus
+    title: str
+    rows: tuple[ShownRow, ...]
+
+
+@dataclass(frozen=True)
+class ShownBoard:
+    """The board that `board_table` of `parts/boards.html` draws; `left_out` ranked entries are not among the rows."""
+
+    answer: LeaderboardAnswer
+    groups: tuple[Group, ...]
+    axis: Axis
+    sort: Sort
+    left_out: int = 0
+
+    @property
+    def path(self) -> str:
+        """The page of the board."""
+        return f"/benchmarks/{self.answer.benchmark}/{self.answer.phase}"
+
+    @property
+    def has_brackets(self) -> bool:
+        return any(one.tied > 1 for group in self.groups for one in group.rows)
+
+    @property
+    def comparable(self) -> int:
+        """The number of rows that can be compared."""
+        return sum(one.row.submission_id is not None for group in self.groups for one in group.rows)
+
+    @property
+    def asked(self) -> dict[str, str]:
+        """The query of this board, where it differs from the one shown first."""
+        answer = self.answer
+        said = {"track": answer.track, "entries": answer.entries, "sort": self.sort}
+        usual = {"track": "all", "entries": "best", "sort": "rank"}
+        when = {} if answer.as_of is None else {"as_of": answer.as_of.isoformat().replace("+00:00", "Z")}
+        return {name: value for name, value in said.items() if value != usual[name]} | when
+
+    def link(self, **changed: str | None) -> str:
+        """The page of this board with these changes of its query; None leaves one out."""
+        query = {name: value for name, value in (self.asked | changed).items() if value is not None}
+        return f"{self.path}?{urlencode(query)}" if query else self.path
+
+    def file(self, form: str) -> str:
+        """The API's URL of this board in this form."""
+        at = f"/api/v1/benchmarks/{self.answer.benchmark}/phases/{self.answer.phase}/leaderboard"
+        query = {name: value for name, value in self.asked.items() if name != "sort"} | {"format": form}
+        return f"{at}?{urlencode(query)}"
+
+
+@dataclass(frozen=True)
+class _BoardScale:
+    """The axis, the best values and the order that all rows of a board share."""
+
+    axis: Axis
+    bests: Mapping[str, float]
+    sort: Sort
+
+
+def shown_board(
+    platform: Platform, phase_id: str, viewer: Viewer, query: BoardQuery | None = None, sort: Sort = "rank"
+) -> ShownBoard:
+    """The board of a phase as the viewer may see it. Raises `StoreAwayError`."""
+    return board_with_figures(board_answer(board(platform, phase_id, query or BoardQuery(), viewer), viewer), sort)
+
+
+def board_with_figures(answer: LeaderboardAnswer, sort: Sort = "rank") -> ShownBoard:
+    """The board with its figures; rows are in the order that is asked for, within their standing."""
+    scale = _BoardScale(
+        axis_over(value for row in answer.rows for value in (row.ratios.miou, *(_interval(row) or ()))),
+        _bests([row for row in answer.rows if row.standing == "ranked"]),
+        sort,
+    )
+    groups = tuple(_group(standing, rows, scale) for standing, rows in _by_status(answer.rows))
+    return ShownBoard(answer, groups, scale.axis, sort, answer.ranked_total - _ranked(answer.rows))
+
+
+def shortened(whole: ShownBoard, most: int = FEW) -> ShownBoard:
+    """The best `most` ranked rows with their axis, beside them the best baseline and the best reported row."""
+    shown = {"ranked": most, "baseline": 1, "reported": 1}
+    rows: list[BoardRow] = []
+    for group in whole.groups:
+        rows += [one.row for one in group.rows[: shown.get(group.standing, 0)]]
+    return board_with_figures(whole.answer.model_copy(update={"rows": rows}), whole.sort)
+
+
+def _ranked(rows: Iterable[BoardRow]) -> int:
+    return sum(row.standing == "ranked" for row in rows)
+
+
+def _by_status(rows: Iterable[BoardRow]) -> list[tuple[EntryStatus, list[BoardRow]]]:
+    found: dict[EntryStatus, list[BoardRow]] = {standing: [] for standing in TITLES}
+    for row in rows:
+        found[row.standing].append(row)
+    return [(standing, rows_of) for standing, rows_of in found.items() if rows_of]
+
+
+def _group(standing: EntryStatus, rows: Sequence[BoardRow], scale: _BoardScale) -> Group:
+    placed = _sorted(rows, scale.sort)
+    brackets = _brackets(placed) if scale.sort == "rank" and standing == "ranked" else [1] * len(placed)
+    shown = (
+        ShownRow(row, _whisker(row, scale.axis), tied, _best_in(row, scale.bests))
+        for row, tied in zip(placed, brackets, strict=True)
+    )
+    return Group(standing, TITLES[standing], tuple(shown))
+
+
+def _sorted(rows: Sequence[BoardRow], sort: Sort) -> list[BoardRow]:
+    """Ratios and times falling, what is not known last; methods by the alphabet."""
+    if sort == "rank":
+        return list(rows)
+    if sort == "method":
+        return sorted(rows, key=lambda row: row.method.casefold())
+    value_of: Callable[[BoardRow], float | None] = _submitted if sort == "submitted" else lambda row: _ratio(row, sort)
+    return sorted(rows, key=lambda row: _falling(value_of(row)))
+
+
+def _falling(value: float | None) -> tuple[bool, float]:
+    return (value is None, -(value or 0.0))
+
+
+def _submitted(row: BoardRow) -> float | None:
+    return None if row.submitted_at is None else row.submitted_at.timestamp()
+
+
+def _ratio(row: BoardRow, name: str) -> float | None:
+    value: float | None = getattr(row.ratios, name)
+    return value
+
+
+def _brackets(rows: Sequence[BoardRow]) -> list[int]:
+    spans: list[int] = []
+    for number, together in groupby(rows, key=lambda row: row.tie_group):
+        count = len(list(together))
+        spans += [1] * count if number is None else [count, *[0] * (count - 1)]
+    return spans
+
+
+def _interval(row: BoardRow) -> tuple[float, float] | None:
+    return None if row.intervals is None else row.intervals.miou
+
+
+def _whisker(row: BoardRow, axis: Axis) -> BoardWhisker | None:
+    if row.ratios.miou is None:
+        return None
+    low, high = _interval(row) or (None, None)
+    if low is None or high is None:
+        return BoardWhisker(axis.at(row.ratios.miou), None, None, None)
+    return BoardWhisker(axis.at(row.ratios.miou), axis.at(low), axis.at(high), axis.width(high, low))
+
+
+def _bests(rows: Sequence[BoardRow]) -> dict[str, float]:
+    found = {name: [value for row in rows if (value := _ratio(row, name)) is not None] for name in RATIO_NAMES}
+    return {name: max(values) for name, values in found.items() if len(values) > 1}
+
+
+def _best_in(row: BoardRow, bests: Mapping[str, float]) -> frozenset[str]:
+    if row.standing != "ranked":
+        return frozenset()
+    return frozenset(name for name, best in bests.items() if _ratio(row, name) == best)

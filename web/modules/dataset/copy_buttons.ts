@@ -1,0 +1,21 @@
+// Buttons that copy: `data-copies` is the text.
+
+import { toast } from "../notices.js";
+
+const SHOWN_MS = 20_000;
+
+document.addEventListener("click", (event) => {
+  const button = event.target instanceof Element ? event.target.closest<HTMLElement>("[data-copies]") : null;
+  const text = button?.dataset["copies"];
+  if (text) void copy(text);
+});
+
+/** To the clipboard; where the browser lends none (no TLS), the text is shown to be copied by hand. */
+async function copy(text: string): Promise<void> {
+  try {
+    await navigator.clipboard.writeText(text);
+    toast("Copied.");
+  } catch {
+    toast(text, SHOWN_MS);
+  }
+}

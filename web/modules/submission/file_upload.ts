@@ -1,0 +1,122 @@
+// A submission from a file to the queue: its sha256, announced, sent, finalised; begun again after anything it goes on.
+//
+// Nothing is kept on this side: the platform is asked for the team's submission of the same bytes under the same name,
+// so a page that was left goes on where it was, and the same file is never scored twice by accident.
+
+import { call, RefusedError } from "../api.js";
+import { sha256Of } from "../file_hash.js";
+import { createUpload, findUpload, type Opened, sendMissing } from "../tus.js";
+
+const GONE_ON = ["draft", "queued", "scoring", "scored", "valid", "invalid"];
+const MOST_PAGES = 10;
+const WAIT_MS = [500, 1000, 2000, 4000, 8000];
+
+/** What is said of a file: where it goes, in whose name, what made it. */
+export interface Entry {
+  phase_id: string;
+  team_id: string;
+  method: string;
+  modality: string;
+  description: string;
+  kind: "entry" | "validation";
+}
+
+/** Told how far it is. */
+export interface Heard {
+  act: (name: string) => void;
+  bytes: (done_bytes: number, total_bytes: number) => void;
+}
+
+interface Submission {
+  id: string;
+  state: string;
+  sha256: string;
+  size_bytes: number;
+  method: string;
+  modality: string;
+  description: string;
+  revision: number;
+  withdrawn_at: string | null;
+  upload_id: string | null;
+}
+
+/** Where the submission is; `isKnown` when this very file had been sent before. Throws `RefusedError`, `AbortError`. */
+export async function submit(
+  file: File,
+  entry: Entry,
+  heard: Heard,
+  signal: AbortSignal,
+): Promise<{ id: string; isKnown: boolean }> {
+  heard.act("Counting the checksum");
+  const sha256 = await sha256Of(file, (done_bytes) => heard.bytes(done_bytes, file.size), signal);
+  const found = await standing(entry, file, sha256);
+  if (found && found.state !== "draft") return { id: found.id, isKnown: true };
+  const draft = await described(found ?? (await announced(entry, file, sha256)), entry);
+  heard.act("Sending");
+  const upload = await opened(draft, file, sha256);
+  heard.bytes(upload.offset_bytes, file.size);
+  if (upload.offset_bytes < file.size) {
+    await sendMissing(file, upload, (done_bytes) => heard.bytes(done_bytes, file.size), signal);
+  }
+  heard.act("Putting it into the queue");
+  signal.throwIfAborted();
+  await patiently("POST", `/api/v1/submissions/${draft.id}/finalize`, { upload_id: upload.id }, `finalize-${upload.id}`);
+  return { id: draft.id, isKnown: false };
+}
+
+/** The newest submission of this file to this phase by this team, under this name and in this track. */
+async function standing(entry: Entry, file: File, sha256: string): Promise<Submission | null> {
+  const { phase_id, team_id, kind } = entry;
+  let query = new URLSearchParams({ phase_id, team_id, kind, limit: "200" });
+  for (let page = 0; page < MOST_PAGES; page++) {
+    const listed = await call<{ items: Submission[]; next: string | null }>("GET", `/api/v1/submissions?${query}`);
+    const same = listed.items.find(
+      (one) =>
+        one.sha256 === sha256 && one.size_bytes === file.size && one.method === entry.method &&
+        one.modality === entry.modality && GONE_ON.includes(one.state) && one.withdrawn_at === null,
+    );
+    if (same) return call<Submission>("GET", `/api/v1/submissions/${same.id}`);
+    if (!listed.next) return null;
+    query = new URLSearchParams({ phase_id, team_id, kind, limit: "200", cursor: listed.next });
+  }
+  return null;
+}
+
+async function announced(entry: Entry, file: File, sha256: string): Promise<Submission> {
+  const { phase_id, kind, ...said } = entry;
+  const body = { ...said, sha256, size_bytes: file.size, ...(kind === "entry" ? { kind } : {}) };
+  const where = kind === "entry" ? "submissions" : "validations";
+  return (await patiently("POST", `/api/v1/phases/${phase_id}/${where}`, body, newKey())) as Submission;
+}
+
+/** The draft with the page that was written now. */
+async function described(draft: Submission, entry: Entry): Promise<Submission> {
+  if (!entry.description || draft.description === entry.description) return draft;
+  const match = { "If-Match": `"${draft.revision}"` };
+  const changed = await call<Submission>("PATCH", `/api/v1/submissions/${draft.id}`, { description: entry.description }, match);
+  return { ...changed, upload_id: draft.upload_id };
+}
+
+/** The upload of the draft that is on its way, or a new one. */
+async function opened(draft: Submission, file: File, sha256: string): Promise<Opened> {
+  const begun = draft.upload_id ? await findUpload(draft.upload_id) : null;
+  return begun ?? createUpload(file, { purpose: "submission", target_id: draft.id, sha256 }, newKey());
+}
+
+/** The call with its key, again where no answer came: the platform does it once. */
+async function patiently(method: string, path: string, body: unknown, key: string): Promise<unknown> {
+  for (const wait_ms of WAIT_MS) {
+    try {
+      return await call(method, path, body, { "Idempotency-Key": key });
+    } catch (error) {
+      if (!(error instanceof RefusedError) || ![0, 502, 503, 504].includes(error.problem.status)) throw error;
+      await new Promise((resolve) => setTimeout(resolve, wait_ms));
+    }
+  }
+  return call(method, path, body, { "Idempotency-Key": key });
+}
+
+/** 128 random bits; `crypto.randomUUID` is only there over TLS. */
+function newKey(): string {
+  return Array.from(crypto.getRandomValues(new Uint8Array(16)), (byte) => byte.toString(16).padStart(2, "0")).join("");
+}

@@ -1,0 +1,79 @@
+// A look into one frame before all are sent: its array's name, type, shape and order, as its header says.
+//
+// What most often is wrong is wrong in every frame. The platform looks into all of them; the codes are its own
+// (stone_submissions/npz_frame.py). Nothing but literals is read, and no stream is followed beyond its bound.
+
+import { Fault, plain } from "./archive.js";
+import { type Member, readDirectory } from "./zip.js";
+
+const LOCAL = 0x04034b50;
+const LOCAL_BYTES = 30;
+const HEAD_BYTES = 12 + 4096;
+const MOST_ARRAYS = 64;
+const KEYS = ["semantics", "arr_0"];
+const BYTE_TYPES = ["|u1", "u1", "<u1", ">u1"];
+const SHAPE = "256, 256, 32";
+
+/** What would be refused of this frame; null where nothing is seen, or nothing can be said. */
+export async function faultIn(archive: Blob, member: Member): Promise<Fault | null> {
+  try {
+    const npz = await unpacked(archive, member, member.unpacked_bytes);
+    await refuseArray(npz, await arrayOf(npz));
+    return null;
+  } catch (error) {
+    if (error instanceof Fault) return error.code === "unsaid" ? null : error;
+    if (error instanceof TypeError) return null; // the browser cannot inflate, or the stream is broken: the platform says
+    throw error;
+  }
+}
+
+async function arrayOf(npz: Blob): Promise<Member> {
+  const members = await readDirectory(npz, MOST_ARRAYS).catch((error: unknown) => {
+    if (error instanceof Fault && error.code === "not_zip") throw new Fault("not_npz", "an npz file (a zip of .npy arrays)", "another file");
+    throw error;
+  });
+  const listed = plain(members.map(({ name }) => name.replace(/\.npy$/, "")).join(", ")) || "no array";
+  const known = KEYS.map((key) => members.find(({ name }) => name === `${key}.npy` || name === key)).find(Boolean);
+  if (!known) throw new Fault("missing_array", KEYS.join(" or "), listed);
+  if (members.length > 1) throw new Fault("extra_array", "one array", listed);
+  return known;
+}
+
+async function refuseArray(npz: Blob, array: Member): Promise<void> {
+  const head = new Uint8Array(await (await unpacked(npz, array, HEAD_BYTES)).arrayBuffer());
+  const view = new DataView(head.buffer);
+  const isNpy = head.length >= 12 && String.fromCharCode(...head.subarray(0, 6)) === "\x93NUMPY" && [1, 2, 3].includes(head[6] ?? 0);
+  if (!isNpy) throw new Fault("not_npz", "a npy array of version 1 to 3", "other bytes");
+  const [at, length] = head[6] === 1 ? [10, view.getUint16(8, true)] : [12, view.getUint32(8, true)];
+  if (at + length > head.length) throw new Fault("unsaid", "", "");
+  const text = String.fromCharCode(...head.subarray(at, at + length));
+  const descr = /'descr'\s*:\s*'([^'\\]{1,40})'/.exec(text)?.[1];
+  const shape = /'shape'\s*:\s*\(([\d, ]*)\)/.exec(text)?.[1];
+  const order = /'fortran_order'\s*:\s*(True|False)/.exec(text)?.[1];
+  if (!descr || shape === undefined || !order) throw new Fault("unsaid", "", "");
+  if (!BYTE_TYPES.includes(descr)) throw new Fault("bad_dtype", "uint8 ('|u1')", `'${descr}'`);
+  if (shape !== SHAPE) throw new Fault("bad_shape", `(${SHAPE})`, `(${shape})`);
+  if (order === "True") throw new Fault("bad_shape", `(${SHAPE}) in C order`, "Fortran order");
+}
+
+/** The first `most` bytes of a member, inflated where it is packed. */
+async function unpacked(archive: Blob, member: Member, most: number): Promise<Blob> {
+  const head = new DataView(await archive.slice(member.offset, member.offset + LOCAL_BYTES).arrayBuffer());
+  if (head.byteLength < LOCAL_BYTES || head.getUint32(0, true) !== LOCAL) throw new Fault("unsaid", "", "");
+  const start = member.offset + LOCAL_BYTES + head.getUint16(26, true) + head.getUint16(28, true);
+  const packed = archive.slice(start, start + member.packed_bytes);
+  return member.method === 0 ? packed.slice(0, most) : inflated(packed, most);
+}
+
+async function inflated(packed: Blob, most: number): Promise<Blob> {
+  const reader = packed.stream().pipeThrough(new DecompressionStream("deflate-raw")).getReader();
+  const pieces: Uint8Array<ArrayBuffer>[] = [];
+  for (let had = 0; had < most; ) {
+    const { done, value } = await reader.read();
+    if (done) break;
+    pieces.push(value.slice(0, most - had));
+    had += value.length;
+  }
+  await reader.cancel();
+  return new Blob(pieces);
+}

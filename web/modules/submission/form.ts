@@ -1,0 +1,148 @@
+// The form of a submission: a zip is looked at when it is chosen, and sent when the reader says so, once.
+
+import { call } from "../api.js";
+import { sayError } from "../notices.js";
+import { faultIn } from "./first_frame.js";
+import { examined, type Manifest, manifestOf, type Verdict } from "./frames.js";
+import { type Entry, submit } from "./file_upload.js";
+import { installSenses, modalityOf, sayModality } from "./senses.js";
+import { meter } from "./meter.js";
+import { isUnreadable, showVerdict, showWarning, sized } from "./verdict.js";
+
+const form = document.querySelector<HTMLFormElement>("form#submit");
+if (form) install(form);
+
+function install(form: HTMLFormElement): void {
+  const state: { file: File | null; why: string; sending: AbortController | null } = { file: null, why: "Choose a zip first.", sending: null };
+  const manifest = call("GET", form.dataset["manifest"] ?? "").then(manifestOf);
+  manifest.catch(() => undefined); // said where a zip is looked at
+
+  const show = (): void => showActs(form, state.why, state.sending !== null);
+  installSenses(form);
+  installDrop(form);
+  fileOf(form).addEventListener("change", () => void chosen());
+  if (fileOf(form).files?.length) void chosen(); // before this module was there
+  form.querySelector("select[name=team_id]")?.addEventListener("change", () => showQuota(form));
+  form.addEventListener("submit", (event) => {
+    event.preventDefault();
+    const kind = (event.submitter as HTMLButtonElement | null)?.value === "validation" ? "validation" : "entry";
+    if (state.file && !state.why && !state.sending) void send(state.file, kind);
+  });
+  form.querySelector("#stop")?.addEventListener("click", () => state.sending?.abort());
+  if (fileOf(form).files?.length) void chosen(); // a browser that came back to this page kept it
+
+  async function chosen(): Promise<void> {
+    const file = fileOf(form).files?.[0] ?? null;
+    state.file = file;
+    state.why = file ? "Looking at the zip…" : "Choose a zip first.";
+    if (file) goOnWith(form, file);
+    show();
+    if (!file) return;
+    const why = await looked(form, file, manifest);
+    if (state.file !== file) return; // another one was chosen meanwhile
+    state.why = why;
+    show();
+  }
+
+  async function send(file: File, kind: Entry["kind"]): Promise<void> {
+    state.sending = new AbortController();
+    const entry = entryOf(form, kind); // before its fields are disabled
+    const heard = meter(form);
+    said(form).replaceChildren();
+    show();
+    try {
+      const { id, isKnown } = await submit(file, entry, heard, state.sending.signal);
+      location.assign(`/submissions/${id}${isKnown ? "?known=true" : ""}`);
+    } catch (error) {
+      if (state.sending?.signal.aborted) said(form).textContent = "Stopped. What was sent is kept: send again, and it goes on from there.";
+      else sayError(said(form), error);
+      state.sending = null;
+      show();
+    }
+  }
+}
+
+/** Look at the zip, and show what was found; why it cannot be sent, empty where it can. */
+async function looked(form: HTMLFormElement, file: File, manifest: Promise<Manifest>): Promise<string> {
+  const place = form.querySelector<HTMLElement>("#verdict");
+  const most_bytes = Number(form.dataset["mostBytes"]);
+  if (!place) return "";
+  try {
+    const known = await manifest;
+    const verdict = await examined(file, known);
+    showVerdict(place, file, known, verdict);
+    if (isUnreadable(verdict)) return "Choose another file: this one would be refused.";
+    if (verdict.problems.length) return "Repair the zip first: as it is, it would be refused.";
+    await warned(place, file, verdict);
+    return file.size > most_bytes ? `It has ${sized(file.size)}; frames of this phase never need more than ${sized(most_bytes)}.` : "";
+  } catch (error) {
+    sayError(place, error);
+    return "The zip could not be looked at.";
+  }
+}
+
+/** What is wrong inside of the first frame is told, and may be so in all; the platform has the last word. */
+async function warned(place: HTMLElement, file: File, verdict: Verdict): Promise<void> {
+  const [member] = verdict.frames.values();
+  const fault = member ? await faultIn(file, member) : null;
+  if (member && fault) showWarning(place, member.name, fault);
+}
+
+function entryOf(form: HTMLFormElement, kind: Entry["kind"]): Entry {
+  const values = new FormData(form);
+  const text = (name: string): string => String(values.get(name) ?? "").trim();
+  return {
+    phase_id: form.dataset["phase"] ?? "",
+    team_id: text("team_id"),
+    method: text("method"),
+    description: text("description").replaceAll("\r\n", "\n"),
+    modality: modalityOf(form),
+    kind,
+  };
+}
+
+/** A file of the size of what is unfinished: fill in what was said of that. */
+function goOnWith(form: HTMLFormElement, file: File): void {
+  const draft = document.querySelector<HTMLElement>(`[data-draft][data-bytes="${file.size}"]`);
+  const method = form.querySelector<HTMLInputElement>("[name=method]");
+  if (!draft || !method || method.value) return;
+  method.value = draft.dataset["method"] ?? "";
+  const description = form.querySelector<HTMLTextAreaElement>("[name=description]");
+  if (description) description.value = draft.dataset["description"] ?? "";
+  const team = form.querySelector<HTMLSelectElement>("select[name=team_id]");
+  if (team) team.value = draft.dataset["team"] ?? "";
+  sayModality(form, draft.dataset["modality"] ?? "");
+  showQuota(form);
+}
+
+function showActs(form: HTMLFormElement, why: string, isSending: boolean): void {
+  for (const field of form.elements) {
+    if (!(field instanceof HTMLInputElement || field instanceof HTMLSelectElement || field instanceof HTMLTextAreaElement || field instanceof HTMLButtonElement)) continue;
+    if (field.id === "stop") continue;
+    field.disabled = isSending || (field.name === "kind" && why !== "");
+  }
+  const said = form.querySelector<HTMLElement>("#why");
+  if (said) said.textContent = isSending ? "" : why;
+  form.querySelector<HTMLElement>("#sending")?.toggleAttribute("hidden", !isSending);
+  form.querySelector<HTMLElement>("#acts")?.toggleAttribute("hidden", isSending);
+}
+
+function showQuota(form: HTMLFormElement): void {
+  const team = form.querySelector<HTMLSelectElement>("select[name=team_id]")?.value;
+  for (const card of document.querySelectorAll<HTMLElement>("[data-quota]")) card.hidden = team !== undefined && card.dataset["quota"] !== team;
+}
+
+/** The field itself lies over the place to drop on; this only shows that it would take what is held over it. */
+function installDrop(form: HTMLFormElement): void {
+  const drop = form.querySelector<HTMLElement>("#drop");
+  for (const name of ["dragenter", "dragover"]) drop?.addEventListener(name, () => drop.toggleAttribute("data-over", true));
+  for (const name of ["dragleave", "drop"]) drop?.addEventListener(name, () => drop.toggleAttribute("data-over", false));
+}
+
+function fileOf(form: HTMLFormElement): HTMLInputElement {
+  return form.querySelector<HTMLInputElement>("#file")!;
+}
+
+function said(form: HTMLFormElement): HTMLElement {
+  return form.querySelector<HTMLElement>("#said")!;
+}

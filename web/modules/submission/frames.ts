@@ -1,0 +1,111 @@
+// The files of an archive held against the frames of a manifest, as stone_submissions/archive.py does it.
+
+import { Fault, plain } from "./archive.js";
+import { type Member, readDirectory } from "./zip.js";
+
+const MOST_FRAME_BYTES = 3 * 2 ** 20;
+const SPARE_ENTRIES = 1000;
+const MOST_FRAMES = 200_000;
+const TOKEN = /^[0-9a-f]{32}$/;
+
+/** Which frames a submission must hold: by sequence, in the manifest's order. */
+export interface Manifest {
+  sequences: Map<string, string[]>;
+  tokens: Set<string>;
+}
+
+/** One thing that is wrong: in which file, of which frame. */
+export interface Problem {
+  code: string;
+  file: string;
+  frame: string | null;
+  expected: string;
+  actual: string;
+}
+
+/** What is there, and what is wrong; a broken archive has one problem and no frames. */
+export interface Verdict {
+  frames: Map<string, Member>;
+  problems: Problem[];
+  folder: string;
+}
+
+/** The manifest as the API serves it. Throws where it is none. */
+export function manifestOf(said: unknown): Manifest {
+  const listed = (said as { sequences?: Record<string, unknown> }).sequences;
+  const sequences = new Map(Object.entries(listed ?? {}).map(([name, tokens]) => [name, (tokens as string[]).map(String)]));
+  const all = [...sequences.values()].flat();
+  if (!all.length || all.length > MOST_FRAMES || !all.every((token) => TOKEN.test(token))) throw new Error("The manifest cannot be read.");
+  return { sequences, tokens: new Set(all) };
+}
+
+/** Reads the directory only, whatever the size of the file. */
+export async function examined(file: File, manifest: Manifest): Promise<Verdict> {
+  try {
+    return matched(await readDirectory(file, manifest.tokens.size + SPARE_ENTRIES), manifest.tokens);
+  } catch (error) {
+    if (!(error instanceof Fault)) throw error;
+    return { frames: new Map(), problems: [{ ...said(error), file: plain(file.name), frame: null }], folder: "" };
+  }
+}
+
+export function matched(members: readonly Member[], tokens: ReadonlySet<string>): Verdict {
+  const folder = commonFolder(members, tokens);
+  const frames = new Map<string, Member>();
+  const problems: Problem[] = [];
+  for (const member of members) {
+    if (folder.startsWith(member.name) && isFolder(member)) continue;
+    const token = tokenOf(member.name, folder);
+    const isOurs = tokens.has(token) && member.name === `${folder}${token}.npz`;
+    const fault = faultOf(member, isOurs, frames.has(token));
+    if (fault) problems.push({ ...said(fault), file: plain(member.name), frame: isOurs ? token : null });
+    if (isOurs && !frames.has(token)) frames.set(token, member);
+  }
+  for (const token of [...tokens].filter((one) => !frames.has(one)).sort()) {
+    const file = plain(`${folder}${token}.npz`);
+    problems.push({ code: "missing_frame", file, frame: token, expected: file, actual: "no such file" });
+  }
+  for (const { frame } of problems) if (frame) frames.delete(frame);
+  return { frames, problems, folder };
+}
+
+function tokenOf(name: string, folder: string): string {
+  const file = name.startsWith(folder) ? name.slice(folder.length) : name;
+  return file.endsWith(".npz") ? file.slice(0, -".npz".length) : file;
+}
+
+function faultOf(member: Member, isOurs: boolean, isSecond: boolean): Fault | null {
+  if (!isOurs) return new Fault("unexpected_file", "the frames of the manifest only", stranger(member.name));
+  if (isSecond) return new Fault("duplicate_frame", "each frame once", "a second file of this name");
+  const size_bytes = Math.max(member.packed_bytes, member.unpacked_bytes);
+  if (size_bytes > MOST_FRAME_BYTES) return new Fault("too_large", `at most ${MOST_FRAME_BYTES} bytes a frame`, `${size_bytes} bytes`);
+  return null;
+}
+
+function stranger(name: string): string {
+  const isFinders = name.startsWith("__MACOSX/") || name.split("/").at(-1) === ".DS_Store";
+  return isFinders ? "what macOS's Finder adds to a zip; `zip -r -X` does not" : "another file";
+}
+
+function said({ code, expected, actual }: Fault): { code: string; expected: string; actual: string } {
+  return { code, expected: plain(expected), actual: plain(actual) };
+}
+
+/** The folder that most of the manifest's frames are in; the first of several. */
+function commonFolder(members: readonly Member[], tokens: ReadonlySet<string>): string {
+  const counts = new Map<string, number>();
+  for (const { name } of members) {
+    const cut = name.lastIndexOf("/") + 1;
+    const file = name.slice(cut);
+    const token = file.endsWith(".npz") ? file.slice(0, -".npz".length) : file;
+    if (tokens.has(token)) counts.set(name.slice(0, cut), (counts.get(name.slice(0, cut)) ?? 0) + 1);
+  }
+  const [likely = ""] = [...counts].reduce<[string, number]>((best, one) => (one[1] > best[1] ? one : best), ["", 0]);
+  const parts = likely.split("/").slice(0, -1);
+  const isPlain = !/[\p{C}\p{Z}]/u.test(likely.replaceAll(" ", "")) && !parts.includes("") && !parts.includes("..");
+  return isPlain ? likely : "";
+}
+
+function isFolder(member: Member): boolean {
+  return member.name.endsWith("/") && member.unpacked_bytes === 0 && member.packed_bytes <= 2;
+}

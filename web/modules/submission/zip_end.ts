@@ -1,0 +1,89 @@
+// The end record of a zip, narrow or wide (zip64): where its directory is and how many files it announces.
+//
+// Source: PKWARE APPNOTE 6.3.10, §4.3.14-4.3.16. The same checks as stone_submissions/zip_end.py.
+
+import { type Bytes, Fault, wide } from "./archive.js";
+
+const END_BYTES = 22;
+const LOCATOR_BYTES = 20;
+const WIDE_BYTES = 56;
+const MOST_COMMENT_BYTES = 0xffff;
+const [END, LOCATOR, WIDE] = [0x06054b50, 0x07064b50, 0x06064b50];
+
+/** The directory as the archive's end announces it. */
+export interface End {
+  entries: number;
+  directory_bytes: number;
+  directory_offset: number;
+}
+
+/** Reads at most 66 kB. Throws `Fault`. */
+export async function readEnd(bytes: Bytes): Promise<End> {
+  const tail_bytes = Math.min(bytes.size, END_BYTES + MOST_COMMENT_BYTES);
+  const tail = await bytes.at(bytes.size - tail_bytes, tail_bytes);
+  const at = lastEnd(tail);
+  if (at < 0 || tail.byteLength - at < END_BYTES) {
+    throw new Fault("not_zip", "a zip that ends in its directory", bytes.size ? "none" : "an empty file");
+  }
+  const comment_bytes = tail.getUint16(at + 20, true);
+  if (at + END_BYTES + comment_bytes !== tail.byteLength) {
+    throw new Fault("not_zip", "the end record last in the file", "more bytes behind it");
+  }
+  const position = bytes.size - tail_bytes + at;
+  const [here, entries] = [tail.getUint16(at + 8, true), tail.getUint16(at + 10, true)];
+  const narrow: End = {
+    entries,
+    directory_bytes: tail.getUint32(at + 12, true),
+    directory_offset: tail.getUint32(at + 16, true),
+  };
+  const isOne = !tail.getUint16(at + 4, true) && !tail.getUint16(at + 6, true) && here === entries;
+  const locator_at = position - LOCATOR_BYTES;
+  const locator = locator_at >= 0 ? await bytes.at(locator_at, LOCATOR_BYTES) : null;
+  if (locator?.byteLength === LOCATOR_BYTES && locator.getUint32(0, true) === LOCATOR) {
+    return same(narrow, await readWide(bytes, locator, locator_at));
+  }
+  return checked(narrow, isOne, position);
+}
+
+function lastEnd(tail: DataView): number {
+  for (let at = tail.byteLength - 4; at >= 0; at--) if (tail.getUint32(at, true) === END) return at;
+  return -1;
+}
+
+async function readWide(bytes: Bytes, locator: DataView, at: number): Promise<End> {
+  const [disk, position, disks] = [locator.getUint32(4, true), wide(locator, 8), locator.getUint32(16, true)];
+  if (position + WIDE_BYTES > at) {
+    throw new Fault("truncated", `a zip64 end record before byte ${at}`, `one at byte ${position}`);
+  }
+  const record = await bytes.at(position, WIDE_BYTES);
+  if (record.getUint32(0, true) !== WIDE) {
+    throw new Fault("truncated", `a zip64 end record at byte ${position}`, "other bytes");
+  }
+  if (wide(record, 4) !== at - position - 12) {
+    throw new Fault("truncated", `a zip64 end record that ends at byte ${at}`, "one of another length");
+  }
+  const isOne = !disk && disks <= 1 && !record.getUint32(16, true) && !record.getUint32(20, true);
+  const [here, entries] = [wide(record, 24), wide(record, 32)];
+  const end = { entries, directory_bytes: wide(record, 40), directory_offset: wide(record, 48) };
+  return checked(end, isOne && here === entries, position);
+}
+
+/** An end whose directory stops at byte `position`. */
+function checked(end: End, isOne: boolean, position: number): End {
+  if (!isOne) throw new Fault("unsupported_zip", "an archive in one part", "one of several");
+  const stop = end.directory_offset + end.directory_bytes;
+  if (stop !== position) {
+    throw new Fault("truncated", `the directory to end at byte ${position}`, `its end at ${stop}`);
+  }
+  return end;
+}
+
+function same(narrow: End, meant: End): End {
+  const agrees = (said: number, value: number, elsewhere: number): boolean => said === value || said === elsewhere;
+  const isSame =
+    agrees(narrow.entries, meant.entries, 0xffff) &&
+    agrees(narrow.directory_bytes, meant.directory_bytes, 0xffffffff) &&
+    agrees(narrow.directory_offset, meant.directory_offset, 0xffffffff);
+  if (!isSame) throw new Fault("unsupported_zip", "the same in both end records", "two that differ");
+  return meant;
+}

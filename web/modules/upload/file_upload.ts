@@ -1,0 +1,105 @@
+// One file of a bag: counted, announced once, and sent from where the platform's bytes end.
+//
+// Nothing is kept on this side but sha256 sums. The platform is asked for an upload of the same bytes to the same
+// sequence, so a page that was loaded again, another browser, or the command goes on where the bytes on the platform's
+// disk end, and nothing is sent twice (`stone_client/files/tus.py` does the same).
+
+import { call, type Problem } from "../api.js";
+import { sha256Of } from "../file_hash.js";
+import { createUpload, findUpload, type Opened, sendMissing } from "../tus.js";
+import { Lane, patiently } from "./concurrency.js";
+import { knownSum, keepSum } from "./checksums.js";
+
+/** An upload as `GET /uploads` lists it. */
+export interface UploadItem {
+  id: string;
+  purpose: string;
+  target_id: string | null;
+  filename: string;
+  length_bytes: number;
+  offset_bytes: number;
+  declared_sha256: string | null;
+  state: string;
+  created_at: string;
+  expires_at: string;
+}
+
+interface Listed<T> {
+  items: T[];
+  next: string | null;
+}
+
+/** Who is told how far it is, and why nothing moves for a while. */
+export interface Heard {
+  counted(file: File, bytes: number): void;
+  sent(file: File, bytes: number): void;
+  away(problem: Problem, wait_ms: number): void;
+  back(): void;
+}
+
+const counting = new Lane(1);
+const sending = new Lane(3);
+
+/** The sha256 of the file; counted once, one file at a time. */
+export function summed(file: File, heard: Heard, signal: AbortSignal): Promise<string> {
+  const known = knownSum(file);
+  if (known) {
+    heard.counted(file, file.size);
+    return Promise.resolve(known);
+  }
+  return counting.run(async () => {
+    const sum = await sha256Of(file, (bytes) => heard.counted(file, bytes), signal);
+    keepSum(file, sum);
+    return sum;
+  }, signal);
+}
+
+/** Send the file, or what of it is not there yet; the id of the complete upload. Throws what is refused. */
+export function sent(file: File, sha256: string, sequenceId: string, heard: Heard, signal: AbortSignal): Promise<string> {
+  const away = (problem: Problem, wait_ms: number): void => heard.away(problem, wait_ms);
+  return sending.run(() => patiently(async () => {
+    const upload = (await begun(file, sha256, sequenceId)) ?? (await created(file, sha256, sequenceId));
+    heard.back();
+    heard.sent(file, upload.offset_bytes);
+    if (upload.offset_bytes < file.size) {
+      signal.throwIfAborted();
+      await sendMissing(file, upload, (bytes) => heard.sent(file, bytes), signal, null);
+    }
+    heard.sent(file, file.size);
+    return upload.id;
+  }, signal, away), signal);
+}
+
+/** The upload of these bytes to this sequence that is under way or complete; asked of itself where it ends. */
+async function begun(file: File, sha256: string, sequenceId: string): Promise<Opened | null> {
+  for (const state of ["open", "complete"]) {
+    for (const item of await all<UploadItem>(`/api/v1/uploads?state=${state}`)) {
+      const isSame = item.purpose === "recording" && item.target_id === sequenceId && item.filename === file.name;
+      if (isSame && item.length_bytes === file.size && item.declared_sha256 === sha256) return findUpload(item.id);
+    }
+  }
+  return null;
+}
+
+function created(file: File, sha256: string, sequenceId: string): Promise<Opened> {
+  const said = { purpose: "recording", target_id: sequenceId, sha256 };
+  return createUpload(file, said, freshKey());
+}
+
+/** An Idempotency-Key of a request that is meant once. */
+export function freshKey(): string {
+  return crypto.randomUUID?.() ?? `${Date.now()}-${Math.random()}`; // not there where the site is plain HTTP
+}
+
+/** All of a list, page by page. */
+export async function all<T>(path: string): Promise<T[]> {
+  const found: T[] = [];
+  const joint = path.includes("?") ? "&" : "?";
+  for (let cursor: string | null = ""; cursor !== null; ) {
+    const more: string = cursor ? `&cursor=${encodeURIComponent(cursor)}` : "";
+    const page: Listed<T> = await call<Listed<T>>("GET", `${path}${joint}limit=200${more}`);
+    found.push(...page.items);
+    cursor = page.next;
+  }
+  return found;
+}

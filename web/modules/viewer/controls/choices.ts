@@ -1,0 +1,91 @@
+// What the reader chose to see, and the panel they choose it in.
+
+import { make } from "./elements.js";
+import type { Look, Mode, Unseen } from "../looks.js";
+import type { SceneFacts } from "../scene.js";
+
+export type LayerName = "labels" | "mesh" | "points" | "track" | "robot" | "grid";
+export interface Choices {
+  scope: "frame" | "map";
+  look: Look;
+  layers: Record<LayerName, boolean>;
+  follows: boolean;
+}
+
+export function firstChoices(): Choices {
+  return {
+    scope: "frame",
+    look: { mode: "class", classes: 0b1110, unseen: "fade" },
+    layers: { labels: true, mesh: false, points: false, track: true, robot: true, grid: true },
+    follows: true,
+  };
+}
+
+const SCOPES: [Choices["scope"], string][] = [["frame", "Around the robot"], ["map", "The whole run"]];
+const MODES: [Mode, string][] = [
+  ["class", "Class"], ["d2", "D², distance to driven"], ["elevation", "Elevation"], ["slope", "Slope"], ["roughness", "Roughness"],
+];
+const UNSEEN: [Unseen, string][] = [["fade", "Pale"], ["show", "Like the others"], ["hide", "Not at all"]];
+const CLASSES: [number, string, string][] = [[1, "Traversable", "fill-t"], [2, "Potentially", "fill-p"], [3, "Non-traversable", "fill-n"]];
+
+let picks = 0;
+
+/** Why a layer is not there; undefined where it is. */
+function missing(layer: LayerName, scene: SceneFacts): string | undefined {
+  if (layer === "mesh" && !scene.meshes.length) return "This label set keeps no surface to look at.";
+  if (layer !== "points" || scene.playback.has_clouds) return undefined;
+  return scene.playback.state === "making" ? "The point clouds are being prepared." : "Point clouds were not prepared for this sequence.";
+}
+
+/** The panel; every change is written into `choices` and told. */
+export function choicesPanel(scene: SceneFacts, choices: Choices, changed: () => void): HTMLElement {
+  const check = (label: string, isOn: boolean, set: (on: boolean) => void, why?: string): HTMLElement => {
+    const box = make("input", { type: "checkbox", checked: isOn, disabled: why !== undefined });
+    box.addEventListener("change", () => (set(box.checked), changed()));
+    return make("label", { class: "viewer-check", ...(why ? { title: why } : {}) }, box, make("span", {}, label));
+  };
+  const layer = (name: LayerName, label: string): HTMLElement =>
+    check(label, choices.layers[name], (on) => (choices.layers[name] = on), missing(name, scene));
+  const { look } = choices;
+  const classes = CLASSES.map(([kind, label, fill]) => {
+    const row = check(label, true, (on) => (look.classes = on ? look.classes | (1 << kind) : look.classes & ~(1 << kind)));
+    row.querySelector("input")?.after(swatch(fill));
+    return row;
+  });
+  const hasValues = scene.tiles.length > 0;
+  const notes = (["mesh", "points"] as const).flatMap((name) => missing(name, scene) ?? []);
+  return make(
+    "div", { class: "viewer-choices" },
+    group("Labels", pick("Show", SCOPES, choices.scope, (value) => ((choices.scope = value), changed()), hasValues),
+      ...classes,
+      pick("Colour by", MODES, look.mode, (value) => ((look.mode = value), changed()), hasValues),
+      pick("What this frame did not see", UNSEEN, look.unseen, (value) => ((look.unseen = value), changed()), true)),
+    group("Layers", layer("labels", "Labels"), layer("mesh", "Surface"), layer("points", "Point cloud"), layer("track", "Track"),
+      layer("robot", "Robot"), layer("grid", "Ground grid"), ...notes.map((note) => make("p", { class: "hint" }, note)),
+      ...(hasValues ? [] : [make("p", { class: "hint" }, "Labelled before the viewer kept terrain values: label the sequence again to see D² and slopes.")])),
+  );
+}
+
+function group(title: string, ...children: HTMLElement[]): HTMLElement {
+  return make("fieldset", {}, make("legend", {}, title), ...children);
+}
+
+function pick<Value extends string>(
+  label: string, options: [Value, string][], chosen: Value, set: (value: Value) => void, isThere: boolean,
+): HTMLElement {
+  const id = `viewer-pick-${++picks}`;
+  const select = make("select", { id, disabled: !isThere });
+  select.append(...options.map(([value, words]) => make("option", { value, selected: value === chosen }, words)));
+  select.addEventListener("change", () => set(select.value as Value));
+  return make("div", { class: "viewer-pick" }, make("label", { for: id }, label), select);
+}
+
+export function swatch(fill: string): SVGSVGElement {
+  const drawing = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+  drawing.setAttribute("viewBox", "0 0 10 10");
+  drawing.setAttribute("aria-hidden", "true");
+  const rect = document.createElementNS("http://www.w3.org/2000/svg", "rect");
+  for (const [name, value] of [["width", "10"], ["height", "10"], ["rx", "2"], ["class", fill]] as const) rect.setAttribute(name, value);
+  drawing.append(rect);
+  return drawing;
+}

@@ -1,0 +1,35 @@
+// What the colours mean: classes with their counts, or a ramp with its values.
+
+import { swatch } from "./choices.js";
+import { make } from "./elements.js";
+import { type Mode, ticksOf } from "../looks.js";
+import { ramp } from "../ramps.js";
+import type { SceneFacts } from "../scene.js";
+import { rampOf } from "../drawing/theme.js";
+
+const CLASSES = [["Traversable", "fill-t"], ["Potentially", "fill-p"], ["Non-traversable", "fill-n"]] as const;
+const TITLES: Record<Mode, string> = { class: "", d2: "D²", elevation: "Elevation", slope: "Slope", roughness: "Roughness" };
+const WIDTH_PX = 180;
+
+/** With each class's share where there are counts. */
+export function classLegend(counts: readonly number[]): HTMLElement {
+  const total = counts.reduce((sum, count) => sum + count, 0);
+  const items = CLASSES.map(([name, fill], number) => {
+    const share = total ? `${((100 * counts[number]!) / total).toFixed(0)} %` : "";
+    return make("li", {}, swatch(fill), make("span", {}, name), make("span", { class: "viewer-share" }, share));
+  });
+  return make("ul", { class: "legend viewer-legend" }, ...items);
+}
+
+export function rampLegend(mode: Mode, scene: SceneFacts): HTMLElement {
+  const canvas = make("canvas", { width: String(WIDTH_PX), height: "10", role: "presentation" });
+  const context = canvas.getContext("2d");
+  for (let x = 0; context && x < WIDTH_PX; x++) {
+    context.fillStyle = `rgb(${ramp(rampOf(mode), x / (WIDTH_PX - 1)).join(" ")})`;
+    context.fillRect(x, 0, 1, 10);
+  }
+  const ticks = ticksOf(mode, scene).map((tick) => make("span", {}, tick));
+  return make(
+    "div", { class: "viewer-legend viewer-ramp" }, make("strong", {}, TITLES[mode]), canvas, make("div", { class: "viewer-ticks" }, ...ticks),
+  );
+}

@@ -1,0 +1,33 @@
+// What a picked voxel is: its class, its values, and why.
+
+import { swatch } from "./choices.js";
+import { make } from "./elements.js";
+import { CLASS_NAMES, reason, valuesOf } from "./explanation.js";
+import type { Picked } from "../data/model.js";
+import type { SceneFacts } from "../scene.js";
+
+const FILLS = ["fill-unseen", "fill-t", "fill-p", "fill-n"] as const;
+
+export class Readout {
+  readonly element = make("section", { class: "viewer-readout card", "aria-label": "Picked voxel", "aria-live": "polite", hidden: true });
+
+  constructor(private readonly scene: SceneFacts, private readonly closed: () => void) {}
+
+  say(picked: Picked | null): void {
+    this.element.hidden = picked === null;
+    if (picked === null) return void this.element.replaceChildren();
+    const close = make("button", { type: "button", class: "quiet small", "aria-label": "Close" }, "×");
+    close.addEventListener("click", this.closed);
+    const title = make("h3", {}, swatch(FILLS[picked.kind]!), CLASS_NAMES[picked.kind]!);
+    this.element.replaceChildren(
+      make("div", { class: "row between" }, title, close),
+      make("p", {}, reason(picked, this.scene)),
+      make("dl", { class: "facts" }, ...this.rows(picked).flatMap(([name, value]) => [make("dt", {}, name), make("dd", {}, value)])),
+    );
+  }
+
+  private rows(picked: Picked): [string, string][] {
+    const place = picked.centre_m.map((value) => value.toFixed(1)).join(", ");
+    return [...(picked.found ? valuesOf(picked.found, this.scene) : []), ["Place in the map", `${place} m`]];
+  }
+}

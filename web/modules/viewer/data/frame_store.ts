@@ -1,0 +1,85 @@
+// Frames on their way to the picture: fetched ahead, kept while they are near, given up when the reader goes elsewhere.
+
+import { bytes } from "../../api.js";
+import type { Asking } from "./worker_client.js";
+import type { Look } from "../looks.js";
+import type { Drawn } from "./model.js";
+
+const AHEAD = 4;
+const KEPT = 12;
+
+export class FrameStore {
+  private readonly kept = new Map<number, Promise<Drawn>>();
+  private readonly fetching = new Map<number, AbortController>();
+  private readonly decoded = new Set<number>();
+  private look: Look;
+  private course = 0;
+
+  constructor(private readonly asking: Asking, private readonly tokens: string[], private readonly version: string, look: Look) {
+    this.look = look;
+  }
+
+  /** Frames are drawn so from now on; what was drawn otherwise is forgotten. */
+  looking(look: Look): void {
+    this.look = look;
+    this.kept.clear();
+  }
+
+  /** The frame; those around it that are still on their way and no longer near are given up. */
+  take(index: number): Promise<Drawn> {
+    for (const [other, controller] of this.fetching) {
+      if (other < index - 1 || other > index + AHEAD) controller.abort();
+    }
+    return this.kept.get(index) ?? this.make(index);
+  }
+
+  /** The next ones in this direction, one after the other. */
+  async ahead(index: number, step: number): Promise<void> {
+    const course = ++this.course;
+    for (let n = 1; n <= AHEAD && course === this.course; n++) {
+      const next = index + n * step;
+      if (next < 0 || next >= this.tokens.length) return;
+      if (!this.kept.has(next)) await this.make(next).catch(() => undefined);
+    }
+  }
+
+  private make(index: number): Promise<Drawn> {
+    const drawn = this.drawn(index);
+    this.kept.set(index, drawn);
+    drawn.catch(() => this.kept.delete(index));
+    this.forget(index);
+    return drawn;
+  }
+
+  private async drawn(index: number): Promise<Drawn> {
+    const token = this.tokens[index]!;
+    const look = this.look;
+    if (this.decoded.has(index)) {
+      try {
+        return await this.asking.ask({ kind: "frame", token, content: null, look });
+      } catch {
+        this.decoded.delete(index); // the worker keeps only some
+      }
+    }
+    const content = await this.fetched(index);
+    const drawn = await this.asking.ask({ kind: "frame", token, content, look });
+    this.decoded.add(index);
+    return drawn;
+  }
+
+  private async fetched(index: number): Promise<Uint8Array> {
+    const controller = new AbortController();
+    this.fetching.set(index, controller);
+    try {
+      return await bytes(`/api/v1/frames/${this.tokens[index]}/voxels?v=${this.version}`, controller.signal);
+    } finally {
+      if (this.fetching.get(index) === controller) this.fetching.delete(index);
+    }
+  }
+
+  /** Those farthest from where the reader is go first. */
+  private forget(index: number): void {
+    const farthest = [...this.kept.keys()].sort((a, b) => Math.abs(b - index) - Math.abs(a - index));
+    for (const other of farthest.slice(0, Math.max(0, this.kept.size - KEPT))) this.kept.delete(other);
+  }
+}

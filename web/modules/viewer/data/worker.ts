@@ -1,0 +1,73 @@
+// The worker: decompresses, decodes, builds what is drawn, and answers which voxel a ray meets.
+
+import { decompress } from "../../../libraries/fzstd/esm/index.mjs";
+import { type Cloud, cloudOf, planesOf, surfaceOf, tileOf, type Surface } from "./formats.js";
+import type { Look } from "../looks.js";
+import { type Drawn, Model, type Picked, type Ray } from "./model.js";
+import type { Piece, SceneFacts } from "../scene.js";
+
+export type Asked =
+  | { kind: "open"; scene: SceneFacts }
+  | { kind: "frame"; token: string; content: Uint8Array | null; look: Look }
+  | { kind: "tile"; piece: Piece; content: Uint8Array | null }
+  | { kind: "draw-tile"; name: string; look: Look; level: number }
+  | { kind: "mesh"; content: Uint8Array }
+  | { kind: "cloud"; content: Uint8Array }
+  | { kind: "pick"; ray: Ray; scope: "frame" | "map"; token: string; look: Look };
+
+export interface Answers {
+  open: null;
+  frame: Drawn;
+  tile: null;
+  "draw-tile": Drawn;
+  mesh: Surface;
+  cloud: Cloud;
+  pick: Picked | null;
+}
+
+let model: Model | null = null;
+
+addEventListener("message", (event: MessageEvent<Asked & { id: number }>) => {
+  answer(event.data);
+});
+
+function answer(asked: Asked & { id: number }): void {
+  try {
+    const value = answerTo(asked);
+    postMessage({ id: asked.id, value }, { transfer: buffersOf(value) });
+  } catch (error) {
+    postMessage({ id: asked.id, error: error instanceof Error ? error.message : String(error) });
+  }
+}
+
+function answerTo(asked: Asked): Answers[Asked["kind"]] {
+  if (asked.kind === "open") {
+    model = new Model(asked.scene);
+    return null;
+  }
+  if (!model) throw new Error("The scene was not opened.");
+  switch (asked.kind) {
+    case "frame":
+      if (asked.content) model.keepFrame(asked.token, planesOf(decompress(asked.content)));
+      return model.drawFrame(asked.token, asked.look);
+    case "tile":
+      if (asked.content) model.tiles.keep(asked.piece, tileOf(decompress(asked.content)));
+      return null;
+    case "draw-tile":
+      return model.drawTile(asked.name, asked.look, asked.level);
+    case "mesh":
+      return surfaceOf(decompress(asked.content));
+    case "cloud":
+      return cloudOf(decompress(asked.content));
+    case "pick":
+      return model.pick(asked.ray, asked.scope, asked.token, asked.look);
+  }
+}
+
+function buffersOf(value: Answers[Asked["kind"]]): Transferable[] {
+  if (value === null) return [];
+  if ("faces" in value) return [value.faces.vertices.buffer, value.faces.indices.buffer];
+  if ("triangles" in value) return [value.vertices_m.buffer, value.classes.buffer, value.triangles.buffer];
+  if ("points_cm" in value) return [value.points_cm.buffer, value.intensity.buffer];
+  return [];
+}

@@ -1,0 +1,1 @@
+"""The pages of administrators: jobs, queues, benchmarks and phases."""

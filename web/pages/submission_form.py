@@ -1,0 +1,64 @@
+"""The form by which a team submits predictions: checked in the page, then checked or scored by the platform."""
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Request
+from fastapi.responses import HTMLResponse
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from api.callers import Submitter
+from api.deps import Caller, PlatformDep
+from api.routes.benchmarks import PhasePath
+from api.schemas.submissions import SubmissionDetail
+from api.views.benchmarks import phase_item
+from api.views.submissions import quota_answer, submission_detail
+from api.visible import submissions_of
+from services.domain.benchmarks.submissions.submissions import largest_bytes
+from services.runtime.orm import Benchmark, Phase, PhaseTeam, SubmissionRow, Team, TeamMember, Upload
+from services.runtime.uploads.completion import bytes_here
+from web.rendering import page
+
+router = APIRouter()
+MOST_DRAFTS = 10
+AtPhase = Annotated[PhasePath, Depends(PhasePath)]
+
+
+@router.get("/benchmarks/{benchmark_name}/{phase_name}/submit")
+def show_form(request: Request, caller: Submitter, platform: PlatformDep, at: AtPhase) -> HTMLResponse:
+    with platform.database.reading() as session:
+        row = at.find(session)
+        phase, teams = phase_item(session, row), own_teams(session, row, caller)
+        drafts = [(draft, _upload(session, draft, caller)) for draft in _drafts(session, row, caller)]
+        values: dict[str, Any] = {
+            "benchmark": session.get_one(Benchmark, row.benchmark_id).title or at.benchmark,
+            "standings": [(team, quota_answer(session, row, team.id)) for team in teams],
+        }
+    values |= {
+        "drafts": [(draft, bytes_here(platform, upload) if upload else 0) for draft, upload in drafts],
+        "most_bytes": largest_bytes(phase.active.frames) if phase.active else 0,
+        "at": at,
+    }
+    return page(request, caller, "submissions/form.html", needs_wasm=True, phase=phase, **values)
+
+
+def own_teams(session: Session, phase: Phase, caller: Caller) -> list[Team]:
+    """The teams in whose name the caller may submit to the phase: the one that binds them, else all of theirs."""
+    mine = select(Team).join(TeamMember, TeamMember.team_id == Team.id).where(TeamMember.user_id == caller.user_id)
+    bound = session.get(PhaseTeam, (phase.id, caller.user_id))
+    if bound is not None:
+        mine = mine.where(Team.id == bound.team_id)
+    return list(session.scalars(mine.order_by(Team.name)))
+
+
+def _drafts(session: Session, phase: Phase, caller: Caller) -> list[SubmissionDetail]:
+    """Submissions the caller announced and has not finished, newest first."""
+    mine = submissions_of(caller).where(SubmissionRow.user_id == caller.user_id, SubmissionRow.phase_id == phase.id)
+    newest = mine.where(SubmissionRow.state == "draft").order_by(SubmissionRow.id.desc()).limit(MOST_DRAFTS)
+    return [submission_detail(session, row) for row in session.scalars(newest)]
+
+
+def _upload(session: Session, draft: SubmissionDetail, caller: Caller) -> Upload | None:
+    """The caller's own upload for the draft, if one is on its way."""
+    own = select(Upload).where(Upload.id == draft.upload_id, Upload.owner_id == caller.user_id)
+    return session.scalars(own).one_or_none()

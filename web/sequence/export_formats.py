@@ -1,0 +1,33 @@
+"""The export formats that a user can choose for a sequence."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from api.schemas.exports import ExportItem
+
+
+@dataclass(frozen=True)
+class Offer:
+    """One format: what it is called, and what it is for."""
+
+    format: str
+    title: str
+    purpose: str
+
+
+OFFERS: tuple[Offer, ...] = (
+    Offer("nuscenes", "nuScenes", "Frames, sensors and label grids as the nuScenes devkit reads them."),
+    Offer("inputs", "Model inputs", "Sweeps and pictures of each frame, without labels: what a method is given."),
+    Offer("kitti", "KITTI", "SemanticKITTI folders: velodyne, labels and poses."),
+    Offer("mesh", "Mesh", "The reconstructed surface by class, as PLY and glTF."),
+    Offer("mcap", "MCAP", "Labels beside the recording, for Foxglove."),
+    Offer("rrd", "Rerun", "A recording for the Rerun viewer."),
+    Offer("previews", "Pictures and film", "Pictures of every frame and a film of the drive."),
+)
+TITLES = {offer.format: offer.title for offer in OFFERS} | {"playback": "Pictures for these pages"}
+
+
+def offers_beside(exports: Iterable[ExportItem]) -> tuple[Offer, ...]:
+    """The formats that the labels that count are not written in, nor being written."""
+    standing = {one.format for one in exports if not one.is_stale and one.state not in ("failed", "cancelled")}
+    return tuple(offer for offer in OFFERS if offer.format not in standing)
