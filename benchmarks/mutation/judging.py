@@ -8,7 +8,7 @@ survived when every file passed that the limits allow. The order is by chance: t
 import json
 import os
 import random
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from benchmarks.mutation.scratch import Scratch, copy_tree
 
 SOUND_LIMIT_S = 300.0
 SLOWER, AT_LEAST_S = 4.0, 30.0
+FIRST_BATCH = 3
 BUSY_LOAD = 2.0  # processes that wait for each core
 
 
@@ -53,9 +54,9 @@ class Trial:
     located: Located
     affected: Sequence[Path]
 
-    def run(self, test: str, limit_s: float) -> TestRun:
+    def run(self, tests: Sequence[str], limit_s: float) -> TestRun:
         with self.scratch.faulty(self.located, self.number, self.affected):
-            return run_tests(self.scratch.root, test, limit_s, self.scratch.cache)
+            return run_tests(self.scratch.root, tests, limit_s, self.scratch.cache)
 
 
 @dataclass(frozen=True)
@@ -92,35 +93,37 @@ class Judge:
     def _judge(self, mutant: Mutant, trial: Trial, tests: Sequence[str]) -> Verdict:
         where = f"{trial.located.path.relative_to(trial.scratch.root)}:{trial.located.line}"
         spent_s, ran = 0.0, list[str]()
-        for test in tests:
+        for batch in in_batches(tests):
             if spent_s >= self.limits.cpu_s:
                 break
-            run = trial.run(test, max(self.limits.cpu_s - spent_s, AT_LEAST_S))
-            spent_s, ran = round(spent_s + run.cpu_s, 1), [*ran, test]
-            if result := self._result(test, run, trial):
-                return Verdict(asdict(mutant), result, where, run.failed or f"{test} {run.outcome}", spent_s, ran)
+            run = trial.run(batch, max(self.limits.cpu_s - spent_s, AT_LEAST_S))
+            spent_s, ran = round(spent_s + run.cpu_s, 1), [*ran, *batch]
+            if result := self._result(batch, run, trial):
+                by = run.failed or f"{' '.join(batch)} {run.outcome}"
+                return Verdict(asdict(mutant), result, where, by, spent_s, ran)
         return Verdict(asdict(mutant), "survived", where, "", spent_s, ran)
 
-    def _result(self, test: str, run: TestRun, trial: Trial) -> str | None:
+    def _result(self, tests: Sequence[str], run: TestRun, trial: Trial) -> str | None:
         """What a run says of the mutant; nothing where it passed, or where it would not have without the fault."""
         if run.outcome == "failed":
-            failed = run.failed if "::" in run.failed else test
+            failed = [run.failed] if "::" in run.failed else tests
             is_sure = self._sound(failed, trial.scratch).outcome == "passed" and (
                 not _is_busy() or trial.run(failed, SOUND_LIMIT_S).outcome != "passed"
             )
             return "killed" if is_sure else None
         if run.outcome == "passed":
             return None
-        sound = self._sound(test, trial.scratch)
+        sound = self._sound(tests, trial.scratch)
         is_slower = run.outcome == "stood still" or run.cpu_s > max(SLOWER * sound.cpu_s, AT_LEAST_S)
         return "timeout" if sound.outcome == "passed" and is_slower else None
 
-    def _sound(self, test: str, scratch: Scratch) -> TestRun:
-        """A test or test file without the fault, tried twice before it is said to fail."""
+    def _sound(self, tests: Sequence[str], scratch: Scratch) -> TestRun:
+        """A test or test files without the fault, tried twice before they are said to fail."""
+        name = " ".join(tests)
         for _ in range(2):
-            if test not in self.sound or self.sound[test].outcome != "passed":
-                self.sound[test] = run_tests(scratch.root, test, SOUND_LIMIT_S, scratch.cache)
-        return self.sound[test]
+            if name not in self.sound or self.sound[name].outcome != "passed":
+                self.sound[name] = run_tests(scratch.root, tests, SOUND_LIMIT_S, scratch.cache)
+        return self.sound[name]
 
     def _read(self) -> dict[int, Verdict]:
         path = self.folder / "verdicts.json"
@@ -142,6 +145,14 @@ class Judge:
         written = self.folder / "verdicts.json.new"
         written.write_text(json.dumps(record, indent=1) + "\n", "utf-8")
         os.replace(written, self.folder / "verdicts.json")
+
+
+def in_batches(tests: Sequence[str]) -> Iterator[Sequence[str]]:
+    """The files in their order: the first few, then twice as many, and so on."""
+    begin, size = 0, FIRST_BATCH
+    while begin < len(tests):
+        yield tests[begin : begin + size]
+        begin, size = begin + size, 2 * size
 
 
 def _is_busy() -> bool:

@@ -1,4 +1,4 @@
-"""One run of pytest on one test file, in processes of its own, stopped when it has used up its processor time.
+"""One run of pytest on some test files, in processes of its own, stopped when it has used up its processor time.
 
 **Conventions.** Time is processor time of the whole process tree, so that another load on the machine changes no
 verdict. A run that hardly computes for long stands still, and is stopped too. Exit codes 1 and 2 of pytest are
@@ -12,11 +12,12 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-import psutil  # type: ignore[import-untyped]
+import psutil  # type: ignore[import-untyped,unused-ignore]
 
 POLL_S, STILL_S, GRACE_S, WALL_S = 1.0, 150.0, 15.0, 1800.0
 STILL_CPU_S = 0.5
@@ -27,7 +28,7 @@ Outcome = Literal["passed", "failed", "out of time", "stood still"]
 
 @dataclass(frozen=True)
 class TestRun:
-    """How a test file went, the processor seconds it took, and the first test that failed."""
+    """How test files went, the processor seconds it took, and the first test that failed."""
 
     __test__ = False
 
@@ -36,8 +37,8 @@ class TestRun:
     failed: str = ""
 
 
-def run_tests(root: Path, test: str, cpu_limit_s: float, cache: Path) -> TestRun:
-    """The tests of one file of the tree at `root`, up to the first that fails; compiled code is kept in `cache`."""
+def run_tests(root: Path, tests: Sequence[str], cpu_limit_s: float, cache: Path) -> TestRun:
+    """The tests of some files of the tree at `root`, up to the first that fails; compiled code is kept in `cache`."""
     command = [sys.executable, "-m", "pytest", "-x", "-q", "--no-header", "--tb=no", "-p", "no:cacheprovider"]
     environment = {
         **os.environ,
@@ -47,7 +48,7 @@ def run_tests(root: Path, test: str, cpu_limit_s: float, cache: Path) -> TestRun
         "PYTHONHASHSEED": "0",
     }
     process = subprocess.Popen(
-        [*command, "--hypothesis-seed=16", test],
+        [*command, "--hypothesis-seed=16", *tests],
         cwd=root,
         env=environment,
         stdout=subprocess.PIPE,
