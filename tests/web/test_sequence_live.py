@@ -2,7 +2,7 @@
 
 import httpx
 import pytest
-from playwright.sync_api import expect
+from playwright.sync_api import Route, expect
 from sqlalchemy import select
 
 from services.runtime.orm import Job, SequenceRow
@@ -64,6 +64,28 @@ def test_stages_move_on_without_loading_the_page_again_and_the_run_is_cancelled(
         page.get_by_label("Reason").fill("the wrong calibration")
         page.get_by_role("dialog").get_by_role("button", name="Cancel this run").click()
         expect(page.locator("#runs .state").first).to_have_text("cancelled", timeout=PATIENCE_MS)
+
+
+def test_a_page_follows_on_after_a_platform_that_was_busy_when_it_asked(site: Site, curator: Person) -> None:
+    """A browser gives a stream up for good when the answer to it is none; the page would stand still without a word."""
+    shown = new_sequence(site.platform, curator)
+    run_id = made.run(site.platform, curator, "ingest.synchronise", sequence_id=shown["id"])
+    refused: list[str] = []
+
+    def refuse_once(route: Route) -> None:
+        refused.append(route.request.url)
+        if len(refused) == 1:
+            route.fulfill(status=503, content_type="application/problem+json", body="{}")
+        else:
+            route.continue_()
+
+    with site.visit(curator, expected=["503"]) as page:
+        page.route("**/events", refuse_once)
+        page.goto(f"/sequences/{shown['id']}/processing")
+        advance(site.platform, run_id, "ingest.synchronise", "running")
+        stage = page.locator(".run-steps li", has_text="Synchronise sensors")
+        expect(stage).to_have_attribute("data-state", "running", timeout=PATIENCE_MS)
+    assert len(refused) == 2
 
 
 def test_new_labels_are_shown_as_soon_as_they_count(site: Site, curator: Person) -> None:

@@ -4,6 +4,7 @@
 // focus keeps it. `data-follow="/api/v1/…/events"` does so when the platform says that something happened. While a
 // dialog is open nothing is put in place, for it may stand within and would close; what is owed comes when it is left.
 
+import { followStream } from "./event_stream.js";
 import { toast } from "./notices.js";
 import htmx from "htmx.org";
 
@@ -58,11 +59,8 @@ function keepFresh(part: HTMLElement): void {
 }
 
 function followEvents(part: HTMLElement): void {
-  const events = new EventSource(part.dataset["follow"] ?? "");
-  events.addEventListener("progress", () => void refresh(`#${part.id}`));
-  events.addEventListener("ended", () => {
-    events.close();
-    void refresh(`#${part.id}`).then(() => toast("It has ended."));
+  followStream(part.dataset["follow"] ?? "", {
+    progress: () => void refresh(`#${part.id}`),
+    ended: () => void refresh(`#${part.id}`).then(() => toast("It has ended.")),
   });
-  addEventListener("pagehide", () => events.close());
 }

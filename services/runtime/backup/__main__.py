@@ -15,7 +15,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TextIO
 
-from services.runtime.backup import messages as words
+from services.runtime.backup import messages
 from services.runtime.backup.capture import make_backup
 from services.runtime.backup.folder import BackupFolder
 from services.runtime.backup.restore import restore
@@ -42,19 +42,19 @@ def _acted(options: argparse.Namespace, folder: BackupFolder) -> tuple[list[str]
     """The command's output lines, and whether all is well."""
     if options.act == "verify":
         verified = verify(folder)
-        return words.of_verified(verified), not verified.damaged
+        return messages.of_verified(verified), not verified.damaged
     if options.act == "list":
-        return words.of_list(folder), True
+        return messages.of_list(folder), True
     if options.act == "prune":
-        return words.of_pruned(prune(folder, options.keep)), True
+        return messages.of_pruned(prune(folder, options.keep)), True
     if options.act == "to":
         with _opened() as platform:
             taken = make_backup(platform, folder)
-        return words.of_backup(taken), not taken.snapshot.flaws
+        return messages.of_backup(taken), not taken.snapshot.flaws
     with ExitStack() as stack:
         stack.enter_context(hold_folder(Settings().root))  # no embedded platform begins meanwhile
         restored = restore(stack.enter_context(_opened()), folder, options.snapshot)
-        return words.of_restored(restored), not restored.snapshot.flaws
+        return messages.of_restored(restored), not restored.snapshot.flaws
 
 
 @contextmanager

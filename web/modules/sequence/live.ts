@@ -3,6 +3,7 @@
 // `#standing` carries the stream's address and the id of the labels the page shows. Parts marked `data-live-part` are
 // fetched again with it. When other labels count the page is loaded anew, unless somebody is in the middle of a dialog.
 
+import { followStream } from "../event_stream.js";
 import { toast } from "../notices.js";
 import htmx from "htmx.org";
 
@@ -19,19 +20,16 @@ if (standing?.dataset["live"]) follow(standing, standing.dataset["live"]);
 
 function follow(part: HTMLElement, address: string): void {
   const shown = part.dataset["labels"] ?? "";
-  const events = new EventSource(address);
   const freshen = calmly(fetchAgain);
-  events.addEventListener("progress", (event) => {
-    const told = JSON.parse((event as MessageEvent<string>).data) as Told;
-    if (told.labels && told.labels.id !== shown) renew();
-    else freshen();
-  });
-  events.addEventListener("ended", () => {
-    events.close();
-    toast("The sequence was deleted.");
+  followStream(address, {
+    progress: (data) => {
+      const told = JSON.parse(data) as Told;
+      if (told.labels && told.labels.id !== shown) renew();
+      else freshen();
+    },
+    ended: () => toast("The sequence was deleted."),
   });
   document.addEventListener("close", () => isOwed && freshen(), true); // of a dialog
-  addEventListener("pagehide", () => events.close());
 }
 
 /** Everything that moves, of one answer. The first event brings what happened since the page was made. */
