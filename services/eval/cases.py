@@ -13,6 +13,7 @@ from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.submissions.states import LIVE
 from services.eval.scoring_errors import PurgedError, TruthUnreadyError
+from services.runtime.code_version import code_version
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.orm import Blob, GroundTruthRow, Score, SubmissionRow
 from services.runtime.platform import Platform
@@ -38,10 +39,18 @@ class ReadyTruth:
 
 
 @dataclass(frozen=True)
+class KeptCounts:
+    """The counts that an earlier score stands on, and the version of the code that counted them."""
+
+    object_key: str
+    code_version: str
+
+
+@dataclass(frozen=True)
 class Case:
     """`zip_key` is the object of the file; empty while it is not kept, or not any more.
 
-    `confusions_key` is that of the counts which an earlier score against this ground truth stands on; else empty.
+    `kept` are counts against this ground truth that need not be made again: this code made them, or the file is gone.
     """
 
     submission_id: str
@@ -49,7 +58,7 @@ class Case:
     is_validation: bool
     state: str
     zip_key: str
-    confusions_key: str
+    kept: KeptCounts | None
     truth: ReadyTruth
 
     @property
@@ -79,15 +88,14 @@ def live_submission(session: Session, submission_id: str) -> SubmissionRow:
 def case_of(session: Session, submission_id: str, truth_id: str) -> Case:
     """Raises `JobCancelledError`, `TruthUnreadyError`."""
     row = live_submission(session, submission_id)
-    of_both = (Score.submission_id == row.id, Score.truth_id == truth_id)
-    counted = select(Blob.object_key).join(Score, Score.confusions_sha256 == Blob.sha256).where(*of_both)
+    zip_key = session.scalar(select(Blob.object_key).where(Blob.sha256 == row.blob_sha256)) or ""
     return Case(
         submission_id=row.id,
         phase_id=row.phase_id,
         is_validation=row.kind == VALIDATION,
         state=row.state,
-        zip_key=session.scalar(select(Blob.object_key).where(Blob.sha256 == row.blob_sha256)) or "",
-        confusions_key=session.scalar(counted.order_by(Score.id).limit(1)) or "",
+        zip_key=zip_key,
+        kept=_kept_counts(session, row.id, truth_id, is_file_kept=zip_key != ""),
         truth=truth_of(session, truth_id),
     )
 
@@ -99,3 +107,13 @@ def truth_of(session: Session, truth_id: str) -> ReadyTruth:
         raise TruthUnreadyError(f"ground truth {truth_id}")
     manifest, pack = (session.get_one(Blob, sha256).object_key for sha256 in (row.manifest_sha256, row.pack_sha256))
     return ReadyTruth(row.id, row.sha256, row.mask, row.frames, row.facts, manifest, pack)
+
+
+def _kept_counts(session: Session, submission_id: str, truth_id: str, *, is_file_kept: bool) -> KeptCounts | None:
+    """Those of this code; those of another only where the file that they were counted from is not kept any more."""
+    of_both = (Score.submission_id == submission_id, Score.truth_id == truth_id)
+    counted = select(Blob.object_key, Score.record).join(Score, Score.confusions_sha256 == Blob.sha256).where(*of_both)
+    rows = session.execute(counted.order_by(Score.id)).all()
+    kept = [KeptCounts(key, str(record.get("code_version", ""))) for key, record in rows]
+    ours = [one for one in kept if one.code_version == code_version("scores")]
+    return next(iter(ours if is_file_kept else ours + kept), None)

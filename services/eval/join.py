@@ -1,8 +1,9 @@
 """The join stage: all counts of a submission become its score, or the list of what is wrong with it.
 
 **Conventions.** Counts come from wherever they are: kept with an earlier score against the same ground truth, from
-parts, and where neither has them they are counted here. Slow things come first; rows, what follows for the submission
-and the job's success are one transaction. What a job answers tells nothing but where the submission stands.
+parts, and where neither has them they are counted here; all of one score were counted by one version of the code. Slow
+things come first; rows, what follows for the submission and the job's success are one transaction. What a job answers
+tells nothing but where the submission stands.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,6 +22,7 @@ from services.eval.ranges import Counts, ExaminedRange, joined
 from services.eval.scoring import made_score
 from services.eval.settlement import refuse, write, write_verdict
 from services.eval.stage_context import EvalStageContext
+from services.runtime.code_version import code_version
 from services.runtime.jobs.specs import Outcome
 from services.runtime.orm import Score, ScorePart
 from stone_submissions.verdict_record import merged, validation_of
@@ -66,15 +68,16 @@ def _is_scored(session: Session, case: Case, evaluation_version: EvaluationVersi
 
 
 def _parts(session: Session, case: Case) -> Sequence[ScorePart]:
-    """Those that were counted, in their order."""
+    """Those that this code counted, in their order; what another version did, before an upgrade, is counted again."""
     of_both = (ScorePart.submission_id == case.submission_id, ScorePart.truth_id == case.truth.id)
-    return session.scalars(select(ScorePart).where(*of_both).order_by(ScorePart.start)).all()
+    ours = select(ScorePart).where(*of_both, ScorePart.code_version == code_version("scores"))
+    return session.scalars(ours.order_by(ScorePart.start)).all()
 
 
 def _whole(context: EvalStageContext, case: Case, parts: Sequence[ScorePart]) -> ExaminedRange:
     """All frames, in their order."""
-    if case.confusions_key:
-        return ExaminedRange(merged(()), _kept_counts(context.platform.store.local(case.confusions_key)))
+    if case.kept is not None:
+        return ExaminedRange(merged(()), _kept_counts(context.platform.store.local(case.kept.object_key)))
     counted = {gap[0]: context.examined(case, gap) for gap in gaps(parts, case.truth.frames)}
     counted |= {part.start: _of_part(part) for part in parts}
     return joined(examined for _, examined in sorted(counted.items()))

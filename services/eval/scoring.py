@@ -19,7 +19,10 @@ from stone_files.npz import npz_bytes
 def made_score(
     context: EvalStageContext, case: Case, evaluation_version: EvaluationVersion, counts: Counts
 ) -> NewScore:
-    """The score of these counts, its files stored. Raises `UnknownMetricError`, and what the store raises."""
+    """The score of these counts, its files stored; it bears the version of the code that counted.
+
+    Raises `UnknownMetricError`, and what the store raises.
+    """
     counts_of_frames = SubmissionCounts(counts.confusions, counts.bev, sequences_of(case.truth))
     replicates = ratio_replicates(
         counts_of_frames.confusions, counts_of_frames.frames_of_sequence, evaluation_version.metric
@@ -29,7 +32,7 @@ def made_score(
         evaluation_version=evaluation_version,
         signature=str(Signature(case.truth.sha256, case.truth.mask, evaluation_version.metric)),
         record={
-            "code_version": code_version("scores"),
+            "code_version": case.kept.code_version if case.kept else code_version("scores"),
             **record_of(counts_of_frames, replicates, evaluation_version.metric),
         },
         confusions=_stored(context, npz_bytes({"confusions": counts.confusions, "bev": counts.bev})),

@@ -22,6 +22,7 @@ from services.eval.scoring_errors import TruthUnreadyError
 from services.eval.settlement import Stage, refuse, settling
 from services.eval.stage_context import EvalStageContext
 from services.eval.truth_build import build_truth
+from services.runtime.code_version import code_version
 from services.runtime.jobs.specs import Attempt, Handlers, Outcome
 from services.runtime.platform import Platform
 
@@ -66,11 +67,13 @@ def count_part(context: EvalStageContext) -> Outcome:
     """The counts of a range of frames, kept until the join. Raises as `open_submission` does, and `PurgedError`."""
     truth_id, start, stop = (context.attempt.arguments[name] for name in ("truth_id", "start", "stop"))
     case = context.case(truth_id)
-    if case.is_over or case.confusions_key:
+    if case.is_over or case.kept is not None:
         return Outcome({"state": case.state})
     found = context.examined(case, (start, stop))
     counts = found.counts.packed() if found.counts else b""
-    part = CountedPart(case.submission_id, truth_id, start, stop, counts, found.validation.as_record())
+    part = CountedPart(
+        case.submission_id, truth_id, start, stop, counts, found.validation.as_record(), code_version("scores")
+    )
 
     def write(session: Session) -> None:
         mark_scoring(session, case.submission_id)

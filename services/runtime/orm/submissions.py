@@ -98,7 +98,10 @@ class Score(Base):
 
 
 class ScorePart(Base):
-    """Counts of the frames [start, stop) of a submission, until all parts are there and are joined."""
+    """Counts of the frames [start, stop) of a submission, until all parts are there and are joined.
+
+    `code_version` is that of the code which counted them; empty before revision 0020.
+    """
 
     __tablename__ = "score_parts"
     submission_id: Mapped[Id] = mapped_column(ForeignKey("submissions.id", ondelete="CASCADE"), primary_key=True)
@@ -107,6 +110,7 @@ class ScorePart(Base):
     stop: Mapped[int]
     counts: Mapped[bytes] = mapped_column(LargeBinary)
     problems: Mapped[Record] = mapped_column(JSON)
+    code_version: Mapped[str] = mapped_column(String(64), server_default="")
 
 
 class ScoringEntry(Base):

@@ -42,6 +42,7 @@ class CountedPart:
     stop: int
     counts: bytes
     problems: Mapping[str, Any]
+    code_version: str
 
 
 def write_score(session: Session, new: NewScore) -> Score:
