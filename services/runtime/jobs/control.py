@@ -68,7 +68,7 @@ def retry(session: Session, root_id: str, max_attempts: int) -> Job:
     session.flush()
     again = select(Job).where(Job.root_id == root_id, Job.queue != "", Job.state != "succeeded")
     for job in session.scalars(again.execution_options(populate_existing=True)).all():
-        job.state, job.attempts_left, job.finished_ns = "queued", max_attempts, None
+        job.state, job.attempts_left, job.finished_ns, job.revision = "queued", max_attempts, None, job.revision + 1
         job.failure_code = job.failure = job.cancel_reason = ""
         job.needs_left = _needs_left(session, job.id)
         if job.needs_left == 0:

@@ -17,6 +17,7 @@ from services.runtime.orm import Job, JobNeed
 from services.runtime.platform import Platform
 from tests.services.runtime.jobs.steps import a_run, an_owner
 
+Shown = dict[str, tuple[int, tuple[object, ...]]]
 FAILURE = Failure("odd", "as the dice fell")
 MOST_JOBS = 30
 
@@ -89,10 +90,27 @@ def assert_consistent(session: Session, root_id: str) -> None:
             assert needs[job.id] == 0, "it started before what it needs was done"
 
 
+def shown(session: Session, root_id: str) -> Shown:
+    """The revision of each job, the run's own included, and what is shown of it."""
+    jobs = session.scalars(select(Job).where(Job.root_id == root_id))
+    return {job.id: (job.revision, (job.state, job.failure_code, job.cancel_reason, job.attempt)) for job in jobs}
+
+
+def assert_told(before: Shown, after: Shown) -> None:
+    """Streams of events are sent by revision: what changes without one that grows is seen by nobody who looks on."""
+    for job_id, (revision, what) in before.items():
+        assert after[job_id][0] > revision or (revision, what) == after[job_id], (before[job_id], after[job_id])
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_a_run_stays_consistent_through_any_history(platform: Platform, seed: int) -> None:
     history = History(platform, seed)
+    with platform.database.reading() as session:
+        before = shown(session, history.root)
     for _ in range(60):
         history.step()
         with platform.database.reading() as session:
             assert_consistent(session, history.root)
+            after = shown(session, history.root)
+        assert_told(before, after)
+        before = after
