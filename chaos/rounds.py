@@ -84,22 +84,30 @@ def play(suite: Suite, kind: Kind, made: RunArtefacts | None = None) -> RoundSer
         folder = suite.folder / f"{kind.name}-{opened}"
         where = {name: getattr(kind, name) for name in ("on_postgres", "on_s3", "uploads_in_store")}
         with platform_under_test(folder, suite.inputs, suite.told, **where) as target:
-            _run_undisturbed(suite, series, target)
-            while _goes_on(suite, series) and not target.is_kept:
-                ended = _play_round(suite, series, target)
-                series.rounds.append(ended)
-                suite.told(_sentence(suite, series, ended))
-                if ended.violations:
-                    target.keep(_evidence(suite, series, ended))
+            run_undisturbed(suite, series, target)
+            play_in(suite, series, target)
     return series
+
+
+def play_in(suite: Suite, series: RoundSeries, target: PlatformUnderTest) -> None:
+    """Rounds in a place that stands and has been run in, until all are played or something is violated."""
+    while _goes_on(suite, series) and not target.is_kept:
+        ended = _play_round(suite, series, target)
+        series.rounds.append(ended)
+        suite.told(_sentence(suite, series, ended))
+        if ended.violations:
+            target.keep(_evidence(suite, series, ended))
 
 
 def _goes_on(suite: Suite, series: RoundSeries) -> bool:
     return len(series.rounds) < suite.rounds and time.monotonic() < suite.until_s
 
 
-def _run_undisturbed(suite: Suite, series: RoundSeries, target: PlatformUnderTest) -> None:
-    """The first run of a place warms it up, the last one's time counts, and all must make the same."""
+def run_undisturbed(suite: Suite, series: RoundSeries, target: PlatformUnderTest) -> None:
+    """The first run of a place warms it up, the last one's time counts, and all must make the same.
+
+    Raises `UndisturbedError`.
+    """
     for number in range(suite.undisturbed_runs):
         turn = OwnerRound(target, target.welcome(f"undisturbed-{number}"), Random(0), series.undisturbed)
         brought = undisturbed(turn)

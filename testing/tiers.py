@@ -3,9 +3,11 @@
 **Conventions.** A test is `whole` where it says so, where it asks for one of `DEAR_FIXTURES` however it comes by them,
 and where it runs on PostgreSQL what runs on SQLite too; `everyday` keeps such a test in both tiers. A test that costs
 more than five CPU seconds (`pytest --costs FILE`) says in its docstring, or its module's, what it alone would catch.
-Files with such tests come first: the last to end would otherwise be a dear one that began late.
+Files with such tests come first: the last to end would otherwise be a dear one that began late. A file that is `whole`
+as one is not even loaded where `-m "not whole"` is asked for.
 """
 
+import re
 from pathlib import Path
 
 import pytest
@@ -13,6 +15,21 @@ import pytest
 DEAR_FIXTURES = frozenset({"browser", "postgres_server"})
 DEAR_KIND = "postgres"  # as parameters of fixtures and tests name it
 TIERS = ("whole", "everyday")
+EVERYDAY_ONLY = "not whole"
+WHOLE_FILE = re.compile(r"^pytestmark = pytest\.mark\.whole$", re.MULTILINE)
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    is_test = collection_path.suffix == ".py" and collection_path.name.startswith("test_")
+    if is_test and config.getoption("markexpr") == EVERYDAY_ONLY and is_whole_file(collection_path):
+        return True
+    return None
+
+
+def is_whole_file(path: Path) -> bool:
+    """Whether every test of it is left out every day."""
+    text = path.read_text("utf-8")
+    return WHOLE_FILE.search(text) is not None and "mark.everyday" not in text
 
 
 @pytest.hookimpl(tryfirst=True)  # before `-m` chooses

@@ -41,7 +41,7 @@ def run_tests(root: Path, tests: Sequence[str], cpu_limit_s: float, cache: Path)
     """The tests of some files of the tree at `root`, up to the first that fails; compiled code is kept in `cache`."""
     command = [sys.executable, "-m", "pytest", "-x", "-q", "--no-header", "--tb=no", "-p", "no:cacheprovider"]
     environment = {
-        **os.environ,
+        **{name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"},
         "PYTHONPATH": str(root),
         "NUMBA_CACHE_DIR": str(cache),
         "PYTHONPYCACHEPREFIX": str(cache / "bytecode"),

@@ -1,6 +1,8 @@
 """A round of each kind with real processes, and a kill that destroys something, which must be seen."""
 
 import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -9,14 +11,23 @@ from sqlalchemy import select
 
 from chaos.inputs import Inputs, simulated
 from chaos.kinds import KINDS, Kind, undisturbed
+from chaos.places import PlatformUnderTest, platform_under_test
 from chaos.result_hashes import OwnerRun
-from chaos.rounds import Suite, play
+from chaos.rounds import RoundSeries, Suite, play, play_in, run_undisturbed
 from chaos.table import table_of
 from chaos.turns import OwnerRound
 from services.runtime.orm import Artefact, Blob
 
 SEED = 3
-EVERYDAY = "worker"
+EVERYDAY = next(kind for kind in KINDS if kind.name == "worker")
+
+
+@dataclass(frozen=True)
+class Stand:
+    """A place and what was made in it undisturbed."""
+
+    target: PlatformUnderTest
+    calm: RoundSeries
 
 
 @pytest.fixture(scope="module")
@@ -24,10 +35,22 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Inputs:
     return simulated(tmp_path_factory.mktemp("inputs"))
 
 
-@pytest.fixture(autouse=True)
-def own_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the client remembers stays in the test's folder."""
-    monkeypatch.setenv("STONE_CONFIG_HOME", str(tmp_path / "home"))
+@pytest.fixture(scope="module", autouse=True)
+def own_home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """What the client remembers stays in the tests' folder."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("STONE_CONFIG_HOME", str(tmp_path_factory.mktemp("home")))
+        yield
+
+
+@pytest.fixture(scope="module")
+def stand(inputs: Inputs, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stand]:
+    """The embedded platform, run in once: the kinds that need nothing else are played in it one after another."""
+    folder, told = tmp_path_factory.mktemp("stand"), list[str]()
+    calm = RoundSeries(Kind("calm", "nothing", undisturbed))
+    with platform_under_test(folder / "place", inputs, told.append, on_postgres=False) as target:
+        run_undisturbed(suite(inputs, folder, told), calm, target)
+        yield Stand(target, calm)
 
 
 def suite(inputs: Inputs, folder: Path, told: list[str]) -> Suite:
@@ -46,19 +69,41 @@ def spoil(turn: OwnerRound) -> OwnerRun:
     return brought
 
 
-def in_its_tier(kind: Kind) -> Any:
-    return pytest.param(kind, id=kind.name, marks=() if kind.name == EVERYDAY else pytest.mark.whole)
+def of(kinds: Sequence[Kind]) -> Any:
+    return pytest.mark.parametrize("kind", [pytest.param(kind, id=kind.name) for kind in kinds])
 
 
-@pytest.mark.parametrize("kind", [in_its_tier(kind) for kind in KINDS])
-def test_nothing_is_lost_doubled_or_different(kind: Kind, inputs: Inputs, tmp_path: Path) -> None:
-    """Catches alone what a `kill -9` of a real process loses between the queue, the database and the store."""
-    told: list[str] = []
-    series = play(suite(inputs, tmp_path, told), kind)
+def found_good(series: RoundSeries, told: Sequence[str]) -> None:
     assert [violation for ended in series.rounds for violation in ended.violations] == [], told
     assert [ended.is_hit for ended in series.rounds] == [True], told
     assert series.is_proven
+
+
+def test_nothing_is_lost_doubled_or_different_when_a_worker_is_killed(inputs: Inputs, tmp_path: Path) -> None:
+    """Catches alone, every day, what a `kill -9` of a real process loses between the queue, database and store."""
+    told: list[str] = []
+    found_good(play(suite(inputs, tmp_path, told), EVERYDAY), told)
     assert list((tmp_path / "places").iterdir()) == [], "the place of a good round is cleared away"
+
+
+@pytest.mark.whole
+@of([kind for kind in KINDS if kind != EVERYDAY and not kind.on_postgres])
+def test_nor_when_something_else_of_the_embedded_platform_is(
+    kind: Kind, inputs: Inputs, stand: Stand, tmp_path: Path
+) -> None:
+    """Catches alone what a `kill -9` of the API, the client, Redis or the sweeper loses."""
+    told: list[str] = []
+    series = RoundSeries(kind, stand.calm.made, undisturbed=stand.calm.undisturbed)
+    play_in(suite(inputs, tmp_path, told), series, stand.target)
+    found_good(series, told)
+
+
+@pytest.mark.whole
+@of([kind for kind in KINDS if kind.on_postgres])
+def test_nor_when_something_of_a_cluster_is(kind: Kind, inputs: Inputs, tmp_path: Path) -> None:
+    """Catches alone what is lost between PostgreSQL, an S3 store and the processes, one of which is killed."""
+    told: list[str] = []
+    found_good(play(suite(inputs, tmp_path, told), kind), told)
 
 
 @pytest.mark.whole

@@ -67,7 +67,14 @@ def expected(bag: Path) -> dict[str, bytes]:
     return files_of_label(folder)
 
 
-@pytest.mark.parametrize("done", [0, 1, 5], ids=["before synchronising", "before labelling", "amid the parts"])
+@pytest.mark.parametrize(
+    "done",
+    [
+        pytest.param(0, id="before synchronising", marks=pytest.mark.whole),
+        pytest.param(1, id="before labelling", marks=pytest.mark.whole),
+        pytest.param(5, id="amid the parts"),
+    ],
+)
 def test_a_run_that_another_version_began_is_begun_again_and_ends_as_any(
     bag: Path, expected: dict[str, bytes], tmp_path: Path, done: int
 ) -> None:

@@ -51,7 +51,13 @@ PARTICULAR: dict[str, tuple[dict[str, Any], ...]] = {
 }
 
 
-@pytest.fixture(params=[(on, of) for of in (OLDER, PREVIOUS) for on in ("sqlite", "postgres")], ids="-".join)
+def in_its_tier(on: str, of: str) -> Any:
+    """The release right before this one on the embedded database is tried every day."""
+    is_everyday = (on, of) == ("sqlite", PREVIOUS)
+    return pytest.param((on, of), id=f"{on}-{of}", marks=() if is_everyday else pytest.mark.whole)
+
+
+@pytest.fixture(params=[in_its_tier(on, of) for of in (OLDER, PREVIOUS) for on in ("sqlite", "postgres")])
 def previous(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[Settings, Rows]]:
     """Settings of a database that a previous release made, and the rows in it."""
     database, revision = request.param
