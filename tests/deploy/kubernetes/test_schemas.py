@@ -1,4 +1,7 @@
-"""Every object is what Kubernetes, KEDA and the Prometheus operator say such an object is."""
+"""Every object is what Kubernetes, KEDA and the Prometheus operator say such an object is.
+
+Catches alone a field that Kubernetes does not know, of all that the chart may write.
+"""
 
 import json
 from collections.abc import Sequence
@@ -10,6 +13,8 @@ import kubernetes_validate
 import pytest
 
 from tests.deploy.kubernetes.rendering import CHART, Manifest, of_kind, ran, rendered
+
+pytestmark = pytest.mark.whole
 
 OLDEST, NEWEST = "1.33", "1.37"
 TEXT, COUNT = {"type": "string"}, {"type": "integer", "minimum": 0}
