@@ -1,7 +1,8 @@
 """The two tiers of the tests: `make test` leaves out what is marked `whole`, `make test-all` runs everything.
 
-**Conventions.** A test is `whole` where it says so, where it asks for one of `DEAR_FIXTURES` however it comes by them,
-and where it runs on PostgreSQL what runs on SQLite too; `everyday` keeps such a test in both tiers. A test that costs
+**Conventions.** A test is `whole` where it says so, below one of `WHOLE_FOLDERS`, where it asks for one of
+`DEAR_FIXTURES` however it comes by them, and where it runs on PostgreSQL or S3 what runs on SQLite and in a folder too;
+`everyday` keeps such a test in both tiers. A test that costs
 more than five CPU seconds (`pytest --costs FILE`) says in its docstring, or its module's, what it alone would catch.
 Files with such tests come first: the last to end would otherwise be a dear one that began late. A file that is `whole`
 as one is not even loaded where `-m "not whole"` is asked for.
@@ -12,8 +13,18 @@ from pathlib import Path
 
 import pytest
 
-DEAR_FIXTURES = frozenset({"browser", "postgres_server"})
-DEAR_KIND = "postgres"  # as parameters of fixtures and tests name it
+DEAR_FIXTURES = frozenset({"browser", "postgres_server", "s3_server"})
+DEAR_KINDS = frozenset({"postgres", "s3"})  # as parameters of fixtures and tests name them
+WHOLE_FOLDERS = {  # and what their tests alone catch
+    "benchmarks": "figures that are measured wrongly",
+    "chaos": "kill tests that would see nothing",
+    "deploy": "images, charts and dashboards that do not fit the programs",
+    "docsite": "pages of the documentation that are not built or not found",
+    "fuzz": "bytes that a fuzzer once found and that break a reader again",
+    "services/labeler/exports": "files that programs of others do not open",
+    "services/runtime/backup": "a backup that is not restored as it was",
+}
+TESTS = Path(__file__).resolve().parents[1] / "tests"
 TIERS = ("whole", "everyday")
 EVERYDAY_ONLY = "not whole"
 WHOLE_FILE = re.compile(r"^pytestmark = pytest\.mark\.whole$", re.MULTILINE)
@@ -29,7 +40,11 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 def is_whole_file(path: Path) -> bool:
     """Whether every test of it is left out every day."""
     text = path.read_text("utf-8")
-    return WHOLE_FILE.search(text) is not None and "mark.everyday" not in text
+    return "mark.everyday" not in text and (WHOLE_FILE.search(text) is not None or is_in_whole_folder(path))
+
+
+def is_in_whole_folder(path: Path) -> bool:
+    return path.is_relative_to(TESTS) and any(path.is_relative_to(TESTS / folder) for folder in WHOLE_FOLDERS)
 
 
 @pytest.hookimpl(tryfirst=True)  # before `-m` chooses
@@ -46,7 +61,8 @@ def is_dear(item: pytest.Item) -> bool:
     if not isinstance(item, pytest.Function):
         return False
     kinds = item.callspec.params.values() if hasattr(item, "callspec") else ()
-    return not DEAR_FIXTURES.isdisjoint(item.fixturenames) or DEAR_KIND in [str(kind) for kind in kinds]
+    is_of_dear_kind = not DEAR_KINDS.isdisjoint(str(kind) for kind in kinds)
+    return is_of_dear_kind or not DEAR_FIXTURES.isdisjoint(item.fixturenames) or is_in_whole_folder(item.path)
 
 
 def _turn(path: Path, first: set[Path]) -> int:

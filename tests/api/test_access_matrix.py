@@ -93,7 +93,7 @@ def in_its_tier(caller: str) -> Any:
     return pytest.param(caller, id=caller, marks=pytest.mark.whole if is_dear else ())
 
 
-@pytest.mark.parametrize("caller", map(in_its_tier, CALLERS))
+@pytest.mark.parametrize("caller", [in_its_tier(caller) for caller in CALLERS])
 def test_every_cell_is_as_the_table_says(
     scene: Scene, caller: str, record_property: Callable[[str, object], None]
 ) -> None:

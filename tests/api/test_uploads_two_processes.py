@@ -1,4 +1,7 @@
-"""Two processes on one place and one database, and clients that leave: nothing is written twice or lost."""
+"""Two processes on one place and one database, and clients that leave: nothing is written twice or lost.
+
+Catches alone what two real processes do to one upload.
+"""
 
 import os
 import random
@@ -17,6 +20,8 @@ from testing.api.process import running_api
 from testing.api.serving import Person, client_of
 from testing.api.tus import created, offset_of, patch, sha256_of, shown
 from tests.services.runtime.uploads.sending import kept
+
+pytestmark = pytest.mark.whole
 
 
 @pytest.fixture

@@ -84,8 +84,12 @@ def test_a_job_opens_its_recording_once(by_kind: dict[str, list[int]]) -> None:
     }
 
 
+@pytest.mark.whole
 def test_a_command_opens_its_recording_once(bag: Path, opens: Opens, tmp_path: Path) -> None:
-    """`label` in its own process; each of its workers opens it for itself."""
+    """Catches alone a command that reads its recording again for another purpose.
+
+    `label` in its own process; each of its workers opens it for itself.
+    """
     rig, labels = str(calibration_path(bag)), str(tmp_path / "labels")
     commands = (
         ["inspect", str(bag), "--html", str(tmp_path / "page.html")],

@@ -60,8 +60,10 @@ def test_a_reader_that_leaves_early_is_no_fault(tmp_path: Path) -> None:
     assert "Traceback" not in outcome.stderr
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_an_interrupted_command_says_so_and_leaves_nothing_half_written(tmp_path: Path, number: int, code: int) -> None:
+    """Catches alone what a signal leaves of a file that a real process writes."""
     process = subprocess.Popen(
         [STONE, *SIMULATE], cwd=tmp_path, stderr=subprocess.PIPE, text=True, preexec_fn=hear_signals
     )

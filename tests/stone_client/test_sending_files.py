@@ -87,9 +87,11 @@ def test_a_client_that_is_killed_goes_on_where_it_was(
     assert only["sha256"] == sha256(file.read_bytes()).hexdigest()
 
 
+@pytest.mark.whole
 def test_a_server_that_is_killed_and_comes_back_is_waited_for(
     platform: Platform, server: ApiProcess, owner: Person, file: Path
 ) -> None:
+    """Catches alone a client that gives up, or sends twice, when the server is killed on its way."""
     with Api(Server(server.url, owner.secret)) as api:
         client = sending(server, owner, file)
         until(lambda: offset_of(api) > 2**20)

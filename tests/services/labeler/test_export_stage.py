@@ -1,4 +1,7 @@
-"""An export goes through the queue: its files are what the exporter writes, there once, all or none."""
+"""An export goes through the queue: its files are what the exporter writes, there once, all or none.
+
+Catches alone an export of a job that is cut off anywhere: halves, a second one, bytes that nobody counts.
+"""
 
 import json
 import shutil
@@ -35,6 +38,8 @@ from simulator.pipeline import simulate
 from testing.servers.fixtures import make_settings, opened
 from testing.stone_serve import until
 from testing.worlds.runs import Brought, Listening, Said, bring_ready, run_all
+
+pytestmark = pytest.mark.whole
 
 RUN = SimulateOptions(seconds=2.0, seed=3, channels=16, columns=180, cameras=False)
 FORM = "nuscenes"

@@ -1,4 +1,7 @@
-"""Labels that are published are followed by their playback: once, last of all that waits, and never in their way."""
+"""Labels that are published are followed by their playback: once, last of all that waits, and never in their way.
+
+Catches alone a playback that is made twice, or that holds up or spoils the labels it follows.
+"""
 
 from dataclasses import replace
 
@@ -13,6 +16,8 @@ from services.runtime.settings import ViewingSettings
 from testing.worlds.runs import Brought, run_all
 from tests.services.labeler.test_export_stage import brought, labelled
 from tests.services.labeler.test_stages import publish_again
+
+pytestmark = pytest.mark.whole
 
 __all__ = ["brought", "labelled"]  # fixtures
 

@@ -1,4 +1,7 @@
-"""Inputs of a phase made by the queue from a labelled sequence: once, without a byte of a label, there for good."""
+"""Inputs of a phase made by the queue from a labelled sequence: once, without a byte of a label, there for good.
+
+Catches alone inputs of a phase that hold labels, or go with their sequence.
+"""
 
 import json
 import shutil
@@ -36,6 +39,8 @@ from simulator.pipeline import simulate
 from testing.servers.fixtures import make_settings, opened
 from testing.worlds.published import dataset
 from testing.worlds.runs import Brought, bring_ready, run_all
+
+pytestmark = pytest.mark.whole
 
 RUN_OPTIONS = SimulateOptions(seconds=2.0, seed=3, channels=16, columns=180, cameras=False)
 

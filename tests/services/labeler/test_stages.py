@@ -264,7 +264,9 @@ def test_asking_for_the_same_again_costs_nothing(finished: tuple[Brought, str]) 
     assert brought.process(profile="local") != root_id
 
 
+@pytest.mark.whole
 def test_zombies_beside_a_finished_run_change_no_byte(finished: tuple[Brought, str]) -> None:
+    """Catches alone a stage that writes once more after its run has ended."""
     brought, root_id = finished
     store = brought.platform.settings.root / "store"
     before = hashes(store)

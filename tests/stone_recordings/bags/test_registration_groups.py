@@ -1,4 +1,7 @@
-"""Several files that are one bag are read, kept and processed as one; what was cut off is recovered."""
+"""Several files that are one bag are read, kept and processed as one; what was cut off is recovered.
+
+Catches alone a member of a split bag that is lost, kept twice or read in another order.
+"""
 
 import json
 import shutil
@@ -23,6 +26,8 @@ from testing.worlds.runs import Brought, bring, run_all
 from tests.stone_recordings.databases import SCHEMAS, insert
 from tests.stone_recordings.splitting import split_into
 from tests.stone_recordings.writing import HESAI, POINT_CLOUD, Recorded, cloud_payload, sweep
+
+pytestmark = pytest.mark.whole
 
 TINY = SimulateOptions(seconds=1.0, seed=3, channels=16, columns=120, cameras=False)
 PAGES = {"quality.html", "quality.json"}
