@@ -46,6 +46,7 @@ def test_what_is_told_while_a_hidden_phase_is_scored_tells_nothing_of_it(
     capfd: pytest.CaptureFixture[str],
     caplog: pytest.LogCaptureFixture,
 ) -> None:
+    """Catches alone a log line, event or metric that tells of hidden truth while it is used."""
     caplog.set_level(logging.DEBUG)
     with collecting(monkeypatch) as collector, staged(tmp_path, _sqlite_template) as stage:
         spoil_truth(stage)

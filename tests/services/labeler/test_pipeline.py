@@ -133,7 +133,10 @@ def test_moving_and_yawing_the_world_moves_the_labels(made, tmp_path):
 
 
 def test_it_does_not_matter_how_the_map_is_cut_into_tiles(tmp_path):
-    """The same world on the corner of four tiles, and within one larger tile."""
+    """Catches alone labels that differ at the border of a tile.
+
+    The same world on the corner of four tiles, and within one larger tile.
+    """
     # at this grade no height on the lattice is a border of voxels, where the last bit would choose between two
     world = replace(WORLD, grade=(0.0613, 0.0227), map_from_world=(1.0, 0, 0, 0, 48.0, 48.0, 0))
     untiled = replace(LabelParameters(), tiling=TilingParameters(cube_cells=512))

@@ -61,6 +61,7 @@ class Crossing:
 
 
 def test_somebody_who_walks_across_leaves_no_label(tmp_path):
+    """Catches alone labels of what moved, through all stages."""
     blind = replace(parameters_for("paper"), dynamic=DynamicParameters(max_range_m=0.0))
     trail = ((2.4, -2.8, 0.3), (3.3, 2.3, 1.8))
     assert len(labelled(tmp_path / "blind", Crossing(), sequence_of(SLOW), blind).inside(*trail)) > 100

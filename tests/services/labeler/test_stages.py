@@ -78,6 +78,7 @@ def expected(bag: Path) -> dict[str, bytes]:
 def test_a_run_that_another_version_began_is_begun_again_and_ends_as_any(
     bag: Path, expected: dict[str, bytes], tmp_path: Path, done: int
 ) -> None:
+    """Catches alone labels half of which were made by the code before an upgrade."""
     platform = opened(make_settings(tmp_path), [])
     upgrade(platform.settings)
     brought = bring_ready(platform, bag)
@@ -214,6 +215,7 @@ def test_a_job_leaves_what_it_declares_and_no_more(worked: tuple[LabelRun, list[
 def test_two_machines_with_s3_and_postgres_make_the_same(
     bag: Path, expected: dict[str, bytes], s3_settings: StoreSettings, fresh_postgres_url: str, tmp_path: Path
 ) -> None:
+    """Catches alone labels that depend on which machine, store or database a stage has."""
     groups = {"store": s3_settings, "database": DatabaseSettings(fresh_postgres_url)}
     here, there = (opened(make_settings(tmp_path / name, **groups), []) for name in ("here", "there"))
     brought = bring_ready(here, bag)

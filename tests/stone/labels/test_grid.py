@@ -80,6 +80,7 @@ def cloud_around(map_from_ego, seed, count=200_000):
 @settings(max_examples=6, deadline=None)
 @given(poses, SEEDS)
 def test_a_voxel_has_the_class_of_the_map_voxel_that_holds_its_centre(map_from_ego, seed):
+    """Catches alone a crop that is off by a voxel at some pose: every centre is looked up one by one."""
     indices, kinds = cloud_around(map_from_ego, seed)
     lookup = {tuple(row): kind for row, kind in zip(indices.tolist(), kinds.tolist(), strict=True)}
     classes, _ = crop(window_at(indices, kinds, map_from_ego), map_from_ego)
@@ -132,6 +133,7 @@ def assert_closed(classes, sides):
 @settings(max_examples=15, deadline=None)
 @given(poses)
 def test_a_flat_sheet_has_no_pinhole_and_no_way_through_at_any_pose(map_from_ego):
+    """Catches alone holes that a turned crop tears into a surface."""
     indices, kinds = sheet_across(2, 0, map_from_ego)
     classes, _ = crop(window_at(indices, kinds, map_from_ego), map_from_ego)
     z = centres_map(map_from_ego)[..., 2]

@@ -85,6 +85,7 @@ def is_seen(voxel, camera, is_free, in_view, known):
 
 @pytest.mark.parametrize("seed", [4])
 def test_each_voxel_is_seen_as_the_definition_says(seed):
+    """Catches alone bit lanes that agree with each other and not with the definition, followed ray by ray."""
     classes = scene(seed)
     voxels, is_inside = placed(LINES())
     visible = spread_out(SightBatch([LINES()]).visible(gathered(classes)[None])[0])

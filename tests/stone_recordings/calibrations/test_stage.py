@@ -10,6 +10,7 @@ from tests.stone_recordings.calibrations.conftest import Drive
 
 
 def test_a_run_doubts_a_calibration_out_of_its_time_and_keeps_the_overlays(platform: Platform, drive: Drive) -> None:
+    """Catches alone a doubt that is not told, or pictures that are not kept, at the end of a run."""
     brought = bring(platform)
     brought.calibrate(calibration_path(drive.path))
     with platform.database.transaction() as session:

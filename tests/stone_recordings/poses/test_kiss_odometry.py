@@ -125,7 +125,10 @@ def test_memory_does_not_grow_with_the_length_of_the_recording(tmp_path):
 
 @pytest.mark.field_data
 def test_the_real_drive_is_where_its_own_kiss_icp_put_it(field_data):
-    """/odom of the recording was made by KISS-ICP, too, from clouds of full size."""
+    """Catches alone poses that are right in the simulator and wrong on real sweeps.
+
+    /odom of the recording was made by KISS-ICP, too, from clouds of full size.
+    """
     bag = field_data / "kitti0005_ros2_mcap" / "kitti0005_lidar_odom.mcap"
     cal = EXAMPLES / "kitti0005.calibration.yaml"
     recorded, _ = open_sequence(bag, cal, "kitti0005")

@@ -62,6 +62,7 @@ def test_an_upgrade_of_an_upgraded_database_changes_nothing(platform_on: Platfor
 
 
 def test_processes_that_upgrade_at_once_all_succeed(empty: Settings) -> None:
+    """Catches alone two processes that change the schema at once."""
     context = multiprocessing.get_context("spawn")
     processes = [context.Process(target=upgrade, args=(empty,)) for _ in range(2)]
     for process in processes:

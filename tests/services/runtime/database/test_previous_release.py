@@ -164,8 +164,9 @@ def test_going_back_brings_back_every_value_under_its_old_name(previous: tuple[S
     with schema_connection(settings) as connection:
         command.downgrade(alembic_on(connection), PREVIOUS if "tallies" in before else OLDER)
     with schema_connection(settings) as connection:
+        tables = tables_of(connection)
         for name, rows in before.items():
-            assert rows_in(connection, tables_of(connection)[name], rows[0]) == in_order(rows)
+            assert rows_in(connection, tables[name], rows[0]) == in_order(rows)
 
 
 def test_what_refuses_changes_refuses_them_still(previous: tuple[Settings, Rows]) -> None:
