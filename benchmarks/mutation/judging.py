@@ -15,6 +15,7 @@ from typing import Any
 
 from benchmarks.import_graph import read_import_graph, source_files
 from benchmarks.mutation.concerned import ClosestTests
+from benchmarks.mutation.forking import preload
 from benchmarks.mutation.mutants import Located, Mutant, locate, read_source
 from benchmarks.mutation.pytest_run import TestRun, run_tests
 from benchmarks.mutation.scratch import Scratch, copy_tree
@@ -75,6 +76,7 @@ class Judge:
         """Every mutant that has no verdict yet; those that survived too, where it is done again."""
         verdicts = self._read()
         scratch = copy_tree(self.root, self.folder)
+        preload(scratch.root)
         nearest = ClosestTests(scratch.root, read_import_graph(scratch.root))
         sources = {path: read_source(path) for path in source_files(scratch.root)}
         for number in random.Random(0).sample(range(len(mutants)), len(mutants)):

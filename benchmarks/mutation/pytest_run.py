@@ -9,8 +9,6 @@ import contextlib
 import os
 import re
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,8 +17,14 @@ from typing import Literal
 
 import psutil  # type: ignore[import-untyped,unused-ignore]
 
-POLL_S, STILL_S, GRACE_S, WALL_S = 1.0, 150.0, 15.0, 1800.0
+from benchmarks.mutation.forking import BROKEN, Forked, fork_pytest
+
+POLL_S, STILL_S, GRACE_S, WALL_S = 0.25, 150.0, 15.0, 1800.0
 STILL_CPU_S = 0.5
+OPTIONS = (
+    *("-x", "-q", "--no-header", "--tb=no", "-p", "no:cacheprovider", "--hypothesis-seed=16"),
+    *("-W", "ignore::pytest.PytestAssertRewriteWarning"),  # of plugins that were loaded before the fork
+)
 NO_TESTS = 5
 FAILED_LINE = re.compile(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", re.MULTILINE)
 Outcome = Literal["passed", "failed", "out of time", "stood still"]
@@ -39,23 +43,14 @@ class TestRun:
 
 def run_tests(root: Path, tests: Sequence[str], cpu_limit_s: float, cache: Path) -> TestRun:
     """The tests of some files of the tree at `root`, up to the first that fails; compiled code is kept in `cache`."""
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "--no-header", "--tb=no", "-p", "no:cacheprovider"]
     environment = {
         **{name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"},
         "PYTHONPATH": str(root),
         "NUMBA_CACHE_DIR": str(cache),
         "PYTHONPYCACHEPREFIX": str(cache / "bytecode"),
-        "PYTHONHASHSEED": "0",
     }
-    process = subprocess.Popen(
-        [*command, "--hypothesis-seed=16", *tests],
-        cwd=root,
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        start_new_session=True,
-    )
+    arguments = [*OPTIONS, *tests]
+    process = fork_pytest(root, arguments, environment, cache / "said.txt")
     try:
         outcome, cpu_s, family = _watch(process, cpu_limit_s)
     except BaseException:
@@ -63,14 +58,16 @@ def run_tests(root: Path, tests: Sequence[str], cpu_limit_s: float, cache: Path)
         raise
     if outcome:
         _stop(process, family)
-    said = process.communicate()[0] if not outcome else ""
+    said = process.said() if not outcome else ""
+    if process.returncode == BROKEN:
+        raise RuntimeError(f"pytest was not even started: {said}")
     if outcome is None:
         outcome = "passed" if process.returncode in (0, NO_TESTS) else "failed"
     found = FAILED_LINE.search(said)
     return TestRun(outcome, round(cpu_s, 1), (found[1] if found else said[-300:]) if outcome == "failed" else "")
 
 
-def _watch(process: subprocess.Popen[str], cpu_limit_s: float) -> tuple[Outcome | None, float, list[psutil.Process]]:
+def _watch(process: Forked, cpu_limit_s: float) -> tuple[Outcome | None, float, list[psutil.Process]]:
     """Why the run must be stopped, None where it ended by itself; its processor time; the processes seen at the end."""
     begun = since = time.monotonic()
     cpu_s = then_s = 0.0
@@ -103,12 +100,15 @@ def _cpu_s(process: psutil.Process) -> float:
     return 0.0
 
 
-def _stop(process: subprocess.Popen[str], family: list[psutil.Process]) -> None:
+def _stop(process: Forked, family: list[psutil.Process]) -> None:
     """Interrupted, so that servers are ended by who started them; then killed, with all that were seen below it."""
-    process.send_signal(signal.SIGINT)
-    with contextlib.suppress(subprocess.TimeoutExpired):
-        process.communicate(timeout=GRACE_S)
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(process.pid, signal.SIGINT)
+    until = time.monotonic() + GRACE_S
+    while process.poll() is None and time.monotonic() < until:
+        time.sleep(POLL_S)
     for one in family:
         with contextlib.suppress(psutil.Error):
             one.kill()
-    process.communicate()
+    while process.poll() is None:
+        time.sleep(POLL_S)
