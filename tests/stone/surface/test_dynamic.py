@@ -1,6 +1,7 @@
 """Votes in scenes where it is known what moved."""
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -12,8 +13,10 @@ from stone.surface.dynamic import (
     FEWEST_MISSES,
     MAX_RING_GAP_PX,
     MAX_SPREAD_PX,
+    NOTHING_M,
     DynamicParameters,
     RangeImage,
+    _open_up,
     carried_along,
     is_moving,
     range_image,
@@ -230,6 +233,32 @@ def test_the_ring_gap_is_the_median_over_all_columns(seed):
     nearest_m = np.where(rng.random((90, 40)) < rng.uniform(0.2, 0.9), 3.0, np.inf).astype(np.float32)
     gaps_px = np.sort(np.concatenate([np.diff(np.flatnonzero(np.isfinite(column))) for column in nearest_m.T]))
     assert ring_spread_px(nearest_m) == max(0, gaps_px[(len(gaps_px) - 1) // 2] - 1)
+
+
+def opened_slowly(ranges):
+    """The definition, pixel by pixel: empty runs longer than a ring gap, between the outermost rows of the image."""
+    opened, filled = ranges.copy(), np.flatnonzero(ranges.any(axis=1))
+    for column in range(ranges.shape[1]):
+        rows = np.flatnonzero(ranges[filled[0] : filled[-1] + 1, column]) + filled[0]
+        edges = [filled[0] - 1, *rows, filled[-1] + 1]
+        for above, below in pairwise(edges if rows.size else []):
+            if below - above - 1 > MAX_RING_GAP_PX:
+                opened[above + 1 : below, column] = NOTHING_M
+    return opened
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_nothing_came_back_where_more_rows_are_empty_than_rings_leave_and_never_beyond_the_outermost(seed):
+    rng = np.random.default_rng(seed)
+    ranges = np.zeros((64, 40), np.float32)
+    ranges[9:51, :35] = np.where(rng.random((42, 35)) < 0.12, rng.uniform(1.0, 30.0, (42, 35)), 0.0)
+    opened = ranges.copy()
+    _open_up(opened)
+    assert (opened == opened_slowly(ranges)).all()
+    assert {0.0, float(NOTHING_M)} < set(opened.flat)
+    assert not opened[:9].any()
+    assert not opened[51:].any()
+    assert not opened[:, 35:].any()
 
 
 def fan(rings):
