@@ -29,7 +29,7 @@ for name in sys.argv[1:]:
     importlib.import_module(name)
 print(json.dumps([name for name, it in sys.modules.items() if "site-packages" in (getattr(it, "__file__", "") or "")]))
 """
-BROKEN = 70
+BROKEN = 70  # pytest itself raised, as it does where a `conftest.py` cannot be loaded
 NOT_BEFORE = ("_pytest.assertion", "playwright")  # pytest rewrites the one; the other starts what a fork would share
 
 
