@@ -82,8 +82,9 @@ def fork_pytest(root: Path, arguments: Sequence[str], environment: Mapping[str, 
 def _run(root: Path, arguments: Sequence[str], environment: Mapping[str, str], output: Path) -> int:
     os.setsid()
     written = os.open(output, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
-    for stream in (1, 2):
-        os.dup2(written, stream)
+    for number in (1, 2):
+        os.dup2(written, number)
+    sys.stdin, sys.stdout, sys.stderr = open(os.devnull), open(1, "w", closefd=False), open(2, "w", closefd=False)  # noqa: SIM115
     os.chdir(root)
     os.environ.clear()
     os.environ.update(environment)
