@@ -10,7 +10,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-DEGENERATE_M2 = 1e-20
+DEGENERATE_M2 = 1e-12
+"""Twice the area below which a face has no direction: corners a kilometre from the origin are rounded to 1e-13 m, and a
+plane that passes through the corners of its lattice is cut into as many slivers as triangles."""
 
 
 @dataclass(frozen=True, eq=False)

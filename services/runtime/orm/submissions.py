@@ -8,7 +8,7 @@ changes.
 
 from typing import Any
 
-from sqlalchemy import JSON, CheckConstraint, ForeignKey, Index, LargeBinary, String, Text
+from sqlalchemy import JSON, CheckConstraint, ForeignKey, Index, LargeBinary, String, Text, text
 from sqlalchemy.orm import Mapped, mapped_column
 
 from services.runtime.orm.base import Base, Bytes, Id, Ns, Record, new_id, now_ns
@@ -110,7 +110,7 @@ class ScorePart(Base):
     stop: Mapped[int]
     counts: Mapped[bytes] = mapped_column(LargeBinary)
     problems: Mapped[Record] = mapped_column(JSON)
-    code_version: Mapped[str] = mapped_column(String(64), server_default="")
+    code_version: Mapped[str] = mapped_column(String(64), default="", server_default=text("''"))
 
 
 class ScoringEntry(Base):

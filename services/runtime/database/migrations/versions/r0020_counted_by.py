@@ -10,7 +10,9 @@ depends_on = None
 
 
 def upgrade() -> None:
-    op.add_column("score_parts", sa.Column("code_version", sa.String(length=64), nullable=False, server_default=""))
+    op.add_column(
+        "score_parts", sa.Column("code_version", sa.String(length=64), nullable=False, server_default=sa.text("''"))
+    )
 
 
 def downgrade() -> None:
