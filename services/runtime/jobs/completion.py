@@ -34,7 +34,10 @@ class Failure:
 
 
 def succeed(session: Session, claim: Claim, outcome: Outcome, max_attempts: int) -> bool:
-    """Record the success, the rows it brings and the jobs that follow; wake-ups are sent for ready dependents."""
+    """Record the success, the rows it brings and the jobs that follow; wake-ups are sent for ready dependents.
+
+    What follows in a run that was asked to stop is cancelled at once, not left out: a retry takes it up.
+    """
     run = lock_run(session, claim.root_id)
     if not _leave(session, claim, "succeeded", result=dict(outcome.result), done=Job.total):
         return False
@@ -44,9 +47,11 @@ def succeed(session: Session, claim: Claim, outcome: Outcome, max_attempts: int)
         if outcome.then:
             raise ValueError(f"{claim.kind} is a run of its own and cannot be followed by other jobs")
         return True
-    if run.state not in TERMINAL and not run.cancel_reason:
+    if run.state not in TERMINAL:
         add_jobs(session, run, outcome.then, max_attempts)
         _release(session, claim.job_id)
+        if run.cancel_reason:
+            cancel_queued(session, run)
     _finish_run(session, run)
     return True
 

@@ -74,6 +74,7 @@ def retry(session: Session, root_id: str, max_attempts: int) -> Job:
         if job.needs_left == 0:
             job.ready_ns = now_ns()
             wake_up_after_commit(session, job.queue)
+    settle(session, run)  # nothing was left to do where its last job succeeded though it was asked to stop
     return run
 
 

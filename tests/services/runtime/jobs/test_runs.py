@@ -102,7 +102,8 @@ def test_cancelling_a_run_cancels_what_is_queued_and_asks_the_rest(platform_on: 
     assert states(platform_on, root) == {"running": 1, "cancelled": 1}
     with platform_on.database.transaction() as session:
         assert completion.succeed(session, busy, Outcome(then=(JobSpec("labeler.ok"),)), 3)
-    assert states(platform_on, root) == {"succeeded": 1, "cancelled": 1}, "a cancelled run grows no further"
+    assert states(platform_on, root) == {"succeeded": 1, "cancelled": 2}, "what follows is there and does not start"
+    assert run_all(platform_on) == 0
     assert job(platform_on, root).state == "cancelled"
 
 
@@ -117,6 +118,28 @@ def test_terminating_a_run_takes_its_jobs_away_at_once(platform_on: Platform) ->
     assert states(platform_on, root) == {"cancelled": 2}
     with platform_on.database.transaction() as session:
         assert not completion.succeed(session, busy, Outcome(), 3)
+
+
+@pytest.mark.parametrize("then", [(), (JobSpec("labeler.ok", key="a"), JobSpec("labeler.ok", needs=("a",)))])
+def test_a_run_cancelled_while_its_last_job_succeeds_is_taken_up_by_a_retry(
+    platform_on: Platform, then: tuple[JobSpec, ...]
+) -> None:
+    """The job did not look whether it was to stop; what was to follow it must not be lost with the cancelling."""
+    root = a_run(platform_on, an_owner(platform_on), JobSpec("ingest.ok"))
+    with platform_on.database.transaction() as session:
+        taken = claim(session, "ingest")
+    assert taken is not None
+    with platform_on.database.transaction() as session:
+        cancel(session, root, "the wrong profile")
+    with platform_on.database.transaction() as session:
+        assert completion.succeed(session, taken, Outcome(then=then), 3)
+    assert job(platform_on, root).state == "cancelled"
+    assert run_all(platform_on) == 0
+    with platform_on.database.transaction() as session:
+        retry(session, root, 3)
+    assert run_all(platform_on) == len(then)
+    assert job(platform_on, root).state == "succeeded"
+    assert states(platform_on, root) == {"succeeded": 1 + len(then)}
 
 
 def test_a_retry_takes_up_what_failed_and_leaves_what_was_done(platform_on: Platform) -> None:
