@@ -51,8 +51,8 @@ class Forked:
         return self.output.read_text("utf-8", "replace")
 
 
-def preload(root: Path) -> int:
-    """Load the libraries that the tree at `root` uses; how many modules there are."""
+def preload(root: Path) -> None:
+    """Load the libraries that the tree at `root` uses."""
     command = [sys.executable, "-c", ASKED, *LOADED_BY]
     environment = {**os.environ, "PYTHONPATH": str(root)}
     told = subprocess.run(command, cwd=root, env=environment, check=True, capture_output=True, text=True).stdout
@@ -60,7 +60,6 @@ def preload(root: Path) -> int:
     for name in names:
         with contextlib.suppress(Exception):  # what cannot be loaded alone is loaded by the run
             importlib.import_module(name)
-    return len(names)
 
 
 def fork_pytest(root: Path, arguments: Sequence[str], environment: Mapping[str, str], output: Path) -> Forked:
@@ -105,6 +104,4 @@ def _forget_trees() -> None:
         path = getattr(module, "__file__", None) or ""
         if name != "__main__" and path and "site-packages" not in path and "lib/python" not in path:
             del sys.modules[name]
-    for name in [name for name in sys.modules if name == "benchmarks" or name.startswith("benchmarks.")]:
-        del sys.modules[name]
     importlib.invalidate_caches()
