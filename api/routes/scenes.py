@@ -17,7 +17,7 @@ from api.schemas.scenes import SceneDetail
 from api.views.scenes import VersionQuery, scene_bytes, scene_file, scene_of
 
 router = APIRouter(prefix="/sequences/{sequence_id}/scene", tags=["viewer"])
-TilePath = Annotated[str, Path(pattern=r"^-?\d{1,7}_-?\d{1,7}$", examples=["0_-1"])]
+TilePath = Annotated[str, Path(pattern=r"^-?\d{1,7}_-?\d{1,7}(_\d{1,4})?$", examples=["0_-1"])]
 JSON = "application/json"
 BINARY = "application/octet-stream"
 

@@ -1,6 +1,6 @@
 """From one recording and its calibration to a synchronised sequence: the page to read first.
 
-    topics → stamps → ego trajectory → frames → associations → sweeps on demand
+    topics → stamps → ego trajectory → frames → associations → sweeps on demand → maps joined where the track breaks
 
 **Conventions.** The LiDAR stamp is the frame (paper, III-C). Nothing is shifted, extrapolated or repaired silently:
 what was noticed is in the sequence's findings, what is unusable in its exclusions, the rest is refused.
@@ -25,6 +25,7 @@ from stone_recordings.poses.kiss_odometry import Progress
 from stone_recordings.poses.quality import quality_findings
 from stone_recordings.report.projection_checks import projection_findings
 from stone_recordings.sync.association import SensorTopics, associate
+from stone_recordings.sync.map_joining import joined
 from stone_recordings.sync.recorded_messages import read_recorded
 from stone_recordings.sync.sweeps import BagSweeps
 from stone_recordings.sync.synchronisation import frames_with_pose, usable_finding
@@ -119,4 +120,4 @@ def _synchronised(
     )
     motion = SweepMount(posed.path, calibration.ego_from_lidar, options.max_pose_gap_ns)
     sweeps = BagSweeps(bag.path, clock.topic, posed.message_index, frames.stamps_ns, motion)
-    return sequence, sweeps
+    return joined(sequence, sweeps), sweeps

@@ -55,7 +55,7 @@ def labelled_frames(run: LabelRun, part: Part, reference: Reference) -> Iterator
     paths = sorted((run.scratch / "sight").glob("[0-9]*.npz"))
     sight = SightBatch([SightLines(**load(path)) for path in paths])  # type: ignore[arg-type]
     for near in _near_together(run, part):
-        labelled_map = _map_around(run, _bounds(run, near), reference)
+        labelled_map = _map_around(run, near, reference)
         for batch in _batches(near):
             yield from _labelled(run, batch, labelled_map, sight)
 
@@ -120,11 +120,14 @@ def labelled_tile(run: LabelRun, tile: Tile, reference: Reference) -> tuple[Arra
     return arrays, classify(arrays["features"], arrays["is_driven"], reference, alpha)  # type: ignore[arg-type]
 
 
-def _map_around(run: LabelRun, bounds: Bounds, reference: Reference) -> _LabelledMap:
-    """The labelled map within a range of voxel indices."""
+def _map_around(run: LabelRun, part: Part, reference: Reference) -> _LabelledMap:
+    """The labelled map around the frames of a part, all of one map."""
+    bounds = _bounds(run, part)
     keys, classes, squared = [np.zeros(0, np.int64)], [np.zeros(0, np.uint8)], [np.zeros(0)]
     seen = [Observed(np.zeros(0, np.int64), np.zeros(0, np.uint64))]
-    for tile in tiles_between(run, *bounds):
+    for tile in tiles_across(run.parameters, bounds, run.map_of(part)):
+        if not surface_path(run, tile).exists():
+            continue
         arrays, kinds = labelled_tile(run, tile, reference)
         keys.append(arrays["keys"])  # type: ignore[arg-type]
         classes.append(kinds)
@@ -135,8 +138,3 @@ def _map_around(run: LabelRun, bounds: Bounds, reference: Reference) -> _Labelle
     if not run.parameters.confidence:
         return _LabelledMap(window, None)
     return _LabelledMap(window, map_distances(np.concatenate(keys), np.concatenate(squared)))
-
-
-def tiles_between(run: LabelRun, low: NDArray[np.int64], high: NDArray[np.int64]) -> list[Tile]:
-    """The reconstructed tiles that reach into a range of voxel indices."""
-    return [tile for tile in tiles_across(run.parameters, low, high) if surface_path(run, tile).exists()]

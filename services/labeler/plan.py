@@ -40,8 +40,8 @@ def plan_of(run: LabelRun) -> TilePlan:
     places = run.sequence.frames.map_from_ego.translation_m[:, :2]
     reach = reach_m(run.parameters, run.sensor_ego)
     needs: dict[Tile, tuple[Part, ...]] = {}
-    for tile in _tiles_around(places, run.parameters.core_m, reach):
-        is_near = _gaps_m(places, tile, run.parameters) <= reach
+    for tile in (tile for number in np.unique(run.maps).tolist() for tile in _tiles_around(run, number, reach)):
+        is_near = (run.maps == tile.map) & (_gaps_m(places, tile, run.parameters) <= reach)
         needs[tile] = tuple(part for part in parts if is_near[slice(*part)].any())
     reached = [tile for tile in needs if needs[tile]]
     return TilePlan(parts, {tile: needs[tile] for tile in sorted(reached, key=lambda tile: (needs[tile][-1], tile))})
@@ -54,7 +54,8 @@ def surface_where_reached(run: LabelRun, tile: Tile, step: Step = silent) -> Til
 
 def tiles_around(run: LabelRun, part: Part) -> list[Tile]:
     """The tiles that the label grids of a part can touch."""
-    return tiles_across(run.parameters, *frame_bounds(run.sequence.frames.map_from_ego[slice(*part)]))
+    bounds = frame_bounds(run.sequence.frames.map_from_ego[slice(*part)])
+    return tiles_across(run.parameters, bounds, run.map_of(part))
 
 
 def reach_m(parameters: LabelParameters, sensor_ego: NDArray[np.float64]) -> float:
@@ -67,18 +68,20 @@ def reach_m(parameters: LabelParameters, sensor_ego: NDArray[np.float64]) -> flo
     return max(float(np.linalg.norm(corner)), rays_m) + brick_m
 
 
-def _tiles_around(places: NDArray[np.float64], core_m: float, reach: float) -> list[Tile]:
-    """Every tile whose core is within reach of a place (N, 2), found frame by frame, for a run may be very long."""
+def _tiles_around(run: LabelRun, number: int, reach: float) -> list[Tile]:
+    """Every tile of a map whose core is within reach of a frame of it, found frame by frame: a run may be very long."""
+    core_m = run.parameters.core_m
+    places = run.sequence.frames.map_from_ego.translation_m[run.maps == number, :2]
     cells = np.unique(np.floor(places / core_m).astype(np.int64), axis=0)
     ring = int(np.ceil(reach / core_m))
     shifts = np.stack(np.meshgrid(*[np.arange(-ring, ring + 1)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
     around = np.unique((cells[:, None] + shifts).reshape(-1, 2), axis=0)
-    return [(int(i), int(j)) for i, j in around]
+    return [Tile(int(i), int(j), number) for i, j in around]
 
 
 def _gaps_m(places: NDArray[np.float64], tile: Tile, parameters: LabelParameters) -> NDArray[np.float64]:
     """How far each place (N, 2) is from the tile's cube in plan; 0 inside."""
-    low = np.array(tile) * parameters.core_m - parameters.tiling.halo_m
+    low = tile.place * parameters.core_m - parameters.tiling.halo_m
     high = low + parameters.core_m + 2 * parameters.tiling.halo_m
     gaps = np.maximum(0.0, np.maximum(low - places, places - high))
     return np.asarray(np.hypot(gaps[:, 0], gaps[:, 1]))

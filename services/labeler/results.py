@@ -85,9 +85,8 @@ def load_summaries(run: LabelRun) -> list[TileSummary]:
     summaries = []
     for path in (run.scratch / "sums").glob("*_*.npz"):
         arrays = load(path)
-        i, j = arrays["tile"].tolist()
         both = (_sums_from(arrays, ""), _sums_from(arrays, "other_"))
-        summaries.append(TileSummary((i, j), *both, *arrays["counted"].tolist()))
+        summaries.append(TileSummary(Tile(*arrays["tile"].tolist()), *both, *arrays["counted"].tolist()))
     return sorted(summaries, key=lambda summary: summary.tile)
 
 

@@ -1,25 +1,43 @@
 """One labelling run as a value, and how its work is divided into parts and tiles.
 
-**Conventions.** A tile is named by its integer place (i, j); its core is [i, i+1) × [j, j+1) times `core_m` in the map.
-Cores tile the plane; the cube a tile is reconstructed in reaches `halo_m` beyond. A part is a half-open range of
-frames. The division depends on the parameters alone, never on the number of workers.
+**Conventions.** A run has one map, or several where its track breaks (`stone.sensors.ego_path`); each is divided as
+if it were alone. A tile is named by its integer place (i, j) and its map; its core is [i, i+1) × [j, j+1) times
+`core_m`. Cores tile the plane; the cube a tile is reconstructed in reaches `halo_m` beyond. A part is a half-open range
+of frames of one map. The division depends on the frames and the parameters, never on the number of workers.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from services.labeler.parameters import LabelParameters
 from stone.geometry.lattice import Keys, indices_of
+from stone.labels.grid import Bounds
 from stone.labels.voxels import VOXEL_M
+from stone.sensors.ego_path import maps_of_frames
 from stone.sensors.sequence import Sequence, SweepSource
 
-Tile = tuple[int, int]
 Part = tuple[int, int]
 Step = Callable[[int, int], None]
+
+
+class Tile(NamedTuple):
+    """A square of the map of this number: its place in multiples of `core_m`."""
+
+    i: int
+    j: int
+    map: int = 0
+
+    @property
+    def place(self) -> NDArray[np.int64]:
+        """(i, j) as an array (2,)."""
+        return np.array([self.i, self.j], np.int64)
 
 
 def silent(_done: int, _total: int) -> None:
@@ -45,11 +63,27 @@ class LabelRun:
         """Where the LiDAR sits in the ego frame (3,), metres."""
         return self.sequence.calibration.ego_from_lidar.translation_m
 
+    @cached_property
+    def maps(self) -> NDArray[np.int64]:
+        """The map (N,) of each frame."""
+        return maps_of_frames(self.sequence)
+
+    def map_of(self, part: Part) -> int:
+        """The map that all frames of the part are in."""
+        return int(self.maps[part[0]])
+
 
 def parts_of(run: LabelRun) -> list[Part]:
     """The frame ranges that are fused, and later cropped, as one task each."""
     size, total = run.parameters.tiling.frames_per_part, len(run.sequence.frames)
-    return [(begin, min(begin + size, total)) for begin in range(0, total, size)]
+    if not total:
+        return []
+    breaks = (np.flatnonzero(np.diff(run.maps)) + 1).tolist()
+    return [
+        (begin, min(begin + size, end))
+        for start, end in pairwise([0, *breaks, total])
+        for begin in range(start, end, size)
+    ]
 
 
 def core_cells(parameters: LabelParameters, voxel_m: float) -> int:
@@ -62,18 +96,19 @@ def tiles_of(keys: Keys, cells: int) -> NDArray[np.int64]:
     return indices_of(keys)[:, :2] // cells
 
 
-def tiles_across(parameters: LabelParameters, low: NDArray[np.int64], high: NDArray[np.int64]) -> list[Tile]:
-    """The tiles that a half-open range of label voxel indices (2,) or (3,) reaches into."""
+def tiles_across(parameters: LabelParameters, bounds: Bounds, number: int) -> list[Tile]:
+    """The tiles of a map that a half-open range of label voxel indices (low, high), each (2,) or (3,), reaches into."""
+    low, high = bounds
     cells = core_cells(parameters, VOXEL_M)
     first, last = low[:2] // cells, (high[:2] - 1) // cells
-    return [(int(i), int(j)) for i in range(first[0], last[0] + 1) for j in range(first[1], last[1] + 1)]
+    return [Tile(int(i), int(j), number) for i in range(first[0], last[0] + 1) for j in range(first[1], last[1] + 1)]
 
 
 def neighbourhood(tile: Tile) -> list[Tile]:
     """The tile and the eight around it."""
-    return [(tile[0] + di, tile[1] + dj) for di in (-1, 0, 1) for dj in (-1, 0, 1)]
+    return [Tile(tile.i + di, tile.j + dj, tile.map) for di in (-1, 0, 1) for dj in (-1, 0, 1)]
 
 
 def in_core(points_map: NDArray[np.float64], tile: Tile, core_m: float) -> NDArray[np.bool_]:
     """Which points (N, 3) lie in the core of the tile, in plan."""
-    return np.asarray((np.floor(points_map[:, :2] / core_m) == np.array(tile)).all(axis=1), dtype=np.bool_)
+    return np.asarray((np.floor(points_map[:, :2] / core_m) == tile.place).all(axis=1), dtype=np.bool_)

@@ -4,6 +4,7 @@
 a stage that runs twice writes the same bytes. All of it is deleted when the run ends.
 """
 
+from bisect import bisect_right
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import groupby
@@ -64,13 +65,13 @@ def sight_path(run: LabelRun, camera: int) -> Path:
 
 
 def tile_name(tile: Tile) -> str:
-    return f"{tile[0]}_{tile[1]}"
+    """Of the first map, the only one of an unbroken run, the place alone."""
+    return f"{tile.i}_{tile.j}_{tile.map}" if tile.map else f"{tile.i}_{tile.j}"
 
 
 def tile_named(name: str) -> Tile:
     """The tile whose folder or file (without its suffix) has this name."""
-    i, j = name.split("_")
-    return int(i), int(j)
+    return Tile(*map(int, name.split("_")))
 
 
 def load_points(run: LabelRun, tile: Tile, low: NDArray[np.float64], high: NDArray[np.float64]) -> list[PointMap]:
@@ -93,22 +94,25 @@ def load_observed(run: LabelRun, tile: Tile) -> Observed:
     return union(found)
 
 
-def images_near(run: LabelRun, low: NDArray[np.float64], high: NDArray[np.float64]) -> Iterator[RangeImage]:
-    """The range images taken within reach of the box [low, high] (3,), one in memory at a time.
+def images_near(
+    run: LabelRun, number: int, low: NDArray[np.float64], high: NDArray[np.float64]
+) -> Iterator[RangeImage]:
+    """The range images of a map taken within reach of the box [low, high] (3,), one in memory at a time.
 
     Which those are is told by the run's poses alone, never by which parts happen to be fused already.
     """
     poses = run.sequence.frames.map_from_ego
-    for part, indices in _by_part(run, imaged_near(run, low, high)):
+    for part, indices in _by_part(run, imaged_near(run, number, low, high)):
         with np.load(images_path(run, part), allow_pickle=False) as archive:
             for index in indices:
                 yield RangeImage(view_of(poses[index], run.sensor_ego), archive[image_name(index)])
 
 
-def imaged_near(run: LabelRun, low: NDArray[np.float64], high: NDArray[np.float64]) -> list[int]:
-    """The frames, in order, that leave a range image taken within reach of the box [low, high] (3,)."""
+def imaged_near(run: LabelRun, number: int, low: NDArray[np.float64], high: NDArray[np.float64]) -> list[int]:
+    """The frames of a map, in order, that leave a range image taken within reach of the box [low, high] (3,)."""
     dynamic, poses = run.parameters.dynamic, run.sequence.frames.map_from_ego
     indices = np.arange(0, len(poses), dynamic.every_frame)
+    indices = indices[run.maps[indices] == number]
     places = poses[indices] @ run.sensor_ego
     gaps = np.maximum(0.0, np.maximum(low - places, places - high))
     return [int(index) for index in indices[np.linalg.norm(gaps, axis=1) < dynamic.max_range_m]]
@@ -121,9 +125,9 @@ def image_name(index: int) -> str:
 
 def _by_part(run: LabelRun, indices: list[int]) -> Iterator[tuple[Part, list[int]]]:
     """These frames, in order, by the part that fused them."""
-    size = run.parameters.tiling.frames_per_part
     parts = parts_of(run)
-    for at, mine in groupby(indices, lambda index: index // size):
+    begins = [part[0] for part in parts]
+    for at, mine in groupby(indices, lambda index: bisect_right(begins, index) - 1):
         yield parts[at], list(mine)
 
 

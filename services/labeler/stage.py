@@ -58,5 +58,4 @@ def part_of(arguments: Arguments) -> Part:
 
 def tile_of(arguments: Arguments) -> Tile:
     """The tile that a job is about."""
-    i, j = arguments["tile"]
-    return i, j
+    return Tile(*arguments["tile"])

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stone.geometry.se3 import multiply
+from stone.geometry.se3 import steps_of
 from stone.geometry.trajectory import Trajectory
 
 WINDOW = 5
@@ -55,7 +55,7 @@ def jumps_of(
         allowed_m = limits.acceleration_m_s2 * dt_s**2 + limits.noise_m
     if has_changed is not None:
         allowed_m = allowed_m - np.where(has_changed, np.minimum(limits.noise_m / 2, allowed_m), 0)
-    is_jump = (excess_m > allowed_m) | (_turned_rad(trajectory) > limits.turn_rad_s * dt_s)
+    is_jump = (excess_m > allowed_m) | (steps_of(trajectory.map_from_ego)[1] > limits.turn_rad_s * dt_s)
     steps = np.flatnonzero(is_jump).astype(np.int64)
     return Jumps(steps, excess_m[steps])
 
@@ -74,10 +74,3 @@ def _usual(rate_m_s: NDArray[np.float64]) -> NDArray[np.float64]:
     padded = np.pad(rate_m_s, ((WINDOW // 2, WINDOW // 2), (0, 0)), mode="reflect")
     around = np.lib.stride_tricks.sliding_window_view(padded, WINDOW, axis=0)
     return np.asarray(np.median(around, axis=-1), dtype=np.float64)
-
-
-def _turned_rad(trajectory: Trajectory) -> NDArray[np.float64]:
-    """Angle between neighbouring poses (K − 1,), in [0, π]."""
-    wxyz = trajectory.map_from_ego.wxyz
-    turn = multiply(wxyz[:-1] * np.array([1.0, -1.0, -1.0, -1.0]), wxyz[1:])
-    return np.asarray(2 * np.arctan2(np.linalg.norm(turn[:, 1:], axis=1), np.abs(turn[:, 0])), dtype=np.float64)

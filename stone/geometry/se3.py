@@ -130,6 +130,13 @@ def _cross(a: tuple[Array, Array, Array], b: tuple[Array, Array, Array]) -> tupl
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
+def steps_of(poses: SE3) -> tuple[Array, Array]:
+    """How far (K − 1,), metres, and by which angle (K − 1,), in [0, π], each of K poses is from the one before it."""
+    lengths_m = np.linalg.norm(np.diff(poses.translation_m, axis=0), axis=1)
+    turns = multiply(poses.wxyz[:-1] * np.array([1.0, -1.0, -1.0, -1.0]), poses.wxyz[1:])
+    return lengths_m, 2 * np.arctan2(np.linalg.norm(turns[:, 1:], axis=1), np.abs(turns[:, 0]))
+
+
 def wxyz_from_rotation(rotation: Array) -> Array:
     """Unit quaternions with w ≥ 0 from rotation matrices (..., 3, 3), by the largest component (Shepperd, 1978)."""
     r = rotation

@@ -6,36 +6,46 @@ the robot did not touch and poisons the reference.
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from stone.geometry.lattice import Keys, find, pack, table_of
-from stone.geometry.se3 import SE3, interpolate
+from stone.geometry.lattice import Keys, centres_of, find, pack, table_of
+from stone.geometry.se3 import SE3, interpolate, steps_of
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.calibration import Footprint
 
 BAND_M = 0.15
 STEP_M = 0.1
+STEP_RAD = 0.1
 
 
-def swept(keys: Keys, map_from_ego: SE3, footprint: Footprint, band_m: float = BAND_M) -> NDArray[np.bool_]:
-    """Which of the voxels `keys` (K,) lie under the footprint at, or on the way between, the poses (P,)."""
+def swept(keys: Keys, map_from_ego: Sequence[SE3], footprint: Footprint, band_m: float = BAND_M) -> NDArray[np.bool_]:
+    """Which of the voxels `keys` (K,) lie under the footprint at, or on the way between, the poses (P,) of a stretch.
+
+    Between two stretches there is no way.
+    """
     under = np.zeros(len(keys), np.bool_)
-    if len(keys) and len(map_from_ego):
-        table = table_of(keys)
-        half = (footprint.length_m / 2, footprint.width_m / 2, band_m)
-        _sweep(densified(map_from_ego, STEP_M).as_matrix(), half, (table.keys, table.rows), under)
+    if not len(keys):
+        return under
+    table, centres = table_of(keys), centres_of(keys, VOXEL_M)
+    half = (footprint.length_m / 2, footprint.width_m / 2, band_m)
+    low, high = centres.min(axis=0) - math.hypot(*half), centres.max(axis=0) + math.hypot(*half)
+    for stretch in map_from_ego:
+        poses = densified(stretch, STEP_M, STEP_RAD)
+        is_near = ((low <= poses.translation_m) & (poses.translation_m <= high)).all(axis=1)
+        _sweep(poses[is_near].as_matrix(), half, (table.keys, table.rows), under)
     return under
 
 
-def densified(poses: SE3, step_m: float) -> SE3:
-    """The poses with others interpolated between, so that consecutive origins are at most `step_m` apart."""
+def densified(poses: SE3, step_m: float, step_rad: float = np.inf) -> SE3:
+    """The poses with others interpolated between, so that neighbours are at most so far apart and turned."""
     if len(poses) < 2:
         return poses
-    lengths = np.linalg.norm(np.diff(poses.translation_m, axis=0), axis=1)
-    pieces = np.maximum(1, np.ceil(lengths / step_m)).astype(np.int64)
+    lengths_m, angles_rad = steps_of(poses)
+    pieces = np.maximum(1, np.ceil(np.maximum(lengths_m / step_m, angles_rad / step_rad))).astype(np.int64)
     left = np.repeat(np.arange(len(pieces)), pieces)
     ratio = (np.arange(len(left)) - np.repeat(np.cumsum(pieces) - pieces, pieces)) / pieces[left]
     between = interpolate(poses[left], poses[left + 1], ratio)

@@ -102,6 +102,7 @@ class Sequence:
 
     `track` is where the robot was between the frames, as its poses say before any refinement of the frames' own; poses
     farther apart than `max_pose_gap_ns` are a gap in it. None where frames were not made from a recording.
+    `map_of_segment` is the map that each segment of the track lies in, () where each has its own.
     """
 
     name: str
@@ -114,6 +115,7 @@ class Sequence:
     findings: tuple[Finding, ...] = ()
     track: Trajectory | None = None
     max_pose_gap_ns: int = DEFAULT_MAX_GAP_NS
+    map_of_segment: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         if not NAME.fullmatch(self.name):

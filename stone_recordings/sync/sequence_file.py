@@ -65,6 +65,7 @@ def read_sequence(payload: bytes) -> Sequence:
         findings=tuple(Finding(**finding) for finding in record["findings"]),
         track=track,
         max_pose_gap_ns=record["max_pose_gap_ns"],
+        map_of_segment=tuple(record["map_of_segment"]),
     )
 
 
@@ -105,6 +106,7 @@ def _record(sequence: Sequence) -> dict[str, Any]:
         "inputs": dict(sequence.inputs),
         "findings": [finding.as_record() for finding in sequence.findings],
         "max_pose_gap_ns": sequence.max_pose_gap_ns,
+        "map_of_segment": list(sequence.map_of_segment),
     }
 
 

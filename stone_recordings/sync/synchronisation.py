@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone.findings import Finding
+from stone.geometry.segments import split_at_gaps
 from stone.geometry.smooth_interpolation import with_between
 from stone.geometry.trajectory import Interpolated, PoseStatus, Trajectory
 from stone.sensors.association import typical_period_ns
@@ -45,7 +46,7 @@ class PosedFrames:
 def frames_with_pose(name: str, clock: LidarClock, track: PoseTrack, max_gap_ns: int) -> PosedFrames:
     """Every LiDAR stamp, as a frame or as an exclusion with its reason. Raises NoFramesError when none has a pose."""
     stamps_ns, trajectory = clock.ordered.stamps_ns, track.trajectory
-    path = with_between(trajectory, max_gap_ns) if track.is_smooth else trajectory
+    path = split_at_gaps(with_between(trajectory, max_gap_ns) if track.is_smooth else trajectory, max_gap_ns)
     at_stamp = path.at(stamps_ns, max_gap_ns)
     at_ends = [path.at(stamps_ns + offset_ns, max_gap_ns) for offset_ns in clock.span_ns]
     is_empty = clock.points == 0
@@ -96,7 +97,7 @@ def _exclusion(stamp_ns: int, is_empty: bool, found: list[tuple[PoseStatus, int]
         return ExcludedFrame(stamp_ns, "empty_sweep", "the sweep has no points")
     is_missing = [status != PoseStatus.OK for status, _ in found]
     if not any(is_missing):
-        return ExcludedFrame(stamp_ns, EXCLUSIONS[PoseStatus.SPLIT], "the track jumps during the sweep")
+        return ExcludedFrame(stamp_ns, EXCLUSIONS[PoseStatus.SPLIT], "the track breaks off during the sweep")
     status, gap_ns = found[is_missing.index(True)]
     when = ("the stamp", "the sweep's first point", "the sweep's last point")[is_missing.index(True)]
     where = {

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.labeler.map.fused_files import fused_columns
-from services.labeler.run import LabelRun, Part, Step, core_cells, silent, tiles_of
+from services.labeler.run import LabelRun, Part, Step, Tile, core_cells, silent, tiles_of
 from services.labeler.scratch import Arrays, fused_path, image_name, images_path, save
 from stone.labels.grid import GRID_MAX_M, GRID_MIN_M
 from stone.labels.observed_voxels import BRICK, Carver, Observed
@@ -61,7 +61,7 @@ def _leave(run: LabelRun, part: Part, points: PointMap, observed: Observed) -> N
         mine = (point_tiles[:, 0] == i) & (point_tiles[:, 1] == j)
         bricks = (brick_tiles[:, 0] == i) & (brick_tiles[:, 1] == j)
         mapped = points.where(mine), Observed(observed.keys[bricks], observed.words[bricks])
-        save(fused_path(run, (i, j), part), fused_columns(*mapped))
+        save(fused_path(run, Tile(i, j, run.map_of(part)), part), fused_columns(*mapped))
 
 
 def _distinct(tiles: NDArray[np.int64]) -> set[tuple[int, int]]:

@@ -91,7 +91,7 @@ class SceneFiles:
         """The corners (3,) of the box around the voxels, metres; of a tile without any, of its core's bottom."""
         if len(indices):
             return indices.min(axis=0) * VOXEL_M, (indices.max(axis=0) + 1) * VOXEL_M
-        low = np.array([*tile, 0.0]) * self.run.parameters.core_m
+        low = np.array([tile.i, tile.j, 0.0]) * self.run.parameters.core_m
         return low, low
 
     def _write(self, name: str, content: bytes) -> int:

@@ -18,6 +18,7 @@ from stone.labels.footprint import swept
 from stone.labels.observed_voxels import Observed
 from stone.labels.traversability import FeatureSums, sums_of
 from stone.labels.voxels import VOXEL_M, VoxelFeatures, height_above_local_ground, voxel_features
+from stone.sensors.ego_path import datum_m, ego_path
 from stone.surface.band import band_of
 from stone.surface.contour import zero_surface
 from stone.surface.dynamic import carried_along, is_moving, vote
@@ -55,15 +56,15 @@ def surface(run: LabelRun, tile: Tile, step: Step = silent) -> TileSummary:
     low, high = _cube(run.parameters, tile)
     points = merge([part for near in neighbourhood(tile) for part in load_points(run, near, low, high)])
     step(1, STEPS)
-    moving = _moving(run, points)
+    moving = _moving(run, tile, points)
     points = points.where(~moving).where_seen(run.parameters.surface.min_frames)
     step(2, STEPS)
     mesh, normals = _mesh(run.parameters, points, low)
     step(3, STEPS)
-    voxels, other_height_m = _features(run.parameters, mesh, normals)
+    voxels, other_height_m = _features(run.parameters, mesh, normals, datum_m(run.sequence, tile.map))
     mine = in_core(centres_of(voxels.keys, VOXEL_M), tile, run.parameters.core_m)
     voxels, other_height_m = voxels.where(mine), other_height_m[mine]
-    is_driven = _driven(run, voxels)
+    is_driven = _driven(run, tile, voxels)
     kept = _core_mesh(mesh, tile, run.parameters.core_m)
     observed = load_observed(run, tile)
     _leave(run, tile, (voxels, other_height_m, is_driven), (kept, observed))
@@ -85,17 +86,17 @@ def reference_origin(run: LabelRun, profile: Profile) -> NDArray[np.float64]:
 
 def _cube(parameters: LabelParameters, tile: Tile) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The tile's cube in plan [low, high) (2,), half a cell off the voxel lattice so corners are voxel centres."""
-    low = np.array(tile) * parameters.core_m - parameters.tiling.halo_m + parameters.surface.width_m / 2
+    low = tile.place.astype(np.float64) * parameters.core_m - parameters.tiling.halo_m + parameters.surface.width_m / 2
     return low, low + parameters.tiling.cube_cells * parameters.surface.width_m
 
 
-def _moving(run: LabelRun, points: PointMap) -> NDArray[np.bool_]:
+def _moving(run: LabelRun, tile: Tile, points: PointMap) -> NDArray[np.bool_]:
     """Vote the points of this tile against every range image taken near enough to see them."""
     votes = np.zeros((len(points), 2), np.int32)
     if len(points) == 0:
         return votes[:, 0] > 0
     centroids = points.centroids_map()
-    for image in images_near(run, centroids.min(axis=0), centroids.max(axis=0)):
+    for image in images_near(run, tile.map, centroids.min(axis=0), centroids.max(axis=0)):
         vote(centroids, image, run.parameters.dynamic, votes)
     return carried_along(centroids, points.frames_seen(), votes, is_moving(votes))
 
@@ -116,10 +117,11 @@ def _mesh(parameters: LabelParameters, points: PointMap, low: NDArray[np.float64
 
 
 def _features(
-    parameters: LabelParameters, mesh: Mesh, normals: NDArray[np.float64]
+    parameters: LabelParameters, mesh: Mesh, normals: NDArray[np.float64], datum: float
 ) -> tuple[VoxelFeatures, NDArray[np.float64]]:
-    """What the run's profile measures, and the elevation (K,) that the other one would."""
-    voxels = voxel_features(mesh.vertices_map, terrain_features(mesh, normals, parameters.terrain))
+    """What the run's profile measures, and the elevation (K,) that the other one would; both above `datum` metres."""
+    found = voxel_features(mesh.vertices_map, terrain_features(mesh, normals, parameters.terrain))
+    voxels = VoxelFeatures(found.keys, with_elevation(found.features, found.features[:, ELEVATION] - datum))
     height_m = height_above_local_ground(voxels, parameters.local_ground_radius_m)
     if parameters.profile == "paper":
         return voxels, height_m
@@ -127,9 +129,9 @@ def _features(
     return local, voxels.features[:, ELEVATION]
 
 
-def _driven(run: LabelRun, voxels: VoxelFeatures) -> NDArray[np.bool_]:
-    poses = run.sequence.frames.map_from_ego
-    return swept(voxels.keys, poses, run.sequence.calibration.footprint, run.parameters.footprint_band_m)
+def _driven(run: LabelRun, tile: Tile, voxels: VoxelFeatures) -> NDArray[np.bool_]:
+    path = ego_path(run.sequence, tile.map)
+    return swept(voxels.keys, path, run.sequence.calibration.footprint, run.parameters.footprint_band_m)
 
 
 def _core_mesh(mesh: Mesh, tile: Tile, core_m: float) -> Mesh:

@@ -12,7 +12,7 @@ from services.labeler.map.fuse import fuse
 from services.labeler.map.surface import surface
 from services.labeler.parameters import parameters_for
 from services.labeler.results import reference_from
-from services.labeler.run import LabelRun
+from services.labeler.run import LabelRun, Tile
 from stone.geometry.lattice import indices_of
 from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
 from stone.sensors.calibration import Box
@@ -61,8 +61,8 @@ def labelled(world, folder):
         run = LabelRun(sequence_of(world), RayCast(world), parameters_for("paper"), folder)
         part = (0, world.frames)
         fuse(run, part)
-        reference = reference_from([surface(run, (0, 0))], run.parameters)
-    arrays, classes = labelled_tile(run, (0, 0), reference)
+        reference = reference_from([surface(run, Tile(0, 0))], run.parameters)
+    arrays, classes = labelled_tile(run, Tile(0, 0), reference)
     voxels = dict(zip(map(tuple, indices_of(arrays["keys"]).tolist()), classes.tolist(), strict=True))
     return Labelled(run, seen["whole"], seen["trimmed"], voxels, list(labelled_frames(run, part, reference)))
 

@@ -54,7 +54,7 @@ def test_whatever_a_part_left_in_a_tile_was_planned(fused: LabelRun) -> None:
 def test_a_tile_waits_for_every_part_with_a_point_in_its_cube_and_not_for_all(fused: LabelRun) -> None:
     plan, tiling = plan_of(fused), fused.parameters.tiling
     for tile, parts in plan.needs.items():
-        low = np.array(tile) * fused.parameters.core_m - tiling.halo_m
+        low = tile.place * fused.parameters.core_m - tiling.halo_m
         high = low + fused.parameters.core_m + 2 * tiling.halo_m
         every = sum(len(one) for near in neighbourhood(tile) for one in load_points(fused, near, low, high))
         assert every == sum(_points_of(fused, tile, part) for part in parts)
@@ -66,7 +66,7 @@ def _points_of(run: LabelRun, tile: Tile, part: Part) -> int:
     alone = replace(run, scratch=run.scratch.with_name(f"alone-{part[0]}"))
     if not alone.scratch.exists():
         fuse(alone, part)
-    low = np.array(tile) * run.parameters.core_m - run.parameters.tiling.halo_m
+    low = tile.place * run.parameters.core_m - run.parameters.tiling.halo_m
     high = low + run.parameters.core_m + 2 * run.parameters.tiling.halo_m
     return sum(len(one) for near in neighbourhood(tile) for one in load_points(alone, near, low, high))
 

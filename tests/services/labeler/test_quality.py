@@ -10,7 +10,7 @@ from services.labeler.map.fuse import fuse
 from services.labeler.map.surface import surface
 from services.labeler.parameters import parameters_for
 from services.labeler.results import reference_from
-from services.labeler.run import LabelRun
+from services.labeler.run import LabelRun, Tile
 from stone.geometry.lattice import centres_of
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Box
@@ -42,8 +42,8 @@ def labelled(folder, sweeps, sequence=None, parameters=None):
     sequence = sequence or sequence_of(WORLD)
     run = LabelRun(sequence, sweeps, parameters or parameters_for("paper"), folder)
     fuse(run, (0, len(sequence.frames)))
-    reference = reference_from([surface(run, (0, 0))], run.parameters)
-    arrays, classes = labelled_tile(run, (0, 0), reference)
+    reference = reference_from([surface(run, Tile(0, 0))], run.parameters)
+    arrays, classes = labelled_tile(run, Tile(0, 0), reference)
     return Labelled(WORLD.placed().inverse() @ centres_of(arrays["keys"], 0.2), classes)
 
 

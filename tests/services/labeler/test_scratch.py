@@ -34,7 +34,7 @@ def test_a_tile_looks_at_every_image_taken_within_reach_of_it(tmp_path, every_fr
     places = [run.sequence.frames.map_from_ego[index] @ run.sensor_ego for index in range(0, 14, every_frame)]
     near = [place for place in places if gap_m(place, low, high) < 20.0]
     assert 0 < len(near) < len(places)
-    images = list(images_near(run, low, high))
+    images = list(images_near(run, 0, low, high))
     np.testing.assert_array_equal([image.map_from_view.translation_m for image in images], near)
     assert all((image.ranges_m > 0).any() for image in images)
 
@@ -45,10 +45,10 @@ def test_a_tile_looks_at_no_part_that_is_out_of_its_reach(tmp_path):
     low, high = np.array([58.0, 20.0, -1.0]), np.array([68.0, 30.0, 2.0])
     for begin in (8, 12):
         fuse(run, (begin, min(begin + 4, 14)))
-    early = [image.ranges_m for image in images_near(run, low, high)]
+    early = [image.ranges_m for image in images_near(run, 0, low, high)]
     for begin in (0, 4):
         fuse(run, (begin, begin + 4))
-    late = [image.ranges_m for image in images_near(run, low, high)]
+    late = [image.ranges_m for image in images_near(run, 0, low, high)]
     assert len(early) == len(late) == 2
     assert all((a == b).all() for a, b in zip(early, late, strict=True))
 
@@ -56,4 +56,4 @@ def test_a_tile_looks_at_no_part_that_is_out_of_its_reach(tmp_path):
 def test_an_image_that_is_not_there_yet_is_not_passed_over(tmp_path):
     run = run_in(tmp_path)
     with pytest.raises(FileNotFoundError, match=images_path(run, (0, 4)).name):
-        list(images_near(run, np.array([-20.0, 20.0, -1.0]), np.array([-10.0, 30.0, 2.0])))
+        list(images_near(run, 0, np.array([-20.0, 20.0, -1.0]), np.array([-10.0, 30.0, 2.0])))

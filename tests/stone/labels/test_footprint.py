@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from stone.geometry.lattice import centres_of, keys_from_indices
 from stone.geometry.se3 import SE3
-from stone.labels.footprint import BAND_M, STEP_M, densified, swept
+from stone.labels.footprint import BAND_M, STEP_M, STEP_RAD, densified, swept
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.calibration import Footprint
 
@@ -35,24 +35,24 @@ def test_what_is_swept_is_what_lies_under_any_pose(seed):
     poses = SE3.from_parts(wxyz, rng.uniform(-1.0, 1.0, (4, 3)) * [1, 1, 0.2])
     keys = block((-12, -12, -6), (12, 12, 6))
     inside = np.zeros(len(keys), np.bool_)
-    for pose in densified(poses, STEP_M).wxyz_xyz:
+    for pose in densified(poses, STEP_M, STEP_RAD).wxyz_xyz:
         x, y, z = np.abs(SE3(pose).inverse() @ centres_of(keys, VOXEL_M)).T
         inside |= (x <= FOOTPRINT.length_m / 2) & (y <= FOOTPRINT.width_m / 2) & (z <= BAND_M)
-    assert (swept(keys, poses, FOOTPRINT) == inside).all()
+    assert (swept(keys, [poses], FOOTPRINT) == inside).all()
 
 
 def test_a_straight_drive_over_a_plane_covers_exactly_its_rectangle():
     keys = block((-40, -10, 0), (40, 10, 1))
     x, y, _ = centres_of(keys, VOXEL_M).T
     expected = (x >= -2.04 - 0.53) & (x <= 3.04 + 0.53) & (np.abs(y) <= 0.425)
-    under = swept(keys, path((-2.04, 0, 0.1, 0), (3.04, 0, 0.1, 0)), FOOTPRINT)
+    under = swept(keys, [path((-2.04, 0, 0.1, 0), (3.04, 0, 0.1, 0))], FOOTPRINT)
     assert (under == expected).all()
     assert under.sum() == 31 * 4
 
 
 def test_voxels_beyond_the_band_are_not_driven_on():
     keys = block((-2, -2, -5), (2, 2, 5))
-    under = swept(keys, path((0, 0, 0, 0)), FOOTPRINT, band_m=0.15)
+    under = swept(keys, [path((0, 0, 0, 0))], FOOTPRINT, band_m=0.15)
     assert set(centres_of(keys[under], VOXEL_M)[:, 2].round(3)) == {-0.1, 0.1}
 
 
@@ -62,7 +62,7 @@ def test_every_surface_voxel_under_a_curved_track_is_covered():
     keys = block((-40, -10, 0), (40, 70, 1))
     x, y, _ = centres_of(keys, VOXEL_M).T
     off_track_m = np.abs(np.hypot(x, y - 6) - 6)
-    under = swept(keys, track, FOOTPRINT)
+    under = swept(keys, [track], FOOTPRINT)
     sagitta_m = 6 * (1 - math.cos(math.pi / 24))  # poses between are interpolated on the chord
     assert under[off_track_m <= FOOTPRINT.width_m / 2 - sagitta_m].all()
     assert not under[off_track_m > math.hypot(6 + 0.425, 0.53) - 6 + sagitta_m].any()
@@ -71,8 +71,24 @@ def test_every_surface_voxel_under_a_curved_track_is_covered():
 def test_the_way_between_two_poses_is_covered():
     keys = block((-5, -2, 0), (60, 2, 1))
     x, _, _ = centres_of(keys, VOXEL_M).T
-    under = swept(keys, path((0, 0, 0.1, 0), (10, 0, 0.1, 0)), FOOTPRINT)
+    under = swept(keys, [path((0, 0, 0.1, 0), (10, 0, 0.1, 0))], FOOTPRINT)
     assert under[(x >= -0.53) & (x <= 10.53)].all()
+
+
+def test_nothing_is_driven_between_two_stretches():
+    keys = block((-5, -2, 0), (60, 2, 1))
+    x, _, _ = centres_of(keys, VOXEL_M).T
+    under = swept(keys, [path((0, 0, 0.1, 0), (1, 0, 0.1, 0)), path((8, 0, 0.1, 0), (10, 0, 0.1, 0))], FOOTPRINT)
+    assert under[(x <= 1.53) | ((x >= 7.47) & (x <= 10.53))].sum() == under.sum()
+    assert not under[(x > 1.53) & (x < 7.47)].any()
+
+
+def test_a_robot_that_turns_on_the_spot_sweeps_a_disc_with_its_corners():
+    keys = block((-6, -6, 0), (6, 6, 1))
+    x, y, _ = centres_of(keys, VOXEL_M).T
+    quarter_turns = path(*[(0, 0, 0.1, math.radians(angle)) for angle in (0, 90, 180)])
+    reach_m = math.hypot(FOOTPRINT.length_m, FOOTPRINT.width_m) / 2
+    assert swept(keys, [quarter_turns], FOOTPRINT)[np.hypot(x, y) <= reach_m - 0.01].all()
 
 
 @settings(max_examples=30, deadline=None)
@@ -92,8 +108,8 @@ def test_fewer_than_two_poses_have_nothing_between(count):
     poses = SE3.identity((count,))
     assert len(densified(poses, 0.1)) == count
     keys = block((-3, -3, 0), (3, 3, 1))
-    assert swept(keys, poses, FOOTPRINT).any() == (count == 1)
+    assert swept(keys, [poses], FOOTPRINT).any() == (count == 1)
 
 
 def test_no_voxels_are_swept_where_there_are_none():
-    assert swept(np.zeros(0, np.int64), path((0, 0, 0, 0)), FOOTPRINT).shape == (0,)
+    assert swept(np.zeros(0, np.int64), [path((0, 0, 0, 0))], FOOTPRINT).shape == (0,)

@@ -1,0 +1,33 @@
+"""Segments of a track, its unbroken stretches: numbered upwards, a new one after every jump and every gap.
+
+**Conventions.** A gap is a step longer than `max_gap_ns`; jumps are those the trajectory is split at already
+(`stone.geometry.jumps`). A time belongs to the segment of the last pose at or before it, one before all poses to the
+first.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.geometry.trajectory import Trajectory
+
+
+def split_at_gaps(trajectory: Trajectory, max_gap_ns: int) -> Trajectory:
+    """The trajectory with a new segment after each gap too; itself where it has none."""
+    is_gap = np.diff(trajectory.stamps_ns) > max_gap_ns
+    if not is_gap.any():
+        return trajectory
+    is_new = is_gap | (np.diff(segments_of(trajectory)) != 0)
+    return replace(trajectory, segment=np.concatenate([[0], np.cumsum(is_new)]).astype(np.int64))
+
+
+def segments_of(trajectory: Trajectory) -> NDArray[np.int64]:
+    """The segment (K,) of every pose."""
+    return np.zeros(len(trajectory), np.int64) if trajectory.segment is None else trajectory.segment
+
+
+def segments_at(trajectory: Trajectory, stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The segment (N,) at every time (N,)."""
+    before = np.searchsorted(trajectory.stamps_ns, stamps_ns, side="right") - 1
+    return np.asarray(segments_of(trajectory)[np.maximum(before, 0)])

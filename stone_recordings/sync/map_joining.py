@@ -1,0 +1,165 @@
+"""Joining of the maps of a run whose track broke: what was seen after a break is registered to what was seen before it.
+
+**Conventions.** Two starts are tried: the poses as given, which fit where the source only fell silent, and the robot
+having gone on as it went before the break, which fits where the source jumped. Where neither registration is believed
+(`stone_recordings.sync.registration`), what follows is a map of its own. A correction moves everything after the break
+up to the next one; below `TAKEN_M` and `TAKEN_RAD` poses stay as given. All of it is said, break by break.
+"""
+
+from collections.abc import Sequence as Listing
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.findings import Finding
+from stone.geometry.se3 import SE3, interpolate
+from stone.geometry.segments import segments_at, segments_of
+from stone.geometry.trajectory import Trajectory
+from stone.sensors.ego_path import track_of
+from stone.sensors.selection import world_points
+from stone.sensors.sequence import Sequence, SweepSource
+from stone_recordings.sync.registration import Registered, Target, Trust, apart
+
+FRAMES_EACH_SIDE = 10
+REACH_M, SAMPLING_M, MIN_RANGE_M = 40.0, 0.3, 1.0
+VELOCITY_S, CONTINUED_S = 0.5, 10.0
+TAKEN_M, TAKEN_RAD = 0.05, 0.005
+MOST_BREAKS = 50
+
+
+@dataclass(frozen=True, eq=False)
+class Break:
+    """Between two frames that follow one another in different segments; `registered` the second from the first."""
+
+    before: int
+    after: int
+    registered: Registered
+
+    @property
+    def is_joined(self) -> bool:
+        return not self.registered.doubt
+
+
+def joined(sequence: Sequence, sweeps: SweepSource) -> Sequence:
+    """The sequence with its maps joined where registration can; itself where its track never breaks."""
+    track, frames = track_of(sequence), sequence.frames
+    segment_of_frame = segments_at(track, frames.stamps_ns)
+    ends = np.flatnonzero(np.diff(segment_of_frame)).tolist()
+    if not ends:
+        return sequence
+    if len(ends) > MOST_BREAKS:
+        return replace(sequence, findings=(*sequence.findings, _too_many(len(ends))))
+    pieces = _Pieces(sequence, sweeps, segment_of_frame)
+    breaks = [Break(end, end + 1, pieces.registered(end, track)) for end in ends]
+    return _moved(sequence, track, segment_of_frame, breaks)
+
+
+@dataclass(frozen=True, eq=False)
+class _Pieces:
+    """The stretches of frames between breaks, and what was seen at their ends."""
+
+    sequence: Sequence
+    sweeps: SweepSource
+    segment_of_frame: NDArray[np.int64]
+
+    def registered(self, end: int, track: Trajectory) -> Registered:
+        """The frame after `end` in the frame `end`, by what the frames on both sides saw."""
+        poses = self.sequence.frames.map_from_ego
+        given = poses[end].inverse() @ poses[end + 1]
+        first = max(end - FRAMES_EACH_SIDE + 1, int(np.searchsorted(self.segment_of_frame, self.segment_of_frame[end])))
+        last = int(np.searchsorted(self.segment_of_frame, self.segment_of_frame[end + 1], side="right"))
+        target = Target(self._seen(range(first, end + 1), poses[end]), SAMPLING_M)
+        source = self._seen(range(end + 1, min(end + 1 + FRAMES_EACH_SIDE, last)), poses[end + 1])
+        starts = [given, *self._continued(end, track)]
+        found = [target.register(source, start, Trust()) for start in starts]
+        believed = [one for one in found if not one.doubt]
+        return min(believed, key=lambda one: one.residual_m) if believed else max(found, key=lambda one: one.overlap)
+
+    def _seen(self, indices: Listing[int], map_from_ego: SE3) -> NDArray[np.float64]:
+        """The points (N, 3) of these frames, seen from this pose."""
+        calibration, poses = self.sequence.calibration, self.sequence.frames.map_from_ego
+        clouds = []
+        for index in indices:
+            points_lidar = self.sweeps.sweep(index).points_lidar
+            points = world_points(points_lidar, calibration.ego_from_lidar, calibration.self_boxes_ego, MIN_RANGE_M)
+            near = points[np.einsum("ij,ij->i", points, points) < REACH_M**2].astype(np.float64)
+            clouds.append((map_from_ego.inverse() @ poses[index]) @ near)
+        return np.concatenate(clouds)
+
+    def _continued(self, end: int, track: Trajectory) -> list[SE3]:
+        """Where the robot would be, had it gone on as in the last half second before the break; if that is known."""
+        stamps_ns, poses = self.sequence.frames.stamps_ns, self.sequence.frames.map_from_ego
+        is_before = (segments_of(track) == self.segment_of_frame[end]) & (track.stamps_ns <= stamps_ns[end])
+        since_ns = int(stamps_ns[end]) - int(VELOCITY_S * 1e9)
+        rows = np.flatnonzero(is_before & (track.stamps_ns >= since_ns))
+        silent_ns = int(stamps_ns[end + 1] - stamps_ns[end])
+        if not len(rows) or track.stamps_ns[rows[0]] == stamps_ns[end] or silent_ns > CONTINUED_S * 1e9:
+            return []
+        went = track.map_from_ego[int(rows[0])].inverse() @ poses[end]
+        whole, rest = divmod(silent_ns / int(stamps_ns[end] - track.stamps_ns[rows[0]]), 1.0)
+        way = interpolate(SE3.identity(), went, np.array(rest))
+        for _ in range(int(whole)):
+            way = went @ way
+        return [way]
+
+
+def _moved(
+    sequence: Sequence, track: Trajectory, segment_of_frame: NDArray[np.int64], breaks: Listing[Break]
+) -> Sequence:
+    """The sequence with what follows each break moved to where it was registered."""
+    segments, frames = segments_of(track), sequence.frames
+    maps, moves = _maps_and_moves(sequence, segment_of_frame, breaks, int(segments[-1]) + 1)
+    path = replace(track, map_from_ego=SE3(moves)[segments] @ track.map_from_ego)
+    placed = replace(frames, map_from_ego=SE3(moves)[segment_of_frame] @ frames.map_from_ego)
+    findings = (*sequence.findings, *(_finding(sequence, one) for one in breaks))
+    recorded = path if sequence.track is not None else None
+    return replace(sequence, frames=placed, track=recorded, map_of_segment=maps, findings=findings)
+
+
+def _maps_and_moves(
+    sequence: Sequence, segment_of_frame: NDArray[np.int64], breaks: Listing[Break], count: int
+) -> tuple[tuple[int, ...], NDArray[np.float64]]:
+    """Per segment the map it lies in, and what is put before its poses (S, 7); one without frames follows the last."""
+    poses = sequence.frames.map_from_ego
+    moves = SE3.identity((count,)).wxyz_xyz
+    maps, number = [0] * count, 0
+    follows = {int(segment_of_frame[one.after]): one for one in breaks}
+    move = SE3.identity()
+    for segment in range(count):
+        if (one := follows.get(segment)) is not None:
+            number += not one.is_joined
+            move = _move(poses, one, move) if one.is_joined else SE3.identity()
+        maps[segment], moves[segment] = number, move.wxyz_xyz
+    return tuple(maps), moves
+
+
+def _move(poses: SE3, one: Break, before: SE3) -> SE3:
+    """What is put before the poses after a break, given what is put before those before it."""
+    placed = before @ poses[one.before] @ one.registered.target_from_source
+    given = before @ poses[one.after]
+    far_m, turned_rad = apart(placed, given)
+    return before if far_m <= TAKEN_M and turned_rad <= TAKEN_RAD else placed @ poses[one.after].inverse()
+
+
+def _finding(sequence: Sequence, one: Break) -> Finding:
+    poses, stamps_ns = sequence.frames.map_from_ego, sequence.frames.stamps_ns
+    silent_s = (int(stamps_ns[one.after]) - int(stamps_ns[one.before])) * 1e-9
+    where = f"the track breaks between {stamps_ns[one.before]} and {stamps_ns[one.after]} ns ({silent_s:.1f} s)"
+    found = one.registered
+    if not one.is_joined:
+        sentence = f"{where}; what follows is a map of its own, for it could not be joined: {found.doubt}"
+        return Finding("SYN-508", "warning", "", sentence)
+    far_m, turned_rad = apart(poses[one.before] @ found.target_from_source, poses[one.after])
+    is_taken = far_m > TAKEN_M or turned_rad > TAKEN_RAD
+    moved = f"moved by {far_m:.2f} m and {np.rad2deg(turned_rad):.1f}°" if is_taken else "as given"
+    fits = f"{found.overlap:.0%} overlap, surfaces {1000 * found.residual_m:.0f} mm apart"
+    return Finding("SYN-507", "warning" if is_taken else "info", "", f"{where} and is joined {moved} ({fits})")
+
+
+def _too_many(breaks: int) -> Finding:
+    sentence = (
+        f"the track breaks {breaks} times; each stretch is a map of its own, for above {MOST_BREAKS} breaks none are "
+        "joined (is this the right source of poses?)"
+    )
+    return Finding("SYN-508", "warning", "", sentence)

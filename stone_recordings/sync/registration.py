@@ -1,0 +1,123 @@
+"""Registration of two point clouds (`small_gicp`, Koide et al., 2021), with what says whether to believe it.
+
+**Conventions.** A result is believed where enough of the source finds a surface of the target (`overlap`), close to its
+plane (`residual_m`), and starts displaced along the ground end in the same place: on a bare plane any place fits as
+well as another, and a registration that converges there says nothing. One thread, so equal clouds give equal results.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from stone.geometry.se3 import SE3, steps_of
+
+NEIGHBOURS = 10
+COARSE_M, FINE_M = 2.0, 0.5
+DISPLACED_M = 0.7
+ITERATIONS = 40
+FEWEST_POINTS = 200
+SIGMA_OF_MEDIAN = 1.4826
+
+Points = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Trust:
+    """What a registration is believed from: the share of the source within `FINE_M` of the target, the typical distance
+    from its planes, and how far apart (m, rad) the results of displaced starts may lie.
+
+    Measured on the KITTI piece: right ones 0.028 to 0.037 m, wrong ones from 0.082 m.
+    """
+
+    least_overlap: float = 0.5
+    residual_m: float = 0.06
+    spread_m: float = 0.15
+    spread_rad: float = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Registered:
+    """`target_from_source`, and why it is not to be believed ("" where it is)."""
+
+    target_from_source: SE3
+    overlap: float
+    residual_m: float
+    doubt: str
+
+
+class Target:
+    """The cloud (N, 3) that others are registered to; thinned to `sampling_m`."""
+
+    def __init__(self, points: Points, sampling_m: float) -> None:
+        import small_gicp
+
+        self._gicp, self._sampling_m = small_gicp, sampling_m
+        self._cloud, self._tree = small_gicp.preprocess_points(points, sampling_m, NEIGHBOURS, 1)
+        self._points, self._normals = self._cloud.points()[:, :3], self._cloud.normals()[:, :3]
+
+    def register(self, source: Points, guess: SE3, trust: Trust) -> Registered:
+        """Where the source (M, 3) lies, starting from `guess` and from places around it."""
+        cloud, _ = self._gicp.preprocess_points(source, self._sampling_m, NEIGHBOURS, 1)
+        if min(cloud.size(), len(self._points)) < FEWEST_POINTS:
+            return Registered(guess, 0.0, 0.0, "too few points")
+        best = self._aligned(cloud, guess)
+        if best is None:
+            return Registered(guess, 0.0, 0.0, "the registration does not converge")
+        overlap, residual_m = self._fit(cloud.points()[:, :3], best)
+        if overlap < trust.least_overlap:
+            return Registered(best, overlap, residual_m, f"only {overlap:.0%} of what is seen after it overlaps")
+        if residual_m > trust.residual_m:
+            return Registered(best, overlap, residual_m, f"the surfaces are {residual_m:.2f} m apart")
+        if not all(self._agrees(cloud, best, start, trust) for start in _displaced(guess)):
+            return Registered(best, overlap, residual_m, "more than one place fits")
+        return Registered(best, overlap, residual_m, "")
+
+    def _aligned(self, cloud: Any, start: SE3) -> SE3 | None:
+        for reach_m in (COARSE_M, FINE_M):
+            found = self._gicp.align(
+                self._cloud,
+                cloud,
+                self._tree,
+                start.as_matrix(),
+                max_correspondence_distance=reach_m,
+                num_threads=1,
+                max_iterations=ITERATIONS,
+            )
+            if not np.isfinite(found.T_target_source).all() or not found.num_inliers:
+                return None
+            start = SE3.from_matrix(np.asarray(found.T_target_source))
+        return start if found.converged else None
+
+    def _fit(self, source: Points, target_from_source: SE3) -> tuple[float, float]:
+        """Overlap, and the distance of what overlaps from the planes: the median of its size, as a standard deviation."""
+        placed = target_from_source @ source
+        gap_m, nearest = cKDTree(self._points).query(placed, distance_upper_bound=FINE_M)
+        rows = np.flatnonzero(np.isfinite(gap_m))
+        if not len(rows):
+            return 0.0, np.inf
+        off = placed[rows] - self._points[nearest[rows]]
+        off_m = np.abs(np.sum(off * self._normals[nearest[rows]], axis=1))
+        return len(rows) / len(source), SIGMA_OF_MEDIAN * float(np.median(off_m))
+
+    def _agrees(self, cloud: Any, best: SE3, start: SE3, trust: Trust) -> bool:
+        found = self._aligned(cloud, start)
+        if found is None:
+            return False
+        apart_m, apart_rad = apart(best, found)
+        return apart_m <= trust.spread_m and apart_rad <= trust.spread_rad
+
+
+def apart(a: SE3, b: SE3) -> tuple[float, float]:
+    """How far apart two poses are: metres, radians."""
+    lengths_m, angles_rad = steps_of(SE3(np.stack([a.wxyz_xyz, b.wxyz_xyz])))
+    return float(lengths_m[0]), float(angles_rad[0])
+
+
+def _displaced(guess: SE3) -> Iterator[SE3]:
+    """Before, behind and on both sides of a start."""
+    for shift_m in ([1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0], [0, -1.0, 0]):
+        yield guess @ SE3.from_parts(np.array([1.0, 0, 0, 0]), DISPLACED_M * np.array(shift_m))
