@@ -93,7 +93,7 @@ class Target:
         return start if found.converged else None
 
     def _fit(self, source: Points, target_from_source: SE3) -> tuple[float, float]:
-        """Overlap, and the distance of what overlaps from the planes: the median of its size, as a standard deviation."""
+        """Overlap, and how far what overlaps is from the planes: the median, as a standard deviation."""
         placed = target_from_source @ source
         gap_m, nearest = cKDTree(self._points).query(placed, distance_upper_bound=FINE_M)
         rows = np.flatnonzero(np.isfinite(gap_m))

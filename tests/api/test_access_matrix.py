@@ -138,6 +138,7 @@ def test_what_is_ones_own_is_in_ones_lists(scene: Scene) -> None:
         assert any(one in answer.text for one in world.ids), path
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("operation", "caller", "finding"),
     [
@@ -149,12 +150,15 @@ def test_what_is_ones_own_is_in_ones_lists(scene: Scene) -> None:
     ],
 )
 def test_a_planted_hole_is_found(holed: Scene, operation: Operation, caller: str, finding: str) -> None:
+    """Catches alone a matrix that would pass over a hole."""
     found = list(holed.matrix.findings(caller, holed.cast, holed.world, operation))
     assert len(found) == 1
     assert finding in found[0]
 
 
+@pytest.mark.whole
 def test_a_refusal_that_writes_is_found(holed: Scene) -> None:
+    """Catches alone a matrix that looks at answers only."""
     before = ledger_of(holed.platform)
     operation = ("DELETE", "/api/v1/holes/writing/{sequence_id}")
     assert list(holed.matrix.findings("other", holed.cast, holed.world, operation)) == []

@@ -1,4 +1,7 @@
-"""A job and a command open each recording once, whatever they want of it."""
+"""A job and a command open each recording once, whatever they want of it.
+
+Catches alone a job that opens its recording once for each purpose and takes twice the time.
+"""
 
 import mmap
 from collections.abc import Callable
@@ -19,6 +22,8 @@ from stone_recordings.bags.bag import Bag, open_bag
 from stone_recordings.calibrations.file import read_calibration
 from stone_recordings.sync import sweeps
 from testing.worlds.runs import bring, run_all
+
+pytestmark = pytest.mark.whole
 
 DRIVE = SimulateOptions(seconds=2.0, seed=3, channels=16, columns=180)
 Opens = Callable[[], int]
@@ -84,7 +89,6 @@ def test_a_job_opens_its_recording_once(by_kind: dict[str, list[int]]) -> None:
     }
 
 
-@pytest.mark.whole
 def test_a_command_opens_its_recording_once(bag: Path, opens: Opens, tmp_path: Path) -> None:
     """Catches alone a command that reads its recording again for another purpose.
 

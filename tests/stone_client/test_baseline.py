@@ -1,4 +1,7 @@
-"""`stone baseline` from exports of every kind: what the recording gives, the same bytes, hostile data refused."""
+"""`stone baseline` from exports of every kind: what the recording gives, the same bytes, hostile data refused.
+
+Catches alone a baseline that differs by the export it is made from.
+"""
 
 import json
 import tarfile
@@ -23,6 +26,8 @@ from stone_submissions.manifest import Manifest, write_manifest
 from testing.worlds.submission_files import write_submission
 from tests.services.labeler.exports.conftest import drive
 from tests.services.labeler.exports.made import Labelled, unheard
+
+pytestmark = pytest.mark.whole
 
 __all__ = ["drive"]  # a fixture
 

@@ -1,4 +1,7 @@
-"""A file arrives whole whatever ends in between: the client, the server, the file itself."""
+"""A file arrives whole whatever ends in between: the client, the server, the file itself.
+
+Catches alone a client that loses or repeats bytes when something ends in between.
+"""
 
 import os
 import subprocess
@@ -18,6 +21,8 @@ from stone_client.files.tus import LocalFile, Purpose, hashed, upload_file
 from testing.api.process import ApiProcess, running_api
 from testing.api.serving import Person, person
 from testing.stone_serve import until
+
+pytestmark = pytest.mark.whole
 
 SIZE_BYTES = 24 * 2**20
 RECORDING = Purpose("recording")
@@ -87,7 +92,6 @@ def test_a_client_that_is_killed_goes_on_where_it_was(
     assert only["sha256"] == sha256(file.read_bytes()).hexdigest()
 
 
-@pytest.mark.whole
 def test_a_server_that_is_killed_and_comes_back_is_waited_for(
     platform: Platform, server: ApiProcess, owner: Person, file: Path
 ) -> None:

@@ -1,4 +1,7 @@
-"""A rosbag2 folder arrives as one recording: every file of it, each only once, then sealed together."""
+"""A rosbag2 folder arrives as one recording: every file of it, each only once, then sealed together.
+
+Catches alone a folder of which a file is missing, or sent twice, after an interruption.
+"""
 
 import json
 from collections.abc import Iterator
@@ -24,6 +27,8 @@ from stone_recordings.bags.fingerprint import recording_sha256
 from testing.api.serving import Person, person, serving
 from tests.stone_client.test_server_commands import ingesting, refused, stone
 from tests.stone_recordings.splitting import split_into
+
+pytestmark = pytest.mark.whole
 
 TINY = SimulateOptions(seconds=1.0, channels=16, columns=120, cameras=False)
 

@@ -1,10 +1,17 @@
-"""Everyday's tests leave out what costs much and nothing else, and what is left out says what it alone would catch."""
+"""Everyday's tests leave out what costs much and nothing else, and what is left out says what it alone would catch.
+
+Catches alone tests that run in neither tier.
+"""
 
 import ast
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.whole
 
 ROOT = Path(__file__).resolve().parents[2]
 FILES = sorted((ROOT / "tests").rglob("test_*.py"))

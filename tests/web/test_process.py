@@ -1,4 +1,7 @@
-"""The API's own process serves the pages, unless it is told not to; the API is the same either way."""
+"""The API's own process serves the pages, unless it is told not to; the API is the same either way.
+
+Catches alone a process that serves pages though it was told not to.
+"""
 
 import os
 import socket
@@ -12,6 +15,8 @@ import pytest
 from services.runtime.database.migrate import upgrade
 from services.runtime.settings import Settings
 from testing.stone_serve import environment, until
+
+pytestmark = pytest.mark.whole
 
 
 @pytest.mark.parametrize(("pages", "status"), [("true", 200), ("false", 404)])

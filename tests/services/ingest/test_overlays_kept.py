@@ -1,4 +1,7 @@
-"""Synchronising leaves a picture per camera with the LiDAR's points on it, of the recipe that made the sequence."""
+"""Synchronising leaves a picture per camera with the LiDAR's points on it, of the recipe that made the sequence.
+
+Catches alone overlays of another recipe, or none after a killed attempt.
+"""
 
 from io import BytesIO
 from pathlib import Path
@@ -14,6 +17,8 @@ from services.runtime.platform import Platform
 from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate
 from testing.worlds.runs import Brought, bring, run_all
+
+pytestmark = pytest.mark.whole
 
 SEEN = SimulateOptions(seconds=0.6, seed=3, channels=16, columns=120)
 

@@ -72,7 +72,7 @@ def expected(bag: Path) -> dict[str, bytes]:
     [
         pytest.param(0, id="before synchronising", marks=pytest.mark.whole),
         pytest.param(1, id="before labelling", marks=pytest.mark.whole),
-        pytest.param(5, id="amid the parts"),
+        pytest.param(5, id="amid the parts", marks=pytest.mark.whole),
     ],
 )
 def test_a_run_that_another_version_began_is_begun_again_and_ends_as_any(

@@ -249,7 +249,8 @@ def test_random_bytes_are_refused(tmp_path: Path, content: bytes, has_magic: boo
         open_bag(path)
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@pytest.mark.whole
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     changes=st.lists(st.tuples(st.integers(0, 2**20), st.binary(min_size=1, max_size=8)), min_size=1, max_size=8),
     has_wal=st.booleans(),
@@ -257,6 +258,7 @@ def test_random_bytes_are_refused(tmp_path: Path, content: bytes, has_magic: boo
 def test_a_changed_database_gives_messages_or_one_coded_refusal(
     tmp_path: Path, changes: list[tuple[int, bytes]], has_wal: bool
 ) -> None:
+    """Catches alone a database, or a log beside it, with bytes changed anywhere, that crashes its reader."""
     main, wal = _parts()
     path = tmp_path / "run.db3"
     damaged = bytearray(wal if has_wal else main)

@@ -1,4 +1,7 @@
-"""Poses from the sweeps alone: near the truth of a simulated drive, near the recorded ones of a real one."""
+"""Poses from the sweeps alone: near the truth of a simulated drive, near the recorded ones of a real one.
+
+Catches alone odometry by KISS-ICP that drifts, kills its process or grows with the run.
+"""
 
 import subprocess
 import sys
@@ -23,6 +26,8 @@ from testing.worlds.runs import NAME, bring_ready, run_all
 from tests.stone_recordings import rigs
 from tests.stone_recordings.rigs import HESAI, LIDAR_FRAME, LIDAR_TOPIC, PERIOD_NS, T0_NS, calibration, written
 from tests.stone_recordings.writing import CloudText, Recorded, cloud_payload
+
+pytestmark = pytest.mark.whole
 
 ASKED = SynchroniseOptions(odometry_topic="kiss-icp")
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -111,7 +116,6 @@ print(max(held))
 """
 
 
-@pytest.mark.whole
 def test_memory_does_not_grow_with_the_length_of_the_recording(tmp_path):
     """Catches alone sweeps that are kept: four times as many, what a process holds beside the mapped file, KiB."""
     held_kib = []
