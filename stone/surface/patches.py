@@ -1,9 +1,12 @@
 """Patches: what the points of one cell say about the surface there, as a mean point and a normal.
 
 **Conventions.** Cells are those of `stone.surface.band`: their corners are voxel centres. A patch's plane is that of
-the k
-points nearest to its mean point, whichever cells they lie in; its normal is on the side it was seen from. Patches are
-sorted by cell. Points without enough neighbours for a plane make no patch.
+the k points nearest to its mean point, whichever cells they lie in; its normal is on the side it was seen from. Patches
+are sorted by cell. Points without enough neighbours for a plane make no patch.
+
+Ground is seen at 2° and less, and a plane through sparse, noisy points leans by more than that, so which side was seen
+is not told by such a plane. It is told by the sensor's height: what is nearly flat and was seen from above is ground.
+What was seen from below at such an angle is ground that rises, unless something lies below it: then it is an underside.
 """
 
 from dataclasses import dataclass
@@ -11,8 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stone.geometry.lattice import Keys
+from stone.geometry.lattice import MASK, Keys
 from stone.surface.neighbours import cells_of, plane_fits_at
+
+FLAT_COSINE = 0.8  # 37°
+GRAZING_SINE = 0.35  # 20°: what planes through sparse rings lean by
+BELOW_CELLS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,12 +49,32 @@ def patches_of(
     means = _sums(cells.points, cells.start) / counts[:, None]
     fits = plane_fits_at(cells, means, neighbours)
     has_plane = np.isfinite(fits.mean_square_m2)
-    towards = np.einsum("ci,ci->c", fits.normals, _sums(views_map[cells.order], cells.start))
-    normals = np.where(towards[:, None] < 0, -fits.normals, fits.normals)
+    normals = _seen_side(fits.normals, _sums(views_map[cells.order], cells.start), cells.keys)
     is_in_patch = np.empty(len(points_map), np.bool_)
     is_in_patch[cells.order] = np.repeat(has_plane, counts)
     patches = Patches(width_m, cells.keys, means + shift_m, normals, counts)
     return patches.where(has_plane), is_in_patch
+
+
+def _seen_side(normals: NDArray[np.float64], views: NDArray[np.float64], cells: Keys) -> NDArray[np.float64]:
+    """The normals (C, 3) of either sign on the side that was seen from the directions `views` (C, 3)."""
+    towards = np.einsum("ci,ci->c", normals, views)
+    facing = np.where(towards[:, None] < 0, -normals, normals)
+    is_flat = np.abs(facing[:, 2]) >= FLAT_COSINE
+    is_grazing = np.abs(towards) <= GRAZING_SINE * np.linalg.norm(views, axis=1)
+    is_from_above, has_below = views[:, 2] > 0, _has_below(cells)
+    is_up = is_flat & (is_from_above | (is_grazing & ~has_below))
+    is_down = is_flat & is_grazing & ~is_from_above & has_below
+    is_wrong = np.where(facing[:, 2] < 0, is_up, is_down)
+    return np.where(is_wrong[:, None], -facing, facing)
+
+
+def _has_below(cells: Keys) -> NDArray[np.bool_]:
+    """Which of the cells (C,), sorted, have another of their column some cells below; z is the lowest in a key."""
+    height = cells & MASK
+    is_lowest = np.append(True, np.diff(cells - height) != 0)[: len(cells)]
+    first = np.maximum.accumulate(np.where(is_lowest, np.arange(len(cells)), 0))
+    return np.asarray(height - height[first] >= BELOW_CELLS)
 
 
 def _sums(rows: NDArray[np.float64], start: NDArray[np.int64]) -> NDArray[np.float64]:
