@@ -54,6 +54,13 @@ class Modality(StrEnum):
     CLR = "C+L+R"
 
 
+class Ground(StrEnum):
+    """Where the ground lies under the robot: as the calibration says, or as the sweeps show it."""
+
+    GIVEN = "given"
+    AUTO = "auto"
+
+
 class LabelProfile(StrEnum):
     """How height enters the labels: `paper` takes it to the letter, `local` above the ground nearby."""
 
@@ -65,6 +72,9 @@ ProfileOption = Annotated[LabelProfile, typer.Option(help="Height as in the pape
 OdometryOption = Annotated[
     str | None,
     typer.Option(metavar="TOPIC", help="What gives the poses: a topic, or kiss-icp; else the best the bag has."),
+]
+GroundOption = Annotated[
+    Ground, typer.Option(help="Where it lies: as the calibration says, or measured, and the LiDAR's mount corrected.")
 ]
 LidarOption = Annotated[
     str | None, typer.Option(metavar="TOPIC", help="The topic of the LiDAR's clouds, where the bag has several.")

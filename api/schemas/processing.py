@@ -20,13 +20,14 @@ class ProcessBody(Body):
     parameters: dict[ParameterName, StrictInt | StrictFloat] = Field(default={}, max_length=64)
     odometry_topic: Literal["kiss-icp"] | Topic | None = None
     lidar_topic: Topic | None = None
+    ground: Literal["given", "auto"] = "given"
     stages: list[Literal["synchronise", "label"]] = Field(default=["synchronise", "label"], min_length=1, max_length=2)
 
     def chosen(self) -> ProcessRequest:
         """The request as the runtime understands it."""
-        return ProcessRequest(
-            self.profile, self.parameters, self.odometry_topic, self.lidar_topic, tuple[str, ...](self.stages)
-        )
+        stages = tuple[str, ...](self.stages)
+        topics = (self.odometry_topic, self.lidar_topic)
+        return ProcessRequest(self.profile, self.parameters, *topics, stages, ground=self.ground)
 
 
 class FrameItem(Answer):

@@ -9,6 +9,7 @@ what was noticed is in the sequence's findings, what is unusable in its exclusio
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Literal
 
 from stone.findings import Finding
 from stone.geometry.trajectory import DEFAULT_MAX_GAP_NS
@@ -25,11 +26,14 @@ from stone_recordings.poses.kiss_odometry import Progress
 from stone_recordings.poses.quality import quality_findings
 from stone_recordings.report.projection_checks import projection_findings
 from stone_recordings.sync.association import SensorTopics, associate
+from stone_recordings.sync.ground_check import applied_finding, corrected, ground_findings, is_off, measured_ground
 from stone_recordings.sync.map_joining import joined
 from stone_recordings.sync.recorded_messages import read_recorded
 from stone_recordings.sync.sweeps import BagSweeps
 from stone_recordings.sync.synchronisation import frames_with_pose, usable_finding
 from stone_recordings.topics.sources import choose_sources
+
+Ground = Literal["given", "auto"]
 
 
 def silent(_stage: str, _done: int, _total: int) -> None:
@@ -41,6 +45,7 @@ class SynchroniseOptions:
     """Topics by name where the recording's roles are not meant; poses more than `max_pose_gap_ns` apart are a gap.
 
     `odometry_topic` may be "kiss-icp". `topics` names the topic of a role (lidar, pose) or of a channel (CAM_FRONT).
+    `ground` is "given" by the calibration, or "auto": measured, and the LiDAR's mount corrected where it is off.
     `recording_sha256` spares reading the whole recording again where it is known; with `is_hashed` false nobody hashes
     it here, and `inputs` of the sequence lack it.
     """
@@ -51,6 +56,7 @@ class SynchroniseOptions:
     recording_sha256: str | None = None
     is_hashed: bool = True
     topics: Mapping[str, str] = field(default_factory=dict)
+    ground: Ground = "given"
     progress: Progress = silent
 
 
@@ -79,10 +85,22 @@ def synchronise_in(
 
 def _checked(bag: Bag, calibration: Calibration, options: SynchroniseOptions, name: str) -> tuple[Sequence, BagSweeps]:
     """All but the hash of the recording."""
-    sequence, sweeps = _synchronised(bag, calibration, options, name)
+    sequence, sweeps = _grounded(bag, calibration, options, name)
     seen = projection_findings(bag, sequence, sweeps)
     seen += trigger_findings(bag, _without_refuted(sequence, seen), sweeps)
     return replace(sequence, findings=(*sequence.findings, *seen)), sweeps
+
+
+def _grounded(bag: Bag, calibration: Calibration, options: SynchroniseOptions, name: str) -> tuple[Sequence, BagSweeps]:
+    """With the ground measured, and the mount of the LiDAR corrected by it where that is asked for."""
+    sequence, sweeps = _synchronised(bag, calibration, options, name)
+    fit, applied = measured_ground(sequence, sweeps), tuple[Finding, ...]()
+    if options.ground == "auto" and fit is not None and is_off(fit):
+        applied = (applied_finding(calibration, fit),)
+        sequence, sweeps = _synchronised(bag, corrected(calibration, fit), options, name)
+        fit = measured_ground(sequence, sweeps)
+    findings = (*sequence.findings, *applied, *ground_findings(sequence, fit))
+    return replace(sequence, ground=fit, findings=findings), sweeps
 
 
 def _without_refuted(sequence: Sequence, seen: tuple[Finding, ...]) -> Sequence:

@@ -58,6 +58,7 @@ def synchronise_recording(platform: Platform, attempt: Attempt) -> Outcome:
         odometry_topic=attempt.arguments["odometry_topic"] or None,
         lidar_topic=attempt.arguments["lidar_topic"] or None,
         topics=attempt.arguments.get("topics", {}),
+        ground=attempt.arguments.get("ground", "given"),
         recording_sha256=inputs.recording_sha256,
     )
     path, calibration = locate(platform, inputs.recording), locate_file(platform, inputs.calibration)

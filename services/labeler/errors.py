@@ -15,6 +15,20 @@ class NoUsableFramesError(StoneError):
         super().__init__(f"sequence {sequence.name} has no usable frame: {why}; do the poses cover the LiDAR's time?")
 
 
+class FootprintOffGroundError(StoneError):
+    """The ground does not lie where the robot's footprint is swept, so what was driven on would not be found."""
+
+    code = "footprint_off_ground"
+
+    def __init__(self, height_m: float, band_m: float) -> None:
+        where = "above" if height_m > 0 else "below"
+        super().__init__(
+            f"the ground lies {abs(height_m):.2f} m {where} the ego origin, and the footprint is swept within "
+            f"±{band_m:g} m of it: is the LiDAR's height in the calibration right, and the ego frame on the ground? "
+            "CAL-433 says what to enter; ground auto corrects it for this run"
+        )
+
+
 class WorkGoneError(StoneError):
     """What earlier stages left was removed; a run is kept for a week after it ended."""
 

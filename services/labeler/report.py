@@ -56,6 +56,7 @@ class LabelReport:
             "class_share_of_occupied": self.class_shares(),
             "profiles": dict(self.profiles),
             "refinement": self.refinement,
+            "ground": None if sequence.ground is None else asdict(sequence.ground),
             "observed_ratio": self._observed_ratio(),
             "reference": {
                 "features": ["elevation_m", "slope_rad", "roughness_log_m2"],

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from services.labeler.errors import FootprintOffGroundError
 from services.labeler.parameters import LabelParameters
 from stone.geometry.lattice import Keys, indices_of
 from stone.labels.grid import Bounds
@@ -71,6 +72,13 @@ class LabelRun:
     def map_of(self, part: Part) -> int:
         """The map that all frames of the part are in."""
         return int(self.maps[part[0]])
+
+
+def require_ground(run: LabelRun) -> None:
+    """Raises `FootprintOffGroundError` where the footprint floats above the ground, or sinks into it."""
+    ground, band_m = run.sequence.ground, run.parameters.footprint_band_m
+    if ground is not None and abs(ground.height_m) > band_m:
+        raise FootprintOffGroundError(ground.height_m, band_m)
 
 
 def parts_of(run: LabelRun) -> list[Part]:

@@ -22,13 +22,14 @@ from services.labeler.results import (
     sums_path,
     write_labels,
 )
-from services.labeler.run import LabelRun, Part, Step, neighbourhood
+from services.labeler.run import LabelRun, Part, Step, neighbourhood, require_ground
 from services.labeler.scratch import images_path, sight_path, surface_path, tile_name
 from services.labeler.stage import Arguments, StageFiles, StageResult, part_of, tile_of
 
 
 def fuse_part(run: LabelRun, arguments: Arguments, step: Step) -> StageResult:
-    """Sweeps → point map, observed bricks and range images, per tile."""
+    """Sweeps → point map, observed bricks and range images, per tile. Raises `FootprintOffGroundError`."""
+    require_ground(run)
     part = part_of(arguments)
     points = fuse(run, part, step)
     tiles = sum(1 for _ in run.scratch.glob(_fused(part)))

@@ -18,6 +18,7 @@ from stone.findings import Finding
 from stone.geometry.se3 import SE3
 from stone.geometry.trajectory import DEFAULT_MAX_GAP_NS, Trajectory
 from stone.sensors.calibration import Calibration
+from stone.sensors.ground_plane import GroundFit
 from stone.sensors.pose_quality import PoseQuality
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
@@ -102,7 +103,8 @@ class Sequence:
 
     `track` is where the robot was between the frames, as its poses say before any refinement of the frames' own; poses
     farther apart than `max_pose_gap_ns` are a gap in it. None where frames were not made from a recording.
-    `map_of_segment` is the map that each segment of the track lies in, () where each has its own.
+    `map_of_segment` is the map that each segment of the track lies in, () where each has its own. `ground` is where the
+    sweeps show the ground in the ego frame, None where that was not measured.
     """
 
     name: str
@@ -116,6 +118,7 @@ class Sequence:
     track: Trajectory | None = None
     max_pose_gap_ns: int = DEFAULT_MAX_GAP_NS
     map_of_segment: tuple[int, ...] = ()
+    ground: GroundFit | None = None
 
     def __post_init__(self) -> None:
         if not NAME.fullmatch(self.name):

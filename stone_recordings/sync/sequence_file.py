@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from stone.findings import Finding
 from stone.geometry.se3 import SE3
 from stone.geometry.trajectory import Trajectory
+from stone.sensors.ground_plane import GroundFit
 from stone.sensors.pose_quality import PoseQuality
 from stone.sensors.sequence import Association, ExcludedFrame, Frames, Sequence, Slices, frame_token
 from stone_files.npz import npz_bytes
@@ -66,6 +67,7 @@ def read_sequence(payload: bytes) -> Sequence:
         track=track,
         max_pose_gap_ns=record["max_pose_gap_ns"],
         map_of_segment=tuple(record["map_of_segment"]),
+        ground=GroundFit(**record["ground"]) if record["ground"] else None,
     )
 
 
@@ -107,6 +109,7 @@ def _record(sequence: Sequence) -> dict[str, Any]:
         "findings": [finding.as_record() for finding in sequence.findings],
         "max_pose_gap_ns": sequence.max_pose_gap_ns,
         "map_of_segment": list(sequence.map_of_segment),
+        "ground": asdict(sequence.ground) if sequence.ground else None,
     }
 
 

@@ -40,6 +40,7 @@ REGISTER = "ingest.register"
 SYNCHRONISE = "ingest.synchronise"
 LABEL = "labeler.parts"
 STAGES = ("synchronise", "label")
+GIVEN_GROUND = "given"
 ALIVE = Job.state.not_in(TERMINAL)
 
 
@@ -47,7 +48,8 @@ ALIVE = Job.state.not_in(TERMINAL)
 class ProcessRequest:
     """Choices for processing a sequence; `parameters` by dotted name (`services/domain/sequences/label_choices.py`).
 
-    `topics` are those of the platform's profile; the two topics named here go before them.
+    `topics` are those of the platform's profile; the two topics named here go before them. `ground` is "given" by the
+    calibration, or "auto": measured, and the LiDAR's mount corrected by it.
     """
 
     profile: str = "paper"
@@ -56,6 +58,7 @@ class ProcessRequest:
     lidar_topic: str | None = None
     stages: tuple[str, ...] = STAGES
     topics: Mapping[str, str] = field(default_factory=dict)
+    ground: str = GIVEN_GROUND
 
 
 def register(session: Session, recording: Recording) -> Job:
@@ -152,6 +155,7 @@ def _arguments(request: ProcessRequest, calibration: CalibrationRow, recording: 
         "odometry_topic": request.odometry_topic,
         "lidar_topic": request.lidar_topic,
         "topics": dict(request.topics),
+        "ground": request.ground,
         "profile": request.profile,
         "parameters": dict(request.parameters),
         "stages": list(request.stages),
@@ -169,6 +173,7 @@ def _recipe(sequence: SequenceRow, request: ProcessRequest, calibration: Calibra
             "odometry_topic": request.odometry_topic,
             "lidar_topic": request.lidar_topic,
             **({"topics": dict(request.topics)} if request.topics else {}),
+            **({"ground": request.ground} if request.ground != GIVEN_GROUND else {}),
             "profile": request.profile,
             "parameters": {name: float(value) for name, value in request.parameters.items()},
             "stages": request.stages,

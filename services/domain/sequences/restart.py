@@ -10,7 +10,7 @@ from typing import Any
 
 from sqlalchemy.orm import Session
 
-from services.domain.sequences.processing import STAGES, ProcessRequest, lock_sequence, start_processing
+from services.domain.sequences.processing import GIVEN_GROUND, STAGES, ProcessRequest, lock_sequence, start_processing
 from services.domain.sequences.processing_errors import (
     AlreadyProcessingError,
     RecordingPendingError,
@@ -106,4 +106,5 @@ def _request_of(arguments: Mapping[str, Any]) -> ProcessRequest:
         odometry_topic=arguments["odometry_topic"],
         lidar_topic=arguments["lidar_topic"],
         stages=tuple(arguments.get("stages", STAGES)),
+        ground=arguments.get("ground", GIVEN_GROUND),
     )

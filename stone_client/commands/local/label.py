@@ -11,6 +11,8 @@ from stone.findings import Finding
 from stone_client.options import (
     BagArgument,
     CalibrationOption,
+    Ground,
+    GroundOption,
     LabelProfile,
     LidarOption,
     OdometryOption,
@@ -66,6 +68,7 @@ def label(
     workers: WorkersOption = None,
     solver: SolverOption = Solver.LATTICE,
     refine: RefineOption = None,
+    ground: GroundOption = Ground.GIVEN,
     confidence: ConfidenceOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -80,7 +83,7 @@ def label(
     begin_loading()
     with reported() as progress:
         chosen = chosen_topics(topics, topic).topics
-        sources = SynchroniseOptions(odometry, lidar, topics=chosen, progress=progress)
+        sources = SynchroniseOptions(odometry, lidar, topics=chosen, ground=ground.value, progress=progress)
         source = {"recording": str(bag.resolve()), "calibration": str(calibration.resolve())}
         refinement = RefinementParameters(refine.value) if refine else None
         parameters = replace(parameters_for(profile.value), confidence=confidence, refinement=refinement)

@@ -5,6 +5,8 @@ from typing import Annotated, Any
 import typer
 
 from stone_client.options import (
+    Ground,
+    GroundOption,
     LabelProfile,
     LidarOption,
     OdometryOption,
@@ -22,6 +24,7 @@ def process(
     profile: ProfileOption = LabelProfile.PAPER,
     odometry: OdometryOption = None,
     lidar: LidarOption = None,
+    ground: GroundOption = Ground.GIVEN,
     watch: WatchOption = False,
     server: ServerOption = None,
     as_json: JsonOption = False,
@@ -34,6 +37,7 @@ def process(
     body: dict[str, Any] = {"profile": profile.value}
     body |= {"odometry_topic": odometry} if odometry else {}
     body |= {"lidar_topic": lidar} if lidar else {}
+    body |= {"ground": ground.value} if ground != Ground.GIVEN else {}
     with connected(server) as api:
         found = find_sequence(api, sequence)
         run = start_run(api, found, body)

@@ -1,0 +1,76 @@
+"""The check that the ground lies where the calibration says: at the ego origin, and level with it.
+
+**Conventions.** Measured on sweeps spread over the run (`stone.sensors.ground_plane`); what is found is what the mount
+of the LiDAR and the ego frame together are wrong by. Below `TOLERATED_M` and `TOLERATED_RAD` nothing is said and nothing
+corrected: so much is terrain.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from stone.findings import Finding
+from stone.sensors.calibration import Calibration
+from stone.sensors.ground_plane import GroundFit, ground_fit, plane_around
+from stone.sensors.selection import world_points
+from stone.sensors.sequence import Sequence, SweepSource
+
+SWEEPS = 40
+MIN_RANGE_M = 1.0
+
+
+def measured_ground(sequence: Sequence, sweeps: SweepSource) -> GroundFit | None:
+    """Where the ground lies in the ego frame, by sweeps from all over the run; None where too few show it."""
+    calibration, planes = sequence.calibration, []
+    for index in np.unique(np.linspace(0, len(sequence.frames) - 1, SWEEPS).round().astype(np.int64)).tolist():
+        points_lidar = sweeps.sweep(index).points_lidar
+        points = world_points(points_lidar, calibration.ego_from_lidar, calibration.self_boxes_ego, MIN_RANGE_M)
+        plane = plane_around(points)
+        if plane is not None:
+            planes.append(plane)
+    return ground_fit(planes)
+
+
+def is_off(fit: GroundFit | None) -> bool:
+    """Whether it lies so far from where it should that no terrain explains it."""
+    return fit is not None and (fit.is_high_or_low or fit.is_tilted)
+
+
+def corrected(calibration: Calibration, fit: GroundFit) -> Calibration:
+    """The calibration with the LiDAR mounted so that the ground lies where it should."""
+    return replace(calibration, ego_from_lidar=fit.beyond_terrain().corrected(calibration.ego_from_lidar))
+
+
+def ground_findings(sequence: Sequence, fit: GroundFit | None) -> tuple[Finding, ...]:
+    """CAL-433 where the ground is off, with what to enter into the calibration; CAL-435 where it cannot be measured."""
+    if fit is None:
+        unseen = "the ground around the robot is seen in too few sweeps to check the height of the LiDAR's mount"
+        return (Finding("CAL-435", "info", "", unseen),)
+    if not is_off(fit):
+        return ()
+    sentence = (
+        f"the ground lies {_above(fit)} and tilts by {np.rad2deg(fit.tilt_rad):.1f}° in the ego frame ({fit.sweeps} "
+        f"sweeps, 5 to 95 %: {fit.low_m:+.2f} to {fit.high_m:+.2f} m): is the LiDAR mounted as the calibration says, "
+        f"and the ego origin on the ground? {_mount(corrected(sequence.calibration, fit))} would put it right, and "
+        "ground auto does so for this run"
+    )
+    return (Finding("CAL-433", "warning", "", sentence),)
+
+
+def applied_finding(calibration: Calibration, fit: GroundFit) -> Finding:
+    """CAL-434: what ground auto did."""
+    sentence = (
+        f"the ground lay {_above(fit)} and tilted by {np.rad2deg(fit.tilt_rad):.1f}° in the ego frame; the LiDAR is "
+        f"taken to be mounted so that it does not: {_mount(corrected(calibration, fit))}"
+    )
+    return Finding("CAL-434", "info", "", sentence)
+
+
+def _above(fit: GroundFit) -> str:
+    return f"{abs(fit.height_m):.2f} m {'above' if fit.height_m > 0 else 'below'} the ego origin"
+
+
+def _mount(calibration: Calibration) -> str:
+    place = ", ".join(f"{value:.3f}" for value in calibration.ego_from_lidar.translation_m.tolist())
+    turn = ", ".join(f"{value:.5f}" for value in calibration.ego_from_lidar.wxyz.tolist())
+    return f"ego_from_lidar at [{place}] m, wxyz [{turn}]"

@@ -1,0 +1,73 @@
+"""A mount entered wrongly is told with what to enter, is put right where that is asked for, and makes no labels."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from services.ingest.pipeline import SynchroniseOptions, synchronise
+from services.labeler.errors import FootprintOffGroundError
+from services.labeler.local_run import label
+from simulator.options import SimulateOptions
+from simulator.pipeline import calibration_path, simulate
+from stone.geometry.se3 import SE3
+from stone.sensors.calibration import Calibration
+from stone_recordings.calibrations.file import read_calibration
+from stone_recordings.sync.sequence_file import read_sequence, sequence_bytes
+
+DRIVE = SimulateOptions(seconds=6.0, seed=3, channels=32, columns=360, cameras=False, compression="none")
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Calibration]:
+    bag = tmp_path_factory.mktemp("drive") / "drive.mcap"
+    simulate(bag, DRIVE)
+    return bag, read_calibration(calibration_path(bag))[0]
+
+
+def mounted(rig: Calibration, higher_m: float = 0.0, pitch_deg: float = 0.0) -> Calibration:
+    """The calibration with its LiDAR entered so much too high, and pitched."""
+    half = np.deg2rad(pitch_deg) / 2
+    wrong = SE3.from_parts(np.array([np.cos(half), 0, np.sin(half), 0]), np.array([0.0, 0.0, higher_m]))
+    return replace(rig, ego_from_lidar=wrong @ rig.ego_from_lidar)
+
+
+def codes(sequence) -> list[str]:
+    return [finding.code for finding in sequence.findings if finding.code.startswith("CAL-43")]
+
+
+def test_a_right_mount_is_not_spoken_of(drive: tuple[Path, Calibration]) -> None:
+    sequence, _ = synchronise(*drive, SynchroniseOptions(), "right")
+    assert sequence.ground is not None
+    assert abs(sequence.ground.height_m) < 0.05
+    assert codes(sequence) == []
+    assert read_sequence(sequence_bytes(sequence)).ground == sequence.ground
+
+
+@pytest.mark.parametrize(("higher_m", "pitch_deg"), [(0.1, 0), (-0.1, 0), (0.23, 0), (-0.23, 0), (-0.5, 0), (0, 3)])
+def test_a_wrong_mount_is_measured_against_the_right_one_and_put_right(
+    drive: tuple[Path, Calibration], higher_m: float, pitch_deg: float
+) -> None:
+    bag, rig = drive
+    right = synchronise(bag, rig, SynchroniseOptions(), "mounted")[0].ground
+    sequence, _ = synchronise(bag, mounted(rig, higher_m, pitch_deg), SynchroniseOptions(), "mounted")
+    assert right is not None
+    assert sequence.ground is not None
+    assert sequence.ground.height_m - right.height_m == pytest.approx(higher_m, abs=0.02)
+    assert np.rad2deg(sequence.ground.slope_x - right.slope_x) == pytest.approx(-pitch_deg, abs=0.5)
+    assert codes(sequence) == ["CAL-433"]
+    auto, _ = synchronise(bag, mounted(rig, higher_m, pitch_deg), SynchroniseOptions(ground="auto"), "mounted")
+    assert codes(auto) == ["CAL-434"]
+    off = auto.calibration.ego_from_lidar @ rig.ego_from_lidar.inverse()
+    # Height is put to zero, and terrain is not corrected: what stays is what the right mount is off, too.
+    assert off.translation_m[2] == pytest.approx(-right.height_m if higher_m else 0.0, abs=0.03)
+    assert abs(off.wxyz[2]) < np.deg2rad(1.0)
+
+
+def test_no_labels_are_made_of_a_footprint_that_floats(drive: tuple[Path, Calibration], tmp_path: Path) -> None:
+    bag, rig = drive
+    sequence, sweeps = synchronise(bag, mounted(rig, -0.23), SynchroniseOptions(), "floats")
+    with pytest.raises(FootprintOffGroundError, match=r"0\.2\d m below the ego origin"):
+        label(sequence, sweeps, tmp_path / "labels")
+    assert not (tmp_path / "labels").exists()
