@@ -74,8 +74,10 @@ class RefinementParameters:
 class LabelParameters:
     """All that decides a label, besides the inputs; recorded with every label set.
 
-    `confidence` adds to every frame how far each voxel is from the reference, and changes no label. `refinement` is
-    None where the poses are taken as they came.
+    From `body_clearance_m` above the ground up to its LiDAR the robot's body went through whatever seems to stand in
+    its way, so nothing does. `dynamic.every_frame` and `carve.every_frame` are those of a LiDAR at 10 Hz; of a slower
+    one as much time goes by. `confidence` adds to every frame how far each voxel is from the reference, and changes no
+    label. `refinement` is None where the poses are taken as they came.
     """
 
     profile: Profile = "paper"
@@ -87,6 +89,7 @@ class LabelParameters:
     terrain: TerrainParameters = field(default_factory=TerrainParameters)
     reference: ReferenceParameters = field(default_factory=ReferenceParameters)
     footprint_band_m: float = BAND_M
+    body_clearance_m: float = 0.3
     local_ground_radius_m: float = 0.5
     confidence: bool = False
     refinement: RefinementParameters | None = None

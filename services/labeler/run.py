@@ -24,6 +24,8 @@ from stone.labels.voxels import VOXEL_M
 from stone.sensors.ego_path import maps_of_frames
 from stone.sensors.sequence import Sequence, SweepSource
 
+USUAL_PERIOD_NS = 100_000_000
+
 Part = tuple[int, int]
 Step = Callable[[int, int], None]
 
@@ -68,6 +70,13 @@ class LabelRun:
     def maps(self) -> NDArray[np.int64]:
         """The map (N,) of each frame."""
         return maps_of_frames(self.sequence)
+
+    def every(self, frames: int) -> int:
+        """Which frames a stage takes that takes one of so many at 10 Hz: at slower rates, in as much time, not more."""
+        stamps_ns = self.sequence.frames.stamps_ns
+        if len(stamps_ns) < 2:
+            return frames
+        return max(1, min(frames, round(frames * USUAL_PERIOD_NS / float(np.median(np.diff(stamps_ns))))))
 
     def map_of(self, part: Part) -> int:
         """The map that all frames of the part are in."""

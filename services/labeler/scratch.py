@@ -111,7 +111,7 @@ def images_near(
 def imaged_near(run: LabelRun, number: int, low: NDArray[np.float64], high: NDArray[np.float64]) -> list[int]:
     """The frames of a map, in order, that leave a range image taken within reach of the box [low, high] (3,)."""
     dynamic, poses = run.parameters.dynamic, run.sequence.frames.map_from_ego
-    indices = np.arange(0, len(poses), dynamic.every_frame)
+    indices = np.arange(0, len(poses), run.every(dynamic.every_frame))
     indices = indices[run.maps[indices] == number]
     places = poses[indices] @ run.sensor_ego
     gaps = np.maximum(0.0, np.maximum(low - places, places - high))

@@ -27,16 +27,31 @@ def swept(keys: Keys, map_from_ego: Sequence[SE3], footprint: Footprint, band_m:
 
     Between two stretches there is no way.
     """
+    return _swept(keys, VOXEL_M, map_from_ego, (footprint.length_m / 2, footprint.width_m / 2, -band_m, band_m))
+
+
+def passed_through(
+    keys: Keys, voxel_m: float, map_from_ego: Sequence[SE3], footprint: Footprint, heights_m: tuple[float, float]
+) -> NDArray[np.bool_]:
+    """Which of the voxels `keys` (K,) of this size the robot's body went through: above its footprint, between two
+    heights over the ego plane. Nothing that stands can be there."""
+    return _swept(keys, voxel_m, map_from_ego, (footprint.length_m / 2, footprint.width_m / 2, *heights_m))
+
+
+def _swept(
+    keys: Keys, voxel_m: float, map_from_ego: Sequence[SE3], box: tuple[float, float, float, float]
+) -> NDArray[np.bool_]:
+    """Which voxels have their centre in a box that goes along: half its length and width, its lowest and highest z."""
     under = np.zeros(len(keys), np.bool_)
-    if not len(keys):
+    if not len(keys) or box[2] > box[3]:
         return under
-    table, centres = table_of(keys), centres_of(keys, VOXEL_M)
-    half = (footprint.length_m / 2, footprint.width_m / 2, band_m)
-    low, high = centres.min(axis=0) - math.hypot(*half), centres.max(axis=0) + math.hypot(*half)
+    table, centres = table_of(keys), centres_of(keys, voxel_m)
+    reach_m = math.hypot(box[0], box[1], max(abs(box[2]), abs(box[3])))
+    low, high = centres.min(axis=0) - reach_m, centres.max(axis=0) + reach_m
     for stretch in map_from_ego:
         poses = densified(stretch, STEP_M, STEP_RAD)
         is_near = ((low <= poses.translation_m) & (poses.translation_m <= high)).all(axis=1)
-        _sweep(poses[is_near].as_matrix(), half, (table.keys, table.rows), under)
+        _sweep(poses[is_near].as_matrix(), (*box, voxel_m), (table.keys, table.rows), under)
     return under
 
 
@@ -53,27 +68,28 @@ def densified(poses: SE3, step_m: float, step_rad: float = np.inf) -> SE3:
 
 
 @njit(cache=True, nogil=True)
-def _sweep(poses, half, table, under):  # type: ignore[no-untyped-def]
-    reach = math.sqrt(half[0] ** 2 + half[1] ** 2 + half[2] ** 2)
+def _sweep(poses, box, table, under):  # type: ignore[no-untyped-def]
+    length, width, bottom, top, voxel_m = box
+    reach = math.sqrt(length**2 + width**2 + max(abs(bottom), abs(top)) ** 2)
     for p in range(poses.shape[0]):
         m = poses[p]
         low = (
-            math.floor((m[0, 3] - reach) / VOXEL_M),
-            math.floor((m[1, 3] - reach) / VOXEL_M),
-            math.floor((m[2, 3] - reach) / VOXEL_M),
+            math.floor((m[0, 3] - reach) / voxel_m),
+            math.floor((m[1, 3] - reach) / voxel_m),
+            math.floor((m[2, 3] - reach) / voxel_m),
         )
-        span = math.ceil(2 * reach / VOXEL_M) + 1
+        span = math.ceil(2 * reach / voxel_m) + 1
         for i in range(low[0], low[0] + span):
             for j in range(low[1], low[1] + span):
                 for k in range(low[2], low[2] + span):
-                    x = (i + 0.5) * VOXEL_M - m[0, 3]
-                    y = (j + 0.5) * VOXEL_M - m[1, 3]
-                    z = (k + 0.5) * VOXEL_M - m[2, 3]
-                    if abs(m[0, 0] * x + m[1, 0] * y + m[2, 0] * z) > half[0]:
+                    x = (i + 0.5) * voxel_m - m[0, 3]
+                    y = (j + 0.5) * voxel_m - m[1, 3]
+                    z = (k + 0.5) * voxel_m - m[2, 3]
+                    if abs(m[0, 0] * x + m[1, 0] * y + m[2, 0] * z) > length:
                         continue
-                    if abs(m[0, 1] * x + m[1, 1] * y + m[2, 1] * z) > half[1]:
+                    if abs(m[0, 1] * x + m[1, 1] * y + m[2, 1] * z) > width:
                         continue
-                    if abs(m[0, 2] * x + m[1, 2] * y + m[2, 2] * z) > half[2]:
+                    if not bottom <= m[0, 2] * x + m[1, 2] * y + m[2, 2] * z <= top:
                         continue
                     row = find(table[0], table[1], pack(i, j, k))
                     if row >= 0:

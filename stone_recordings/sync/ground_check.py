@@ -1,8 +1,8 @@
 """The check that the ground lies where the calibration says: at the ego origin, and level with it.
 
 **Conventions.** Measured on sweeps spread over the run (`stone.sensors.ground_plane`); what is found is what the mount
-of the LiDAR and the ego frame together are wrong by. Below `TOLERATED_M` and `TOLERATED_RAD` nothing is said and nothing
-corrected: so much is terrain.
+of the LiDAR and the ego frame together are wrong by. Below `TOLERATED_M` and `TOLERATED_RAD` nothing is said and
+nothing corrected: so much is terrain.
 """
 
 from dataclasses import replace

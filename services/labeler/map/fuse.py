@@ -25,6 +25,7 @@ def fuse(run: LabelRun, part: Part, step: Step = silent) -> int:
     builder = PointMapBuilder(parameters.surface.point_voxel_m)
     carver = Carver(parameters.carve)
     images: Arrays = {}
+    followed, imaged = run.every(parameters.carve.every_frame), run.every(parameters.dynamic.every_frame)
     reach = labelled_box(parameters.selection.margin_m)
     for index in range(*part):
         sweep = run.sweeps.sweep(index)
@@ -33,9 +34,9 @@ def fuse(run: LabelRun, part: Part, step: Step = silent) -> int:
             sweep.points_lidar, calibration.ego_from_lidar, calibration.self_boxes_ego, parameters.selection.min_range_m
         )
         builder.insert(points_ego, pose, run.sensor_ego, reach)
-        if index % parameters.carve.every_frame == 0:
+        if index % followed == 0:
             carver.carve(points_ego, pose, run.sensor_ego)
-        if index % parameters.dynamic.every_frame == 0:
+        if index % imaged == 0:
             all_ego = world_points(sweep.points_lidar, calibration.ego_from_lidar, (), 0.0)
             image = range_image(all_ego, pose, run.sensor_ego, parameters.dynamic)
             images[image_name(index)] = image.ranges_m

@@ -14,7 +14,7 @@ from services.labeler.parameters import LabelParameters, Profile, other_profile_
 from services.labeler.run import LabelRun, Step, Tile, in_core, neighbourhood, silent
 from services.labeler.scratch import Arrays, images_near, load_observed, load_points, save, surface_path
 from stone.geometry.lattice import centres_of
-from stone.labels.footprint import swept
+from stone.labels.footprint import passed_through, swept
 from stone.labels.observed_voxels import Observed
 from stone.labels.traversability import FeatureSums, sums_of
 from stone.labels.voxels import VOXEL_M, VoxelFeatures, height_above_local_ground, voxel_features
@@ -56,7 +56,7 @@ def surface(run: LabelRun, tile: Tile, step: Step = silent) -> TileSummary:
     low, high = _cube(run.parameters, tile)
     points = merge([part for near in neighbourhood(tile) for part in load_points(run, near, low, high)])
     step(1, STEPS)
-    moving = _moving(run, tile, points)
+    moving = _moving(run, tile, points) | _passed_through(run, tile, points)
     points = points.where(~moving).where_seen(run.parameters.surface.min_frames)
     step(2, STEPS)
     mesh, normals = _mesh(run.parameters, points, low)
@@ -99,6 +99,13 @@ def _moving(run: LabelRun, tile: Tile, points: PointMap) -> NDArray[np.bool_]:
     for image in images_near(run, tile.map, centroids.min(axis=0), centroids.max(axis=0)):
         vote(centroids, image, run.parameters.dynamic, votes)
     return carried_along(centroids, points.frames_seen(), votes, is_moving(votes))
+
+
+def _passed_through(run: LabelRun, tile: Tile, points: PointMap) -> NDArray[np.bool_]:
+    """What seems to stand where the robot's body went: somebody who stood there before, or after."""
+    heights_m = (run.parameters.body_clearance_m, float(run.sensor_ego[2]))
+    path, footprint = ego_path(run.sequence, tile.map), run.sequence.calibration.footprint
+    return passed_through(points.keys, points.voxel_m, path, footprint, heights_m)
 
 
 def _mesh(parameters: LabelParameters, points: PointMap, low: NDArray[np.float64]) -> tuple[Mesh, NDArray[np.float64]]:

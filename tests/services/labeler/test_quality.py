@@ -1,5 +1,6 @@
 """What labels must never show: somebody who walked by, ground lost under a crown, surface nobody saw, a floor twice."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -130,3 +131,24 @@ def layers(made):
     inner = (np.hypot(x, y) < 4.5) & ((np.abs(x) > 1.0) | (np.abs(y) > 0.9))
     _, counts = np.unique(np.round(made.centres[inner, :2], 3), axis=0, return_counts=True)
     return set(counts.tolist())
+
+
+FAST = replace(WORLD, frames=8, step_m=0.6)
+
+
+class InTheWay:
+    """Somebody stands on the way for the first sweeps and is gone when the robot comes; one sweep a second."""
+
+    def sweep(self, index):
+        boxes = (KERB, Box((1.0, -0.25, 0.0), (1.5, 0.25, 1.1))) if index < 2 else (KERB,)
+        return RayCast(replace(FAST, boxes=boxes)).sweep(index)
+
+
+def test_nobody_is_left_standing_where_the_robot_drove_at_one_sweep_a_second(tmp_path):
+    sequence = sequence_of(FAST)
+    stamps_ns = sequence.frames.stamps_ns[0] + np.arange(8) * 1_000_000_000
+    slow = replace(sequence, frames=replace(sequence.frames, stamps_ns=stamps_ns))
+    blind = replace(parameters_for("paper"), dynamic=DynamicParameters(max_range_m=0.0), body_clearance_m=math.inf)
+    body = ((0.8, -0.4, 0.4), (1.7, 0.4, 1.1))
+    assert len(labelled(tmp_path / "blind", InTheWay(), slow, blind).inside(*body)) > 10
+    assert len(labelled(tmp_path / "seen", InTheWay(), slow).inside(*body)) == 0

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from stone.geometry.lattice import centres_of, keys_from_indices
 from stone.geometry.se3 import SE3
-from stone.labels.footprint import BAND_M, STEP_M, STEP_RAD, densified, swept
+from stone.labels.footprint import BAND_M, STEP_M, STEP_RAD, densified, passed_through, swept
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.calibration import Footprint
 
@@ -113,3 +113,12 @@ def test_fewer_than_two_poses_have_nothing_between(count):
 
 def test_no_voxels_are_swept_where_there_are_none():
     assert swept(np.zeros(0, np.int64), [path((0, 0, 0, 0))], FOOTPRINT).shape == (0,)
+
+
+def test_the_body_goes_through_what_is_above_its_clearance_and_below_its_top():
+    keys = block((-12, -8, -2), (12, 8, 20))
+    x, y, z = centres_of(keys, 0.1).T
+    passed = passed_through(keys, 0.1, [path((0, 0, 0, 0), (0.6, 0, 0, 0))], FOOTPRINT, (0.3, 1.2))
+    expected = (x >= -0.53) & (x <= 1.13) & (np.abs(y) <= 0.425) & (z >= 0.3) & (z <= 1.2)
+    assert (passed == expected).all()
+    assert not passed_through(keys, 0.1, [path((0, 0, 0, 0))], FOOTPRINT, (0.3, 0.2)).any()
