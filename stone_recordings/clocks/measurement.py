@@ -21,6 +21,9 @@ from stone_recordings.clocks.constants import constant_of
 from stone_recordings.clocks.imu_lag import IMU_BYTES, POSE_BYTES, imu_lag
 from stone_recordings.clocks.report import ClockReport, StampSource, TopicClock
 from stone_recordings.clocks.sensor_times import OWN_TIME_BYTES, OwnTimes, has_own_time, own_times
+from stone_recordings.messages.batch import refused_finding
+from stone_recordings.messages.odometry import TYPE as ODOMETRY
+from stone_recordings.messages.odometry import decode_odometry
 from stone_recordings.report.checks import Inspected
 from stone_recordings.report.scan import Scan
 from stone_recordings.topics.roles import ROLE_OF_TYPE
@@ -60,6 +63,8 @@ def measured(bag: Bag, scan: Scan, inspected: Sequence[Inspected]) -> ClockMeasu
                 own[topic.name] = own_times(topic, scan.kept[topic.name])
             except StoneError as error:
                 findings.append(Finding(error.code, "error", topic.name, str(error)))
+        elif scan.kept.get(topic.name) and topic.type == ODOMETRY:
+            findings += _pose_findings(topic, scan)
     clocks = tuple(_clock(bag, part, own.get(part[0].name)) for part in inspected)
     try:
         lag = imu_lag(scan, [(topic, role) for topic, role, _timing in inspected])
@@ -67,6 +72,15 @@ def measured(bag: Bag, scan: Scan, inspected: Sequence[Inspected]) -> ClockMeasu
         lag = None
         findings.append(Finding(error.code, "warning", "", f"The lag of the IMU cannot be measured: {error}"))
     return ClockMeasurement(ClockReport(clocks, lag), tuple(findings), own)
+
+
+def _pose_findings(topic: Topic, scan: Scan) -> list[Finding]:
+    """What synchronising will say of its messages that hold no pose."""
+    try:
+        samples = decode_odometry(scan.kept[topic.name])
+    except StoneError as error:
+        return [Finding(error.code, "error", topic.name, str(error))]
+    return list(refused_finding(topic.name, samples.refused_ns, samples.reason))
 
 
 def _clock(bag: Bag, inspected: Inspected, own: OwnTimes | None) -> TopicClock:

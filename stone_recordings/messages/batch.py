@@ -5,11 +5,13 @@ them (xyzw) and leave as `wxyz`.
 """
 
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stone.findings import Finding
 from stone.geometry.se3 import SE3
 from stone_recordings.bags.errors import PoseValueError
 
@@ -17,6 +19,7 @@ from stone_recordings.bags.errors import PoseValueError
 LEAST_NORM = 1e-3
 MOST_COMPONENT = 1e6
 BATCH_BYTES = 16 << 20
+SHOWN = 3
 
 
 class StampedMessage(Protocol):
@@ -44,17 +47,43 @@ def payload_batches(messages: Iterable[StampedMessage]) -> Iterator[list[memoryv
         yield batch
 
 
-def poses(translation_m: NDArray[np.float64], xyzw: NDArray[np.float64], type_name: str) -> SE3:
-    """Batch (N,) from (N, 3) and (N, 4); raises PoseValueError for the first pose that is none."""
-    is_finite = np.isfinite(translation_m).all(axis=1) & np.isfinite(xyzw).all(axis=1)
-    if not is_finite.all():
-        raise PoseValueError(type_name, int(np.argmin(is_finite)), "is not finite")
-    largest = np.abs(xyzw).max(axis=1, initial=0.0)
-    if (largest > MOST_COMPONENT).any():  # its square would overflow
-        row = int(np.argmax(largest > MOST_COMPONENT))
-        raise PoseValueError(type_name, row, f"has a quaternion component of {largest[row]:.3g}")
-    norms = np.linalg.norm(xyzw, axis=1)
-    if (norms < LEAST_NORM).any():
-        row = int(np.argmax(norms < LEAST_NORM))
-        raise PoseValueError(type_name, row, f"has a quaternion of norm {norms[row]:.3g}")
-    return SE3.from_parts(xyzw[:, [3, 0, 1, 2]], translation_m)
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """`poses` (M,) of the messages `rows` (M,); `refused` are the numbers of the others, and why the first is none."""
+
+    poses: SE3
+    rows: NDArray[np.int64]
+    refused: NDArray[np.int64]
+    reason: str
+
+
+def poses_in(translation_m: NDArray[np.float64], xyzw: NDArray[np.float64], type_name: str) -> Poses:
+    """The poses among N messages, of (N, 3) and (N, 4). Raises PoseValueError, for the first, where none is one."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        is_finite = np.isfinite(np.concatenate([translation_m, xyzw], axis=1)).all(axis=1)
+        largest = np.abs(xyzw).max(axis=1, initial=0.0)
+        norms = np.linalg.norm(xyzw, axis=1)
+        is_pose = is_finite & (largest <= MOST_COMPONENT) & (norms >= LEAST_NORM)  # the square of more would overflow
+    rows, refused = np.flatnonzero(is_pose), np.flatnonzero(~is_pose)
+    reason = _problem(int(refused[0]), is_finite, largest, norms) if len(refused) else ""
+    if len(refused) and not len(rows):
+        raise PoseValueError(type_name, int(refused[0]), reason)
+    return Poses(SE3.from_parts(xyzw[rows][:, [3, 0, 1, 2]], translation_m[rows]), rows, refused, reason)
+
+
+def refused_finding(topic: str, refused_ns: NDArray[np.int64], reason: str) -> tuple[Finding, ...]:
+    """MSG-305 for messages of a topic, by their stamps (R,), that are left out because they hold no pose."""
+    if not len(refused_ns):
+        return ()
+    shown = ", ".join(str(stamp) for stamp in refused_ns[:SHOWN].tolist())
+    more = f" and {len(refused_ns) - SHOWN} more" if len(refused_ns) > SHOWN else ""
+    sentence = f"{len(refused_ns)} messages hold no pose and are left out (stamps {shown}{more} ns; the first {reason})"
+    return (Finding("MSG-305", "warning", topic, sentence),)
+
+
+def _problem(row: int, is_finite: NDArray[np.bool_], largest: NDArray[np.float64], norms: NDArray[np.float64]) -> str:
+    if not is_finite[row]:
+        return "is not finite"
+    if largest[row] > MOST_COMPONENT:
+        return f"has a quaternion component of {largest[row]:.3g}"
+    return f"has a quaternion of norm {norms[row]:.3g}"

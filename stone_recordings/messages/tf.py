@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone.geometry.se3 import SE3
-from stone_recordings.messages.batch import StampedMessage, poses
+from stone_recordings.messages.batch import Poses, StampedMessage, poses_in
 from stone_recordings.messages.types.cdr import NS_PER_S
 from stone_recordings.messages.types.columns import MessageTable
 from stone_recordings.messages.types.table import decode_table
@@ -22,26 +22,38 @@ TYPE = "tf2_msgs/msg/TFMessage"
 
 @dataclass(frozen=True, eq=False)
 class TransformSamples:
-    """N transforms of one pair of frames."""
+    """N transforms of one pair of frames; `refused_ns` (R,) are the stamps of those that are none, `reason` is why."""
 
     parent: str
     child: str
     stamps_ns: NDArray[np.int64]
     parent_from_child: SE3
+    refused_ns: NDArray[np.int64]
+    reason: str
 
 
 def decode_transforms(messages: Iterable[StampedMessage]) -> tuple[TransformSamples, ...]:
-    """One value per (parent, child). Raises: MessageLayoutError, ByteOrderError, PoseValueError."""
+    """One value per (parent, child) with a transform. Raises: MessageLayoutError, ByteOrderError, and PoseValueError
+    where none is one."""
     table = decode_table(TYPE, messages)
     stamps_ns = _numbers(table, "header.stamp.sec").astype(np.int64) * NS_PER_S
     stamps_ns += _numbers(table, "header.stamp.nanosec")
     translations = np.stack([_numbers(table, f"transform.translation.{axis}") for axis in "xyz"], axis=1)
     rotations = np.stack([_numbers(table, f"transform.rotation.{axis}") for axis in "xyzw"], axis=1)
-    transforms = poses(translations, rotations, TYPE)
-    return tuple(
-        TransformSamples(*pair, stamps_ns[rows], transforms[np.array(rows)])
-        for pair, rows in sorted(_rows_of_pairs(table).items())
-    )
+    found = poses_in(translations, rotations, TYPE)
+    pairs = sorted(_rows_of_pairs(table).items())
+    every = (_samples(pair, np.array(rows), stamps_ns, found) for pair, rows in pairs)
+    return tuple(samples for samples in every if len(samples.stamps_ns))
+
+
+def _samples(
+    pair: tuple[str, str], rows: NDArray[np.int64], stamps_ns: NDArray[np.int64], found: Poses
+) -> TransformSamples:
+    """Those of one pair, whose transforms are these rows of all."""
+    is_pose = np.isin(rows, found.rows)
+    own = found.poses[np.searchsorted(found.rows, rows[is_pose])]
+    refused_ns = stamps_ns[rows[~is_pose]]
+    return TransformSamples(*pair, stamps_ns[rows[is_pose]], own, refused_ns, found.reason if len(refused_ns) else "")
 
 
 def _numbers(table: MessageTable, name: str) -> NDArray[Any]:

@@ -6,7 +6,7 @@ that the LiDAR's path is the one the source measured, whatever the two say about
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from stone.geometry.se3 import SE3
 from stone.geometry.trajectory import Trajectory
 from stone.sensors.calibration import Calibration
 from stone.sensors.pose_quality import SolutionQuality
-from stone_recordings.messages.batch import StampedMessage
+from stone_recordings.messages.batch import StampedMessage, refused_finding
 from stone_recordings.messages.odometry import decode_odometry
 from stone_recordings.messages.tf import TransformSamples, decode_transforms
 from stone_recordings.poses.extrinsics import BASE_FRAMES, plain
@@ -57,7 +57,8 @@ def track_from_odometry(messages: Iterable[StampedMessage], topic: str, rig: Rig
     """Raises NoUsablePoseError and what `decode_odometry` raises."""
     samples = decode_odometry(messages)
     source = f"{topic} ({samples.frame_id} to {samples.child_frame_id}, nav_msgs/msg/Odometry)"
-    return _track((source, topic), samples.child_frame_id, (samples.stamps_ns, samples.parent_from_child), rig)
+    track = _track((source, topic), samples.child_frame_id, (samples.stamps_ns, samples.parent_from_child), rig)
+    return _with_refused(track, samples.refused_ns, samples.reason)
 
 
 def track_from_tf(messages: Iterable[StampedMessage], topic: str, rig: RigMounts) -> PoseTrack:
@@ -72,7 +73,12 @@ def track_from_tf(messages: Iterable[StampedMessage], topic: str, rig: RigMounts
     if chosen is None:
         raise NoPoseSourceError([f"{topic} {pair.parent} to {pair.child}" for pair in samples])
     source = f"{topic} ({chosen.parent} to {chosen.child}, tf2_msgs/msg/TFMessage)"
-    return _track((source, topic), chosen.child, (chosen.stamps_ns, chosen.parent_from_child), rig)
+    track = _track((source, topic), chosen.child, (chosen.stamps_ns, chosen.parent_from_child), rig)
+    return _with_refused(track, chosen.refused_ns, chosen.reason)
+
+
+def _with_refused(track: PoseTrack, refused_ns: NDArray[np.int64], reason: str) -> PoseTrack:
+    return replace(track, findings=(*refused_finding(track.topic, refused_ns, reason), *track.findings))
 
 
 def child_from_ego(child: str, rig: RigMounts) -> tuple[SE3, tuple[Finding, ...]]:

@@ -244,9 +244,18 @@ def test_two_sources_on_one_odometry_topic_are_refused() -> None:
         decode_odometry([_message(_odometry()), _message(_odometry(child="imu"))])
 
 
-def test_a_pose_that_is_none_is_refused_with_its_number() -> None:
-    with pytest.raises(PoseValueError, match=r"number 1 has a quaternion of norm 0"):
-        decode_odometry([_message(_odometry()), _message(_odometry(norm=0.0))])
+def test_a_message_without_a_pose_costs_itself_alone() -> None:
+    bad = [_odometry(norm=0.0), _odometry(x=float("nan")), _odometry(norm=1e200)]
+    found = decode_odometry([_message(payload) for payload in (_odometry(x=1.0), *bad, _odometry(x=2.0))])
+    assert found.parent_from_child.translation_m[:, 0].tolist() == [1.0, 2.0]
+    assert len(found.stamps_ns) == 2
+    assert len(found.refused_ns) == 3
+    assert found.reason == "has a quaternion of norm 0"
+
+
+def test_where_no_message_holds_a_pose_the_first_is_named() -> None:
+    with pytest.raises(PoseValueError, match=r"number 0 has a quaternion of norm 0"):
+        decode_odometry([_message(_odometry(norm=0.0))])
     with pytest.raises(PoseValueError, match=r"number 0 is not finite"):
         decode_odometry([_message(_odometry(x=float("nan")))])
     with pytest.raises(PoseValueError, match=r"number 0 has a quaternion component of 1e\+200"):
