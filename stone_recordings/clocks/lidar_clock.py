@@ -4,7 +4,8 @@
 driver may stamp the start, the middle or the end of a revolution.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ SPAN_SAMPLES = 5
 class LidarClock:
     """The sweeps of a topic in time order: declared `points` (N,), and `span_ns` = (first, last) point time, ns.
 
+    `problems` are the sweeps, by their place in this order, that cannot be decoded, and why.
     Where points have no time, `is_timed` is False and the span is (0, 0).
     """
 
@@ -31,15 +33,35 @@ class LidarClock:
     span_ns: tuple[int, int]
     is_timed: bool
     findings: tuple[Finding, ...]
+    problems: Mapping[int, str] = field(default_factory=dict)
 
 
 def lidar_clock(bag: Bag, recorded: RecordedTopics, topic: str) -> LidarClock:
-    """Raises what decoding a cloud raises."""
+    """Raises what decoding a cloud raises, where none can be decoded."""
     ordered = in_order(topic, recorded.stamps_ns(topic))
     points = recorded.cloud_sizes(topic)[ordered.index]
-    span_ns = _span_ns(bag, topic, ordered.index[points > 0])
+    told = recorded.problems.get(topic, {})
+    problems = {at: told[index] for at, index in enumerate(ordered.index.tolist()) if index in told}
+    is_good = np.ones(len(points), np.bool_)
+    is_good[list(problems)] = False
+    if problems and not is_good.any():
+        decode_cloud(bag.message(topic, int(ordered.index[0])).payload)
+    span_ns = _span_ns(bag, topic, ordered.index[(points > 0) & is_good])
     findings = ordered.findings if span_ns is not None else (*ordered.findings, _no_time(topic))
-    return LidarClock(topic, ordered, points, span_ns or (0, 0), span_ns is not None, findings)
+    findings += _problem_finding(topic, ordered, problems)
+    return LidarClock(topic, ordered, points, span_ns or (0, 0), span_ns is not None, findings, problems)
+
+
+def _problem_finding(topic: str, ordered: OrderedStamps, problems: Mapping[int, str]) -> tuple[Finding, ...]:
+    """MSG-303 for sweeps that cannot be decoded; the frames say each."""
+    if not problems:
+        return ()
+    first = min(problems)
+    stamp_ns = int(ordered.stamps_ns[first])
+    sentence = (
+        f"{len(problems)} sweeps cannot be decoded and are left out (the first at {stamp_ns} ns: {problems[first]})"
+    )
+    return (Finding("MSG-303", "warning", topic, sentence),)
 
 
 def _span_ns(bag: Bag, topic: str, rows: NDArray[np.int64]) -> tuple[int, int] | None:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stone_recordings.bags.errors import ByteOrderError, CloudLayoutError
+from stone_recordings.bags.errors import ByteOrderError, CloudLayoutError, MessageLayoutError
 from stone_recordings.messages.lidar import LidarPoints, resolve_points
 from stone_recordings.messages.types.cdr import Cursor
 
@@ -31,6 +31,16 @@ class _PointField(NamedTuple):
     length: int
 
 
+class _Layout(NamedTuple):
+    height: int
+    width: int
+    fields: tuple[_PointField, ...]
+    is_bigendian: bool
+    point_step: int
+    row_step: int
+    data_bytes: int
+
+
 @dataclass(frozen=True, eq=False)
 class Cloud:
     """One message: stamp, frame and N point records."""
@@ -48,6 +58,43 @@ def decode_cloud(payload: memoryview) -> Cloud:
     """
     cursor = Cursor(payload, TYPE)
     stamp_ns, frame_id = cursor.stamp_ns(), cursor.text()
+    layout = _layout(cursor)
+    start = cursor.take(cursor.bounded(layout.data_bytes, 1))
+    if layout.is_bigendian:
+        raise ByteOrderError(TYPE)
+    record = record_of(layout.fields, layout.point_step)
+    _check_steps(layout)
+    steps = (layout.row_step, layout.point_step)
+    view = np.ndarray((layout.height, layout.width), record, payload, start, steps)
+    return Cloud(stamp_ns, frame_id, view.reshape(layout.height * layout.width))
+
+
+def layout_problem(head: memoryview) -> str:
+    """Why a cloud that begins so cannot be decoded; "" where nothing speaks against it.
+
+    The first bytes tell, up to where the points begin; a head that ends before that tells nothing.
+    """
+    try:
+        cursor = Cursor(head, TYPE)
+        cursor.stamp_ns()
+        cursor.text()
+        layout = _layout(cursor)
+    except MessageLayoutError:
+        return ""  # what is cut here may be whole there; decoding will say
+    except (ByteOrderError, CloudLayoutError) as error:
+        return str(error)
+    try:
+        if layout.is_bigendian:
+            raise ByteOrderError(TYPE)
+        record_of(layout.fields, layout.point_step)
+        _check_steps(layout)
+    except (ByteOrderError, CloudLayoutError) as error:
+        return str(error)
+    return ""
+
+
+def _layout(cursor: Cursor) -> _Layout:
+    """What stands between the header and the points."""
     height, width = cursor.u32(), cursor.u32()
     count = cursor.count(LEAST_FIELD_BYTES)
     if count > FIELD_LIMIT:
@@ -55,14 +102,7 @@ def decode_cloud(payload: memoryview) -> Cloud:
     fields = tuple(_PointField(cursor.text(), cursor.u32(), cursor.u8(), cursor.u32()) for _ in range(count))
     is_bigendian = cursor.u8() != 0
     point_step, row_step = cursor.u32(), cursor.u32()
-    data_bytes = cursor.count(1)
-    start = cursor.take(data_bytes)
-    if is_bigendian:
-        raise ByteOrderError(TYPE)
-    record = record_of(fields, point_step)
-    _check_steps(height, width, point_step, row_step, data_bytes)
-    view = np.ndarray((height, width), record, payload, start, (row_step, point_step))
-    return Cloud(stamp_ns, frame_id, view.reshape(height * width))
+    return _Layout(height, width, fields, is_bigendian, point_step, row_step, cursor.u32())
 
 
 def lidar_points(cloud: Cloud, *, with_ring: bool = True) -> LidarPoints:
@@ -91,9 +131,11 @@ def record_of(fields: tuple[_PointField, ...], point_step: int) -> np.dtype[np.v
     return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": point_step})
 
 
-def _check_steps(height: int, width: int, point_step: int, row_step: int, data_bytes: int) -> None:
+def _check_steps(layout: _Layout) -> None:
+    height, width, point_step, row_step = layout.height, layout.width, layout.point_step, layout.row_step
     if row_step < width * point_step:
         problem = f"row_step {row_step} holds no {width} points of {point_step} bytes ({width * point_step})"
         raise CloudLayoutError(problem)
-    if data_bytes != height * row_step:
-        raise CloudLayoutError(f"{height} rows of {row_step} bytes are {height * row_step}, data has {data_bytes}")
+    if layout.data_bytes != height * row_step:
+        problem = f"{height} rows of {row_step} bytes are {height * row_step}, data has {layout.data_bytes}"
+        raise CloudLayoutError(problem)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from stone.findings import Finding
 from stone_recordings.bags.bag import Bag, Topic
 from stone_recordings.bags.errors import MessageLayoutError
+from stone_recordings.messages.pointcloud2 import layout_problem
 from stone_recordings.messages.types.cdr import HEAD_BYTES, NS_PER_S, Cursor, check_encapsulation
 from stone_recordings.topics.roles import POINT_CLOUD
 
@@ -30,11 +31,15 @@ class OwnMessage:
 
 @dataclass(frozen=True, eq=False)
 class RecordedTopics:
-    """`heads`: the first bytes of every message of a scanned topic; `messages`: whole small messages of others."""
+    """`heads`: the first bytes of every message of a scanned topic; `messages`: whole small messages of others.
+
+    `problems`: of a topic of clouds, the numbers of those that cannot be decoded, and why.
+    """
 
     topics: Mapping[str, Topic]
     heads: Mapping[str, list[bytes]] = field(default_factory=dict)
     messages: Mapping[str, list[OwnMessage]] = field(default_factory=dict)
+    problems: Mapping[str, Mapping[int, str]] = field(default_factory=dict)
 
     def stamps_ns(self, topic: str) -> NDArray[np.int64]:
         """Header stamps (N,) of a scanned topic in log-time order. Raises MessageLayoutError, ByteOrderError."""
@@ -75,13 +80,16 @@ def read_recorded(bag: Bag, scanned: tuple[str, ...], whole: tuple[str, ...]) ->
     kept_bytes = {name: HEADER_BYTES if topics[name].type == POINT_CLOUD else STAMP_BYTES for name in scanned}
     heads = {name: [b""] * topics[name].count for name in scanned}
     payloads = {name: [b""] * topics[name].count for name in whole}
+    problems: dict[str, dict[int, str]] = {name: {} for name in scanned if topics[name].type == POINT_CLOUD}
     for name, index, payload in bag.heads((*scanned, *whole), whole=whole):
         if name in payloads:
             payloads[name][index] = bytes(payload)
-        else:
-            heads[name][index] = bytes(payload[: kept_bytes[name] if index else HEADER_BYTES])
+            continue
+        heads[name][index] = bytes(payload[: kept_bytes[name] if index else HEADER_BYTES])
+        if name in problems and (problem := layout_problem(payload)):
+            problems[name][index] = problem
     messages = {name: [OwnMessage(memoryview(payload)) for payload in own] for name, own in payloads.items()}
-    return RecordedTopics(topics, heads, messages)
+    return RecordedTopics(topics, heads, messages, problems)
 
 
 def in_order(topic: str, stamps_ns: NDArray[np.int64]) -> OrderedStamps:

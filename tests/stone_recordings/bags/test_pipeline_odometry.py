@@ -206,10 +206,11 @@ def test_hostile_files_are_refused(tmp_path):
         synchronised(written(tmp_path / "lies.mcap", lying, odometry()))
     one = sweeps()
     one[6] = plain_sweep(int(STAMPS_NS[6]), point_step=3)
-    _, source = synchronised(written(tmp_path / "late.mcap", one, odometry()))
-    assert source.sweep(5).points_lidar.shape == (1200, 3)
-    with pytest.raises(CloudLayoutError, match="point_step"):
-        source.sweep(6)
+    sequence, source = synchronised(written(tmp_path / "late.mcap", one, odometry()))
+    assert [source.sweep(frame).stamp_ns for frame in range(7)] == [*STAMPS_NS[:6].tolist(), int(STAMPS_NS[7])]
+    assert [(frame.stamp_ns, frame.code) for frame in sequence.excluded] == [(STAMPS_NS[6], "malformed_sweep")]
+    assert "point_step" in sequence.excluded[0].reason
+    assert {"MSG-303", "SYN-501"} <= codes(sequence)
 
 
 def test_a_pose_topic_without_a_message_is_refused():
