@@ -12,8 +12,10 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+import numpy as np
+
 from services.labeler.frames import FrameVoxelCounts
-from services.labeler.map.comparison import Relief, load_comparison, other_reference, relief_of
+from services.labeler.map.comparison import ProfileComparison, Relief, load_comparison, other_reference, relief_of
 from services.labeler.map.surface import TileSummary
 from services.labeler.parameters import LabelParameters
 from services.labeler.results import load_pack, load_summaries, reference_from
@@ -24,6 +26,8 @@ from stone.findings import Finding
 from stone.labels.traversability import FEW_VOXELS, Reference
 from stone.sensors.sequence import Sequence
 
+STEEP_SIGMA_DEG = 15.0
+UNLIKE_TIMES = 3.0
 CLASS_NAMES = ("free", "traversable", "potentially_traversable", "non_traversable")
 
 
@@ -97,8 +101,10 @@ def report_of(run: LabelRun) -> LabelReport:
     counts = concatenated([load_pack(run, part)[1] for part in parts_of(run)])
     other = other_reference(parameters, tiles)
     relief = relief_of(sequence, reference if parameters.profile == "paper" else other)
-    findings = (*sequence.findings, *label_findings(parameters, reference, counts, relief))
-    profiles = load_comparison(run).as_record(parameters) | {"elevation": asdict(relief)}
+    comparison = load_comparison(run)
+    doubts = reference_findings(parameters, reference, comparison)
+    findings = (*sequence.findings, *label_findings(parameters, reference, counts, relief), *doubts)
+    profiles = comparison.as_record(parameters) | {"elevation": asdict(relief)}
     named = (sequence, parameters, code_version("labels"))
     return LabelReport(*named, reference, tuple(tiles), counts, findings, profiles)
 
@@ -125,4 +131,26 @@ def label_findings(
             "profile local does not look at elevation"
         )
         found.append(Finding("LAB-603", "warning", "", narrow))
+    return tuple(found)
+
+
+def reference_findings(
+    parameters: LabelParameters, reference: Reference, comparison: ProfileComparison
+) -> tuple[Finding, ...]:
+    """What speaks against the driven ground being one Gaussian: a slope no robot drives, too many unlike the rest."""
+    found = []
+    sigma_deg = float(np.rad2deg(np.sqrt(reference.covariance[1, 1])))
+    if sigma_deg > STEEP_SIGMA_DEG:
+        steep = (
+            f"the slope of the driven ground scatters by {sigma_deg:.0f}°, as no ground does that is driven on: is "
+            "something taken for it that stands beside or over the track, or does the footprint float?"
+        )
+        found.append(Finding("LAB-604", "warning", "", steep))
+    share = comparison.unlike / max(comparison.driven, 1)
+    if comparison.driven >= FEW_VOXELS and share > UNLIKE_TIMES * parameters.reference.alpha:
+        unlike = (
+            f"{share:.1%} of the driven voxels are unlike the rest of them, where {parameters.reference.alpha:.0%} "
+            "would be by chance: what was driven on is of several kinds, or a few voxels of it are wrong"
+        )
+        found.append(Finding("LAB-605", "warning", "", unlike))
     return tuple(found)

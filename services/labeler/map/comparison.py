@@ -16,7 +16,16 @@ from services.labeler.map.surface import TileSummary
 from services.labeler.parameters import LabelParameters, other_profile, other_profile_of
 from services.labeler.run import LabelRun
 from services.labeler.scratch import Arrays, load, save
-from stone.labels.traversability import NON_TRAVERSABLE, TRAVERSABLE, Reference, classify, reference_of, total_of
+from stone.labels.traversability import (
+    NON_TRAVERSABLE,
+    TRAVERSABLE,
+    Reference,
+    classify,
+    distance_squared,
+    reference_of,
+    threshold,
+    total_of,
+)
 from stone.sensors.sequence import Sequence
 from stone.surface.terrain import with_elevation
 
@@ -52,9 +61,14 @@ def other_reference(parameters: LabelParameters, tiles: Listing[TileSummary]) ->
 
 @dataclass(frozen=True, eq=False)
 class ProfileComparison:
-    """`counts` (3, 3): voxels that are T, P, N in the run's own profile (rows) and in the other (columns)."""
+    """`counts` (3, 3): voxels that are T, P, N in the run's own profile (rows) and in the other (columns).
+
+    `driven` of them are T, of which `unlike` would be N were they not: their D² is beyond the threshold.
+    """
 
     counts: NDArray[np.int64]
+    driven: int = 0
+    unlike: int = 0
 
     def as_record(self, parameters: LabelParameters) -> dict[str, Any]:
         """Shares of the map's voxels: of each class in each profile, and of those that would change theirs."""
@@ -73,7 +87,8 @@ class ProfileComparison:
 class ComparisonCounter:
     """Counts tile after tile."""
 
-    def __init__(self, run: LabelRun, tiles: Listing[TileSummary]) -> None:
+    def __init__(self, run: LabelRun, tiles: Listing[TileSummary], reference: Reference) -> None:
+        self._own = reference
         self._alpha = run.parameters.reference.alpha
         self._reference = other_reference(run.parameters, tiles)
         self.comparison = ProfileComparison(np.zeros((3, 3), np.int64))
@@ -84,7 +99,14 @@ class ComparisonCounter:
         others = classify(features, arrays["is_driven"], self._reference, self._alpha)  # type: ignore[arg-type]
         bins = np.arange(TRAVERSABLE, NON_TRAVERSABLE + 2) - 0.5
         pairs, _, _ = np.histogram2d(classes, others, (bins, bins))
-        self.comparison = ProfileComparison(self.comparison.counts + pairs.astype(np.int64))
+        is_driven: NDArray[np.bool_] = arrays["is_driven"]  # type: ignore[assignment]
+        squared = distance_squared(arrays["features"][is_driven], self._own)  # type: ignore[arg-type]
+        before = self.comparison
+        self.comparison = ProfileComparison(
+            before.counts + pairs.astype(np.int64),
+            before.driven + len(squared),
+            before.unlike + int((squared > threshold(self._alpha)).sum()),
+        )
 
 
 def comparison_path(run: LabelRun) -> Path:
@@ -92,11 +114,13 @@ def comparison_path(run: LabelRun) -> Path:
 
 
 def save_comparison(run: LabelRun, comparison: ProfileComparison) -> None:
-    save(comparison_path(run), {"counts": comparison.counts})
+    told = np.array([comparison.driven, comparison.unlike], np.int64)
+    save(comparison_path(run), {"counts": comparison.counts, "driven": told})
 
 
 def load_comparison(run: LabelRun) -> ProfileComparison:
-    return ProfileComparison(load(comparison_path(run))["counts"])  # type: ignore[arg-type]
+    arrays = load(comparison_path(run))
+    return ProfileComparison(arrays["counts"], *arrays["driven"].tolist())  # type: ignore[arg-type]
 
 
 def _shares(counts: NDArray[np.int64], total: int) -> dict[str, float]:

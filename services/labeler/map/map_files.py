@@ -42,7 +42,7 @@ def map_folder(run: LabelRun) -> Path:
 def write_map(run: LabelRun, tiles: list[TileSummary], reference: Reference, out: Path, step: Step) -> None:
     """Write `bev.png`, `thumbnail.jpg`, `mesh.ply`, the map's previews and the viewer's scene into the folder `out`, in
     the order of the tiles, and leave in scratch how the profiles compare."""
-    view, counter, scene = TopView({}), ComparisonCounter(run, tiles), SceneFiles(run, reference, out)
+    view, counter, scene = TopView({}), ComparisonCounter(run, tiles, reference), SceneFiles(run, reference, out)
     for number, summary in enumerate(tiles):
         step(number, len(tiles) + 2)
         arrays, classes = labelled_tile(run, summary.tile, reference)

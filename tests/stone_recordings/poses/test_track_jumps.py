@@ -62,7 +62,7 @@ def test_sweeps_across_a_jump_are_excluded_and_all_others_are_frames(split):
     assert {e.reason for e in sequence.excluded} <= {
         "the stamp lies where the track jumps",
         "the sweep's last point lies where the track jumps",
-        "the track jumps during the sweep",
+        "the track breaks off during the sweep",
     }
     assert all(len(sweeps.sweep(i).points_lidar) == 400 for i in range(len(sequence.frames)))
 
