@@ -31,7 +31,7 @@ class _PointField(NamedTuple):
     length: int
 
 
-class _Layout(NamedTuple):
+class _CloudLayout(NamedTuple):
     height: int
     width: int
     fields: tuple[_PointField, ...]
@@ -93,7 +93,7 @@ def layout_problem(head: memoryview) -> str:
     return ""
 
 
-def _layout(cursor: Cursor) -> _Layout:
+def _layout(cursor: Cursor) -> _CloudLayout:
     """What stands between the header and the points."""
     height, width = cursor.u32(), cursor.u32()
     count = cursor.count(LEAST_FIELD_BYTES)
@@ -102,7 +102,7 @@ def _layout(cursor: Cursor) -> _Layout:
     fields = tuple(_PointField(cursor.text(), cursor.u32(), cursor.u8(), cursor.u32()) for _ in range(count))
     is_bigendian = cursor.u8() != 0
     point_step, row_step = cursor.u32(), cursor.u32()
-    return _Layout(height, width, fields, is_bigendian, point_step, row_step, cursor.u32())
+    return _CloudLayout(height, width, fields, is_bigendian, point_step, row_step, cursor.u32())
 
 
 def lidar_points(cloud: Cloud, *, with_ring: bool = True) -> LidarPoints:
@@ -131,7 +131,7 @@ def record_of(fields: tuple[_PointField, ...], point_step: int) -> np.dtype[np.v
     return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": point_step})
 
 
-def _check_steps(layout: _Layout) -> None:
+def _check_steps(layout: _CloudLayout) -> None:
     height, width, point_step, row_step = layout.height, layout.width, layout.point_step, layout.row_step
     if row_step < width * point_step:
         problem = f"row_step {row_step} holds no {width} points of {point_step} bytes ({width * point_step})"
