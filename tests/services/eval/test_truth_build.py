@@ -160,6 +160,8 @@ def beyond(grid: Grid) -> Grid:
 def test_labels_that_are_none_end_the_job_without_a_word_of_what_they_hold(world: World, content: bytes) -> None:
     phase_id, job, lines = unfit(world.platform, content)
     assert (job.state, job.failure_code, job.attempt) == ("failed", "labels_unfit", 1)
+    assert "of the dataset version" in job.failure
+    assert "was it labelled by this program?" in job.failure
     words = job.failure + json.dumps([(line.event, line.facts) for line in lines])
     assert "217" not in re.sub(r"gts/[^ ]+", "the file", words), "the name of a frame is no secret, its labels are"
     assert [truth.ready_ns for truth in truths(world, phase_id)] == [None]

@@ -1,6 +1,7 @@
 """The baseline on closed-form worlds: a plane, a wall, a slope, nothing."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
 from stone.errors import ShapeError
-from stone.labels.baseline import N, P, T, column_centres_m, ground_heights, predict_from_sweep
+from stone.labels.baseline import DEFAULTS, N, P, T, column_centres_m, ground_heights, predict_from_sweep
 from stone.labels.grid import GRID_SHAPE
 
 Points = NDArray[np.float32]
@@ -89,3 +90,14 @@ def test_the_order_of_points_does_not_matter() -> None:
 def test_other_shapes_are_refused() -> None:
     with pytest.raises(ShapeError, match=r"points_ego has shape \(5, 4\)"):
         predict_from_sweep(np.zeros((5, 4), np.float32))
+
+
+def test_only_the_robots_own_footprint_is_known_without_a_point() -> None:
+    lowest = np.full(GRID_SHAPE[:2], np.inf, np.float32)
+    lowest[200:203, 128] = 0.05
+    parameters = replace(DEFAULTS, gap_passes=0, footprint_length_m=2.0, footprint_width_m=0.8)
+    known_x, known_y = np.nonzero(np.isfinite(ground_heights(lowest, parameters))[:200])
+    x_m, y_m = column_centres_m()
+    assert np.abs(x_m[known_x]).max() == pytest.approx(0.9)
+    assert np.abs(y_m[0, known_y]).max() == pytest.approx(0.3)
+    assert len(known_x) == 10 * 4

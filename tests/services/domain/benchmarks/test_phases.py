@@ -102,6 +102,12 @@ OUT_OF_RANGE: tuple[dict[str, Any], ...] = (
 )
 
 
+def test_a_phase_may_allow_no_scoring_at_all(platform: Platform) -> None:
+    root = person(platform, "administrator")
+    made = laid.phase(platform, root, laid.bare_version(platform, root), scorings_per_window=0, scorings_total=0)
+    assert (made.scorings_per_window, made.scorings_total) == (0, 0)
+
+
 def test_rules_out_of_range_are_refused(platform: Platform) -> None:
     root = person(platform, "administrator")
     dataset = laid.bare_version(platform, root)

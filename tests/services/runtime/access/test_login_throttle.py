@@ -141,3 +141,8 @@ def test_what_would_be_tried_first_is_no_password(password: str, reason: str) ->
 )
 def test_what_nobody_would_try_is_one(password: str) -> None:
     refuse_guessable(password, "grace.hopper")
+
+
+def test_a_laboratory_behind_one_address_has_fifty_tries_and_one_name_ten() -> None:
+    assert [login_throttle.pause_s("address", failures) for failures in (49, 50, 51)] == [0, 1, 2]
+    assert [login_throttle.pause_s("name", failures) for failures in (9, 10, 11)] == [0, 1, 2]

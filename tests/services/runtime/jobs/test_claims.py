@@ -3,10 +3,14 @@
 from collections import Counter
 from threading import Barrier, Thread
 
+from sqlalchemy import update
+
 from services.runtime.jobs.claims import claim
 from services.runtime.jobs.control import set_mode
 from services.runtime.jobs.execution import run_next
+from services.runtime.jobs.instrumentation import origin_of
 from services.runtime.jobs.specs import Attempt, Outcome
+from services.runtime.orm import Job
 from services.runtime.platform import Platform
 from tests.services.runtime.jobs.steps import a_job, an_owner, job, run_all
 
@@ -76,3 +80,18 @@ def test_a_paused_queue_gives_nothing_until_it_is_opened(platform_on: Platform) 
         set_mode(session, "ingest", "open")
     run_all(platform_on)
     assert job(platform_on, job_id).state == "succeeded"
+
+
+def test_how_long_a_job_was_ready_before_it_was_claimed_is_known_once_it_is(platform: Platform) -> None:
+    queued_id = a_job(platform, an_owner(platform))
+    with platform.database.transaction() as session:
+        session.execute(update(Job).where(Job.id == queued_id).values(ready_ns=Job.ready_ns - 3 * 10**9))
+    with platform.database.transaction() as session:
+        taken = claim(session, "ingest")
+        assert taken is not None
+        waited_s = origin_of(session, taken).waited_s
+    assert waited_s is not None
+    assert 3.0 <= waited_s < 600.0
+    with platform.database.transaction() as session:
+        session.execute(update(Job).where(Job.id == taken.job_id).values(ready_ns=None))
+        assert origin_of(session, taken).waited_s is None

@@ -13,7 +13,7 @@ from services.runtime.orm import Recording, SequenceRow, Upload, new_id
 from services.runtime.platform import Platform
 from services.runtime.uploads import consume, expire
 from services.runtime.uploads.backends import backend_of
-from services.runtime.uploads.completion import terminate
+from services.runtime.uploads.completion import settle, terminate
 from services.runtime.uploads.creation import create
 from services.runtime.uploads.errors import (
     UploadGoneError,
@@ -238,3 +238,15 @@ def test_the_sweeper_removes_the_bytes_of_a_recording_only_once_they_are_kept_or
 def test_an_empty_file_is_a_file(placed: Platform) -> None:
     upload = made(placed, make_owner(placed), b"")
     assert send(placed, upload, 0, b"").sha256 == sha256_of(b"")
+
+
+def test_an_upload_that_was_given_up_meanwhile_is_not_called_complete(placed: Platform) -> None:
+    """Its last bytes were kept, and its row had left for another state before they were settled."""
+    upload = made(placed, make_owner(placed), BAG)
+    leave_unsettled(placed, upload, BAG)
+    held = backend_of(placed, upload).hold(upload)
+    with placed.database.transaction() as session:
+        session.execute(update(Upload).where(Upload.id == upload.id).values(state="terminated"))
+    with pytest.raises(UploadStateError, match="is terminated"):
+        settle(placed, upload, held)
+    held.close()
