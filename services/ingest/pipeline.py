@@ -26,6 +26,7 @@ from stone_recordings.poses.kiss_odometry import Progress
 from stone_recordings.poses.quality import quality_findings
 from stone_recordings.report.projection_checks import projection_findings
 from stone_recordings.sync.association import SensorTopics, associate
+from stone_recordings.sync.clock_offsets import ClockOffsets, shifted_finding
 from stone_recordings.sync.ground_check import applied_finding, corrected, ground_findings, is_off, measured_ground
 from stone_recordings.sync.map_joining import joined
 from stone_recordings.sync.recorded_messages import read_recorded
@@ -46,6 +47,7 @@ class SynchroniseOptions:
 
     `odometry_topic` may be "kiss-icp". `topics` names the topic of a role (lidar, pose) or of a channel (CAM_FRONT).
     `ground` is "given" by the calibration, or "auto": measured, and the LiDAR's mount corrected where it is off.
+    `time_offsets_ns` are added to the stamps of the parts "lidar" and "pose" instead of what the calibration says.
     `recording_sha256` spares reading the whole recording again where it is known; with `is_hashed` false nobody hashes
     it here, and `inputs` of the sequence lack it.
     """
@@ -57,6 +59,7 @@ class SynchroniseOptions:
     is_hashed: bool = True
     topics: Mapping[str, str] = field(default_factory=dict)
     ground: Ground = "given"
+    time_offsets_ns: Mapping[str, int] = field(default_factory=dict)
     progress: Progress = silent
 
 
@@ -117,14 +120,17 @@ def _synchronised(
     lidar_topic = options.lidar_topic or options.topics.get("lidar")
     sources = choose_sources(bag, lidar_topic, options.odometry_topic or options.topics.get("pose"))
     recorded = read_recorded(bag, sources.scanned, sources.whole)
-    clock = lidar_clock(bag, recorded, sources.lidar.name)
-    rig = recorded_rig(recorded, sources, calibration)
+    clocks = ClockOffsets(options.time_offsets_ns)
+    late_ns = clocks.of_lidar(calibration, recorded.frame_id(sources.lidar.name))
+    clock = lidar_clock(bag, recorded, sources.lidar.name, late_ns)
+    rig = recorded_rig(recorded, sources, calibration, clocks)
     track = ego_track(PoseInputs(bag, recorded, sources, clock), rig, options.progress)
     posed = frames_with_pose(name, clock, track, options.max_pose_gap_ns)
     channel_of = {topic: channel for channel, topic in options.topics.items()}
     frames, unmatched = associate(SensorTopics(recorded, sources, calibration, channel_of), posed)
     doubts = quality_findings(track.topic, frames.quality, track.solution)
     mounts = cross_check(rig.tree, calibration, rig.lidar_frame)
+    timed = shifted_finding(clock.topic, late_ns) + clock.findings
     sequence = Sequence(
         name=name,
         frames=frames,
@@ -132,7 +138,7 @@ def _synchronised(
         calibration=calibration,
         pose_source=track.source,
         map_origin_deg_m=track.map_origin_deg_m,
-        findings=bag.findings + mounts + clock.findings + track.findings + doubts + unmatched + usable_finding(posed),
+        findings=bag.findings + mounts + timed + track.findings + doubts + unmatched + usable_finding(posed),
         track=posed.path,
         max_pose_gap_ns=options.max_pose_gap_ns,
     )

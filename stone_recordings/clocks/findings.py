@@ -123,11 +123,14 @@ def distance_findings(report: ClockReport) -> Iterator[Finding]:
             yield _distance(name, "The GPS time in it, which is used,", own_ns, whose, "")
 
 
+OFFER = "set time_offset_ns in the calibration; --time-offset of stone label tries one."
+
+
 def _distance(topic: str, what: str, ahead_ns: int, whose: str, constant: str) -> Finding:
     named = constant_of(ahead_ns) or constant
     doubt = f" (= {named.replace('-', ' − ')}?)" if named else ""
     message = f"{what} differs from the clock of {whose} by {ahead_ns / 1e9:.3f} s{doubt}."
-    return Finding("TIM-202", "warning", topic, f"{message} Nothing was shifted; set time_offset_ns.")
+    return Finding("TIM-202", "warning", topic, f"{message} Nothing was shifted; {OFFER}")
 
 
 def _agreeing(offsets_ns: Mapping[str, int], lidars: Sequence[str]) -> list[str]:

@@ -36,9 +36,9 @@ class LidarClock:
     problems: Mapping[int, str] = field(default_factory=dict)
 
 
-def lidar_clock(bag: Bag, recorded: RecordedTopics, topic: str) -> LidarClock:
-    """Raises what decoding a cloud raises, where none can be decoded."""
-    ordered = in_order(topic, recorded.stamps_ns(topic))
+def lidar_clock(bag: Bag, recorded: RecordedTopics, topic: str, offset_ns: int = 0) -> LidarClock:
+    """The clock with `offset_ns` added to every stamp. Raises what decoding a cloud raises, where none can be."""
+    ordered = in_order(topic, recorded.stamps_ns(topic) + offset_ns)
     points = recorded.cloud_sizes(topic)[ordered.index]
     told = recorded.problems.get(topic, {})
     problems = {at: told[index] for at, index in enumerate(ordered.index.tolist()) if index in told}

@@ -14,14 +14,17 @@ from stone_recordings.poses.kiss_odometry import Progress, SweepTopic, track_fro
 from stone_recordings.poses.sources import PoseTrack, RigMounts, track_from_odometry, track_from_tf
 from stone_recordings.poses.track_jumps import split_at_jumps
 from stone_recordings.sync.association import mount_of
+from stone_recordings.sync.clock_offsets import ClockOffsets
 from stone_recordings.sync.recorded_messages import RecordedTopics
 from stone_recordings.topics.sources import Sources
 
 
-def recorded_rig(recorded: RecordedTopics, sources: Sources, calibration: Calibration) -> RigMounts:
+def recorded_rig(
+    recorded: RecordedTopics, sources: Sources, calibration: Calibration, clocks: ClockOffsets
+) -> RigMounts:
     """The mounts of the calibration beside those the recording publishes. Raises what decoding TF raises."""
     samples = [pair for topic in sources.tf_static for pair in decode_transforms(recorded.messages[topic])]
-    return RigMounts(calibration, static_tree(samples), plain(recorded.frame_id(sources.lidar.name)))
+    return RigMounts(calibration, static_tree(samples), plain(recorded.frame_id(sources.lidar.name)), clocks)
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ that the LiDAR's path is the one the source measured, whatever the two say about
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from stone_recordings.messages.odometry import decode_odometry
 from stone_recordings.messages.tf import TransformSamples, decode_transforms
 from stone_recordings.poses.extrinsics import BASE_FRAMES, plain
 from stone_recordings.poses.static_tree import StaticTree
+from stone_recordings.sync.clock_offsets import ClockOffsets, shifted_finding
 from stone_recordings.sync.errors import NoPoseSourceError, NoUsablePoseError
 from stone_recordings.sync.recorded_messages import in_order
 
@@ -46,11 +47,12 @@ class PoseTrack:
 
 @dataclass(frozen=True, eq=False)
 class RigMounts:
-    """The mounts by calibration and by tf_static, and the frame the sweeps are in."""
+    """The mounts by calibration and by tf_static, the frame the sweeps are in, and whose clock is off."""
 
     calibration: Calibration
     tree: StaticTree
     lidar_frame: str
+    clocks: ClockOffsets = field(default_factory=ClockOffsets)
 
 
 def track_from_odometry(messages: Iterable[StampedMessage], topic: str, rig: RigMounts) -> PoseTrack:
@@ -103,5 +105,6 @@ def _track(named: tuple[str, str], child: str, samples: tuple[NDArray[np.int64],
         raise NoUsablePoseError(source, 0, "no message")
     ordered = in_order(source, stamps_ns)
     step, findings = child_from_ego(child, rig)
-    trajectory = Trajectory(ordered.stamps_ns, fixed_from_child[ordered.index] @ step)
-    return PoseTrack(trajectory, source, topic, ordered.findings + findings)
+    offset_ns = rig.clocks.of_poses(rig.calibration, child)
+    trajectory = Trajectory(ordered.stamps_ns + offset_ns, fixed_from_child[ordered.index] @ step)
+    return PoseTrack(trajectory, source, topic, ordered.findings + findings + shifted_finding(topic, offset_ns))

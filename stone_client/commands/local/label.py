@@ -23,6 +23,7 @@ from stone_client.options import (
 from stone_client.progress import reported
 from stone_client.streams import JsonOption, echo_findings, echo_json
 from stone_client.tables import class_table, show
+from stone_client.time_offsets import TimeOffsetOption, chosen_offsets
 from stone_client.topic_choices import TopicOption, TopicsOption, chosen_topics
 
 OutputOption = Annotated[
@@ -69,6 +70,7 @@ def label(
     solver: SolverOption = Solver.LATTICE,
     refine: RefineOption = None,
     ground: GroundOption = Ground.GIVEN,
+    time_offset: TimeOffsetOption = [],  # noqa: B006
     confidence: ConfidenceOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -84,6 +86,7 @@ def label(
     with reported() as progress:
         chosen = chosen_topics(topics, topic).topics
         sources = SynchroniseOptions(odometry, lidar, topics=chosen, ground=ground.value, progress=progress)
+        sources = replace(sources, time_offsets_ns=chosen_offsets(time_offset))
         source = {"recording": str(bag.resolve()), "calibration": str(calibration.resolve())}
         refinement = RefinementParameters(refine.value) if refine else None
         parameters = replace(parameters_for(profile.value), confidence=confidence, refinement=refinement)

@@ -1,5 +1,6 @@
 """Odometry and TF recordings: which pose source is taken, over which mounts, and what is refused."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 from services.ingest.pipeline import SynchroniseOptions, synchronise
 from stone.geometry.se3 import SE3
-from stone.sensors.calibration import Calibration
+from stone.sensors.calibration import Calibration, Mount
 from stone_recordings.bags.errors import CloudLayoutError, NotABagError
 from stone_recordings.bags.fingerprint import recording_sha256
 from stone_recordings.calibrations.file import read_calibration
@@ -131,6 +132,41 @@ def test_messages_without_a_pose_cost_themselves_alone_and_are_named(tmp_path, s
     assert "2 messages hold no pose" in finding.message
     told = [one for one in inspect(path).findings if one.code == "MSG-305"]
     assert told == ([finding] if source == "odometry" else [])
+
+
+LATE_NS = 18 * 10**9
+
+
+def test_a_lidar_on_another_clock_is_put_right_by_the_calibration_or_the_command(tmp_path):
+    late = [plain_sweep(int(stamp) + LATE_NS) for stamp in STAMPS_NS]
+    path = written(tmp_path / "a.mcap", late, odometry())
+    with pytest.raises(NoPosedFramesError, match=r"\+18\.000 s apart at the start"):
+        synchronised(path)
+    lidar = Mount("LIDAR_TOP", "lidar", SE3.identity(), LIDAR_FRAME, -LATE_NS)
+    known = replace(calibration(), mounts=(*calibration().mounts, lidar))
+    for cal, options in ((known, {}), (calibration(), {"time_offsets_ns": {"lidar": -LATE_NS}})):
+        sequence, source = synchronised(path, cal, **options)
+        assert_true_path(sequence)
+        assert sequence.frames.stamps_ns.tolist() == STAMPS_NS.tolist()
+        assert source.sweep(3).stamp_ns == STAMPS_NS[3]
+        assert "TIM-210" in codes(sequence)
+
+
+def test_poses_on_another_clock_are_put_right_by_the_calibration_or_the_command(tmp_path):
+    stamps_ns = STAMPS_NS + LATE_NS
+    late = [rigs.odometry(int(stamp), TRUTH[i], child="imu_link") for i, stamp in enumerate(stamps_ns)]
+    path = written(tmp_path / "a.mcap", sweeps(), late)
+    mounts = tuple(
+        replace(mount, time_offset_ns=-LATE_NS) if mount.frame_id == "imu_link" else mount
+        for mount in calibration().mounts
+    )
+    for cal, options in (
+        (replace(calibration(), mounts=mounts), {}),
+        (calibration(), {"time_offsets_ns": {"pose": -LATE_NS}}),
+    ):
+        sequence, _ = synchronised(path, cal, **options)
+        assert len(sequence.frames) == 8
+        assert "TIM-210" in codes(sequence)
 
 
 def test_the_topic_asked_for_wins(tmp_path):

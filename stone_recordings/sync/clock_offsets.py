@@ -1,0 +1,50 @@
+"""How far the clocks of the LiDAR and of the pose source are off, as somebody has said.
+
+**Conventions.** An offset is added to a stamp, so that it is on the clock of the others. What is asked for of a run
+goes before what the calibration says, and both are told in a finding: nothing is shifted silently. Frames bear the
+shifted stamp of their sweep.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from stone.findings import Finding
+from stone.sensors.calibration import Calibration
+from stone_recordings.poses.extrinsics import plain
+
+LIDAR, POSE = "lidar", "pose"
+NO_MOVE = np.array([1.0, 0, 0, 0, 0, 0, 0])
+
+
+@dataclass(frozen=True)
+class ClockOffsets:
+    """`asked` by part, "lidar" or "pose", nanoseconds."""
+
+    asked: Mapping[str, int] = field(default_factory=dict)
+
+    def of_lidar(self, calibration: Calibration, frame: str) -> int:
+        """That of the sensor of kind lidar which is the one of `frame`, or sits where the LiDAR does."""
+        if LIDAR in self.asked:
+            return self.asked[LIDAR]
+        for mount in calibration.of_kind("lidar"):
+            is_named = bool(frame) and plain(mount.frame_id) == plain(frame)
+            if is_named or (not mount.frame_id and np.allclose(mount.lidar_from_sensor.wxyz_xyz, NO_MOVE)):
+                return mount.time_offset_ns
+        return 0
+
+    def of_poses(self, calibration: Calibration, frame: str) -> int:
+        """That of the sensor whose pose is told, by the frame it is told of."""
+        if POSE in self.asked:
+            return self.asked[POSE]
+        named = (mount for mount in calibration.mounts if frame and plain(mount.frame_id) == plain(frame))
+        return next((mount.time_offset_ns for mount in named), 0)
+
+
+def shifted_finding(topic: str, offset_ns: int) -> tuple[Finding, ...]:
+    """TIM-210 where a clock was shifted."""
+    if not offset_ns:
+        return ()
+    sentence = f"its stamps are shifted by {offset_ns / 1e9:+.6f} s, as the calibration or the command says"
+    return (Finding("TIM-210", "info", topic, sentence),)
