@@ -8,7 +8,9 @@ nothing corrected: so much is terrain.
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from stone.errors import StoneError
 from stone.findings import Finding
 from stone.sensors.calibration import Calibration
 from stone.sensors.ground_plane import GroundFit, ground_fit, plane_around
@@ -21,14 +23,20 @@ MIN_RANGE_M = 1.0
 
 def measured_ground(sequence: Sequence, sweeps: SweepSource) -> GroundFit | None:
     """Where the ground lies in the ego frame, by sweeps from all over the run; None where too few show it."""
-    calibration, planes = sequence.calibration, []
-    for index in np.unique(np.linspace(0, len(sequence.frames) - 1, SWEEPS).round().astype(np.int64)).tolist():
+    picked = np.unique(np.linspace(0, len(sequence.frames) - 1, SWEEPS).round().astype(np.int64)).tolist()
+    planes = (plane_around(seen_around(sequence, sweeps, index)) for index in picked)
+    return ground_fit([plane for plane in planes if plane is not None])
+
+
+def seen_around(sequence: Sequence, sweeps: SweepSource, index: int) -> NDArray[np.float32]:
+    """The points (N, 3) of a frame's sweep in its ego frame, without the robot's own; none of a sweep that cannot be
+    read, which is for labelling to say."""
+    calibration = sequence.calibration
+    try:
         points_lidar = sweeps.sweep(index).points_lidar
-        points = world_points(points_lidar, calibration.ego_from_lidar, calibration.self_boxes_ego, MIN_RANGE_M)
-        plane = plane_around(points)
-        if plane is not None:
-            planes.append(plane)
-    return ground_fit(planes)
+    except StoneError:
+        return np.zeros((0, 3), np.float32)
+    return world_points(points_lidar, calibration.ego_from_lidar, calibration.self_boxes_ego, MIN_RANGE_M)
 
 
 def is_off(fit: GroundFit | None) -> bool:

@@ -17,12 +17,12 @@ from stone.geometry.se3 import SE3, interpolate
 from stone.geometry.segments import segments_at, segments_of
 from stone.geometry.trajectory import Trajectory
 from stone.sensors.ego_path import track_of
-from stone.sensors.selection import world_points
 from stone.sensors.sequence import Sequence, SweepSource
+from stone_recordings.sync.ground_check import seen_around
 from stone_recordings.sync.registration import Registered, Target, Trust, apart
 
 FRAMES_EACH_SIDE = 10
-REACH_M, SAMPLING_M, MIN_RANGE_M = 40.0, 0.3, 1.0
+REACH_M, SAMPLING_M = 40.0, 0.3
 VELOCITY_S, CONTINUED_S = 0.5, 10.0
 TAKEN_M, TAKEN_RAD = 0.05, 0.005
 MOST_BREAKS = 50
@@ -78,14 +78,13 @@ class _Pieces:
 
     def _seen(self, indices: Listing[int], map_from_ego: SE3) -> NDArray[np.float64]:
         """The points (N, 3) of these frames, seen from this pose."""
-        calibration, poses = self.sequence.calibration, self.sequence.frames.map_from_ego
-        clouds = []
+        poses, clouds = self.sequence.frames.map_from_ego, []
         for index in indices:
-            points_lidar = self.sweeps.sweep(index).points_lidar
-            points = world_points(points_lidar, calibration.ego_from_lidar, calibration.self_boxes_ego, MIN_RANGE_M)
+            points = seen_around(self.sequence, self.sweeps, index)
             near = points[np.einsum("ij,ij->i", points, points) < REACH_M**2].astype(np.float64)
             clouds.append((map_from_ego.inverse() @ poses[index]) @ near)
-        return np.concatenate(clouds)
+        seen = np.concatenate(clouds)
+        return np.asarray(seen[np.abs(seen).max(axis=1, initial=0.0) < 2 * REACH_M])
 
     def _continued(self, end: int, track: Trajectory) -> list[SE3]:
         """Where the robot would be, had it gone on as in the last half second before the break; if that is known."""

@@ -55,12 +55,14 @@ class Target:
     def __init__(self, points: Points, sampling_m: float) -> None:
         import small_gicp
 
-        self._gicp, self._sampling_m = small_gicp, sampling_m
+        self._gicp, self._sampling_m, self._is_empty = small_gicp, sampling_m, len(points) < FEWEST_POINTS
         self._cloud, self._tree = small_gicp.preprocess_points(points, sampling_m, NEIGHBOURS, 1)
         self._points, self._normals = self._cloud.points()[:, :3], self._cloud.normals()[:, :3]
 
     def register(self, source: Points, guess: SE3, trust: Trust) -> Registered:
         """Where the source (M, 3) lies, starting from `guess` and from places around it."""
+        if self._is_empty or len(source) < FEWEST_POINTS:
+            return Registered(guess, 0.0, 0.0, "too few points")
         cloud, _ = self._gicp.preprocess_points(source, self._sampling_m, NEIGHBOURS, 1)
         if min(cloud.size(), len(self._points)) < FEWEST_POINTS:
             return Registered(guess, 0.0, 0.0, "too few points")

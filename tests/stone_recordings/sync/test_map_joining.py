@@ -8,6 +8,7 @@ import pytest
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Box
 from stone.sensors.ego_path import maps_of_frames
+from stone_recordings.bags.errors import CloudLayoutError
 from stone_recordings.sync.map_joining import MOST_BREAKS, joined
 from tests.services.labeler.worlds import RayCast, World, sequence_of
 
@@ -90,3 +91,16 @@ def test_a_track_in_a_hundred_pieces_is_told_of_once_and_not_registered():
     pieces = replace(sequence, frames=replace(sequence.frames, map_from_ego=SE3(poses)))
     found = joined(pieces, RayCast(replace(BARE, breaks_at=0)))
     assert codes(found) == [("SYN-508", "warning")]
+
+
+def test_where_nothing_was_seen_nothing_is_joined():
+    class Blind:
+        def sweep(self, index):
+            if index == 3:
+                raise CloudLayoutError("a lie")
+            sweep = RayCast(WALLED).sweep(index)
+            return sweep if index < 8 else replace(sweep, points_lidar=np.zeros((0, 3), np.float32))
+
+    found = joined(jumped(WALLED), Blind())
+    assert codes(found) == [("SYN-508", "warning")]
+    assert "too few points" in found.findings[0].message
