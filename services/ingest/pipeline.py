@@ -30,7 +30,7 @@ from stone_recordings.sync.clock_offsets import ClockOffsets, shifted_finding
 from stone_recordings.sync.ground_check import applied_finding, corrected, ground_findings, is_off, measured_ground
 from stone_recordings.sync.map_joining import joined
 from stone_recordings.sync.recorded_messages import read_recorded
-from stone_recordings.sync.sweeps import BagSweeps
+from stone_recordings.sync.sweeps import BagSweeps, SweepsOfOpenBag
 from stone_recordings.sync.synchronisation import frames_with_pose, usable_finding
 from stone_recordings.topics.sources import choose_sources
 
@@ -97,11 +97,11 @@ def _checked(bag: Bag, calibration: Calibration, options: SynchroniseOptions, na
 def _grounded(bag: Bag, calibration: Calibration, options: SynchroniseOptions, name: str) -> tuple[Sequence, BagSweeps]:
     """With the ground measured, and the mount of the LiDAR corrected by it where that is asked for."""
     sequence, sweeps = _synchronised(bag, calibration, options, name)
-    fit, applied = measured_ground(sequence, sweeps), tuple[Finding, ...]()
+    fit, applied = measured_ground(sequence, SweepsOfOpenBag(sweeps, bag)), tuple[Finding, ...]()
     if options.ground == "auto" and fit is not None and is_off(fit):
         applied = (applied_finding(calibration, fit),)
         sequence, sweeps = _synchronised(bag, corrected(calibration, fit), options, name)
-        fit = measured_ground(sequence, sweeps)
+        fit = measured_ground(sequence, SweepsOfOpenBag(sweeps, bag))
     findings = (*sequence.findings, *applied, *ground_findings(sequence, fit))
     return replace(sequence, ground=fit, findings=findings), sweeps
 
@@ -144,4 +144,4 @@ def _synchronised(
     )
     motion = SweepMount(posed.path, calibration.ego_from_lidar, options.max_pose_gap_ns)
     sweeps = BagSweeps(bag.path, clock.topic, posed.message_index, frames.stamps_ns, motion)
-    return joined(sequence, sweeps), sweeps
+    return joined(sequence, SweepsOfOpenBag(sweeps, bag)), sweeps

@@ -52,6 +52,18 @@ class BagSweeps:
         return Sweep(stamp_ns, deskew(found.points_lidar, found.offset_ns, self.mount, stamp_ns))
 
 
+@dataclass(frozen=True, eq=False)
+class SweepsOfOpenBag:
+    """The sweeps as a SweepSource over the recording that somebody has open already."""
+
+    sweeps: BagSweeps
+    bag: Bag
+
+    def sweep(self, index: int) -> Sweep:
+        """As `BagSweeps.sweep_in`."""
+        return self.sweeps.sweep_in(self.bag, index)
+
+
 def opened(path: Path) -> Bag:
     """The recording, open in this process and thread; it stays so."""
     status = path.stat()

@@ -62,8 +62,8 @@ CONSEQUENCES: dict[FaultName, Named] = {
     # 37 s apart, not one sweep has a pose.
     "clock_37s": {("SYN-501", "")},
     "camera_dropped": {("TIM-204", TOPICS[DROPPING_CHANNEL]), ("SYN-504", TOPICS[DROPPING_CHANNEL])},
-    "rtk_gap": {("SYN-501", "")},
-    "position_jump": {("GNS-301", INSPVAX_TOPIC), ("GNS-304", INSPVAX_TOPIC), ("SYN-501", "")},
+    "rtk_gap": {("SYN-501", ""), ("SYN-507", "")},
+    "position_jump": {("GNS-301", INSPVAX_TOPIC), ("GNS-304", INSPVAX_TOPIC), ("SYN-501", ""), ("SYN-507", "")},
     "extrinsic_inverted": {("CAL-414", INVERTED_CHANNEL)},
 }
 
