@@ -137,6 +137,20 @@ def steps_of(poses: SE3) -> tuple[Array, Array]:
     return lengths_m, 2 * np.arctan2(np.linalg.norm(turns[:, 1:], axis=1), np.abs(turns[:, 0]))
 
 
+def shortest_turn_to_z(up: Array) -> Array:
+    """The quaternion that turns the unit vector `up` (3,) to z; about x where it points straight down."""
+    half = np.array([1 + up[2], up[1], -up[0], 0.0])
+    size = float(np.linalg.norm(half))
+    return half / size if size > 1e-9 else np.array([0.0, 1.0, 0.0, 0.0])
+
+
+def apart(a: SE3, b: SE3) -> tuple[float, float]:
+    """How far one single transform is from another: metres, radians."""
+    turned = (b @ a.inverse()).wxyz
+    angle = 2 * np.arctan2(np.linalg.norm(turned[1:]), abs(turned[0]))
+    return float(np.linalg.norm(b.translation_m - a.translation_m)), float(angle)
+
+
 def wxyz_from_rotation(rotation: Array) -> Array:
     """Unit quaternions with w ≥ 0 from rotation matrices (..., 3, 3), by the largest component (Shepperd, 1978)."""
     r = rotation

@@ -18,16 +18,11 @@ def split_at_gaps(trajectory: Trajectory, max_gap_ns: int) -> Trajectory:
     is_gap = np.diff(trajectory.stamps_ns) > max_gap_ns
     if not is_gap.any():
         return trajectory
-    is_new = is_gap | (np.diff(segments_of(trajectory)) != 0)
+    is_new = is_gap | (np.diff(trajectory.segments) != 0)
     return replace(trajectory, segment=np.concatenate([[0], np.cumsum(is_new)]).astype(np.int64))
-
-
-def segments_of(trajectory: Trajectory) -> NDArray[np.int64]:
-    """The segment (K,) of every pose."""
-    return np.zeros(len(trajectory), np.int64) if trajectory.segment is None else trajectory.segment
 
 
 def segments_at(trajectory: Trajectory, stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
     """The segment (N,) at every time (N,)."""
     before = np.searchsorted(trajectory.stamps_ns, stamps_ns, side="right") - 1
-    return np.asarray(segments_of(trajectory)[np.maximum(before, 0)])
+    return np.asarray(trajectory.segments[np.maximum(before, 0)])

@@ -95,6 +95,11 @@ class Trajectory:
     def __len__(self) -> int:
         return int(self.stamps_ns.size)
 
+    @property
+    def segments(self) -> NDArray[np.int64]:
+        """The segment (K,) of every pose."""
+        return np.zeros(len(self), np.int64) if self.segment is None else self.segment
+
     def around(self, query_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """The poses (left, right) that answer each query (N,): twice the same on a pose's own stamp and outside all."""
         left = np.clip(np.searchsorted(self.stamps_ns, query_ns, side="right") - 1, 0, len(self) - 1)
@@ -107,7 +112,7 @@ class Trajectory:
         stamps_ns = self.stamps_ns
         left, right = self.around(query_ns)
         gap_ns = stamps_ns[right] - stamps_ns[left]
-        segment = self.segment if self.segment is not None else np.zeros(len(self), np.int64)
+        segment = self.segments
         choices = [
             (query_ns < stamps_ns[0], PoseStatus.BEFORE_FIRST),
             (query_ns > stamps_ns[-1], PoseStatus.AFTER_LAST),

@@ -72,8 +72,7 @@ def sweep_motion(mount: SweepMount, stamp_ns: int, span_ns: tuple[int, int]) -> 
         first_bin, np.empty((bins, 3, 3), np.float32), np.empty((bins, 3), np.float32), np.zeros(bins, np.bool_)
     )
     path = mount.trajectory
-    segment = np.zeros(len(path), np.int64) if path.segment is None else path.segment
-    track = (path.stamps_ns, path.map_from_ego.wxyz_xyz, segment, mount.max_gap_ns)
+    track = (path.stamps_ns, path.map_from_ego.wxyz_xyz, path.segments, mount.max_gap_ns)
     made = (motion.rotation, motion.translation_m, motion.has_pose)
     _fill_motion((stamp_ns, times_ns), track, mount.ego_from_lidar.wxyz_xyz, made)
     return motion

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from stone.geometry.jumps import jumps_of, split
 from stone.geometry.se3 import SE3, interpolate, steps_of
-from stone.geometry.segments import segments_at, segments_of
+from stone.geometry.segments import segments_at
 from stone.geometry.trajectory import Trajectory
 from stone.sensors.sequence import Sequence
 
@@ -42,7 +42,7 @@ def ego_path(sequence: Sequence, number: int) -> tuple[SE3, ...]:
     track, frames = track_of(sequence), sequence.frames
     segment_of_frame = segments_at(track, frames.stamps_ns)
     is_mine = _maps(sequence, segment_of_frame) == number
-    segments = segments_of(track)
+    segments = track.segments
     stretches = []
     for segment in np.unique(segment_of_frame[is_mine]).tolist():
         rows = np.flatnonzero(segments == segment)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stone.geometry.se3 import SE3
+from stone.geometry.se3 import SE3, shortest_turn_to_z
 
 NEAREST_M, FARTHEST_M = 0.8, 12.0
 LOWEST_M, HIGHEST_M = -2.5, 1.5
@@ -61,8 +61,7 @@ class GroundFit:
         """The mount with which the ground lies where it should: the ego frame put on it, turned as little as can be."""
         normal = np.array([-self.slope_x, -self.slope_y, 1.0])
         normal /= np.linalg.norm(normal)
-        half = np.array([1.0 + normal[2], normal[1], -normal[0], 0.0])  # the shortest turn of the normal onto z
-        turn = SE3.from_parts(half, np.zeros(3))
+        turn = SE3.from_parts(shortest_turn_to_z(normal), np.zeros(3))
         down = SE3.from_parts(np.array([1.0, 0, 0, 0]), np.array([0.0, 0.0, -self.height_m]))
         return turn @ down @ ego_from_lidar
 

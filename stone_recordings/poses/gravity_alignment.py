@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone.findings import Finding
-from stone.geometry.se3 import SE3, rotate
+from stone.geometry.se3 import SE3, rotate, shortest_turn_to_z
 from stone.geometry.trajectory import Trajectory
 from stone.sensors.calibration import Mount
 from stone_recordings.bags.bag import Bag
@@ -52,7 +52,7 @@ def levelled(track: PoseTrack, imu: ImuTopic | None) -> PoseTrack:
     if not np.isfinite(up).all():
         sentence = "the map's up is the robot's own where it began: on a slope, level ground is labelled as one"
         return _said(track, Finding("SYN-506", "warning", track.topic, sentence))
-    turn = _shortest_turn(up)
+    turn = shortest_turn_to_z(up)
     angle_deg = float(np.rad2deg(2 * np.arctan2(np.linalg.norm(turn[1:]), turn[0])))
     level = SE3.from_parts(turn, np.zeros(3)) @ track.trajectory.map_from_ego
     name = imu.name if imu is not None else ""
@@ -101,10 +101,3 @@ def _gained(trajectory: Trajectory) -> tuple[NDArray[np.float64], tuple[int, int
     gained_m_s = (place_m[-1] - place_m[last]) / (after_ns * 1e-9) - (place_m[first] - place_m[0]) / (before_ns * 1e-9)
     begin_ns, end_ns = int(stamps_ns[0]) + before_ns // 2, int(stamps_ns[-1]) - after_ns // 2
     return gained_m_s / ((end_ns - begin_ns) * 1e-9), (begin_ns, end_ns)
-
-
-def _shortest_turn(up: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The quaternion that turns the unit vector `up` to z; about x where it points straight down."""
-    half = np.array([1 + up[2], up[1], -up[0], 0.0])
-    size = float(np.linalg.norm(half))
-    return half / size if size > 1e-9 else np.array([0.0, 1.0, 0.0, 0.0])

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone.findings import Finding
-from stone.geometry.se3 import SE3, interpolate
-from stone.geometry.segments import segments_at, segments_of
+from stone.geometry.se3 import SE3, apart, interpolate
+from stone.geometry.segments import segments_at
 from stone.geometry.trajectory import Trajectory
 from stone.sensors.ego_path import track_of
 from stone.sensors.sequence import Sequence, SweepSource
 from stone_recordings.sync.ground_check import seen_around
-from stone_recordings.sync.registration import Registered, Target, Trust, apart
+from stone_recordings.sync.registration import Registered, Target, Trust
 
 FRAMES_EACH_SIDE = 10
 REACH_M, SAMPLING_M = 40.0, 0.3
@@ -30,15 +30,25 @@ MOST_BREAKS = 50
 
 @dataclass(frozen=True, eq=False)
 class Break:
-    """Between two frames that follow one another in different segments; `registered` the second from the first."""
+    """Between two frames that follow one another in different segments; `registered` the second from the first.
+
+    `far_m` and `turned_rad` are how far that is from the poses as given.
+    """
 
     before: int
     after: int
     registered: Registered
+    far_m: float
+    turned_rad: float
 
     @property
     def is_joined(self) -> bool:
         return not self.registered.doubt
+
+    @property
+    def is_moved(self) -> bool:
+        """Whether that is too far for the poses to stay as given."""
+        return self.far_m > TAKEN_M or self.turned_rad > TAKEN_RAD
 
 
 def joined(sequence: Sequence, sweeps: SweepSource) -> Sequence:
@@ -51,7 +61,7 @@ def joined(sequence: Sequence, sweeps: SweepSource) -> Sequence:
     if len(ends) > MOST_BREAKS:
         return replace(sequence, findings=(*sequence.findings, _too_many(len(ends))))
     pieces = _Pieces(sequence, sweeps, segment_of_frame)
-    breaks = [Break(end, end + 1, pieces.registered(end, track)) for end in ends]
+    breaks = [pieces.registered(end, track) for end in ends]
     return _moved(sequence, track, segment_of_frame, breaks)
 
 
@@ -63,8 +73,8 @@ class _Pieces:
     sweeps: SweepSource
     segment_of_frame: NDArray[np.int64]
 
-    def registered(self, end: int, track: Trajectory) -> Registered:
-        """The frame after `end` in the frame `end`, by what the frames on both sides saw."""
+    def registered(self, end: int, track: Trajectory) -> Break:
+        """The break after the frame `end`, by what the frames on both sides saw."""
         poses = self.sequence.frames.map_from_ego
         given = poses[end].inverse() @ poses[end + 1]
         first = max(end - FRAMES_EACH_SIDE + 1, int(np.searchsorted(self.segment_of_frame, self.segment_of_frame[end])))
@@ -74,7 +84,8 @@ class _Pieces:
         starts = [given, *self._continued(end, track)]
         found = [target.register(source, start, Trust()) for start in starts]
         believed = [one for one in found if not one.doubt]
-        return min(believed, key=lambda one: one.residual_m) if believed else max(found, key=lambda one: one.overlap)
+        best = min(believed, key=lambda one: one.residual_m) if believed else max(found, key=lambda one: one.overlap)
+        return Break(end, end + 1, best, *apart(given, best.target_from_source))
 
     def _seen(self, indices: Listing[int], map_from_ego: SE3) -> NDArray[np.float64]:
         """The points (N, 3) of these frames, seen from this pose."""
@@ -89,7 +100,7 @@ class _Pieces:
     def _continued(self, end: int, track: Trajectory) -> list[SE3]:
         """Where the robot would be, had it gone on as in the last half second before the break; if that is known."""
         stamps_ns, poses = self.sequence.frames.stamps_ns, self.sequence.frames.map_from_ego
-        is_before = (segments_of(track) == self.segment_of_frame[end]) & (track.stamps_ns <= stamps_ns[end])
+        is_before = (track.segments == self.segment_of_frame[end]) & (track.stamps_ns <= stamps_ns[end])
         since_ns = int(stamps_ns[end]) - int(VELOCITY_S * 1e9)
         rows = np.flatnonzero(is_before & (track.stamps_ns >= since_ns))
         silent_ns = int(stamps_ns[end + 1] - stamps_ns[end])
@@ -107,7 +118,7 @@ def _moved(
     sequence: Sequence, track: Trajectory, segment_of_frame: NDArray[np.int64], breaks: Listing[Break]
 ) -> Sequence:
     """The sequence with what follows each break moved to where it was registered."""
-    segments, frames = segments_of(track), sequence.frames
+    segments, frames = track.segments, sequence.frames
     maps, moves = _maps_and_moves(sequence, segment_of_frame, breaks, int(segments[-1]) + 1)
     path = replace(track, map_from_ego=SE3(moves)[segments] @ track.map_from_ego)
     placed = replace(frames, map_from_ego=SE3(moves)[segment_of_frame] @ frames.map_from_ego)
@@ -135,25 +146,22 @@ def _maps_and_moves(
 
 def _move(poses: SE3, one: Break, before: SE3) -> SE3:
     """What is put before the poses after a break, given what is put before those before it."""
-    placed = before @ poses[one.before] @ one.registered.target_from_source
-    given = before @ poses[one.after]
-    far_m, turned_rad = apart(placed, given)
-    return before if far_m <= TAKEN_M and turned_rad <= TAKEN_RAD else placed @ poses[one.after].inverse()
+    if not one.is_moved:
+        return before
+    return before @ poses[one.before] @ one.registered.target_from_source @ poses[one.after].inverse()
 
 
 def _finding(sequence: Sequence, one: Break) -> Finding:
-    poses, stamps_ns = sequence.frames.map_from_ego, sequence.frames.stamps_ns
+    stamps_ns = sequence.frames.stamps_ns
     silent_s = (int(stamps_ns[one.after]) - int(stamps_ns[one.before])) * 1e-9
     where = f"the track breaks between {stamps_ns[one.before]} and {stamps_ns[one.after]} ns ({silent_s:.1f} s)"
     found = one.registered
     if not one.is_joined:
         sentence = f"{where}; what follows is a map of its own, for it could not be joined: {found.doubt}"
         return Finding("SYN-508", "warning", "", sentence)
-    far_m, turned_rad = apart(poses[one.before] @ found.target_from_source, poses[one.after])
-    is_taken = far_m > TAKEN_M or turned_rad > TAKEN_RAD
-    moved = f"moved by {far_m:.2f} m and {np.rad2deg(turned_rad):.1f}°" if is_taken else "as given"
+    moved = f"moved by {one.far_m:.2f} m and {np.rad2deg(one.turned_rad):.1f}°" if one.is_moved else "as given"
     fits = f"{found.overlap:.0%} overlap, surfaces {1000 * found.residual_m:.0f} mm apart"
-    return Finding("SYN-507", "warning" if is_taken else "info", "", f"{where} and is joined {moved} ({fits})")
+    return Finding("SYN-507", "warning" if one.is_moved else "info", "", f"{where} and is joined {moved} ({fits})")
 
 
 def _too_many(breaks: int) -> Finding:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from stone.geometry.se3 import SE3, steps_of
+from stone.geometry.se3 import SE3, apart
 
 NEIGHBOURS = 10
 COARSE_M, FINE_M = 2.0, 0.5
@@ -111,12 +111,6 @@ class Target:
             return False
         apart_m, apart_rad = apart(best, found)
         return apart_m <= trust.spread_m and apart_rad <= trust.spread_rad
-
-
-def apart(a: SE3, b: SE3) -> tuple[float, float]:
-    """How far apart two poses are: metres, radians."""
-    lengths_m, angles_rad = steps_of(SE3(np.stack([a.wxyz_xyz, b.wxyz_xyz])))
-    return float(lengths_m[0]), float(angles_rad[0])
 
 
 def _displaced(guess: SE3) -> Iterator[SE3]:

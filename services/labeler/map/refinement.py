@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from services.labeler.parameters import LabelParameters, RefinementParameters
 from services.labeler.run import Step, silent
 from stone.findings import Finding
-from stone.geometry.se3 import SE3, interpolate
+from stone.geometry.se3 import SE3, apart, interpolate
 from stone.sensors.selection import world_points
 from stone.sensors.sequence import Sequence, SweepSource
 from stone.surface.sharpness import Sharpness, SharpnessMeter
@@ -56,7 +56,7 @@ class _Trail:
     kept: dict[str, int] = field(default_factory=lambda: {"too_little_seen": 0, "not_converged": 0, "beyond_limit": 0})
 
     def add(self, given: SE3, pose: SE3) -> None:
-        moved_m, turned_rad = correction(given, pose)
+        moved_m, turned_rad = apart(given, pose)
         self.poses.append(pose.wxyz_xyz)
         self.moved_m.append(moved_m)
         self.turned_rad.append(turned_rad)
@@ -89,13 +89,6 @@ def refined(
     source = f"{sequence.pose_source}, refined by {options.method}"
     findings = (*sequence.findings, *_findings(done, options))
     return replace(sequence, frames=moved, pose_source=source, findings=findings), done
-
-
-def correction(given: SE3, pose: SE3) -> tuple[float, float]:
-    """How far (m) and by how much (rad) `pose` lies from `given`."""
-    turned = (pose @ given.inverse()).wxyz
-    angle = 2 * np.arctan2(np.linalg.norm(turned[1:]), abs(turned[0]))
-    return float(np.linalg.norm(pose.translation_m - given.translation_m)), float(angle)
 
 
 class _Aligner:
@@ -137,7 +130,7 @@ class _Aligner:
         if not found.converged or not np.isfinite(found.T_target_source).all():
             return given, "not_converged"
         pose = SE3.from_matrix(np.asarray(found.T_target_source))
-        moved_m, turned_rad = correction(given, pose)
+        moved_m, turned_rad = apart(given, pose)
         if moved_m > options.max_correction_m or turned_rad > options.max_correction_rad:
             return given, "beyond_limit"
         return interpolate(pose, given, np.array(options.pull_ratio)), ""

@@ -14,6 +14,7 @@ from services.labeler.parameters import LabelParameters, Profile, other_profile_
 from services.labeler.run import LabelRun, Step, Tile, in_core, neighbourhood, silent
 from services.labeler.scratch import Arrays, images_near, load_observed, load_points, save, surface_path
 from stone.geometry.lattice import centres_of
+from stone.geometry.se3 import SE3
 from stone.labels.footprint import passed_through, swept
 from stone.labels.observed_voxels import Observed
 from stone.labels.traversability import FeatureSums, sums_of
@@ -56,7 +57,8 @@ def surface(run: LabelRun, tile: Tile, step: Step = silent) -> TileSummary:
     low, high = _cube(run.parameters, tile)
     points = merge([part for near in neighbourhood(tile) for part in load_points(run, near, low, high)])
     step(1, STEPS)
-    moving = _moving(run, tile, points) | _passed_through(run, tile, points)
+    path = ego_path(run.sequence, tile.map)
+    moving = _moving(run, tile, points) | _passed_through(run, path, points)
     points = points.where(~moving).where_seen(run.parameters.surface.min_frames)
     step(2, STEPS)
     mesh, normals = _mesh(run.parameters, points, low)
@@ -64,7 +66,7 @@ def surface(run: LabelRun, tile: Tile, step: Step = silent) -> TileSummary:
     voxels, other_height_m = _features(run.parameters, mesh, normals, datum_m(run.sequence, tile.map))
     mine = in_core(centres_of(voxels.keys, VOXEL_M), tile, run.parameters.core_m)
     voxels, other_height_m = voxels.where(mine), other_height_m[mine]
-    is_driven = _driven(run, tile, voxels)
+    is_driven = _driven(run, path, voxels)
     kept = _core_mesh(mesh, tile, run.parameters.core_m)
     observed = load_observed(run, tile)
     _leave(run, tile, (voxels, other_height_m, is_driven), (kept, observed))
@@ -101,11 +103,10 @@ def _moving(run: LabelRun, tile: Tile, points: PointMap) -> NDArray[np.bool_]:
     return carried_along(centroids, points.frames_seen(), votes, is_moving(votes))
 
 
-def _passed_through(run: LabelRun, tile: Tile, points: PointMap) -> NDArray[np.bool_]:
+def _passed_through(run: LabelRun, path: tuple[SE3, ...], points: PointMap) -> NDArray[np.bool_]:
     """What seems to stand where the robot's body went: somebody who stood there before, or after."""
     heights_m = (run.parameters.body_clearance_m, float(run.sensor_ego[2]))
-    path, footprint = ego_path(run.sequence, tile.map), run.sequence.calibration.footprint
-    return passed_through(points.keys, points.voxel_m, path, footprint, heights_m)
+    return passed_through(points.keys, points.voxel_m, path, run.sequence.calibration.footprint, heights_m)
 
 
 def _mesh(parameters: LabelParameters, points: PointMap, low: NDArray[np.float64]) -> tuple[Mesh, NDArray[np.float64]]:
@@ -136,8 +137,7 @@ def _features(
     return local, voxels.features[:, ELEVATION]
 
 
-def _driven(run: LabelRun, tile: Tile, voxels: VoxelFeatures) -> NDArray[np.bool_]:
-    path = ego_path(run.sequence, tile.map)
+def _driven(run: LabelRun, path: tuple[SE3, ...], voxels: VoxelFeatures) -> NDArray[np.bool_]:
     return swept(voxels.keys, path, run.sequence.calibration.footprint, run.parameters.footprint_band_m)
 
 

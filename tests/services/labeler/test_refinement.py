@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from services.labeler.local_run import LabelOptions, label
-from services.labeler.map.refinement import correction, refined
+from services.labeler.map.refinement import refined
 from services.labeler.parameters import LabelParameters, RefinementParameters
-from stone.geometry.se3 import SE3, multiply
+from stone.geometry.se3 import SE3, apart, multiply
 from stone.sensors.calibration import Box
 from stone_recordings.sync.sequence_file import read_sequence
 from tests.services.labeler.worlds import RayCast, World, sequence_of
@@ -68,7 +68,7 @@ def test_poses_that_jitter_come_together_and_the_map_gets_sharper(noisy):
 def test_what_was_done_is_said_where_the_labels_are_read(noisy):
     given, better, done = noisy
     corrections = [
-        correction(given.frames.map_from_ego[i], better.frames.map_from_ego[i]) for i in range(len(better.frames))
+        apart(given.frames.map_from_ego[i], better.frames.map_from_ego[i]) for i in range(len(better.frames))
     ]
     assert done.correction_max_m == max(moved_m for moved_m, _ in corrections)
     assert done.correction_median_rad == np.median([turned_rad for _, turned_rad in corrections])
