@@ -22,6 +22,8 @@ from tests.web.looking import keep, look
 from tests.working import working
 
 SLOW = 2.5e6
+HELD = 2e4
+"""So slow that a file does not end while a loaded machine takes its pictures."""
 ENOUGH = 3 << 20
 
 
@@ -66,11 +68,11 @@ def bytes_here(platform: Platform) -> int:
     return offset_of(upload_file(platform.settings, rows[0].id)) if rows else 0
 
 
-def wait_for_bytes(page: Page, platform: Platform, at_least: int) -> None:
-    """Until so much is on disk; the page goes on meanwhile."""
+def hold_at(page: Page, platform: Platform, at_least: int) -> None:
+    """Until so much is on disk; from there the page goes on at a trickle."""
     for _ in range(400):
         if bytes_here(platform) >= at_least:
-            return
+            return slow_down(page, HELD)
         page.wait_for_timeout(25)
     raise AssertionError(f"{bytes_here(platform)} bytes are here, and no more come")
 
@@ -92,7 +94,7 @@ def test_the_api_is_killed_in_the_middle_and_the_page_goes_on(
         slow_down(page, SLOW)
         page.get_by_role("button", name="Upload").click()
         row = row_of(page, "long-run.mcap")
-        wait_for_bytes(page, platform, ENOUGH)
+        hold_at(page, platform, ENOUGH)
         expect(row.locator("[data-phase]")).to_have_text("sending")
         expect(row.locator(".transfer-line")).to_contain_text("left")
         keep(page, "upload-sending")
@@ -115,7 +117,7 @@ def test_the_page_is_loaded_again_and_the_same_file_goes_on(site: Site, curator:
         choose(page, path)
         slow_down(page, SLOW)
         page.get_by_role("button", name="Upload").click()
-        wait_for_bytes(page, site.platform, ENOUGH)
+        hold_at(page, site.platform, ENOUGH)
         page.reload()
         unfinished = page.get_by_role("region", name="Unfinished uploads")
         expect(unfinished).to_contain_text("long-run.mcap for long-run")
@@ -137,7 +139,7 @@ def test_a_pause_holds_still_and_what_is_there_can_be_given_up(site: Site, curat
         slow_down(page, SLOW)
         choose(page, bag(BULKY, "long-run"))
         row = row_of(page, "long-run.mcap")
-        wait_for_bytes(page, site.platform, ENOUGH)
+        hold_at(page, site.platform, ENOUGH)
         row.get_by_role("button", name="Pause").click()
         expect(row.locator("[data-phase]")).to_have_text("paused")
         look(page, "upload-paused")
