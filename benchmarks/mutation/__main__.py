@@ -27,7 +27,7 @@ PACKAGES: Mapping[str, tuple[Sequence[str], int]] = {
     "stone": (("stone",), 80),
     "jobs": (("services/runtime/jobs",), 30),
     "uploads": (("services/runtime/uploads",), 30),
-    "scoring": (("services/eval", "services/runtime/benchmarks"), 30),
+    "scoring": (("services/eval", "services/domain/benchmarks"), 30),
     "access": (("services/runtime/access",), 30),
 }
 RESULTS = ("killed", "timeout", "survived", "lost")

@@ -114,9 +114,9 @@ def other_profile_of(profile: Profile) -> Profile:
 
 
 def other_profile(parameters: LabelParameters) -> LabelParameters:
-    """The same with the other profile: its elevation, and the floor of its reference."""
+    """The same with the other profile: its elevation, the floor of its reference, and no outliers left out."""
     other = parameters_for(other_profile_of(parameters.profile))
-    floored = replace(parameters.reference, floor_voxels=other.reference.floor_voxels)
+    floored = replace(parameters.reference, floor_voxels=other.reference.floor_voxels, outlier_ratio=0.0)
     return replace(parameters, profile=other.profile, reference=floored)
 
 

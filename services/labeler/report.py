@@ -2,9 +2,10 @@
 
 **Conventions.** `class_share_of_occupied` is over all occupied voxels of all frames; `profiles` over the voxels of the
 map, each once: the classes in the profile that was asked for and in the other, the share that would change, and whether
-the track spans the relief that profile `paper` needs it to. `refinement` is null where poses were taken as they came.
-What was measured while it was made (seconds, memory) is apart, in `costs`: without them equal inputs
-give equal bytes.
+the track spans the relief that profile `paper` needs it to. `reference.outliers` are of the driven voxels, null where
+they are few, with the share of the map that has another class by the other estimate. `refinement` is null where poses
+were taken as they came. What was measured while it was made (seconds, memory) is apart, in `costs`: without them equal
+inputs give equal bytes.
 """
 
 import json
@@ -16,6 +17,7 @@ import numpy as np
 
 from services.labeler.frames import FrameVoxelCounts
 from services.labeler.map.comparison import ProfileComparison, Relief, load_comparison, other_reference, relief_of
+from services.labeler.map.outliers import outlier_counts, outlier_findings
 from services.labeler.map.surface import TileSummary
 from services.labeler.parameters import LabelParameters
 from services.labeler.results import load_pack, load_summaries, reference_from
@@ -43,6 +45,7 @@ class LabelReport:
     counts: FrameVoxelCounts
     findings: tuple[Finding, ...]
     profiles: Mapping[str, Any]
+    outliers: Mapping[str, Any] | None = None
     refinement: Mapping[str, Any] | None = None
     costs: Mapping[str, Any] = field(default_factory=dict)
 
@@ -68,6 +71,7 @@ class LabelReport:
                 "covariance": reference.covariance.tolist(),
                 "voxels": reference.voxels,
                 "is_floored": reference.is_floored,
+                "outliers": self.outliers,
             },
             "map": {
                 name: sum(getattr(tile, name) for tile in self.tiles)
@@ -102,11 +106,15 @@ def report_of(run: LabelRun) -> LabelReport:
     other = other_reference(parameters, tiles)
     relief = relief_of(sequence, reference if parameters.profile == "paper" else other)
     comparison = load_comparison(run)
+    outliers = outlier_counts(tiles, parameters.reference)
     doubts = reference_findings(parameters, reference, comparison)
+    doubts += tuple(outlier_findings(outliers, parameters, comparison.reestimated_ratio))
     findings = (*sequence.findings, *label_findings(parameters, reference, counts, relief), *doubts)
     profiles = comparison.as_record(parameters) | {"elevation": asdict(relief)}
     named = (sequence, parameters, code_version("labels"))
-    return LabelReport(*named, reference, tuple(tiles), counts, findings, profiles)
+    share = {"reestimated_share": round(comparison.reestimated_ratio, 6)}
+    told = None if outliers is None else share | outliers.as_record()
+    return LabelReport(*named, reference, tuple(tiles), counts, findings, profiles, told)
 
 
 def label_findings(

@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,7 +18,14 @@ from services.labeler.map.surface import TileSummary
 from services.labeler.parameters import LabelParameters
 from services.labeler.run import LabelRun, Part, Step, Tile
 from services.labeler.scratch import Arrays, load, save, tile_name, whole
-from stone.labels.traversability import FeatureSums, NoReferenceError, Reference, reference_of, total_of
+from stone.labels.traversability import (
+    FeatureSums,
+    NoReferenceError,
+    Reference,
+    reference_of,
+    robust_reference_of,
+    total_of,
+)
 
 COUNTED = ("voxels", "points", "moving", "vertices", "triangles")
 
@@ -63,6 +69,7 @@ def index_path(run: LabelRun, part: Part) -> Path:
 def save_summary(run: LabelRun, summary: TileSummary) -> None:
     arrays: Arrays = {
         "tile": np.array(summary.tile),
+        "driven": summary.driven,
         **_sums_arrays(summary.sums, ""),
         **_sums_arrays(summary.other_sums, "other_"),
         "counted": np.array([getattr(summary, name) for name in COUNTED]),
@@ -86,7 +93,8 @@ def load_summaries(run: LabelRun) -> list[TileSummary]:
     for path in (run.scratch / "sums").glob("*_*.npz"):
         arrays = load(path)
         both = (_sums_from(arrays, ""), _sums_from(arrays, "other_"))
-        summaries.append(TileSummary(Tile(*arrays["tile"].tolist()), *both, *arrays["counted"].tolist()))
+        tile, driven = Tile(*arrays["tile"].tolist()), arrays["driven"]
+        summaries.append(TileSummary(tile, driven, *both, *arrays["counted"].tolist()))  # type: ignore[arg-type]
     return sorted(summaries, key=lambda summary: summary.tile)
 
 
@@ -105,6 +113,8 @@ def reference_from(tiles: list[TileSummary], parameters: LabelParameters) -> Ref
     """The reference of all tiles, in their order. Raises `NoReferenceError`, also where there is no tile."""
     if not tiles:
         raise NoReferenceError(0)
+    if parameters.reference.outlier_ratio:
+        return robust_reference_of(np.concatenate([tile.driven for tile in tiles]), parameters.reference)
     return reference_of(total_of([tile.sums for tile in tiles]), parameters.reference)
 
 

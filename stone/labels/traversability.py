@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from stone.errors import StoneError
+from stone.labels.robust_scatter import robust_scatter
 
 FREE, TRAVERSABLE, POTENTIAL, NON_TRAVERSABLE = 0, 1, 2, 3
 FEW_VOXELS = 500
+FEWEST_ROBUST = 5
 SINGULAR_RATIO = 1e-10
 
 Array = NDArray[np.float64]
@@ -26,9 +28,9 @@ class NoReferenceError(StoneError):
 
     code = "no_reference"
 
-    def __init__(self, voxels: int) -> None:
+    def __init__(self, voxels: int, needed: int = 4) -> None:
         super().__init__(
-            f"the track covers {voxels} surface voxels and the reference needs at least 4: "
+            f"the track covers {voxels} surface voxels and the reference needs at least {needed}: "
             "is the ego origin on the ground, and does the LiDAR see the ground the robot drove on?"
         )
 
@@ -36,11 +38,16 @@ class NoReferenceError(StoneError):
 @dataclass(frozen=True)
 class ReferenceParameters:
     """`alpha` is the paper's 0.05. The floor (m, rad, log m²) is added where the covariance is singular and, with
-    `floor_voxels` n₀ > 0 (profile `local`), everywhere in the share n₀/(n₀+n), so it fades as the track grows."""
+    `floor_voxels` n₀ > 0 (profile `local`), everywhere in the share n₀/(n₀+n), so it fades as the track grows.
+
+    With `outlier_ratio` > 0 mean and covariance are the robust ones (`stone.labels.robust_scatter`): up to that share
+    of what is taken for driven ground may be something else.
+    """
 
     alpha: float = 0.05
     floor: tuple[float, float, float] = (0.3, 0.07, 0.7)
     floor_voxels: int = 0
+    outlier_ratio: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,14 +92,28 @@ def reference_of(sums: FeatureSums, parameters: ReferenceParameters) -> Referenc
         raise NoReferenceError(sums.count)
     mean = sums.total / sums.count
     covariance = (sums.outer - sums.count * np.outer(mean, mean)) / (sums.count - 1)
+    return _floored(sums.origin + mean, covariance, sums.count, parameters)
+
+
+def robust_reference_of(features: Array, parameters: ReferenceParameters) -> Reference:
+    """Mean and covariance of F (n, 3) over T as `outlier_ratio` of them may not shift it. Raises `NoReferenceError`
+    below 5 voxels, which leave none to leave out."""
+    if len(features) < FEWEST_ROBUST:
+        raise NoReferenceError(len(features), FEWEST_ROBUST)
+    found = robust_scatter(features, parameters.outlier_ratio)
+    return _floored(found.mean, found.covariance, len(features), parameters)
+
+
+def _floored(mean: Array, covariance: Array, count: int, parameters: ReferenceParameters) -> Reference:
+    """With the floor that the parameters ask for, and where the covariance of `count` voxels is singular."""
     floor = np.diag(np.square(parameters.floor))
     if parameters.floor_voxels:
-        covariance = covariance + floor * parameters.floor_voxels / (parameters.floor_voxels + sums.count)
+        covariance = covariance + floor * parameters.floor_voxels / (parameters.floor_voxels + count)
     scaled = covariance / np.sqrt(np.outer(np.diag(floor), np.diag(floor)))
     is_singular = bool(np.linalg.eigvalsh(scaled)[0] <= SINGULAR_RATIO)
     if is_singular:
         covariance = covariance + floor
-    return Reference(sums.origin + mean, covariance, sums.count, is_singular or parameters.floor_voxels > 0)
+    return Reference(mean, covariance, count, is_singular or parameters.floor_voxels > 0)
 
 
 def distance_squared(features: Array, reference: Reference) -> Array:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone.geometry.lattice import MASK, Keys
+from stone.surface.mirror_returns import mirror_returns
 from stone.surface.neighbours import cells_of, plane_fits_at
 
 FLAT_COSINE = 0.8  # 37°
@@ -42,18 +43,23 @@ class Patches:
 def patches_of(
     points_map: NDArray[np.float64], views_map: NDArray[np.float64], width_m: float, neighbours: int
 ) -> tuple[Patches, NDArray[np.bool_]]:
-    """The patches of points (N, 3) seen from `views_map` (N, 3), and which points (N,) they are made of."""
+    """The patches of points (N, 3) seen from `views_map` (N, 3), and which points (N,) they are made of.
+
+    Points too few for a plane are in none, and neither is what ground only mirrors (`stone.surface.mirror_returns`).
+    """
     shift_m = 0.5 * width_m
     cells = cells_of(points_map - shift_m, width_m)
     counts = np.diff(cells.start)
     means = _sums(cells.points, cells.start) / counts[:, None]
     fits = plane_fits_at(cells, means, neighbours)
-    has_plane = np.isfinite(fits.mean_square_m2)
-    normals = _seen_side(fits.normals, _sums(views_map[cells.order], cells.start), cells.keys)
+    views = _sums(views_map[cells.order], cells.start)
+    normals = _seen_side(fits.normals, views, cells.keys)
+    is_mirrored = mirror_returns(cells.keys, width_m, means, normals, views / counts[:, None], fits.mean_square_m2)
+    is_patch = np.isfinite(fits.mean_square_m2) & ~is_mirrored
     is_in_patch = np.empty(len(points_map), np.bool_)
-    is_in_patch[cells.order] = np.repeat(has_plane, counts)
+    is_in_patch[cells.order] = np.repeat(is_patch, counts)
     patches = Patches(width_m, cells.keys, means + shift_m, normals, counts)
-    return patches.where(has_plane), is_in_patch
+    return patches.where(is_patch), is_in_patch
 
 
 def _seen_side(normals: NDArray[np.float64], views: NDArray[np.float64], cells: Keys) -> NDArray[np.float64]:

@@ -21,6 +21,7 @@ BOUNDS: Mapping[str, tuple[float, float]] = {
     "terrain.neighbours": (8, 64),
     "terrain.roughness_floor_m2": (1e-12, 1e-2),
     "reference.alpha": (1e-4, 0.5),
+    "reference.outlier_ratio": (0.0, 0.5),
     "footprint_band_m": (0.05, 1.0),
     "local_ground_radius_m": (0.2, 5.0),
 }
@@ -43,6 +44,9 @@ def check_choices(profile: str, parameters: Mapping[str, object]) -> None:
         if name not in BOUNDS:
             raise ChoiceError(name, value, f"the parameters that can be chosen are {', '.join(BOUNDS)}")
         _check_value(name, value)
+    left_out = parameters.get("reference.outlier_ratio", 0.0)
+    if profile == "paper" and left_out:
+        raise ChoiceError("reference.outlier_ratio", left_out, "profile paper leaves none out; profile local can")
 
 
 def _check_value(name: str, value: object) -> None:

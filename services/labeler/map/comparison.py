@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from services.labeler.map.outliers import alternative_reference
 from services.labeler.map.surface import TileSummary
 from services.labeler.parameters import LabelParameters, other_profile, other_profile_of
 from services.labeler.run import LabelRun
@@ -63,12 +64,19 @@ def other_reference(parameters: LabelParameters, tiles: Listing[TileSummary]) ->
 class ProfileComparison:
     """`counts` (3, 3): voxels that are T, P, N in the run's own profile (rows) and in the other (columns).
 
-    `driven` of them are T, of which `unlike` would be N were they not: their D² is beyond the threshold.
+    `driven` of them are T, of which `unlike` would be N were they not: their D² is beyond the threshold. `reestimated`
+    have another class by the reference that is estimated the other way (`services.labeler.map.outliers`).
     """
 
     counts: NDArray[np.int64]
     driven: int = 0
     unlike: int = 0
+    reestimated: int = 0
+
+    @property
+    def reestimated_ratio(self) -> float:
+        """The share of the map's voxels."""
+        return self.reestimated / max(int(self.counts.sum()), 1)
 
     def as_record(self, parameters: LabelParameters) -> dict[str, Any]:
         """Shares of the map's voxels: of each class in each profile, and of those that would change theirs."""
@@ -91,6 +99,7 @@ class ComparisonCounter:
         self._own = reference
         self._alpha = run.parameters.reference.alpha
         self._reference = other_reference(run.parameters, tiles)
+        self._alternative = alternative_reference(tiles, run.parameters)
         self.comparison = ProfileComparison(np.zeros((3, 3), np.int64))
 
     def add(self, arrays: Arrays, classes: NDArray[np.uint8]) -> None:
@@ -106,7 +115,14 @@ class ComparisonCounter:
             before.counts + pairs.astype(np.int64),
             before.driven + len(squared),
             before.unlike + int((squared > threshold(self._alpha)).sum()),
+            before.reestimated + self._reestimated(arrays, classes),
         )
+
+    def _reestimated(self, arrays: Arrays, classes: NDArray[np.uint8]) -> int:
+        if self._alternative is None:
+            return 0
+        others = classify(arrays["features"], arrays["is_driven"], self._alternative, self._alpha)  # type: ignore[arg-type]
+        return int((others != classes).sum())
 
 
 def comparison_path(run: LabelRun) -> Path:
@@ -114,7 +130,7 @@ def comparison_path(run: LabelRun) -> Path:
 
 
 def save_comparison(run: LabelRun, comparison: ProfileComparison) -> None:
-    told = np.array([comparison.driven, comparison.unlike], np.int64)
+    told = np.array([comparison.driven, comparison.unlike, comparison.reestimated], np.int64)
     save(comparison_path(run), {"counts": comparison.counts, "driven": told})
 
 

@@ -38,10 +38,12 @@ STEPS = 4  # merged, voted, reconstructed, described
 class TileSummary:
     """What the run needs to know of a tile before any voxel gets its class.
 
-    `sums` are of the run's own profile, `other_sums` of what the other profile would measure.
+    `sums` are of the run's own profile, of the features `driven` (n, 3); `other_sums` of what the other profile would
+    measure.
     """
 
     tile: Tile
+    driven: NDArray[np.float64]
     sums: FeatureSums
     other_sums: FeatureSums
     voxels: int
@@ -77,7 +79,7 @@ def surface(run: LabelRun, tile: Tile, step: Step = silent) -> TileSummary:
     other_sums = sums_of(other, reference_origin(run, other_profile))
     inside = int(in_core(points.centroids_map(), tile, run.parameters.core_m).sum())
     counts = (len(voxels), inside, int(moving.sum()), len(kept.vertices_map), len(kept.triangles))
-    return TileSummary(tile, sums, other_sums, *counts)
+    return TileSummary(tile, driven.features, sums, other_sums, *counts)
 
 
 def reference_origin(run: LabelRun, profile: Profile) -> NDArray[np.float64]:

@@ -40,3 +40,9 @@ def test_no_choice_is_the_profile_itself() -> None:
     assert chosen_parameters("paper", {}) == LabelParameters()
     with pytest.raises(ChoiceError, match="the parameters that can be chosen"):
         chosen_parameters("paper", {"tiling.cube_cells": 1})
+
+
+def test_the_paper_leaves_no_driven_voxel_out() -> None:
+    assert chosen_parameters("paper", {"reference.outlier_ratio": 0.0}) == LabelParameters()
+    with pytest.raises(ChoiceError, match="profile paper leaves none out"):
+        chosen_parameters("paper", {"reference.outlier_ratio": 0.25})
