@@ -2,12 +2,12 @@
 
     bytes, bounded → documents → parts, one per document → draft, all parts together → calibration → checks
 
-**Conventions.** Seven formats are read. The native one is YAML that begins with `stone_calibration: 1` and says all.
+**Conventions.** Ten formats are read. The native one is YAML that begins with `stone_calibration: 1` and says all.
 Every other one was made to say less: ROS camera_info and Kalibr place no LiDAR, Autoware no lens, nuScenes no image
-size. They are completed by each other's files in one zip or folder, and by a rig document (`stone_rig: 1`,
-`stone_recordings.calibrations.rig`) for what no tool writes. What is still missing is refused as half a rig, with what
-to add. A recording is read by its /tf_static and CameraInfo. Findings are what was repaired or is doubtful; everything
-worse is raised.
+size, KITTI, RELLIS-3D and OpenCV no ground under the robot. They are completed by each other's files in one zip or
+folder, and by a rig document (`stone_rig: 1`, `stone_recordings.calibrations.rig`) for what no tool writes. What is
+still missing is refused as half a rig, with what to add. A recording is read by its /tf_static and CameraInfo. Findings
+are what was repaired or is doubtful; everything worse is raised.
 """
 
 from dataclasses import dataclass
@@ -29,7 +29,9 @@ from stone_recordings.calibrations.recognition import RecognisedBundle, recognis
 from stone_recordings.calibrations.recording_rig import is_recording, recorded_part
 
 # Of the formats in a bundle, the first of these is what it is called.
-RANKS: tuple[Format, ...] = ("native", "kalibr", "opencalib", "nuscenes", "autoware", "ros_camera_info", "tf_static")
+RANKS: tuple[Format, ...] = (
+    "native", "kalibr", "opencalib", "nuscenes", "autoware", "kitti", "rellis", "opencv", "ros_camera_info", "tf_static"
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

@@ -182,7 +182,6 @@ def test_a_number_beyond_floats_is_refused(written):
     ("content", "looks_like"),
     [
         ("image_width: 640\nimage_height: 480\n", "a camera_info file without its camera_matrix"),
-        ("P0: 1 0 0 0\nR0_rect: 1 0 0\n", "a KITTI calibration"),
         ('[{"token": "a", "channel": "b", "modality": "c"}]', "a nuScenes sensor table without its calibrated_sensor"),
         ("[1, 2]", "a list"),
         ("1: 2", "another YAML file .a key is no text"),

@@ -26,6 +26,8 @@ WRITERS: dict[str, tuple[Callable[[], dict[str, object]], str, dict[str, CameraI
     "opencalib": (robots.opencalib, "opencalib", RADTAN_LENSES),
     "nuscenes": (robots.nuscenes, "nuscenes", RECTIFIED),
     "autoware": (robots.autoware, "autoware", robots.LENSES),
+    "rellis": (robots.rellis, "rellis", robots.LENSES),
+    "opencv": (robots.opencv, "opencv", robots.LENSES),
 }
 
 
