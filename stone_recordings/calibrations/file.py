@@ -15,7 +15,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from stone.findings import Finding
-from stone.sensors.calibration import Calibration
+from stone.sensors.calibration import Calibration, Footprint
 from stone.sensors.calibration_checks import Findings, check_calibration
 from stone.sensors.camera_views import name_findings
 from stone_recordings.bags.bag import Bag, open_bag
@@ -85,12 +85,15 @@ def read_files(bundle: Bundle, name: str) -> CalibrationRead:
     if found.native is None:
         return _assembled(found, bundle, name)
     calibration, findings = native(*found.native)
+    content = found.native[1]
+    findings += _footprint_finding(isinstance(content, dict) and content.get("footprint") is not None)
     return CalibrationRead(calibration, findings + _whole(calibration, bundle), "native")
 
 
 def _assembled(found: RecognisedBundle, bundle: Bundle, name: str) -> CalibrationRead:
     calibration, findings = assembled(draft_of(name, found.parts), found.rig)
     noticed = tuple(finding for part in found.parts for finding in part.findings)
+    noticed += _footprint_finding(found.rig.footprint is not None)
     return CalibrationRead(calibration, noticed + findings + _whole(calibration, bundle), _format(found))
 
 
@@ -115,3 +118,10 @@ def _whole(calibration: Calibration, bundle: Bundle) -> Findings:
         shown = ", ".join(bundle.aside[:5])[:200]
         aside = (Finding("CAL-431", "info", "", f"{len(bundle.aside)} files were not looked at: {shown}"),)
     return check_calibration(calibration) + name_findings(calibration) + aside
+
+
+def _footprint_finding(is_given: bool) -> Findings:
+    """CAL-436 where no file says how much ground the robot covers, from which T is made."""
+    default = Footprint()
+    sentence = f"no footprint is given: {default.length_m:g} x {default.width_m:g} m, the paper's robot, is taken"
+    return () if is_given else (Finding("CAL-436", "info", "", sentence),)

@@ -51,21 +51,31 @@ transforms:
 sensors: {CAM_FRONT: {frame: cam2, width_px: 1936, height_px: 1216}}
 """
 TOGETHER = [
-    ("ros_camera_info", "", "loads as ros_camera_info", ["CAL-401"]),
+    ("ros_camera_info", "", "loads as ros_camera_info", ["CAL-401", "CAL-436"]),
     ("ros_camera_info/cameras", "", "CAL-424", []),
     ("autoware", "", "CAL-425", []),
-    ("autoware", "stone_rig: 1\nlidar: velodyne_top_base_link\n", "loads as autoware", ["CAL-426", "CAL-430"]),
+    (
+        "autoware",
+        "stone_rig: 1\nlidar: velodyne_top_base_link\n",
+        "loads as autoware",
+        ["CAL-426", "CAL-430", "CAL-436"],
+    ),
     ("nuscenes_like", "", "CAL-425", []),
-    ("nuscenes_like", "stone_rig: 1\nlidar: LIDAR_FRONT\n", "loads as nuscenes", ["CAL-402", "CAL-417", "CAL-426"]),
+    (
+        "nuscenes_like",
+        "stone_rig: 1\nlidar: LIDAR_FRONT\n",
+        "loads as nuscenes",
+        ["CAL-402", "CAL-417", "CAL-426", "CAL-436"],
+    ),
     ("kalibr", "", "CAL-429", []),
     ("kalibr/euroc_mav", "", "CAL-424", []),
-    ("kalibr/euroc_mav", IMU_TO_LIDAR, "loads as kalibr", []),
-    ("kalibr/kaist_vio", IMU_TO_LIDAR, "loads as kalibr", []),
-    ("kalibr/rpng_ironsides", IMU_TO_LIDAR, "loads as kalibr", []),
-    ("kalibr/rs_d455", IMU_TO_LIDAR, "loads as kalibr", []),
-    ("kalibr/tum_vi", IMU_TO_LIDAR, "loads as kalibr", []),
+    ("kalibr/euroc_mav", IMU_TO_LIDAR, "loads as kalibr", ["CAL-436"]),
+    ("kalibr/kaist_vio", IMU_TO_LIDAR, "loads as kalibr", ["CAL-436"]),
+    ("kalibr/rpng_ironsides", IMU_TO_LIDAR, "loads as kalibr", ["CAL-436"]),
+    ("kalibr/rs_d455", IMU_TO_LIDAR, "loads as kalibr", ["CAL-436"]),
+    ("kalibr/tum_vi", IMU_TO_LIDAR, "loads as kalibr", ["CAL-436"]),
     ("kitti", "", "CAL-424", []),
-    ("kitti", UNDER_THE_CAR, "loads as kitti", []),
+    ("kitti", UNDER_THE_CAR, "loads as kitti", ["CAL-436"]),
 ]
 
 pytestmark = pytest.mark.field_data
