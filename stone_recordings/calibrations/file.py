@@ -33,6 +33,8 @@ RANKS: tuple[Format, ...] = (
     "native", "kalibr", "opencalib", "nuscenes", "autoware", "kitti", "rellis", "opencv", "ros_camera_info", "tf_static"
 )  # fmt: skip
 
+DEFAULT_FOOTPRINT = "CAL-436"
+
 
 @dataclass(frozen=True, eq=False)
 class CalibrationRead:
@@ -124,4 +126,4 @@ def _footprint_finding(is_given: bool) -> Findings:
     """CAL-436 where no file says how much ground the robot covers, from which T is made."""
     default = Footprint()
     sentence = f"no footprint is given: {default.length_m:g} x {default.width_m:g} m, the paper's robot, is taken"
-    return () if is_given else (Finding("CAL-436", "info", "", sentence),)
+    return () if is_given else (Finding(DEFAULT_FOOTPRINT, "info", "", sentence),)
