@@ -57,6 +57,8 @@ def check(
         choice = None if bag is None else BagChoice(bag, profile, replace(options, is_hashed=False))
         found = check_calibration_file(file, choice)
     _say(file, found.as_record(), as_json)
+    if not as_json:
+        typer.echo(f"verdict: {'can' if found.is_usable else 'cannot'} be used for labels")
     echo_findings(found.findings)
     if not found.is_usable:
         raise typer.Exit(REFUSED)

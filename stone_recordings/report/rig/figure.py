@@ -37,6 +37,7 @@ IN_PLANE = 0.6
 # Of the largest side of what is drawn: how far fields of view and axes reach, and the room around.
 REACH_RATIO, AXIS_RATIO, MARGIN_RATIO = 0.3, 0.07, 0.14
 LEAST_SIDE_M = 1.0
+LONGEST_NAME = 28
 
 
 @dataclass(frozen=True)
@@ -171,7 +172,7 @@ def _footer(calibration: Calibration, is_given: bool, far: list[str]) -> str:
     said += "" if is_given else " (the default: none is given)"
     if not calibration.self_boxes_ego:
         said += ", no self boxes"
-    return said + (f", too far to be drawn: {_plain(', '.join(far))[:80]}" if far else "")
+    return said + (f", too far to be drawn: {', '.join(map(_plain, far[:4]))}" if far else "")
 
 
 def _legend(figure: Figure, footer: str, near: list[PlacedSensor]) -> None:
@@ -188,8 +189,10 @@ def _legend(figure: Figure, footer: str, near: list[PlacedSensor]) -> None:
 
 
 def _plain(name: str) -> str:
-    """Somebody else's name in letters that the font has."""
-    return one_line(name).encode("ascii", "replace").decode()
+    """Somebody else's name in letters that the font has, and no more of it than there is room for."""
+    shown = one_line(name)
+    shown = shown if len(shown) <= LONGEST_NAME else shown[: LONGEST_NAME - 3] + "..."
+    return shown.encode("ascii", "replace").decode()
 
 
 def _written(figure: Figure, picture: PictureFormat) -> bytes:

@@ -1,5 +1,6 @@
 """KITTI's text files: every point of the scanner lands where KITTI's own equation puts it, in each of its layouts."""
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -169,3 +170,20 @@ def test_a_text_as_long_as_a_disk_is_refused_and_another_text_left_aside(tmp_pat
     (folder / "000001.txt").write_text("P2: " + "1 " * 1_000_000)
     with pytest.raises(CalibrationSizeError, match=r"000001\.txt is larger than 1000000 bytes"):
         read_any_calibration(folder)
+
+
+@pytest.mark.field_data
+def test_view_of_delfts_own_files_put_camera_and_radar_where_the_car_has_them(field_data: Path, tmp_path: Path) -> None:
+    """The LiDAR is on the roof, the camera behind the windscreen before it, the radar behind the front bumper."""
+    root = field_data / "calibrations" / "kitti"
+    shutil.copytree(root, tmp_path / "car")
+    base = {"parent": "base_link", "child": "velodyne", "translation_m": [0, 0, 1.8], "rotation_wxyz": [1, 0, 0, 0]}
+    (tmp_path / "car").chmod(0o755)
+    found = read_any_calibration(
+        robots.write(tmp_path / "car", {"rig.yaml": {"stone_rig": 1, "transforms": [base]}})
+    ).calibration
+    camera, radar = found.mounts
+    assert (camera.lidar_from_sensor.rotation() @ (0.0, 0.0, 1.0))[0] > 0.98
+    assert camera.lidar_from_sensor.translation_m == pytest.approx((1.0, 0.1, -0.4), abs=0.2)
+    assert (radar.lidar_from_sensor.rotation() @ (1.0, 0.0, 0.0))[0] > 0.98
+    assert radar.lidar_from_sensor.translation_m == pytest.approx((2.5, 0.1, -1.2), abs=0.2)
