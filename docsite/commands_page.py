@@ -7,14 +7,13 @@ import click
 from typer.main import get_command
 
 from docsite.markdown import code, plain, table
-from stone_client.main import COMMANDS, app
+from stone_client.main import COMMANDS, GROUPS, app
 
 HEAD = """# Commands
 
 What `stone COMMAND --help` says, on one page. Local commands need no server. Exit codes: 0 done, 1 the input is
 refused (coded findings on stderr, under `--json` also on stdout), 2 usage, 130 and 143 interrupted.
 """
-OTHER_PANEL = "A benchmark"
 
 
 def commands_page() -> str:
@@ -25,14 +24,10 @@ def commands_page() -> str:
     parts = [HEAD]
     for panel, functions in COMMANDS.items():
         names = [function.__name__ for function in functions]
-        names += [name for name in known if panel == OTHER_PANEL and name not in _named()]
+        names += [name for name, (of_panel, _) in GROUPS.items() if of_panel == panel]
         parts.append(f"## {panel}\n")
         parts += [part for name in names for part in _in_words(known[name], context, f"stone {name}")]
     return "\n".join(parts)
-
-
-def _named() -> set[str]:
-    return {function.__name__ for functions in COMMANDS.values() for function in functions}
 
 
 def _in_words(command: Any, context: click.Context, path: str) -> Iterator[str]:

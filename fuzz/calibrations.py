@@ -60,7 +60,56 @@ NUSCENES = """\
  {"token": "c", "sensor_token": "d", "translation": [0.9, 0.0, 1.8], "rotation": [0.7, 0.0, 0.0, -0.7],
   "camera_intrinsic": []}]
 """
+KITTI = """\
+P2: 7.215377e+02 0 6.095593e+02 4.485728e+01 0 7.215377e+02 1.728540e+02 2.163791e-01 0 0 1 2.745884e-03
+R0_rect: 1 0 0 0 1 0 0 0 1
+Tr_velo_to_cam: 0 -1 0 -0.004 0 0 -1 -0.076 1 0 0 -0.271
+Tr_imu_to_velo:
+"""
+KITTI_RAW = """\
+calib_time: 15-Mar-2012 11:37:16
+R: 0 -1 0 0 0 -1 1 0 0
+T: -4.069766e-03 -7.631618e-02 -2.717806e-01
+delta_f: 0.000000e+00 0.000000e+00
+"""
+RELLIS = """\
+os1_cloud_node-pylon_camera_node:
+  q: {w: -0.5, x: 0.5, y: 0.5, z: -0.5}
+  t: {x: -0.13, y: 0.03, z: -0.17}
+"""
+RELLIS_LENS = "2813.643275 2808.326079 969.285772 624.049972\n"
+OPENCV = """\
+%YAML:1.0
+---
+image_width: 640
+image_height: 400
+camera_matrix: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 381., 0., 320., 0., 381., 200., 0., 0., 1. ]
+distortion_coefficients: !!opencv-matrix
+   rows: 5
+   cols: 1
+   dt: d
+   data: [ -0.1, 0.01, 0., 0., 0. ]
+R: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 0., -1., 0., 0., 0., -1., 1., 0., 0. ]
+T: !!opencv-matrix
+   rows: 3
+   cols: 1
+   dt: d
+   data: [ 0.1, -0.2, -0.3 ]
+"""
 TEXTS = {
+    "kitti": (".txt", KITTI),
+    "kitti-raw": (".txt", KITTI_RAW),
+    "rellis": (".yaml", RELLIS),
+    "rellis-lens": (".txt", RELLIS_LENS),
+    "opencv": (".yaml", OPENCV),
     "camera-info": (".yaml", CAMERA_INFO),
     "kalibr": (".yaml", KALIBR),
     "autoware": (".yaml", AUTOWARE),

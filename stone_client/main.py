@@ -22,6 +22,7 @@ from stone_client.commands.dataset.datasets import datasets
 from stone_client.commands.dataset.splits import splits
 from stone_client.commands.dataset.statistics import statistics
 from stone_client.commands.local.baseline import baseline
+from stone_client.commands.local.calibration import calibration
 from stone_client.commands.local.demo import demo
 from stone_client.commands.local.export import export
 from stone_client.commands.local.inspect import inspect
@@ -57,7 +58,12 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
 for panel, commands in COMMANDS.items():
     for command in commands:
         app.command(rich_help_panel=panel)(command)
-app.add_typer(teams, name="teams", rich_help_panel="A benchmark")
+GROUPS: dict[str, tuple[str, typer.Typer]] = {
+    "calibration": ("On this machine", calibration),
+    "teams": ("A benchmark", teams),
+}
+for name, (panel, group) in GROUPS.items():
+    app.add_typer(group, name=name, rich_help_panel=panel)
 
 
 def main() -> None:

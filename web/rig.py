@@ -8,10 +8,8 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Calibration, Mount
+from stone_recordings.report.rig.places import PlacedSensor, fields_of_view_deg, placed_sensors
 
 Flat = Callable[[tuple[float, float, float]], tuple[float, float]]
 """A point or direction of the ego frame as it is drawn: right and down."""
@@ -77,23 +75,19 @@ class _PlacedMount:
 
 def rig_of(calibration: Calibration) -> RigDrawing:
     """The drawing. The LiDAR is the sensor that all the others are placed by."""
-    lidar = Mount("LIDAR", "lidar", SE3.identity())
-    every = [lidar, *(mount for mount in calibration.mounts if mount.kind != "lidar")]
-    placed = [_placed(calibration, mount) for mount in every]
+    placed = [_placed(sensor) for sensor in placed_sensors(calibration)]
     near = [one for one in placed if max(map(abs, one.at_m)) <= FARTHEST_M]
     half_m = (calibration.footprint.length_m / 2, calibration.footprint.width_m / 2)
     top = _view("From above", near, lambda p: (-p[1], -p[0]), (half_m[1], half_m[0]))
-    side = _view("From the left", near, lambda p: (p[0], -p[2]), (half_m[0], 0.0))
+    side = _view("From the right", near, lambda p: (p[0], -p[2]), (half_m[0], 0.0))
     left_out = tuple(one.mount.name for one in placed if one not in near)
     return RigDrawing((top, side), tuple((one.mount.name, one.mount.kind, one.at_m) for one in placed), left_out)
 
 
-def _placed(calibration: Calibration, mount: Mount) -> _PlacedMount:
-    pose = calibration.ego_from_lidar @ mount.lidar_from_sensor
-    axis = np.array([0.0, 0.0, 1.0] if mount.kind == "camera" else [1.0, 0.0, 0.0])
-    looks = pose.rotation() @ axis
-    x, y, z = (float(value) for value in pose.translation_m)
-    return _PlacedMount(mount, (x, y, z), (float(looks[0]), float(looks[1]), float(looks[2])))
+def _placed(sensor: PlacedSensor) -> _PlacedMount:
+    x, y, z = sensor.at_m.tolist()
+    along_x, along_y, along_z = sensor.looks.tolist()
+    return _PlacedMount(sensor.mount, (x, y, z), (along_x, along_y, along_z))
 
 
 def _view(title: str, placed: list[_PlacedMount], flat: Flat, half_m: tuple[float, float]) -> RigView:
@@ -147,7 +141,7 @@ def _uncluttered(marks: list[Mark]) -> tuple[Mark, ...]:
 def _fov_rad(mount: Mount) -> float:
     """The horizontal field of view of a camera; of a radar what most of them have."""
     lens = mount.intrinsics
-    return OTHER_FOV_RAD if lens is None else 2 * math.atan2(lens.width_px / 2, lens.fx_px)
+    return OTHER_FOV_RAD if lens is None else math.radians(fields_of_view_deg(lens)[0])
 
 
 def _wedge(x: float, y: float, heading: float, fov_rad: float) -> str:

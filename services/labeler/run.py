@@ -83,11 +83,20 @@ class LabelRun:
         return int(self.maps[part[0]])
 
 
+def ground_refusal(sequence: Sequence, band_m: float) -> FootprintOffGroundError | None:
+    """Why nothing is labelled of a run whose footprint floats above the ground, or sinks into it; None where it does
+    neither."""
+    ground = sequence.ground
+    if ground is None or abs(ground.height_m) <= band_m:
+        return None
+    return FootprintOffGroundError(ground.height_m, band_m)
+
+
 def require_ground(run: LabelRun) -> None:
     """Raises `FootprintOffGroundError` where the footprint floats above the ground, or sinks into it."""
-    ground, band_m = run.sequence.ground, run.parameters.footprint_band_m
-    if ground is not None and abs(ground.height_m) > band_m:
-        raise FootprintOffGroundError(ground.height_m, band_m)
+    refusal = ground_refusal(run.sequence, run.parameters.footprint_band_m)
+    if refusal is not None:
+        raise refusal
 
 
 def parts_of(run: LabelRun) -> list[Part]:

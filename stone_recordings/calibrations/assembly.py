@@ -81,7 +81,9 @@ def _ego(draft: RigDraft, rig: RigDocument, lidar: str) -> str:
         if frame in draft.frames and draft.tree.transform(frame, lidar) is not None:
             return frame
     missing = f"nothing says where {lidar} sits on the robot (no frame is {', '.join(EGO_FRAMES)})"
-    remedy = "send Autoware's sensors_calibration.yaml too, or the robot's tf_static, or " + ADD_RIG[len("send it ") :]
+    has_kit = any("kit" in words_of(frame) for frame in draft.frames)
+    others = "send Autoware's sensors_calibration.yaml too, or " if has_kit else "send "
+    remedy = f"{others}the robot's tf_static, or a rig.yaml whose transforms place {lidar} on base_link, in a zip"
     raise HalfRigError(draft.name, missing, remedy)
 
 

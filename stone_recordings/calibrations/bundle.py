@@ -1,15 +1,19 @@
 """The documents of a calibration: one file, a folder of files, or a zip of them; read whole, bounded, never unpacked.
 
 **Conventions.** Documents come by name in order. What is neither YAML nor JSON is left aside and named (a Kalibr run
-writes reports and text results beside its YAML). Nothing is written, so that no name in a zip can lead anywhere; names
+writes reports and text results beside its YAML); of text files those that begin as KITTI's or RELLIS-3D's do are read.
+Nothing is written, so that no name in a zip can lead anywhere; names
 that try are refused all the same. A zip is stored or deflated: other methods may ask for gigabytes before one byte.
 """
 
+import re
 import zlib
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
+from typing import IO
 from zipfile import ZIP_DEFLATED, ZIP_STORED, BadZipFile, ZipFile, ZipInfo
 
 from stone_recordings.calibrations.errors import CalibrationBundleError, CalibrationSizeError
@@ -19,6 +23,11 @@ BUNDLE_LIMIT_BYTES = 4_000_000
 MOST_FILES = 64
 MOST_ENTRIES = 1000
 SUFFIXES = (".yaml", ".yml", ".json")
+TEXT_SUFFIX = ".txt"
+# How calibrations in text files begin: KITTI's with a date or a projection, RELLIS-3D's are four numbers and no more.
+TEXT_HEAD = re.compile(rb"\s*(?:calib_time: |P\d: |(?:\d[\d.eE+-]*\s+){3}\d[\d.eE+-]*\s*\Z)")
+TEXT_HEAD_BYTES = 200
+NO_DOCUMENT = "it holds no .yaml, .yml or .json file, and no .txt of KITTI's or RELLIS-3D's"
 ZIP_MAGIC = b"PK\x03\x04"
 ENCRYPTED = 0x1
 
@@ -43,22 +52,43 @@ def read_bundle(path: Path) -> Bundle:
 
 
 def _folder(path: Path) -> Bundle:
-    found = list(islice(path.rglob("*"), MOST_ENTRIES + 1))
-    if len(found) > MOST_ENTRIES:
+    entries = list(islice(path.rglob("*"), MOST_ENTRIES + 1))
+    if len(entries) > MOST_ENTRIES:
         raise CalibrationBundleError(path.name, f"it holds more than {MOST_ENTRIES} entries")
-    files = sorted(file for file in found if file.is_file() and not file.is_symlink())
+    files = sorted(file for file in entries if file.is_file() and not file.is_symlink())
     names = [file.relative_to(path).as_posix() for file in files]
     wanted = _wanted(path.name, names)
-    documents = [(name, _read(file)) for name, file in zip(names, files, strict=True) if name in wanted]
-    _check_total(path.name, sum(len(content) for _, content in documents))
-    return Bundle(tuple(documents), tuple(name for name in names if name not in wanted))
+    found = ((name, _content(file)) for name, file in zip(names, files, strict=True) if name in wanted)
+    return _bundle(path.name, names, found)
 
 
-def _read(file: Path) -> bytes:
+def _bundle(name: str, names: list[str], found: Iterable[tuple[str, bytes | None]]) -> Bundle:
+    """Raises CalibrationBundleError for files that are too large together, and for none that is a document."""
+    documents, total_bytes = list[tuple[str, bytes]](), 0
+    for file, content in found:
+        if content is not None:
+            documents.append((file, content))
+            total_bytes += len(content)
+        _check_total(name, total_bytes)
+    if not documents:
+        raise CalibrationBundleError(name, NO_DOCUMENT)
+    read = {file for file, _ in documents}
+    return Bundle(tuple(documents), tuple(file for file in names if file not in read))
+
+
+def _content(file: Path) -> bytes | None:
     with file.open("rb") as stream:
-        content = stream.read(SIZE_LIMIT_BYTES + 1)
+        return _read(file.name, stream)
+
+
+def _read(name: str, stream: IO[bytes]) -> bytes | None:
+    """The whole file, None for a text that is no calibration. Raises CalibrationSizeError."""
+    head = stream.read(TEXT_HEAD_BYTES)
+    if name.lower().endswith(TEXT_SUFFIX) and not TEXT_HEAD.match(head):
+        return None
+    content = head + stream.read(SIZE_LIMIT_BYTES + 1 - len(head))
     if len(content) > SIZE_LIMIT_BYTES:
-        raise CalibrationSizeError(file.name, SIZE_LIMIT_BYTES)
+        raise CalibrationSizeError(name[:80], SIZE_LIMIT_BYTES)
     return content
 
 
@@ -68,25 +98,18 @@ def _zip(name: str, content: bytes) -> Bundle:
             members = [member for member in archive.infolist() if not member.is_dir()]
             for member in members:
                 _check_member(name, member)
-            wanted = _wanted(name, [member.filename for member in members])
-            documents = _unpacked(name, archive, [member for member in members if member.filename in wanted])
+            names = [member.filename for member in members]
+            wanted = _wanted(name, names)
+            return _bundle(name, names, _unpacked(archive, [one for one in members if one.filename in wanted]))
     except (BadZipFile, NotImplementedError, RuntimeError, EOFError, OSError, ValueError, zlib.error) as error:
         raise CalibrationBundleError(name, f"the zip is damaged ({str(error)[:80]})") from None
-    return Bundle(documents, tuple(member.filename for member in members if member.filename not in wanted))
 
 
-def _unpacked(name: str, archive: ZipFile, members: list[ZipInfo]) -> tuple[tuple[str, bytes], ...]:
+def _unpacked(archive: ZipFile, members: list[ZipInfo]) -> Iterator[tuple[str, bytes | None]]:
     """The sizes in a zip are claims: what is read is what counts."""
-    documents, total_bytes = [], 0
     for member in sorted(members, key=lambda member: member.filename):
         with archive.open(member) as stream:
-            content = stream.read(SIZE_LIMIT_BYTES + 1)
-        if len(content) > SIZE_LIMIT_BYTES:
-            raise CalibrationSizeError(member.filename[:80], SIZE_LIMIT_BYTES)
-        total_bytes += len(content)
-        _check_total(name, total_bytes)
-        documents.append((member.filename, content))
-    return tuple(documents)
+            yield member.filename, _read(member.filename, stream)
 
 
 def _check_member(name: str, member: ZipInfo) -> None:
@@ -109,9 +132,10 @@ def _wanted(name: str, names: list[str]) -> frozenset[str]:
     if len(set(names)) < len(names):
         raise CalibrationBundleError(name, "two files in it have the same name")
     hidden = [file for file in names if file.rsplit("/", 1)[-1].startswith(".") or file.startswith("__MACOSX/")]
-    wanted = frozenset(file for file in names if file.lower().endswith(SUFFIXES) and file not in hidden)
+    suffixes = (*SUFFIXES, TEXT_SUFFIX)
+    wanted = frozenset(file for file in names if file.lower().endswith(suffixes) and file not in hidden)
     if not wanted:
-        raise CalibrationBundleError(name, "it holds no .yaml, .yml or .json file")
+        raise CalibrationBundleError(name, NO_DOCUMENT)
     return wanted
 
 

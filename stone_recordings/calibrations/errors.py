@@ -37,14 +37,15 @@ class CalibrationKeyError(StoneError):
 
 
 class CalibrationFormatError(StoneError):
-    """The file is none of the seven formats that are read."""
+    """The file is none of the ten formats that are read."""
 
     code = "CAL-423"
 
     def __init__(self, name: str, looks_like: str) -> None:
         super().__init__(
             f"{name} looks like {looks_like}; read are the native format (`stone_calibration: 1`, see examples/), ROS "
-            "camera_info, Kalibr camchain, OpenCalib, nuScenes calibrated_sensor, Autoware sensor_kit and /tf_static"
+            "camera_info, Kalibr camchain, OpenCalib, nuScenes calibrated_sensor, Autoware sensor_kit, KITTI calib, "
+            "RELLIS-3D transforms, OpenCV matrices and /tf_static"
         )
 
 

@@ -2,12 +2,12 @@
 
     bytes, bounded → documents → parts, one per document → draft, all parts together → calibration → checks
 
-**Conventions.** Seven formats are read. The native one is YAML that begins with `stone_calibration: 1` and says all.
+**Conventions.** Ten formats are read. The native one is YAML that begins with `stone_calibration: 1` and says all.
 Every other one was made to say less: ROS camera_info and Kalibr place no LiDAR, Autoware no lens, nuScenes no image
-size. They are completed by each other's files in one zip or folder, and by a rig document (`stone_rig: 1`,
-`stone_recordings.calibrations.rig`) for what no tool writes. What is still missing is refused as half a rig, with what
-to add. A recording is read by its /tf_static and CameraInfo. Findings are what was repaired or is doubtful; everything
-worse is raised.
+size, KITTI, RELLIS-3D and OpenCV no ground under the robot. They are completed by each other's files in one zip or
+folder, and by a rig document (`stone_rig: 1`, `stone_recordings.calibrations.rig`) for what no tool writes. What is
+still missing is refused as half a rig, with what to add. A recording is read by its /tf_static and CameraInfo. Findings
+are what was repaired or is doubtful; everything worse is raised.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from stone.findings import Finding
-from stone.sensors.calibration import Calibration
+from stone.sensors.calibration import Calibration, Footprint
 from stone.sensors.calibration_checks import Findings, check_calibration
 from stone.sensors.camera_views import name_findings
 from stone_recordings.bags.bag import Bag, open_bag
@@ -29,7 +29,11 @@ from stone_recordings.calibrations.recognition import RecognisedBundle, recognis
 from stone_recordings.calibrations.recording_rig import is_recording, recorded_part
 
 # Of the formats in a bundle, the first of these is what it is called.
-RANKS: tuple[Format, ...] = ("native", "kalibr", "opencalib", "nuscenes", "autoware", "ros_camera_info", "tf_static")
+RANKS: tuple[Format, ...] = (
+    "native", "kalibr", "opencalib", "nuscenes", "autoware", "kitti", "rellis", "opencv", "ros_camera_info", "tf_static"
+)  # fmt: skip
+
+DEFAULT_FOOTPRINT = "CAL-436"
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,12 +87,15 @@ def read_files(bundle: Bundle, name: str) -> CalibrationRead:
     if found.native is None:
         return _assembled(found, bundle, name)
     calibration, findings = native(*found.native)
+    content = found.native[1]
+    findings += _footprint_finding(isinstance(content, dict) and content.get("footprint") is not None)
     return CalibrationRead(calibration, findings + _whole(calibration, bundle), "native")
 
 
 def _assembled(found: RecognisedBundle, bundle: Bundle, name: str) -> CalibrationRead:
     calibration, findings = assembled(draft_of(name, found.parts), found.rig)
     noticed = tuple(finding for part in found.parts for finding in part.findings)
+    noticed += _footprint_finding(found.rig.footprint is not None)
     return CalibrationRead(calibration, noticed + findings + _whole(calibration, bundle), _format(found))
 
 
@@ -113,3 +120,10 @@ def _whole(calibration: Calibration, bundle: Bundle) -> Findings:
         shown = ", ".join(bundle.aside[:5])[:200]
         aside = (Finding("CAL-431", "info", "", f"{len(bundle.aside)} files were not looked at: {shown}"),)
     return check_calibration(calibration) + name_findings(calibration) + aside
+
+
+def _footprint_finding(is_given: bool) -> Findings:
+    """CAL-436 where no file says how much ground the robot covers, from which T is made."""
+    default = Footprint()
+    sentence = f"no footprint is given: {default.length_m:g} x {default.width_m:g} m, the paper's robot, is taken"
+    return () if is_given else (Finding(DEFAULT_FOOTPRINT, "info", "", sentence),)

@@ -16,7 +16,9 @@ from stone.sensors.calibration import CameraIntrinsics, SensorKind
 from stone.sensors.calibration_checks import Findings
 from stone_recordings.calibrations.errors import CalibrationKeyError
 
-Format = Literal["native", "ros_camera_info", "kalibr", "opencalib", "nuscenes", "autoware", "tf_static"]
+Format = Literal[
+    "native", "ros_camera_info", "kalibr", "opencalib", "nuscenes", "autoware", "kitti", "rellis", "opencv", "tf_static"
+]
 LONGEST_NAME = 100
 LARGEST_COUNT = 100_000
 OFFSET_LIMIT_S = 1000.0
@@ -107,6 +109,12 @@ class Node:
         if not isinstance(self.value, str) or len(self.value) > LONGEST_NAME:
             raise self.refused(f"a text of at most {LONGEST_NAME} characters is expected")
         return self.value
+
+    def words(self) -> list["Node"]:
+        """What a line has between its spaces."""
+        if not isinstance(self.value, (int, float, str)):
+            raise self.refused("numbers between spaces are expected")
+        return [Node(self.file, self.key, word) for word in str(self.value).split()]
 
     def vector(self) -> NDArray[np.float64]:
         return np.array([item.number() for item in self.items()], np.float64)

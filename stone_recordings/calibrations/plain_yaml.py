@@ -2,8 +2,9 @@
 
 **Conventions.** YAML 1.2 by ruamel's safe loader in pure Python; the events are counted before anything is built from
 them, so that a bomb costs what its bytes cost. What begins with a brace or a bracket is tried as JSON first, its depth
-counted before it is parsed. OpenCV's `%YAML:1.0` (which is no YAML) is read as the `%YAML 1.0` it means. Several
-documents in one file are what `ros2 topic echo /tf_static` prints; in anything else they are refused.
+counted before it is parsed. OpenCV's `%YAML:1.0` (which is no YAML) is read as the `%YAML 1.0` it means, and its tag
+`!!opencv-matrix` is the one tag that is let through, on a mapping. KITTI's tracking files lack three colons, which are
+put in. Several documents in one file are what `ros2 topic echo /tf_static` prints; in anything else they are refused.
 """
 
 import json
@@ -11,8 +12,16 @@ import re
 from typing import Any
 
 from ruamel.yaml import YAML
+from ruamel.yaml.constructor import SafeConstructor
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
-from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent, DocumentStartEvent, NodeEvent
+from ruamel.yaml.events import (
+    AliasEvent,
+    CollectionEndEvent,
+    CollectionStartEvent,
+    DocumentStartEvent,
+    MappingStartEvent,
+    NodeEvent,
+)
 
 from stone_recordings.calibrations.errors import CalibrationYamlError
 
@@ -20,7 +29,23 @@ DEPTH_LIMIT = 12
 NODE_LIMIT = 10_000
 SHOWN_CHARACTERS = 120
 OPENCV_HEAD = re.compile(r"\A%YAML:1\.0[^\n]*")
+OPENCV_TAG = "tag:yaml.org,2002:opencv-matrix"
+KITTI_WITHOUT_COLON = re.compile(r"(?m)^(R_rect|Tr_velo_cam|Tr_imu_velo)(?= +[-+.\d])")
 JSON_STRING = re.compile(r'"(?:[^"\\]|\\.)*"')
+
+
+class OpenCvMatrix(dict[str, object]):
+    """A mapping that the file calls a matrix of OpenCV's: rows, cols, dt and data."""
+
+
+class _MatrixConstructor(SafeConstructor):
+    """Builds those, beside what is safe."""
+
+    def matrix(self, node: Any) -> OpenCvMatrix:
+        return OpenCvMatrix(self.construct_mapping(node, deep=True))
+
+
+_MatrixConstructor.add_constructor(OPENCV_TAG, _MatrixConstructor.matrix)
 
 
 def parse_documents(name: str, content: bytes) -> tuple[object, ...]:
@@ -31,7 +56,7 @@ def parse_documents(name: str, content: bytes) -> tuple[object, ...]:
         raise CalibrationYamlError(name, f"byte {error.start} is not UTF-8 text (a binary file?)") from None
     if text.lstrip()[:1] in ("{", "[") and (found := _json(name, text)) is not None:
         return (found,)
-    return _yaml(name, OPENCV_HEAD.sub("", text))
+    return _yaml(name, KITTI_WITHOUT_COLON.sub(r"\1:", OPENCV_HEAD.sub("", text)))
 
 
 def _json(name: str, text: str) -> object | None:
@@ -70,7 +95,9 @@ def _entries(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 def _yaml(name: str, text: str) -> tuple[object, ...]:
     try:
         second_line = _check_events(name, text)
-        documents = list(YAML(typ="safe", pure=True).load_all(text))
+        loader = YAML(typ="safe", pure=True)
+        loader.Constructor = _MatrixConstructor
+        documents = list(loader.load_all(text))
     except YAMLError as error:
         raise CalibrationYamlError(name, _sentence(error)) from None
     except TypeError:  # the loader's word for a key that cannot be one
@@ -92,7 +119,7 @@ def _check_events(name: str, text: str) -> int:
     for event in YAML(typ="safe", pure=True).parse(text):
         if isinstance(event, AliasEvent) or getattr(event, "anchor", None):
             raise CalibrationYamlError(name, f"anchors and aliases (line {event.start_mark.line + 1}) are not allowed")
-        if getattr(event, "tag", None):
+        if getattr(event, "tag", None) and not (event.tag == OPENCV_TAG and isinstance(event, MappingStartEvent)):
             raise CalibrationYamlError(name, f"the tag on line {event.start_mark.line + 1} is not allowed")
         if isinstance(event, DocumentStartEvent):
             lines.append(event.start_mark.line + 1)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import PurePath
 
-from stone_recordings.calibrations import autoware, kalibr, nuscenes, opencalib, rig, ros
+from stone_recordings.calibrations import autoware, kalibr, kitti, nuscenes, opencalib, opencv, rellis, rig, ros
 from stone_recordings.calibrations.bundle import Bundle
 from stone_recordings.calibrations.document import RigDocument
 from stone_recordings.calibrations.errors import CalibrationFormatError, ConflictingFilesError
@@ -19,6 +19,7 @@ from stone_recordings.calibrations.plain_yaml import parse_documents
 Mapping = dict[str, object]
 # In the order in which they are asked: a claim → the part. What carries camera names is told the file's stem.
 READERS: tuple[tuple[Callable[[Mapping], bool], Callable[[Node], CalibrationPart]], ...] = (
+    (opencv.is_opencv, lambda node: opencv.opencv(node, stem_of(node.file))),
     (ros.is_camera_info, lambda node: ros.camera_info(node, stem_of(node.file))),
     (ros.is_camera_info_message, lambda node: ros.camera_info_message(node, stem_of(node.file))),
     (ros.is_matrices, ros.matrices),
@@ -26,13 +27,11 @@ READERS: tuple[tuple[Callable[[Mapping], bool], Callable[[Node], CalibrationPart
     (kalibr.is_imu, lambda node: CalibrationPart(node.file, "kalibr")),
     (opencalib.is_opencalib, opencalib.opencalib),
     (autoware.is_autoware, autoware.autoware),
+    (kitti.is_kitti, kitti.kitti),
+    (rellis.is_rellis, rellis.rellis),
 )
 # A key that only one other format has at its top level.
 OTHERS = {
-    "calibration_time": "a KITTI calibration",
-    "P0": "a KITTI calibration",
-    "R_rect_00": "a KITTI calibration",
-    "Tr_velo_to_cam": "a KITTI calibration",
     "camera_matrix": "a camera matrix without the size of its images",
     "image_width": "a camera_info file without its camera_matrix",
 }
@@ -77,6 +76,8 @@ def stem_of(file: str) -> str:
 
 def _part(file: str, documents: tuple[object, ...]) -> CalibrationPart:
     content = documents[0]
+    if rellis.is_camera_text(content):
+        return rellis.camera_text(Node(file, "", content))
     if not isinstance(content, dict):
         raise CalibrationFormatError(file, "an empty file" if content is None else "plain text")
     if any(not isinstance(key, str) for key in content):

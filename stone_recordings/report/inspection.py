@@ -123,7 +123,7 @@ def _cloud_facts(bag: Bag, facts: TopicFacts, topic: Topic, findings: list[Findi
 def _candidates(bag: Bag, topics: tuple[InspectedTopic, ...]) -> tuple[Candidate, ...]:
     """Of cameras and radars the frame of the first message tells where they sit; no robot has more than are asked."""
     placed = [topic.topic for topic in topics if topic.role in ("camera", "radar") and topic.topic.count]
-    frame_ids = {topic.name: _frame_id(bag, topic) for topic in placed[:MOST_FRAMES]}
+    frame_ids = {topic.name: frame_id_of(bag, topic) for topic in placed[:MOST_FRAMES]}
     return tuple(
         Candidate(
             part.topic.name,
@@ -137,8 +137,8 @@ def _candidates(bag: Bag, topics: tuple[InspectedTopic, ...]) -> tuple[Candidate
     )
 
 
-def _frame_id(bag: Bag, topic: Topic) -> str:
-    """ "" for a message that cannot be read, which the scan has named already."""
+def frame_id_of(bag: Bag, topic: Topic) -> str:
+    """The frame of a topic's first message; "" where it cannot be read, which the scan has named already."""
     try:
         cursor = Cursor(bag.message(topic.name, 0).payload, topic.type)
         cursor.stamp_ns()

@@ -38,7 +38,8 @@ def bundle(**files: bytes) -> bytes:
 def test_a_zip_of_files_that_complete_each_other_is_one_calibration(api: httpx.Client, curator: Person) -> None:
     content = bundle(front=CAMERA, frames=FRAMES)
     item = kept(api, curator, content, "mule.zip")
-    assert (item["format"], item["name"], item["findings"]) == ("ros_camera_info", "mule", [])
+    assert (item["format"], item["name"]) == ("ros_camera_info", "mule")
+    assert [finding["code"] for finding in item["findings"]] == ["CAL-436"]  # no footprint in it
     assert item["sensors"] == [{"name": "CAM_FRONT", "kind": "camera", "frame_id": "camera_front"}]
     file = api.get(f"{URL}/{item['id']}/file", headers=curator.headers)
     assert (file.content, file.headers["content-type"]) == (content, "application/zip")

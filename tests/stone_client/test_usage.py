@@ -7,7 +7,7 @@ from typer.testing import CliRunner, Result
 
 from stone_client.main import app
 
-LOCAL = ["simulate", "inspect", "label", "export", "baseline", "validate", "score", "demo"]
+LOCAL = ["simulate", "inspect", "label", "export", "baseline", "validate", "score", "demo", "calibration"]
 ON_A_SERVER = [
     "serve",
     "login",

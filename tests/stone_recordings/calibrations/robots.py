@@ -194,3 +194,92 @@ def _six(matrix: Matrix) -> dict[str, float]:
     """x y z roll pitch yaw, angles about fixed axes."""
     angles = Rotation.from_matrix(matrix[:3, :3]).as_euler("xyz").tolist()
     return dict(zip(("x", "y", "z", "roll", "pitch", "yaw"), [*matrix[:3, 3].tolist(), *angles], strict=True))
+
+
+def rellis() -> dict[str, object]:
+    """Each camera in the LiDAR's frame by quaternion and translation; lenses as camera_info."""
+    placed_at = {}
+    for frame in LENSES:
+        matrix = relative("hesai_lidar", frame)
+        quaternion = dict(zip("xyzw", Rotation.from_matrix(matrix[:3, :3]).as_quat().tolist(), strict=True))
+        place = dict(zip("xyz", matrix[:3, 3].tolist(), strict=True))
+        placed_at[f"hesai_lidar-{frame}"] = {"q": quaternion, "t": place}
+    base = {"parent": "base_link", "child": "hesai_lidar", "matrix": EGO_FROM["hesai_lidar"].tolist()}
+    return {
+        "transforms.yaml": placed_at,
+        "rig.yaml": {"stone_rig": 1, "transforms": [base]},
+        **{f"{frame}.yaml": camera_info(frame) for frame in LENSES},
+    }
+
+
+def opencv() -> dict[str, object]:
+    """A file of FileStorage's for each camera: its lens, and where the LiDAR's points are to it."""
+    base = {"parent": "base_link", "child": "lidar", "matrix": EGO_FROM["hesai_lidar"].tolist()}
+    files: dict[str, object] = {"rig.yaml": {"stone_rig": 1, "transforms": [base]}}
+    for frame, lens in LENSES.items():
+        matrix = relative(frame, "hesai_lidar")
+        head = f"%YAML:1.0\n---\nimage_width: {lens.width_px}\nimage_height: {lens.height_px}\n"
+        head += "fisheye_model: 1\n" if lens.model == "equidistant" else ""
+        files[f"{frame}.yml"] = head + "".join(
+            opencv_matrix(key, value)
+            for key, value in {
+                "camera_matrix": np.array(camera_matrix(lens)),
+                "distortion_coefficients": np.array(lens.distortion)[:, None],
+                "R": matrix[:3, :3],
+                "T": matrix[:3, 3:],
+            }.items()
+        )
+    return files
+
+
+def opencv_matrix(key: str, matrix: Matrix) -> str:
+    """As FileStorage writes one."""
+    numbers = ", ".join(f"{value:.17g}".replace("nan", ".Nan") for value in matrix.ravel().tolist())
+    rows, columns = matrix.shape
+    return f"{key}: !!opencv-matrix\n   rows: {rows}\n   cols: {columns}\n   dt: d\n   data: [ {numbers} ]\n"
+
+
+def stereo() -> dict[str, object]:
+    """A stereo pair as Nerian writes it, without tags."""
+    pair = {f"M{number}": np.array(camera_matrix(lens)).ravel().tolist() for number, lens in _numbered()}
+    pair |= {f"D{number}": list(lens.distortion) for number, lens in _numbered()}
+    second_from_first = relative("camera_left", "camera_front")
+    pair |= {"R": second_from_first[:3, :3].ravel().tolist(), "T": second_from_first[:3, 3].tolist()}
+    transforms = [
+        {"parent": "base_link", "child": "hesai_lidar", "matrix": EGO_FROM["hesai_lidar"].tolist()},
+        {"parent": "hesai_lidar", "child": "camera_left", "matrix": relative("hesai_lidar", "camera_front").tolist()},
+    ]
+    return {"stereo.yaml": {**pair, "size": [1920, 1200]}, "rig.yaml": {"stone_rig": 1, "transforms": transforms}}
+
+
+def _numbered() -> list[tuple[int, CameraIntrinsics]]:
+    return list(enumerate(LENSES.values(), start=1))
+
+
+def kitti() -> dict[str, object]:
+    """An object file: two rectified cameras side by side, the scanner and the IMU; and the ground under the car."""
+    forward = np.linalg.inv(EGO_FROM["camera_front"]) @ EGO_FROM["hesai_lidar"]
+    rectifying = Rotation.from_euler("xyz", [0.4, -0.3, 0.2], degrees=True).as_matrix()
+    projection = np.array([[721.5, 0.0, 609.6, 44.9], [0.0, 721.5, 172.9, 0.2], [0.0, 0.0, 1.0, 0.003]])
+    beside = projection.copy()
+    beside[0, 3] -= 721.5 * 0.54
+    texts = {
+        "P2": projection,
+        "P3": beside,
+        "R0_rect": rectifying,
+        "Tr_velo_to_cam": forward[:3],
+        "Tr_imu_to_velo": relative("hesai_lidar", "imu")[:3],
+    }
+    base = {"parent": "base_link", "child": "velodyne", "matrix": EGO_FROM["hesai_lidar"].tolist()}
+    sizes = {f"CAM_{side}": {"frame": f"cam{number}", "width_px": 1242, "height_px": 375} for number, side in SIDES}
+    return {
+        "000000.txt": {key: " ".join(f"{value:.15e}" for value in matrix.ravel()) for key, matrix in texts.items()},
+        "rig.yaml": {"stone_rig": 1, "transforms": [base], "sensors": sizes},
+    }
+
+
+SIDES = ((2, "LEFT"), (3, "RIGHT"))
+
+
+def kitti_text(lines: Mapping[str, str]) -> str:
+    return "".join(f"{key}: {numbers}\n" for key, numbers in lines.items())

@@ -104,8 +104,8 @@ def test_no_damage_to_a_zip_is_more_than_a_refusal(
 
 def test_what_is_no_calibration_is_left_aside_and_named(tmp_path: Path) -> None:
     read = read_any_calibration(robots.write(tmp_path / "mule", robots.kalibr()))
-    assert [(finding.code, finding.severity) for finding in read.findings] == [("CAL-431", "info")]
-    assert "report.txt" in read.findings[0].message
+    assert [(finding.code, finding.severity) for finding in read.findings] == [("CAL-436", "info"), ("CAL-431", "info")]
+    assert "report.txt" in read.findings[1].message
 
 
 def test_links_in_a_folder_are_not_followed(tmp_path: Path) -> None:

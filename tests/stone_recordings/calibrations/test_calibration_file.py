@@ -70,10 +70,13 @@ def test_the_native_format_is_read_as_written(written):
     assert [mount.name for mount in calibration.of_kind("radar")] == ["RADAR_LEFT"]
 
 
-def test_footprint_boxes_and_sensors_may_be_left_out(written):
+def test_footprint_boxes_and_sensors_may_be_left_out_and_a_default_footprint_is_said(written):
     text = "stone_calibration: 1\nname: a\nego_from_lidar: {translation_m: [0, 0, 1], rotation_wxyz: [1, 0, 0, 0]}\n"
     calibration, findings = read_calibration(written(text))
-    assert (calibration.footprint, calibration.mounts, findings) == (Footprint(), (), ())
+    assert (calibration.footprint, calibration.mounts) == (Footprint(), ())
+    assert [(finding.code, finding.severity) for finding in findings] == [("CAL-436", "info")]
+    assert "1.06 x 0.85 m, the paper's robot" in findings[0].message
+    assert read_calibration(written(text + "footprint: {length_m: 1.06, width_m: 0.85}\n"))[1] == ()
 
 
 def test_the_shipped_example_is_read_without_a_finding():
@@ -182,7 +185,6 @@ def test_a_number_beyond_floats_is_refused(written):
     ("content", "looks_like"),
     [
         ("image_width: 640\nimage_height: 480\n", "a camera_info file without its camera_matrix"),
-        ("P0: 1 0 0 0\nR0_rect: 1 0 0\n", "a KITTI calibration"),
         ('[{"token": "a", "channel": "b", "modality": "c"}]', "a nuScenes sensor table without its calibrated_sensor"),
         ("[1, 2]", "a list"),
         ("1: 2", "another YAML file .a key is no text"),

@@ -26,6 +26,8 @@ WRITERS: dict[str, tuple[Callable[[], dict[str, object]], str, dict[str, CameraI
     "opencalib": (robots.opencalib, "opencalib", RADTAN_LENSES),
     "nuscenes": (robots.nuscenes, "nuscenes", RECTIFIED),
     "autoware": (robots.autoware, "autoware", robots.LENSES),
+    "rellis": (robots.rellis, "rellis", robots.LENSES),
+    "opencv": (robots.opencv, "opencv", robots.LENSES),
 }
 
 
@@ -125,7 +127,7 @@ def test_a_rotation_matrix_in_a_nuscenes_table_is_read_with_a_warning(tmp_path: 
     files["calibrated_sensor.json"][1]["rotation"] = robots.EGO_FROM["camera_front"][:3, :3].tolist()
     read = read_any_calibration(robots.write(tmp_path / "a", files))
     check(read, RECTIFIED)
-    assert [(finding.code, finding.topic) for finding in read.findings] == [("CAL-402", "CAM_FRONT")]
+    assert [(finding.code, finding.topic) for finding in read.findings] == [("CAL-402", "CAM_FRONT"), ("CAL-436", "")]
 
 
 def test_images_of_unknown_size_leave_a_camera_without_a_lens_and_say_so(tmp_path: Path) -> None:
@@ -133,7 +135,10 @@ def test_images_of_unknown_size_leave_a_camera_without_a_lens_and_say_so(tmp_pat
     del files["rig.yaml"]
     read = read_any_calibration(robots.write(tmp_path / "a", files))
     assert [mount.intrinsics for mount in read.calibration.of_kind("camera")] == [None, None]
-    assert [(finding.code, finding.severity) for finding in read.findings] == [("CAL-426", "warning")] * 2
+    assert [(finding.code, finding.severity) for finding in read.findings] == [
+        ("CAL-436", "info"),
+        *[("CAL-426", "warning")] * 2,
+    ]
 
 
 def test_of_several_bases_the_one_on_the_ground_is_the_ego_frame(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from stone_recordings.calibrations.file import read_files
 from tests.stone_recordings.calibrations import robots
 
 WRITERS = [robots.ros_matrices, robots.kalibr, robots.opencalib, robots.nuscenes, robots.autoware]
+WRITERS += [robots.rellis, robots.kitti, robots.stereo]
 HOSTILE = [
     None, True, 0, -1, 1, 0.5, 10**400, 1e308, -1e308, 5e-324, float("nan"), float("inf"), "", "nan", "-inf", "1e999",
     "base_link", "hesai_lidar", "\x00", "\u202e", "x" * 200, [], {}, [[]], [[], []], [1], [[1]], ["a"] * 16,

@@ -10,7 +10,7 @@ from stone_recordings.calibrations.file import read_any_calibration
 
 # A file alone. A Kalibr chain places cameras to an IMU, never a LiDAR: half a rig, completed by a rig.yaml beside it.
 # A camera_info file says how a camera projects and not where it sits. Autoware's kit has three LiDARs and is not told
-# which is meant; its sensors_calibration places a kit that is not there. KITTI is none of the formats.
+# which is meant; its sensors_calibration places a kit that is not there. KITTI's files know no ground under the car.
 ALONE = {
     "autoware/sensor_kit_calibration.yaml": "CAL-425",
     "autoware/sensors_calibration.yaml": "CAL-424",
@@ -26,8 +26,8 @@ ALONE = {
     "kalibr/rs_d455/kalibr_imucam_chain.yaml": "CAL-424",
     "kalibr/tum_vi/kalibr_imu_chain.yaml": "CAL-424",
     "kalibr/tum_vi/kalibr_imucam_chain.yaml": "CAL-424",
-    "kitti/lidar/training/calib/00549.txt": "CAL-423",
-    "kitti/radar/training/calib/00549.txt": "CAL-423",
+    "kitti/lidar/training/calib/00549.txt": "CAL-424",
+    "kitti/radar/training/calib/00549.txt": "CAL-424",
     "nuscenes_like/calibrated_sensor.json": "CAL-424",
     "nuscenes_like/sensor.json": "CAL-423",
     "ros_camera_info/cameras/camera_front.yaml": "CAL-424",
@@ -44,21 +44,38 @@ transforms:
   - {parent: base_link, child: lidar, translation_m: [0, 0, 0.9], rotation_wxyz: [1, 0, 0, 0]}
   - {parent: lidar, child: imu0, translation_m: [0, 0, -0.1], rotation_wxyz: [1, 0, 0, 0]}
 """
+UNDER_THE_CAR = """\
+stone_rig: 1
+transforms:
+  - {parent: base_link, child: velodyne, translation_m: [0, 0, 1.7], rotation_wxyz: [1, 0, 0, 0]}
+sensors: {CAM_FRONT: {frame: cam2, width_px: 1936, height_px: 1216}}
+"""
 TOGETHER = [
-    ("ros_camera_info", "", "loads as ros_camera_info", ["CAL-401"]),
+    ("ros_camera_info", "", "loads as ros_camera_info", ["CAL-401", "CAL-436"]),
     ("ros_camera_info/cameras", "", "CAL-424", []),
     ("autoware", "", "CAL-425", []),
-    ("autoware", "stone_rig: 1\nlidar: velodyne_top_base_link\n", "loads as autoware", ["CAL-426", "CAL-430"]),
+    (
+        "autoware",
+        "stone_rig: 1\nlidar: velodyne_top_base_link\n",
+        "loads as autoware",
+        ["CAL-426", "CAL-430", "CAL-436"],
+    ),
     ("nuscenes_like", "", "CAL-425", []),
-    ("nuscenes_like", "stone_rig: 1\nlidar: LIDAR_FRONT\n", "loads as nuscenes", ["CAL-402", "CAL-417", "CAL-426"]),
+    (
+        "nuscenes_like",
+        "stone_rig: 1\nlidar: LIDAR_FRONT\n",
+        "loads as nuscenes",
+        ["CAL-402", "CAL-417", "CAL-426", "CAL-436"],
+    ),
     ("kalibr", "", "CAL-429", []),
     ("kalibr/euroc_mav", "", "CAL-424", []),
-    ("kalibr/euroc_mav", IMU_TO_LIDAR, "loads as kalibr", []),
-    ("kalibr/kaist_vio", IMU_TO_LIDAR, "loads as kalibr", []),
-    ("kalibr/rpng_ironsides", IMU_TO_LIDAR, "loads as kalibr", []),
-    ("kalibr/rs_d455", IMU_TO_LIDAR, "loads as kalibr", []),
-    ("kalibr/tum_vi", IMU_TO_LIDAR, "loads as kalibr", []),
-    ("kitti", "", "CAL-428", []),
+    ("kalibr/euroc_mav", IMU_TO_LIDAR, "loads as kalibr", ["CAL-436"]),
+    ("kalibr/kaist_vio", IMU_TO_LIDAR, "loads as kalibr", ["CAL-436"]),
+    ("kalibr/rpng_ironsides", IMU_TO_LIDAR, "loads as kalibr", ["CAL-436"]),
+    ("kalibr/rs_d455", IMU_TO_LIDAR, "loads as kalibr", ["CAL-436"]),
+    ("kalibr/tum_vi", IMU_TO_LIDAR, "loads as kalibr", ["CAL-436"]),
+    ("kitti", "", "CAL-424", []),
+    ("kitti", UNDER_THE_CAR, "loads as kitti", ["CAL-436"]),
 ]
 
 pytestmark = pytest.mark.field_data

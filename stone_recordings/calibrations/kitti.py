@@ -1,0 +1,141 @@
+"""KITTI: calib text files of object, tracking, odometry and raw, and of data sets written like it (View-of-Delft).
+
+**Conventions.** Lines are `key: numbers`, matrices by rows, metres. `Tr_velo_to_cam` (tracking: `Tr_velo_cam`) is
+`reference_from_velodyne`, `R0_rect` (`R_rect`) is `rectified_from_reference`, `Tr` of odometry is
+`rectified_from_velodyne` at once, `Tr_imu_to_velo` is `velodyne_from_imu`. A point of the scanner is at
+`P_i R0_rect Tr_velo_to_cam x` in image i. P_i = K [I | t] is of rectified images: the lens is K without distortion,
+and camera i is `cam_i_from_rectified` = t; where P_i are all equal (View-of-Delft) there is one camera, cam2. Raw:
+`calib_velo_to_cam.txt` and `calib_imu_to_velo.txt` have R and T in the same directions; `calib_cam_to_cam.txt` gives
+`P_rect_0i`, `R_rect_00` and `S_rect_0i`, the size of the rectified images (synced data, what kitti2bag records; the
+unrectified ones need K and D by camera_info). The other files say no size: a rig.yaml does. View-of-Delft writes its
+radar's file with the LiDAR's key, `Tr_velo_to_cam`, and tells them apart by the folder alone: in a folder `radar` it
+is the radar's. None says where the vehicle stands on the ground.
+Source: Geiger et al., IJRR 2013, eq. 3–8; readme.txt of the object and odometry devkits; View-of-Delft's docs.
+"""
+
+import re
+from pathlib import PurePath
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.geometry.se3 import SE3
+from stone.sensors.calibration import CameraIntrinsics, SensorKind
+from stone.sensors.calibration_checks import Findings, check_translation, checked_rotation, rotation_and_translation
+from stone_recordings.calibrations.errors import HalfRigError
+from stone_recordings.calibrations.lenses import LensText, intrinsics
+from stone_recordings.calibrations.part import CalibrationPart, Edge, Node
+from stone_recordings.calibrations.plain_names import words_of
+
+REFERENCE, RECTIFIED, LIDAR, IMU, RADAR = "reference", "rectified", "velodyne", "imu", "radar"
+MAIN_CAMERA = "cam2"
+PROJECTION = re.compile(r"P(\d)|P_rect_0(\d)")
+# Each key that places one frame in another, in all its spellings: parent, child.
+TRANSFORMS = {
+    "Tr": (RECTIFIED, LIDAR),
+    "Tr_velo_to_cam": (REFERENCE, LIDAR),
+    "Tr_velo_cam": (REFERENCE, LIDAR),
+    "Tr_imu_to_velo": (LIDAR, IMU),
+    "Tr_imu_velo": (LIDAR, IMU),
+}
+RECTIFYING = ("R0_rect", "R_rect", "R_rect_00")
+# The raw files of one transform have the same keys but for these, and their names.
+OF_VELO_TO_CAM = ("delta_f", "delta_c")
+
+
+def is_kitti(content: dict[str, object]) -> bool:
+    """Matrices as texts of numbers under KITTI's keys."""
+    texts = {key for key, value in content.items() if isinstance(value, str)}
+    is_raw = "calib_time" in content and {"R", "T"} <= texts
+    return is_raw or any(key in TRANSFORMS or PROJECTION.fullmatch(key) for key in texts)
+
+
+def kitti(document: Node) -> CalibrationPart:
+    """What one file says. Raises HalfRigError for a raw R and T of which nothing says what they are."""
+    edges, findings = list[Edge](), Findings()
+    for parent, child, numbers in _transforms(document):
+        transform, noticed = rotation_and_translation(child, numbers[:, :3], numbers[:, 3])
+        edges.append(Edge(parent, child, transform))
+        findings += noticed
+    for key in RECTIFYING:
+        if document.has(key):
+            rotation, noticed = checked_rotation(key, _matrix(document.at(key), 3, 3))
+            edges.append(Edge(RECTIFIED, REFERENCE, _pose(rotation, np.zeros(3))))
+            findings += noticed
+    lenses = dict[str, CameraIntrinsics]()
+    for camera, matrix in _projections(document).items():
+        lenses[camera], shift_m = _camera(document, camera, matrix)
+        findings += check_translation(camera, shift_m)
+        edges.append(Edge(camera, RECTIFIED, _pose(np.eye(3), shift_m)))
+    frames = {frame for edge in edges for frame in (edge.parent, edge.child)}
+    kinds: dict[str, SensorKind] = {LIDAR: "lidar", RADAR: "radar", IMU: "imu"}
+    found = {frame: kind for frame, kind in kinds.items() if frame in frames}
+    return CalibrationPart(document.file, "kitti", tuple(edges), lenses, {}, found, frozenset(lenses), findings)
+
+
+def _transforms(document: Node) -> list[tuple[str, str, NDArray[np.float64]]]:
+    """(parent, child, (3, 4)) of every transform that is filled in: View-of-Delft leaves `Tr_imu_to_velo` empty."""
+    scanner = RADAR if RADAR in words_of(PurePath(document.file).parent.as_posix()) else LIDAR
+    given = [(document.at(key), pair) for key, pair in TRANSFORMS.items() if document.has(key)]
+    found = [
+        (parent, scanner if child == LIDAR else child, _matrix(node, 3, 4))
+        for node, (parent, child) in given
+        if node.value is not None
+    ]
+    if document.has("R") and document.has("T"):
+        rotation, translation_m = _matrix(document.at("R"), 3, 3), _matrix(document.at("T"), 3, 1)
+        found.append((*_raw_pair(document), np.hstack([rotation, translation_m])))
+    return found
+
+
+def _raw_pair(document: Node) -> tuple[str, str]:
+    name = PurePath(document.file).stem
+    if any(document.has(key) for key in OF_VELO_TO_CAM) or name.endswith("velo_to_cam"):
+        return REFERENCE, LIDAR
+    if name.endswith("imu_to_velo"):
+        return LIDAR, IMU
+    missing = "nothing says between which frames its R and T are"
+    raise HalfRigError(document.file, missing, "leave it its name of KITTI's, calib_imu_to_velo.txt or the like")
+
+
+def _projections(document: Node) -> dict[str, NDArray[np.float64]]:
+    """(3, 4) by camera, but for identities, which stand for none; the main camera alone where all are equal."""
+    named = [(PROJECTION.fullmatch(key), node) for key, node in document.entries().items()]
+    given = {f"cam{match[1] or match[2]}": _matrix(node, 3, 4) for match, node in named if match}
+    found = {camera: matrix for camera, matrix in given.items() if not np.array_equal(matrix[:, :3], np.eye(3))}
+    if MAIN_CAMERA in found and all(np.array_equal(matrix, found[MAIN_CAMERA]) for matrix in found.values()):
+        return {MAIN_CAMERA: found[MAIN_CAMERA]}
+    return found
+
+
+def _camera(document: Node, camera: str, matrix: NDArray[np.float64]) -> tuple[CameraIntrinsics, NDArray[np.float64]]:
+    """The lens, and where the rectified frame's origin is in the camera (3,), metres."""
+    size_key = f"S_rect_0{camera.removeprefix('cam')}"
+    width_px, height_px = _size_px(document.at(size_key)) if document.has(size_key) else (0, 0)
+    lens = intrinsics(LensText(document.file, camera, "none", ()), matrix[:, :3], (width_px, height_px))
+    if not (lens.fx_px and lens.fy_px):
+        raise Node(document.file, camera, matrix.tolist()).refused("a projection with focal lengths is expected")
+    with np.errstate(over="ignore", invalid="ignore"):
+        shift_m: NDArray[np.float64] = np.linalg.inv(matrix[:, :3]) @ matrix[:, 3]
+    return lens, shift_m
+
+
+def _size_px(node: Node) -> tuple[int, int]:
+    sides = node.words()
+    if len(sides) != 2:
+        raise node.refused("width and height are expected")
+    return sides[0].whole(), sides[1].whole()
+
+
+def _matrix(node: Node, rows: int, columns: int) -> NDArray[np.float64]:
+    """The numbers of a line, by rows."""
+    words = node.words()
+    if len(words) != rows * columns:
+        raise node.refused(f"{rows} x {columns} numbers by rows are expected and {len(words)} given")
+    return np.array([word.number() for word in words]).reshape(rows, columns)
+
+
+def _pose(rotation: NDArray[np.float64], translation_m: NDArray[np.float64]) -> SE3:
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation, translation_m
+    return SE3.from_matrix(matrix)

@@ -1,0 +1,203 @@
+"""The drawing of a rig as a file: from above and from the right, to scale, with what each sensor sees.
+
+**Conventions.** Metres in the ego frame: from above forward is up and left is left, from the right forward is right and
+up is up. A sensor's own axes are short lines, x red, y green, z blue. Wedges are the fields of view of lenses; a
+radar's is not known and drawn as most have it, dashed. Sensors farther than `FARTHEST_M` are named and not drawn.
+"""
+
+from dataclasses import dataclass
+from io import BytesIO
+from typing import Literal
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle, Wedge
+from numpy.typing import NDArray
+
+from stone.errors import one_line
+from stone.sensors.calibration import Calibration, SensorKind
+from stone_recordings.report.previews.canvas import BACKGROUND, DOTS_PER_IN, INK, LINE, SOFT, TEXT_POINTS, dressed
+from stone_recordings.report.quality.plots import drawing_style
+from stone_recordings.report.rig.labels import Label, spread
+from stone_recordings.report.rig.places import PlacedSensor, fields_of_view_deg, placed_sensors
+
+PictureFormat = Literal["svg", "png"]
+Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
+WIDTH_IN, HEIGHT_IN = 12.8, 7.2
+COLOURS: dict[SensorKind, str] = {
+    "lidar": "#f2f4ee", "camera": "#6db6f2", "radar": "#f0b45a", "ins": "#6ecb87", "imu": "#6ecb87",
+}  # fmt: skip
+AXIS_COLOURS = ("#ff7a6e", "#6ecb87", "#6d8cf2")
+RADAR_FIELD_DEG = 110.0
+FARTHEST_M = 30.0
+# What looks less than this along a view is drawn without a wedge there.
+IN_PLANE = 0.6
+# Of the largest side of what is drawn: how far fields of view and axes reach, and the room around.
+REACH_RATIO, AXIS_RATIO, MARGIN_RATIO = 0.3, 0.07, 0.14
+LEAST_SIDE_M = 1.0
+LONGEST_NAME = 28
+
+
+@dataclass(frozen=True)
+class RigSide:
+    """One view: `right_up` (2, 3) is what of the ego frame goes right and up."""
+
+    title: str
+    labels: tuple[str, str]
+    right_up: NDArray[np.float64]
+
+    def flat(self, vector: NDArray[np.float64]) -> tuple[float, float]:
+        right, up = (self.right_up @ vector).tolist()
+        return right, up
+
+
+ABOVE = RigSide("from above", ("to the right, m", "forward, m"), np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0]]))
+RIGHT = RigSide("from the right", ("forward, m", "up, m"), np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
+
+
+def rig_figure(calibration: Calibration, is_footprint_given: bool, picture: PictureFormat = "svg") -> bytes:
+    """SVG or PNG; equal calibrations give equal bytes."""
+    placed = placed_sensors(calibration)
+    near = [sensor for sensor in placed if np.abs(sensor.at_m).max() <= FARTHEST_M]
+    far = [sensor.mount.name for sensor in placed if sensor not in near]
+    with drawing_style("stone-rig"):
+        figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN), facecolor=BACKGROUND, layout="constrained")
+        side_m = _side_m(calibration, near)
+        for axes, side in zip(figure.subplots(1, 2), (ABOVE, RIGHT), strict=True):
+            dressed(axes, side.labels, side.title)
+            axes.grid(True, color=LINE, linewidth=0.5)
+            axes.set_axisbelow(True)
+            _body(axes, side, calibration, is_footprint_given)
+            _sensors(axes, side, near, side_m)
+        figure.suptitle(_plain(calibration.name), color=INK, fontsize=TEXT_POINTS + 3)
+        _legend(figure, _footer(calibration, is_footprint_given, far), near)
+        return _written(figure, picture)
+
+
+def _side_m(calibration: Calibration, near: list[PlacedSensor]) -> float:
+    """The largest side of the robot and its sensors."""
+    half = np.array([calibration.footprint.length_m, calibration.footprint.width_m, 0.0]) / 2
+    corners = [half, -half, *(sensor.at_m for sensor in near)]
+    corners += [np.array(corner) for box in _near_boxes(calibration) for corner in box]
+    return max(LEAST_SIDE_M, float(np.ptp(np.array(corners), axis=0).max()))
+
+
+def _near_boxes(calibration: Calibration) -> list[tuple[tuple[float, float, float], tuple[float, float, float]]]:
+    boxes = [(box.min_m, box.max_m) for box in calibration.self_boxes_ego]
+    return [box for box in boxes if np.abs(np.array(box)).max() <= FARTHEST_M]
+
+
+def _body(axes: Axes, side: RigSide, calibration: Calibration, is_given: bool) -> None:
+    """The footprint, on the ground from the right; the robot's own boxes; the ground; the ego origin."""
+    for low, high in _near_boxes(calibration):
+        _rectangle(axes, side, (np.array(low), np.array(high)), facecolor=LINE, edgecolor=LINE, alpha=0.55)
+    half = np.array([calibration.footprint.length_m, calibration.footprint.width_m, 0.0]) / 2
+    style = "solid" if is_given else (0, (4, 3))
+    _rectangle(axes, side, (-half, half), fill=False, edgecolor=INK, linewidth=1.8, linestyle=style)
+    if side is RIGHT:
+        axes.axhline(0.0, color=SOFT, linewidth=0.8)
+    axes.plot([0.0], [0.0], "+", color=INK, markersize=12, markeredgewidth=1.4)
+
+
+def _rectangle(
+    axes: Axes, side: RigSide, corners: tuple[NDArray[np.float64], NDArray[np.float64]], **how: object
+) -> None:
+    (x0, y0), (x1, y1) = side.flat(corners[0]), side.flat(corners[1])
+    axes.add_patch(Rectangle((min(x0, x1), min(y0, y1)), abs(x1 - x0), abs(y1 - y0), **how))  # type: ignore[arg-type]
+
+
+def _sensors(axes: Axes, side: RigSide, near: list[PlacedSensor], side_m: float) -> None:
+    labels = list[Label]()
+    for sensor in near:
+        _field(axes, side, sensor, REACH_RATIO * side_m)
+        _own_axes(axes, side, sensor, AXIS_RATIO * side_m)
+        x, y = side.flat(sensor.at_m)
+        size = 9 if sensor.mount.kind == "lidar" else 6
+        axes.plot([x], [y], "o", color=COLOURS[sensor.mount.kind], markersize=size, markeredgewidth=0)
+        labels.append(Label(_plain(sensor.mount.name), (x, y)))
+    room_m = (REACH_RATIO + MARGIN_RATIO) * side_m
+    low, high = _bounds(axes, [label.at for label in labels], room_m)
+    for label, (x, y) in spread(labels, float((high - low).max())):
+        axes.annotate(
+            label.text, label.at, (x, y), color=INK, fontsize=TEXT_POINTS - 2, va="center", ha="center",
+            arrowprops={"arrowstyle": "-", "color": SOFT, "linewidth": 0.6, "shrinkA": 0, "shrinkB": 3},
+        )  # fmt: skip
+
+
+def _bounds(
+    axes: Axes, places: list[tuple[float, float]], room_m: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """A square around the sensors and the footprint, set on the axes."""
+    patches = [patch.get_bbox().get_points() for patch in axes.patches if isinstance(patch, Rectangle)]
+    points = np.concatenate([np.array(places).reshape(-1, 2), *patches])
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle, half_m = (low + high) / 2, float((high - low).max()) / 2 + room_m
+    low, high = middle - half_m, middle + half_m
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
+    return low, high
+
+
+def _field(axes: Axes, side: RigSide, sensor: PlacedSensor, reach_m: float) -> None:
+    """The wedge of a camera's lens or a radar; nothing where it looks at the reader or away."""
+    right, up = side.flat(sensor.looks)
+    if sensor.mount.kind not in ("camera", "radar") or np.hypot(right, up) < IN_PLANE:
+        return
+    lens = sensor.mount.intrinsics
+    field_deg = RADAR_FIELD_DEG if lens is None else fields_of_view_deg(lens)[0 if side is ABOVE else 1]
+    is_known = lens is not None
+    heading_deg, half_deg = float(np.rad2deg(np.arctan2(up, right))), min(field_deg, 359.0) / 2
+    colour = COLOURS[sensor.mount.kind]
+    axes.add_patch(
+        Wedge(
+            side.flat(sensor.at_m), reach_m, heading_deg - half_deg, heading_deg + half_deg,
+            facecolor=colour if is_known else "none", edgecolor=colour, alpha=0.22 if is_known else 0.6,
+            linewidth=0.8, linestyle="solid" if is_known else (0, (4, 3)),
+        )
+    )  # fmt: skip
+
+
+def _own_axes(axes: Axes, side: RigSide, sensor: PlacedSensor, length_m: float) -> None:
+    x, y = side.flat(sensor.at_m)
+    for colour, axis in zip(AXIS_COLOURS, sensor.ego_from_sensor.rotation().T, strict=True):
+        right, up = side.flat(axis * length_m)
+        axes.plot([x, x + right], [y, y + up], color=colour, linewidth=1.6, solid_capstyle="round")
+
+
+def _footer(calibration: Calibration, is_given: bool, far: list[str]) -> str:
+    footprint = calibration.footprint
+    said = f"footprint {footprint.length_m:g} x {footprint.width_m:g} m"
+    said += "" if is_given else " (the default: none is given)"
+    if not calibration.self_boxes_ego:
+        said += ", no self boxes"
+    return said + (f", too far to be drawn: {', '.join(map(_plain, far[:4]))}" if far else "")
+
+
+def _legend(figure: Figure, footer: str, near: list[PlacedSensor]) -> None:
+    kinds = [kind for kind in COLOURS if any(sensor.mount.kind == kind for sensor in near)]
+    entries = [
+        Line2D([], [], color=COLOURS[kind], marker="o", linestyle="none", label="LiDAR" if kind == "lidar" else kind)
+        for kind in kinds
+    ]
+    entries += [Line2D([], [], color=colour, label=axis) for axis, colour in zip("xyz", AXIS_COLOURS, strict=True)]
+    figure.legend(
+        handles=entries, loc="outside lower center", ncols=len(entries), columnspacing=1.4, handlelength=1.2,
+        frameon=False, labelcolor=SOFT, fontsize=TEXT_POINTS, title=footer,
+    ).get_title().set_color(SOFT)  # fmt: skip
+
+
+def _plain(name: str) -> str:
+    """Somebody else's name in letters that the font has, and no more of it than there is room for."""
+    shown = one_line(name)
+    shown = shown if len(shown) <= LONGEST_NAME else shown[: LONGEST_NAME - 3] + "..."
+    return shown.encode("ascii", "replace").decode()
+
+
+def _written(figure: Figure, picture: PictureFormat) -> bytes:
+    """Without dates and versions, which would change the bytes."""
+    stream = BytesIO()
+    metadata = {"Software": None} if picture == "png" else {"Date": None, "Creator": None}
+    figure.savefig(stream, format=picture, dpi=DOTS_PER_IN, metadata=metadata)
+    return stream.getvalue()
