@@ -53,6 +53,7 @@ class Description(_Part):
 
     A recording has the track of its poses. Of a scan, `tracks_m` (name → corners from the robot's own place on, in its
     ego frame) are ways that a person says can be driven; each is tried as the track, besides the footprint alone.
+    `ring_spacing_deg` is how far the LiDAR's channels are apart, about.
     """
 
     stone_real: Literal[1]
@@ -62,6 +63,7 @@ class Description(_Part):
     recording: str | None = None
     scan: str | None = None
     tracks_m: dict[str, Line] = {}
+    ring_spacing_deg: Annotated[float, Field(ge=0.05, le=10, allow_inf_nan=False)] = 0.4
     passes: tuple[Passes, ...] = ("parity", "halves")
     semantics: Semantics | None = None
     flat_m: tuple[Polygon, ...] = ()

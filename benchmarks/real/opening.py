@@ -42,6 +42,25 @@ class ChosenSweeps:
         return self.source.sweep(int(self.rows[index]))
 
 
+@dataclass(frozen=True, eq=False)
+class ThinnedSweeps:
+    """Sweeps of which one band of elevation in `every` is left, each as wide as the rings are apart.
+
+    Rings that are not evenly apart may fall two into one band, so what is left is about that share of the rings.
+    """
+
+    source: SweepSource
+    every: int
+    spacing_deg: float
+
+    def sweep(self, index: int) -> Sweep:
+        """The sweep with the points of the bands that stay."""
+        whole = self.source.sweep(index)
+        x, y, z = whole.points_lidar.T
+        band = np.floor(np.rad2deg(np.arctan2(z, np.hypot(x, y))) / self.spacing_deg).astype(np.int64)
+        return replace(whole, points_lidar=whole.points_lidar[band % self.every == 0])
+
+
 def opened(described: Described, options: SynchroniseOptions, track: str | None = None) -> tuple[Sequence, SweepSource]:
     """The sequence and its sweeps; of a scan with the stated way `track`, or with no way but its own place.
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.real.description import Described, Passes
-from benchmarks.real.opening import opened
+from benchmarks.real.opening import ThinnedSweeps, opened
 from services.ingest.pipeline import Ground, SynchroniseOptions
 from services.labeler.parameters import (
     LabelParameters,
@@ -33,6 +33,7 @@ class Option:
     refinement: RefinementParameters | None = None
     solver: Solver = "lattice"
     choices: Mapping[str, float] = field(default_factory=dict)
+    ring_every: int = 1
     track: str | None = None
 
     def parameters(self, profile: Profile) -> LabelParameters:
@@ -44,7 +45,10 @@ class Option:
     def opened(self, described: Described) -> tuple[Sequence, SweepSource]:
         """The sequence as this option reads it. Raises what `benchmarks.real.opening.opened` raises."""
         reading = SynchroniseOptions(ground=self.ground, odometry_topic=self.odometry_topic)
-        return opened(described, reading, self.track)
+        sequence, sweeps = opened(described, reading, self.track)
+        if self.ring_every == 1:
+            return sequence, sweeps
+        return sequence, ThinnedSweeps(sweeps, self.ring_every, described.description.ring_spacing_deg)
 
 
 # A line here is a row for every recording; of a scan, a row for every way that its description states.
@@ -55,6 +59,8 @@ OPTIONS = (
     Option("--refine-poses small_gicp", refinement=RefinementParameters()),
     Option("--solver octree", solver="octree"),
     Option("surface.min_frames=2", choices={"surface.min_frames": 2}),
+    Option("every 2nd ring", ring_every=2),
+    Option("every 4th ring", ring_every=4),
 )
 
 
