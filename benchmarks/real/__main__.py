@@ -19,7 +19,7 @@ import numpy as np
 from benchmarks.real.description import Described, described_in, own_descriptions
 from benchmarks.real.errors import NothingDescribedError
 from benchmarks.real.labelled_map import Figures, disagreement, read_map
-from benchmarks.real.measures import Labels, measured
+from benchmarks.real.measures import WrittenLabels, measured
 from benchmarks.real.opening import part_of
 from benchmarks.real.semantic_agreement import agreement, semantic_counts
 from benchmarks.real.table import show
@@ -97,7 +97,7 @@ def _row(described: Described, how: tuple[Profile, Option], options: argparse.Na
 
 
 def _figures(described: Described, report: LabelReport, folder: Path) -> Figures:
-    labels, semantics = Labels(described, report.sequence, folder), described.description.semantics
+    labels, semantics = WrittenLabels(described, report.sequence, folder), described.description.semantics
     known = {} if semantics is None else agreement(semantic_counts(labels, semantics), semantics)
     return {
         **measured(labels),

@@ -36,7 +36,7 @@ Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
-class Labels:
+class WrittenLabels:
     """A label set as it was written, and the sequence it is of."""
 
     described: Described
@@ -74,7 +74,7 @@ class Labels:
         return np.asarray(inside)
 
 
-def measured(labels: Labels) -> Figures:
+def measured(labels: WrittenLabels) -> Figures:
     """Every figure of one label set that needs no other and no classes."""
     return {
         **facing_down(labels),
@@ -84,7 +84,7 @@ def measured(labels: Labels) -> Figures:
     }
 
 
-def facing_down(labels: Labels) -> Figures:
+def facing_down(labels: WrittenLabels) -> Figures:
     """The share of ground vertices that face down: of all near the track, and of what is said to be flat."""
     mesh = read_mesh(labels.folder / "mesh.ply")
     vertices, up = mesh.vertices_map, area_normals(mesh)[:, 2]
@@ -104,7 +104,7 @@ def lowest(points_map: Array) -> Mask:
     return np.asarray(points_map[:, 2] - floor_m[column] <= BELOW_M)
 
 
-def t_coverage(labels: Labels) -> float | None:
+def t_coverage(labels: WrittenLabels) -> float | None:
     """The share of places under the footprint, along the track, in whose column a T voxel lies, or one above or below.
 
     The places are `SPACING_M` apart and `INSIDE_M` inside the footprint.
@@ -119,14 +119,14 @@ def t_coverage(labels: Labels) -> float | None:
     return share(np.asarray(is_driven.any(axis=1)))
 
 
-def flat_non_traversable(labels: Labels) -> float | None:
+def flat_non_traversable(labels: WrittenLabels) -> float | None:
     """The share of N in the lowest voxels where the ground is said to be flat, those driven on left out."""
     voxels = labels.voxels
     where = labels.is_flat(voxels.centres_map) & lowest(voxels.centres_map) & (voxels.classes != TRAVERSABLE)
     return share(voxels.classes[where] == NON_TRAVERSABLE)
 
 
-def wall_non_traversable(labels: Labels) -> float | None:
+def wall_non_traversable(labels: WrittenLabels) -> float | None:
     """The share of N in the voxels of the known walls, between two heights."""
     centres, is_wall = labels.voxels.centres_map, np.zeros(len(labels.voxels.keys), np.bool_)
     height_m = labels.above_track(centres)[1]

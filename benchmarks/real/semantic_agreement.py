@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from benchmarks.real.description import LabelledScan, Semantics
 from benchmarks.real.errors import DescriptionError
 from benchmarks.real.labelled_map import Figures
-from benchmarks.real.measures import Labels
+from benchmarks.real.measures import WrittenLabels
 from benchmarks.real.opening import classes_of
 from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
 from stone.labels.traversability import FREE, NON_TRAVERSABLE, TRAVERSABLE
@@ -18,7 +18,7 @@ Counts = Mapping[int, NDArray[np.int64]]
 NOTHING = np.zeros(4, np.int64)
 
 
-def semantic_counts(labels: Labels, semantics: Semantics) -> Counts:
+def semantic_counts(labels: WrittenLabels, semantics: Semantics) -> Counts:
     """For every class of the labelled scans, how many of its points in the grid lie in voxels of class 0 to 3 (4,).
 
     Points are placed by their own scan's frame. Those in T of a scan without poses are left out: what was stated is no
@@ -40,7 +40,7 @@ def semantic_counts(labels: Labels, semantics: Semantics) -> Counts:
     return totals
 
 
-def _frame_of(labels: Labels, scan: LabelledScan) -> int:
+def _frame_of(labels: WrittenLabels, scan: LabelledScan) -> int:
     if scan.stamp_ns is None:
         return 0
     found = np.flatnonzero(labels.sequence.frames.stamps_ns == scan.stamp_ns)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from benchmarks.real.description import Described, Description, LabelledScan, Semantics
 from benchmarks.real.labelled_map import LabelledMap, disagreement, read_map
-from benchmarks.real.measures import Labels, facing_down, flat_non_traversable, near_line, t_coverage
+from benchmarks.real.measures import WrittenLabels, facing_down, flat_non_traversable, near_line, t_coverage
 from benchmarks.real.measures import wall_non_traversable as wall_n
 from benchmarks.real.opening import ScanSweeps, ThinnedSweeps, along
 from benchmarks.real.semantic_agreement import agreement, semantic_counts
@@ -27,13 +27,13 @@ SAID = Description(stone_real=1, name="yard", about="", calibration="", recordin
 Voxels = dict[tuple[int, int, int], int]
 
 
-def labels_of(folder: Path, said: Description = SAID) -> Labels:
+def labels_of(folder: Path, said: Description = SAID) -> WrittenLabels:
     """A label set in `folder` of a robot of 1 × 1 m that drove 10 m along x."""
     track = along(np.array([[0.0, 0.0], [10.0, 0.0]]))
     frames = Frames(track.stamps_ns[:1], ("t",), track.map_from_ego[:1])
-    rig = Calibration("rig", SE3.identity(), {}, Footprint(1.0, 1.0))
+    rig = Calibration("rig", SE3.identity(), (), Footprint(1.0, 1.0))
     sequence = Sequence("yard", frames, (), rig, "stated", track=track)
-    return Labels(Described(said, folder / "yard.real.yaml", folder), sequence, folder)
+    return WrittenLabels(Described(said, folder / "yard.real.yaml", folder), sequence, folder)
 
 
 def write_voxels(folder: Path, voxels: Voxels) -> None:
@@ -145,7 +145,8 @@ def test_points_of_known_classes_are_counted_by_the_voxel_they_lie_in(tmp_path: 
     write_grid(tmp_path, grid)
     run = SAID.model_copy(update={"semantics": SEMANTICS})
     figures = agreement(semantic_counts(labels_of(tmp_path, run), SEMANTICS), SEMANTICS)
-    assert (figures["ground_tp"], figures["obstacle_n"]) == (pytest.approx(3 / 4), pytest.approx(1 / 2))
+    assert figures["ground_tp"] == pytest.approx(3 / 4)
+    assert figures["obstacle_n"] == pytest.approx(1 / 2)
     assert figures["unlabelled"] == pytest.approx(1 / 7)
     scan = run.model_copy(update={"recording": None, "scan": "s.bin"})
     stated = agreement(semantic_counts(labels_of(tmp_path, scan), SEMANTICS), SEMANTICS)
