@@ -9,4 +9,4 @@ ROOT = Path(__file__).resolve().parents[1]
 
 def field_folder() -> Path:
     """The folder that the variable names, else the usual one beside the project; it need not exist."""
-    return Path(os.environ.get(VARIABLE, ROOT.parent / "shared" / "data"))
+    return Path(os.environ.get(VARIABLE) or ROOT.parent / "shared" / "data")

@@ -59,7 +59,7 @@ def described_recordings(folder: Path | None) -> list[Described]:
 
     Raises `NothingDescribedError` for a folder that was named and holds none, and what `described_in` raises.
     """
-    is_named = folder is not None or VARIABLE in os.environ
+    is_named = folder is not None or bool(os.environ.get(VARIABLE))
     chosen = folder or field_folder()
     found = described_in(chosen) if chosen.is_dir() else []
     if not found and is_named:

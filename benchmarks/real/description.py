@@ -107,7 +107,8 @@ def described_in(folder: Path) -> list[Described]:
 
     Raises `DescriptionError`, `CalibrationYamlError`; a description in the folder whose recording is missing is wrong.
     """
-    theirs = [read_description(path, folder) for path in sorted(folder.rglob(f"*{SUFFIX}"))]
+    paths = [path for path in sorted(folder.rglob(f"*{SUFFIX}")) if path.parent.resolve() != OURS.resolve()]
+    theirs = [read_description(path, folder) for path in paths]
     for one in theirs:
         if not one.source.exists():
             raise DescriptionError(one.path, f"{one.source} is not there")

@@ -20,8 +20,10 @@ class NothingDescribedError(StoneError):
     code = "nothing_described"
 
     def __init__(self, folder: Path, known: int) -> None:
-        what = "holds no recording that is described" if folder.is_dir() else "is no folder"
+        if not folder.is_dir():
+            super().__init__(f"{folder} is no folder that is there (is the path right?)")
+            return
         super().__init__(
-            f"{folder} {what}: no file *.real.yaml lies in it, and none of the recordings of the {known} descriptions "
-            "that come with the project (is it the folder meant? docs/method/real-ground.md says what one holds)"
+            f"{folder} holds no file *.real.yaml, and none of the recordings of the {known} descriptions that come "
+            "with the project (is it the folder meant? docs/method/real-ground.md says what a description holds)"
         )

@@ -87,7 +87,7 @@ def _returns(lidar: Lidar, hits: Hits, directions: Rays, surface: NDArray[np.uin
     range_m = np.minimum(lidar.self_range_m, hits.range_m)
     cosine = np.abs(np.einsum("ni,ni->n", directions, hits.normal))
     cosine[surface == Surface.ROBOT] = 1.0
-    return Returns(range_m, cosine, lidar.intensity[surface] / 100)
+    return Returns(range_m, cosine, lidar.intensity[surface] / np.float32(100))
 
 
 def _records(

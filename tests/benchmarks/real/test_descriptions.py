@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from benchmarks.real.__main__ import described_recordings, main
-from benchmarks.real.description import Described, described_in, own_descriptions, read_description
+from benchmarks.real.description import OURS, Described, described_in, own_descriptions, read_description
 from benchmarks.real.errors import DescriptionError, NothingDescribedError
 from benchmarks.real.opening import classes_of, opened
 from services.ingest.pipeline import SynchroniseOptions
@@ -94,7 +94,7 @@ def test_the_projects_own_descriptions_can_be_read_and_so_can_their_calibrations
 def test_a_folder_that_was_named_and_holds_nothing_fails(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for folder in (tmp_path, tmp_path / "none"):
+    for folder in (tmp_path, tmp_path / "none", OURS):
         with pytest.raises(NothingDescribedError, match=str(folder)):
             described_recordings(folder)
         monkeypatch.setattr("sys.argv", ["real", str(folder)])
