@@ -47,7 +47,8 @@ class SimulateOptions:
     lz4 by default: packet stamps, rings and missing returns repeat, so it nearly halves the bag at no time that can be
     measured; zstd is smaller still, but costs more to write and twice as much to read.
 
-    `noise_ratio` scales what the sensors add to the truth: 0 measures exactly, 1 is the paper's rig. The receiver's
+    `noise_ratio` scales what the sensors add to the truth: 0 measures exactly, 1 is the paper's rig. `range_noise` adds
+    to the LiDAR's ranges what a real one suffers besides (`simulator/sensors/range_noise.py`). The receiver's
     driver stamps up to `host_delay_max_ns` late (0: when the solution was valid, as a disciplined host would);
     messages reach the recorder up to `transport_jitter_ns` late. `faults` go wrong in the order they are named.
     """
@@ -61,6 +62,7 @@ class SimulateOptions:
     compression: Compression = "lz4"
     world_width_m: float = 110.0
     noise_ratio: float = 1.0
+    range_noise: bool = False
     host_delay_max_ns: int = 20_000_000
     transport_jitter_ns: int = 0
     faults: tuple[FaultName, ...] = ()

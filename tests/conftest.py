@@ -1,10 +1,11 @@
 """What every test may ask for: the folder of real recordings, where this machine has one."""
 
-import os
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
+
+from testing.field_data import VARIABLE, field_folder
 
 pytest_plugins = [
     "testing.servers.fixtures",
@@ -14,8 +15,6 @@ pytest_plugins = [
     "testing.memory",
 ]
 
-ROOT = Path(__file__).resolve().parents[1]
-
 # A machine that is busy is slow, and no property is about that.
 settings.register_profile("busy", deadline=None)
 settings.load_profile("busy")
@@ -24,7 +23,7 @@ settings.load_profile("busy")
 @pytest.fixture(scope="session")
 def field_data() -> Path:
     """The folder of real recordings by others; never part of the project, so absent on most machines."""
-    folder = Path(os.environ.get("STONE_FIELD_DATA", ROOT.parent / "shared" / "data"))
+    folder = field_folder()
     if not folder.is_dir():
-        pytest.skip(f"no field data at {folder}; set STONE_FIELD_DATA to the folder that holds it")
+        pytest.skip(f"no field data at {folder}; set {VARIABLE} to the folder that holds it")
     return folder

@@ -1,20 +1,29 @@
-"""Labels against five worlds whose truth is known: `python -m benchmarks.truth [--seconds 30] [--seeds 1 2 3 4 5]`.
+"""Labels against five worlds whose truth is known: `python -m benchmarks.truth [--casts 64 32-noisy 16-noisy]`.
 
 Per seed a world of 64 × 900 rays is simulated and labelled with both profiles, as `stone label` does, and once more
 with profile `paper` in one cube without a seam. What no profile changes (the mesh, the occupied voxels, T) is measured
-once. The labels do not see the truth. Worlds, labels and figures are kept in
-`--folder`; `--table` prints the figures that are there once more.
+once. The same worlds are then cast with 32 and 16 channels and the ranges of a real LiDAR (dropouts, mixed pixels,
+rain), without the labels in one cube. The labels do not see the truth. Worlds, labels and figures are kept in
+`--folder`; `--table` prints the figures that are there once more. `--seeds`, `--seconds`: which worlds, how long.
 """
 
 import argparse
 import json
 import tempfile
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.truth.checks import Drive, evidence_counts, footprint_counts, judged, seam_counts, walker_counts
+from benchmarks.truth.checks import (
+    Drive,
+    evidence_counts,
+    footprint_counts,
+    invented_counts,
+    judged,
+    seam_counts,
+    walker_counts,
+)
 from benchmarks.truth.surface import read_mesh, surface_errors
 from benchmarks.truth.table import Figures, show
 from services.ingest.sequence import open_sequence
@@ -26,50 +35,93 @@ from simulator.truth import read_truth
 from stone.geometry.se3 import SE3
 
 SEEDS = (1, 2, 3, 4, 5)
+NOISY = "-noisy"
+CASTS = ("64", "32-noisy", "16-noisy")
 WORKERS = 2
 UNTILED = TilingParameters(cube_cells=1024)  # 204.8 m, of which 201.6 m core: one holds a run of a minute
 COARSEST_LATTICE_M = 0.8  # a brick of observed voxels; a shift by multiples keeps every lattice of the map
+
+
+@dataclass(frozen=True)
+class Cast:
+    """The worlds as one LiDAR sees them: `name` is its channels, and whether its ranges are a real one's."""
+
+    name: str
+    folder: Path
+    seconds: float
+
+    @property
+    def is_noisy(self) -> bool:
+        return self.name.endswith(NOISY)
+
+    @property
+    def channels(self) -> int:
+        return int(self.name.removesuffix(NOISY))
+
+    @property
+    def title(self) -> str:
+        noise = ", ranges with dropouts, mixed pixels and rain" if self.is_noisy else ""
+        return f"labels of {self.seconds:g} s worlds against their truth: {self.channels} channels{noise}"
+
+    def named(self, stem: str) -> Path:
+        """A file or folder of this cast's own; those of 64 channels without noise have plain names."""
+        return self.folder / (stem if self.name == CASTS[0] else f"{self.name}-{stem}")
+
+    def figures_file(self, seed: int) -> Path:
+        return self.named(f"figures-{seed}-{self.seconds:g}s.json")
+
+    def drive(self, seed: int) -> Drive:
+        """The drive of this seed, simulated where it is not there yet."""
+        options = SimulateOptions(self.seconds, seed, self.channels, cameras=False, range_noise=self.is_noisy)
+        return simulated(self.named(f"world-{seed}-{self.seconds:g}s.mcap"), options)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS)
+    parser.add_argument("--casts", nargs="+", default=CASTS, help="channels, with -noisy for a real LiDAR's ranges")
     parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()) / "stone-truth")
     parser.add_argument("--table", action="store_true", help="only print what was measured before")
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
-    worlds = {}
-    for seed in options.seeds:
-        path = options.folder / f"figures-{seed}-{options.seconds:g}s.json"
-        if not options.table:
-            figures = _figures(options.folder, seed, options.seconds)
-            path.write_text(json.dumps(figures, indent=1) + "\n")
-        worlds[seed] = json.loads(path.read_text())
-    show(worlds, f"labels of {options.seconds:g} s worlds against their truth")
+    for cast in (Cast(name, options.folder, options.seconds) for name in options.casts):
+        for seed in () if options.table else options.seeds:
+            cast.figures_file(seed).write_text(json.dumps(_figures(cast, seed), indent=1) + "\n")
+        show({seed: json.loads(cast.figures_file(seed).read_text()) for seed in options.seeds}, cast.title)
 
 
-def _figures(folder: Path, seed: int, seconds: float) -> dict[str, Figures]:
+def _figures(cast: Cast, seed: int) -> dict[str, Figures]:
     """Every figure of one world, by profile."""
-    drive = simulated(folder / f"world-{seed}-{seconds:g}s.mcap", SimulateOptions(seconds, seed, cameras=False))
+    drive = cast.drive(seed)
     figures, folders = dict[str, Figures](), dict[str, Path]()
     profiles: tuple[Profile, ...] = ("paper", "local")
     for profile in profiles:
-        folders[profile] = folder / f"labels-{seed}-{profile}"
+        folders[profile] = cast.named(f"labels-{seed}-{profile}")
         record = _labelled(drive, folders[profile], parameters_for(profile))
         figures[profile] = record | _labels_measured(drive, folders[profile])
     figures["paper"] |= _map_measured(drive, folders["paper"])
-    untiled = folder / f"labels-{seed}-untiled"
-    moved = _amid_cube(drive)
-    record = _labelled(moved, untiled, replace(parameters_for("paper"), tiling=UNTILED))
-    seam, iou = seam_counts(drive, folders["paper"], untiled), judged(drive, untiled).iou or 0.0
-    figures["paper"] |= {
+    if not cast.is_noisy:
+        figures["paper"] |= _untiled_measured(drive, folders["paper"], cast.named(f"labels-{seed}-untiled"))
+        return figures
+    clean = replace(cast, name=CASTS[0]).drive(seed)
+    for profile, labels in folders.items():
+        invented = invented_counts(drive, labels, clean)
+        figures[profile] |= {"invented_tp": invented[1] + invented[2], "invented_n": invented[3]}
+    return figures
+
+
+def _untiled_measured(drive: Drive, labels: Path, untiled: Path) -> Figures:
+    """How the labels of profile `paper` differ from those made in one cube."""
+    record = _labelled(_amid_cube(drive), untiled, replace(parameters_for("paper"), tiling=UNTILED))
+    seam = seam_counts(drive, labels, untiled)
+    ious = [judged(drive, one).iou or 0.0 for one in (labels, untiled)]
+    return {
         "untiled_tiles": record["tiles"],
         "untiled_class_differs": seam.class_differs / seam.occupied,
         "untiled_in_one_only": seam.in_one_only / seam.occupied,
-        "untiled_iou_differs": abs(iou - figures["paper"]["iou"]),
+        "untiled_iou_differs": abs(ious[1] - ious[0]),
     }
-    return figures
 
 
 def simulated(bag: Path, options: SimulateOptions) -> Drive:
@@ -119,6 +171,7 @@ def _map_measured(drive: Drive, labels: Path) -> Figures:
         "slope_p95_deg": float(np.percentile(errors.slope_deg, 95)),
         "roughness_median_log_m2": float(np.median(errors.roughness_log_m2)),
         "ground_vertices": len(errors.slope_deg),
+        "upside_down": errors.upside_down,
         "footprint_t": footprint.in_grid_t / footprint.in_grid,
         "footprint_map_t": footprint.in_map_t / footprint.in_map,
         "labelled": evidence.labelled,

@@ -120,17 +120,34 @@ def evidence_counts(drive: Drive, labels: Path) -> EvidenceCounts:
     thinning may move a point, so a pass is a pass); what fails is tried against every ray, from the LiDAR at the
     sweep's stamp to the unthinned point. Points of the robot itself are left out.
     """
-    world_from_ego = drive.world_from_ego()
-    centres = []
-    for frame in range(0, len(world_from_ego), EVIDENCE_EVERY):
-        index = np.argwhere(drive.semantics(labels, frame) > 0)
-        centres.append(world_from_ego[frame] @ grid_centres(index))
-    labelled = np.concatenate(centres)
+    labelled, _ = _labelled_world(drive, labels)
     moved_m = THINNED_M * np.sqrt(3) / 2
     distance, _ = cKDTree(_thinned_points(drive)).query(labelled, distance_upper_bound=REACH_M - moved_m)
     doubtful = labelled[distance > EVIDENCE_M - moved_m]
     beyond = int(np.isinf(distance).sum())
     return EvidenceCounts(len(labelled), beyond, len(doubtful), _without_ray(drive, doubtful))
+
+
+def invented_counts(drive: Drive, labels: Path, clean: Drive) -> tuple[int, ...]:
+    """Labelled voxels of every `EVIDENCE_EVERY`-th frame, by class, with no point of `clean` within `REACH_M`.
+
+    `clean` is the same drive through the same world, seen without noise.
+    """
+    labelled, classes = _labelled_world(drive, labels)
+    distance, _ = cKDTree(_thinned_points(clean)).query(labelled, distance_upper_bound=REACH_M)
+    return tuple(np.bincount(classes[np.isinf(distance)], minlength=4).tolist())
+
+
+def _labelled_world(drive: Drive, labels: Path) -> tuple[Array, Grid]:
+    """Centres (N, 3) in the world of the labelled voxels of every `EVIDENCE_EVERY`-th frame, and their classes (N,)."""
+    world_from_ego = drive.world_from_ego()
+    centres, classes = [], []
+    for frame in range(0, len(world_from_ego), EVIDENCE_EVERY):
+        grid = drive.semantics(labels, frame)
+        index = np.argwhere(grid > 0)
+        centres.append(world_from_ego[frame] @ grid_centres(index))
+        classes.append(grid[tuple(index.T)])
+    return np.concatenate(centres), np.concatenate(classes)
 
 
 def _points_world(drive: Drive, frame: int, world_from_ego: SE3) -> Array:

@@ -25,10 +25,11 @@ ROUGHNESS_EVERY = 4  # vertices
 
 @dataclass(frozen=True, eq=False)
 class SurfaceErrors:
-    """Absolute errors at ground vertices: slope (n,) degrees; roughness (m,), log m²."""
+    """Absolute errors at ground vertices: slope (n,) degrees; roughness (m,), log m²; the share that faces down."""
 
     slope_deg: Array
     roughness_log_m2: Array
+    upside_down: float
 
 
 def surface_errors(mesh: Mesh, poses: tuple[SE3, SE3], truth: SimulationTruth) -> SurfaceErrors:
@@ -49,7 +50,7 @@ def surface_errors(mesh: Mesh, poses: tuple[SE3, SE3], truth: SimulationTruth) -
     true_normals = area_normals(Mesh(true_vertices, mesh.triangles))
     slopes, true_slopes = (np.arccos(np.clip(n[is_ground, 2], -1.0, 1.0)) for n in (normals, true_normals))
     rough = _roughness_errors(vertices, true_vertices, is_ground)
-    return SurfaceErrors(np.rad2deg(np.abs(slopes - true_slopes)), rough)
+    return SurfaceErrors(np.rad2deg(np.abs(slopes - true_slopes)), rough, float((normals[is_ground, 2] < 0).mean()))
 
 
 def _roughness_errors(vertices: Array, true_vertices: Array, is_ground: NDArray[np.bool_]) -> Array:

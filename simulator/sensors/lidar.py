@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from simulator.options import SimulateOptions
 from simulator.ros_messages import HESAI_POINT
 from simulator.scenery.objects import Surface
-from simulator.scenery.scene import Rays, RayScene, put_walker
+from simulator.scenery.scene import Hits, Rays, RayScene, put_walker
 from simulator.sensors import rig
+from simulator.sensors.range_noise import RangeNoise, Returns, disturbed
 from stone.geometry.se3 import Array
 from stone.sensors.calibration import Box
 
@@ -33,6 +34,8 @@ class Lidar:
     ring: NDArray[np.uint16]
     intensity: NDArray[np.float32]  # by Surface
     noise_m: float
+    channels: int
+    range_noise: RangeNoise | None
 
     @property
     def steps(self) -> int:
@@ -55,6 +58,8 @@ def build_lidar(options: SimulateOptions) -> Lidar:
         ring,
         intensity,
         options.noise_ratio * rig.LIDAR_NOISE_M,
+        options.channels,
+        RangeNoise() if options.range_noise else None,
     )
 
 
@@ -70,8 +75,19 @@ def sweep_points(scene: RayScene, lidar: Lidar, stamp_ns: int, rng: np.random.Ge
     put_walker(hits, foot, (origins, directions), _towards(foot, origins, directions))
     surface = np.where(lidar.self_range_m < hits.range_m, np.uint8(Surface.ROBOT), hits.surface)
     range_m = np.minimum(lidar.self_range_m, hits.range_m)
+    if lidar.range_noise is not None:
+        returns = _returns(lidar, hits, directions, surface)
+        range_m = disturbed(returns, lidar.channels, lidar.range_noise, rng)
     range_m += lidar.noise_m * rng.standard_normal(len(range_m), np.float32)
     return _records(lidar, range_m, surface, packets_ns)
+
+
+def _returns(lidar: Lidar, hits: Hits, directions: Rays, surface: NDArray[np.uint8]) -> Returns:
+    """What the rays meet; the robot's own body is met head-on."""
+    range_m = np.minimum(lidar.self_range_m, hits.range_m)
+    cosine = np.abs(np.einsum("ni,ni->n", directions, hits.normal))
+    cosine[surface == Surface.ROBOT] = 1.0
+    return Returns(range_m, cosine, lidar.intensity[surface] / np.float32(100))
 
 
 def _records(

@@ -19,6 +19,10 @@ TruthOption = Annotated[
 ChannelsOption = Annotated[int, typer.Option(min=2, max=MAX_CHANNELS, help="Beams of the LiDAR.")]
 ColumnsOption = Annotated[int, typer.Option(min=12, max=MAX_COLUMNS, help="Firings in one LiDAR revolution.")]
 CamerasOption = Annotated[bool, typer.Option(help="Also draw the six cameras; they take most of the bytes.")]
+RangeNoiseOption = Annotated[
+    bool,
+    typer.Option("--range-noise", help="LiDAR ranges as real ones: dropouts at grazing angles, mixed pixels, rain."),
+]
 FaultOption = Annotated[
     list[str], typer.Option("--fault", metavar="NAME", help=f"What goes wrong; repeatable: {', '.join(FAULT_NAMES)}.")
 ]
@@ -32,6 +36,7 @@ def simulate(
     channels: ChannelsOption = DEFAULT.channels,
     columns: ColumnsOption = DEFAULT.columns,
     cameras: CamerasOption = DEFAULT.cameras,
+    range_noise: RangeNoiseOption = DEFAULT.range_noise,
     fault: FaultOption = [],  # noqa: B006
 ) -> None:
     """Write a ROS 2 bag of a full rig on synthetic off-road terrain, and with --truth what only the world knows."""
@@ -39,7 +44,13 @@ def simulate(
 
     faults = cast(tuple[FaultName, ...], tuple(fault))
     options = SimulateOptions(
-        seconds=seconds, seed=seed, channels=channels, columns=columns, cameras=cameras, faults=faults
+        seconds=seconds,
+        seed=seed,
+        channels=channels,
+        columns=columns,
+        cameras=cameras,
+        range_noise=range_noise,
+        faults=faults,
     )
     with reported() as progress:
         simulate_recording(out, options, truth, progress)

@@ -1,0 +1,127 @@
+"""Labels of real recordings against what is known of them: `python -m benchmarks.real [FOLDER]`.
+
+Labels every recording of the folder that has a description (docs/method/real-ground.md says what one holds) with both
+profiles and with one option at a time, and prints what can be told without a truth: ground that faces down, T under the
+track, N where the ground is known to be flat and on known walls, points whose class is known, and how far two passes
+differ. Without FOLDER it is the one that STONE_FIELD_DATA names, else the tests' usual one; where that is missing, this
+is said and nothing fails. A folder that was named and holds nothing fails. `--names` chooses recordings, `--options`
+and `--profiles` rows; two passes are tried of the rows of `--passes-of`, since each labels everything twice more.
+"""
+
+import argparse
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.real.description import Described, described_in, own_descriptions
+from benchmarks.real.errors import NothingDescribedError
+from benchmarks.real.labelled_map import Figures, disagreement, read_map
+from benchmarks.real.measures import WrittenLabels, measured
+from benchmarks.real.opening import part_of
+from benchmarks.real.semantic_agreement import agreement, semantic_counts
+from benchmarks.real.table import show
+from benchmarks.real.variants import OPTIONS, PROFILES, Option, options_of, rows_of_pass
+from services.labeler.local_run import LabelOptions, label
+from services.labeler.parameters import LabelParameters, Profile
+from services.labeler.report import LabelReport
+from stone.errors import StoneError
+from stone.sensors.sequence import Sequence, SweepSource
+from testing.field_data import VARIABLE, field_folder
+
+WORKERS = 2
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path, nargs="?", help="the folder of recordings")
+    parser.add_argument("--names", nargs="+", help="recordings, by the names of their descriptions")
+    parser.add_argument("--profiles", nargs="+", choices=PROFILES, default=PROFILES)
+    parser.add_argument("--options", nargs="+", help="rows, by their names in the table")
+    parser.add_argument("--passes-of", nargs="*", default=[OPTIONS[0].name], help="rows that are tried in two passes")
+    parser.add_argument("--out", type=Path, default=Path(tempfile.gettempdir()) / "stone-real", help="where labels go")
+    options = parser.parse_args()
+    try:
+        found = described_recordings(options.folder)
+    except StoneError as error:
+        sys.exit(f"{error.code}: {error}")
+    chosen = [one for one in found if options.names is None or one.description.name in options.names]
+    if found and not chosen:
+        sys.exit(f"none of these is described: {', '.join(options.names)}")
+    for described in chosen:
+        _show_recording(described, options)
+
+
+def described_recordings(folder: Path | None) -> list[Described]:
+    """Those of the folder; of the usual one where it is None, and none where that is not there, which is printed.
+
+    Raises `NothingDescribedError` for a folder that was named and holds none, and what `described_in` raises.
+    """
+    is_named = folder is not None or bool(os.environ.get(VARIABLE))
+    chosen = folder or field_folder()
+    found = described_in(chosen) if chosen.is_dir() else []
+    if not found and is_named:
+        raise NothingDescribedError(chosen, len(own_descriptions()))
+    if not found:
+        print(f"no real recordings on this machine: name a folder, or set {VARIABLE}")
+    return found
+
+
+def _show_recording(described: Described, options: argparse.Namespace) -> None:
+    rows: dict[tuple[str, str], Figures] = {}
+    for option in options_of(described):
+        if options.options is None or option.name in options.options:
+            for profile in (one for one in options.profiles if one in option.profiles):
+                rows[profile, option.name] = _row(described, (profile, option), options)
+    show(f"{described.description.name}: {described.description.about}", rows)
+
+
+def _row(described: Described, how: tuple[Profile, Option], options: argparse.Namespace) -> Figures:
+    """The figures of one label set; of what is refused, the code of the refusal."""
+    profile, option = how
+    folder: Path = options.out / described.description.name
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        sequence, sweeps = option.opened(described)
+        parameters = option.parameters(profile)
+        labels = folder / f"{profile} {option.name}".replace("/", " ")
+        figures = _figures(described, label(sequence, sweeps, labels, LabelOptions(parameters, WORKERS)), labels)
+        if option.name in options.passes_of:
+            figures |= _passes(described, (sequence, sweeps), parameters, folder)
+    except StoneError as error:
+        print(f"{described.description.name}, {profile}, {option.name}: {error.code}: {error}", file=sys.stderr)
+        return {"refused": error.code}
+    return figures
+
+
+def _figures(described: Described, report: LabelReport, folder: Path) -> Figures:
+    labels, semantics = WrittenLabels(described, report.sequence, folder), described.description.semantics
+    known = {} if semantics is None else agreement(semantic_counts(labels, semantics), semantics)
+    return {
+        **measured(labels),
+        **known,
+        "p_share": report.class_shares()["potentially_traversable"],
+        "reference": float(report.reference.voxels),
+        "sigma_deg": float(np.rad2deg(np.sqrt(report.reference.covariance[1, 1]))),
+    }
+
+
+def _passes(
+    described: Described, run: tuple[Sequence, SweepSource], parameters: LabelParameters, folder: Path
+) -> Figures:
+    """How far two passes differ, labelled alike: those frames are left out of each that the other has."""
+    figures: Figures = {}
+    for kind in described.description.passes if len(run[0].frames) > 1 else ():
+        maps = []
+        for number, rows in enumerate(rows_of_pass(kind, len(run[0].frames))):
+            labels = folder / f"{kind}-{number}"
+            label(*part_of(*run, rows), labels, LabelOptions(parameters, WORKERS))
+            maps.append(read_map(labels))
+        figures[f"{kind}_differs"], figures[f"{kind}_n"] = disagreement(*maps)
+    return figures
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,29 @@
+"""What this program refuses: a description that says nothing usable, a folder without any recording described."""
+
+from pathlib import Path
+
+from stone.errors import StoneError
+
+
+class DescriptionError(StoneError):
+    """A description of a recording that cannot be followed."""
+
+    code = "bad_description"
+
+    def __init__(self, path: Path, problem: str) -> None:
+        super().__init__(f"{path.name}: {problem}")
+
+
+class NothingDescribedError(StoneError):
+    """A folder that was named is not there, or holds no recording with a description."""
+
+    code = "nothing_described"
+
+    def __init__(self, folder: Path, known: int) -> None:
+        if not folder.is_dir():
+            super().__init__(f"{folder} is no folder that is there (is the path right?)")
+            return
+        super().__init__(
+            f"{folder} holds no file *.real.yaml, and none of the recordings of the {known} descriptions that come "
+            "with the project (is it the folder meant? docs/method/real-ground.md says what a description holds)"
+        )

@@ -1,0 +1,78 @@
+"""What is tried on every recording: both profiles, each with one option at a time."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.real.description import Described, Passes
+from benchmarks.real.opening import ThinnedSweeps, opened
+from services.ingest.pipeline import Ground, SynchroniseOptions
+from services.labeler.parameters import (
+    LabelParameters,
+    Profile,
+    RefinementParameters,
+    Solver,
+    chosen_parameters,
+)
+from stone.sensors.sequence import Sequence, SweepSource
+
+PROFILES: tuple[Profile, ...] = ("paper", "local")
+FOOTPRINT_ALONE = "footprint alone"
+
+
+@dataclass(frozen=True)
+class Option:
+    """One thing done otherwise. `choices` are parameters by dotted name, as `stone label` and the pages offer them."""
+
+    name: str
+    profiles: tuple[Profile, ...] = PROFILES
+    ground: Ground = "given"
+    odometry_topic: str | None = None
+    refinement: RefinementParameters | None = None
+    solver: Solver = "lattice"
+    choices: Mapping[str, float] = field(default_factory=dict)
+    ring_every: int = 1
+    track: str | None = None
+
+    def parameters(self, profile: Profile) -> LabelParameters:
+        """The profile's with what this option changes. Raises `ChoiceError`."""
+        given = chosen_parameters(profile, self.choices)
+        surface = replace(given.surface, solver=self.solver)
+        return replace(given, surface=surface, refinement=self.refinement)
+
+    def opened(self, described: Described) -> tuple[Sequence, SweepSource]:
+        """The sequence as this option reads it. Raises what `benchmarks.real.opening.opened` raises."""
+        reading = SynchroniseOptions(ground=self.ground, odometry_topic=self.odometry_topic)
+        sequence, sweeps = opened(described, reading, self.track)
+        if self.ring_every == 1:
+            return sequence, sweeps
+        return sequence, ThinnedSweeps(sweeps, self.ring_every, described.description.ring_spacing_deg)
+
+
+# A line here is a row for every recording; of a scan, a row for every way that its description states.
+OPTIONS = (
+    Option("as it is"),
+    Option("--ground auto", ground="auto"),
+    Option("--odometry-topic kiss-icp", odometry_topic="kiss-icp"),
+    Option("--refine-poses small_gicp", refinement=RefinementParameters()),
+    Option("--solver octree", solver="octree"),
+    Option("surface.min_frames=2", choices={"surface.min_frames": 2}),
+    Option("every 2nd ring", ring_every=2),
+    Option("every 4th ring", ring_every=4),
+)
+
+
+def options_of(described: Described) -> tuple[Option, ...]:
+    """Those that fit the recording, in order."""
+    said = described.description
+    if said.scan is None:
+        return OPTIONS
+    return (Option(FOOTPRINT_ALONE), *(Option(f"track: {name}", track=name) for name in said.tracks_m))
+
+
+def rows_of_pass(kind: Passes, frames: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The frames of two passes: those of even and of odd number, or the first half and the second."""
+    rows = np.arange(frames)
+    return (rows[::2], rows[1::2]) if kind == "parity" else (rows[: frames // 2], rows[frames // 2 :])
