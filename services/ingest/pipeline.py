@@ -119,7 +119,7 @@ def _synchronised(
     """All but the cameras' checks, which look at frames."""
     lidar_topic = options.lidar_topic or options.topics.get("lidar")
     sources = choose_sources(bag, lidar_topic, options.odometry_topic or options.topics.get("pose"))
-    recorded = read_recorded(bag, sources.scanned, sources.whole)
+    recorded = read_recorded(bag, sources)
     clocks = ClockOffsets(options.time_offsets_ns)
     late_ns = clocks.of_lidar(calibration, recorded.frame_id(sources.lidar.name))
     clock = lidar_clock(bag, recorded, sources.lidar.name, late_ns)
@@ -138,7 +138,7 @@ def _synchronised(
         calibration=calibration,
         pose_source=track.source,
         map_origin_deg_m=track.map_origin_deg_m,
-        findings=bag.findings + mounts + timed + track.findings + doubts + unmatched + usable_finding(posed),
+        findings=bag.findings + bag.damage_findings + mounts + timed + track.findings + doubts + unmatched + usable_finding(posed),
         track=posed.path,
         max_pose_gap_ns=options.max_pose_gap_ns,
     )

@@ -72,6 +72,15 @@ class NoUsablePoseError(StoneError):
         )
 
 
+class NoUsableSweepError(StoneError):
+    """Not one cloud of the LiDAR can be used."""
+
+    code = "SYN-509"
+
+    def __init__(self, topic: str, count: int, reason: str) -> None:
+        super().__init__(f"{topic}: none of its {count} sweeps can be used (the first: {reason}); look at the driver")
+
+
 class NoPosedFramesError(StoneError):
     """No LiDAR stamp has a pose."""
 

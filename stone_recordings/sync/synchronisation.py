@@ -51,16 +51,13 @@ def frames_with_pose(name: str, clock: LidarClock, track: PoseTrack, max_gap_ns:
     at_ends = [path.at(stamps_ns + offset_ns, max_gap_ns) for offset_ns in clock.span_ns]
     is_empty = clock.points == 0
     is_broken = (at_ends[0].segment != at_stamp.segment) | (at_ends[1].segment != at_stamp.segment)
-    is_decoded = np.ones(len(stamps_ns), np.bool_)
-    is_decoded[list(clock.problems)] = False
-    is_usable = is_decoded & at_stamp.is_ok & at_ends[0].is_ok & at_ends[1].is_ok & ~is_empty & ~is_broken
+    is_usable = at_stamp.is_ok & at_ends[0].is_ok & at_ends[1].is_ok & ~is_empty & ~is_broken
     rows = np.flatnonzero(is_usable)
-    excluded = tuple(
-        _undecoded(int(stamps_ns[row]), clock.problems[row])
-        if row in clock.problems
-        else _exclusion(int(stamps_ns[row]), bool(is_empty[row]), [_found_at(one, row) for one in (at_stamp, *at_ends)])
+    unposed = (
+        _exclusion(int(stamps_ns[row]), bool(is_empty[row]), [_found_at(one, row) for one in (at_stamp, *at_ends)])
         for row in np.flatnonzero(~is_usable).tolist()
     )
+    excluded = tuple(sorted((*clock.excluded, *unposed), key=lambda one: one.stamp_ns))
     if not len(rows):
         raise NoPosedFramesError(counted_reasons(excluded), _seconds(stamps_ns), _seconds(trajectory.stamps_ns))
     frames = Frames(
@@ -94,10 +91,6 @@ def _found_at(found: Interpolated, row: int) -> tuple[PoseStatus, int]:
 
 def _seconds(stamps_ns: NDArray[np.int64]) -> tuple[float, float]:
     return int(stamps_ns[0]) / 1e9, int(stamps_ns[-1]) / 1e9
-
-
-def _undecoded(stamp_ns: int, problem: str) -> ExcludedFrame:
-    return ExcludedFrame(stamp_ns, "malformed_sweep", problem)
 
 
 def _exclusion(stamp_ns: int, is_empty: bool, found: list[tuple[PoseStatus, int]]) -> ExcludedFrame:
