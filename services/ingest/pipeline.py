@@ -138,7 +138,7 @@ def _synchronised(
         calibration=calibration,
         pose_source=track.source,
         map_origin_deg_m=track.map_origin_deg_m,
-        findings=bag.findings + bag.damage_findings + mounts + timed + track.findings + doubts + unmatched + usable_finding(posed),
+        findings=bag.findings + bag.damage_findings + rig.findings + mounts + timed + track.findings + doubts + unmatched + usable_finding(posed),
         track=posed.path,
         max_pose_gap_ns=options.max_pose_gap_ns,
     )

@@ -49,14 +49,25 @@ def head_problem(head: memoryview, type_name: str, size_bytes: Callable[[], int]
     return MessageProblem(UNSTAMPED, "its stamp is 0") if stamp_ns == 0 else None
 
 
-def unreadable(messages: list[StampedMessage], read: Callable[[list[StampedMessage]], Read]) -> dict[int, str]:
-    """The messages that `read` cannot read, by their place, and why; {} where it reads them all, or none.
+def readable(
+    topic: str, messages: Iterable[StampedMessage], read: Callable[[list[StampedMessage]], Read]
+) -> tuple[list[StampedMessage], tuple[Finding, ...]]:
+    """The messages of a topic that `read` can read, and MSG-311 for the others; all where it can read none.
 
-    Where all cannot be read, `read` says so better. Halves are tried again, so that a few bad ones among many cost
+    Where none can be read, `read` says so better. Halves are tried again, so that a few bad ones among many cost
     little.
     """
-    found = _unreadable(messages, read, 0)
-    return found if len(found) < len(messages) else {}
+    listed = list(messages)
+    found = _unreadable(listed, read, 0)
+    if not found or len(found) == len(listed):
+        return listed, ()
+    first = min(found)
+    sentence = (
+        f"{len(found)} of {len(listed)} messages cannot be read and are left out (the first is number {first}: "
+        f"{found[first]})"
+    )
+    good = [message for at, message in enumerate(listed) if at not in found]
+    return good, (Finding("MSG-311", "warning", topic, sentence),)
 
 
 def left_out_finding(
