@@ -49,6 +49,7 @@ def lidar_clock(bag: Bag, recorded: RecordedTopics, topic: str, offset_ns: int =
         raise NoUsableSweepError(topic, len(stamps_ns), next((one.reason for one in problems.values()), ""))
     ordered = in_order(topic, stamps_ns, usable)
     points = np.array([recorded.cloud_size(topic, index) for index in ordered.index.tolist()], np.int64)
+    _check_returns(bag, topic, ordered.index[points > 0])
     span_ns = _span_ns(bag, topic, ordered.index[points > 0])
     findings = ordered.findings if span_ns is not None else (*ordered.findings, _no_time(topic))
     excluded = tuple(ExcludedFrame(int(stamps_ns[at]), why.code, why.reason) for at, why in sorted(problems.items()))
@@ -103,6 +104,13 @@ def _span_ns(bag: Bag, topic: str, rows: NDArray[np.int64]) -> tuple[int, int] |
     if not offsets:
         return None
     return min(int(offset_ns.min()) for offset_ns in offsets), max(int(offset_ns.max()) for offset_ns in offsets)
+
+
+def _check_returns(bag: Bag, topic: str, rows: NDArray[np.int64]) -> None:
+    """Raises NoUsableSweepError where no cloud holds a return; the first that does ends the search."""
+    clouds = (lidar_points(decode_cloud(bag.message(topic, row).payload), with_ring=False) for row in rows.tolist())
+    if len(rows) and not any(len(cloud.points_lidar) for cloud in clouds):
+        raise NoUsableSweepError(topic, len(rows), "it has points, and not one that is a return")
 
 
 def _no_time(topic: str) -> Finding:

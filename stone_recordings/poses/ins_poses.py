@@ -47,13 +47,14 @@ def track_from_ins(
     samples = decode_inspva(readable_ones)
     source = f"{topic} (novatel_oem7_msgs/msg/{'INSPVA' if samples.pos_type is None else 'INSPVAX'})"
     rows = _usable(samples, source)
+    usable = len(rows)
     ordered = in_order(topic, samples.gps_stamps_ns[rows])
     rows = rows[ordered.index]
     map_from_ins, origin = enu_poses(samples, rows)
     ins_from_ego = (calibration.ego_from_lidar @ mount.lidar_from_sensor).inverse()
     trajectory = Trajectory(ordered.stamps_ns + mount.time_offset_ns, map_from_ins @ ins_from_ego)
     solution = solution_quality(samples, rows, fixes)
-    findings = unread + ordered.findings + _clock(samples, rows, topic) + _left_out(samples, len(rows), topic)
+    findings = unread + ordered.findings + _clock(samples, rows, topic) + _left_out(samples, usable, topic)
     if not solution.rtk.any():
         findings += (Finding("GNS-301", "warning", topic, "nothing tells whether RTK was fixed (no BESTPOS)"),)
     return PoseTrack(trajectory, source, topic, findings, origin, solution, is_smooth=True)
