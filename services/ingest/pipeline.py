@@ -118,6 +118,14 @@ def _synchronised(
     bag: Bag, calibration: Calibration, options: SynchroniseOptions, name: str
 ) -> tuple[Sequence, BagSweeps]:
     """All but the cameras' checks, which look at frames."""
+    sequence, sweeps = unjoined_sequence(bag, calibration, options, name)
+    return joined(sequence, SweepsOfOpenBag(sweeps, bag)), sweeps
+
+
+def unjoined_sequence(
+    bag: Bag, calibration: Calibration, options: SynchroniseOptions, name: str
+) -> tuple[Sequence, BagSweeps]:
+    """What the messages alone tell: each part of a broken track has a map of its own. Raises as `synchronise_in`."""
     lidar_topic = options.lidar_topic or options.topics.get("lidar")
     sources = choose_sources(bag, lidar_topic, options.odometry_topic or options.topics.get("pose"))
     recorded = read_recorded(bag, sources)
@@ -149,5 +157,4 @@ def _synchronised(
         max_pose_gap_ns=options.max_pose_gap_ns,
     )
     motion = SweepMount(posed.path, calibration.ego_from_lidar, options.max_pose_gap_ns)
-    sweeps = BagSweeps(bag.path, clock.topic, posed.message_index, frames.stamps_ns, motion)
-    return joined(sequence, SweepsOfOpenBag(sweeps, bag)), sweeps
+    return sequence, BagSweeps(bag.path, clock.topic, posed.message_index, frames.stamps_ns, motion)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from services.ingest.outlook import outlook, with_new
 from services.ingest.pipeline import SynchroniseOptions, synchronise
 from services.labeler.local_run import LabelOptions, label
 from services.labeler.report import LabelReport
@@ -23,7 +24,8 @@ from stone.labels.grid import GRID_MIN_M
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.calibration import Calibration
 from stone.sensors.sequence import Sequence
-from stone_recordings.report.inspection import inspect
+from stone_recordings.bags.bag import open_bag
+from stone_recordings.report.inspection import inspect_in
 from testing.worlds.faults.drive import Drive, faulty
 from testing.worlds.faults.fault import Fault
 
@@ -99,7 +101,9 @@ def outcome(drive: Drive, fault: Fault, folder: Path, clean: Mapping[int, NDArra
 
 def inspected(bag: Path, rig: Calibration) -> tuple[Finding, ...]:
     """What is said before anything is labelled."""
-    return inspect(bag).findings
+    with open_bag(bag) as opened:
+        known = inspect_in(opened).findings
+        return with_new(known, outlook(opened, rig, SynchroniseOptions()))
 
 
 def codes(findings: tuple[Finding, ...]) -> tuple[str, ...]:
