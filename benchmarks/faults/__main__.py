@@ -62,7 +62,9 @@ def _outcomes(drives: list[Drive], options: argparse.Namespace) -> Outcomes:
     runs = [(drive, fault) for drive in drives for fault in FAULTS if drive.has(fault) and options.only in fault.name]
     found: dict[tuple[str, str], dict[str, Any]] = {}
     with ProcessPoolExecutor(options.processes, mp_context=get_context("spawn")) as pool:
-        asked = {pool.submit(outcome_of, drive, fault.name, clean[drive.name].grids): (drive, fault) for drive, fault in runs}
+        asked = {
+            pool.submit(outcome_of, drive, fault.name, clean[drive.name].grids): (drive, fault) for drive, fault in runs
+        }
         for done, future in enumerate(as_completed(asked), 1):
             drive, fault = asked[future]
             found[drive.name, fault.name] = future.result()

@@ -19,7 +19,7 @@ def outcome_of(drive: Drive, name: str, clean: Mapping[int, NDArray[np.uint8]]) 
     with tempfile.TemporaryDirectory(prefix="stone-fault-") as folder:
         try:
             return outcome(drive, fault, Path(folder), clean).as_record()
-        except Exception as error:  # noqa: BLE001
+        except Exception as error:
             return {"named": (), "refusal": f"CRASH {type(error).__name__}", "sentence": str(error)[:300]}
 
 

@@ -20,9 +20,7 @@ from stone_recordings.report.inspection import Inspection, inspect_in
 from stone_recordings.topics.profiles import TopicProfile
 
 NAME = "outlook"
-STAND_IN = Calibration(
-    name="none", ego_from_lidar=SE3.identity(), mounts=(Mount("INS", "ins", SE3.identity()),)
-)
+STAND_IN = Calibration(name="none", ego_from_lidar=SE3.identity(), mounts=(Mount("INS", "ins", SE3.identity()),))
 OF_MOUNTS = "CAL-"
 
 

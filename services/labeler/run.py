@@ -84,10 +84,15 @@ class LabelRun:
 
 
 def require_ground(run: LabelRun) -> None:
-    """Raises `FootprintOffGroundError` where the footprint floats above the ground, or sinks into it."""
-    ground, band_m = run.sequence.ground, run.parameters.footprint_band_m
-    if ground is not None and abs(ground.height_m) > band_m:
-        raise FootprintOffGroundError(ground.height_m, band_m)
+    """Raises `FootprintOffGroundError` where the footprint floats above the ground, or sinks into it, or its halves do
+    one each."""
+    ground, band_m, footprint = run.sequence.ground, run.parameters.footprint_band_m, run.sequence.calibration.footprint
+    if ground is None:
+        return
+    # From the middle of the footprint to the middle of its half.
+    lean_m = max(abs(ground.slope_x) * footprint.length_m, abs(ground.slope_y) * footprint.width_m) / 4
+    if max(abs(ground.height_m), lean_m) > band_m:
+        raise FootprintOffGroundError(ground.height_m, ground.tilt_rad, band_m)
 
 
 def parts_of(run: LabelRun) -> list[Part]:

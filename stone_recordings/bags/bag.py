@@ -80,7 +80,9 @@ class Bag:
     def damage_findings(self) -> tuple[Finding, ...]:
         """BAG-016 for each topic with damaged messages."""
         return tuple(
-            Finding("BAG-016", "warning", topic, _damage(reasons, next(t.count for t in self.topics if t.name == topic)))
+            Finding(
+                "BAG-016", "warning", topic, _damage(reasons, next(t.count for t in self.topics if t.name == topic))
+            )
             for topic, reasons in sorted(self.damaged.items())
         )
 

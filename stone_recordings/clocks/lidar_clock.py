@@ -4,7 +4,7 @@
 driver may stamp the start, the middle or the end of a revolution.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -44,7 +44,11 @@ class LidarClock:
 def lidar_clock(bag: Bag, recorded: RecordedTopics, topic: str, offset_ns: int = 0) -> LidarClock:
     """The clock with `offset_ns` added to every stamp. Raises NoUsableSweepError."""
     recorded = with_sweep_problems(recorded, topic)
-    stamps_ns, usable, problems = recorded.stamps_ns(topic) + offset_ns, recorded.usable(topic), recorded.problems[topic]
+    stamps_ns, usable, problems = (
+        recorded.stamps_ns(topic) + offset_ns,
+        recorded.usable(topic),
+        recorded.problems[topic],
+    )
     if not len(usable):
         raise NoUsableSweepError(topic, len(stamps_ns), next((one.reason for one in problems.values()), ""))
     ordered = in_order(topic, stamps_ns, usable)

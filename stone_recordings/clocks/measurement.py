@@ -24,7 +24,7 @@ from stone_recordings.clocks.report import ClockReport, StampSource, TopicClock
 from stone_recordings.clocks.sensor_times import OWN_TIME_BYTES, OwnTimes, has_own_time, own_times
 from stone_recordings.messages.batch import refused_finding
 from stone_recordings.messages.odometry import TYPE as ODOMETRY
-from stone_recordings.messages.odometry import decode_odometry
+from stone_recordings.messages.odometry import decode_odometry, other_frames_finding
 from stone_recordings.messages.problems import readable
 from stone_recordings.report.checks import Inspected
 from stone_recordings.report.scan import Scan
@@ -85,7 +85,8 @@ def _pose_findings(topic: Topic, scan: Scan) -> list[Finding]:
         samples = decode_odometry(messages)
     except StoneError as error:
         return [Finding(error.code, "error", topic.name, str(error))]
-    return [*unread, *refused_finding(topic.name, samples.refused_ns, samples.reason)]
+    strays = other_frames_finding(topic.name, samples)
+    return [*unread, *strays, *refused_finding(topic.name, samples.refused_ns, samples.reason)]
 
 
 def _clock(bag: Bag, inspected: Inspected, own: OwnTimes | None) -> TopicClock:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from stone.findings import Finding
 from stone_recordings.bags.errors import ByteOrderError, MessageLayoutError, PoseValueError
 from stone_recordings.messages.batch import StampedMessage
+from stone_recordings.messages.camera import picture_problem
 from stone_recordings.messages.pointcloud2 import TYPE as POINT_CLOUD
 from stone_recordings.messages.pointcloud2 import layout_problem
 from stone_recordings.messages.types.cdr import Cursor
@@ -42,10 +43,13 @@ def head_problem(head: memoryview, type_name: str, size_bytes: Callable[[], int]
         cursor = Cursor(head, type_name)
         stamp_ns = cursor.stamp_ns()
         cursor.text()
+        picture = picture_problem(head, type_name, size_bytes)
     except (MessageLayoutError, ByteOrderError) as error:
         return MessageProblem(MALFORMED, str(error))
     if type_name == POINT_CLOUD and (problem := layout_problem(head, size_bytes)):
         return MessageProblem(MALFORMED, problem)
+    if picture:
+        return MessageProblem(MALFORMED, picture)
     return MessageProblem(UNSTAMPED, "its stamp is 0") if stamp_ns == 0 else None
 
 

@@ -84,7 +84,7 @@ def _recorded_track(recorded: RecordedTopics, sources: Sources, rig: RigMounts) 
     topic, messages = sources.pose.name, recorded.messages[sources.pose.name]
     if sources.pose_role == "ins":
         fixes, unread = _fixes(recorded, sources.fixes)
-        track = track_from_ins(messages, topic, rig.calibration, fixes)
-        return replace(track, findings=track.findings + unread)
+        of_ins = track_from_ins(messages, topic, rig.calibration, fixes)
+        return replace(of_ins, findings=of_ins.findings + unread)
     track = track_from_odometry if sources.pose_role == "odometry" else track_from_tf
     return track(messages, topic, rig)

@@ -42,7 +42,9 @@ def without_strays(track: PoseTrack) -> PoseTrack:
     is_kept[alone] = False
     rest = _rows(track, is_kept)
     still = np.flatnonzero(is_kept)[_jumps(rest).steps]
-    is_kept[[one for one in alone.tolist() if is_kept[:one].any() and np.flatnonzero(is_kept[:one])[-1] in still]] = True
+    is_kept[[one for one in alone.tolist() if is_kept[:one].any() and np.flatnonzero(is_kept[:one])[-1] in still]] = (
+        True
+    )
     if is_kept.all():
         return track
     excess_m = jumps.excess_m[np.isin(jumps.steps, np.flatnonzero(~is_kept) - 1)]

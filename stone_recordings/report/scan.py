@@ -62,7 +62,9 @@ def scan_of(bag: Bag, kept_bytes: Callable[[Topic], int]) -> Scan:
             continue
         if name in kept and index in windows[name]:
             kept[name][index] = bytes(payload[: copied[name]])
-    refused = {name: next(iter(own.values())) for name, own in errors.items() if own and len(own) == stamped[name].count}
+    refused = {
+        name: next(iter(own.values())) for name, own in errors.items() if own and len(own) == stamped[name].count
+    }
     problems = {name: _problems(errors[name], damaged.get(name, {})) for name in stamped if name not in refused}
     for name, own in problems.items():
         stamps_ns[name] = _filled(stamps_ns[name], bag.log_times_ns(name), list(own))

@@ -5,6 +5,7 @@ copied: a view would keep its whole chunk alive. Stamps are those of the message
 """
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from stone.findings import Finding
 from stone_recordings.bags.bag import Bag, Topic
+from stone_recordings.bags.errors import ByteOrderError, MessageLayoutError
 from stone_recordings.messages.pointcloud2 import xyz_problem
 from stone_recordings.messages.problems import (
     DAMAGED,
@@ -55,11 +57,11 @@ class RecordedTopics:
 
     def stamps_ns(self, topic: str) -> NDArray[np.int64]:
         """Header stamps (N,) of a scanned topic in log-time order; the log time where a message has none."""
-        type_name, problems = self.topics[topic].type, self.problems.get(topic, NO_PROBLEMS)
+        type_name = self.topics[topic].type
         stamps_ns = self.log_times_ns[topic].copy()
         for index, head in enumerate(self.heads[topic]):
-            if index not in problems:
-                stamps_ns[index] = Cursor(memoryview(head), type_name).stamp_ns()
+            with suppress(MessageLayoutError, ByteOrderError):
+                stamps_ns[index] = Cursor(memoryview(head), type_name).stamp_ns() or stamps_ns[index]
         return stamps_ns
 
     def usable(self, topic: str) -> NDArray[np.int64]:
@@ -113,9 +115,7 @@ def read_recorded(bag: Bag, sources: Sources) -> RecordedTopics:
     heads = {name: [b""] * topics[name].count for name in scanned}
     payloads: dict[str, dict[int, bytes]] = {name: {} for name in whole}
     damaged = {name: bag.damaged.get(name, {}) for name in scanned}
-    problems = {
-        name: {index: MessageProblem(DAMAGED, why) for index, why in damaged[name].items()} for name in scanned
-    }
+    problems = {name: {index: MessageProblem(DAMAGED, why) for index, why in damaged[name].items()} for name in scanned}
     for name, index, payload in bag.heads((*scanned, *whole), whole=whole):
         if name in payloads:
             payloads[name][index] = bytes(payload)
@@ -126,9 +126,7 @@ def read_recorded(bag: Bag, sources: Sources) -> RecordedTopics:
             problem = MessageProblem(MALFORMED, missing)
         if problem is not None:
             problems[name][index] = problem
-    messages = {
-        name: [OwnMessage(memoryview(own[index])) for index in sorted(own)] for name, own in payloads.items()
-    }
+    messages = {name: [OwnMessage(memoryview(own[index])) for index in sorted(own)] for name, own in payloads.items()}
     return RecordedTopics(topics, heads, messages, problems, {name: bag.log_times_ns(name) for name in scanned})
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from stone_recordings.bags.bag import Bag, Topic
-from stone_recordings.bags.errors import IngestError
+from stone_recordings.bags.errors import CloudLayoutError, IngestError
 from stone_recordings.messages.pointcloud2 import Cloud, decode_cloud
 
 TRIES = 8
@@ -12,22 +12,21 @@ TRIES = 8
 def sample_cloud(bag: Bag, topic: Topic) -> Cloud:
     """The first of a few clouds, from the middle on, that can be decoded and has points; else one without.
 
-    Raises what decoding the first of them raises, where none can be; the topic has messages.
+    Raises what decoding the first of them raises, where none can be.
     """
     empty: Cloud | None = None
-    refusal: IngestError | None = None
-    for index in _places(topic.count):
+    refusal: IngestError = CloudLayoutError("the topic has no message")
+    for number, index in enumerate(_places(topic.count)):
         try:
             cloud = decode_cloud(bag.message(topic.name, index).payload)
         except IngestError as error:
-            refusal = refusal or error
+            refusal = refusal if number else error
             continue
         if len(cloud.points):
             return cloud
         empty = empty or cloud
-    if empty is None and refusal is not None:
+    if empty is None:
         raise refusal
-    assert empty is not None
     return empty
 
 

@@ -1,7 +1,8 @@
 """A recording written anew with some of its messages altered: faults made of a real drive.
 
-**Conventions.** A change gets the topic, the log time and the bytes of a message, and gives the bytes to write, a list of
-them where it is to be several messages, or None where it is to be missing. An odometry's pose lies at x, y, z, then x, y, z, w of the quaternion, float64.
+**Conventions.** A change gets the topic, the log time and the bytes of a message, and gives the bytes to write, a list
+of them where it is to be several messages, or None where it is to be missing. An odometry's pose lies at x, y, z, then
+x, y, z, w of the quaternion, float64.
 """
 
 from collections.abc import Callable

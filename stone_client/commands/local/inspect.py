@@ -12,7 +12,6 @@ from stone_client.streams import JsonOption, echo_findings, echo_json
 from stone_client.tables import clock_table, inspection_table, show
 from stone_client.topic_choices import SaveTopicsOption, TopicOption, TopicsOption, chosen_topics
 
-
 RigOption = Annotated[
     Path | None,
     typer.Option(

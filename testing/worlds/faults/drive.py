@@ -75,13 +75,13 @@ def kitti_drive(field_data: Path, folder: Path) -> Drive:
     if not bag.exists():
         with open_bag(field_data / KITTI) as whole:
             end_ns = whole.start_ns + round(SECONDS * 1e9)
-        altered(field_data / KITTI, bag, lambda _topic, log_ns, data: data if log_ns < end_ns else None)
+        altered(field_data / KITTI, bag, lambda _topic, log_ns, data: bytes(data) if log_ns < end_ns else None)
     return _drive("kitti", bag, EXAMPLE)
 
 
 def _drive(name: str, bag: Path, calibration: Path) -> Drive:
     found = inspect(bag).topics
-    roles = {one.role: one.topic.name for one in reversed(found)}
+    roles: dict[str, str] = {one.role: one.topic.name for one in reversed(found)}
     pose = roles.get("ins") or roles["odometry"]
     return Drive(name, bag, calibration, {one.topic.name: one.topic.type for one in found}, {**roles, "pose": pose})
 

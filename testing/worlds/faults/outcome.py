@@ -73,7 +73,10 @@ def sound(drive: Drive, folder: Path) -> LabelledDrive:
 
 
 def outcome(drive: Drive, fault: Fault, folder: Path, clean: Mapping[int, NDArray[np.uint8]]) -> FaultOutcome:
-    """`clean` are the grids of the sound run, by stamp. Raises whatever is no refusal: a crash without a code is no outcome."""
+    """`clean` are the grids of the sound run, by stamp.
+
+    Raises whatever is no refusal: a crash without a code is no outcome.
+    """
     bag, rig = faulty(drive, fault, folder / "run.mcap"), drive.rig(fault)
     try:
         named = codes(inspected(bag, rig))
@@ -122,7 +125,7 @@ def driven_off_track_m(sequence: Sequence, grids: Mapping[int, NDArray[np.uint8]
     rows = {stamp_ns: row for row, stamp_ns in enumerate(sequence.frames.stamps_ns.tolist())}
     found = [np.zeros(0)]
     for stamp_ns, grid in grids.items():
-        ego_m = np.argwhere(grid == 1) * VOXEL_M + GRID_MIN_M + VOXEL_M / 2
+        ego_m = (np.argwhere(grid == 1) * VOXEL_M + GRID_MIN_M + VOXEL_M / 2).astype(np.float64)
         driven_m = sequence.frames.map_from_ego[rows[stamp_ns]] @ ego_m
         found.append(np.linalg.norm(driven_m[:, None] - poses_m, axis=2).min(axis=1))
     return np.concatenate(found)
