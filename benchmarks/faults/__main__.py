@@ -21,7 +21,7 @@ from rich.console import Console
 from benchmarks.faults.rows import outcome_of, row_of_sound
 from benchmarks.faults.table import Outcomes, goes_through, shown
 from testing.worlds.faults.catalogue import FAULTS
-from testing.worlds.faults.drive import Drive, kitti_drive, simulated_drive
+from testing.worlds.faults.drive import SoundDrive, kitti_drive, simulated_drive
 from testing.worlds.faults.outcome import sound
 
 FIELD_DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
@@ -47,7 +47,7 @@ def _options() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def _drives(folder: Path) -> list[Drive]:
+def _drives(folder: Path) -> list[SoundDrive]:
     field_data = Path(os.environ.get("STONE_FIELD_DATA", FIELD_DATA))
     drives = [simulated_drive(folder)]
     if field_data.is_dir():
@@ -56,7 +56,7 @@ def _drives(folder: Path) -> list[Drive]:
     return drives
 
 
-def _outcomes(drives: list[Drive], options: argparse.Namespace) -> Outcomes:
+def _outcomes(drives: list[SoundDrive], options: argparse.Namespace) -> Outcomes:
     """By drive and fault."""
     clean = {drive.name: sound(drive, options.folder / f"sound-{drive.name}") for drive in drives}
     runs = [(drive, fault) for drive in drives for fault in FAULTS if drive.has(fault) and options.only in fault.name]

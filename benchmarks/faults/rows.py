@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testing.worlds.faults.catalogue import FAULTS
-from testing.worlds.faults.drive import Drive
+from testing.worlds.faults.drive import SoundDrive
 from testing.worlds.faults.outcome import LabelledDrive, codes, inspected, outcome
 
 
-def outcome_of(drive: Drive, name: str, clean: Mapping[int, NDArray[np.uint8]]) -> dict[str, Any]:
+def outcome_of(drive: SoundDrive, name: str, clean: Mapping[int, NDArray[np.uint8]]) -> dict[str, Any]:
     """In a process of its own; what has no code is what is looked for, so it is a row and not the end."""
     fault = next(fault for fault in FAULTS if fault.name == name)
     with tempfile.TemporaryDirectory(prefix="stone-fault-") as folder:
@@ -23,7 +23,7 @@ def outcome_of(drive: Drive, name: str, clean: Mapping[int, NDArray[np.uint8]]) 
             return {"named": (), "refusal": f"CRASH {type(error).__name__}", "sentence": str(error)[:300]}
 
 
-def row_of_sound(drive: Drive, clean: LabelledDrive) -> dict[str, Any]:
+def row_of_sound(drive: SoundDrive, clean: LabelledDrive) -> dict[str, Any]:
     shares = clean.report.class_shares()
     return {
         "named": codes(inspected(drive.bag, drive.rig())),

@@ -105,7 +105,7 @@ def _unreadable(
     return _unreadable(messages[:half], read, begin) | _unreadable(messages[half:], read, begin + half)
 
 
-def most_common(words: Iterable[str]) -> str:
-    """Of several as common the first; "" of none."""
+def majority(words: Iterable[str]) -> str:
+    """The word that is said most often, of several the first; "" of none."""
     listed = list(words)
     return max(dict.fromkeys(listed), key=listed.count, default="")

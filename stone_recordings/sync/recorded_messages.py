@@ -22,7 +22,7 @@ from stone_recordings.messages.problems import (
     MessageProblem,
     head_problem,
     left_out_finding,
-    most_common,
+    majority,
 )
 from stone_recordings.messages.types.cdr import HEAD_BYTES, Cursor
 from stone_recordings.topics.roles import POINT_CLOUD
@@ -82,7 +82,7 @@ class RecordedTopics:
     def frame_id(self, topic: str) -> str:
         """The `frame_id` of most of a topic's clouds, of another topic's first message; "" without."""
         if self.topics[topic].type == POINT_CLOUD:
-            return most_common(self.frame_ids(topic))
+            return majority(self.frame_ids(topic))
         usable = self.usable(topic)
         if not len(usable):
             return ""

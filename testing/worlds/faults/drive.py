@@ -19,7 +19,7 @@ from stone_recordings.calibrations.file import read_calibration
 from stone_recordings.report.inspection import inspect
 from testing.worlds.altered import altered
 from testing.worlds.faults.edits import STORE, serialised
-from testing.worlds.faults.fault import Fault, listed
+from testing.worlds.faults.fault import RecordingFault, listed
 
 KITTI = Path("kitti0005_ros2_mcap") / "kitti0005_lidar_odom.mcap"
 EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "kitti0005.calibration.yaml"
@@ -39,7 +39,7 @@ SIMULATED = SimulateOptions(
 
 
 @dataclass(frozen=True)
-class Drive:
+class SoundDrive:
     """One recording, its calibration, and which topics it has: type by name, name by role."""
 
     name: str
@@ -48,20 +48,20 @@ class Drive:
     types: Mapping[str, str]
     topics: Mapping[str, str]
 
-    def has(self, fault: Fault) -> bool:
+    def has(self, fault: RecordingFault) -> bool:
         """Whether the fault can be made of it."""
         topic = self.topics.get(fault.role)
         if fault.role and topic is None:
             return False
         return not fault.needs_type or (topic is not None and self.types[topic] == fault.needs_type)
 
-    def rig(self, fault: Fault | None = None) -> Calibration:
+    def rig(self, fault: RecordingFault | None = None) -> Calibration:
         """Its calibration, as it is read wrongly by the fault."""
         rig = read_calibration(self.calibration)[0]
         return rig if fault is None or fault.misreading is None else fault.misreading(rig)
 
 
-def simulated_drive(folder: Path) -> Drive:
+def simulated_drive(folder: Path) -> SoundDrive:
     """A few seconds of the paper's rig, from an earlier call where there is one."""
     bag = folder / "simulated.mcap"
     if not bag.exists():
@@ -69,7 +69,7 @@ def simulated_drive(folder: Path) -> Drive:
     return _drive("simulated", bag, calibration_path(bag))
 
 
-def kitti_drive(field_data: Path, folder: Path) -> Drive:
+def kitti_drive(field_data: Path, folder: Path) -> SoundDrive:
     """The first seconds of a car's drive with its odometry."""
     bag = folder / "kitti.mcap"
     if not bag.exists():
@@ -79,14 +79,16 @@ def kitti_drive(field_data: Path, folder: Path) -> Drive:
     return _drive("kitti", bag, EXAMPLE)
 
 
-def _drive(name: str, bag: Path, calibration: Path) -> Drive:
+def _drive(name: str, bag: Path, calibration: Path) -> SoundDrive:
     found = inspect(bag).topics
     roles: dict[str, str] = {one.role: one.topic.name for one in reversed(found)}
     pose = roles.get("ins") or roles["odometry"]
-    return Drive(name, bag, calibration, {one.topic.name: one.topic.type for one in found}, {**roles, "pose": pose})
+    return SoundDrive(
+        name, bag, calibration, {one.topic.name: one.topic.type for one in found}, {**roles, "pose": pose}
+    )
 
 
-def faulty(drive: Drive, fault: Fault, target: Path) -> Path:
+def faulty(drive: SoundDrive, fault: RecordingFault, target: Path) -> Path:
     """The drive's recording with the fault in it; the drive's own where the fault is in the calibration."""
     if fault.edit is None and fault.damage is None:
         return drive.bag
@@ -101,7 +103,7 @@ def faulty(drive: Drive, fault: Fault, target: Path) -> Path:
 class _Alteration:
     """Counts the messages of the topic that the fault is of, and edits those that it picks."""
 
-    def __init__(self, drive: Drive, fault: Fault) -> None:
+    def __init__(self, drive: SoundDrive, fault: RecordingFault) -> None:
         self._fault, self._topic, self._seen = fault, drive.topics.get(fault.role), Counter[str]()
         self._type = drive.types.get(self._topic or "", "")
         with open_bag(drive.bag) as bag:

@@ -58,7 +58,7 @@ def all_but_one(index: int, count: int) -> bool:
 
 
 @dataclass(frozen=True)
-class Fault:
+class RecordingFault:
     """`edit` of the messages of `role` that `pick` takes; `misreading` of the calibration; `damage` to the file.
 
     `needs_type` is a type that the topic must have for the fault to exist. `is_compressed`: written in zstd chunks.

@@ -26,8 +26,8 @@ from stone.sensors.calibration import Calibration
 from stone.sensors.sequence import Sequence
 from stone_recordings.bags.bag import open_bag
 from stone_recordings.report.inspection import inspect_in
-from testing.worlds.faults.drive import Drive, faulty
-from testing.worlds.faults.fault import Fault
+from testing.worlds.faults.drive import SoundDrive, faulty
+from testing.worlds.faults.fault import RecordingFault
 
 NAME = "run"
 SLACK_M = 0.35 + 0.25  # a voxel's diagonal, half a step of the track
@@ -67,12 +67,14 @@ class FaultOutcome:
         return {**vars(self), "excluded": dict(self.excluded)}
 
 
-def sound(drive: Drive, folder: Path) -> LabelledDrive:
+def sound(drive: SoundDrive, folder: Path) -> LabelledDrive:
     """The drive's labels without a fault."""
     return _labelled(drive.bag, drive.rig(), folder)
 
 
-def outcome(drive: Drive, fault: Fault, folder: Path, clean: Mapping[int, NDArray[np.uint8]]) -> FaultOutcome:
+def outcome(
+    drive: SoundDrive, fault: RecordingFault, folder: Path, clean: Mapping[int, NDArray[np.uint8]]
+) -> FaultOutcome:
     """`clean` are the grids of the sound run, by stamp.
 
     Raises whatever is no refusal: a crash without a code is no outcome.

@@ -10,8 +10,8 @@ from stone.errors import StoneError
 from stone.findings import Finding
 from stone_recordings.bags.bag import open_bag
 from testing.worlds.faults.catalogue import FAULTS
-from testing.worlds.faults.drive import Drive, faulty, kitti_drive, simulated_drive
-from testing.worlds.faults.fault import Fault
+from testing.worlds.faults.drive import SoundDrive, faulty, kitti_drive, simulated_drive
+from testing.worlds.faults.fault import RecordingFault
 
 BY_NAME = {fault.name: fault for fault in FAULTS}
 EVERY_DAY = (
@@ -31,16 +31,16 @@ OF_SWEEPS = {"SYN-507", "SYN-508", "TIM-205", "MSG-306"}
 
 
 @pytest.fixture(scope="module")
-def simulated(tmp_path_factory: pytest.TempPathFactory) -> Drive:
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> SoundDrive:
     return simulated_drive(tmp_path_factory.mktemp("simulated"))
 
 
 @pytest.fixture(scope="module")
-def kitti(field_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Drive:
+def kitti(field_data: Path, tmp_path_factory: pytest.TempPathFactory) -> SoundDrive:
     return kitti_drive(field_data, tmp_path_factory.mktemp("kitti"))
 
 
-def refused_or_found(bag: Path, drive: Drive, fault: Fault) -> tuple[set[str], int]:
+def refused_or_found(bag: Path, drive: SoundDrive, fault: RecordingFault) -> tuple[set[str], int]:
     """The codes that synchronisation gives, the refusal's alone where it refuses; and how many sweeps are left out."""
     try:
         sequence, _ = synchronise(bag, drive.rig(fault), SynchroniseOptions(), "run")
@@ -49,7 +49,7 @@ def refused_or_found(bag: Path, drive: Drive, fault: Fault) -> tuple[set[str], i
     return {finding.code for finding in sequence.findings}, len(sequence.excluded)
 
 
-def check(drive: Drive, fault: Fault, folder: Path) -> None:
+def check(drive: SoundDrive, fault: RecordingFault, folder: Path) -> None:
     bag = faulty(drive, fault, folder / "run.mcap")
     found, excluded = refused_or_found(bag, drive, fault)
     try:
@@ -62,7 +62,7 @@ def check(drive: Drive, fault: Fault, folder: Path) -> None:
 
 
 @pytest.mark.parametrize("name", EVERY_DAY)
-def test_a_plain_inspection_names_what_labelling_will_do(simulated: Drive, tmp_path: Path, name: str) -> None:
+def test_a_plain_inspection_names_what_labelling_will_do(simulated: SoundDrive, tmp_path: Path, name: str) -> None:
     check(simulated, BY_NAME[name], tmp_path)
 
 
@@ -70,14 +70,14 @@ def test_a_plain_inspection_names_what_labelling_will_do(simulated: Drive, tmp_p
 @pytest.mark.parametrize("which", ["simulated", "kitti"])
 def test_whatever_is_refused_or_left_out_was_named(which: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
     """Catches alone a fault of one kind of message that inspection and labelling see differently."""
-    drive: Drive = request.getfixturevalue(which)
+    drive: SoundDrive = request.getfixturevalue(which)
     faults = [fault for fault in FAULTS if drive.has(fault)]
     assert len(faults) >= 40
     for fault in faults:
         check(drive, fault, tmp_path)
 
 
-def test_with_a_calibration_the_mounts_are_looked_at_too(simulated: Drive) -> None:
+def test_with_a_calibration_the_mounts_are_looked_at_too(simulated: SoundDrive) -> None:
     lower = BY_NAME["LiDAR entered 23 cm low"]
     with open_bag(simulated.bag) as bag:
         assert "CAL-433" in {finding.code for finding in outlook(bag, simulated.rig(lower), SynchroniseOptions())}
@@ -85,7 +85,7 @@ def test_with_a_calibration_the_mounts_are_looked_at_too(simulated: Drive) -> No
         assert inspected_in(bag, calibration=simulated.calibration).findings == ()
 
 
-def test_a_refusal_is_an_error_where_no_calibration_can_avert_it(simulated: Drive, tmp_path: Path) -> None:
+def test_a_refusal_is_an_error_where_no_calibration_can_avert_it(simulated: SoundDrive, tmp_path: Path) -> None:
     bag = faulty(simulated, BY_NAME["every position NaN"], tmp_path / "run.mcap")
     with open_bag(bag) as opened:
         severities = [

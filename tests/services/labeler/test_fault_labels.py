@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from testing.worlds.faults.catalogue import FAULTS
-from testing.worlds.faults.drive import Drive, kitti_drive, simulated_drive
+from testing.worlds.faults.drive import SoundDrive, kitti_drive, simulated_drive
 from testing.worlds.faults.outcome import LabelledDrive, outcome, sound
 
 pytestmark = pytest.mark.whole
@@ -28,7 +28,7 @@ REFUSED = {
     "every cloud all NaN": "SYN-509",
     "LiDAR entered pitched by 20°": "footprint_off_ground",
 }
-Sound = tuple[Drive, LabelledDrive]
+Sound = tuple[SoundDrive, LabelledDrive]
 
 
 @pytest.fixture(scope="module", params=["simulated", "kitti"])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stone_recordings.bags.errors import MessageLayoutError, PoseValueError
-from stone_recordings.messages.problems import MessageProblem, head_problem, left_out_finding, most_common, readable
+from stone_recordings.messages.problems import MessageProblem, head_problem, left_out_finding, majority, readable
 from testing.worlds.faults.edits import STORE, serialised
 
 
@@ -82,4 +82,4 @@ def test_what_lies_in_damaged_chunks_is_said_by_the_recording_and_not_again() ->
 
 
 def test_of_words_as_common_the_first_counts() -> None:
-    assert [most_common(words) for words in ([], ["b", "a"], ["b", "a", "a"])] == ["", "b", "a"]
+    assert [majority(words) for words in ([], ["b", "a"], ["b", "a", "a"])] == ["", "b", "a"]
