@@ -26,7 +26,7 @@ LABELLED = (
 REFUSED = {
     "one pose recorded": "SYN-503",
     "every cloud all NaN": "SYN-509",
-    "LiDAR entered pitched by 20°": "footprint_off_ground",
+    "LiDAR entered upside down": "footprint_off_ground",
 }
 Sound = tuple[SoundDrive, LabelledDrive]
 
