@@ -22,7 +22,8 @@ from stone_recordings.clocks.lidar_clock import lidar_clock
 from stone_recordings.clocks.triggers import trigger_findings
 from stone_recordings.poses.ego_track import PoseInputs, ego_track, recorded_rig
 from stone_recordings.poses.extrinsics import cross_check
-from stone_recordings.poses.kiss_odometry import Progress
+from stone_recordings.poses.kiss_odometry import Progress, SweepTopic
+from stone_recordings.poses.motion_check import motion_findings
 from stone_recordings.poses.quality import quality_findings
 from stone_recordings.report.projection_checks import projection_findings
 from stone_recordings.sync.association import SensorTopics, associate
@@ -31,7 +32,7 @@ from stone_recordings.sync.ground_check import applied_finding, corrected, groun
 from stone_recordings.sync.map_joining import joined
 from stone_recordings.sync.recorded_messages import read_recorded
 from stone_recordings.sync.sweeps import BagSweeps, SweepsOfOpenBag
-from stone_recordings.sync.synchronisation import frames_with_pose, usable_finding
+from stone_recordings.sync.synchronisation import frames_with_pose, sparse_finding, usable_finding
 from stone_recordings.topics.sources import choose_sources
 
 Ground = Literal["given", "auto"]
@@ -117,14 +118,23 @@ def _synchronised(
     bag: Bag, calibration: Calibration, options: SynchroniseOptions, name: str
 ) -> tuple[Sequence, BagSweeps]:
     """All but the cameras' checks, which look at frames."""
+    sequence, sweeps = unjoined_sequence(bag, calibration, options, name)
+    return joined(sequence, SweepsOfOpenBag(sweeps, bag)), sweeps
+
+
+def unjoined_sequence(
+    bag: Bag, calibration: Calibration, options: SynchroniseOptions, name: str
+) -> tuple[Sequence, BagSweeps]:
+    """What the messages alone tell: each part of a broken track has a map of its own. Raises as `synchronise_in`."""
     lidar_topic = options.lidar_topic or options.topics.get("lidar")
     sources = choose_sources(bag, lidar_topic, options.odometry_topic or options.topics.get("pose"))
-    recorded = read_recorded(bag, sources.scanned, sources.whole)
+    recorded = read_recorded(bag, sources)
     clocks = ClockOffsets(options.time_offsets_ns)
     late_ns = clocks.of_lidar(calibration, recorded.frame_id(sources.lidar.name))
     clock = lidar_clock(bag, recorded, sources.lidar.name, late_ns)
     rig = recorded_rig(recorded, sources, calibration, clocks)
     track = ego_track(PoseInputs(bag, recorded, sources, clock), rig, options.progress)
+    moved = motion_findings(track, SweepTopic(bag, clock), calibration)
     posed = frames_with_pose(name, clock, track, options.max_pose_gap_ns)
     channel_of = {topic: channel for channel, topic in options.topics.items()}
     frames, unmatched = associate(SensorTopics(recorded, sources, calibration, channel_of), posed)
@@ -138,10 +148,13 @@ def _synchronised(
         calibration=calibration,
         pose_source=track.source,
         map_origin_deg_m=track.map_origin_deg_m,
-        findings=bag.findings + mounts + timed + track.findings + doubts + unmatched + usable_finding(posed),
+        findings=(
+            *(bag.findings + bag.damage_findings + rig.findings + mounts + timed),
+            *(track.findings + moved + sparse_finding(track, options.max_pose_gap_ns)),
+            *(doubts + unmatched + usable_finding(posed)),
+        ),
         track=posed.path,
         max_pose_gap_ns=options.max_pose_gap_ns,
     )
     motion = SweepMount(posed.path, calibration.ego_from_lidar, options.max_pose_gap_ns)
-    sweeps = BagSweeps(bag.path, clock.topic, posed.message_index, frames.stamps_ns, motion)
-    return joined(sequence, SweepsOfOpenBag(sweeps, bag)), sweeps
+    return sequence, BagSweeps(bag.path, clock.topic, posed.message_index, frames.stamps_ns, motion)

@@ -15,13 +15,14 @@ from pathlib import Path
 from typing import Any
 
 from services.ingest.cut_files import RecoveredFile, recovered_files
+from services.ingest.outlook import inspected_in
 from services.ingest.received_files import ReceivedBag
 from services.ingest.sandboxed_reading import SandboxedReading
 from services.runtime.sandbox import ProgressCallback, SandboxCrashedError
 from services.runtime.sandbox.result_files import File, SandboxResult, packed, unpacked
 from stone_recordings.bags.bag import Bag, open_bag
 from stone_recordings.bags.errors import CutBagError
-from stone_recordings.report.inspection import Inspection, inspect_in
+from stone_recordings.report.inspection import Inspection
 from stone_recordings.report.inspection_record import inspection_record
 from stone_recordings.report.previews.pictures import previews_of
 from stone_recordings.report.quality.page import quality_page
@@ -70,14 +71,14 @@ def _inspected_in(
     """The recording, open as long as `files` are, and its inspection; what was cut off of it is recovered first."""
     try:
         bag = files.enter_context(open_bag(ours.bag()))
-        return bag, inspect_in(bag, ours.profile), {}
+        return bag, inspected_in(bag, ours.profile), {}
     except CutBagError:
         recovered = recovered_files(ours, folder)
         if not recovered:
             raise
     files.close()
     bag = files.enter_context(open_bag(ours.bag({row_id: file.path for row_id, file in recovered.items()})))
-    return bag, inspect_in(bag, ours.profile), recovered
+    return bag, inspected_in(bag, ours.profile), recovered
 
 
 def _measured(name: str, bag: Bag, inspection: Inspection, recovered: list[str]) -> bytes:

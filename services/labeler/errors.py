@@ -1,5 +1,7 @@
 """Why a sequence cannot be labelled."""
 
+import math
+
 from stone.errors import StoneError
 from stone.sensors.sequence import Sequence
 
@@ -20,11 +22,12 @@ class FootprintOffGroundError(StoneError):
 
     code = "footprint_off_ground"
 
-    def __init__(self, height_m: float, band_m: float) -> None:
+    def __init__(self, height_m: float, tilt_rad: float, band_m: float) -> None:
         where = "above" if height_m > 0 else "below"
         super().__init__(
-            f"the ground lies {abs(height_m):.2f} m {where} the ego origin, and the footprint is swept within "
-            f"±{band_m:g} m of it: is the LiDAR's height in the calibration right, and the ego frame on the ground? "
+            f"the ground lies {abs(height_m):.2f} m {where} the ego origin and tilts by {math.degrees(tilt_rad):.1f}°, "
+            f"and the footprint is swept within ±{band_m:g} m of it: is the LiDAR's mount in the calibration right, "
+            "and the ego frame on the ground? "
             "CAL-433 says what to enter; ground auto corrects it for this run"
         )
 

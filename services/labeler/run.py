@@ -84,16 +84,20 @@ class LabelRun:
 
 
 def ground_refusal(sequence: Sequence, band_m: float) -> FootprintOffGroundError | None:
-    """Why nothing is labelled of a run whose footprint floats above the ground, or sinks into it; None where it does
-    neither."""
-    ground = sequence.ground
-    if ground is None or abs(ground.height_m) <= band_m:
+    """Why nothing is labelled of a run whose footprint floats above the ground, or sinks into it, or whose halves do
+    one each; None where they do not."""
+    ground, footprint = sequence.ground, sequence.calibration.footprint
+    if ground is None:
         return None
-    return FootprintOffGroundError(ground.height_m, band_m)
+    # From the middle of the footprint to the middle of its half.
+    lean_m = max(abs(ground.slope_x) * footprint.length_m, abs(ground.slope_y) * footprint.width_m) / 4
+    if max(abs(ground.height_m), lean_m) <= band_m:
+        return None
+    return FootprintOffGroundError(ground.height_m, ground.tilt_rad, band_m)
 
 
 def require_ground(run: LabelRun) -> None:
-    """Raises `FootprintOffGroundError` where the footprint floats above the ground, or sinks into it."""
+    """Raises `FootprintOffGroundError` where the footprint is not on the ground."""
     refusal = ground_refusal(run.sequence, run.parameters.footprint_band_m)
     if refusal is not None:
         raise refusal

@@ -4,9 +4,10 @@
 stays valid after the bag is closed. `index` counts within the topic, in log-time order.
 """
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from types import TracebackType
 
@@ -24,6 +25,8 @@ from stone_recordings.bags.unpacked_messages import is_packed, unpacked, unpacke
 from stone_recordings.messages.types.definitions_beside import described
 
 __all__ = ["Bag", "MessageStore", "RawMessage", "Topic", "open_bag"]
+
+UNKNOWN_SIZE = 2**63 - 1  # more than any message has: nothing that is declared contradicts it
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +46,7 @@ class Bag:
         self.findings = (*findings, *store.findings, *noticed)
         self._store = store
         self._topics = {topic.name: topic for topic in topics}
+        self._packed: set[str] = set()
 
     def __enter__(self) -> "Bag":
         return self
@@ -57,6 +61,30 @@ class Bag:
     def is_indexed(self) -> bool:
         """False where the recording had no usable index and had to be walked."""
         return self._store.is_indexed
+
+    @cached_property
+    def damaged(self) -> Mapping[str, Mapping[int, str]]:
+        """By topic and index, the messages that lie in damaged chunks, and why; what they carry is not to be had.
+
+        Asked for the first time it reads whatever has a checksum or is compressed. Once it was asked, `heads` passes
+        these messages over; `message` and `messages` refuse them always.
+        """
+        return self._store.damaged()
+
+    def size_bytes(self, topic: str, index: int) -> int:
+        """Of a message whose head was just given, so that it costs little; `UNKNOWN_SIZE` where it is packed."""
+        self._check_readable(topic)
+        return UNKNOWN_SIZE if topic in self._packed else self._store.size_bytes(topic, index)
+
+    @property
+    def damage_findings(self) -> tuple[Finding, ...]:
+        """BAG-016 for each topic with damaged messages."""
+        return tuple(
+            Finding(
+                "BAG-016", "warning", topic, _damage(reasons, next(t.count for t in self.topics if t.name == topic))
+            )
+            for topic, reasons in sorted(self.damaged.items())
+        )
 
     @property
     def start_ns(self) -> int:
@@ -108,6 +136,7 @@ class Bag:
 
     def _head(self, topic: str, index: int, is_whole: bool) -> memoryview:
         """Of a packed message, which is read whole: its first bytes alone may not unpack."""
+        self._packed.add(topic)
         unpack = unpacked if is_whole else unpacked_head
         return unpack(self._store.payload(topic, index), self._where(topic, index))
 
@@ -125,6 +154,14 @@ class Bag:
         self._check_known(topic)
         if (encoding := self._topics[topic].encoding) != "cdr":
             raise EncodingRefusedError(self.path.name, topic, encoding)
+
+
+def _damage(reasons: Mapping[int, str], count: int) -> str:
+    chunks = dict.fromkeys(reasons.values())
+    return (
+        f"{len(reasons)} of {count} messages lie in {len(chunks)} damaged chunks and are left out "
+        f"(the first: {next(iter(chunks))})"
+    )
 
 
 def open_bag(path: Path) -> Bag:

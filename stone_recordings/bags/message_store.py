@@ -4,7 +4,7 @@
 `close` that it is over; payloads stay valid after both.
 """
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -35,6 +35,17 @@ class MessageStore(Protocol):
     def heads(self, topics: Sequence[str], whole: Collection[str] = ()) -> Iterator[tuple[str, int, memoryview]]:
         """Topic, index and at least the first `HEAD_BYTES` of every message (all of one that is shorter, or whose
         topic is among `whole`), in the order in which they are stored.
+        """
+        ...
+
+    def size_bytes(self, topic: str, index: int) -> int:
+        """Of the message as it is stored; cheap for one whose head was just given."""
+        ...
+
+    def damaged(self) -> Mapping[str, Mapping[int, str]]:
+        """By topic and index, messages that cannot be had because what they lie in is damaged, and why.
+
+        Reads whatever carries a checksum or is compressed, once; from then on `heads` passes these messages over.
         """
         ...
 

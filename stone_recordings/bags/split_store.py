@@ -5,7 +5,7 @@ first. Only the files used last are kept awake, so that memory and open files do
 """
 
 from collections import OrderedDict
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,10 +42,22 @@ class SplitStore:
         for number, part in enumerate(self._parts):
             own = {topic.name for topic in part.topics}
             here = [topic for topic in topics if topic in own]
-            joined = {topic: np.flatnonzero(self._places[topic][1] == number) for topic in here}
-            order = {topic: np.argsort(self._places[topic][2][rows]) for topic, rows in joined.items()}
+            joined = {topic: self._rows_of(number, topic) for topic in here}
             for topic, index, payload in self._woken(number).heads(here, whole):
-                yield topic, int(joined[topic][order[topic][index]]), payload
+                yield topic, int(joined[topic][index]), payload
+
+    def size_bytes(self, topic: str, index: int) -> int:
+        _times, parts, indices = self._places[topic]
+        return self._woken(int(parts[index])).size_bytes(topic, int(indices[index]))
+
+    def damaged(self) -> Mapping[str, Mapping[int, str]]:
+        """Of every file, under the indices of the whole."""
+        found: dict[str, dict[int, str]] = {}
+        for number in range(len(self._parts)):
+            for topic, reasons in self._woken(number).damaged().items():
+                rows = self._rows_of(number, topic)
+                found.setdefault(topic, {}).update({int(rows[index]): reason for index, reason in reasons.items()})
+        return found
 
     def release(self) -> None:
         for part in self._parts:
@@ -54,6 +66,12 @@ class SplitStore:
     def close(self) -> None:
         for part in self._parts:
             part.close()
+
+    def _rows_of(self, number: int, topic: str) -> NDArray[np.int64]:
+        """The indices in the whole of the messages of one file, in its order."""
+        _times, parts, indices = self._places[topic]
+        rows = np.flatnonzero(parts == number)
+        return rows[np.argsort(indices[rows])]
 
     def _woken(self, number: int) -> MessageStore:
         self._awake[number] = None

@@ -4,26 +4,31 @@
 driver may stamp the start, the middle or the end of a revolution.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stone.findings import Finding
+from stone.sensors.sequence import ExcludedFrame
 from stone_recordings.bags.bag import Bag
 from stone_recordings.messages.pointcloud2 import decode_cloud, lidar_points
+from stone_recordings.messages.problems import OTHER_FRAME, STRAY, MessageProblem
+from stone_recordings.sync.errors import NoUsableSweepError
 from stone_recordings.sync.recorded_messages import OrderedStamps, RecordedTopics, in_order
 
 # The first and the last sweep may be cut short; a few from beginning to end show the true length.
 SPAN_SAMPLES = 5
+# A stamp that goes back, and lies so far from where the recorder's clock puts it, is no stamp.
+LAST_STRAY_NS = 500_000_000
 
 
 @dataclass(frozen=True, eq=False)
 class LidarClock:
     """The sweeps of a topic in time order: declared `points` (N,), and `span_ns` = (first, last) point time, ns.
 
-    `problems` are the sweeps, by their place in this order, that cannot be decoded, and why.
+    `excluded` are the sweeps that cannot be used, each with its reason; they are not among the others.
     Where points have no time, `is_timed` is False and the span is (0, 0).
     """
 
@@ -33,33 +38,64 @@ class LidarClock:
     span_ns: tuple[int, int]
     is_timed: bool
     findings: tuple[Finding, ...]
-    problems: Mapping[int, str] = field(default_factory=dict)
+    excluded: tuple[ExcludedFrame, ...] = ()
 
 
 def lidar_clock(bag: Bag, recorded: RecordedTopics, topic: str, offset_ns: int = 0) -> LidarClock:
-    """The clock with `offset_ns` added to every stamp. Raises what decoding a cloud raises, where none can be."""
-    ordered = in_order(topic, recorded.stamps_ns(topic) + offset_ns)
-    points = recorded.cloud_sizes(topic)[ordered.index]
-    told = recorded.problems.get(topic, {})
-    problems = {at: told[index] for at, index in enumerate(ordered.index.tolist()) if index in told}
-    is_good = np.ones(len(points), np.bool_)
-    is_good[list(problems)] = False
-    if problems and not is_good.any():
-        decode_cloud(bag.message(topic, int(ordered.index[0])).payload)
-    span_ns = _span_ns(bag, topic, ordered.index[(points > 0) & is_good])
+    """The clock with `offset_ns` added to every stamp. Raises NoUsableSweepError."""
+    recorded = with_sweep_problems(recorded, topic)
+    stamps_ns, usable, problems = (
+        recorded.stamps_ns(topic) + offset_ns,
+        recorded.usable(topic),
+        recorded.problems[topic],
+    )
+    if not len(usable):
+        raise NoUsableSweepError(topic, len(stamps_ns), next((one.reason for one in problems.values()), ""))
+    ordered = in_order(topic, stamps_ns, usable)
+    points = np.array([recorded.cloud_size(topic, index) for index in ordered.index.tolist()], np.int64)
+    _check_returns(bag, topic, ordered.index[points > 0])
+    span_ns = _span_ns(bag, topic, ordered.index[points > 0])
     findings = ordered.findings if span_ns is not None else (*ordered.findings, _no_time(topic))
-    findings += _problem_finding(topic, ordered, problems)
-    return LidarClock(topic, ordered, points, span_ns or (0, 0), span_ns is not None, findings, problems)
+    excluded = tuple(ExcludedFrame(int(stamps_ns[at]), why.code, why.reason) for at, why in sorted(problems.items()))
+    findings += _problem_finding(topic, excluded, len(stamps_ns))
+    return LidarClock(topic, ordered, points, span_ns or (0, 0), span_ns is not None, findings, excluded)
 
 
-def _problem_finding(topic: str, ordered: OrderedStamps, problems: Mapping[int, str]) -> tuple[Finding, ...]:
-    """MSG-303 for sweeps that cannot be decoded; the frames say each."""
-    if not problems:
+def with_sweep_problems(recorded: RecordedTopics, topic: str) -> RecordedTopics:
+    """With what only sweeps tell of each other: the frame of another sensor, a stamp far from the others'."""
+    found = dict(recorded.problems.get(topic, {}))
+    usable = recorded.usable(topic).tolist()
+    frame_id = recorded.frame_id(topic)
+    for index, other in zip(usable, recorded.frame_ids(topic), strict=True):
+        if other != frame_id:
+            found[index] = MessageProblem(OTHER_FRAME, f"its frame is {other!r}, that of most is {frame_id!r}")
+    stray = _stray(recorded.stamps_ns(topic), recorded.log_times_ns[topic], [one for one in usable if one not in found])
+    found |= {index: MessageProblem(STRAY, why) for index, why in stray}
+    return replace(recorded, problems={**recorded.problems, topic: found})
+
+
+def _stray(
+    stamps_ns: NDArray[np.int64], log_times_ns: NDArray[np.int64], usable: list[int]
+) -> Iterable[tuple[int, str]]:
+    """Sweeps whose stamp goes back, and is far from where it should be by the recorder's clock: single ones only."""
+    stamps_ns, late_ns = stamps_ns[usable], (log_times_ns - stamps_ns)[usable]
+    if len(stamps_ns) < 3:
+        return
+    apart_ns = late_ns - int(np.median(late_ns))
+    for place, index in enumerate(usable):
+        is_alone = np.abs(np.delete(apart_ns[max(0, place - 1) : place + 2], min(place, 1))).max() <= LAST_STRAY_NS
+        if apart_ns[place] > LAST_STRAY_NS and is_alone:
+            yield index, f"it is stamped {apart_ns[place] / 1e9:.3f} s before the sweeps around it"
+
+
+def _problem_finding(topic: str, excluded: tuple[ExcludedFrame, ...], total: int) -> tuple[Finding, ...]:
+    """MSG-303 for sweeps that cannot be used; the frames say each."""
+    if not excluded:
         return ()
-    first = min(problems)
-    stamp_ns = int(ordered.stamps_ns[first])
+    first = excluded[0]
     sentence = (
-        f"{len(problems)} sweeps cannot be decoded and are left out (the first at {stamp_ns} ns: {problems[first]})"
+        f"{len(excluded)} of {total} sweeps cannot be used and are left out "
+        f"(the first at {first.stamp_ns} ns: {first.reason})"
     )
     return (Finding("MSG-303", "warning", topic, sentence),)
 
@@ -72,6 +108,13 @@ def _span_ns(bag: Bag, topic: str, rows: NDArray[np.int64]) -> tuple[int, int] |
     if not offsets:
         return None
     return min(int(offset_ns.min()) for offset_ns in offsets), max(int(offset_ns.max()) for offset_ns in offsets)
+
+
+def _check_returns(bag: Bag, topic: str, rows: NDArray[np.int64]) -> None:
+    """Raises NoUsableSweepError where no cloud holds a return; the first that does ends the search."""
+    clouds = (lidar_points(decode_cloud(bag.message(topic, row).payload), with_ring=False) for row in rows.tolist())
+    if len(rows) and not any(len(cloud.points_lidar) for cloud in clouds):
+        raise NoUsableSweepError(topic, len(rows), "it has points, and not one that is a return")
 
 
 def _no_time(topic: str) -> Finding:

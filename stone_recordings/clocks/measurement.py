@@ -8,6 +8,7 @@ is called a sensor's.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,8 @@ from stone_recordings.clocks.report import ClockReport, StampSource, TopicClock
 from stone_recordings.clocks.sensor_times import OWN_TIME_BYTES, OwnTimes, has_own_time, own_times
 from stone_recordings.messages.batch import refused_finding
 from stone_recordings.messages.odometry import TYPE as ODOMETRY
-from stone_recordings.messages.odometry import decode_odometry
+from stone_recordings.messages.odometry import decode_odometry, other_frames_finding
+from stone_recordings.messages.problems import readable
 from stone_recordings.report.checks import Inspected
 from stone_recordings.report.scan import Scan
 from stone_recordings.topics.roles import ROLE_OF_TYPE
@@ -60,7 +62,9 @@ def measured(bag: Bag, scan: Scan, inspected: Sequence[Inspected]) -> ClockMeasu
     for topic, _role, _timing in inspected:
         if scan.kept.get(topic.name) and has_own_time(topic):
             try:
-                own[topic.name] = own_times(topic, scan.kept[topic.name])
+                messages, unread = readable(topic.name, scan.kept[topic.name], partial(own_times, topic))
+                own[topic.name] = own_times(topic, messages)
+                findings += unread
             except StoneError as error:
                 findings.append(Finding(error.code, "error", topic.name, str(error)))
         elif scan.kept.get(topic.name) and topic.type == ODOMETRY:
@@ -77,10 +81,12 @@ def measured(bag: Bag, scan: Scan, inspected: Sequence[Inspected]) -> ClockMeasu
 def _pose_findings(topic: Topic, scan: Scan) -> list[Finding]:
     """What synchronising will say of its messages that hold no pose."""
     try:
-        samples = decode_odometry(scan.kept[topic.name])
+        messages, unread = readable(topic.name, scan.kept[topic.name], decode_odometry)
+        samples = decode_odometry(messages)
     except StoneError as error:
         return [Finding(error.code, "error", topic.name, str(error))]
-    return list(refused_finding(topic.name, samples.refused_ns, samples.reason))
+    strays = other_frames_finding(topic.name, samples)
+    return [*unread, *strays, *refused_finding(topic.name, samples.refused_ns, samples.reason)]
 
 
 def _clock(bag: Bag, inspected: Inspected, own: OwnTimes | None) -> TopicClock:

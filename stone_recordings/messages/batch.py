@@ -18,6 +18,8 @@ from stone_recordings.bags.errors import PoseValueError
 # Drivers write (0, 0, 0, 0) for "unknown"; rounding to float32 or to four decimals stays far above this.
 LEAST_NORM = 1e-3
 MOST_COMPONENT = 1e6
+# Beyond any place in any frame on Earth: ECEF reaches 6.4e6 m, a UTM zone 1e7 m.
+MOST_POSITION_M = 1e8
 BATCH_BYTES = 16 << 20
 SHOWN = 3
 
@@ -64,8 +66,11 @@ def poses_in(translation_m: NDArray[np.float64], xyzw: NDArray[np.float64], type
         largest = np.abs(xyzw).max(axis=1, initial=0.0)
         norms = np.linalg.norm(xyzw, axis=1)
         is_pose = is_finite & (largest <= MOST_COMPONENT) & (norms >= LEAST_NORM)  # the square of more would overflow
+        farthest_m = np.abs(translation_m).max(axis=1, initial=0.0)
+        is_pose &= farthest_m <= MOST_POSITION_M
     rows, refused = np.flatnonzero(is_pose), np.flatnonzero(~is_pose)
-    reason = _problem(int(refused[0]), is_finite, largest, norms) if len(refused) else ""
+    measured = (is_finite, largest, norms, farthest_m)
+    reason = _problem(*(values[refused[0]] for values in measured)) if len(refused) else ""
     if len(refused) and not len(rows):
         raise PoseValueError(type_name, int(refused[0]), reason)
     return Poses(SE3.from_parts(xyzw[rows][:, [3, 0, 1, 2]], translation_m[rows]), rows, refused, reason)
@@ -81,9 +86,11 @@ def refused_finding(topic: str, refused_ns: NDArray[np.int64], reason: str) -> t
     return (Finding("MSG-305", "warning", topic, sentence),)
 
 
-def _problem(row: int, is_finite: NDArray[np.bool_], largest: NDArray[np.float64], norms: NDArray[np.float64]) -> str:
-    if not is_finite[row]:
+def _problem(is_finite: np.bool_, largest: np.float64, norm: np.float64, farthest_m: np.float64) -> str:
+    if not is_finite:
         return "is not finite"
-    if largest[row] > MOST_COMPONENT:
-        return f"has a quaternion component of {largest[row]:.3g}"
-    return f"has a quaternion of norm {norms[row]:.3g}"
+    if largest > MOST_COMPONENT:
+        return f"has a quaternion component of {largest:.3g}"
+    if farthest_m > MOST_POSITION_M:
+        return f"has a position of {farthest_m:.3g} m"
+    return f"has a quaternion of norm {norm:.3g}"

@@ -5,6 +5,7 @@ compressed image is, its first bytes say: the `format` text is free text and not
 (Humble), image_encodings.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from io import BytesIO
 
@@ -14,7 +15,7 @@ from PIL import Image
 
 from stone_recordings.messages.bayer import binned, debayered
 from stone_recordings.messages.errors import PictureError
-from stone_recordings.messages.picture_head import PictureHeader, check_size, head_of
+from stone_recordings.messages.picture_head import JPEG_MAGIC, PNG_MAGIC, PictureHeader, check_size, head_of
 from stone_recordings.messages.types.cdr import Cursor
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
@@ -56,6 +57,25 @@ class CameraPicture:
 def decode_image(payload: memoryview, type_name: str) -> CameraPicture:
     """Raises: MessageLayoutError, ByteOrderError, PictureError (an encoding, size or length that is not believed)."""
     return _compressed(payload) if type_name == COMPRESSED else _raw(payload)
+
+
+def picture_problem(head: memoryview, type_name: str, size_bytes: Callable[[], int]) -> str:
+    """Why a picture that begins so cannot be one; "" where nothing speaks against it, or the type is another.
+
+    `size_bytes` is the size of the whole message. What lies behind its first bytes only decoding tells.
+    """
+    if type_name != COMPRESSED:
+        return ""
+    cursor = Cursor(head, COMPRESSED)
+    for step in (cursor.stamp_ns, cursor.text, cursor.text):
+        step()
+    end = cursor.u32() + cursor.at
+    if end > size_bytes():
+        return f"{COMPRESSED}: its picture ends at byte {end}, the message has {size_bytes()}"
+    first = bytes(head[cursor.at : min(end, cursor.at + len(PNG_MAGIC))])
+    if first.startswith((JPEG_MAGIC, PNG_MAGIC)):
+        return ""
+    return str(PictureError(COMPRESSED, f"first bytes {first.hex(' ') or 'none'} are neither JPEG nor PNG"))
 
 
 def picture_of(type_name: str, payload: memoryview, max_width_px: int | None = None) -> NDArray[np.uint8]:

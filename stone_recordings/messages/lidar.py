@@ -45,13 +45,18 @@ class LidarPoints:
 
 def resolve_points(points: NDArray[np.void], stamp_ns: int, *, with_ring: bool = True) -> LidarPoints:
     """Raises: CloudLayoutError when there are no x, y, z of one floating type."""
-    names = points.dtype.names or ()
-    codes = {points.dtype[name].str for name in "xyz" if name in names}
-    if not set("xyz") <= set(names) or codes not in ({"<f4"}, {"<f8"}):
-        raise CloudLayoutError(f"x, y and z must be floats of one size, its fields are {', '.join(names)}"[:200])
+    check_xyz(points.dtype)
     xyz, kept = _packed(points)
     offset_ns, meaning = _offsets(points, kept, stamp_ns)
     return LidarPoints(xyz, offset_ns, _rings(points, kept) if with_ring else None, meaning, kept)
+
+
+def check_xyz(record: np.dtype[np.void]) -> None:
+    """Raises: CloudLayoutError when a point has no x, y, z of one floating type."""
+    names = record.names or ()
+    codes = {record[name].str for name in "xyz" if name in names}
+    if not set("xyz") <= set(names) or codes not in ({"<f4"}, {"<f8"}):
+        raise CloudLayoutError(f"x, y and z must be floats of one size, its fields are {', '.join(names)}"[:200])
 
 
 def _packed(points: NDArray[np.void]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:

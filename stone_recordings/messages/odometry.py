@@ -4,18 +4,22 @@
 Source: nav_msgs (Humble).
 """
 
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stone.findings import Finding
 from stone.geometry.se3 import SE3
 from stone_recordings.bags.errors import MixedFramesError
 from stone_recordings.messages.batch import StampedMessage, poses_in
 from stone_recordings.messages.types.table import STAMP, decode_table
 
 TYPE = "nav_msgs/msg/Odometry"
+# Of more messages in other frames two sources are meant, and nothing says which one is wanted.
+MOST_OTHERS = 0.1
 _COLUMNS = (*STAMP, "header.frame_id", "child_frame_id", "pose.pose")
 
 
@@ -24,6 +28,7 @@ class OdometrySamples:
     """N poses of one pair of frames; "" twice when there is no message.
 
     `refused_ns` (R,) are the stamps of messages that hold no pose, and `reason` is why the first of them holds none.
+    `other_frames` counts the messages of other pairs of frames, which are left out.
     """
 
     stamps_ns: NDArray[np.int64]
@@ -32,16 +37,33 @@ class OdometrySamples:
     child_frame_id: str
     refused_ns: NDArray[np.int64]
     reason: str
+    other_frames: int = 0
 
 
 def decode_odometry(messages: Iterable[StampedMessage]) -> OdometrySamples:
     """Raises: MessageLayoutError, ByteOrderError, MixedFramesError (two sources on one topic), and PoseValueError where
     no message holds a pose."""
     table = decode_table(TYPE, messages, only=_COLUMNS)
-    pairs = set(zip(table.texts("header.frame_id"), table.texts("child_frame_id"), strict=True))
-    if len(pairs) > 1:
-        raise MixedFramesError(TYPE, tuple(f"{parent} → {child}" for parent, child in sorted(pairs)))
-    parent, child = next(iter(pairs), ("", ""))
-    found = poses_in(table.vectors("pose.pose.position"), table.vectors("pose.pose.orientation", "xyzw"), TYPE)
-    stamps_ns = table.stamps_ns()
-    return OdometrySamples(stamps_ns[found.rows], found.poses, parent, child, stamps_ns[found.refused], found.reason)
+    pairs = list(zip(table.texts("header.frame_id"), table.texts("child_frame_id"), strict=True))
+    counts = Counter(pairs).most_common()
+    others = len(pairs) - (counts[0][1] if counts else 0)
+    if others > MOST_OTHERS * len(pairs):
+        raise MixedFramesError(TYPE, tuple(f"{parent} → {child}" for parent, child in sorted(dict(counts))))
+    parent, child = counts[0][0] if counts else ("", "")
+    own = np.array([row for row, pair in enumerate(pairs) if pair == (parent, child)], np.int64)
+    places_m, turns = table.vectors("pose.pose.position"), table.vectors("pose.pose.orientation", "xyzw")
+    found = poses_in(places_m[own], turns[own], TYPE)
+    stamps_ns = table.stamps_ns()[own]
+    told = (parent, child, stamps_ns[found.refused], found.reason, others)
+    return OdometrySamples(stamps_ns[found.rows], found.poses, *told)
+
+
+def other_frames_finding(topic: str, samples: OdometrySamples) -> tuple[Finding, ...]:
+    """MSG-304 for a few messages of other frames than the topic's."""
+    if not samples.other_frames:
+        return ()
+    sentence = (
+        f"{samples.other_frames} messages are not of {samples.frame_id!r} to {samples.child_frame_id!r} "
+        "and are left out; does another source publish on the topic?"
+    )
+    return (Finding("MSG-304", "warning", topic, sentence),)

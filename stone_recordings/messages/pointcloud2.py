@@ -4,6 +4,7 @@
 is copied unless rows are padded. Offsets need not be aligned (Hesai: 26 bytes a point). Source: sensor_msgs (Humble).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone_recordings.bags.errors import ByteOrderError, CloudLayoutError, MessageLayoutError
-from stone_recordings.messages.lidar import LidarPoints, resolve_points
+from stone_recordings.messages.lidar import LidarPoints, check_xyz, resolve_points
 from stone_recordings.messages.types.cdr import Cursor
 
 __all__ = ["Cloud", "LidarPoints", "decode_cloud", "lidar_points"]
@@ -69,26 +70,38 @@ def decode_cloud(payload: memoryview) -> Cloud:
     return Cloud(stamp_ns, frame_id, view.reshape(layout.height * layout.width))
 
 
-def layout_problem(head: memoryview) -> str:
+def layout_problem(head: memoryview, size_bytes: Callable[[], int]) -> str:
     """Why a cloud that begins so cannot be decoded; "" where nothing speaks against it.
 
-    The first bytes tell, up to where the points begin; a head that ends before that tells nothing.
+    The first bytes tell, up to where the points begin; `size_bytes` is the size of the whole message, asked for only
+    where the head does not reach as far as its points.
     """
     try:
         cursor = Cursor(head, TYPE)
         cursor.stamp_ns()
         cursor.text()
         layout = _layout(cursor)
-    except MessageLayoutError:
-        return ""  # what is cut here may be whole there; decoding will say
-    except (ByteOrderError, CloudLayoutError) as error:
-        return str(error)
-    try:
         if layout.is_bigendian:
             raise ByteOrderError(TYPE)
         record_of(layout.fields, layout.point_step)
         _check_steps(layout)
-    except (ByteOrderError, CloudLayoutError) as error:
+    except (ByteOrderError, CloudLayoutError, MessageLayoutError) as error:
+        return str(error)
+    end = cursor.at + layout.data_bytes
+    if end > len(head) and end > (size := size_bytes()):
+        return str(MessageLayoutError(TYPE, f"its points end at byte {end}, the message has {size}"))
+    return ""
+
+
+def xyz_problem(head: memoryview) -> str:
+    """Why a cloud that begins so, and can be decoded, holds no points in space; "" where it does."""
+    cursor = Cursor(head, TYPE)
+    cursor.stamp_ns()
+    cursor.text()
+    layout = _layout(cursor)
+    try:
+        check_xyz(record_of(layout.fields, layout.point_step))
+    except CloudLayoutError as error:
         return str(error)
     return ""
 

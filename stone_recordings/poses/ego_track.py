@@ -1,12 +1,15 @@
 """The ego trajectory by whatever source was chosen: `ins_poses`, `poses` (odometry, TF) or `kiss_odometry`."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from stone.findings import Finding
 from stone.sensors.calibration import Calibration
-from stone_recordings.bags.bag import Bag
+from stone_recordings.bags.bag import Bag, Topic
+from stone_recordings.bags.errors import IngestError
 from stone_recordings.clocks.lidar_clock import LidarClock
-from stone_recordings.messages.novatel import decode_bestpos
-from stone_recordings.messages.tf import decode_transforms
+from stone_recordings.messages.novatel import FixSamples, decode_bestpos
+from stone_recordings.messages.problems import readable
+from stone_recordings.messages.tf import TransformSamples, decode_transforms
 from stone_recordings.poses.extrinsics import plain, static_tree
 from stone_recordings.poses.gravity_alignment import ImuTopic, imu_topic, levelled
 from stone_recordings.poses.ins_poses import track_from_ins
@@ -22,9 +25,18 @@ from stone_recordings.topics.sources import Sources
 def recorded_rig(
     recorded: RecordedTopics, sources: Sources, calibration: Calibration, clocks: ClockOffsets
 ) -> RigMounts:
-    """The mounts of the calibration beside those the recording publishes. Raises what decoding TF raises."""
-    samples = [pair for topic in sources.tf_static for pair in decode_transforms(recorded.messages[topic])]
-    return RigMounts(calibration, static_tree(samples), plain(recorded.frame_id(sources.lidar.name)), clocks)
+    """The mounts of the calibration beside those the recording publishes, and what of these cannot be read."""
+    samples: list[TransformSamples] = []
+    findings: list[Finding] = []
+    for topic in sources.tf_static:
+        try:
+            messages, unread = readable(topic, recorded.messages[topic], decode_transforms)
+            samples += decode_transforms(messages)
+        except IngestError as error:
+            unread = (Finding(error.code, "warning", topic, f"{error}; the recording's own mounts are not compared"),)
+        findings += unread
+    lidar_frame = plain(recorded.frame_id(sources.lidar.name))
+    return RigMounts(calibration, static_tree(samples), lidar_frame, clocks, tuple(findings))
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,10 +69,22 @@ def _calibrated_imu(inputs: PoseInputs, calibration: Calibration) -> ImuTopic | 
     return None
 
 
+def _fixes(recorded: RecordedTopics, topic: Topic | None) -> tuple[FixSamples | None, tuple[Finding, ...]]:
+    """The receiver's positions beside its solutions; none where none can be read."""
+    if topic is None:
+        return None, ()
+    try:
+        messages, unread = readable(topic.name, recorded.messages[topic.name], decode_bestpos)
+        return decode_bestpos(messages), unread
+    except IngestError as error:
+        return None, (Finding(error.code, "warning", topic.name, str(error)),)
+
+
 def _recorded_track(recorded: RecordedTopics, sources: Sources, rig: RigMounts) -> PoseTrack:
     topic, messages = sources.pose.name, recorded.messages[sources.pose.name]
     if sources.pose_role == "ins":
-        fixes = decode_bestpos(recorded.messages[sources.fixes.name]) if sources.fixes is not None else None
-        return track_from_ins(messages, topic, rig.calibration, fixes)
+        fixes, unread = _fixes(recorded, sources.fixes)
+        of_ins = track_from_ins(messages, topic, rig.calibration, fixes)
+        return replace(of_ins, findings=of_ins.findings + unread)
     track = track_from_odometry if sources.pose_role == "odometry" else track_from_tf
     return track(messages, topic, rig)

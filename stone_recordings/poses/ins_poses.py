@@ -19,7 +19,7 @@ from stone.geometry.se3 import SE3, multiply
 from stone.geometry.trajectory import Trajectory
 from stone.sensors.calibration import Calibration, Mount
 from stone.sensors.calibration_errors import MissingSensorError
-from stone_recordings.messages.batch import StampedMessage
+from stone_recordings.messages.batch import MOST_POSITION_M, StampedMessage
 from stone_recordings.messages.novatel import (
     INS_ALIGNMENT_COMPLETE,
     INS_SOLUTION_FREE,
@@ -28,6 +28,7 @@ from stone_recordings.messages.novatel import (
     InsSamples,
     decode_inspva,
 )
+from stone_recordings.messages.problems import readable
 from stone_recordings.poses.quality import solution_quality
 from stone_recordings.poses.sources import PoseTrack
 from stone_recordings.sync.errors import NoUsablePoseError
@@ -42,16 +43,18 @@ def track_from_ins(
 ) -> PoseTrack:
     """Raises MissingSensorError (no INS in the calibration), NoUsablePoseError, and what `decode_inspva` raises."""
     mount = _ins_mount(calibration)
-    samples = decode_inspva(messages)
+    readable_ones, unread = readable(topic, messages, decode_inspva)
+    samples = decode_inspva(readable_ones)
     source = f"{topic} (novatel_oem7_msgs/msg/{'INSPVA' if samples.pos_type is None else 'INSPVAX'})"
     rows = _usable(samples, source)
+    usable = len(rows)
     ordered = in_order(topic, samples.gps_stamps_ns[rows])
     rows = rows[ordered.index]
     map_from_ins, origin = enu_poses(samples, rows)
     ins_from_ego = (calibration.ego_from_lidar @ mount.lidar_from_sensor).inverse()
     trajectory = Trajectory(ordered.stamps_ns + mount.time_offset_ns, map_from_ins @ ins_from_ego)
     solution = solution_quality(samples, rows, fixes)
-    findings = ordered.findings + _clock(samples, rows, topic) + _left_out(samples, len(rows), topic)
+    findings = unread + ordered.findings + _clock(samples, rows, topic) + _left_out(samples, usable, topic)
     if not solution.rtk.any():
         findings += (Finding("GNS-301", "warning", topic, "nothing tells whether RTK was fixed (no BESTPOS)"),)
     return PoseTrack(trajectory, source, topic, findings, origin, solution, is_smooth=True)
@@ -101,6 +104,7 @@ def _usable(samples: InsSamples, source: str) -> NDArray[np.int64]:
     place = (samples.latitude_deg, samples.longitude_deg, samples.height_m)
     attitude = (samples.roll_deg, samples.pitch_deg, samples.azimuth_deg)
     has_numbers = np.isfinite(np.stack([*place, *attitude])).all(axis=0) & (np.abs(samples.latitude_deg) <= 90)
+    has_numbers &= np.abs(samples.height_m) <= MOST_POSITION_M
     has_solution, has_time = np.isin(samples.ins_status, USABLE_STATUS), samples.gps_stamps_ns > 0
     rows = np.flatnonzero(has_numbers & has_solution & has_time).astype(np.int64)
     if not len(rows):

@@ -17,7 +17,8 @@ from stone.geometry.trajectory import Trajectory
 from stone.sensors.calibration import Calibration
 from stone.sensors.pose_quality import SolutionQuality
 from stone_recordings.messages.batch import StampedMessage, refused_finding
-from stone_recordings.messages.odometry import decode_odometry
+from stone_recordings.messages.odometry import decode_odometry, other_frames_finding
+from stone_recordings.messages.problems import readable
 from stone_recordings.messages.tf import TransformSamples, decode_transforms
 from stone_recordings.poses.extrinsics import BASE_FRAMES, plain
 from stone_recordings.poses.static_tree import StaticTree
@@ -47,20 +48,23 @@ class PoseTrack:
 
 @dataclass(frozen=True, eq=False)
 class RigMounts:
-    """The mounts by calibration and by tf_static, the frame the sweeps are in, and whose clock is off."""
+    """The mounts by calibration and by tf_static, the frame the sweeps are in, whose clock is off, what was noticed."""
 
     calibration: Calibration
     tree: StaticTree
     lidar_frame: str
     clocks: ClockOffsets = field(default_factory=ClockOffsets)
+    findings: tuple[Finding, ...] = ()
 
 
 def track_from_odometry(messages: Iterable[StampedMessage], topic: str, rig: RigMounts) -> PoseTrack:
     """Raises NoUsablePoseError and what `decode_odometry` raises."""
-    samples = decode_odometry(messages)
+    readable_ones, unread = readable(topic, messages, decode_odometry)
+    samples = decode_odometry(readable_ones)
     source = f"{topic} ({samples.frame_id} to {samples.child_frame_id}, nav_msgs/msg/Odometry)"
     track = _track((source, topic), samples.child_frame_id, (samples.stamps_ns, samples.parent_from_child), rig)
-    return _with_refused(track, samples.refused_ns, samples.reason)
+    strays = other_frames_finding(topic, samples)
+    return _with_refused(track, samples.refused_ns, samples.reason, (*unread, *strays))
 
 
 def track_from_tf(messages: Iterable[StampedMessage], topic: str, rig: RigMounts) -> PoseTrack:
@@ -68,7 +72,8 @@ def track_from_tf(messages: Iterable[StampedMessage], topic: str, rig: RigMounts
 
     Raises NoPoseSourceError when no such pair is published, and what `decode_transforms` raises.
     """
-    samples = decode_transforms(messages)
+    readable_ones, unread = readable(topic, messages, decode_transforms)
+    samples = decode_transforms(readable_ones)
     wanted = [(fixed, child) for fixed in FIXED_FRAMES for child in (*BASE_FRAMES, rig.lidar_frame)]
     found = {(plain(pair.parent), plain(pair.child)): pair for pair in samples}
     chosen: TransformSamples | None = next((found[pair] for pair in wanted if pair in found), None)
@@ -76,11 +81,13 @@ def track_from_tf(messages: Iterable[StampedMessage], topic: str, rig: RigMounts
         raise NoPoseSourceError([f"{topic} {pair.parent} to {pair.child}" for pair in samples])
     source = f"{topic} ({chosen.parent} to {chosen.child}, tf2_msgs/msg/TFMessage)"
     track = _track((source, topic), chosen.child, (chosen.stamps_ns, chosen.parent_from_child), rig)
-    return _with_refused(track, chosen.refused_ns, chosen.reason)
+    return _with_refused(track, chosen.refused_ns, chosen.reason, unread)
 
 
-def _with_refused(track: PoseTrack, refused_ns: NDArray[np.int64], reason: str) -> PoseTrack:
-    return replace(track, findings=(*refused_finding(track.topic, refused_ns, reason), *track.findings))
+def _with_refused(
+    track: PoseTrack, refused_ns: NDArray[np.int64], reason: str, others: tuple[Finding, ...]
+) -> PoseTrack:
+    return replace(track, findings=(*others, *refused_finding(track.topic, refused_ns, reason), *track.findings))
 
 
 def child_from_ego(child: str, rig: RigMounts) -> tuple[SE3, tuple[Finding, ...]]:
@@ -103,8 +110,20 @@ def _track(named: tuple[str, str], child: str, samples: tuple[NDArray[np.int64],
     stamps_ns, fixed_from_child = samples
     if not len(stamps_ns):
         raise NoUsablePoseError(source, 0, "no message")
-    ordered = in_order(source, stamps_ns)
+    is_stamped = stamps_ns != 0
+    if not is_stamped.any():
+        raise NoUsablePoseError(source, len(stamps_ns), "every stamp is 0")
+    ordered = in_order(topic, stamps_ns, np.flatnonzero(is_stamped))
     step, findings = child_from_ego(child, rig)
     offset_ns = rig.clocks.of_poses(rig.calibration, child)
     trajectory = Trajectory(ordered.stamps_ns + offset_ns, fixed_from_child[ordered.index] @ step)
-    return PoseTrack(trajectory, source, topic, ordered.findings + findings + shifted_finding(topic, offset_ns))
+    findings += shifted_finding(topic, offset_ns) + _unstamped_finding(topic, is_stamped)
+    return PoseTrack(trajectory, source, topic, ordered.findings + findings)
+
+
+def _unstamped_finding(topic: str, is_stamped: NDArray[np.bool_]) -> tuple[Finding, ...]:
+    count = int((~is_stamped).sum())
+    if not count:
+        return ()
+    sentence = f"{count} of {len(is_stamped)} poses are stamped 0 and are left out"
+    return (Finding("MSG-311", "warning", topic, sentence),)

@@ -17,6 +17,7 @@ Inspected = tuple[Topic, Role, Timing]
 
 def container_findings(bag: Bag) -> Iterator[Finding]:
     yield from bag.findings
+    yield from bag.damage_findings
     if not bag.is_indexed:
         yield Finding(
             "BAG-011", "info", "", "No usable index: the whole file was walked. Record without `fastwrite` to avoid it."

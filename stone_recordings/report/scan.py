@@ -1,7 +1,7 @@
 """One pass over the messages of a recording: header stamps, and copies of selected small messages.
 
-**Conventions.** Storage order, so each chunk is inflated once. A topic whose messages lie is remembered with its
-refusal and left out of the rest of the pass; damage of the container itself is raised. Of a topic that is looked at,
+**Conventions.** Storage order, so each chunk is inflated once. A message that cannot be read, or lies in a damaged
+chunk, is remembered with its problem; a topic that has no other is refused. Of a topic that is looked at,
 at most `MOST_KEPT` messages in its middle are copied, and of all together at most `MOST_KEPT_BYTES`, shared alike:
 memory does not grow with the recording.
 """
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from stone_recordings.bags.bag import Bag, Topic
 from stone_recordings.bags.errors import ByteOrderError, MessageLayoutError
 from stone_recordings.clocks.timing import begins_with_header, stamp_of
+from stone_recordings.messages.problems import DAMAGED, MALFORMED, MessageProblem
 
 # Three minutes of a 200 Hz IMU, half an hour of a 20 Hz receiver.
 MOST_KEPT = 36_000
@@ -30,13 +31,15 @@ class KeptMessage:
 class Scan:
     """By topic: header stamps (N,) in log order, kept messages in log order, or why the topic was given up.
 
-    `kept_from` is the index in the topic of its first kept message.
+    `kept_from` is the index in the topic of its first kept message. `problems` are the messages that cannot be read:
+    their stamps are the log times, moved by as much as the others' are apart, and they are never among the kept.
     """
 
     stamps_ns: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
     kept: Mapping[str, list[KeptMessage]] = field(default_factory=dict)
     kept_from: Mapping[str, int] = field(default_factory=dict)
     refused: Mapping[str, ByteOrderError | MessageLayoutError] = field(default_factory=dict)
+    problems: Mapping[str, Mapping[int, MessageProblem]] = field(default_factory=dict)
 
 
 def scan_of(bag: Bag, kept_bytes: Callable[[Topic], int]) -> Scan:
@@ -48,24 +51,48 @@ def scan_of(bag: Bag, kept_bytes: Callable[[Topic], int]) -> Scan:
     stamps_ns = {name: np.zeros(topic.count, np.int64) for name, topic in stamped.items()}
     copied = {name: size for name, topic in stamped.items() if (size := kept_bytes(topic))}
     windows = {name: _middle(stamped[name].count, MOST_KEPT_BYTES // len(copied) // copied[name]) for name in copied}
-    kept = {name: [b""] * len(window) for name, window in windows.items()}
-    refused: dict[str, ByteOrderError | MessageLayoutError] = {}
+    kept: dict[str, dict[int, bytes]] = {name: {} for name in windows}
+    errors: dict[str, dict[int, ByteOrderError | MessageLayoutError]] = {name: {} for name in stamped}
+    damaged = bag.damaged
     for name, index, payload in bag.heads(tuple(stamped)):
-        if name in refused:
-            continue
         try:
             stamps_ns[name][index] = stamp_of(payload, stamped[name].type)
         except (ByteOrderError, MessageLayoutError) as error:
-            refused[name] = error
+            errors[name][index] = error
             continue
         if name in kept and index in windows[name]:
-            kept[name][index - windows[name].start] = bytes(payload[: copied[name]])
+            kept[name][index] = bytes(payload[: copied[name]])
+    refused = {
+        name: next(iter(own.values())) for name, own in errors.items() if own and len(own) == stamped[name].count
+    }
+    problems = {name: _problems(errors[name], damaged.get(name, {})) for name in stamped if name not in refused}
+    for name, own in problems.items():
+        stamps_ns[name] = _filled(stamps_ns[name], bag.log_times_ns(name), list(own))
     return Scan(
         {name: stamps for name, stamps in stamps_ns.items() if name not in refused},
         {name: _messages(payloads) for name, payloads in kept.items() if name not in refused},
         {name: window.start for name, window in windows.items()},
         refused,
+        problems,
     )
+
+
+def _problems(
+    errors: Mapping[int, ByteOrderError | MessageLayoutError], damaged: Mapping[int, str]
+) -> dict[int, MessageProblem]:
+    return {index: MessageProblem(MALFORMED, str(error)) for index, error in errors.items()} | {
+        index: MessageProblem(DAMAGED, why) for index, why in damaged.items()
+    }
+
+
+def _filled(stamps_ns: NDArray[np.int64], log_times_ns: NDArray[np.int64], missing: list[int]) -> NDArray[np.int64]:
+    """With the stamps that the missing ones would have by the recorder's clock."""
+    if not missing or len(missing) == len(stamps_ns):
+        return stamps_ns
+    apart_ns = int(np.median(np.delete(stamps_ns - log_times_ns, missing)))
+    filled = stamps_ns.copy()
+    filled[missing] = log_times_ns[missing] + apart_ns
+    return filled
 
 
 def _middle(count: int, most: int) -> range:
@@ -75,5 +102,5 @@ def _middle(count: int, most: int) -> range:
     return range(first, min(count, first + most))
 
 
-def _messages(payloads: list[bytes]) -> list[KeptMessage]:
-    return [KeptMessage(memoryview(payload)) for payload in payloads]
+def _messages(payloads: Mapping[int, bytes]) -> list[KeptMessage]:
+    return [KeptMessage(memoryview(payloads[index])) for index in sorted(payloads)]

@@ -46,7 +46,11 @@ def associate(topics: SensorTopics, posed: PosedFrames) -> tuple[Frames, tuple[F
         mount = _mount(topics, topic.name, role)
         key = mount.name if mount is not None and mount.name not in associations else topic.name
         late_ns = mount.time_offset_ns if mount is not None else 0
-        ordered = in_order(topic.name, topics.recorded.stamps_ns(topic.name) + late_ns)
+        usable = topics.recorded.usable(topic.name)
+        findings += topics.recorded.left_out(topic.name)
+        if not len(usable):
+            continue
+        ordered = in_order(topic.name, topics.recorded.stamps_ns(topic.name) + late_ns, usable)
         associations[key], noticed = _association(topic.name, role, ordered, posed)
         findings += [*ordered.findings, *noticed]
         if role == "imu":

@@ -72,6 +72,39 @@ class NoUsablePoseError(StoneError):
         )
 
 
+class NoUsableSweepError(StoneError):
+    """Not one cloud of the LiDAR can be used."""
+
+    code = "SYN-509"
+
+    def __init__(self, topic: str, count: int, reason: str) -> None:
+        super().__init__(f"{topic}: none of its {count} sweeps can be used (the first: {reason}); look at the driver")
+
+
+class StillPosesError(StoneError):
+    """The poses say that the robot stood, and its sweeps that it did not."""
+
+    code = "SYN-510"
+
+    def __init__(self, source: str, count: int, moved_m: float) -> None:
+        super().__init__(
+            f"{source}: its {count} poses never change, but the sweeps show {moved_m:.1f} m of motion; was the source "
+            "ever set? Choose another one, or have the sweeps tell: --odometry kiss-icp"
+        )
+
+
+class SparsePosesError(StoneError):
+    """Poses come so rarely that no sweep has one."""
+
+    code = "SYN-511"
+
+    def __init__(self, source: str, period_s: float, limit_s: float) -> None:
+        super().__init__(
+            f"{source}: its poses come every {period_s:.3f} s, and nothing is interpolated across more than "
+            f"{limit_s:.3f} s, so no sweep has a pose; record them faster, or have the sweeps tell: --odometry kiss-icp"
+        )
+
+
 class NoPosedFramesError(StoneError):
     """No LiDAR stamp has a pose."""
 

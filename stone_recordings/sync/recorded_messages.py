@@ -5,21 +5,33 @@ copied: a view would keep its whole chunk alive. Stamps are those of the message
 """
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stone.findings import Finding
 from stone_recordings.bags.bag import Bag, Topic
-from stone_recordings.bags.errors import MessageLayoutError
-from stone_recordings.messages.pointcloud2 import layout_problem
-from stone_recordings.messages.types.cdr import HEAD_BYTES, NS_PER_S, Cursor, check_encapsulation
+from stone_recordings.bags.errors import ByteOrderError, MessageLayoutError
+from stone_recordings.messages.pointcloud2 import xyz_problem
+from stone_recordings.messages.problems import (
+    DAMAGED,
+    MALFORMED,
+    MessageProblem,
+    head_problem,
+    left_out_finding,
+    majority,
+)
+from stone_recordings.messages.types.cdr import HEAD_BYTES, Cursor
 from stone_recordings.topics.roles import POINT_CLOUD
+from stone_recordings.topics.sources import Sources
 
 STAMP_BYTES = HEAD_BYTES + 8
 # A header with the longest frame_id anybody uses, and the size of a cloud behind it.
 HEADER_BYTES = 256
+NO_PROBLEMS: Mapping[int, MessageProblem] = {}
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,36 +45,58 @@ class OwnMessage:
 class RecordedTopics:
     """`heads`: the first bytes of every message of a scanned topic; `messages`: whole small messages of others.
 
-    `problems`: of a topic of clouds, the numbers of those that cannot be decoded, and why.
+    `problems`: of a scanned topic, the numbers of the messages that cannot be used, and why; `log_times_ns` of all.
+    Of `messages` those that lie in damaged chunks are missing.
     """
 
     topics: Mapping[str, Topic]
     heads: Mapping[str, list[bytes]] = field(default_factory=dict)
     messages: Mapping[str, list[OwnMessage]] = field(default_factory=dict)
-    problems: Mapping[str, Mapping[int, str]] = field(default_factory=dict)
+    problems: Mapping[str, Mapping[int, MessageProblem]] = field(default_factory=dict)
+    log_times_ns: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
 
     def stamps_ns(self, topic: str) -> NDArray[np.int64]:
-        """Header stamps (N,) of a scanned topic in log-time order. Raises MessageLayoutError, ByteOrderError."""
-        heads, type_name = self.heads[topic], self.topics[topic].type
-        for head in heads:
-            check_encapsulation(memoryview(head), type_name)
-            if len(head) < STAMP_BYTES:
-                raise MessageLayoutError(type_name, f"{len(head)} bytes hold no header")
-        raw = np.frombuffer(b"".join(head[HEAD_BYTES:STAMP_BYTES] for head in heads), "<u4").reshape(-1, 2)
-        seconds = raw[:, 0].astype(np.int32).astype(np.int64)
-        return np.asarray(seconds * NS_PER_S + raw[:, 1], dtype=np.int64)
+        """Header stamps (N,) of a scanned topic in log-time order; the log time where a message has none."""
+        type_name = self.topics[topic].type
+        stamps_ns = self.log_times_ns[topic].copy()
+        for index, head in enumerate(self.heads[topic]):
+            with suppress(MessageLayoutError, ByteOrderError):
+                stamps_ns[index] = Cursor(memoryview(head), type_name).stamp_ns() or stamps_ns[index]
+        return stamps_ns
+
+    def usable(self, topic: str) -> NDArray[np.int64]:
+        """The numbers (M,) of a scanned topic's messages that nothing is wrong with."""
+        is_usable = np.ones(len(self.heads[topic]), np.bool_)
+        is_usable[list(self.problems.get(topic, NO_PROBLEMS))] = False
+        return np.flatnonzero(is_usable)
+
+    def frame_ids(self, topic: str) -> list[str]:
+        """`frame_id` of each message of a topic of clouds that nothing is wrong with."""
+        found = []
+        for index in self.usable(topic).tolist():
+            cursor = Cursor(memoryview(self.heads[topic][index]), self.topics[topic].type)
+            cursor.stamp_ns()
+            found.append(cursor.text())
+        return found
 
     def frame_id(self, topic: str) -> str:
-        """`frame_id` of the topic's first message; "" without messages. Raises as `stamps_ns`."""
-        if not self.heads[topic]:
+        """The `frame_id` of most of a topic's clouds, of another topic's first message; "" without."""
+        if self.topics[topic].type == POINT_CLOUD:
+            return majority(self.frame_ids(topic))
+        usable = self.usable(topic)
+        if not len(usable):
             return ""
-        cursor = Cursor(memoryview(self.heads[topic][0]), self.topics[topic].type)
+        cursor = Cursor(memoryview(self.heads[topic][int(usable[0])]), self.topics[topic].type)
         cursor.stamp_ns()
         return cursor.text()
 
-    def cloud_sizes(self, topic: str) -> NDArray[np.int64]:
-        """Declared points (N,) of each cloud of a scanned PointCloud2 topic. Raises as `stamps_ns`."""
-        return np.array([_cloud_size(head, self.topics[topic].type) for head in self.heads[topic]], np.int64)
+    def cloud_size(self, topic: str, index: int) -> int:
+        """Declared points of a cloud that nothing is wrong with."""
+        return _cloud_size(self.heads[topic][index], self.topics[topic].type)
+
+    def left_out(self, topic: str) -> tuple[Finding, ...]:
+        """What is said of a topic's messages that cannot be used."""
+        return left_out_finding(topic, self.problems.get(topic, NO_PROBLEMS), self.stamps_ns(topic))
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,26 +108,35 @@ class OrderedStamps:
     findings: tuple[Finding, ...]
 
 
-def read_recorded(bag: Bag, scanned: tuple[str, ...], whole: tuple[str, ...]) -> RecordedTopics:
-    """One pass over the topics named. Raises what `Bag.heads` raises."""
+def read_recorded(bag: Bag, sources: Sources) -> RecordedTopics:
+    """One pass over the topics that are used. Raises what `Bag.heads` raises."""
+    scanned, whole = sources.scanned, sources.whole
     topics = {topic.name: topic for topic in bag.topics}
-    kept_bytes = {name: HEADER_BYTES if topics[name].type == POINT_CLOUD else STAMP_BYTES for name in scanned}
     heads = {name: [b""] * topics[name].count for name in scanned}
-    payloads = {name: [b""] * topics[name].count for name in whole}
-    problems: dict[str, dict[int, str]] = {name: {} for name in scanned if topics[name].type == POINT_CLOUD}
+    payloads: dict[str, dict[int, bytes]] = {name: {} for name in whole}
+    damaged = {name: bag.damaged.get(name, {}) for name in scanned}
+    problems = {name: {index: MessageProblem(DAMAGED, why) for index, why in damaged[name].items()} for name in scanned}
     for name, index, payload in bag.heads((*scanned, *whole), whole=whole):
         if name in payloads:
             payloads[name][index] = bytes(payload)
             continue
-        heads[name][index] = bytes(payload[: kept_bytes[name] if index else HEADER_BYTES])
-        if name in problems and (problem := layout_problem(payload)):
+        heads[name][index] = bytes(payload[:HEADER_BYTES])
+        problem = head_problem(payload, topics[name].type, partial(bag.size_bytes, name, index))
+        if problem is None and name == sources.lidar.name and (missing := xyz_problem(payload)):
+            problem = MessageProblem(MALFORMED, missing)
+        if problem is not None:
             problems[name][index] = problem
-    messages = {name: [OwnMessage(memoryview(payload)) for payload in own] for name, own in payloads.items()}
-    return RecordedTopics(topics, heads, messages, problems)
+    messages = {name: [OwnMessage(memoryview(own[index])) for index in sorted(own)] for name, own in payloads.items()}
+    return RecordedTopics(topics, heads, messages, problems, {name: bag.log_times_ns(name) for name in scanned})
 
 
-def in_order(topic: str, stamps_ns: NDArray[np.int64]) -> OrderedStamps:
-    """Stamps sorted (stably) with repeats dropped, the first kept; both are said in findings, with the worst step."""
+def in_order(topic: str, stamps_ns: NDArray[np.int64], rows: NDArray[np.int64] | None = None) -> OrderedStamps:
+    """Stamps sorted (stably) with repeats dropped, the first kept; both are said in findings, with the worst step.
+
+    `rows` (M,) are the messages that count, where not all do.
+    """
+    rows = np.arange(len(stamps_ns), dtype=np.int64) if rows is None else rows
+    stamps_ns = stamps_ns[rows]
     order = np.argsort(stamps_ns, kind="stable").astype(np.int64)
     is_new = np.ones(len(order), np.bool_)
     is_new[1:] = np.diff(stamps_ns[order]) > 0
@@ -105,7 +148,7 @@ def in_order(topic: str, stamps_ns: NDArray[np.int64]) -> OrderedStamps:
         findings.append(Finding("TIM-203", "warning", topic, sentence))
     if repeats:
         findings.append(Finding("TIM-206", "warning", topic, f"{repeats} messages repeat a stamp; the first is used"))
-    return OrderedStamps(order[is_new], stamps_ns[order[is_new]], tuple(findings))
+    return OrderedStamps(rows[order[is_new]], stamps_ns[order[is_new]], tuple(findings))
 
 
 def _cloud_size(head: bytes, type_name: str) -> int:

@@ -19,7 +19,7 @@ from stone.sensors.pose_quality import quality_at, unknown_quality
 from stone.sensors.sequence import Association, ExcludedFrame, Frames, frame_token
 from stone_recordings.clocks.lidar_clock import LidarClock
 from stone_recordings.poses.sources import PoseTrack
-from stone_recordings.sync.errors import NoPosedFramesError
+from stone_recordings.sync.errors import NoPosedFramesError, NoUsablePoseError, SparsePosesError
 
 EXCLUSIONS = {
     PoseStatus.BEFORE_FIRST: "no_pose_before_first",
@@ -44,24 +44,28 @@ class PosedFrames:
 
 
 def frames_with_pose(name: str, clock: LidarClock, track: PoseTrack, max_gap_ns: int) -> PosedFrames:
-    """Every LiDAR stamp, as a frame or as an exclusion with its reason. Raises NoFramesError when none has a pose."""
+    """Every LiDAR stamp, as a frame or as an exclusion with its reason.
+
+    Raises where none has a pose: NoUsablePoseError (a single pose), SparsePosesError, NoPosedFramesError.
+    """
     stamps_ns, trajectory = clock.ordered.stamps_ns, track.trajectory
+    if len(trajectory) < 2:
+        raise NoUsablePoseError(track.source, len(trajectory), "one pose is no track")
     path = split_at_gaps(with_between(trajectory, max_gap_ns) if track.is_smooth else trajectory, max_gap_ns)
     at_stamp = path.at(stamps_ns, max_gap_ns)
     at_ends = [path.at(stamps_ns + offset_ns, max_gap_ns) for offset_ns in clock.span_ns]
     is_empty = clock.points == 0
     is_broken = (at_ends[0].segment != at_stamp.segment) | (at_ends[1].segment != at_stamp.segment)
-    is_decoded = np.ones(len(stamps_ns), np.bool_)
-    is_decoded[list(clock.problems)] = False
-    is_usable = is_decoded & at_stamp.is_ok & at_ends[0].is_ok & at_ends[1].is_ok & ~is_empty & ~is_broken
+    is_usable = at_stamp.is_ok & at_ends[0].is_ok & at_ends[1].is_ok & ~is_empty & ~is_broken
     rows = np.flatnonzero(is_usable)
-    excluded = tuple(
-        _undecoded(int(stamps_ns[row]), clock.problems[row])
-        if row in clock.problems
-        else _exclusion(int(stamps_ns[row]), bool(is_empty[row]), [_found_at(one, row) for one in (at_stamp, *at_ends)])
+    unposed = (
+        _exclusion(int(stamps_ns[row]), bool(is_empty[row]), [_found_at(one, row) for one in (at_stamp, *at_ends)])
         for row in np.flatnonzero(~is_usable).tolist()
     )
+    excluded = tuple(sorted((*clock.excluded, *unposed), key=lambda one: one.stamp_ns))
     if not len(rows):
+        if sparse_finding(track, max_gap_ns):
+            raise SparsePosesError(track.source, typical_period_ns(trajectory.stamps_ns) / 1e9, max_gap_ns / 1e9)
         raise NoPosedFramesError(counted_reasons(excluded), _seconds(stamps_ns), _seconds(trajectory.stamps_ns))
     frames = Frames(
         stamps_ns[rows],
@@ -71,6 +75,18 @@ def frames_with_pose(name: str, clock: LidarClock, track: PoseTrack, max_gap_ns:
         sweeps=Association(clock.topic, clock.ordered.index[rows], np.zeros(len(rows), np.int64)),
     )
     return PosedFrames(frames, path, typical_period_ns(stamps_ns), clock.ordered.index[rows], excluded)
+
+
+def sparse_finding(track: PoseTrack, max_gap_ns: int) -> tuple[Finding, ...]:
+    """SYN-511 where poses are farther apart than is interpolated across."""
+    period_ns = typical_period_ns(track.trajectory.stamps_ns)
+    if period_ns <= max_gap_ns:
+        return ()
+    sentence = (
+        f"its poses come every {period_ns / 1e9:.3f} s, and nothing is interpolated across more than "
+        f"{max_gap_ns / 1e9:.3f} s: only sweeps at a pose are frames"
+    )
+    return (Finding("SYN-511", "warning", track.topic, sentence),)
 
 
 def usable_finding(posed: PosedFrames) -> tuple[Finding, ...]:
@@ -94,10 +110,6 @@ def _found_at(found: Interpolated, row: int) -> tuple[PoseStatus, int]:
 
 def _seconds(stamps_ns: NDArray[np.int64]) -> tuple[float, float]:
     return int(stamps_ns[0]) / 1e9, int(stamps_ns[-1]) / 1e9
-
-
-def _undecoded(stamp_ns: int, problem: str) -> ExcludedFrame:
-    return ExcludedFrame(stamp_ns, "malformed_sweep", problem)
 
 
 def _exclusion(stamp_ns: int, is_empty: bool, found: list[tuple[PoseStatus, int]]) -> ExcludedFrame:

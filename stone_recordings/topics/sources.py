@@ -9,13 +9,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from stone_recordings.bags.bag import Bag, Topic
-from stone_recordings.messages.pointcloud2 import decode_cloud
 from stone_recordings.sync.errors import (
     AmbiguousTopicsError,
     NoLidarError,
     NoPoseSourceError,
     WrongTopicError,
 )
+from stone_recordings.topics.cloud_samples import sample_cloud
 from stone_recordings.topics.profiles import Candidate
 from stone_recordings.topics.roles import (
     PACKET_TYPES,
@@ -86,7 +86,7 @@ def _candidate(bag: Bag, topic: Topic) -> Candidate:
 def _role(bag: Bag, topic: Topic) -> Role:
     if topic.type != POINT_CLOUD:
         return role_of(TopicFacts(topic.name, topic.type, None))
-    cloud = decode_cloud(bag.message(topic.name, topic.count // 2).payload)
+    cloud = sample_cloud(bag, topic)
     fields = frozenset(cloud.points.dtype.names or ())
     return role_of(TopicFacts(topic.name, topic.type, None, fields, len(cloud.points)))
 

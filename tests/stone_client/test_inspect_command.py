@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from simulator.options import SimulateOptions
-from simulator.pipeline import simulate
+from simulator.pipeline import calibration_path, simulate
 from stone_client.main import app
 
 REFUSAL = re.compile(r"[A-Za-z]+[-_A-Za-z0-9]*: \S.*")
@@ -65,3 +65,15 @@ def test_a_recording_that_was_cut_off_says_where(tmp_path: Path, recording: Path
     result = inspect(tmp_path / "cut.mcap")
     assert "cut off" in result.stderr
     assert "Traceback" not in result.stderr
+
+
+def test_with_a_calibration_labelling_is_looked_ahead_to(recording: Path) -> None:
+    rig = calibration_path(recording)
+    plain, checked = inspect(recording, "--json"), inspect(recording, "--json", "--calibration", str(rig))
+    assert (plain.exit_code, checked.exit_code) == (0, 0)
+    codes = [{found["code"] for found in json.loads(one.stdout)["findings"]} for one in (plain, checked)]
+    assert codes[0] <= codes[1]
+    rig_of_nothing = recording.with_name("other.yaml")
+    rig_of_nothing.write_text("stone_calibration: 1\nname: none\n")
+    refused = inspect(recording, "--calibration", str(rig_of_nothing))
+    assert refused.exit_code == 1

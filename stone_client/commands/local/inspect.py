@@ -1,6 +1,7 @@
 """`stone inspect`: what is in a recording, and what is wrong with it."""
 
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
 
@@ -11,6 +12,13 @@ from stone_client.streams import JsonOption, echo_findings, echo_json
 from stone_client.tables import clock_table, inspection_table, show
 from stone_client.topic_choices import SaveTopicsOption, TopicOption, TopicsOption, chosen_topics
 
+RigOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--calibration", metavar="FILE", exists=True, help="Check with this calibration what labelling would say."
+    ),
+]
+
 
 def inspect(
     bag: BagArgument,
@@ -18,21 +26,23 @@ def inspect(
     topic: TopicOption = [],  # noqa: B006
     save_topics: SaveTopicsOption = None,
     html: HtmlOption = None,
+    calibration: RigOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Show a recording's topics with their roles, rates and gaps, and what is noticed about them.
 
     Where several topics fit one role, choose with --topic and save the choice for the robot's next recording.
+    What labelling would refuse or leave out is said too; with --calibration also what it would say of the mounts.
     With --html its quality is measured too: a page with plots, and under --json one more key.
     Exit code 1 where something in it cannot be used, named by an error line.
     """
+    from services.ingest.outlook import inspected_in
     from stone_recordings.bags.bag import open_bag
-    from stone_recordings.report.inspection import inspect_in
     from stone_recordings.topics.profile_file import write_profile
 
     profile = chosen_topics(topics, topic)
     with open_bag(bag) as opened:
-        inspection = inspect_in(opened, profile)
+        inspection = inspected_in(opened, profile, calibration)
         record: dict[str, Any] = inspection.as_record()
         findings = inspection.findings
         if html is not None:

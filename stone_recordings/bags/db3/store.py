@@ -4,7 +4,7 @@
 its pages still hold (finding BAG-030). Payloads are copies. Memory is the index, 32 bytes a message.
 """
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -72,6 +72,13 @@ class SqliteStore:
             if head is None:
                 head = self._read(rows[place : place + AHEAD_ROWS], is_whole=topics[number] in whole)
             yield topics[number], index, memoryview(head)
+
+    def size_bytes(self, topic: str, index: int) -> int:
+        return int(self._rows.index.size_bytes[self._order[topic][index]])
+
+    def damaged(self) -> Mapping[str, Mapping[int, str]]:
+        """None: rows carry no checksum, and those of a damaged page were left out when it was opened."""
+        return {}
 
     def release(self) -> None:
         self._ahead = {}

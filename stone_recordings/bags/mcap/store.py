@@ -7,7 +7,7 @@ is the index (20 bytes a message) and the `KEPT_CHUNKS` chunks used last: neighb
 
 import mmap
 from collections import OrderedDict
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from struct import Struct
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone.findings import Finding
-from stone_recordings.bags.errors import EncodingRefusedError, MalformedBagError
+from stone_recordings.bags.errors import ChecksumError, EncodingRefusedError, MalformedBagError
 from stone_recordings.bags.mcap import records as wire
 from stone_recordings.bags.mcap.catalogue import Catalogue, Entries, message_head, read_catalogue
 from stone_recordings.bags.mcap.chunks import check_crc32, inflate, inflate_head
@@ -54,6 +54,7 @@ class McapStore:
         self._forget(0, len(self._map))  # the indexes lie all over the file, and each brought its neighbours
         self._chunks: OrderedDict[int, memoryview] = OrderedDict()
         self._checked: set[int] = set()
+        self._damaged: dict[int, str] = {}
         self._head = (-1, memoryview(b""))
         self._near_byte = self._dropped_bytes = 0
         self._entries = _merged_by_topic(self._catalogue, self._name)
@@ -80,11 +81,36 @@ class McapStore:
         self._map.madvise(mmap.MADV_RANDOM)
         try:
             for number, index, chunk in zip(rows.topic.tolist(), rows.index.tolist(), rows.chunk.tolist(), strict=True):
+                if chunk in self._damaged:
+                    continue
                 view = self._head_of(chunk, reach[chunk]) if chunk >= 0 else None
                 yield topics[number], index, self._payload(topics[number], index, is_checked=False, head=view)
         finally:
             self._map.madvise(mmap.MADV_NORMAL)
             self._head = (-1, memoryview(b""))
+
+    def size_bytes(self, topic: str, index: int) -> int:
+        """By the record's own length: what `heads` inflated last tells it without more."""
+        number, offset = int(self._entries[topic].chunk[index]), int(self._entries[topic].offset[index])
+        is_head = number >= 0 and number == self._head[0]
+        view = self._head[1] if is_head else self._view if number < 0 else self._records(number, is_checked=False)
+        return int(_MESSAGE.unpack_from(view, offset)[1]) - (_MESSAGE.size - wire.PREFIX_BYTES)
+
+    def damaged(self) -> Mapping[str, Mapping[int, str]]:
+        """The messages of chunks whose CRC-32 is another than declared, or which do not inflate."""
+        used = np.unique(np.concatenate([np.zeros(0, np.int64), *(one.chunk for one in self._entries.values())]))
+        for number in used[used >= 0].tolist():
+            try:
+                self._records(number, is_checked=True)
+            except (ChecksumError, MalformedBagError) as error:
+                self._damaged[number] = str(error)
+            self._forget(self._catalogue.chunks[number].start, self._catalogue.chunks[number].stop)
+        bad = np.array(sorted(self._damaged), np.int64)
+        return {
+            topic: {row: self._damaged[int(one.chunk[row])] for row in np.flatnonzero(np.isin(one.chunk, bad)).tolist()}
+            for topic, one in self._entries.items()
+            if np.isin(one.chunk, bad).any()
+        }
 
     def release(self) -> None:
         self._chunks.clear()

@@ -51,7 +51,7 @@ def test_a_recording_whose_reader_is_taken_over_fails_its_job_and_is_kept(
     platform: Platform, bag: Path, attack: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     work, fate = ATTACKS[attack]
-    monkeypatch.setattr(sandboxed_inspection, "inspect_in", work)
+    monkeypatch.setattr(sandboxed_inspection, "inspected_in", work)
     brought = bring(platform)
     job_id = brought.add(bag, "run.mcap")
     run_all(platform)
@@ -67,7 +67,7 @@ def test_a_reader_that_writes_elsewhere_is_refused(
     platform: Platform, bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("STONE_TEST_DROPPED", str(tmp_path / "dropped"))
-    monkeypatch.setattr(sandboxed_inspection, "inspect_in", dropped)
+    monkeypatch.setattr(sandboxed_inspection, "inspected_in", dropped)
     brought = bring(platform)
     job_id = brought.add(bag, "run.mcap")
     run_all(platform)

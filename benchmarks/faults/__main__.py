@@ -1,0 +1,81 @@
+"""Every fault of the catalogue, made of two drives, inspected and labelled: `python -m benchmarks.faults`.
+
+The drives are a few seconds of a car's real LiDAR (left out where there is no field data) and of the simulated rig.
+Outcomes are kept as JSON in `--folder`; `--before FILE` shows those of an earlier run beside them, `--only WORD` takes
+the faults with this word in their names. Exit code 1 where a fault goes through: a crash without a code, T beyond the
+footprint of any pose, a refusal or an exclusion that inspection did not name.
+"""
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from benchmarks.faults.rows import outcome_of, row_of_sound
+from benchmarks.faults.table import Outcomes, goes_through, shown
+from testing.worlds.faults.catalogue import FAULTS
+from testing.worlds.faults.drive import SoundDrive, kitti_drive, simulated_drive
+from testing.worlds.faults.outcome import sound
+
+FIELD_DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
+
+
+def main() -> int:
+    options = _options()
+    options.folder.mkdir(parents=True, exist_ok=True)
+    drives = _drives(options.folder)
+    made = _outcomes(drives, options)
+    (options.folder / "outcomes.json").write_text(json.dumps(made, indent=1) + "\n")
+    before: Outcomes = json.loads(options.before.read_text()) if options.before else {}
+    Console(width=200, soft_wrap=True).print(shown(made, before), markup=False, highlight=False)
+    return int(any(goes_through(one) for of_drive in made.values() for one in of_drive.values()))
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()) / "stone-faults")
+    parser.add_argument("--before", type=Path)
+    parser.add_argument("--only", default="")
+    parser.add_argument("--processes", type=int, default=2)
+    return parser.parse_args()
+
+
+def _drives(folder: Path) -> list[SoundDrive]:
+    field_data = Path(os.environ.get("STONE_FIELD_DATA", FIELD_DATA))
+    drives = [simulated_drive(folder)]
+    if field_data.is_dir():
+        return [kitti_drive(field_data, folder), *drives]
+    print(f"no field data at {field_data}: the real drive is left out", file=sys.stderr)
+    return drives
+
+
+def _outcomes(drives: list[SoundDrive], options: argparse.Namespace) -> Outcomes:
+    """By drive and fault."""
+    clean = {drive.name: sound(drive, options.folder / f"sound-{drive.name}") for drive in drives}
+    runs = [(drive, fault) for drive in drives for fault in FAULTS if drive.has(fault) and options.only in fault.name]
+    found: dict[tuple[str, str], dict[str, Any]] = {}
+    with ProcessPoolExecutor(options.processes, mp_context=get_context("spawn")) as pool:
+        asked = {
+            pool.submit(outcome_of, drive, fault.name, clean[drive.name].grids): (drive, fault) for drive, fault in runs
+        }
+        for done, future in enumerate(as_completed(asked), 1):
+            drive, fault = asked[future]
+            found[drive.name, fault.name] = future.result()
+            print(f"\r{done} of {len(asked)} runs", end="", file=sys.stderr, flush=True)
+    print(file=sys.stderr)
+    return {
+        drive.name: {"": row_of_sound(drive, clean[drive.name])}
+        | {fault.name: found[drive.name, fault.name] for fault in FAULTS if (drive.name, fault.name) in found}
+        for drive in drives
+    }
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,58 @@
+"""The outcomes of `benchmarks.faults` as a table in Markdown: a row a fault, the two drives beside each other."""
+
+from collections.abc import Mapping
+from typing import Any
+
+# by drive, by fault ("" is none): what `FaultOutcome.as_record` gives
+Outcomes = dict[str, dict[str, dict[str, Any]]]
+# What labelling refuses by a figure that inspection has measured and named by another code.
+NAMED_AS = {"footprint_off_ground": "CAL-433"}
+
+
+def shown(made: Outcomes, before: Outcomes) -> str:
+    """The table of each drive, one after the other."""
+    return "\n\n".join(_of_drive(drive, rows, before.get(drive, {})) for drive, rows in made.items())
+
+
+def goes_through(row: Mapping[str, Any]) -> bool:
+    """Whether the fault got past everybody: a crash, T where nobody drove, or what inspection did not say before."""
+    if row["refusal"]:
+        return NAMED_AS.get(row["refusal"], row["refusal"]) not in row["named"]
+    return bool(row["beyond"]) or (bool(row["excluded"]) and "SYN-501" not in row["named"])
+
+
+def _of_drive(drive: str, rows: Mapping[str, Mapping[str, Any]], before: Mapping[str, Mapping[str, Any]]) -> str:
+    heads = ["fault", "`inspect` names", "`label`", "T beyond", "P", "as sound"]
+    heads[2:2] = ["`label` before"] if before else []
+    lines = [f"### {drive}", "", _line(heads), _line(["---"] * len(heads))]
+    for fault, row in rows.items():
+        cells = [fault or "none", ", ".join(row["named"]), _done(row), *_figures(row)]
+        if before:
+            cells[2:2] = [_brief(before[fault]) if fault in before else ""]
+        lines.append(_line(cells))
+    return "\n".join(lines)
+
+
+def _done(row: Mapping[str, Any]) -> str:
+    if row["refusal"]:
+        return f"refused: {row['refusal']}"
+    excluded = ", ".join(f"{count} {code}" for code, count in row["excluded"].items())
+    return f"{row['frames']} frames" + (f", excluded {excluded}" if excluded else "")
+
+
+def _brief(row: Mapping[str, Any]) -> str:
+    """An earlier run's row in one cell."""
+    if row["refusal"]:
+        return _done(row)
+    beyond = f", T beyond {row['beyond']}" if row["beyond"] else ""
+    return f"{_done(row)}{beyond}, P {row['p_share']:.1%}"
+
+
+def _figures(row: Mapping[str, Any]) -> list[str]:
+    if row["refusal"]:
+        return ["", "", ""]
+    return [str(row["beyond"]), f"{row['p_share']:.1%}", f"{row['agreement']:.1%}"]
+
+
+def _line(cells: list[str]) -> str:
+    return f"| {' | '.join(cells)} |"

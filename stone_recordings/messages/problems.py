@@ -1,0 +1,111 @@
+"""What keeps one message from being used, told by its first bytes: one path for inspection and synchronisation.
+
+**Conventions.** A head is a whole message, or at least the first `HEAD_BYTES` of one (`Bag.heads`). Codes are words for
+programs: they become the codes of excluded frames.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.findings import Finding
+from stone_recordings.bags.errors import ByteOrderError, MessageLayoutError, PoseValueError
+from stone_recordings.messages.batch import StampedMessage
+from stone_recordings.messages.camera import picture_problem
+from stone_recordings.messages.pointcloud2 import TYPE as POINT_CLOUD
+from stone_recordings.messages.pointcloud2 import layout_problem
+from stone_recordings.messages.types.cdr import Cursor
+
+MALFORMED, UNSTAMPED, DAMAGED, OTHER_FRAME, STRAY = (
+    "malformed_sweep",
+    "no_stamp",
+    "damaged_chunk",
+    "other_sensor",
+    "stray_stamp",
+)
+Read = TypeVar("Read")
+
+
+@dataclass(frozen=True, slots=True)
+class MessageProblem:
+    """Why a message is left out: `code` for programs, `reason` for people."""
+
+    code: str
+    reason: str
+
+
+def head_problem(head: memoryview, type_name: str, size_bytes: Callable[[], int]) -> MessageProblem | None:
+    """What is wrong with a stamped message; `size_bytes` tells how long it is beyond its head."""
+    try:
+        cursor = Cursor(head, type_name)
+        stamp_ns = cursor.stamp_ns()
+        cursor.text()
+        picture = picture_problem(head, type_name, size_bytes)
+    except (MessageLayoutError, ByteOrderError) as error:
+        return MessageProblem(MALFORMED, str(error))
+    if type_name == POINT_CLOUD and (problem := layout_problem(head, size_bytes)):
+        return MessageProblem(MALFORMED, problem)
+    if picture:
+        return MessageProblem(MALFORMED, picture)
+    return MessageProblem(UNSTAMPED, "its stamp is 0") if stamp_ns == 0 else None
+
+
+def readable(
+    topic: str, messages: Iterable[StampedMessage], read: Callable[[list[StampedMessage]], Read]
+) -> tuple[list[StampedMessage], tuple[Finding, ...]]:
+    """The messages of a topic that `read` can read, and MSG-311 for the others; all where it can read none.
+
+    Where none can be read, `read` says so better. Halves are tried again, so that a few bad ones among many cost
+    little.
+    """
+    listed = list(messages)
+    found = _unreadable(listed, read, 0)
+    if not found or len(found) == len(listed):
+        return listed, ()
+    first = min(found)
+    sentence = (
+        f"{len(found)} of {len(listed)} messages cannot be read and are left out (the first is number {first}: "
+        f"{found[first]})"
+    )
+    good = [message for at, message in enumerate(listed) if at not in found]
+    return good, (Finding("MSG-311", "warning", topic, sentence),)
+
+
+def left_out_finding(
+    topic: str, problems: Mapping[int, MessageProblem], stamps_ns: NDArray[np.int64]
+) -> tuple[Finding, ...]:
+    """MSG-311 for messages of a topic that are left out, () for none; `stamps_ns` are those of all its messages."""
+    told = {at: problem for at, problem in problems.items() if problem.code != DAMAGED}
+    if not told:
+        return ()
+    first = min(told)
+    sentence = (
+        f"{len(told)} of {len(stamps_ns)} messages are left out "
+        f"(the first at {int(stamps_ns[first])} ns: {told[first].reason})"
+    )
+    return (Finding("MSG-311", "warning", topic, sentence),)
+
+
+def _unreadable(
+    messages: list[StampedMessage], read: Callable[[list[StampedMessage]], Read], begin: int
+) -> dict[int, str]:
+    try:
+        read(messages)
+    except (MessageLayoutError, ByteOrderError) as error:
+        if len(messages) == 1:
+            return {begin: str(error)}
+    except PoseValueError:
+        return {}
+    else:
+        return {}
+    half = len(messages) // 2
+    return _unreadable(messages[:half], read, begin) | _unreadable(messages[half:], read, begin + half)
+
+
+def majority(words: Iterable[str]) -> str:
+    """The word that is said most often, of several the first; "" of none."""
+    listed = list(words)
+    return max(dict.fromkeys(listed), key=listed.count, default="")

@@ -1,0 +1,112 @@
+"""Edits of transforms, IMU, cameras and radars, damage to files, and calibrations that are wrong.
+
+**Conventions.** As in `testing.worlds.faults.edits`.
+"""
+
+import copy
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.reader import make_reader
+
+from stone.geometry.se3 import SE3
+from stone.sensors.calibration import Calibration
+from testing.worlds.faults.fault import Misreading
+
+
+def tf_cycle(message: Any) -> Any:
+    """Every transform the other way round too."""
+    for transform in list(message.transforms):
+        back = copy.deepcopy(transform)
+        back.header.frame_id, back.child_frame_id = transform.child_frame_id, transform.header.frame_id
+        message.transforms.append(back)
+    return message
+
+
+def tf_nan(message: Any) -> Any:
+    message.transforms[0].transform.translation.x = float("nan")
+    return message
+
+
+def imu_of_nothing(message: Any) -> Any:
+    for vector in (message.linear_acceleration, message.angular_velocity):
+        vector.x = vector.y = vector.z = 0.0
+    return message
+
+
+def imu_nan(message: Any) -> Any:
+    message.angular_velocity.z = message.linear_acceleration.x = float("nan")
+    return message
+
+
+def picture_of_garbage(message: Any) -> Any:
+    message.data = np.random.default_rng(5).integers(0, 256, len(message.data)).astype(np.uint8)
+    return message
+
+
+def picture_of_nothing(message: Any) -> Any:
+    message.data = message.data[:0]
+    return message
+
+
+def picture_cut(message: Any) -> Any:
+    message.data = message.data[: len(message.data) // 2]
+    return message
+
+
+def lens_of_zeros(message: Any) -> Any:
+    message.k = np.zeros(9)
+    message.d = np.full(len(message.d), np.nan)
+    return message
+
+
+def detections_nan(message: Any) -> Any:
+    for detection in message.list_detections:
+        detection.f_range = float("nan")
+    return message
+
+
+def lowered(by_m: float) -> Misreading:
+    """The LiDAR is entered so much lower than it sits."""
+    lower = SE3.from_parts(np.array([1.0, 0, 0, 0]), np.array([0.0, 0.0, -by_m]))
+    return lambda rig: replace(rig, ego_from_lidar=lower @ rig.ego_from_lidar)
+
+
+def rolled(by_deg: float, axis: int = 0) -> Misreading:
+    """The LiDAR is entered turned about its own axis x (roll), y (pitch) or z (yaw)."""
+    wxyz = np.zeros(4)
+    wxyz[0], wxyz[1 + axis] = np.cos(np.deg2rad(by_deg) / 2), np.sin(np.deg2rad(by_deg) / 2)
+    turn = SE3.from_parts(wxyz, np.zeros(3))
+    return lambda rig: _with_lidar(rig, rig.ego_from_lidar @ turn)
+
+
+def _with_lidar(rig: Calibration, ego_from_lidar: SE3) -> Calibration:
+    return replace(rig, ego_from_lidar=ego_from_lidar)
+
+
+def bad_chunk(path: Path) -> None:
+    """One byte of the chunk in the middle is another."""
+    with path.open("rb") as reading:
+        summary = make_reader(reading).get_summary()
+    assert summary is not None
+    chunk = summary.chunk_indexes[len(summary.chunk_indexes) // 2]
+    with path.open("r+b") as file:
+        at = chunk.chunk_start_offset + chunk.chunk_length // 2
+        file.seek(at)
+        byte = file.read(1)[0]
+        file.seek(at)
+        file.write(bytes([byte ^ 0x55]))
+
+
+def cut_off(path: Path) -> None:
+    """The last third of the file was never written."""
+    with path.open("r+b") as file:
+        file.truncate(path.stat().st_size * 2 // 3)
+
+
+def trailing_zeros(path: Path) -> None:
+    """A disk that filled whole blocks."""
+    with path.open("ab") as file:
+        file.write(bytes(4096))

@@ -1,0 +1,162 @@
+"""What inspection says of a faulty drive, what labelling does with it, and how far its labels are from the sound ones.
+
+**Conventions.** Everything goes the ways that `stone inspect` and `stone label` go. Labels are compared in the frames
+that both runs have, by stamp, in the frame of the robot: where a track was moved as a whole they are the same.
+"""
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.ingest.outlook import outlook, with_new
+from services.ingest.pipeline import SynchroniseOptions, synchronise
+from services.labeler.local_run import LabelOptions, label
+from services.labeler.report import LabelReport
+from stone.errors import StoneError
+from stone.findings import Finding
+from stone.labels.footprint import BAND_M
+from stone.labels.grid import GRID_MIN_M
+from stone.labels.voxels import VOXEL_M
+from stone.sensors.calibration import Calibration
+from stone.sensors.sequence import Sequence
+from stone_recordings.bags.bag import open_bag
+from stone_recordings.report.inspection import inspect_in
+from testing.worlds.faults.drive import SoundDrive, faulty
+from testing.worlds.faults.fault import RecordingFault
+
+NAME = "run"
+SLACK_M = 0.35 + 0.25  # a voxel's diagonal, half a step of the track
+EVERY_FRAME = 5
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledDrive:
+    """What labelling made: its report, and the classes of a few frames by stamp."""
+
+    report: LabelReport
+    grids: Mapping[int, NDArray[np.uint8]]
+
+
+@dataclass(frozen=True)
+class FaultOutcome:
+    """`named` are the codes of what inspection finds; `refusal` the code of label's, "" where it labelled.
+
+    `excluded` counts the frames left out by reason, `beyond` the T voxels beyond the footprint of any pose; `p_share`
+    is P's of the occupied voxels and `agreement` the share of voxels that are classed as in the sound run.
+    """
+
+    fault: str
+    drive: str
+    named: tuple[str, ...]
+    refusal: str = ""
+    sentence: str = ""
+    frames: int = 0
+    excluded: Mapping[str, int] = field(default_factory=dict)
+    found: tuple[str, ...] = ()
+    beyond: int = 0
+    driven: int = 0
+    p_share: float = 0.0
+    agreement: float = 0.0
+
+    def as_record(self) -> dict[str, Any]:
+        return {**vars(self), "excluded": dict(self.excluded)}
+
+
+def sound(drive: SoundDrive, folder: Path) -> LabelledDrive:
+    """The drive's labels without a fault."""
+    return _labelled(drive.bag, drive.rig(), folder)
+
+
+def outcome(
+    drive: SoundDrive, fault: RecordingFault, folder: Path, clean: Mapping[int, NDArray[np.uint8]]
+) -> FaultOutcome:
+    """`clean` are the grids of the sound run, by stamp.
+
+    Raises whatever is no refusal: a crash without a code is no outcome.
+    """
+    bag, rig = faulty(drive, fault, folder / "run.mcap"), drive.rig(fault)
+    try:
+        named = codes(inspected(bag, rig))
+    except StoneError as refusal:
+        named = (refusal.code,)
+    try:
+        made = _labelled(bag, rig, folder / "labels")
+    except StoneError as refusal:
+        return FaultOutcome(fault.name, drive.name, named, refusal.code, str(refusal))
+    report = made.report
+    gaps_m = driven_off_track_m(report.sequence, made.grids)
+    return FaultOutcome(
+        fault.name,
+        drive.name,
+        named,
+        frames=len(report.sequence.frames),
+        excluded=Counter(frame.code for frame in report.sequence.excluded),
+        found=codes(report.findings),
+        beyond=int((gaps_m > reach_m(rig)).sum()),
+        driven=len(gaps_m),
+        p_share=report.class_shares()["potentially_traversable"],
+        agreement=agreement(made.grids, clean),
+    )
+
+
+def inspected(bag: Path, rig: Calibration) -> tuple[Finding, ...]:
+    """What is said before anything is labelled."""
+    with open_bag(bag) as opened:
+        known = inspect_in(opened).findings
+        return with_new(known, outlook(opened, rig, SynchroniseOptions()))
+
+
+def codes(findings: tuple[Finding, ...]) -> tuple[str, ...]:
+    return tuple(sorted({finding.code for finding in findings if finding.severity != "info"}))
+
+
+def reach_m(rig: Calibration) -> float:
+    """How far from a pose the robot can have driven on a voxel."""
+    return float(np.hypot(rig.footprint.length_m, rig.footprint.width_m) / 2 + BAND_M + SLACK_M)
+
+
+def driven_off_track_m(sequence: Sequence, grids: Mapping[int, NDArray[np.uint8]]) -> NDArray[np.float64]:
+    """How far every T voxel is from the nearest pose of the track."""
+    assert sequence.track is not None
+    poses_m = sequence.track.map_from_ego.translation_m
+    rows = {stamp_ns: row for row, stamp_ns in enumerate(sequence.frames.stamps_ns.tolist())}
+    found = [np.zeros(0)]
+    for stamp_ns, grid in grids.items():
+        ego_m = (np.argwhere(grid == 1) * VOXEL_M + GRID_MIN_M + VOXEL_M / 2).astype(np.float64)
+        driven_m = sequence.frames.map_from_ego[rows[stamp_ns]] @ ego_m
+        found.append(np.linalg.norm(driven_m[:, None] - poses_m, axis=2).min(axis=1))
+    return np.concatenate(found)
+
+
+def agreement(ours: Mapping[int, NDArray[np.uint8]], theirs: Mapping[int, NDArray[np.uint8]]) -> float:
+    """Of the voxels that either calls occupied, the share that both class alike; NaN without a frame in common."""
+    alike = total = 0
+    for stamp_ns in ours.keys() & theirs.keys():
+        is_occupied = (ours[stamp_ns] > 0) | (theirs[stamp_ns] > 0)
+        alike += int((ours[stamp_ns] == theirs[stamp_ns])[is_occupied].sum())
+        total += int(is_occupied.sum())
+    return alike / total if total else float("nan")
+
+
+def _labelled(bag: Path, rig: Calibration, folder: Path) -> LabelledDrive:
+    sequence, sweeps = synchronise(bag, rig, SynchroniseOptions(), NAME)
+    report = label(sequence, sweeps, folder, LabelOptions())
+    frames = report.sequence.frames
+    picked = [row for row, stamp_ns in enumerate(frames.stamps_ns.tolist()) if _is_picked(stamp_ns)]
+    grids = {int(frames.stamps_ns[row]): _grid(folder, frames.tokens[row]) for row in picked}
+    return LabelledDrive(report, grids)
+
+
+def _is_picked(stamp_ns: int) -> bool:
+    """By the stamp, so that two runs pick the same frames."""
+    return round(stamp_ns / 1e8) % EVERY_FRAME == 0
+
+
+def _grid(folder: Path, token: str) -> NDArray[np.uint8]:
+    grid: NDArray[np.uint8] = np.load(folder / "gts" / NAME / token / "labels.npz")["semantics"]
+    return grid

@@ -1,0 +1,83 @@
+"""A damaged chunk costs the messages in it: they are told, passed over, and all others are read."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.writer import CompressionType
+
+from stone_recordings.bags.bag import Bag, open_bag
+from stone_recordings.bags.errors import ChecksumError, IngestError
+from testing.worlds.faults.other_edits import bad_chunk
+from tests.stone_recordings.writing import Recorded, write_mcap
+
+COUNT = 40
+NOISE = np.random.default_rng(3)
+
+
+def recorded(path: Path, begin: int = 0, **options: object) -> Path:
+    """Two topics in small chunks."""
+    messages = [
+        Recorded(topic, "std_msgs/msg/String", (begin + index) * 1000, bytes([0, 1, 0, 0, index]) + NOISE.bytes(200))
+        for index in range(COUNT)
+        for topic in ("/a", "/b")
+    ]
+    return write_mcap(path, messages, chunk_size=1500, **options)
+
+
+def indices(bag: Bag, topic: str) -> list[int]:
+    return [index for name, index, _head in bag.heads(("/a", "/b"), whole=("/a", "/b")) if name == topic]
+
+
+@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD, CompressionType.LZ4])
+def test_the_messages_of_a_damaged_chunk_are_told_and_passed_over(tmp_path: Path, compression: CompressionType) -> None:
+    path = recorded(tmp_path / "run.mcap", compression=compression)
+    bad_chunk(path)
+    with open_bag(path) as bag:
+        damaged = bag.damaged
+        assert set(damaged) == {"/a", "/b"}
+        for topic in ("/a", "/b"):
+            assert 0 < len(damaged[topic]) < COUNT
+            assert indices(bag, topic) == [index for index in range(COUNT) if index not in damaged[topic]]
+            sound = next(index for index in range(COUNT) if index not in damaged[topic])
+            assert bag.message(topic, sound).payload[4] == sound
+            with pytest.raises(IngestError):
+                bag.message(topic, next(iter(damaged[topic])))
+        findings = bag.damage_findings
+        assert [(one.code, one.severity, one.topic) for one in findings] == [
+            ("BAG-016", "warning", "/a"),
+            ("BAG-016", "warning", "/b"),
+        ]
+        assert f"{len(damaged['/a'])} of {COUNT} messages lie in 1 damaged chunks" in findings[0].message
+
+
+def test_a_sound_recording_has_no_damage(tmp_path: Path) -> None:
+    with open_bag(recorded(tmp_path / "run.mcap")) as bag:
+        assert bag.damaged == {}
+        assert bag.damage_findings == ()
+        assert indices(bag, "/a") == list(range(COUNT))
+
+
+def test_who_does_not_ask_is_refused(tmp_path: Path) -> None:
+    path = recorded(tmp_path / "run.mcap", compression=CompressionType.NONE)
+    bad_chunk(path)
+    with open_bag(path) as bag, pytest.raises(ChecksumError):
+        [bag.message("/a", index) for index in range(COUNT)]
+
+
+def test_of_a_split_recording_the_indices_are_those_of_the_whole(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    recorded(folder / "run_0.mcap")
+    bad_chunk(recorded(folder / "run_1.mcap", begin=COUNT))
+    with open_bag(folder) as bag:
+        damaged = bag.damaged["/a"]
+        assert min(damaged) >= COUNT
+        assert indices(bag, "/a") == [index for index in range(2 * COUNT) if index not in damaged]
+        assert bag.size_bytes("/a", 2 * COUNT - 1) == 205
+
+
+def test_the_size_of_a_message_is_that_of_all_of_it(tmp_path: Path) -> None:
+    path = recorded(tmp_path / "run.mcap", compression=CompressionType.ZSTD)
+    with open_bag(path) as bag:
+        assert {bag.size_bytes(name, index) for name, index, _head in bag.heads(("/a", "/b"))} == {205}
