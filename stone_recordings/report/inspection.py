@@ -31,11 +31,12 @@ NO_STAMPS = np.zeros(0, np.int64)
 
 @dataclass(frozen=True, eq=False)
 class InspectedTopic:
-    """One topic and when its messages were taken."""
+    """One topic and when its messages were taken; `point_count` is that of one of its clouds."""
 
     topic: Topic
     role: Role
     timing: Timing
+    point_count: int = 0
 
     def as_record(self) -> dict[str, object]:
         rate_hz = self.timing.rate_hz
@@ -107,7 +108,7 @@ def _inspected(bag: Bag, topic: Topic, scan: Scan, findings: list[Finding]) -> I
             facts = _cloud_facts(bag, facts, topic, findings)
     except StoneError as error:
         findings.append(Finding(error.code, "error", topic.name, str(error)))
-    return InspectedTopic(topic, role_of(facts), timing)
+    return InspectedTopic(topic, role_of(facts), timing, facts.point_count)
 
 
 def _cloud_facts(bag: Bag, facts: TopicFacts, topic: Topic, findings: list[Finding]) -> TopicFacts:
@@ -132,6 +133,7 @@ def _candidates(bag: Bag, topics: tuple[InspectedTopic, ...]) -> tuple[Candidate
             part.topic.count,
             part.timing.rate_hz,
             frame_ids.get(part.topic.name, ""),
+            part.point_count,
         )
         for part in topics
     )

@@ -24,8 +24,8 @@ from stone_recordings.topics.roles import (
     Role,
     TopicFacts,
     fullest,
+    likely_lidars,
     role_of,
-    with_plausible_rate,
 )
 
 BESTPOS = "novatel_oem7_msgs/msg/BESTPOS"
@@ -80,15 +80,16 @@ def choose_sources(bag: Bag, lidar_topic: str | None, odometry_topic: str | None
 def _candidate(bag: Bag, topic: Topic) -> Candidate:
     duration_s = (bag.end_ns - bag.start_ns) / 1e9
     rate_hz = topic.count / duration_s if duration_s > 0 else None
-    return Candidate(topic.name, topic.type, _role(bag, topic), topic.count, rate_hz)
+    facts = _facts(bag, topic)
+    return Candidate(topic.name, topic.type, role_of(facts), topic.count, rate_hz, point_count=facts.point_count)
 
 
-def _role(bag: Bag, topic: Topic) -> Role:
+def _facts(bag: Bag, topic: Topic) -> TopicFacts:
     if topic.type != POINT_CLOUD:
-        return role_of(TopicFacts(topic.name, topic.type, None))
+        return TopicFacts(topic.name, topic.type, None)
     cloud = decode_cloud(bag.message(topic.name, topic.count // 2).payload)
     fields = frozenset(cloud.points.dtype.names or ())
-    return role_of(TopicFacts(topic.name, topic.type, None, fields, len(cloud.points)))
+    return TopicFacts(topic.name, topic.type, None, fields, len(cloud.points))
 
 
 def _lidar(roles: list[Candidate], asked: str | None) -> Candidate:
@@ -97,7 +98,7 @@ def _lidar(roles: list[Candidate], asked: str | None) -> Candidate:
     lidars = [topic for topic in roles if topic.role == "lidar"]
     if not lidars:
         raise NoLidarError([topic.name for topic in roles if topic.role == "other" and topic.type in PACKET_TYPES])
-    return _only("lidar", with_plausible_rate("lidar", lidars), "--lidar")
+    return _only("lidar", likely_lidars(lidars), "--lidar")
 
 
 def _pose(roles: list[Candidate], asked: str | None) -> Candidate:
