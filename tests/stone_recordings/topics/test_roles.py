@@ -97,9 +97,7 @@ def test_of_a_sick_rig_the_scanner_is_the_lidar_and_both_clouds_of_the_radar_are
     with AnyReader([source]) as reader:
         clouds = [connection for connection in reader.connections if connection.msgtype == POINT_CLOUD]
         messages = [
-            Recorded(
-                connection.topic, POINT_CLOUD, time_ns, serialised(_of_ros2(reader.deserialize(data, POINT_CLOUD)))
-            )
+            Recorded(connection.topic, POINT_CLOUD, time_ns, _as_cdr(reader.deserialize(data, POINT_CLOUD)))
             for connection, time_ns, data in reader.messages(clouds)
         ]
     inspection = inspect(write_mcap(tmp_path / "sick.mcap", messages))
