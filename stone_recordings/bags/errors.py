@@ -88,7 +88,8 @@ class ChecksumError(IngestError):
 
     def __init__(self, where: str, found: int, declared: int) -> None:
         super().__init__(
-            f"{where}: CRC-32 is {found:08x}, declared {declared:08x}; the file was damaged after recording"
+            f"{where}: CRC-32 is {found:08x}, declared {declared:08x}; the file was damaged after recording, "
+            "stone recover writes what is whole of it into another"
         )
 
 

@@ -25,7 +25,7 @@ LEAST_STEADY_COUNT = 4
 MOST_RATE_HZ = 10_000.0
 # How much of the time the steady intervals cover at least, by the recorder's times and by the sensor's own stamps. A
 # sensor may have been silent for most of a recording; what has no stamps is mostly no sensor.
-STEADY_COVER, STEADY_STAMPED_COVER = 0.5, 0.02
+STEADY_COVER, STEADY_STAMPED_COVER = 0.5, 0.03
 # Messages are counted as lost only where the beat is as strict as a trigger's.
 STRICT_RATIO = 0.1
 
