@@ -124,7 +124,7 @@ class MessageLayoutError(IngestError):
 
 
 class ByteOrderError(IngestError):
-    """Big-endian data; nothing that is recorded today writes it."""
+    """A message serialised big-endian; nothing that is recorded today writes it."""
 
     code = "MSG-302"
 
