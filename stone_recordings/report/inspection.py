@@ -5,6 +5,7 @@ cloud is viewed, of a NovAtel topic all messages are (they are small). A topic t
 not a failure; a container that cannot be read is refused.
 """
 
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from stone_recordings.messages.pointcloud2 import decode_cloud
 from stone_recordings.messages.types.cdr import Cursor
 from stone_recordings.messages.types.definition_checks import definition_findings
 from stone_recordings.report import checks
+from stone_recordings.report.head_checks import head_findings, undated_finding
 from stone_recordings.report.scan import Scan, scan_of
 from stone_recordings.topics.profiles import Assignment, Candidate, TopicProfile, resolve
 from stone_recordings.topics.roles import POINT_CLOUD, Role, TopicFacts, role_of
@@ -91,8 +93,19 @@ def inspect_in(bag: Bag, profile: TopicProfile | None = None) -> Inspection:
     findings += assignment.findings
     clocks = measured(bag, scan, by_role)
     findings += clock_findings(by_role, clocks)
+    findings += _head_findings(by_role, scan, {finding.topic for finding in findings if finding.code == "TIM-202"})
     duration_ns = bag.end_ns - bag.start_ns
     return Inspection(duration_ns, topics, tuple(findings), clocks.report, candidates, assignment)
+
+
+def _head_findings(inspected: Sequence[checks.Inspected], scan: Scan, apart: Set[str]) -> Iterator[Finding]:
+    """What the heads lack; of topics whose clock is `apart` from the others that is said already."""
+    for topic, role, _timing in inspected:
+        if topic.name in scan.counts and topic.count:
+            stamps_ns = scan.stamps_ns[topic.name]
+            yield from head_findings(topic, role, scan.counts[topic.name], stamps_ns)
+            if topic.name not in apart:
+                yield from undated_finding(topic, role, stamps_ns)
 
 
 def _inspected(bag: Bag, topic: Topic, scan: Scan, findings: list[Finding]) -> InspectedTopic:

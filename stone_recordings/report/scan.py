@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from stone_recordings.bags.bag import Bag, Topic
 from stone_recordings.bags.errors import ByteOrderError, MessageLayoutError
 from stone_recordings.clocks.timing import begins_with_header, stamp_of
+from stone_recordings.report.head_checks import HeadCounts
 
 # Three minutes of a 200 Hz IMU, half an hour of a 20 Hz receiver.
 MOST_KEPT = 36_000
@@ -30,13 +31,14 @@ class KeptMessage:
 class Scan:
     """By topic: header stamps (N,) in log order, kept messages in log order, or why the topic was given up.
 
-    `kept_from` is the index in the topic of its first kept message.
+    `kept_from` is the index in the topic of its first kept message; `counts` says what the heads lack.
     """
 
     stamps_ns: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
     kept: Mapping[str, list[KeptMessage]] = field(default_factory=dict)
     kept_from: Mapping[str, int] = field(default_factory=dict)
     refused: Mapping[str, ByteOrderError | MessageLayoutError] = field(default_factory=dict)
+    counts: Mapping[str, HeadCounts] = field(default_factory=dict)
 
 
 def scan_of(bag: Bag, kept_bytes: Callable[[Topic], int]) -> Scan:
@@ -50,6 +52,7 @@ def scan_of(bag: Bag, kept_bytes: Callable[[Topic], int]) -> Scan:
     windows = {name: _middle(stamped[name].count, MOST_KEPT_BYTES // len(copied) // copied[name]) for name in copied}
     kept = {name: [b""] * len(window) for name, window in windows.items()}
     refused: dict[str, ByteOrderError | MessageLayoutError] = {}
+    counts = {name: HeadCounts() for name in stamped}
     for name, index, payload in bag.heads(tuple(stamped)):
         if name in refused:
             continue
@@ -58,6 +61,7 @@ def scan_of(bag: Bag, kept_bytes: Callable[[Topic], int]) -> Scan:
         except (ByteOrderError, MessageLayoutError) as error:
             refused[name] = error
             continue
+        counts[name].take(payload, stamped[name].type)
         if name in kept and index in windows[name]:
             kept[name][index - windows[name].start] = bytes(payload[: copied[name]])
     return Scan(
@@ -65,6 +69,7 @@ def scan_of(bag: Bag, kept_bytes: Callable[[Topic], int]) -> Scan:
         {name: _messages(payloads) for name, payloads in kept.items() if name not in refused},
         {name: window.start for name, window in windows.items()},
         refused,
+        {name: own for name, own in counts.items() if name not in refused},
     )
 
 
