@@ -92,7 +92,7 @@ def inspect_in(bag: Bag, profile: TopicProfile | None = None) -> Inspection:
     assignment = resolve(candidates, profile or TopicProfile())
     findings += assignment.findings
     clocks = measured(bag, scan, by_role)
-    findings += clock_findings(by_role, clocks)
+    findings += clock_findings(clocks)
     findings += _head_findings(by_role, scan, {finding.topic for finding in findings if finding.code == "TIM-202"})
     duration_ns = bag.end_ns - bag.start_ns
     return Inspection(duration_ns, topics, tuple(findings), clocks.report, candidates, assignment)
