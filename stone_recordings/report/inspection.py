@@ -48,6 +48,7 @@ class InspectedTopic:
             "count": self.topic.count,
             "role": self.role,
             "rate_hz": None if rate_hz is None else round(rate_hz, 3),
+            "point_count": self.point_count,
             "gaps": [gap.as_record() for gap in self.timing.gaps],
         }
 
