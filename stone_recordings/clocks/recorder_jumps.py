@@ -18,7 +18,8 @@ from stone_recordings.clocks.constants import TOLERANCE_NS
 # Less is transport, or a host that is busy.
 LEAST_JUMP_NS = 500_000_000
 LEAST_MESSAGES = 4
-NEIGHBOURS = 8  # of a jump, by which the distance before and after it is told
+# By so much of the time before and after it a step is told: what a busy host delivers late is on time again soon.
+LASTING_NS = 2_000_000_000
 MOST_JUMPS = 8
 # Messages that were published together are recorded within this.
 SPREAD_NS = 1_000_000_000
@@ -67,10 +68,11 @@ def _step_of(times: StampedTimes) -> _Step | None:
     if len(times.stamps_ns) < LEAST_MESSAGES:
         return None
     order = np.argsort(times.stamps_ns, kind="stable")
-    logs_ns = times.log_times_ns[order]
-    distance_ns = logs_ns - times.stamps_ns[order]
+    logs_ns, stamps_ns = times.log_times_ns[order], times.stamps_ns[order]
+    distance_ns = logs_ns - stamps_ns
     row = int(np.argmax(np.abs(np.diff(distance_ns)))) + 1
-    before, after = distance_ns[max(0, row - NEIGHBOURS) : row], distance_ns[row : row + NEIGHBOURS]
+    first, last = np.searchsorted(stamps_ns, (stamps_ns[row - 1] - LASTING_NS, stamps_ns[row] + LASTING_NS + 1))
+    before, after = distance_ns[first:row], distance_ns[row:last]
     size_ns = round(float(np.median(after - distance_ns[0]) - np.median(before - distance_ns[0])))
     jump_ns = int(distance_ns[row] - distance_ns[row - 1])
     if abs(size_ns) < LEAST_JUMP_NS or abs(jump_ns - size_ns) > TOLERANCE_NS:

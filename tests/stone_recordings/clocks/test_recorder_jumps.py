@@ -66,6 +66,21 @@ def test_a_sensor_whose_own_clock_jumps_is_not_the_recorder(tmp_path: Path, size
     assert "TIM-212" not in [code for code, _topic in timing_codes(inspection)]
 
 
+def test_a_recorder_that_was_held_up_and_caught_up_did_not_jump(tmp_path: Path) -> None:
+    """For 1.6 s it took nothing, then all that had waited at once."""
+    stop_ns, go_ns = SWEEPS[0] + 1 * S, SWEEPS[0] + 2_600 * MS
+    held = {}
+    for name, times_ns in (("lidar", SWEEPS), ("imu", READINGS), ("camera", SHOTS)):
+        late_ns = times_ns + 10 * MS
+        held[name] = np.where((late_ns > stop_ns) & (late_ns < go_ns), go_ns + (late_ns - stop_ns) // 1000, late_ns)
+    groups = (
+        clouds(SWEEPS, held["lidar"]),
+        stream("/imu", IMU, READINGS, held["imu"]),
+        stream("/camera/image", IMAGE, SHOTS, held["camera"]),
+    )
+    assert "TIM-212" not in [code for code, _topic in timing_codes(inspected(tmp_path, *groups))]
+
+
 def test_a_recorder_that_is_hours_off_from_the_start_names_no_time_zone(tmp_path: Path) -> None:
     """The radar is 3 s apart from the others: that is no time zone, though the recorder's distance from it is one."""
     off = {-10 * S: 3603.0}
