@@ -44,7 +44,10 @@ class MalformedBagError(IngestError):
     code = "BAG-012"
 
     def __init__(self, where: str, problem: str) -> None:
-        super().__init__(f"{where}: {problem}; the file is damaged or was not written by a working recorder")
+        super().__init__(
+            f"{where}: {problem}; the file is damaged or was not written by a working recorder, "
+            "stone recover writes what is whole of it into another"
+        )
 
 
 class ChunkTooLargeError(IngestError):

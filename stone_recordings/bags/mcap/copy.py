@@ -70,7 +70,7 @@ class Copy:
         try:
             self._keep(found)
         except IngestError as error:
-            self.losses.add(f"{error} ({error.code})")
+            self.losses.refuse(error)
 
     def say_unknown(self) -> None:
         if self._unknown:

@@ -1,8 +1,8 @@
 """Where the records of a damaged MCAP file lie, as far as the summary at its end can still say so.
 
-**Conventions.** Places are bytes of the file. Nothing of the summary is believed that the data contradicts: a chunk is
-known where its own head repeats what its index says, its record's length left aside. A summary that fails its checksum
-names no channels. Source: mcap.dev/spec.
+**Conventions.** Places are bytes of the file. A chunk is known where its own head repeats what its index says, its
+record's length left aside; or where that length is right and the summary meets its checksum, though the head is damaged.
+A summary that fails its checksum names no channels. Source: mcap.dev/spec.
 """
 
 import zlib
@@ -17,10 +17,12 @@ import numpy as np
 from stone_recordings.bags.errors import MalformedBagError
 from stone_recordings.bags.mcap import records as wire
 from stone_recordings.bags.mcap.extras import ATTACHMENT, METADATA
-from stone_recordings.bags.mcap.records import Fields, Record
+from stone_recordings.bags.mcap.records import Chunk, Fields, Record
 
 FOOTER_BYTES = wire.PREFIX_BYTES + 20
 DATA_END_BYTES = wire.PREFIX_BYTES + 4
+# Of a chunk's head without the name of its compression: times, size, checksum, and the lengths of name and records.
+CHUNK_HEAD_BYTES = 8 + 8 + 8 + 4 + 4 + 8
 # So many records in a row that can be what they say are no accident of a payload's bytes.
 LEAST_CHAIN = 3
 # What may stand in the data section; from the second on opcodes are for anybody's own.
@@ -36,11 +38,11 @@ _PREFIX, _MESSAGE = Struct("<BQ"), Struct("<HIQ")
 
 @dataclass(frozen=True)
 class KnownPlaces:
-    """`stop_of_chunk` by where it starts; `data_stop` is where the data section's last record begins, None without a
+    """`chunks` by where their record starts; `data_stop` is where the data section's last record begins, None without a
     summary; `messages` is how many there were and `times_ns` the first and last log time, None where nothing says so;
     `definitions` are the schemas and channels by opcode and id."""
 
-    stop_of_chunk: dict[int, int] = field(default_factory=dict)
+    chunks: dict[int, Chunk] = field(default_factory=dict)
     data_stop: int | None = None
     messages: int | None = None
     times_ns: tuple[int, int] | None = None
@@ -49,7 +51,7 @@ class KnownPlaces:
     @cached_property
     def starts(self) -> list[int]:
         """Of the known chunks, ascending."""
-        return sorted(self.stop_of_chunk)
+        return sorted(self.chunks)
 
     def record_at(self, view: memoryview, at: int) -> Record | None:
         """The record of the data section that begins there; None where there is no whole one.
@@ -57,8 +59,8 @@ class KnownPlaces:
         Of a known chunk the index says where it ends.
         """
         start = at + wire.PREFIX_BYTES
-        if at in self.stop_of_chunk:
-            return Record(wire.CHUNK, start, self.stop_of_chunk[at])
+        if at in self.chunks:
+            return Record(wire.CHUNK, start, self.chunks[at].stop)
         if start > len(view):
             return None
         opcode, length = _PREFIX.unpack_from(view, at)
@@ -154,51 +156,66 @@ def known_places(view: memoryview, name: str) -> KnownPlaces:
     if opcode != wire.DATA_END or length != DATA_END_BYTES - wire.PREFIX_BYTES:
         return KnownPlaces()
     is_sound = not crc32 or zlib.crc32(view[start : size - 4]) == crc32
-    return _of_summary(view, name, (start, footer_offset), data_stop, is_sound)
+    trust = _Trust(is_sound, bool(crc32) and is_sound)
+    return _of_summary(view, name, (start, footer_offset), data_stop, trust)
 
 
-def _of_summary(view: memoryview, name: str, summary: tuple[int, int], data_stop: int, is_sound: bool) -> KnownPlaces:
-    chunks: dict[int, int] = {}
+@dataclass(frozen=True)
+class _Trust:
+    """Of a summary: `is_sound` where no checksum speaks against it, `is_proven` where one speaks for it."""
+
+    is_sound: bool
+    is_proven: bool
+
+
+def _of_summary(view: memoryview, name: str, summary: tuple[int, int], data_stop: int, trust: _Trust) -> KnownPlaces:
+    chunks: dict[int, Chunk] = {}
     definitions: dict[tuple[int, int], Record] = {}
     messages, times_ns = None, None
     try:
         for record in wire.walk(view, *summary, name):
             fields = Fields(view, record, name)
             if record.opcode == wire.CHUNK_INDEX:
-                chunks.update(_known_chunk(view, fields, data_stop))
-            elif record.opcode == wire.STATISTICS and is_sound:
+                chunks.update(_known_chunk(view, fields, data_stop, trust))
+            elif record.opcode == wire.STATISTICS and trust.is_sound:
                 messages = wire.read_statistics(fields).message_count
                 times_ns = (fields.u64(), fields.u64())
-            elif record.opcode in (wire.SCHEMA, wire.CHANNEL) and is_sound:
+            elif record.opcode in (wire.SCHEMA, wire.CHANNEL) and trust.is_sound:
                 definitions[record.opcode, fields.u16()] = record
     except MalformedBagError:
         pass  # what was read up to here stands: each chunk was looked at
     return KnownPlaces(_apart(chunks), data_stop, messages, times_ns, definitions)
 
 
-def _known_chunk(view: memoryview, index: Fields, data_stop: int) -> dict[int, int]:
-    """Start and stop of the chunk of an index, {} where its head says something else than the index."""
+def _known_chunk(view: memoryview, index: Fields, data_stop: int, trust: _Trust) -> dict[int, Chunk]:
+    """The chunk of an index by where it starts; {} where the index cannot be, or the head says something else."""
     times_ns = (index.u64(), index.u64())
     start, length = index.u64(), index.u64()
     index.span(index.u32())
     index.u64()
-    told = (*times_ns, index.text(), index.u64(), index.u64())
-    if not len(wire.MAGIC) <= start < start + length <= data_stop or length < wire.PREFIX_BYTES:
+    compression, packed_bytes, size_bytes = index.text(), index.u64(), index.u64()
+    stop = start + length
+    head_bytes = wire.PREFIX_BYTES + CHUNK_HEAD_BYTES + len(compression.encode())
+    if not len(wire.MAGIC) <= start < stop <= data_stop or length != head_bytes + packed_bytes:
         return {}
-    chunk = Fields(view, Record(wire.CHUNK, start + wire.PREFIX_BYTES, start + length), index.where)
+    head = Fields(view, Record(wire.CHUNK, start + wire.PREFIX_BYTES, stop), index.where)
+    told = (head.u64(), head.u64(), head.u64())
+    crc32 = head.u32()
+    found = Chunk(f"{index.where}, chunk at byte {start}", size_bytes, crc32, compression, stop - packed_bytes, stop)
+    if trust.is_proven and _PREFIX.unpack_from(view, start) == (wire.CHUNK, length - wire.PREFIX_BYTES):
+        return {start: found}
     try:
-        times_ns, size, _crc32 = (chunk.u64(), chunk.u64()), chunk.u64(), chunk.u32()
-        found = (*times_ns, chunk.text(), chunk.u64(), size)
+        is_repeated = (*told, head.text(), head.u64()) == (*times_ns, size_bytes, compression, packed_bytes)
     except MalformedBagError:
         return {}
-    return {start: start + length} if found == told and chunk.stop - chunk.at == told[3] else {}
+    return {start: found} if is_repeated else {}
 
 
-def _apart(chunks: dict[int, int]) -> dict[int, int]:
+def _apart(chunks: dict[int, Chunk]) -> dict[int, Chunk]:
     """Without those that begin inside another one."""
-    kept: dict[int, int] = {}
+    kept: dict[int, Chunk] = {}
     reached = 0
-    for start, stop in sorted(chunks.items()):
+    for start, chunk in sorted(chunks.items()):
         if start >= reached:
-            kept[start], reached = stop, stop
+            kept[start], reached = chunk, chunk.stop
     return kept

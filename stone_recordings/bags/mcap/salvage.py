@@ -15,7 +15,7 @@ from stone_recordings.bags.errors import IngestError, MalformedBagError
 from stone_recordings.bags.mcap import records as wire
 from stone_recordings.bags.mcap.chunks import CHUNK_LIMIT_BYTES, check_crc32, inflate, pieces_of
 from stone_recordings.bags.mcap.known_places import KnownPlaces
-from stone_recordings.bags.mcap.records import Fields, Record
+from stone_recordings.bags.mcap.records import Chunk, Fields, Record
 
 _PREFIX = Struct("<BQ")
 MOST_PROBLEMS = 4
@@ -41,6 +41,10 @@ class Losses:
             self.problems.append(problem)
         else:
             self.unsaid += 1
+
+    def refuse(self, error: IngestError) -> None:
+        """A problem that was met as a refusal: what is wrong, without what one could do about it."""
+        self.add(f"{str(error).partition('; ')[0]} ({error.code})")
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +80,7 @@ def complete_records(
             return
         found = SalvagedRecord(view, record, name)
         if record.opcode == wire.CHUNK:
-            yield from _of_chunk(found, losses)
+            yield from _of_chunk(found, known.chunks.get(losses.stop_byte), losses)
         else:
             yield found
         losses.stop_byte = record.stop
@@ -84,8 +88,8 @@ def complete_records(
 
 def first_compression(view: memoryview, name: str, known: KnownPlaces | None = None) -> str:
     """How the first chunk is packed; "" where messages come first, or nothing does."""
-    if known is not None and known.stop_of_chunk:
-        return _compression_at(view, min(known.stop_of_chunk), name)
+    if known is not None and known.chunks:
+        return known.chunks[known.starts[0]].compression
     at = len(wire.MAGIC)
     while at + wire.PREFIX_BYTES <= len(view):
         opcode, length = _PREFIX.unpack_from(view, at)
@@ -106,9 +110,10 @@ def _compression_at(view: memoryview, at: int, name: str) -> str:
         return ""
 
 
-def _of_chunk(found: SalvagedRecord, losses: Losses) -> Iterator[SalvagedRecord]:
+def _of_chunk(found: SalvagedRecord, known: Chunk | None, losses: Losses) -> Iterator[SalvagedRecord]:
+    """`known` is what the summary says of it, where it does: the chunk's own head may be damaged."""
     try:
-        chunk = wire.read_chunk(found.fields())
+        chunk = known or wire.read_chunk(found.fields())
         records = inflate(found.view, chunk)
         if not chunk.compression:
             check_crc32(records, chunk)
@@ -116,7 +121,7 @@ def _of_chunk(found: SalvagedRecord, losses: Losses) -> Iterator[SalvagedRecord]
             SalvagedRecord(records, record, chunk.where) for record in wire.walk(records, 0, len(records), chunk.where)
         ]
     except IngestError as error:
-        losses.add(f"{error} ({error.code})")
+        losses.refuse(error)
         return
     yield from whole
 

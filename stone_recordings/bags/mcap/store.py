@@ -47,10 +47,10 @@ class McapStore:
     def __init__(self, path: Path) -> None:
         with path.open("rb") as file:
             self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-            stop = sealed_bytes(file)
+            sealed = sealed_bytes(file)
         self._name = path.name
-        self._view = memoryview(self._map)[:stop]
-        self.findings = _zeros_behind(len(self._map) - stop)
+        self._view = memoryview(self._map)[:sealed]
+        self.findings = (*_damaged_start(self._view, path.name), *_zeros_behind(len(self._map) - len(self._view)))
         self._catalogue = read_catalogue(self._view, self._name)
         self._forget(0, len(self._map))  # the indexes lie all over the file, and each brought its neighbours
         self._chunks: OrderedDict[int, memoryview] = OrderedDict()
@@ -170,6 +170,16 @@ class McapStore:
         other = [channel for channel in recorded if channel.encoding != "cdr"]
         if other and len(other) == len(recorded):
             raise EncodingRefusedError(self._name, other[0].topic, other[0].encoding)
+
+
+def _damaged_start(view: memoryview, name: str) -> tuple[Finding, ...]:
+    if view[: len(wire.MAGIC)] == wire.MAGIC:
+        return ()
+    message = (
+        "Its first bytes are not those of an MCAP file, its last are: its beginning is damaged. What the summary at "
+        f"its end knows is read; for other programs: stone recover {name} -o recovered.mcap."
+    )
+    return (Finding("BAG-033", "warning", "", message),)
 
 
 def _zeros_behind(count: int) -> tuple[Finding, ...]:

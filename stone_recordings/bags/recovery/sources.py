@@ -94,7 +94,7 @@ class DatabaseSource:
             try:
                 data = self._store.payload(name, index)
             except IngestError as error:
-                self.losses.add(f"{error} ({error.code})")
+                self.losses.refuse(error)
                 continue
             copy.write(channels[number], name, Message(0, 0, time_ns, time_ns, data))
 
@@ -126,6 +126,6 @@ def opened_source(file: Path) -> Iterator[RecoverySource]:
             with path.open("rb") as stream:
                 mapped = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
                 sealed = sealed_bytes(stream)
-            yield McapSource(path.name, mapped, sealed)
+            yield McapSource(path.name, mapped, len(mapped) if sealed is None else sealed)
     finally:
         folder.close()

@@ -1,5 +1,6 @@
 """Of a recording that is damaged early, but whole at its end, everything is recovered that the damage did not hit."""
 
+from itertools import pairwise
 from pathlib import Path
 from struct import pack, unpack_from
 
@@ -9,6 +10,7 @@ from mcap.reader import NonSeekingReader, SeekingReader
 from mcap.writer import CompressionType
 
 from stone_recordings.bags.bag import open_bag
+from stone_recordings.bags.errors import MalformedBagError
 from stone_recordings.bags.recovery.recovery import Recovery, recover
 from tests.stone_recordings.writing import Recorded, write_mcap
 
@@ -96,6 +98,74 @@ def test_a_chunk_or_an_index_whose_length_is_damaged_costs_no_message(
     whole = write_mcap(tmp_path / "run.mcap", messages, chunk_size=4000).read_bytes()
     _recovery, kept = _recovered(tmp_path / "run.mcap", _with_length(whole, _places(whole, opcode)[row], length))
     assert kept == _expected(messages)
+
+
+@pytest.mark.parametrize("kind", CHUNKED)
+@pytest.mark.parametrize("field", [9, 17, 25, 37, 41, 45, 49])
+def test_a_chunk_whose_own_head_is_damaged_is_read_as_the_summary_describes_it(
+    tmp_path: Path, kind: str, field: int
+) -> None:
+    """Its times, its size, the name of its compression, the lengths of either; its checksum says that it is whole."""
+    messages = _messages()
+    whole = write_mcap(tmp_path / "run.mcap", messages, chunk_size=4000, **CHUNKED[kind]).read_bytes()
+    at = _places(whole, CHUNK)[3] + min(field, 9 + 32 + len(kind.replace("plain", "")))
+    _recovery, kept = _recovered(tmp_path / "run.mcap", whole[:at] + bytes([whole[at] ^ 0x41]) + whole[at + 1 :])
+    assert kept == _expected(messages)
+
+
+@pytest.mark.parametrize("kind", CHUNKED)
+@pytest.mark.parametrize("size", [1, 8, 30])
+@pytest.mark.parametrize("zeros", [0, 5000])
+def test_a_file_whose_first_bytes_are_gone_is_known_by_its_last(
+    tmp_path: Path, kind: str, size: int, zeros: int
+) -> None:
+    messages = _messages()
+    path = write_mcap(tmp_path / "run.mcap", messages, chunk_size=4000, **CHUNKED[kind])
+    whole = path.read_bytes()
+    path.write_bytes(bytes(size) + whole[size:] + bytes(zeros))
+    with open_bag(path) as bag:
+        assert sum(topic.count for topic in bag.topics) == COUNT
+        assert [found.code for found in bag.findings] == ["BAG-033", *["BAG-032"] * bool(zeros)]
+        assert bytes(bag.message("/a", 200).payload) == messages[600].payload
+    recovery, kept = _recovered(path, path.read_bytes())
+    assert kept == _expected(messages)
+    assert (recovery.finding.severity == "info") == (size <= MAGIC_BYTES)
+    with open_bag(tmp_path / "out.mcap") as bag:
+        assert bag.findings == ()
+
+
+@pytest.mark.parametrize("kind", CHUNKED)
+def test_a_file_whose_first_chunk_is_gone_is_refused_with_the_way_out_and_keeps_the_others(
+    tmp_path: Path, kind: str
+) -> None:
+    messages = _messages()
+    path = write_mcap(tmp_path / "run.mcap", messages, chunk_size=4000, **CHUNKED[kind])
+    whole = path.read_bytes()
+    path.write_bytes(bytes(700) + whole[700:])
+    with pytest.raises(MalformedBagError, match="stone recover"):
+        open_bag(path)
+    recovery, kept = _recovered(path, path.read_bytes())
+    assert kept == _expected(messages)[-len(kept) :]
+    assert COUNT - 20 < len(kept) < COUNT
+    assert "stone recover" not in recovery.lost
+    with open_bag(tmp_path / "out.mcap") as bag:
+        assert bag.findings == ()
+
+
+@pytest.mark.parametrize("kind", CHUNKED)
+def test_wherever_a_few_bytes_are_wrong_only_the_chunk_they_lie_in_is_lost(tmp_path: Path, kind: str) -> None:
+    messages = _messages(200)
+    whole = write_mcap(tmp_path / "run.mcap", messages, chunk_size=4000, **CHUNKED[kind]).read_bytes()
+    data_stop = unpack_from("<Q", whole, len(whole) - MAGIC_BYTES - 20)[0] - PREFIX_BYTES - 4
+    chunks = [*_places(whole, CHUNK), data_stop]
+    generator = np.random.default_rng(5)
+    for _ in range(120):
+        at, size = int(generator.integers(0, data_stop - 9)), int(generator.integers(1, 9))
+        damaged = whole[:at] + generator.bytes(size) + whole[at + size :]
+        _recovery, kept = _recovered(tmp_path / "run.mcap", damaged)
+        hit = sum(start < at + size and at < stop for start, stop in pairwise(chunks))
+        assert [one for one in _expected(messages) if one in kept] == kept
+        assert len(kept) >= len(messages) - 24 * hit
 
 
 def test_where_the_chunk_that_defines_the_channels_is_lost_the_summary_defines_them(tmp_path: Path) -> None:
