@@ -14,11 +14,10 @@ import numpy as np
 from stone.findings import Finding
 from stone_recordings.clocks.constants import SINCE_BOOT, constant_of
 from stone_recordings.clocks.measurement import ClockMeasurement
-from stone_recordings.clocks.report import ClockReport, ImuLag, TopicClock
+from stone_recordings.clocks.report import UNCLOCKED_ROLES, ClockReport, ImuLag, TopicClock
 from stone_recordings.clocks.timing import Timing, lost_messages
 from stone_recordings.topics.roles import Role
 
-UNCLOCKED_ROLES: tuple[Role, ...] = ("tf", "tf_static", "camera_info", "other")
 # Transport takes milliseconds: a median distance beyond this is another clock.
 CLOCK_DISTANCE_NS = 500_000_000
 # A host disciplined by NTP wanders by less, a free quartz is wrong by up to 100 ppm.

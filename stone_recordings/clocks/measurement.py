@@ -20,7 +20,7 @@ from stone_recordings.bags.topic import Topic
 from stone_recordings.clocks.constants import constant_of
 from stone_recordings.clocks.imu_lag import IMU_BYTES, POSE_BYTES, imu_lag
 from stone_recordings.clocks.recorder_jumps import StampedTimes, without_jumps
-from stone_recordings.clocks.report import ClockReport, StampSource, TopicClock
+from stone_recordings.clocks.report import UNCLOCKED_ROLES, ClockReport, StampSource, TopicClock
 from stone_recordings.clocks.sensor_times import OWN_TIME_BYTES, OwnTimes, has_own_time, own_times
 from stone_recordings.clocks.timing import measure
 from stone_recordings.messages.batch import refused_finding
@@ -73,8 +73,8 @@ def measured(bag: Bag, scan: Scan, inspected: Sequence[Inspected]) -> ClockMeasu
             findings += _pose_findings(topic, scan)
     logged = {topic.name: bag.log_times_ns(topic.name) for topic, _role, _timing in inspected}
     stamped = {
-        topic.name: StampedTimes(timing.stamps_ns, logged[topic.name])
-        for topic, _role, timing in inspected
+        topic.name: StampedTimes(timing.stamps_ns, logged[topic.name], role not in UNCLOCKED_ROLES)
+        for topic, role, timing in inspected
         if timing.has_header
     }
     times, jumps = without_jumps(stamped)

@@ -45,10 +45,11 @@ INSPVAX = "novatel_oem7_msgs/msg/INSPVAX"
 PLAUSIBLE_HZ: dict[Role, tuple[float, float]] = {"lidar": (3.0, 110.0), "imu": (50.0, 2000.0)}
 POINT_CLOUD, TRANSFORMS = "sensor_msgs/msg/PointCloud2", "tf2_msgs/msg/TFMessage"
 RING_FIELDS = frozenset({"ring", "channel", "laser_id", "line"})
-CROSS_SECTION_FIELDS = frozenset({"rcs", "radar_cross_section", "snr"})
+CROSS_SECTION_FIELDS = frozenset({"rcs", "radar_cross_section"})
+# What radars measure of every detection, and a frequency-modulated LiDAR of every point.
 SPEED_FIELDS = frozenset(
     {"range_rate", "v", "v_r", "v_radial", "vrad", "vx", "doppler", "doppler_velocity", "velocity", "radial_speed"}
-    | {"radial_velocity", "speed"}
+    | {"radial_velocity", "speed", "snr"}
 )
 # A 16-beam LiDAR returns tens of thousands of points a turn, an ARS 548 at most 800, an imaging radar a few thousand.
 LEAST_LIDAR_POINTS = 1000

@@ -8,8 +8,12 @@ Topics without messages count as absent.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from stone_recordings.bags.bag import Bag, Topic
 from stone_recordings.messages.pointcloud2 import decode_cloud
+from stone_recordings.messages.types.cdr import NS_PER_S
 from stone_recordings.sync.errors import (
     AmbiguousTopicsError,
     NoLidarError,
@@ -30,6 +34,7 @@ from stone_recordings.topics.roles import (
 
 BESTPOS = "novatel_oem7_msgs/msg/BESTPOS"
 KISS_ICP = "kiss-icp"
+STRIDE = 10  # messages over which a rate is measured
 ROLE_OF_SWEEPS: Role = "lidar"
 ASSOCIATED_ROLES: tuple[Role, ...] = ("camera", "radar", "imu")
 
@@ -78,10 +83,15 @@ def choose_sources(bag: Bag, lidar_topic: str | None, odometry_topic: str | None
 
 
 def _candidate(bag: Bag, topic: Topic) -> Candidate:
-    duration_s = (bag.end_ns - bag.start_ns) / 1e9
-    rate_hz = topic.count / duration_s if duration_s > 0 else None
-    facts = _facts(bag, topic)
+    rate_hz, facts = _rate_hz(bag.log_times_ns(topic.name)), _facts(bag, topic)
     return Candidate(topic.name, topic.type, role_of(facts), topic.count, rate_hz, point_count=facts.point_count)
+
+
+def _rate_hz(log_times_ns: NDArray[np.int64]) -> float | None:
+    """Of most messages: no pause, burst or jump of the recorder's clock counts; None of one message alone."""
+    stride = min(STRIDE, len(log_times_ns) - 1)
+    span_ns = float(np.median(log_times_ns[stride:] - log_times_ns[:-stride])) if stride > 0 else 0.0
+    return stride * NS_PER_S / span_ns if span_ns > 0 else None
 
 
 def _facts(bag: Bag, topic: Topic) -> TopicFacts:

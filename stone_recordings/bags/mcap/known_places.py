@@ -1,8 +1,8 @@
 """Where the records of a damaged MCAP file lie, as far as the summary at its end can still say so.
 
 **Conventions.** Places are bytes of the file. A chunk is known where its own head repeats what its index says, its
-record's length left aside; or where that length is right and the summary meets its checksum, though the head is damaged.
-A summary that fails its checksum names no channels. Source: mcap.dev/spec.
+record's length left aside; or where that length is right and the summary meets its checksum, damaged as the head is. A
+summary that fails its checksum names no channels. Source: mcap.dev/spec.
 """
 
 import zlib

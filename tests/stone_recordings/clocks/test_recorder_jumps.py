@@ -1,10 +1,12 @@
 """A recorder whose clock jumps while it records accuses no sensor, whatever the size of its jump."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from stone.geometry.se3 import SE3
 from tests.stone_recordings.clocks.streams import (
     IMAGE,
     IMU,
@@ -18,6 +20,7 @@ from tests.stone_recordings.clocks.streams import (
     stream,
     timing_codes,
 )
+from tests.stone_recordings.rigs import odometry
 from tests.stone_recordings.writing import Recorded
 
 S = 1_000 * MS
@@ -48,6 +51,7 @@ def test_the_jump_is_named_and_no_sensor(tmp_path: Path, at_ns: int, size_s: flo
     inspection = inspected(tmp_path, *_rig({at_ns: size_s}))
     assert timing_codes(inspection) == [("TIM-212", "")]
     told = sentence(inspection, "TIM-212", "").removeprefix("The recorder's clock jumped by ")
+    assert "jump with it" not in told
     assert float(told.partition(" s at ")[0]) == pytest.approx(size_s, abs=0.005)
     assert "time zone" not in " ".join(one.message for one in inspection.findings)
     offsets = {clock.topic: clock.offset_ns or 0 for clock in inspection.clocks.topics}
@@ -57,6 +61,26 @@ def test_the_jump_is_named_and_no_sensor(tmp_path: Path, at_ns: int, size_s: flo
 def test_two_jumps_are_two(tmp_path: Path) -> None:
     inspection = inspected(tmp_path, *_rig({1_500 * MS: 3600.0, 2_900 * MS: 7200.0}))
     assert timing_codes(inspection) == [("TIM-212", ""), ("TIM-212", "")]
+
+
+@pytest.mark.parametrize("size_s", JUMPS_S)
+@pytest.mark.parametrize("at_ns", [1_700 * MS, 2_620 * MS])
+@pytest.mark.parametrize("has_imu", [True, False])
+def test_what_the_recorders_host_stamps_jumps_with_it_and_is_named(
+    tmp_path: Path, at_ns: int, size_s: float, has_imu: bool
+) -> None:
+    """The LiDAR and the IMU keep time, the poses are stamped by the clock that jumps: they meet no sweep after it."""
+    lidar, imu, _camera = _rig({at_ns: size_s})
+    published_ns = _logged(every(50 * MS, 80) + 20 * MS, {at_ns: size_s})
+    poses = [
+        replace(odometry(stamp_ns, SE3.identity()), log_time_ns=stamp_ns + MS) for stamp_ns in published_ns.tolist()
+    ]
+    inspection = inspected(tmp_path, lidar, *[imu] * has_imu, poses)
+    codes = timing_codes(inspection)
+    assert set(codes) - {("TIM-204", "/odom"), ("TIM-206", "/odom")} == {("TIM-212", "")}
+    told = sentence(inspection, "TIM-212", "")
+    assert "against the stamps of /imu, /lidar." in told or not has_imu
+    assert "Those of /odom jump with it" in told
 
 
 @pytest.mark.parametrize("size_s", JUMPS_S)

@@ -42,7 +42,9 @@ def _cloud(name: str, fields: frozenset[str], count: int) -> Role:
         ({"velocity", "reflectivity", "intensity"}, 24_000, "lidar"),  # Aeva: it measures speed by frequency
         ({"doppler"}, 5_000, "lidar"),
         ({"Doppler", "power"}, 4_999, "radar"),
-        ({"velocity", "snr"}, 24_000, "radar"),
+        ({"velocity", "snr"}, 24_000, "lidar"),
+        ({"velocity", "snr"}, 200, "radar"),  # TI mmWave
+        ({"velocity", "rcs"}, 24_000, "radar"),
         ({"vrad", "amplitude"}, 8, "radar"),  # SICK RMS: raw targets
         ({"vx", "vy", "vz", "objLen", "objId"}, 6, "radar"),  # SICK RMS: tracks
     ],
