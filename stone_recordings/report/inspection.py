@@ -18,12 +18,12 @@ from stone_recordings.clocks.findings import clock_findings
 from stone_recordings.clocks.measurement import kept_bytes, measured
 from stone_recordings.clocks.report import ClockReport
 from stone_recordings.clocks.timing import Timing, measure
-from stone_recordings.messages.pointcloud2 import decode_cloud
 from stone_recordings.messages.types.cdr import Cursor
 from stone_recordings.messages.types.definition_checks import definition_findings
 from stone_recordings.report import checks
 from stone_recordings.report.head_checks import head_findings, undated_finding
 from stone_recordings.report.scan import Scan, scan_of
+from stone_recordings.topics.cloud_samples import sample_cloud
 from stone_recordings.topics.profiles import Assignment, Candidate, TopicProfile, resolve
 from stone_recordings.topics.roles import POINT_CLOUD, Role, TopicFacts, role_of
 
@@ -127,7 +127,7 @@ def _inspected(bag: Bag, topic: Topic, scan: Scan, findings: list[Finding]) -> I
 
 def _cloud_facts(bag: Bag, facts: TopicFacts, topic: Topic, findings: list[Finding]) -> TopicFacts:
     """What one cloud, of the middle of the recording, adds."""
-    cloud = decode_cloud(bag.message(topic.name, topic.count // 2).payload)
+    cloud = sample_cloud(bag, topic)
     fields = frozenset(cloud.points.dtype.names or ())
     known = replace(facts, point_fields=fields, point_count=len(cloud.points))
     if role_of(known) == "lidar":

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone_recordings.bags.bag import Bag, Topic
-from stone_recordings.messages.pointcloud2 import decode_cloud
 from stone_recordings.messages.types.cdr import NS_PER_S
 from stone_recordings.sync.errors import (
     AmbiguousTopicsError,
@@ -20,6 +19,7 @@ from stone_recordings.sync.errors import (
     NoPoseSourceError,
     WrongTopicError,
 )
+from stone_recordings.topics.cloud_samples import sample_cloud
 from stone_recordings.topics.profiles import Candidate
 from stone_recordings.topics.roles import (
     PACKET_TYPES,
@@ -97,7 +97,7 @@ def _rate_hz(log_times_ns: NDArray[np.int64]) -> float | None:
 def _facts(bag: Bag, topic: Topic) -> TopicFacts:
     if topic.type != POINT_CLOUD:
         return TopicFacts(topic.name, topic.type, None)
-    cloud = decode_cloud(bag.message(topic.name, topic.count // 2).payload)
+    cloud = sample_cloud(bag, topic)
     fields = frozenset(cloud.points.dtype.names or ())
     return TopicFacts(topic.name, topic.type, None, fields, len(cloud.points))
 

@@ -67,3 +67,11 @@ def test_a_lidar_that_measures_speed_is_the_lidar_beside_a_radar_that_does(tmp_p
 
 def test_a_planar_scanner_alone_is_the_lidar(tmp_path: Path) -> None:
     assert _chosen(tmp_path, _clouds("/cloud", 20 * MS, 541)) == ("/cloud", "/cloud")
+
+
+def test_what_an_empty_cloud_says_nothing_about_another_tells(tmp_path: Path) -> None:
+    """The cloud in the middle, which is looked at first, has no points: no LiDAR's number, and no radar's."""
+    lidar = _clouds("/points", 100 * MS, 24_000, record=FMCW)
+    empty = cloud_payload(sweep(FMCW, 0), CloudText(START_NS + 5 * S, frame_id="/points"))
+    lidar[50] = Recorded("/points", POINT_CLOUD, START_NS + 5 * S, empty)
+    assert _chosen(tmp_path, lidar, _clouds("/detections", 50 * MS, 300, record=FMCW)) == ("/points", "/points")
