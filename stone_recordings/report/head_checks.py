@@ -54,15 +54,21 @@ def head_findings(topic: Topic, role: Role, counts: HeadCounts, stamps_ns: NDArr
             "by it where the sensor sits. Set the frame in the driver."
         )
         yield Finding("TOP-115", "warning", topic.name, message)
-    if role in DATED_ROLES and (undated := int((stamps_ns == 0).sum())):
-        message = f"{undated} of {topic.count} messages are stamped 0 (1970-01-01): the driver stamped before it knew."
+    undated_ns = stamps_ns[np.abs(stamps_ns) < FIRST_DATE_NS]
+    if len(undated_ns) == len(stamps_ns):  # a clock that counts from its start; only 0 is no time of it
+        undated_ns = undated_ns[undated_ns == 0]
+    if role in DATED_ROLES and len(undated_ns):
+        message = (
+            f"{len(undated_ns)} of {topic.count} messages are stamped near 1970-01-01 (the first "
+            f"{undated_ns[0] / 1e9:.3f} s after it): the driver stamped before its clock was set."
+        )
         yield Finding("TIM-211", "warning", topic.name, message)
 
 
 def undated_finding(topic: Topic, role: Role, stamps_ns: NDArray[np.int64]) -> Iterator[Finding]:
     """For a clock that counts from its own start, where every other one does so, too: none of them is ahead then."""
     set_ns = stamps_ns[stamps_ns != 0]
-    if role in DATED_ROLES and len(set_ns) and abs(float(np.median(set_ns))) < FIRST_DATE_NS:
+    if role in DATED_ROLES and len(set_ns) and np.abs(set_ns).max() < FIRST_DATE_NS:
         message = (
             f"Its stamps begin {int(set_ns[0]) / 1e9:.3f} s after 1970-01-01: its clock was never set, or time was "
             "simulated. Recordings of two such runs cannot be told apart by time."

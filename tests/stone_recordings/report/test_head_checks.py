@@ -58,7 +58,20 @@ def test_stamps_of_zero_are_counted_be_it_all_of_them(tmp_path: Path, count: int
     sweeps = [_cloud(stamp_ns, shown_ns=0 if row < count else None) for row, stamp_ns in stamps]
     told = _told(_inspected(tmp_path, sweeps, _readings()))
     assert list(told) == [("TIM-211", "/lidar")]
-    assert told["TIM-211", "/lidar"].startswith(f"{count} of 20 messages are stamped 0")
+    assert told["TIM-211", "/lidar"].startswith(
+        f"{count} of 20 messages are stamped near 1970-01-01 (the first 0.000 s"
+    )
+
+
+def test_stamps_from_before_a_clock_was_set_are_counted(tmp_path: Path) -> None:
+    """They lie fifty years before the others, which no gap of a beat is told of."""
+    stamps = enumerate(SWEEPS.tolist())
+    sweeps = [
+        _cloud(stamp_ns, shown_ns=4 * 1000 * MS + row * 100 * MS if row < 3 else None) for row, stamp_ns in stamps
+    ]
+    told = _told(_inspected(tmp_path, sweeps, _readings()))
+    assert list(told) == [("TIM-211", "/lidar")]
+    assert told["TIM-211", "/lidar"].startswith("3 of 20 messages are stamped near 1970-01-01 (the first 4.000 s")
 
 
 def test_clocks_that_all_count_from_their_start_are_named_and_one_alone_once(tmp_path: Path) -> None:
