@@ -1,4 +1,4 @@
-# make install | demo | serve | test | test-all | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-platform | bench-pages | bench-truth | bench-real bench-faults | bench-decisions | season | images
+# make install | demo | serve | test | test-all | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-platform | bench-pages | bench-truth | bench-real | bench-faults | bench-decisions | season | images
 # Each installs first, which costs nothing when nothing changed.
 .PHONY: install test-clients demo serve test test-all check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-platform bench-pages bench-truth bench-real bench-faults bench-decisions season images
 .DELETE_ON_ERROR:

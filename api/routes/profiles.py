@@ -113,10 +113,17 @@ def _choice(text: str) -> tuple[str, str]:
     return part, topic
 
 
+# What inspections of earlier versions did not say.
+LATER_KEYS = ("frame_id", "point_count")
+
+
 def _candidates(inspection: dict[str, Any]) -> list[Candidate]:
     keys = ("name", "type", "role", "count", "rate_hz")
     topics = inspection.get("topics", ())
-    return [Candidate(**{key: topic[key] for key in keys}, frame_id=topic.get("frame_id", "")) for topic in topics]
+    return [
+        Candidate(**{key: topic[key] for key in keys}, **{key: topic[key] for key in LATER_KEYS if key in topic})
+        for topic in topics
+    ]
 
 
 def _channel_of_frame(session: Session, sequence: SequenceRow) -> dict[str, str]:

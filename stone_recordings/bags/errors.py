@@ -44,7 +44,10 @@ class MalformedBagError(IngestError):
     code = "BAG-012"
 
     def __init__(self, where: str, problem: str) -> None:
-        super().__init__(f"{where}: {problem}; the file is damaged or was not written by a working recorder")
+        super().__init__(
+            f"{where}: {problem}; the file is damaged or was not written by a working recorder, "
+            "stone recover writes what is whole of it into another"
+        )
 
 
 class ChunkTooLargeError(IngestError):
@@ -88,7 +91,8 @@ class ChecksumError(IngestError):
 
     def __init__(self, where: str, found: int, declared: int) -> None:
         super().__init__(
-            f"{where}: CRC-32 is {found:08x}, declared {declared:08x}; the file was damaged after recording"
+            f"{where}: CRC-32 is {found:08x}, declared {declared:08x}; the file was damaged after recording, "
+            "stone recover writes what is whole of it into another"
         )
 
 
@@ -123,7 +127,7 @@ class MessageLayoutError(IngestError):
 
 
 class ByteOrderError(IngestError):
-    """Big-endian data; nothing that is recorded today writes it."""
+    """A message serialised big-endian; nothing that is recorded today writes it."""
 
     code = "MSG-302"
 

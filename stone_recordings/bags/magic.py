@@ -1,7 +1,7 @@
 """File type detection by the first bytes of a file.
 
 **Conventions.** Names are never trusted: an HTML page called `.mcap` (a login page saved by a download) is the
-commonest broken upload.
+commonest broken upload. An MCAP file ends as it begins, so that one whose beginning is damaged is known by its end.
 """
 
 from pathlib import Path
@@ -10,6 +10,7 @@ from typing import Literal
 from stone_recordings.bags import packed_file
 from stone_recordings.bags.errors import CutBagError, NotABagError
 from stone_recordings.bags.mcap.records import MAGIC
+from stone_recordings.bags.mcap.sealed_end import sealed_bytes
 
 Container = Literal["mcap", "sqlite", "zstd"]
 SNIFFED_BYTES = 512
@@ -46,6 +47,8 @@ def container_of(path: Path) -> Container:
         return "sqlite"  # a recorder in WAL mode that died before it ever wrote the database itself
     if first and MAGIC.startswith(first):
         raise CutBagError(path.name, len(first))
+    if _ends_as_mcap(path):
+        return "mcap"
     raise NotABagError(path.name, first, _looks_like(first))
 
 
@@ -71,6 +74,11 @@ def _first_bytes(path: Path) -> bytes:
         raise NotABagError(path.name, b"", "a folder" if path.is_dir() else "no regular file")
     with path.open("rb") as file:
         return file.read(SNIFFED_BYTES)
+
+
+def _ends_as_mcap(path: Path) -> bool:
+    with path.open("rb") as file:
+        return sealed_bytes(file) is not None
 
 
 def _container(first: bytes) -> Container | None:

@@ -8,6 +8,7 @@ NS_PER_S = 1_000_000_000
 KNOWN_S = ((37, "TAI-UTC"), (18, "GPS-UTC"), (19, "TAI-GPS"))
 # What transport and a slightly wrong clock add to the constant.
 TOLERANCE_NS = 400_000_000
+SINCE_BOOT = "since boot"
 HALF_HOUR_NS = 1_800 * NS_PER_S
 LAST_ZONE_HALF_HOURS = 28  # UTC+14
 # Whoever stamps a date before 2001 counts from the start of its own computer.
@@ -17,7 +18,7 @@ FIRST_DATE_NS = 1_000_000_000 * NS_PER_S
 def constant_of(ahead_ns: int, stamp_ns: int = FIRST_DATE_NS) -> str:
     """ "TAI-UTC", "GPS-UTC", "TAI-GPS", "time zone" or "since boot"; "" for no constant that is known."""
     if abs(ahead_ns) > FIRST_DATE_NS // 2 and abs(stamp_ns) < FIRST_DATE_NS:
-        return "since boot"
+        return SINCE_BOOT
     for seconds, name in KNOWN_S:
         if abs(abs(ahead_ns) - seconds * NS_PER_S) < TOLERANCE_NS:
             return name

@@ -1,7 +1,8 @@
 """Findings about the clocks of a recording, from its clock report.
 
 **Conventions.** TIM-201 stamped on the host, TIM-202 another clock, TIM-203 steps back, TIM-204 gaps, TIM-206 repeated
-stamps, TIM-207 drift, TIM-208 lost triggers, TIM-209 the IMU's lag, TIM-210 a sensor that knew no time. (TIM-205 and
+stamps, TIM-207 drift, TIM-208 lost triggers, TIM-209 the IMU's lag, TIM-210 a sensor that knew no time, TIM-212 a
+recorder whose clock jumped; TIM-211, no date, is of `stone_recordings.report.head_checks`. (TIM-205 and
 CAL-406 need a calibration: `stone_recordings.clocks.triggers`.) A clock is compared with what most topics agree on, so
 that the one that is wrong is named, and not all the others. Nothing is shifted.
 """
@@ -11,14 +12,12 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from stone.findings import Finding
-from stone_recordings.clocks.constants import constant_of
+from stone_recordings.clocks.constants import SINCE_BOOT, constant_of
 from stone_recordings.clocks.measurement import ClockMeasurement
-from stone_recordings.clocks.report import ClockReport, ImuLag, TopicClock
+from stone_recordings.clocks.report import UNCLOCKED_ROLES, ClockReport, ImuLag, TopicClock
 from stone_recordings.clocks.timing import Timing, lost_messages
-from stone_recordings.report.checks import Inspected
 from stone_recordings.topics.roles import Role
 
-UNCLOCKED_ROLES: tuple[Role, ...] = ("tf", "tf_static", "camera_info", "other")
 # Transport takes milliseconds: a median distance beyond this is another clock.
 CLOCK_DISTANCE_NS = 500_000_000
 # A host disciplined by NTP wanders by less, a free quartz is wrong by up to 100 ppm.
@@ -30,10 +29,10 @@ LEAST_AGREEING = 3
 LAG_LIMIT_NS, LAG_SIGMAS = 5_000_000, 4
 
 
-def clock_findings(inspected: Sequence[Inspected], measured: ClockMeasurement) -> Iterator[Finding]:
+def clock_findings(measured: ClockMeasurement) -> Iterator[Finding]:
     """Everything about clocks that an inspection can tell."""
     yield from measured.findings
-    for topic, role, timing in inspected:
+    for topic, role, timing in measured.inspected:
         yield from _sequence_findings(topic.name, role, timing)
     for clock in measured.report.topics:
         yield from _host_findings(clock)
@@ -127,7 +126,8 @@ OFFER = "set time_offset_ns in the calibration; --time-offset of stone label tri
 
 
 def _distance(topic: str, what: str, ahead_ns: int, whose: str, constant: str) -> Finding:
-    named = constant_of(ahead_ns) or constant
+    # A topic's own constant is against the recorder, whose clock may be the one that is off; a start is a start.
+    named = constant_of(ahead_ns) or (constant if constant == SINCE_BOOT else "")
     doubt = f" (= {named.replace('-', ' − ')}?)" if named else ""
     message = f"{what} differs from the clock of {whose} by {ahead_ns / 1e9:.3f} s{doubt}."
     return Finding("TIM-202", "warning", topic, f"{message} Nothing was shifted; {OFFER}")

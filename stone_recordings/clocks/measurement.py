@@ -6,7 +6,7 @@ milliseconds more closely than they follow their own beat, are those of publishi
 is called a sensor's.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -20,8 +20,10 @@ from stone_recordings.bags.bag import Bag
 from stone_recordings.bags.topic import Topic
 from stone_recordings.clocks.constants import constant_of
 from stone_recordings.clocks.imu_lag import IMU_BYTES, POSE_BYTES, imu_lag
-from stone_recordings.clocks.report import ClockReport, StampSource, TopicClock
+from stone_recordings.clocks.recorder_jumps import StampedTimes, without_jumps
+from stone_recordings.clocks.report import UNCLOCKED_ROLES, ClockReport, StampSource, TopicClock
 from stone_recordings.clocks.sensor_times import OWN_TIME_BYTES, OwnTimes, has_own_time, own_times
+from stone_recordings.clocks.timing import measure
 from stone_recordings.messages.batch import refused_finding
 from stone_recordings.messages.odometry import TYPE as ODOMETRY
 from stone_recordings.messages.odometry import decode_odometry, other_frames_finding
@@ -38,11 +40,15 @@ LAST_PUBLISH_DELAY_NS = 5_000_000
 
 @dataclass(frozen=True)
 class ClockMeasurement:
-    """The report, and what kept parts of it from being measured."""
+    """The report, and what kept parts of it from being measured.
+
+    `inspected` are the topics as they would be timed if the recorder's clock had not jumped.
+    """
 
     report: ClockReport
     findings: tuple[Finding, ...] = ()
     own_times: dict[str, OwnTimes] = field(default_factory=dict)
+    inspected: tuple[Inspected, ...] = ()
 
 
 def kept_bytes(topic: Topic) -> int:
@@ -69,13 +75,30 @@ def measured(bag: Bag, scan: Scan, inspected: Sequence[Inspected]) -> ClockMeasu
                 findings.append(Finding(error.code, "error", topic.name, str(error)))
         elif scan.kept.get(topic.name) and topic.type == ODOMETRY:
             findings += _pose_findings(topic, scan)
-    clocks = tuple(_clock(bag, part, own.get(part[0].name)) for part in inspected)
+    logged = {topic.name: bag.log_times_ns(topic.name) for topic, _role, _timing in inspected}
+    stamped = {
+        topic.name: StampedTimes(timing.stamps_ns, logged[topic.name], role not in UNCLOCKED_ROLES)
+        for topic, role, timing in inspected
+        if timing.has_header
+    }
+    times, jumps = without_jumps(stamped)
+    findings += jumps
+    if jumps:
+        inspected = [_timed_again(part, times) for part in inspected]
+        logged |= {name: one.log_times_ns for name, one in times.items()}
+    clocks = tuple(_clock(logged[part[0].name], part, own.get(part[0].name)) for part in inspected)
     try:
         lag = imu_lag(scan, [(topic, role) for topic, role, _timing in inspected])
     except StoneError as error:
         lag = None
         findings.append(Finding(error.code, "warning", "", f"The lag of the IMU cannot be measured: {error}"))
-    return ClockMeasurement(ClockReport(clocks, lag), tuple(findings), own)
+    return ClockMeasurement(ClockReport(clocks, lag), tuple(findings), own, tuple(inspected))
+
+
+def _timed_again(part: Inspected, times: Mapping[str, StampedTimes]) -> Inspected:
+    """A topic in the order in which it was recorded: that of the recorder's times is another where they went back."""
+    topic, role, _timing = part
+    return (topic, role, measure(times[topic.name].stamps_ns, True)) if topic.name in times else part
 
 
 def _pose_findings(topic: Topic, scan: Scan) -> list[Finding]:
@@ -89,9 +112,8 @@ def _pose_findings(topic: Topic, scan: Scan) -> list[Finding]:
     return [*unread, *strays, *refused_finding(topic.name, samples.refused_ns, samples.reason)]
 
 
-def _clock(bag: Bag, inspected: Inspected, own: OwnTimes | None) -> TopicClock:
+def _clock(log_times_ns: NDArray[np.int64], inspected: Inspected, own: OwnTimes | None) -> TopicClock:
     topic, role, timing = inspected
-    log_times_ns = bag.log_times_ns(topic.name)
     line = clock_line(timing.stamps_ns, log_times_ns) if timing.has_header else None
     late_ns = own.late_ns if own is not None and len(own.late_ns) else None
     steps_ns = timing.steps_back_ns if timing.has_header else np.zeros(0, np.int64)

@@ -10,6 +10,8 @@ from typing import Literal
 
 from stone_recordings.topics.roles import Role
 
+# Of these nobody reads the stamps.
+UNCLOCKED_ROLES: tuple[Role, ...] = ("tf", "tf_static", "camera_info", "other")
 StampSource = Literal["sensor", "host", "recorder"]
 
 

@@ -2,7 +2,8 @@
 
 **Conventions.** The header stamp where the type begins with one (the first eight bytes of the body) and it is set, the
 log time otherwise. A gap is an interval longer than `GAP_RATIO` median periods, so that one lost message of a jittery
-topic is no gap and two always are; only topics that keep a period have gaps.
+topic is no gap and two always are; only topics that keep a period have gaps. What comes in bursts (a log, events) keeps
+none: its median interval is that between the messages of a burst.
 """
 
 from dataclasses import asdict, dataclass
@@ -20,6 +21,11 @@ GAP_RATIO = 2.5
 # A topic keeps a period when at least half of its intervals are within a half of the median.
 STEADY_SHARE, STEADY_RATIO = 0.5, 0.5
 LEAST_STEADY_COUNT = 4
+# Nothing is sampled faster: such intervals are those of a burst.
+MOST_RATE_HZ = 10_000.0
+# How much of the time the steady intervals cover at least, by the recorder's times and by the sensor's own stamps. A
+# sensor may have been silent for most of a recording; what has no stamps is mostly no sensor.
+STEADY_COVER, STEADY_STAMPED_COVER = 0.5, 0.03
 # Messages are counted as lost only where the beat is as strict as a trigger's.
 STRICT_RATIO = 0.1
 
@@ -55,13 +61,14 @@ class Timing:
 
 
 def measure(stamps_ns: NDArray[np.int64], has_header: bool) -> Timing:
-    """Rate (from the median period; None below two stamps), gaps and steps back of stamps in log order."""
+    """Rate (of the median period; None below two stamps, and of bursts), gaps and steps back of stamps in log order."""
     steps_ns = np.diff(stamps_ns)
     ordered = np.sort(stamps_ns)
     periods_ns = np.diff(ordered)
     median_ns = float(np.median(periods_ns)) if len(periods_ns) else 0.0
-    rate_hz = NS_PER_S / median_ns if median_ns > 0 else None
-    gaps = _gaps(ordered, periods_ns, median_ns)
+    rate_hz = NS_PER_S / median_ns if median_ns * MOST_RATE_HZ >= NS_PER_S else None
+    least_cover = STEADY_STAMPED_COVER if has_header else STEADY_COVER
+    gaps = _gaps(ordered, periods_ns, median_ns, least_cover) if rate_hz is not None else ()
     return Timing(stamps_ns, has_header, rate_hz, gaps, -steps_ns[steps_ns < 0], int((periods_ns == 0).sum()))
 
 
@@ -97,11 +104,14 @@ def stamp_of(payload: memoryview, type_name: str) -> int:
     return int(sec) * NS_PER_S + int(nanosec)
 
 
-def _gaps(ordered_ns: NDArray[np.int64], periods_ns: NDArray[np.int64], median_ns: float) -> tuple[Gap, ...]:
-    if len(ordered_ns) < LEAST_STEADY_COUNT or median_ns <= 0:
+def _gaps(
+    ordered_ns: NDArray[np.int64], periods_ns: NDArray[np.int64], median_ns: float, least_cover: float
+) -> tuple[Gap, ...]:
+    if len(ordered_ns) < LEAST_STEADY_COUNT:
         return ()
     is_steady = np.abs(periods_ns - median_ns) <= STEADY_RATIO * median_ns
-    if is_steady.mean() < STEADY_SHARE:
+    cover = float(periods_ns[is_steady].sum()) / float(periods_ns.sum())
+    if is_steady.mean() < STEADY_SHARE or cover < least_cover:
         return ()
     rows = np.flatnonzero(periods_ns > GAP_RATIO * median_ns)
     return tuple(Gap(int(ordered_ns[row]), int(ordered_ns[row + 1]), int(periods_ns[row])) for row in rows)

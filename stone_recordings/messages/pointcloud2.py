@@ -1,7 +1,9 @@
 """sensor_msgs/msg/PointCloud2 as a structured view of its own bytes, checked before it is believed.
 
 **Conventions.** `points` has one record a point, in the order of the message, with the driver's field names; nothing
-is copied unless rows are padded. Offsets need not be aligned (Hesai: 26 bytes a point). Source: sensor_msgs (Humble).
+is copied unless rows are padded or numbers big-endian. Offsets need not be aligned (Hesai: 26 bytes a point). Numbers
+leave little-endian. `is_bigendian` is believed unless the places that follow are none and the little-endian ones are:
+some drivers set it and write little-endian. Source: sensor_msgs (Humble).
 """
 
 from collections.abc import Callable
@@ -23,6 +25,9 @@ FORMATS = {1: "i1", 2: "u1", 3: "<i2", 4: "<u2", 5: "<i4", 6: "<u4", 7: "<f4", 8
 # name length, terminator, offset, datatype, count: what a PointField takes at least.
 LEAST_FIELD_BYTES = 4 + 1 + 4 + 1 + 4
 FIELD_LIMIT = 256
+# Coordinates that a LiDAR can report; a number whose bytes are swapped has an exponent like any other.
+LEAST_PLACE_M, LAST_PLACE_M = 1e-6, 1e5
+LEAST_PLACES = 0.5
 
 
 class _PointField(NamedTuple):
@@ -44,30 +49,43 @@ class _CloudLayout(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """One message: stamp, frame and N point records."""
+    """One message: stamp, frame and N point records; `is_misdeclared` where its byte order is not the declared one."""
 
     stamp_ns: int
     frame_id: str
     points: NDArray[np.void]
+    is_misdeclared: bool = False
 
 
 def decode_cloud(payload: memoryview) -> Cloud:
-    """The cloud as a view of `payload`.
+    """The cloud as a view of `payload`, or a copy of one that is big-endian.
 
-    Raises: MessageLayoutError, ByteOrderError (CDR or `is_bigendian`), CloudLayoutError (a field beyond point_step,
-    steps or data that contradict the size of the cloud).
+    Raises: MessageLayoutError, ByteOrderError (of the CDR), CloudLayoutError (a field beyond point_step, steps or data
+    that contradict the size of the cloud).
     """
     cursor = Cursor(payload, TYPE)
     stamp_ns, frame_id = cursor.stamp_ns(), cursor.text()
     layout = _layout(cursor)
     start = cursor.take(cursor.bounded(layout.data_bytes, 1))
-    if layout.is_bigendian:
-        raise ByteOrderError(TYPE)
     record = record_of(layout.fields, layout.point_step)
     _check_steps(layout)
     steps = (layout.row_step, layout.point_step)
-    view = np.ndarray((layout.height, layout.width), record, payload, start, steps)
-    return Cloud(stamp_ns, frame_id, view.reshape(layout.height * layout.width))
+    points = np.ndarray((layout.height, layout.width), record, payload, start, steps).reshape(-1)
+    if not layout.is_bigendian:
+        return Cloud(stamp_ns, frame_id, points)
+    swapped = points.view(record.newbyteorder(">")).astype(record)
+    is_misdeclared = _places_ratio(swapped) < LEAST_PLACES <= _places_ratio(points)
+    return Cloud(stamp_ns, frame_id, points if is_misdeclared else swapped, is_misdeclared)
+
+
+def _places_ratio(points: NDArray[np.void]) -> float:
+    """How many of the finite coordinates can be a sensor's; 1 where there are none."""
+    names = [name for name in "xyz" if name in (points.dtype.names or ()) and points.dtype[name].kind == "f"]
+    with np.errstate(invalid="ignore"):  # a swapped number may be a NaN that signals
+        values = np.abs(np.array([points[name].astype(np.float64) for name in names]))
+    values = values[np.isfinite(values)]
+    is_place = (values == 0) | ((values >= LEAST_PLACE_M) & (values <= LAST_PLACE_M))
+    return float(is_place.mean()) if len(values) else 1.0
 
 
 def layout_problem(head: memoryview, size_bytes: Callable[[], int]) -> str:
@@ -81,8 +99,6 @@ def layout_problem(head: memoryview, size_bytes: Callable[[], int]) -> str:
         cursor.stamp_ns()
         cursor.text()
         layout = _layout(cursor)
-        if layout.is_bigendian:
-            raise ByteOrderError(TYPE)
         record_of(layout.fields, layout.point_step)
         _check_steps(layout)
     except (ByteOrderError, CloudLayoutError, MessageLayoutError) as error:

@@ -30,6 +30,9 @@ def container_findings(bag: Bag) -> Iterator[Finding]:
 
 def cloud_findings(topic: Topic, cloud: Cloud) -> Iterator[Finding]:
     """One cloud of a LiDAR topic, looked at in full."""
+    if cloud.is_misdeclared:
+        message = "Declared big-endian, its points are little-endian: they are read as such. Mend the driver's flag."
+        yield Finding("MSG-303", "warning", topic.name, message)
     points = lidar_points(cloud)
     if points.offset_ns is None and points.time_meaning == "another clock":
         message = "The times of the points are of another clock than the header stamp: deskew is off."

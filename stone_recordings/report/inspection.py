@@ -5,6 +5,7 @@ cloud is viewed, of a NovAtel topic all messages are (they are small). A topic t
 not a failure; a container that cannot be read is refused.
 """
 
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from stone_recordings.messages.problems import left_out_finding
 from stone_recordings.messages.types.cdr import Cursor
 from stone_recordings.messages.types.definition_checks import definition_findings
 from stone_recordings.report import checks
+from stone_recordings.report.head_checks import head_findings, undated_finding
 from stone_recordings.report.scan import Scan, scan_of
 from stone_recordings.topics.cloud_samples import sample_cloud
 from stone_recordings.topics.profiles import Assignment, Candidate, TopicProfile, resolve
@@ -32,11 +34,12 @@ NO_STAMPS = np.zeros(0, np.int64)
 
 @dataclass(frozen=True, eq=False)
 class InspectedTopic:
-    """One topic and when its messages were taken."""
+    """One topic and when its messages were taken; `point_count` is that of one of its clouds."""
 
     topic: Topic
     role: Role
     timing: Timing
+    point_count: int = 0
 
     def as_record(self) -> dict[str, object]:
         rate_hz = self.timing.rate_hz
@@ -46,6 +49,7 @@ class InspectedTopic:
             "count": self.topic.count,
             "role": self.role,
             "rate_hz": None if rate_hz is None else round(rate_hz, 3),
+            "point_count": self.point_count,
             "gaps": [gap.as_record() for gap in self.timing.gaps],
         }
 
@@ -92,9 +96,20 @@ def inspect_in(bag: Bag, profile: TopicProfile | None = None) -> Inspection:
     assignment = resolve(candidates, profile or TopicProfile())
     findings += assignment.findings
     clocks = measured(bag, scan, by_role)
-    findings += clock_findings(by_role, clocks)
+    findings += clock_findings(clocks)
+    findings += _head_findings(by_role, scan, {finding.topic for finding in findings if finding.code == "TIM-202"})
     duration_ns = bag.end_ns - bag.start_ns
     return Inspection(duration_ns, topics, tuple(findings), clocks.report, candidates, assignment)
+
+
+def _head_findings(inspected: Sequence[checks.Inspected], scan: Scan, apart: Set[str]) -> Iterator[Finding]:
+    """What the heads lack; of topics whose clock is `apart` from the others that is said already."""
+    for topic, role, _timing in inspected:
+        if topic.name in scan.counts and topic.count:
+            stamps_ns = scan.stamps_ns[topic.name]
+            yield from head_findings(topic, role, scan.counts[topic.name], stamps_ns)
+            if topic.name not in apart:
+                yield from undated_finding(topic, role, stamps_ns)
 
 
 def _inspected(bag: Bag, topic: Topic, scan: Scan, findings: list[Finding]) -> InspectedTopic:
@@ -110,7 +125,7 @@ def _inspected(bag: Bag, topic: Topic, scan: Scan, findings: list[Finding]) -> I
             facts = _cloud_facts(bag, facts, topic, findings)
     except StoneError as error:
         findings.append(Finding(error.code, "error", topic.name, str(error)))
-    return InspectedTopic(topic, role_of(facts), timing)
+    return InspectedTopic(topic, role_of(facts), timing, facts.point_count)
 
 
 def _cloud_facts(bag: Bag, facts: TopicFacts, topic: Topic, findings: list[Finding]) -> TopicFacts:
@@ -135,6 +150,7 @@ def _candidates(bag: Bag, topics: tuple[InspectedTopic, ...]) -> tuple[Candidate
             part.topic.count,
             part.timing.rate_hz,
             frame_ids.get(part.topic.name, ""),
+            part.point_count,
         )
         for part in topics
     )

@@ -16,6 +16,7 @@ from stone_recordings.bags.bag import Bag, Topic
 from stone_recordings.bags.errors import ByteOrderError, MessageLayoutError
 from stone_recordings.clocks.timing import begins_with_header, stamp_of
 from stone_recordings.messages.problems import DAMAGED, MALFORMED, MessageProblem
+from stone_recordings.report.head_checks import HeadCounts
 
 # Three minutes of a 200 Hz IMU, half an hour of a 20 Hz receiver.
 MOST_KEPT = 36_000
@@ -33,6 +34,7 @@ class Scan:
 
     `kept_from` is the index in the topic of its first kept message. `problems` are the messages that cannot be read:
     their stamps are the log times, moved by as much as the others' are apart, and they are never among the kept.
+    `counts` says what the heads lack.
     """
 
     stamps_ns: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
@@ -40,6 +42,7 @@ class Scan:
     kept_from: Mapping[str, int] = field(default_factory=dict)
     refused: Mapping[str, ByteOrderError | MessageLayoutError] = field(default_factory=dict)
     problems: Mapping[str, Mapping[int, MessageProblem]] = field(default_factory=dict)
+    counts: Mapping[str, HeadCounts] = field(default_factory=dict)
 
 
 def scan_of(bag: Bag, kept_bytes: Callable[[Topic], int]) -> Scan:
@@ -54,12 +57,14 @@ def scan_of(bag: Bag, kept_bytes: Callable[[Topic], int]) -> Scan:
     kept: dict[str, dict[int, bytes]] = {name: {} for name in windows}
     errors: dict[str, dict[int, ByteOrderError | MessageLayoutError]] = {name: {} for name in stamped}
     damaged = bag.damaged
+    counts = {name: HeadCounts() for name in stamped}
     for name, index, payload in bag.heads(tuple(stamped)):
         try:
             stamps_ns[name][index] = stamp_of(payload, stamped[name].type)
         except (ByteOrderError, MessageLayoutError) as error:
             errors[name][index] = error
             continue
+        counts[name].take(payload, stamped[name].type)
         if name in kept and index in windows[name]:
             kept[name][index] = bytes(payload[: copied[name]])
     refused = {
@@ -74,6 +79,7 @@ def scan_of(bag: Bag, kept_bytes: Callable[[Topic], int]) -> Scan:
         {name: window.start for name, window in windows.items()},
         refused,
         problems,
+        {name: own for name, own in counts.items() if name not in refused},
     )
 
 

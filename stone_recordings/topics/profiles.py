@@ -12,7 +12,15 @@ from dataclasses import dataclass, field
 from stone.findings import Finding, Severity
 from stone_recordings.topics.channels import PREFIX, ChannelKind, channel_of
 from stone_recordings.topics.profile_errors import BadProfileError
-from stone_recordings.topics.roles import PACKET_TYPES, POINT_CLOUD, POSE_ROLES, Role, fullest, with_plausible_rate
+from stone_recordings.topics.roles import (
+    PACKET_TYPES,
+    POINT_CLOUD,
+    POSE_ROLES,
+    Role,
+    fullest,
+    likely_lidars,
+    with_plausible_rate,
+)
 
 PARTS = ("lidar", "pose", "imu")
 CHANNEL = re.compile(r"(?:CAM|RADAR)(?:_[A-Z0-9]+){1,4}")
@@ -42,7 +50,10 @@ class TopicProfile:
 
 @dataclass(frozen=True)
 class Candidate:
-    """What is known of a topic that has messages; `frame_id` is that of its first one, "" where none was looked at."""
+    """What is known of a topic that has messages; `frame_id` is that of its first one, "" where none was looked at.
+
+    `point_count` is that of one of its clouds, 0 where none was looked at.
+    """
 
     name: str
     type: str
@@ -50,6 +61,7 @@ class Candidate:
     count: int
     rate_hz: float | None = None
     frame_id: str = ""
+    point_count: int = 0
 
 
 @dataclass(frozen=True)
@@ -118,7 +130,7 @@ def _fitting(
     free: Sequence[Candidate], channel_of_frame: Mapping[str, str]
 ) -> Iterator[tuple[str, Sequence[Candidate]]]:
     """Each part and the topics that fit it best."""
-    yield "lidar", with_plausible_rate("lidar", _of_role(free, "lidar"))
+    yield "lidar", likely_lidars(_of_role(free, "lidar"))
     poses = (fullest(_of_role(free, role)) if role == "ins" else _of_role(free, role) for role in POSE_ROLES)
     yield "pose", next((fitting for fitting in poses if fitting), [])
     yield "imu", with_plausible_rate("imu", _of_role(free, "imu"))

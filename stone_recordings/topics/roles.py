@@ -1,8 +1,9 @@
 """Roles of topics, resolved by type, then fields and size, then rate; the name only breaks ties.
 
-**Conventions.** A cloud is a radar's when it measures speed or cross section and has no ring, or when it is too
-small to be a revolution and has no ring. Source: field layouts of the Hesai, Nebula, Velodyne, Ouster and
-ARS 548 drivers.
+**Conventions.** A cloud is a radar's when it has no ring and measures cross section, or speed at fewer points than any
+revolution has: a frequency-modulated LiDAR measures speed, too. A small cloud without any of these is a planar
+scanner's, unless its name says that it is a radar's. Source: field layouts of the Hesai, Nebula, Velodyne, Ouster,
+Aeva, SICK and ARS 548 drivers.
 """
 
 from collections.abc import Sequence
@@ -39,14 +40,20 @@ PACKET_TYPES = frozenset(
 )
 POSE_ROLES: tuple[Role, ...] = ("ins", "odometry", "tf")
 INSPVAX = "novatel_oem7_msgs/msg/INSPVAX"
-# A LiDAR turns 5 to 20 times a second, some 30; what is slower is a map. An IMU that integrates well samples faster
-# than any pose source; what is slower is a copy for people to look at.
-PLAUSIBLE_HZ: dict[Role, tuple[float, float]] = {"lidar": (3.0, 40.0), "imu": (50.0, 2000.0)}
+# A LiDAR turns 5 to 20 times a second, a planar scanner up to 100; what is slower is a map. An IMU that integrates well
+# samples faster than any pose source; what is slower is a copy for people to look at.
+PLAUSIBLE_HZ: dict[Role, tuple[float, float]] = {"lidar": (3.0, 110.0), "imu": (50.0, 2000.0)}
 POINT_CLOUD, TRANSFORMS = "sensor_msgs/msg/PointCloud2", "tf2_msgs/msg/TFMessage"
 RING_FIELDS = frozenset({"ring", "channel", "laser_id", "line"})
-DOPPLER_FIELDS = frozenset({"rcs", "range_rate", "v", "v_r", "doppler", "velocity", "radial_speed"})
-# A 16-beam LiDAR returns tens of thousands of points a turn, an ARS 548 at most 800.
+CROSS_SECTION_FIELDS = frozenset({"rcs", "radar_cross_section"})
+# What radars measure of every detection, and a frequency-modulated LiDAR of every point.
+SPEED_FIELDS = frozenset(
+    {"range_rate", "v", "v_r", "v_radial", "vrad", "vx", "doppler", "doppler_velocity", "velocity", "radial_speed"}
+    | {"radial_velocity", "speed", "snr"}
+)
+# A 16-beam LiDAR returns tens of thousands of points a turn, an ARS 548 at most 800, an imaging radar a few thousand.
 LEAST_LIDAR_POINTS = 1000
+LEAST_LIDAR_POINTS_WITH_SPEED = 5000
 # Static transforms are latched: whoever repeats them does so less often than any moving joint is reported.
 LAST_STATIC_RATE_HZ = 1.0
 
@@ -78,12 +85,12 @@ def _role_of_cloud(facts: TopicFacts) -> Role:
     names = frozenset(name.lower() for name in facts.point_fields)
     if names & RING_FIELDS:
         return "lidar"
-    if names & DOPPLER_FIELDS:
+    if names & CROSS_SECTION_FIELDS:
         return "radar"
+    if names & SPEED_FIELDS:
+        return "lidar" if facts.point_count >= LEAST_LIDAR_POINTS_WITH_SPEED else "radar"
     if facts.point_count >= LEAST_LIDAR_POINTS:
         return "lidar"
-    if facts.point_count > 0:
-        return "radar"
     return "radar" if "radar" in facts.name.lower() else "lidar"
 
 
@@ -98,7 +105,15 @@ class TopicRating(Protocol):
     def rate_hz(self) -> float | None: ...
 
 
+class CloudRating(TopicRating, Protocol):
+    """What tells two LiDAR topics apart."""
+
+    @property
+    def point_count(self) -> int: ...
+
+
 Topical = TypeVar("Topical", bound=TopicRating)
+Clouded = TypeVar("Clouded", bound=CloudRating)
 
 
 def with_plausible_rate(role: Role, topics: Sequence[Topical]) -> Sequence[Topical]:
@@ -106,6 +121,12 @@ def with_plausible_rate(role: Role, topics: Sequence[Topical]) -> Sequence[Topic
     low_hz, high_hz = PLAUSIBLE_HZ.get(role, (0.0, float("inf")))
     plausible = [topic for topic in topics if topic.rate_hz is not None and low_hz <= topic.rate_hz <= high_hz]
     return plausible or topics
+
+
+def likely_lidars(topics: Sequence[Clouded]) -> Sequence[Clouded]:
+    """Of LiDAR topics those at a plausible rate; a cloud of few points, such as of obstacles, only without another."""
+    plausible = with_plausible_rate("lidar", topics)
+    return [topic for topic in plausible if topic.point_count >= LEAST_LIDAR_POINTS] or plausible
 
 
 def fullest(topics: Sequence[Topical]) -> Sequence[Topical]:

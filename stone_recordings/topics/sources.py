@@ -8,7 +8,11 @@ Topics without messages count as absent.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from stone_recordings.bags.bag import Bag, Topic
+from stone_recordings.messages.types.cdr import NS_PER_S
 from stone_recordings.sync.errors import (
     AmbiguousTopicsError,
     NoLidarError,
@@ -24,12 +28,13 @@ from stone_recordings.topics.roles import (
     Role,
     TopicFacts,
     fullest,
+    likely_lidars,
     role_of,
-    with_plausible_rate,
 )
 
 BESTPOS = "novatel_oem7_msgs/msg/BESTPOS"
 KISS_ICP = "kiss-icp"
+STRIDE = 10  # messages over which a rate is measured
 ROLE_OF_SWEEPS: Role = "lidar"
 ASSOCIATED_ROLES: tuple[Role, ...] = ("camera", "radar", "imu")
 
@@ -78,17 +83,23 @@ def choose_sources(bag: Bag, lidar_topic: str | None, odometry_topic: str | None
 
 
 def _candidate(bag: Bag, topic: Topic) -> Candidate:
-    duration_s = (bag.end_ns - bag.start_ns) / 1e9
-    rate_hz = topic.count / duration_s if duration_s > 0 else None
-    return Candidate(topic.name, topic.type, _role(bag, topic), topic.count, rate_hz)
+    rate_hz, facts = _rate_hz(bag.log_times_ns(topic.name)), _facts(bag, topic)
+    return Candidate(topic.name, topic.type, role_of(facts), topic.count, rate_hz, point_count=facts.point_count)
 
 
-def _role(bag: Bag, topic: Topic) -> Role:
+def _rate_hz(log_times_ns: NDArray[np.int64]) -> float | None:
+    """Of most messages: no pause, burst or jump of the recorder's clock counts; None of one message alone."""
+    stride = min(STRIDE, len(log_times_ns) - 1)
+    span_ns = float(np.median(log_times_ns[stride:] - log_times_ns[:-stride])) if stride > 0 else 0.0
+    return stride * NS_PER_S / span_ns if span_ns > 0 else None
+
+
+def _facts(bag: Bag, topic: Topic) -> TopicFacts:
     if topic.type != POINT_CLOUD:
-        return role_of(TopicFacts(topic.name, topic.type, None))
+        return TopicFacts(topic.name, topic.type, None)
     cloud = sample_cloud(bag, topic)
     fields = frozenset(cloud.points.dtype.names or ())
-    return role_of(TopicFacts(topic.name, topic.type, None, fields, len(cloud.points)))
+    return TopicFacts(topic.name, topic.type, None, fields, len(cloud.points))
 
 
 def _lidar(roles: list[Candidate], asked: str | None) -> Candidate:
@@ -97,7 +108,7 @@ def _lidar(roles: list[Candidate], asked: str | None) -> Candidate:
     lidars = [topic for topic in roles if topic.role == "lidar"]
     if not lidars:
         raise NoLidarError([topic.name for topic in roles if topic.role == "other" and topic.type in PACKET_TYPES])
-    return _only("lidar", with_plausible_rate("lidar", lidars), "--lidar")
+    return _only("lidar", likely_lidars(lidars), "--lidar")
 
 
 def _pose(roles: list[Candidate], asked: str | None) -> Candidate:

@@ -16,8 +16,9 @@ from tests.api.test_recordings import added
 PROFILES = "/api/v1/profiles"
 CLOUD, IMAGE = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Image"
 TOPICS = [
-    {"name": "/front/points", "type": CLOUD, "role": "lidar", "count": 10, "rate_hz": 10.0},
-    {"name": "/rear/points", "type": CLOUD, "role": "lidar", "count": 10, "rate_hz": 10.0},
+    {"name": "/front/points", "type": CLOUD, "role": "lidar", "count": 10, "rate_hz": 10.0, "point_count": 9000},
+    {"name": "/rear/points", "type": CLOUD, "role": "lidar", "count": 10, "rate_hz": 10.0, "point_count": 9000},
+    {"name": "/obstacles", "type": CLOUD, "role": "lidar", "count": 10, "rate_hz": 10.0, "point_count": 12},
     {"name": "/odom", "type": "nav_msgs/msg/Odometry", "role": "odometry", "count": 50, "rate_hz": 50.0},
     {"name": "/image", "type": IMAGE, "role": "camera", "count": 9, "rate_hz": None, "frame_id": "cam7"},
 ]

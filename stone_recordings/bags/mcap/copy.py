@@ -4,7 +4,7 @@
 defined twice with different content are left out from then on. What cannot be written is counted instead.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import BinaryIO
 
@@ -36,9 +36,12 @@ class Copy:
         self._known_channels: dict[tuple[object, ...], int] = {}
         self.begin(Losses())
 
-    def begin(self, losses: Losses) -> None:
-        """Another file, whose ids are its own and whose losses are `losses`."""
-        self.losses = losses
+    def begin(self, losses: Losses, definitions: Mapping[tuple[int, int], SalvagedRecord] | None = None) -> None:
+        """Another file, whose ids are its own and whose losses are `losses`.
+
+        `definitions` are schemas and channels by opcode and id, for messages whose own were not whole.
+        """
+        self.losses, self._spare = losses, definitions or {}
         self._schemas: dict[int, extras.SchemaBytes] = {}
         self._schema_ids = {0: 0}
         self._channels: dict[int, extras.ChannelWhole] = {}
@@ -67,7 +70,7 @@ class Copy:
         try:
             self._keep(found)
         except IngestError as error:
-            self.losses.add(f"{error} ({error.code})")
+            self.losses.refuse(error)
 
     def say_unknown(self) -> None:
         if self._unknown:
@@ -97,10 +100,21 @@ class Copy:
             self._attachment(found)
 
     def _message(self, message: extras.Message) -> None:
+        if message.channel_id not in self._channels:
+            self._define_from_spare(message.channel_id)
         if message.channel_id not in self._written or message.log_time_ns > wire.LAST_LOG_TIME_NS:
             self._unknown += 1
             return
         self.write(*self._written[message.channel_id], message)
+
+    def _define_from_spare(self, channel_id: int) -> None:
+        channel = self._spare.get((wire.CHANNEL, channel_id))
+        if channel is None:
+            return
+        schema = self._spare.get((wire.SCHEMA, extras.read_channel_whole(channel.fields())[1].channel.schema_id))
+        for found in (schema, channel):
+            if found is not None:
+                self._keep(found)
 
     def _schema(self, schema_id: int, schema: extras.SchemaBytes) -> None:
         if self._schemas.setdefault(schema_id, schema) != schema:

@@ -1,8 +1,10 @@
-"""Salvage of a truncated MCAP file: its complete records in the order of the file, up to where it ends.
+"""Salvage of a truncated or damaged MCAP file: its complete records in the order of the file, up to where it ends.
 
-**Conventions.** No index is looked at, the file may lack one. A complete chunk is taken whole or, where it fails its
-checksum or does not inflate, left out: its messages cannot be trusted. Of the chunk that the cut went through, whatever
-inflates is read record by record; nothing can check those. Memory is one chunk.
+**Conventions.** The file is walked record by record; it may lack an index. Where a record cannot be one, or reaches
+into what the summary knows to be the next chunk, the walk goes on at the next place that the summary knows
+(`stone_recordings.bags.mcap.known_places`), and the bytes between are a loss. A complete chunk is taken whole or, where
+it fails its checksum or does not inflate, left out: its messages cannot be trusted. Of the chunk that the cut went
+through, whatever inflates is read record by record; nothing can check those. Memory is one chunk.
 """
 
 from collections.abc import Iterator
@@ -12,7 +14,8 @@ from struct import Struct
 from stone_recordings.bags.errors import IngestError, MalformedBagError
 from stone_recordings.bags.mcap import records as wire
 from stone_recordings.bags.mcap.chunks import CHUNK_LIMIT_BYTES, check_crc32, inflate, pieces_of
-from stone_recordings.bags.mcap.records import Fields, Record
+from stone_recordings.bags.mcap.known_places import KnownPlaces
+from stone_recordings.bags.mcap.records import Chunk, Fields, Record
 
 _PREFIX = Struct("<BQ")
 MOST_PROBLEMS = 4
@@ -23,12 +26,14 @@ class Losses:
     """What `complete_records` could not read, filled while it runs.
 
     `stop_byte` is where the first record begins that is not complete; `is_sealed`: the data section ended as it should.
+    `told_messages` is how many the summary counts, None where nothing says so.
     """
 
     stop_byte: int = 0
     is_sealed: bool = False
     problems: list[str] = field(default_factory=list)
     unsaid: int = 0
+    told_messages: int | None = None
 
     def add(self, problem: str) -> None:
         """The first few are kept in words, the rest counted."""
@@ -36,6 +41,10 @@ class Losses:
             self.problems.append(problem)
         else:
             self.unsaid += 1
+
+    def refuse(self, error: IngestError) -> None:
+        """A problem that was met as a refusal: what is wrong, without what one could do about it."""
+        self.add(f"{str(error).partition('; ')[0]} ({error.code})")
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,28 +59,37 @@ class SalvagedRecord:
         return Fields(self.view, self.record, self.where)
 
 
-def complete_records(view: memoryview, name: str, losses: Losses) -> Iterator[SalvagedRecord]:
+def complete_records(
+    view: memoryview, name: str, losses: Losses, known: KnownPlaces | None = None
+) -> Iterator[SalvagedRecord]:
     """Records of the data section, those inside chunks instead of the chunks; `view` begins with the magic."""
+    known = known or KnownPlaces()
     losses.stop_byte = len(wire.MAGIC)
     while losses.stop_byte + wire.PREFIX_BYTES <= len(view):
-        opcode, length = _PREFIX.unpack_from(view, losses.stop_byte)
-        start = losses.stop_byte + wire.PREFIX_BYTES
-        if opcode == wire.DATA_END and length <= len(view) - start:
+        record = known.record_at(view, losses.stop_byte)
+        if record is None or not known.is_followed(view, record):
+            resumed = known.next_after(view, losses.stop_byte)
+            if resumed is None:
+                yield from _of_cut_chunk(view, name, losses)
+                return
+            losses.add(f"the bytes {losses.stop_byte} to {resumed} of {name}, which are no whole records")
+            losses.stop_byte = resumed
+            continue
+        if record.opcode == wire.DATA_END:
             losses.is_sealed = True
             return
-        if opcode == 0 or length > len(view) - start:
-            yield from _of_cut_chunk(view, name, losses)
-            return
-        found = SalvagedRecord(view, Record(opcode, start, start + length), name)
-        if opcode == wire.CHUNK:
-            yield from _of_chunk(found, losses)
+        found = SalvagedRecord(view, record, name)
+        if record.opcode == wire.CHUNK:
+            yield from _of_chunk(found, known.chunks.get(losses.stop_byte), losses)
         else:
             yield found
-        losses.stop_byte = start + length
+        losses.stop_byte = record.stop
 
 
-def first_compression(view: memoryview, name: str) -> str:
+def first_compression(view: memoryview, name: str, known: KnownPlaces | None = None) -> str:
     """How the first chunk is packed; "" where messages come first, or nothing does."""
+    if known is not None and known.chunks:
+        return known.chunks[known.starts[0]].compression
     at = len(wire.MAGIC)
     while at + wire.PREFIX_BYTES <= len(view):
         opcode, length = _PREFIX.unpack_from(view, at)
@@ -92,9 +110,10 @@ def _compression_at(view: memoryview, at: int, name: str) -> str:
         return ""
 
 
-def _of_chunk(found: SalvagedRecord, losses: Losses) -> Iterator[SalvagedRecord]:
+def _of_chunk(found: SalvagedRecord, known: Chunk | None, losses: Losses) -> Iterator[SalvagedRecord]:
+    """`known` is what the summary says of it, where it does: the chunk's own head may be damaged."""
     try:
-        chunk = wire.read_chunk(found.fields())
+        chunk = known or wire.read_chunk(found.fields())
         records = inflate(found.view, chunk)
         if not chunk.compression:
             check_crc32(records, chunk)
@@ -102,7 +121,7 @@ def _of_chunk(found: SalvagedRecord, losses: Losses) -> Iterator[SalvagedRecord]
             SalvagedRecord(records, record, chunk.where) for record in wire.walk(records, 0, len(records), chunk.where)
         ]
     except IngestError as error:
-        losses.add(f"{error} ({error.code})")
+        losses.refuse(error)
         return
     yield from whole
 

@@ -20,6 +20,7 @@ from stone_recordings.bags.errors import ChecksumError, EncodingRefusedError, Ma
 from stone_recordings.bags.mcap import records as wire
 from stone_recordings.bags.mcap.catalogue import Catalogue, Entries, message_head, read_catalogue
 from stone_recordings.bags.mcap.chunks import check_crc32, inflate, inflate_head
+from stone_recordings.bags.mcap.sealed_end import sealed_bytes
 from stone_recordings.bags.message_store import HEAD_BYTES
 from stone_recordings.bags.topic import Topic
 
@@ -43,13 +44,13 @@ class _Rows:
 class McapStore:
     """One open MCAP file; `is_indexed` is False where the whole file had to be walked."""
 
-    findings: tuple[Finding, ...] = ()
-
     def __init__(self, path: Path) -> None:
         with path.open("rb") as file:
             self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-        self._view = memoryview(self._map)
+            sealed = sealed_bytes(file)
         self._name = path.name
+        self._view = memoryview(self._map)[:sealed]
+        self.findings = (*_damaged_start(self._view, path.name), *_zeros_behind(len(self._map) - len(self._view)))
         self._catalogue = read_catalogue(self._view, self._name)
         self._forget(0, len(self._map))  # the indexes lie all over the file, and each brought its neighbours
         self._chunks: OrderedDict[int, memoryview] = OrderedDict()
@@ -195,6 +196,23 @@ class McapStore:
         other = [channel for channel in recorded if channel.encoding != "cdr"]
         if other and len(other) == len(recorded):
             raise EncodingRefusedError(self._name, other[0].topic, other[0].encoding)
+
+
+def _damaged_start(view: memoryview, name: str) -> tuple[Finding, ...]:
+    if view[: len(wire.MAGIC)] == wire.MAGIC:
+        return ()
+    message = (
+        "Its first bytes are not those of an MCAP file, its last are: its beginning is damaged. What the summary at "
+        f"its end knows is read; for other programs: stone recover {name} -o recovered.mcap."
+    )
+    return (Finding("BAG-033", "warning", "", message),)
+
+
+def _zeros_behind(count: int) -> tuple[Finding, ...]:
+    if not count:
+        return ()
+    message = f"{count} zero bytes follow the end of the file; they are passed over, and nothing of it is missing."
+    return (Finding("BAG-032", "info", "", message),)
 
 
 def _rows_of(parts: Sequence[Entries]) -> _Rows:

@@ -60,10 +60,15 @@ def recover(path: Path, out: Path) -> Recovery:
 def _in_words(name: str, sources: list[RecoverySource], noticed: tuple[Finding, ...], copy: Copy) -> Recovery:
     read_bytes, total_bytes = (sum(n) for n in zip(*((s.read_bytes, s.total_bytes) for s in sources), strict=True))
     is_sealed = all(source.losses.is_sealed for source in sources)
-    is_whole = is_sealed and not noticed and not any(source.losses.problems for source in sources)
+    is_broken = any(source.losses.problems for source in sources)
+    is_whole = is_sealed and not noticed and not is_broken
     lost = _lost(sources, noticed, copy)
-    kept = f"{copy.messages} messages of {len(copy.topics)} topics, the last logged at {copy.last_ns} ns, are recovered"
-    ended = "is complete up to its index" if is_sealed else f"was cut off at byte {read_bytes} of {total_bytes}"
+    told = [source.losses.told_messages for source in sources]
+    of_all = "" if None in told else f" of {sum(count or 0 for count in told)}"
+    counted = f"{copy.messages}{of_all} messages of {len(copy.topics)} topics"
+    kept = f"{counted}, the last logged at {copy.last_ns} ns, are recovered"
+    whole = "is damaged" if is_broken else "is complete up to its index"
+    ended = whole if is_sealed else f"was cut off at byte {read_bytes} of {total_bytes}"
     severity: Severity = "info" if is_whole else "warning"
     finding = Finding("BAG-010", severity, "", f"{name} {ended}: {kept}. {lost}")
     return Recovery(copy.messages, copy.topics, read_bytes, total_bytes, copy.last_ns, lost, finding)

@@ -1,7 +1,7 @@
 """One file of a recording that is recovered: what is whole of it goes into the copy.
 
-**Conventions.** An MCAP file is walked record by record and its index ignored; a database is read row by row, in
-log-time order. `losses` says what was not whole once `keep` is through.
+**Conventions.** An MCAP file is walked record by record, and its index asked only where that is damaged; a database is
+read row by row, in log-time order. `losses` says what was not whole once `keep` is through.
 """
 
 import mmap
@@ -17,7 +17,9 @@ from stone_recordings.bags.errors import IngestError
 from stone_recordings.bags.magic import container_of
 from stone_recordings.bags.mcap.copy import Copy
 from stone_recordings.bags.mcap.extras import Message
-from stone_recordings.bags.mcap.salvage import Losses, complete_records, first_compression
+from stone_recordings.bags.mcap.known_places import known_places
+from stone_recordings.bags.mcap.salvage import Losses, SalvagedRecord, complete_records, first_compression
+from stone_recordings.bags.mcap.sealed_end import sealed_bytes
 from stone_recordings.bags.packed_file import unpacked_file
 from stone_recordings.bags.private_folder import PrivateFolder
 
@@ -40,21 +42,25 @@ class RecoverySource(Protocol):
 
 
 class McapSource:
-    """A mapped MCAP file."""
+    """A mapped MCAP file; `sealed` bytes of it are the file, the rest are zeros."""
 
-    def __init__(self, name: str, mapped: mmap.mmap) -> None:
+    def __init__(self, name: str, mapped: mmap.mmap, sealed: int) -> None:
         self.name, self.losses, self.total_bytes = name, Losses(), len(mapped)
-        self._mapped, self._view = mapped, memoryview(mapped)
-        self.compression = first_compression(self._view, name)
+        self._mapped = mapped
+        self._view = memoryview(mapped)[:sealed]
+        self._known = known_places(self._view, name)
+        self.losses.told_messages = self._known.messages
+        self.compression = first_compression(self._view, name, self._known)
 
     @property
     def read_bytes(self) -> int:
         return self.total_bytes if self.losses.is_sealed else self.losses.stop_byte
 
     def keep(self, copy: Copy) -> None:
-        copy.begin(self.losses)
+        definitions = {key: SalvagedRecord(self._view, one, self.name) for key, one in self._known.definitions.items()}
+        copy.begin(self.losses, definitions)
         forgotten = 0
-        for found in complete_records(self._view, self.name, self.losses):
+        for found in complete_records(self._view, self.name, self.losses, self._known):
             copy.keep(found)
             if self.losses.stop_byte - forgotten > FORGET_BYTES:
                 forgotten = self.losses.stop_byte // mmap.PAGESIZE * mmap.PAGESIZE
@@ -88,7 +94,7 @@ class DatabaseSource:
             try:
                 data = self._store.payload(name, index)
             except IngestError as error:
-                self.losses.add(f"{error} ({error.code})")
+                self.losses.refuse(error)
                 continue
             copy.write(channels[number], name, Message(0, 0, time_ns, time_ns, data))
 
@@ -119,6 +125,7 @@ def opened_source(file: Path) -> Iterator[RecoverySource]:
         else:
             with path.open("rb") as stream:
                 mapped = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
-            yield McapSource(path.name, mapped)
+                sealed = sealed_bytes(stream)
+            yield McapSource(path.name, mapped, len(mapped) if sealed is None else sealed)
     finally:
         folder.close()

@@ -23,7 +23,7 @@ from tests.stone_recordings.clocks.streams import (
     timing_codes,
 )
 from tests.stone_recordings.rigs import odometry
-from tests.stone_recordings.writing import Recorded
+from tests.stone_recordings.writing import Recorded, random_message, serialised
 
 S = 1_000 * MS
 SWEEPS, READINGS, SHOTS = every(100 * MS, 40), every(10 * MS, 400), every(100 * MS, 40)
@@ -157,6 +157,39 @@ def test_images_without_a_beat_have_no_dropped_triggers(tmp_path: Path) -> None:
     shots_ns = SHOTS[0] + np.cumsum(np.random.default_rng(0).integers(20 * MS, 180 * MS, 40))
     inspection = inspected(tmp_path, lidar, imu, stream("/camera/image", IMAGE, shots_ns, shots_ns + 30 * MS), ins)
     assert timing_codes(inspection) == []
+
+
+LOG, DIAGNOSTICS, STRING = "rcl_interfaces/msg/Log", "diagnostic_msgs/msg/DiagnosticArray", "std_msgs/msg/String"
+
+
+@pytest.mark.parametrize("within_ns", [5_570, 5 * MS])
+@pytest.mark.parametrize("type_name", [LOG, DIAGNOSTICS, STRING])
+def test_what_comes_in_bursts_has_neither_gaps_nor_the_rate_of_its_bursts(
+    type_name: str, within_ns: int, tmp_path: Path
+) -> None:
+    """Nodes write some lines at once, and then none for seconds: no 179533 Hz with gaps."""
+    bursts_ns = (every(2 * S, 5)[:, None] + np.arange(8) * within_ns).ravel()
+    log = Recorded("/rosout", type_name, 0, serialised(random_message(type_name, np.random.default_rng(3))))
+    lines = (
+        stream("/rosout", DIAGNOSTICS, bursts_ns, bursts_ns)
+        if type_name == DIAGNOSTICS
+        else [replace(log, log_time_ns=time_ns) for time_ns in bursts_ns.tolist()]
+    )
+    inspection = inspected(tmp_path, *_rig(), lines)
+    assert [found for found in inspection.findings if found.topic == "/rosout"] == []
+    [rate_hz] = [part.timing.rate_hz for part in inspection.topics if part.topic.name == "/rosout"]
+    assert rate_hz is None or rate_hz < 10_000
+
+
+def test_a_sensor_that_was_silent_for_most_of_a_recording_has_a_gap_and_so_has_a_steady_topic_without_stamps(
+    tmp_path: Path,
+) -> None:
+    stamps_ns = np.concatenate([READINGS, READINGS + 60 * S])
+    beats_ns = np.delete(every(100 * MS, 600), slice(100, 120))
+    text = serialised(random_message(STRING, np.random.default_rng(3)))
+    beats = [Recorded("/heartbeat", STRING, time_ns, text) for time_ns in beats_ns.tolist()]
+    inspection = inspected(tmp_path, stream("/imu", IMU, stamps_ns, stamps_ns + 10 * MS), beats)
+    assert timing_codes(inspection) == [("TIM-204", "/heartbeat"), ("TIM-204", "/imu")]
 
 
 def test_repeated_stamps_are_counted(tmp_path: Path) -> None:

@@ -58,7 +58,7 @@ def test_a_topic_without_stamps_is_timed_by_the_recorder(tmp_path: Path) -> None
     clock = _clock(inspection, "/imu")
     assert (clock.stamp_source, clock.offset_ns, clock.drift_ppm, clock.jitter_ns) == ("recorder", None, None, None)
     assert clock.rate_hz == pytest.approx(100)
-    assert timing_codes(inspection) == []
+    assert timing_codes(inspection) == [("TIM-211", "/imu")]
 
 
 def test_a_receivers_stamps_are_the_hosts_where_they_scatter_around_gps_time(tmp_path: Path) -> None:

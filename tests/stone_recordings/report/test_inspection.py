@@ -78,9 +78,25 @@ def test_a_sound_recording_has_roles_and_rates_and_no_findings(tmp_path: Path) -
     assert record == {
         "duration_ns": 900 * MS,
         "topics": [
-            {"name": "/imu", "type": IMU, "count": 180, "role": "imu", "rate_hz": 200.0, "gaps": []},
-            {"name": "/lidar", "type": POINT_CLOUD, "count": 10, "role": "lidar", "rate_hz": 10.0, "gaps": []},
-            {"name": "/odom", "type": ODOMETRY, "count": 18, "role": "odometry", "rate_hz": 20.0, "gaps": []},
+            {"name": "/imu", "type": IMU, "count": 180, "role": "imu", "rate_hz": 200.0, "point_count": 0, "gaps": []},
+            {
+                "name": "/lidar",
+                "type": POINT_CLOUD,
+                "count": 10,
+                "role": "lidar",
+                "rate_hz": 10.0,
+                "point_count": 1500,
+                "gaps": [],
+            },
+            {
+                "name": "/odom",
+                "type": ODOMETRY,
+                "count": 18,
+                "role": "odometry",
+                "rate_hz": 20.0,
+                "point_count": 0,
+                "gaps": [],
+            },
         ],
         "findings": [],
     }

@@ -1,9 +1,13 @@
 """A topic's role follows from what it holds; its name only breaks ties."""
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import pytest
+from rosbags.highlevel import AnyReader
 
+from stone_recordings.report.inspection import inspect
 from stone_recordings.topics.roles import (
     INSPVAX,
     POINT_CLOUD,
@@ -12,9 +16,11 @@ from stone_recordings.topics.roles import (
     Role,
     TopicFacts,
     fullest,
+    likely_lidars,
     role_of,
     with_plausible_rate,
 )
+from tests.stone_recordings.writing import Recorded, header, made, serialised, write_mcap
 
 XYZ = frozenset({"x", "y", "z"})
 
@@ -33,7 +39,14 @@ def _cloud(name: str, fields: frozenset[str], count: int) -> Role:
         ({"ring", "v"}, 50_000, "lidar"),
         ({"v", "r", "RCS", "azimuth", "elevation"}, 400, "radar"),
         ({"range_rate", "rcs"}, 4_000, "radar"),
-        ({"intensity"}, 400, "radar"),
+        ({"velocity", "reflectivity", "intensity"}, 24_000, "lidar"),  # Aeva: it measures speed by frequency
+        ({"doppler"}, 5_000, "lidar"),
+        ({"Doppler", "power"}, 4_999, "radar"),
+        ({"velocity", "snr"}, 24_000, "lidar"),
+        ({"velocity", "snr"}, 200, "radar"),  # TI mmWave
+        ({"velocity", "rcs"}, 24_000, "radar"),
+        ({"vrad", "amplitude"}, 8, "radar"),  # SICK RMS: raw targets
+        ({"vx", "vy", "vz", "objLen", "objId"}, 6, "radar"),  # SICK RMS: tracks
     ],
 )
 @pytest.mark.parametrize("name", ["/points", "/radar", "/lidar"])
@@ -43,9 +56,11 @@ def test_a_cloud_is_told_by_its_fields_and_size_whatever_its_name(
     assert _cloud(name, frozenset(fields), count) == role
 
 
-def test_only_of_an_empty_cloud_is_the_name_asked() -> None:
-    assert _cloud("/front_radar/points", frozenset(), 0) == "radar"
-    assert _cloud("/points", frozenset(), 0) == "lidar"
+@pytest.mark.parametrize("count", [0, 541, 999])
+def test_only_of_a_small_cloud_that_measures_neither_speed_nor_cross_section_is_the_name_asked(count: int) -> None:
+    """541 points a message are a SICK LMS 111's."""
+    assert _cloud("/front_radar/points", frozenset({"intensity"}), count) == "radar"
+    assert _cloud("/cloud", frozenset({"intensity"}), count) == "lidar"
 
 
 def test_every_known_type_has_its_role_and_others_are_other() -> None:
@@ -67,11 +82,38 @@ def test_packets_that_either_sensor_sends_are_a_radar_s_only_where_the_name_says
     assert role_of(TopicFacts("/sensing/front/nebula_packets", packets, 20.0)) == "other"
 
 
+def _as_cdr(cloud: Any) -> bytes:
+    """A ROS 1 cloud as the message of today."""
+    stamp_ns = cloud.header.stamp.sec * 10**9 + cloud.header.stamp.nanosec
+    fields = [made("sensor_msgs/msg/PointField", **vars(field)) for field in cloud.fields]
+    own = {"header": header(stamp_ns, cloud.header.frame_id), "fields": fields}
+    return serialised(made(POINT_CLOUD, **vars(cloud) | own))
+
+
+@pytest.mark.field_data
+def test_of_a_sick_rig_the_scanner_is_the_lidar_and_both_clouds_of_the_radar_are_radars(
+    field_data: Path, tmp_path: Path
+) -> None:
+    """`/cloud` of 541 points, and a radar's `/cloud_radar_rawtarget` and `/cloud_radar_track` of 8."""
+    [source] = (field_data / "ros1" / "sick").glob("*.bag")
+    with AnyReader([source]) as reader:
+        clouds = [connection for connection in reader.connections if connection.msgtype == POINT_CLOUD]
+        messages = [
+            Recorded(connection.topic, POINT_CLOUD, time_ns, _as_cdr(reader.deserialize(data, POINT_CLOUD)))
+            for connection, time_ns, data in reader.messages(clouds)
+        ]
+    inspection = inspect(write_mcap(tmp_path / "sick.mcap", messages))
+    roles = {part.topic.name: part.role for part in inspection.topics}
+    assert roles == {"/cloud": "lidar", "/cloud_radar_rawtarget": "radar", "/cloud_radar_track": "radar"}
+    assert inspection.assignment.channels["lidar"] == "/cloud"
+
+
 @dataclass(frozen=True)
 class Seen:
     type: str
     count: int
     rate_hz: float | None
+    point_count: int = 0
 
 
 def test_only_an_implausible_rate_rules_a_topic_out_and_never_the_last() -> None:
@@ -79,6 +121,14 @@ def test_only_an_implausible_rate_rules_a_topic_out_and_never_the_last() -> None
     assert with_plausible_rate("lidar", [a_map, sweeps, unknown]) == [sweeps]
     assert with_plausible_rate("lidar", [a_map, unknown]) == [a_map, unknown]
     assert with_plausible_rate("odometry", [a_map, sweeps]) == [a_map, sweeps]
+
+
+def test_a_cloud_of_few_points_is_the_lidar_only_where_there_is_no_fuller_one() -> None:
+    sweeps, obstacles, plane = (Seen(POINT_CLOUD, 10, 10.0, points) for points in (24_000, 40, 541))
+    assert likely_lidars([obstacles, sweeps, plane]) == [sweeps]
+    assert likely_lidars([plane]) == [plane]
+    assert likely_lidars([]) == []
+    assert likely_lidars([Seen(POINT_CLOUD, 1, 0.1, 900_000), plane]) == [plane]
 
 
 def test_of_two_logs_of_one_receiver_the_fuller_counts_and_then_the_one_with_its_quality() -> None:

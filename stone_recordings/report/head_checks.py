@@ -1,0 +1,76 @@
+"""Findings about what the heads of a topic's messages lack: a frame, points, a date.
+
+**Conventions.** MSG-312 clouds of a LiDAR without points, TOP-115 messages without a `frame_id`, TIM-211 stamps of no
+date. A radar's list may be empty, and nobody needs the frame of a receiver.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from struct import Struct
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.findings import Finding
+from stone_recordings.bags.topic import Topic
+from stone_recordings.clocks.constants import FIRST_DATE_NS
+from stone_recordings.messages.types.cdr import HEAD_BYTES
+from stone_recordings.topics.roles import POINT_CLOUD, Role
+
+FRAMED_ROLES: tuple[Role, ...] = ("lidar", "camera", "radar", "imu", "odometry")
+DATED_ROLES: tuple[Role, ...] = (*FRAMED_ROLES, "gnss", "ins")
+_TEXT_AT = HEAD_BYTES + 8  # behind the stamp
+_U32, _SIZE = Struct("<I"), Struct("<II")
+
+
+@dataclass
+class HeadCounts:
+    """How many messages of a topic have no frame, and how many of its clouds no points."""
+
+    frameless: int = 0
+    empty: int = 0
+
+    def take(self, head: memoryview, type_name: str) -> None:
+        """One message that begins with a header; what is cut short says nothing."""
+        if len(head) < _TEXT_AT + _U32.size:
+            return
+        length = _U32.unpack_from(head, _TEXT_AT)[0]
+        self.frameless += length <= 1
+        if type_name == POINT_CLOUD:
+            end = _TEXT_AT + _U32.size + length
+            start = end + -(end - HEAD_BYTES) % 4
+            if start + _SIZE.size <= len(head):
+                self.empty += 0 in _SIZE.unpack_from(head, start)
+
+
+def head_findings(topic: Topic, role: Role, counts: HeadCounts, stamps_ns: NDArray[np.int64]) -> Iterator[Finding]:
+    """Of one topic; `stamps_ns` (N,) are its header stamps in log order."""
+    if role == "lidar" and counts.empty:
+        message = f"{counts.empty} of {topic.count} clouds hold no point; their sweeps are left out."
+        yield Finding("MSG-312", "warning", topic.name, message)
+    if role in FRAMED_ROLES and counts.frameless:
+        message = (
+            f"{counts.frameless} of {topic.count} messages name no frame (header.frame_id is empty): nothing can tell "
+            "by it where the sensor sits. Set the frame in the driver."
+        )
+        yield Finding("TOP-115", "warning", topic.name, message)
+    undated_ns = stamps_ns[np.abs(stamps_ns) < FIRST_DATE_NS]
+    if len(undated_ns) == len(stamps_ns):  # a clock that counts from its start; only 0 is no time of it
+        undated_ns = undated_ns[undated_ns == 0]
+    if role in DATED_ROLES and len(undated_ns):
+        message = (
+            f"{len(undated_ns)} of {topic.count} messages are stamped near 1970-01-01 (the first "
+            f"{undated_ns[0] / 1e9:.3f} s after it): the driver stamped before its clock was set."
+        )
+        yield Finding("TIM-211", "warning", topic.name, message)
+
+
+def undated_finding(topic: Topic, role: Role, stamps_ns: NDArray[np.int64]) -> Iterator[Finding]:
+    """For a clock that counts from its own start, where every other one does so, too: none of them is ahead then."""
+    set_ns = stamps_ns[stamps_ns != 0]
+    if role in DATED_ROLES and len(set_ns) and np.abs(set_ns).max() < FIRST_DATE_NS:
+        message = (
+            f"Its stamps begin {int(set_ns[0]) / 1e9:.3f} s after 1970-01-01: its clock was never set, or time was "
+            "simulated. Recordings of two such runs cannot be told apart by time."
+        )
+        yield Finding("TIM-211", "warning", topic.name, message)
