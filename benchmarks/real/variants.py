@@ -59,6 +59,7 @@ OPTIONS = (
     Option("--refine-poses small_gicp", refinement=RefinementParameters()),
     Option("--solver octree", solver="octree"),
     Option("surface.min_frames=2", choices={"surface.min_frames": 2}),
+    Option("reference.outlier_ratio=0.25", profiles=("local",), choices={"reference.outlier_ratio": 0.25}),
     Option("every 2nd ring", ring_every=2),
     Option("every 4th ring", ring_every=4),
 )

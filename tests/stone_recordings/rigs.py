@@ -118,9 +118,11 @@ def plain_sweep(stamp_ns: int, count: int = 1200, **facts: Any) -> Recorded:
 
 
 def stamped(topic: str, type_name: str, stamp_ns: int, frame_id: str) -> Recorded:
-    """Any message with a header; the rest is random."""
+    """Any message with a header; the rest is random, but that a picture begins like one."""
     message = random_message(type_name, np.random.default_rng(0), True)
     message.header = header(stamp_ns, frame_id)
+    if type_name == "sensor_msgs/msg/CompressedImage":
+        message.data = np.frombuffer(b"\xff\xd8\xff\xe0\x00\x10JFIF\x00", np.uint8)
     return Recorded(topic, type_name, stamp_ns + 1_000_000, serialised(message))
 
 
