@@ -98,7 +98,9 @@ def measured(bag: Bag, scan: Scan, inspected: Sequence[Inspected]) -> ClockMeasu
 def _timed_again(part: Inspected, times: Mapping[str, StampedTimes]) -> Inspected:
     """A topic in the order in which it was recorded: that of the recorder's times is another where they went back."""
     topic, role, _timing = part
-    return (topic, role, measure(times[topic.name].stamps_ns, True)) if topic.name in times else part
+    if topic.name not in times:
+        return part
+    return topic, role, measure(times[topic.name].stamps_ns, True, is_sensor=role != "other")
 
 
 def _pose_findings(topic: Topic, scan: Scan) -> list[Finding]:

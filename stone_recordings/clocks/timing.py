@@ -23,9 +23,9 @@ STEADY_SHARE, STEADY_RATIO = 0.5, 0.5
 LEAST_STEADY_COUNT = 4
 # Nothing is sampled faster: such intervals are those of a burst.
 MOST_RATE_HZ = 10_000.0
-# How much of the time the steady intervals cover at least, by the recorder's times and by the sensor's own stamps. A
-# sensor may have been silent for most of a recording; what has no stamps is mostly no sensor.
-STEADY_COVER, STEADY_STAMPED_COVER = 0.5, 0.03
+# How much of the time the steady intervals cover at least; of a sensor by its own stamps less, since it may have been
+# silent for most of a recording.
+STEADY_COVER, STEADY_SENSOR_COVER = 0.5, 0.03
 # Messages are counted as lost only where the beat is as strict as a trigger's.
 STRICT_RATIO = 0.1
 
@@ -60,14 +60,14 @@ class Timing:
     repeats: int = 0
 
 
-def measure(stamps_ns: NDArray[np.int64], has_header: bool) -> Timing:
+def measure(stamps_ns: NDArray[np.int64], has_header: bool, *, is_sensor: bool = True) -> Timing:
     """Rate (of the median period; None below two stamps, and of bursts), gaps and steps back of stamps in log order."""
     steps_ns = np.diff(stamps_ns)
     ordered = np.sort(stamps_ns)
     periods_ns = np.diff(ordered)
     median_ns = float(np.median(periods_ns)) if len(periods_ns) else 0.0
     rate_hz = NS_PER_S / median_ns if median_ns * MOST_RATE_HZ >= NS_PER_S else None
-    least_cover = STEADY_STAMPED_COVER if has_header else STEADY_COVER
+    least_cover = STEADY_SENSOR_COVER if has_header and is_sensor else STEADY_COVER
     gaps = _gaps(ordered, periods_ns, median_ns, least_cover) if rate_hz is not None else ()
     return Timing(stamps_ns, has_header, rate_hz, gaps, -steps_ns[steps_ns < 0], int((periods_ns == 0).sum()))
 

@@ -116,7 +116,8 @@ def _inspected(bag: Bag, topic: Topic, scan: Scan, findings: list[Finding]) -> I
     """A topic that lies is timed by the recorder's clock, and named for its lie."""
     stamps_ns = scan.stamps_ns.get(topic.name, NO_STAMPS)
     has_header = bool(stamps_ns.any())
-    timing = measure(stamps_ns if has_header else bag.log_times_ns(topic.name), has_header)
+    is_sensor = role_of(TopicFacts(topic.name, topic.type, None)) != "other"
+    timing = measure(stamps_ns if has_header else bag.log_times_ns(topic.name), has_header, is_sensor=is_sensor)
     facts = TopicFacts(topic.name, topic.type, timing.rate_hz)
     try:
         if topic.name in scan.refused:
