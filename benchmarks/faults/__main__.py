@@ -8,7 +8,6 @@ footprint of any pose, a refusal or an exclusion that inspection did not name.
 
 import argparse
 import json
-import os
 import sys
 import tempfile
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -20,11 +19,10 @@ from rich.console import Console
 
 from benchmarks.faults.rows import outcome_of, row_of_sound
 from benchmarks.faults.table import Outcomes, goes_through, shown
+from testing.field_data import field_folder
 from testing.worlds.faults.catalogue import FAULTS
 from testing.worlds.faults.drive import SoundDrive, kitti_drive, simulated_drive
 from testing.worlds.faults.outcome import sound
-
-FIELD_DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 
 
 def main() -> int:
@@ -48,7 +46,7 @@ def _options() -> argparse.Namespace:
 
 
 def _drives(folder: Path) -> list[SoundDrive]:
-    field_data = Path(os.environ.get("STONE_FIELD_DATA", FIELD_DATA))
+    field_data = field_folder()
     drives = [simulated_drive(folder)]
     if field_data.is_dir():
         return [kitti_drive(field_data, folder), *drives]

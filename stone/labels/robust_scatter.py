@@ -37,8 +37,7 @@ def robust_scatter(rows: Array, outlier_ratio: float) -> Scatter:
     middle, spread = _middle_and_spread(rows)
     scaled = (rows - middle) / spread
     ends = (_concentrated(scaled, start, kept) for start in _starts(scaled, kept))
-    best = min(ends, key=lambda subset: _log_volume_of(scaled, subset))
-    mean, covariance = _moments(scaled, best)
+    mean, covariance = min(ends, key=lambda moments: _log_volume(moments[1]))
     covariance = covariance * _consistency(kept / count, width)
     is_inlier = _squared(scaled, mean, covariance) <= chdtri(width, 1.0 - INLIER_RATIO)
     mean, covariance = _moments(scaled, np.flatnonzero(is_inlier))
@@ -56,17 +55,16 @@ def _starts(scaled: Array, kept: int) -> Iterator[NDArray[np.int64]]:
         yield _least(np.square((along - middle) / spread).sum(axis=1), kept)
 
 
-def _concentrated(scaled: Array, subset: NDArray[np.int64], kept: int) -> NDArray[np.int64]:
-    """The subset after steps each of which takes the `kept` rows nearest to what the last subset says; the determinant
+def _concentrated(scaled: Array, subset: NDArray[np.int64], kept: int) -> tuple[Array, Array]:
+    """Mean and covariance after steps each of which takes the `kept` rows nearest to the last ones; the determinant
     falls with each until it stays."""
-    volume = _log_volume_of(scaled, subset)
+    moments = _moments(scaled, subset)
     for _ in range(MOST_STEPS):
-        nearer = _least(_squared(scaled, *_moments(scaled, subset)), kept)
-        smaller = _log_volume_of(scaled, nearer)
-        if not smaller < volume:
+        nearer = _moments(scaled, _least(_squared(scaled, *moments), kept))
+        if not _log_volume(nearer[1]) < _log_volume(moments[1]):
             break
-        subset, volume = nearer, smaller
-    return subset
+        moments = nearer
+    return moments
 
 
 def _middle_and_spread(rows: Array) -> tuple[Array, Array]:
@@ -90,9 +88,8 @@ def _squared(scaled: Array, mean: Array, covariance: Array) -> Array:
     return np.asarray(np.einsum("ni,ni->n", centred @ inverse, centred))
 
 
-def _log_volume_of(scaled: Array, subset: NDArray[np.int64]) -> float:
-    """The logarithm of the covariance's determinant."""
-    covariance = _moments(scaled, subset)[1]
+def _log_volume(covariance: Array) -> float:
+    """The logarithm of the determinant."""
     return float(np.linalg.slogdet(covariance + RIDGE * np.eye(len(covariance)))[1])
 
 

@@ -48,15 +48,9 @@ def _is_within(sheets: Keys) -> NDArray[np.bool_]:
     for aside in (1 << 42, -(1 << 42), 1 << 21, -(1 << 21)):
         beside = np.zeros(len(sheets), np.bool_)
         for up in (-1, 0, 1):
-            beside |= _is_among(sheets + aside + up, sheets)
+            beside |= np.isin(sheets + aside + up, sheets)
         within &= beside
     return within
-
-
-def _is_among(keys: Keys, sorted_keys: Keys) -> NDArray[np.bool_]:
-    if not len(sorted_keys):
-        return np.zeros(len(keys), np.bool_)
-    return np.asarray(sorted_keys[np.minimum(np.searchsorted(sorted_keys, keys), len(sorted_keys) - 1)] == keys)
 
 
 def _has_above(cells: Keys, is_sheet: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -80,9 +80,7 @@ class Bag:
     def damage_findings(self) -> tuple[Finding, ...]:
         """BAG-016 for each topic with damaged messages."""
         return tuple(
-            Finding(
-                "BAG-016", "warning", topic, _damage(reasons, next(t.count for t in self.topics if t.name == topic))
-            )
+            Finding("BAG-016", "warning", topic, _damage(reasons, self._topics[topic].count))
             for topic, reasons in sorted(self.damaged.items())
         )
 

@@ -19,9 +19,8 @@ from pathlib import PurePath
 import numpy as np
 from numpy.typing import NDArray
 
-from stone.geometry.se3 import SE3
 from stone.sensors.calibration import CameraIntrinsics, SensorKind
-from stone.sensors.calibration_checks import Findings, check_translation, checked_rotation, rotation_and_translation
+from stone.sensors.calibration_checks import Findings, rotation_and_translation
 from stone_recordings.calibrations.errors import HalfRigError
 from stone_recordings.calibrations.lenses import LensText, intrinsics
 from stone_recordings.calibrations.part import CalibrationPart, Edge, Node
@@ -59,14 +58,15 @@ def kitti(document: Node) -> CalibrationPart:
         findings += noticed
     for key in RECTIFYING:
         if document.has(key):
-            rotation, noticed = checked_rotation(key, _matrix(document.at(key), 3, 3))
-            edges.append(Edge(RECTIFIED, REFERENCE, _pose(rotation, np.zeros(3))))
+            turn, noticed = rotation_and_translation(key, _matrix(document.at(key), 3, 3), np.zeros(3))
+            edges.append(Edge(RECTIFIED, REFERENCE, turn))
             findings += noticed
     lenses = dict[str, CameraIntrinsics]()
     for camera, matrix in _projections(document).items():
         lenses[camera], shift_m = _camera(document, camera, matrix)
-        findings += check_translation(camera, shift_m)
-        edges.append(Edge(camera, RECTIFIED, _pose(np.eye(3), shift_m)))
+        shift, noticed = rotation_and_translation(camera, np.eye(3), shift_m)
+        edges.append(Edge(camera, RECTIFIED, shift))
+        findings += noticed
     frames = {frame for edge in edges for frame in (edge.parent, edge.child)}
     kinds: dict[str, SensorKind] = {LIDAR: "lidar", RADAR: "radar", IMU: "imu"}
     found = {frame: kind for frame, kind in kinds.items() if frame in frames}
@@ -133,9 +133,3 @@ def _matrix(node: Node, rows: int, columns: int) -> NDArray[np.float64]:
     if len(words) != rows * columns:
         raise node.refused(f"{rows} x {columns} numbers by rows are expected and {len(words)} given")
     return np.array([word.number() for word in words]).reshape(rows, columns)
-
-
-def _pose(rotation: NDArray[np.float64], translation_m: NDArray[np.float64]) -> SE3:
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = rotation, translation_m
-    return SE3.from_matrix(matrix)

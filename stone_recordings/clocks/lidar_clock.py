@@ -14,7 +14,7 @@ from stone.findings import Finding
 from stone.sensors.sequence import ExcludedFrame
 from stone_recordings.bags.bag import Bag
 from stone_recordings.messages.pointcloud2 import decode_cloud, lidar_points
-from stone_recordings.messages.problems import OTHER_FRAME, STRAY, MessageProblem
+from stone_recordings.messages.problems import OTHER_FRAME, STRAY, MessageProblem, majority
 from stone_recordings.sync.errors import NoUsableSweepError
 from stone_recordings.sync.recorded_messages import OrderedStamps, RecordedTopics, in_order
 
@@ -65,8 +65,9 @@ def with_sweep_problems(recorded: RecordedTopics, topic: str) -> RecordedTopics:
     """With what only sweeps tell of each other: the frame of another sensor, a stamp far from the others'."""
     found = dict(recorded.problems.get(topic, {}))
     usable = recorded.usable(topic).tolist()
-    frame_id = recorded.frame_id(topic)
-    for index, other in zip(usable, recorded.frame_ids(topic), strict=True):
+    frame_ids = recorded.frame_ids(topic)
+    frame_id = majority(frame_ids)
+    for index, other in zip(usable, frame_ids, strict=True):
         if other != frame_id:
             found[index] = MessageProblem(OTHER_FRAME, f"its frame is {other!r}, that of most is {frame_id!r}")
     stray = _stray(recorded.stamps_ns(topic), recorded.log_times_ns[topic], [one for one in usable if one not in found])

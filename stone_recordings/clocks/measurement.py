@@ -27,7 +27,7 @@ from stone_recordings.clocks.timing import measure
 from stone_recordings.messages.batch import refused_finding
 from stone_recordings.messages.odometry import TYPE as ODOMETRY
 from stone_recordings.messages.odometry import decode_odometry, other_frames_finding
-from stone_recordings.messages.problems import readable
+from stone_recordings.messages.problems import read_readable
 from stone_recordings.report.checks import Inspected
 from stone_recordings.report.scan import Scan
 from stone_recordings.topics.roles import ROLE_OF_TYPE
@@ -68,8 +68,7 @@ def measured(bag: Bag, scan: Scan, inspected: Sequence[Inspected]) -> ClockMeasu
     for topic, _role, _timing in inspected:
         if scan.kept.get(topic.name) and has_own_time(topic):
             try:
-                messages, unread = readable(topic.name, scan.kept[topic.name], partial(own_times, topic))
-                own[topic.name] = own_times(topic, messages)
+                own[topic.name], unread = read_readable(topic.name, scan.kept[topic.name], partial(own_times, topic))
                 findings += unread
             except StoneError as error:
                 findings.append(Finding(error.code, "error", topic.name, str(error)))
@@ -106,8 +105,7 @@ def _timed_again(part: Inspected, times: Mapping[str, StampedTimes]) -> Inspecte
 def _pose_findings(topic: Topic, scan: Scan) -> list[Finding]:
     """What synchronising will say of its messages that hold no pose."""
     try:
-        messages, unread = readable(topic.name, scan.kept[topic.name], decode_odometry)
-        samples = decode_odometry(messages)
+        samples, unread = read_readable(topic.name, scan.kept[topic.name], decode_odometry)
     except StoneError as error:
         return [Finding(error.code, "error", topic.name, str(error))]
     strays = other_frames_finding(topic.name, samples)

@@ -4,6 +4,7 @@
 programs: they become the codes of excluded frames.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TypeVar
@@ -51,6 +52,21 @@ def head_problem(head: memoryview, type_name: str, size_bytes: Callable[[], int]
     if picture:
         return MessageProblem(MALFORMED, picture)
     return MessageProblem(UNSTAMPED, "its stamp is 0") if stamp_ns == 0 else None
+
+
+def read_readable(
+    topic: str, messages: Iterable[StampedMessage], read: Callable[[list[StampedMessage]], Read]
+) -> tuple[Read, tuple[Finding, ...]]:
+    """What `read` makes of the messages of a topic that it can read, and MSG-311 for the others.
+
+    Raises what `read` raises where it can read none.
+    """
+    listed = list(messages)
+    try:
+        return read(listed), ()
+    except (MessageLayoutError, ByteOrderError):
+        good, findings = readable(topic, listed, read)
+        return read(good), findings
 
 
 def readable(
@@ -107,5 +123,4 @@ def _unreadable(
 
 def majority(words: Iterable[str]) -> str:
     """The word that is said most often, of several the first; "" of none."""
-    listed = list(words)
-    return max(dict.fromkeys(listed), key=listed.count, default="")
+    return next((word for word, _count in Counter(words).most_common(1)), "")

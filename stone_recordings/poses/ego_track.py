@@ -8,7 +8,7 @@ from stone_recordings.bags.bag import Bag, Topic
 from stone_recordings.bags.errors import IngestError
 from stone_recordings.clocks.lidar_clock import LidarClock
 from stone_recordings.messages.novatel import FixSamples, decode_bestpos
-from stone_recordings.messages.problems import readable
+from stone_recordings.messages.problems import read_readable
 from stone_recordings.messages.tf import TransformSamples, decode_transforms
 from stone_recordings.poses.extrinsics import plain, static_tree
 from stone_recordings.poses.gravity_alignment import ImuTopic, imu_topic, levelled
@@ -30,8 +30,8 @@ def recorded_rig(
     findings: list[Finding] = []
     for topic in sources.tf_static:
         try:
-            messages, unread = readable(topic, recorded.messages[topic], decode_transforms)
-            samples += decode_transforms(messages)
+            pairs, unread = read_readable(topic, recorded.messages[topic], decode_transforms)
+            samples += pairs
         except IngestError as error:
             unread = (Finding(error.code, "warning", topic, f"{error}; the recording's own mounts are not compared"),)
         findings += unread
@@ -74,8 +74,7 @@ def _fixes(recorded: RecordedTopics, topic: Topic | None) -> tuple[FixSamples | 
     if topic is None:
         return None, ()
     try:
-        messages, unread = readable(topic.name, recorded.messages[topic.name], decode_bestpos)
-        return decode_bestpos(messages), unread
+        return read_readable(topic.name, recorded.messages[topic.name], decode_bestpos)
     except IngestError as error:
         return None, (Finding(error.code, "warning", topic.name, str(error)),)
 

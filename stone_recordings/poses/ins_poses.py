@@ -28,7 +28,7 @@ from stone_recordings.messages.novatel import (
     InsSamples,
     decode_inspva,
 )
-from stone_recordings.messages.problems import readable
+from stone_recordings.messages.problems import read_readable
 from stone_recordings.poses.quality import solution_quality
 from stone_recordings.poses.sources import PoseTrack
 from stone_recordings.sync.errors import NoUsablePoseError
@@ -43,8 +43,7 @@ def track_from_ins(
 ) -> PoseTrack:
     """Raises MissingSensorError (no INS in the calibration), NoUsablePoseError, and what `decode_inspva` raises."""
     mount = _ins_mount(calibration)
-    readable_ones, unread = readable(topic, messages, decode_inspva)
-    samples = decode_inspva(readable_ones)
+    samples, unread = read_readable(topic, messages, decode_inspva)
     source = f"{topic} (novatel_oem7_msgs/msg/{'INSPVA' if samples.pos_type is None else 'INSPVAX'})"
     rows = _usable(samples, source)
     usable = len(rows)

@@ -18,7 +18,7 @@ from stone.sensors.calibration import Calibration
 from stone.sensors.pose_quality import SolutionQuality
 from stone_recordings.messages.batch import StampedMessage, refused_finding
 from stone_recordings.messages.odometry import decode_odometry, other_frames_finding
-from stone_recordings.messages.problems import readable
+from stone_recordings.messages.problems import read_readable
 from stone_recordings.messages.tf import TransformSamples, decode_transforms
 from stone_recordings.poses.extrinsics import BASE_FRAMES, plain
 from stone_recordings.poses.static_tree import StaticTree
@@ -59,8 +59,7 @@ class RigMounts:
 
 def track_from_odometry(messages: Iterable[StampedMessage], topic: str, rig: RigMounts) -> PoseTrack:
     """Raises NoUsablePoseError and what `decode_odometry` raises."""
-    readable_ones, unread = readable(topic, messages, decode_odometry)
-    samples = decode_odometry(readable_ones)
+    samples, unread = read_readable(topic, messages, decode_odometry)
     source = f"{topic} ({samples.frame_id} to {samples.child_frame_id}, nav_msgs/msg/Odometry)"
     track = _track((source, topic), samples.child_frame_id, (samples.stamps_ns, samples.parent_from_child), rig)
     strays = other_frames_finding(topic, samples)
@@ -72,8 +71,7 @@ def track_from_tf(messages: Iterable[StampedMessage], topic: str, rig: RigMounts
 
     Raises NoPoseSourceError when no such pair is published, and what `decode_transforms` raises.
     """
-    readable_ones, unread = readable(topic, messages, decode_transforms)
-    samples = decode_transforms(readable_ones)
+    samples, unread = read_readable(topic, messages, decode_transforms)
     wanted = [(fixed, child) for fixed in FIXED_FRAMES for child in (*BASE_FRAMES, rig.lidar_frame)]
     found = {(plain(pair.parent), plain(pair.child)): pair for pair in samples}
     chosen: TransformSamples | None = next((found[pair] for pair in wanted if pair in found), None)

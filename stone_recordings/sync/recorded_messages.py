@@ -24,7 +24,7 @@ from stone_recordings.messages.problems import (
     left_out_finding,
     majority,
 )
-from stone_recordings.messages.types.cdr import HEAD_BYTES, Cursor
+from stone_recordings.messages.types.cdr import HEAD_BYTES, NS_PER_S, Cursor
 from stone_recordings.topics.roles import POINT_CLOUD
 from stone_recordings.topics.sources import Sources
 
@@ -57,11 +57,13 @@ class RecordedTopics:
 
     def stamps_ns(self, topic: str) -> NDArray[np.int64]:
         """Header stamps (N,) of a scanned topic in log-time order; the log time where a message has none."""
-        type_name = self.topics[topic].type
-        stamps_ns = self.log_times_ns[topic].copy()
-        for index, head in enumerate(self.heads[topic]):
+        type_name, heads, stamps_ns = self.topics[topic].type, self.heads[topic], self.log_times_ns[topic].copy()
+        usable = self.usable(topic)
+        raw = np.frombuffer(b"".join(heads[index][HEAD_BYTES:STAMP_BYTES] for index in usable), "<u4").reshape(-1, 2)
+        stamps_ns[usable] = raw[:, 0].astype(np.int32).astype(np.int64) * NS_PER_S + raw[:, 1]
+        for index in self.problems.get(topic, NO_PROBLEMS):
             with suppress(MessageLayoutError, ByteOrderError):
-                stamps_ns[index] = Cursor(memoryview(head), type_name).stamp_ns() or stamps_ns[index]
+                stamps_ns[index] = Cursor(memoryview(heads[index]), type_name).stamp_ns() or stamps_ns[index]
         return stamps_ns
 
     def usable(self, topic: str) -> NDArray[np.int64]:
@@ -96,7 +98,8 @@ class RecordedTopics:
 
     def left_out(self, topic: str) -> tuple[Finding, ...]:
         """What is said of a topic's messages that cannot be used."""
-        return left_out_finding(topic, self.problems.get(topic, NO_PROBLEMS), self.stamps_ns(topic))
+        problems = self.problems.get(topic, NO_PROBLEMS)
+        return left_out_finding(topic, problems, self.stamps_ns(topic)) if problems else ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,16 +13,10 @@ from numpy.typing import NDArray
 
 from services.labeler.map.surface import TileSummary
 from services.labeler.parameters import LabelParameters
+from services.labeler.results import reference_from
 from stone.findings import Finding
 from stone.labels.robust_scatter import robust_scatter
-from stone.labels.traversability import (
-    FEW_VOXELS,
-    Reference,
-    ReferenceParameters,
-    reference_of,
-    robust_reference_of,
-    total_of,
-)
+from stone.labels.traversability import FEW_VOXELS, Reference, ReferenceParameters
 
 USUAL_RATIO = 0.25
 FAR_SIGMAS = 5.0
@@ -66,10 +60,8 @@ def alternative_reference(tiles: Listing[TileSummary], parameters: LabelParamete
     """The robust reference where the run's is the plain one, the plain one where it is not; None below `FEW_VOXELS`."""
     if sum(len(tile.driven) for tile in tiles) < FEW_VOXELS:
         return None
-    if parameters.reference.outlier_ratio:
-        return reference_of(total_of([tile.sums for tile in tiles]), parameters.reference)
-    robust = replace(parameters.reference, outlier_ratio=USUAL_RATIO)
-    return robust_reference_of(np.concatenate([tile.driven for tile in tiles]), robust)
+    other = replace(parameters.reference, outlier_ratio=0.0 if parameters.reference.outlier_ratio else USUAL_RATIO)
+    return reference_from(list(tiles), replace(parameters, reference=other))
 
 
 def outlier_findings(counts: OutlierCounts | None, parameters: LabelParameters, changed_ratio: float) -> list[Finding]:
