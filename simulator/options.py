@@ -10,6 +10,7 @@ from typing import Literal, get_args
 from stone.errors import StoneError
 
 Compression = Literal["none", "lz4", "zstd"]
+Traffic = Literal["none", "walker", "busy"]
 FaultName = Literal[
     "gnss_jitter",
     "clock_18s",
@@ -25,6 +26,8 @@ FaultName = Literal[
     "extrinsic_inverted",
 ]
 FAULT_NAMES: tuple[FaultName, ...] = get_args(FaultName)
+LIDAR_HZ = (1, 2, 5, 10, 20)
+USUAL_SWEEP_NS = 100_000_000
 MAX_CHANNELS = 512
 MAX_COLUMNS = 7200
 MAX_SECONDS = 3600.0
@@ -42,7 +45,10 @@ class SimulationOptionError(StoneError):
 
 @dataclass(frozen=True)
 class SimulateOptions:
-    """`channels` × `columns` rays a sweep at 10 Hz; the world is as long as the drive and `world_width_m` wide.
+    """`channels` × `columns` rays a sweep; the world is as long as the drive and `world_width_m` wide.
+
+    `lidar_hz` sweeps a second: of fewer than 10 each takes 0.1 s, as where a recorder keeps some of them, of 20 0.05 s.
+    `traffic` is who moves besides the robot (`simulator/scenery/movers.py`); `busy`: three walkers and two vehicles.
 
     lz4 by default: packet stamps, rings and missing returns repeat, so it nearly halves the bag at no time that can be
     measured; zstd is smaller still, but costs more to write and twice as much to read.
@@ -63,6 +69,8 @@ class SimulateOptions:
     world_width_m: float = 110.0
     noise_ratio: float = 1.0
     range_noise: bool = False
+    traffic: Traffic = "walker"
+    lidar_hz: int = 10
     host_delay_max_ns: int = 20_000_000
     transport_jitter_ns: int = 0
     faults: tuple[FaultName, ...] = ()
@@ -74,14 +82,28 @@ class SimulateOptions:
         _within("columns", self.columns, 12, MAX_COLUMNS)
         _within("camera_width_px", self.camera_width_px, 32, 4096)
         _within("world_width_m", self.world_width_m, 30.0, 400.0)
+        if self.lidar_hz not in LIDAR_HZ:
+            raise SimulationOptionError("lidar_hz", self.lidar_hz, f"one of {', '.join(map(str, LIDAR_HZ))}")
         if self.compression not in ("none", "lz4", "zstd"):
             raise SimulationOptionError("compression", self.compression, "none, lz4 or zstd")
         _within("noise_ratio", self.noise_ratio, 0.0, 10.0)
         _within("host_delay_max_ns", self.host_delay_max_ns, 0, 45_000_000)
         _within("transport_jitter_ns", self.transport_jitter_ns, 0, MAX_TRANSPORT_JITTER_NS)
+        if self.traffic not in get_args(Traffic):
+            raise SimulationOptionError("traffic", self.traffic, f"one of {', '.join(get_args(Traffic))}")
         for fault in self.faults:
             if fault not in FAULT_NAMES:
                 raise SimulationOptionError("faults", fault, f"of {', '.join(FAULT_NAMES)}")
+
+    @property
+    def sweep_ns(self) -> int:
+        """How long one sweep takes."""
+        return min(USUAL_SWEEP_NS, self.sweep_period_ns)
+
+    @property
+    def sweep_period_ns(self) -> int:
+        """From one sweep's stamp to the next one's."""
+        return 1_000_000_000 // self.lidar_hz
 
 
 def _within(name: str, value: float, low: float, high: float) -> None:

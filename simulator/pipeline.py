@@ -39,7 +39,13 @@ def calibration_path(bag: Path) -> Path:
 
 
 def sweep_stamps_ns(options: SimulateOptions) -> list[int]:
-    """The stamps of the recording's sweeps: 10 Hz."""
+    """The stamps of the recording's sweeps."""
+    count = int(options.seconds * options.lidar_hz + 1e-6)
+    return [START_NS + LEAD_NS + index * options.sweep_period_ns for index in range(count)]
+
+
+def tick_stamps_ns(options: SimulateOptions) -> list[int]:
+    """When cameras and radars begin their rounds: 10 Hz, whatever the LiDAR's rate."""
     return [START_NS + LEAD_NS + index * rig.SWEEP_NS for index in range(int(options.seconds * 10 + 1e-6))]
 
 
@@ -65,8 +71,8 @@ def _record(path: Path, options: SimulateOptions, world: SimulatedWorld, progres
     scene, lidar, ring, fault = RayScene(world), build_lidar(options), build_ring(options), all_of(options.faults)
     ring = replace(ring, cameras=tuple(map(fault.triggers, ring.cameras)))
     draws = {part: generator(options.seed, part) for part in ("lidar", "camera", "radar", "fixes", "imu", "stale")}
-    stamps = sweep_stamps_ns(options)
-    duration_ns = LEAD_NS + len(stamps) * rig.SWEEP_NS + TAIL_NS
+    ticks, sweeps = tick_stamps_ns(options), np.array(sweep_stamps_ns(options), np.int64)
+    duration_ns = LEAD_NS + len(ticks) * rig.SWEEP_NS + TAIL_NS
     fixes = fault.fixes(take_fixes(world.trajectory, duration_ns, options, draws["fixes"]))
     inertia = fault.inertia(take_inertia(world.trajectory, duration_ns, draws["imu"], options.noise_ratio))
     radars = Radars(stale_detections(draws["stale"]), options.noise_ratio)
@@ -74,17 +80,18 @@ def _record(path: Path, options: SimulateOptions, world: SimulatedWorld, progres
         recorder = Recorder(bag, options, fault)
         recorder.static_transforms(START_NS)
         written_until = START_NS
-        for index, stamp_ns in enumerate(stamps):
+        for index, stamp_ns in enumerate(ticks):
             _navigate(recorder, fixes, inertia, (written_until, stamp_ns))
             bag.flush_before(stamp_ns)
-            recorder.sweep(stamp_ns, sweep_points(scene, lidar, stamp_ns, draws["lidar"]))
+            for sweep_ns in sweeps[slice(*np.searchsorted(sweeps, (stamp_ns, stamp_ns + rig.SWEEP_NS)))].tolist():
+                recorder.sweep(sweep_ns, sweep_points(scene, lidar, sweep_ns, draws["lidar"]))
             for lists in scan(scene, scan_stamps_ns(stamp_ns), radars, draws["radar"]):
                 recorder.radar_lists(lists)
             pictures = take_pictures(scene, ring, stamp_ns, draws["camera"]) if options.cameras else []
             for picture in fault.pictures(pictures, index):
                 recorder.picture(picture)
             written_until = stamp_ns
-            progress("record sweeps", index + 1, len(stamps))
+            progress("record sweeps", index + 1, len(ticks))
         _navigate(recorder, fixes, inertia, (written_until, START_NS + duration_ns + 1))
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from benchmarks.truth.surface import near_obstacles, read_mesh
-from simulator.scenery.walker import HEIGHT_M, RADIUS_M, Walker
+from simulator.scenery.movers import WALKER_HEIGHT_M, WALKER_RADIUS_M, walker_ahead
 from simulator.sensors.rig import SWEEP_NS
 from simulator.truth import SimulationTruth
 from simulator.verdict import LabelVerdict, judge_semantics
@@ -204,8 +204,8 @@ def walker_counts(drive: Drive, labels: Path) -> WalkerCounts:
     `WALKER_ABOVE_M` above the true ground and farther than `OBSTACLE_CLEAR_M` from every obstacle.
     """
     truth, stamps_ns = drive.truth, drive.sequence.frames.stamps_ns
-    walker = Walker(truth.trajectory, truth)
-    feet = np.stack([walker.foot_m(int(stamp_ns) + SWEEP_NS // 2) for stamp_ns in stamps_ns])
+    walker = walker_ahead(truth.trajectory, truth)
+    feet = np.stack([walker.route.at(int(stamp_ns) + SWEEP_NS // 2)[0] for stamp_ns in stamps_ns])
     tree, poses = cKDTree(feet[:, :2]), drive.world_from_ego()
     index = np.argwhere(np.ones(GRID_SHAPE, np.bool_))
     total = np.zeros(4, np.int64)
@@ -215,9 +215,9 @@ def walker_counts(drive: Drive, labels: Path) -> WalkerCounts:
         near = np.isfinite(tree.query(plan, distance_upper_bound=2.0)[0])
         mine = index.reshape(-1, GRID_SHAPE[2], 3)[near].reshape(-1, 3)
         centres = world_from_ego @ grid_centres(mine)
-        is_walker = np.isfinite(tree.query(centres[:, :2], distance_upper_bound=RADIUS_M + VOXEL_M / 2)[0])
+        is_walker = np.isfinite(tree.query(centres[:, :2], distance_upper_bound=WALKER_RADIUS_M + VOXEL_M / 2)[0])
         above_m = centres[:, 2] - truth.elevation_m(centres[:, :2])
-        is_walker &= (above_m > WALKER_ABOVE_M) & (above_m < HEIGHT_M)
+        is_walker &= (above_m > WALKER_ABOVE_M) & (above_m < WALKER_HEIGHT_M)
         is_walker[is_walker] &= ~near_obstacles(centres[is_walker, :2], truth.obstacles, OBSTACLE_CLEAR_M)
         total += np.bincount(drive.semantics(labels, frame)[tuple(mine[is_walker].T)], minlength=4)
     return WalkerCounts(int(total.sum()), (int(total[1]), int(total[2]), int(total[3])))

@@ -35,6 +35,7 @@ class Surface(IntEnum):
     GRASS = 7
     WALKER = 8
     ROBOT = 9
+    VEHICLE = 10
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""The ray-casting scene: the ground and the objects in embree, the walker added in closed form.
+"""The ray-casting scene: the ground and the objects in embree, movers added in closed form.
 
 **Conventions.** Rays are (N, 3) float32 origins and unit directions in the world; a miss has range inf. The scene
 uses all cores; its answers do not depend on how many.
@@ -11,11 +11,10 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
+from simulator.scenery.movers import Mover
 from simulator.scenery.objects import Surface
 from simulator.scenery.terrain import Terrain
-from simulator.scenery.walker import walker_range
 from simulator.scenery.world import SimulatedWorld
-from stone.geometry.se3 import Array
 
 Rays = NDArray[np.float32]
 
@@ -58,14 +57,16 @@ def _tensor(array: NDArray[Any]) -> Any:
     return o3d.core.Tensor.from_numpy(array)
 
 
-def put_walker(hits: Hits, foot_m: Array, rays: tuple[Rays, Rays], where: NDArray[np.int64] | slice) -> None:
-    """Let the walker hide what is behind it, for the rays `where`; changes `hits` in place."""
+def put_mover(
+    hits: Hits, mover: Mover, stamp_ns: int, rays: tuple[Rays, Rays], where: NDArray[np.int64] | slice
+) -> None:
+    """Let what moves hide what is behind it at this time, for the rays `where`; changes `hits` in place."""
     origins, directions = rays[0][where], rays[1][where]
-    reach = walker_range(foot_m, origins, directions)
+    reach = mover.ranges_m(stamp_ns, origins, directions)
     is_nearer = reach < hits.range_m[where]
     index = np.arange(len(hits.range_m))[where][is_nearer]
     hits.range_m[index] = reach[is_nearer]
-    hits.surface[index] = Surface.WALKER
+    hits.surface[index] = mover.surface
     hits.normal[index] = -directions[is_nearer]
 
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from simulator.options import SimulateOptions
+from simulator.scenery.movers import AHEAD_S, Mover, movers_of
 from simulator.scenery.objects import Objects, place_objects
 from simulator.scenery.path import POSE_NS, SPEED_M_S, SPEED_SWING_RATIO, DriveTrajectory, drive, plan_track
 from simulator.scenery.terrain import Terrain, build_terrain
-from simulator.scenery.walker import AHEAD_NS, Walker
 
 START_NS = 1_749_718_800_000_000_000  # 2025-06-12 09:00 UTC
 ORIGIN_DEG_M = (48.05, 11.55, 560.0)
@@ -21,12 +21,12 @@ MARGIN_M = 42.0
 
 @dataclass(frozen=True, eq=False)
 class SimulatedWorld:
-    """Ground, things, the robot's exact motion and the walker's."""
+    """Ground, things, the robot's exact motion and what moves besides."""
 
     terrain: Terrain
     objects: Objects
     trajectory: DriveTrajectory
-    walker: Walker
+    movers: tuple[Mover, ...]
 
 
 def generator(seed: int, part: str) -> np.random.Generator:
@@ -36,7 +36,7 @@ def generator(seed: int, part: str) -> np.random.Generator:
 
 def build_world(options: SimulateOptions) -> SimulatedWorld:
     """The valley is as long as the drive; poses reach beyond its end by the walker's lead."""
-    driven_s = options.seconds + AHEAD_NS * 1e-9 + 1.0
+    driven_s = options.seconds + AHEAD_S + 1.0
     length_m = driven_s * SPEED_M_S * (1 + SPEED_SWING_RATIO) + 2.0
     start = (MARGIN_M, options.world_width_m / 2)
     track = plan_track(length_m, start, generator(options.seed, "track"))
@@ -44,4 +44,4 @@ def build_world(options: SimulateOptions) -> SimulatedWorld:
     terrain = build_terrain(extent, track.points_m, generator(options.seed, "terrain"))
     objects = place_objects(terrain, generator(options.seed, "objects"))
     trajectory = drive(track, terrain, START_NS, round(driven_s * 1e9) // POSE_NS + 1)
-    return SimulatedWorld(terrain, objects, trajectory, Walker(trajectory, terrain))
+    return SimulatedWorld(terrain, objects, trajectory, movers_of(options, trajectory, terrain))

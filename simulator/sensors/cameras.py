@@ -13,7 +13,7 @@ from PIL import Image
 
 from simulator.options import SimulateOptions
 from simulator.scenery.objects import Surface
-from simulator.scenery.scene import Hits, RayScene, put_walker
+from simulator.scenery.scene import Hits, RayScene, put_mover
 from simulator.sensors import rig
 
 RAY_COLUMNS, RAY_ROWS = 80, 50
@@ -26,6 +26,7 @@ COLOURS = {
     Surface.SKY: (0, 0, 0), Surface.GROUND: (136, 112, 78), Surface.ROCK: (128, 128, 124),
     Surface.BUSH: (62, 96, 44), Surface.TRUNK: (84, 62, 44), Surface.CROWN: (48, 88, 40),
     Surface.WALL: (172, 160, 146), Surface.GRASS: (128, 148, 66), Surface.WALKER: (210, 60, 40),
+    Surface.VEHICLE: (52, 78, 140),
     Surface.ROBOT: (40, 40, 44),
 }  # fmt: skip
 
@@ -77,7 +78,8 @@ def take_pictures(scene: RayScene, ring: CameraRing, stamp_ns: int, rng: np.rand
     directions = (ring.directions @ np.swapaxes(np.array(turns), -1, -2)).reshape(-1, 3)
     origins = np.repeat(np.array(places), len(ring.directions), axis=0)
     hits = scene.cast(origins, directions)
-    put_walker(hits, scene.world.walker.foot_m(stamp_ns + rig.SWEEP_NS // 2), (origins, directions), slice(None))
+    for mover in scene.world.movers:
+        put_mover(hits, mover, stamp_ns + rig.SWEEP_NS // 2, (origins, directions), slice(None))
     pixels = shade(hits, origins, directions, ring.palette).reshape(len(ring.cameras), RAY_ROWS, RAY_COLUMNS, 3)
     return [
         SimulatedPicture(camera, int(stamps[index]), _jpeg(pixels[index], ring.size_px))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from simulator.options import SimulateOptions
 from simulator.ros_messages import HESAI_POINT
 from simulator.scenery.objects import Surface
-from simulator.scenery.scene import Hits, Rays, RayScene, put_walker
+from simulator.scenery.scene import Hits, Rays, RayScene, put_mover
 from simulator.sensors import rig
 from simulator.sensors.range_noise import RangeNoise, Returns, disturbed
 from stone.geometry.se3 import Array
@@ -21,8 +21,9 @@ from stone.sensors.calibration import Box
 REFLECTIVITY = {
     Surface.SKY: 0.0, Surface.GROUND: 30.0, Surface.ROCK: 45.0, Surface.BUSH: 60.0, Surface.TRUNK: 40.0,
     Surface.CROWN: 65.0, Surface.WALL: 90.0, Surface.GRASS: 70.0, Surface.WALKER: 80.0, Surface.ROBOT: 20.0,
+    Surface.VEHICLE: 70.0,
 }  # fmt: skip
-WALKER_MARGIN_RAD = 0.03
+MOVER_MARGIN_RAD = 0.03
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +37,7 @@ class Lidar:
     noise_m: float
     channels: int
     range_noise: RangeNoise | None
+    sweep_ns: int
 
     @property
     def steps(self) -> int:
@@ -43,7 +45,7 @@ class Lidar:
 
     def packet_stamps_ns(self, stamp_ns: int) -> NDArray[np.int64]:
         """When each step of the sweep at `stamp_ns` fires (steps,)."""
-        return stamp_ns + np.arange(self.steps, dtype=np.int64) * rig.SWEEP_NS // self.steps
+        return stamp_ns + np.arange(self.steps, dtype=np.int64) * self.sweep_ns // self.steps
 
 
 def build_lidar(options: SimulateOptions) -> Lidar:
@@ -60,6 +62,7 @@ def build_lidar(options: SimulateOptions) -> Lidar:
         options.noise_ratio * rig.LIDAR_NOISE_M,
         options.channels,
         RangeNoise() if options.range_noise else None,
+        options.sweep_ns,
     )
 
 
@@ -71,8 +74,10 @@ def sweep_points(scene: RayScene, lidar: Lidar, stamp_ns: int, rng: np.random.Ge
     directions = np.matmul(lidar.directions, np.swapaxes(turn, -1, -2)).reshape(-1, 3)
     origins = np.repeat(map_from_lidar.translation_m.astype(np.float32), lidar.directions.shape[1], axis=0)
     hits = scene.cast(origins, directions)
-    foot = world.walker.foot_m(stamp_ns + rig.SWEEP_NS // 2)
-    put_walker(hits, foot, (origins, directions), _towards(foot, origins, directions))
+    middle_ns = stamp_ns + lidar.sweep_ns // 2
+    for mover in world.movers:
+        place = mover.route.at(middle_ns)[0]
+        put_mover(hits, mover, middle_ns, (origins, directions), _towards(place, mover.reach_m, origins, directions))
     surface = np.where(lidar.self_range_m < hits.range_m, np.uint8(Surface.ROBOT), hits.surface)
     range_m = np.minimum(lidar.self_range_m, hits.range_m)
     if lidar.range_noise is not None:
@@ -105,12 +110,12 @@ def _records(
     return records
 
 
-def _towards(foot_m: Array, origins: Rays, directions: Rays) -> NDArray[np.int64]:
-    """Rays whose bearing comes near the walker: those worth the closed form."""
-    offset = foot_m[:2].astype(np.float32) - origins[0, :2]
+def _towards(place_m: Array, reach_m: float, origins: Rays, directions: Rays) -> NDArray[np.int64]:
+    """Rays whose bearing comes near what is at a place, and reaches so far about it: those worth the closed form."""
+    offset = place_m[:2].astype(np.float32) - origins[0, :2]
     distance = max(float(np.hypot(*offset)), 0.3)
     along = directions[:, 0] * (offset[0] / distance) + directions[:, 1] * (offset[1] / distance)
-    flat = float(np.cos(min(np.arctan2(0.6, distance) + WALKER_MARGIN_RAD, np.pi / 2)))
+    flat = float(np.cos(min(np.arctan2(reach_m, distance) + MOVER_MARGIN_RAD, np.pi / 2)))
     return np.flatnonzero(along > 0.8 * flat)
 
 

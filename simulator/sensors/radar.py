@@ -26,10 +26,12 @@ VIEW_ELEVATION_RAD = np.deg2rad(14.0)
 CHANCE = {
     Surface.SKY: 0.0, Surface.GROUND: 0.12, Surface.ROCK: 0.7, Surface.BUSH: 0.4, Surface.TRUNK: 0.8,
     Surface.CROWN: 0.3, Surface.WALL: 0.9, Surface.GRASS: 0.1, Surface.WALKER: 0.9, Surface.ROBOT: 0.0,
+    Surface.VEHICLE: 0.9,
 }  # fmt: skip
 RCS_DBSM = {
     Surface.SKY: 0, Surface.GROUND: -18, Surface.ROCK: -4, Surface.BUSH: -10, Surface.TRUNK: 0,
     Surface.CROWN: -8, Surface.WALL: 10, Surface.GRASS: -20, Surface.WALKER: -3, Surface.ROBOT: 0,
+    Surface.VEHICLE: 10,
 }  # fmt: skip
 
 

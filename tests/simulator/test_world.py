@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from simulator.options import SimulateOptions
+from simulator.scenery.movers import WALKER_HEIGHT_M, WALKER_RADIUS_M, cylinder_range
 from simulator.scenery.objects import Surface
 from simulator.scenery.path import POSE_NS, DriveTrajectory
 from simulator.scenery.scene import RayScene, ground_mesh
 from simulator.scenery.terrain import Terrain
-from simulator.scenery.walker import HEIGHT_M, RADIUS_M, walker_range
 from simulator.scenery.world import START_NS, SimulatedWorld, build_world
 from simulator.sensors.navigation import take_inertia
 from simulator.truth import truth_of
@@ -89,11 +89,11 @@ def test_the_ground_mesh_has_two_triangles_a_cell_facing_up() -> None:
 def test_the_walker_is_a_cylinder() -> None:
     foot = np.array([5.0, 0.0, 0.0])
     origins = np.tile(np.float32([0, 0, 1.0]), (4, 1))
-    high = np.float32([5.0 - RADIUS_M, 0, HEIGHT_M])
+    high = np.float32([5.0 - WALKER_RADIUS_M, 0, WALKER_HEIGHT_M])
     high /= np.linalg.norm(high)
     directions = np.stack([np.float32([1, 0, 0]), np.float32([-1, 0, 0]), np.float32([0, 1, 0]), high])
-    reach = walker_range(foot, origins, directions)
-    assert reach[0] == pytest.approx(5.0 - RADIUS_M)
+    reach = cylinder_range(foot, origins, directions)
+    assert reach[0] == pytest.approx(5.0 - WALKER_RADIUS_M)
     assert np.isinf(reach[1:]).all()
 
 

@@ -1,11 +1,20 @@
 """`stone simulate`: a recording of a robot that does not exist, with the truth about its world."""
 
 from pathlib import Path
-from typing import Annotated, cast
+from typing import Annotated, cast, get_args
 
 import typer
 
-from simulator.options import FAULT_NAMES, MAX_CHANNELS, MAX_COLUMNS, MAX_SECONDS, FaultName, SimulateOptions
+from simulator.options import (
+    FAULT_NAMES,
+    LIDAR_HZ,
+    MAX_CHANNELS,
+    MAX_COLUMNS,
+    MAX_SECONDS,
+    FaultName,
+    SimulateOptions,
+    Traffic,
+)
 from stone_client.progress import reported
 
 DEFAULT = SimulateOptions()
@@ -23,6 +32,14 @@ RangeNoiseOption = Annotated[
     bool,
     typer.Option("--range-noise", help="LiDAR ranges as real ones: dropouts at grazing angles, mixed pixels, rain."),
 ]
+TrafficOption = Annotated[
+    str,
+    typer.Option(
+        metavar="WHO",
+        help=f"Who moves besides the robot: {', '.join(get_args(Traffic))} (three walkers, two vehicles).",
+    ),
+]
+LidarHzOption = Annotated[int, typer.Option(metavar="HZ", help=f"Sweeps a second: {', '.join(map(str, LIDAR_HZ))}.")]
 FaultOption = Annotated[
     list[str], typer.Option("--fault", metavar="NAME", help=f"What goes wrong; repeatable: {', '.join(FAULT_NAMES)}.")
 ]
@@ -37,6 +54,8 @@ def simulate(
     columns: ColumnsOption = DEFAULT.columns,
     cameras: CamerasOption = DEFAULT.cameras,
     range_noise: RangeNoiseOption = DEFAULT.range_noise,
+    traffic: TrafficOption = DEFAULT.traffic,
+    lidar_hz: LidarHzOption = DEFAULT.lidar_hz,
     fault: FaultOption = [],  # noqa: B006
 ) -> None:
     """Write a ROS 2 bag of a full rig on synthetic off-road terrain, and with --truth what only the world knows."""
@@ -50,6 +69,8 @@ def simulate(
         columns=columns,
         cameras=cameras,
         range_noise=range_noise,
+        traffic=cast(Traffic, traffic),
+        lidar_hz=lidar_hz,
         faults=faults,
     )
     with reported() as progress:

@@ -1,0 +1,143 @@
+"""What moves in a simulated world: walkers and vehicles, each cast in closed form.
+
+**Conventions.** A walker is an upright cylinder, a vehicle a level box above its wheels. In one sweep, or one exposure,
+a mover stands where it is at the middle of the sweep.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.options import SimulateOptions
+from simulator.scenery.objects import Surface
+from simulator.scenery.path import DriveTrajectory
+from simulator.scenery.route import Route, Schedule, WalkableGround
+from stone.geometry.se3 import Array
+
+WALKER_RADIUS_M, WALKER_HEIGHT_M = 0.25, 1.75
+AHEAD_S = 5.0
+SWAY_M = 2.5
+VEHICLE_M = (4.2, 1.8)  # length, width
+VEHICLE_BOTTOM_M, VEHICLE_TOP_M = 0.3, 1.6
+MARGIN_M = 0.35  # of the rays that are tried for a mover
+
+Rays = NDArray[np.float32]
+
+
+class Mover(Protocol):
+    """What is at one place at one moment, and hides what is behind it."""
+
+    @property
+    def route(self) -> Route: ...
+
+    @property
+    def surface(self) -> Surface: ...
+
+    @property
+    def reach_m(self) -> float:
+        """In plan, about its place, with a margin."""
+
+    def ranges_m(self, stamp_ns: int, origins: Rays, directions: Rays) -> Rays:
+        """Distance along unit rays (N, 3) from origins (N, 3) to it at that time, inf where they miss."""
+
+    def is_inside(self, points_map: Array, stamp_ns: int, margin_m: float) -> NDArray[np.bool_]:
+        """Which of the points (N, 3) are inside it, or nearer than `margin_m` to it along an axis, at that time."""
+
+
+@dataclass(frozen=True, eq=False)
+class Walker:
+    """An upright cylinder on the ground."""
+
+    route: Route
+    surface: Surface = Surface.WALKER
+    reach_m: float = WALKER_RADIUS_M + MARGIN_M
+
+    def ranges_m(self, stamp_ns: int, origins: Rays, directions: Rays) -> Rays:
+        return cylinder_range(self.route.at(stamp_ns)[0], origins, directions)
+
+    def is_inside(self, points_map: Array, stamp_ns: int, margin_m: float) -> NDArray[np.bool_]:
+        offset = points_map - self.route.at(stamp_ns)[0]
+        is_beside = np.hypot(offset[:, 0], offset[:, 1]) <= WALKER_RADIUS_M + margin_m
+        return np.asarray(is_beside & (offset[:, 2] >= -margin_m) & (offset[:, 2] <= WALKER_HEIGHT_M + margin_m))
+
+
+@dataclass(frozen=True, eq=False)
+class Vehicle:
+    """A level box above its wheels, along its route."""
+
+    route: Route
+    surface: Surface = Surface.VEHICLE
+    reach_m: float = float(np.hypot(*VEHICLE_M)) / 2 + MARGIN_M
+
+    def ranges_m(self, stamp_ns: int, origins: Rays, directions: Rays) -> Rays:
+        own, ways = self._own(origins, stamp_ns), directions @ self._turn(stamp_ns).astype(np.float32)
+        inverse = 1 / np.where(ways == 0, np.float32(1e-12), ways)
+        low, high = (np.asarray(corner, np.float32) - own for corner in _vehicle_corners(0.0))
+        near = np.minimum(low * inverse, high * inverse).max(axis=1)
+        far = np.maximum(low * inverse, high * inverse).min(axis=1)
+        return np.where((near < far) & (near > 0), near, np.inf).astype(np.float32)
+
+    def is_inside(self, points_map: Array, stamp_ns: int, margin_m: float) -> NDArray[np.bool_]:
+        own = self._own(points_map, stamp_ns)
+        low, high = _vehicle_corners(margin_m)
+        return np.asarray(((own >= low) & (own <= high)).all(axis=1))
+
+    def _own(self, points_map: NDArray[np.floating], stamp_ns: int) -> NDArray[np.floating]:
+        """Points (N, 3) as seen from the vehicle: x ahead, y left, z up from the ground."""
+        place = self.route.at(stamp_ns)[0].astype(points_map.dtype)
+        return (points_map - place) @ self._turn(stamp_ns).astype(points_map.dtype)
+
+    def _turn(self, stamp_ns: int) -> Array:
+        heading = self.route.at(stamp_ns)[1]
+        c, s = np.cos(heading), np.sin(heading)
+        return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def walker_ahead(trajectory: DriveTrajectory, ground: WalkableGround) -> Walker:
+    """Who walks where the robot will be in five seconds, swaying across its track."""
+    return Walker(Route(trajectory, ground, Schedule(AHEAD_S), sway_m=SWAY_M))
+
+
+def movers_of(options: SimulateOptions, trajectory: DriveTrajectory, ground: WalkableGround) -> tuple[Mover, ...]:
+    """Who moves in the world of these options, the walker ahead first."""
+    if options.traffic == "none":
+        return ()
+    ahead = walker_ahead(trajectory, ground)
+    return (ahead,) if options.traffic == "walker" else (ahead, *_traffic(trajectory, ground, options.seconds))
+
+
+def _traffic(trajectory: DriveTrajectory, ground: WalkableGround, seconds: float) -> tuple[Mover, ...]:
+    """Two more walkers, of whom one follows the robot and one comes towards it; a vehicle that overtakes it on its left
+    in the first half of the run; and one that comes towards it on its right, parks half-way, and stands there."""
+
+    def route(schedule: Schedule, aside_m: float) -> Route:
+        return Route(trajectory, ground, schedule, aside_m)
+
+    return (
+        Walker(route(Schedule(-4.0), -1.5)),
+        Walker(route(Schedule(seconds, -1.0), 2.0)),
+        Vehicle(route(Schedule(-0.7 * seconds, 3.0), 4.0)),
+        Vehicle(route(Schedule(1.2 * seconds, -1.5, 0.6 * seconds), -4.5)),
+    )
+
+
+def cylinder_range(foot_m: Array, origins: Rays, directions: Rays) -> Rays:
+    """Distance along unit rays (N, 3) to a walker's side, inf where they miss."""
+    offset = foot_m[:2].astype(np.float32) - origins[:, :2]
+    plan = directions[:, :2]
+    a = np.maximum(np.einsum("ij,ij->i", plan, plan), 1e-12)
+    b = np.einsum("ij,ij->i", plan, offset)
+    disc = b * b - a * (np.einsum("ij,ij->i", offset, offset) - WALKER_RADIUS_M**2)
+    reach = (b - np.sqrt(np.maximum(disc, 0))) / a
+    z = origins[:, 2] + reach * directions[:, 2] - np.float32(foot_m[2])
+    is_hit = (disc > 0) & (reach > 0) & (z > 0) & (z < WALKER_HEIGHT_M)
+    return np.where(is_hit, reach, np.inf).astype(np.float32)
+
+
+def _vehicle_corners(margin_m: float) -> tuple[Array, Array]:
+    """The lowest and the highest corner (3,), on its own axes."""
+    half = np.array([*VEHICLE_M, 0.0]) / 2 + margin_m
+    low = np.array([-half[0], -half[1], VEHICLE_BOTTOM_M - margin_m])
+    return low, np.array([half[0], half[1], VEHICLE_TOP_M + margin_m])
