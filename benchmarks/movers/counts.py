@@ -1,0 +1,101 @@
+"""Counts of what movers left behind, and of what was lost with them, against the same drive with nobody about.
+
+**Conventions.** All is counted in the voxels that hold surface of the map, within `NEAR_M` in plan of a pose: every
+label of a frame is the class of one of them. Of two voxels that touch, one may stand for the other: surface is known
+to no more than that.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from benchmarks.truth.checks import Drive
+from benchmarks.truth.surface import read_mesh
+from simulator.scenery.movers import Mover
+from stone.geometry.lattice import Keys, centres_of, keys_of
+from stone.geometry.se3 import Array
+from stone.labels.voxels import VOXEL_M
+from stone.sensors.selection import SelectionParameters, world_points
+
+NEAR_M = 24.0
+TOUCHING_M = VOXEL_M * 1.75  # a corner's distance is √3
+MARGIN_M = 0.3  # about a mover: half a voxel, the drift of the map, what a vehicle drives in half a sweep
+SEEN_M = VOXEL_M
+
+
+@dataclass(frozen=True)
+class MoverCounts:
+    """Voxels with surface: in all; where somebody was who is gone, and nobody about leaves none; of what was parked;
+    of what stands, as nobody about leaves it and as seen in this drive; those of them that are lost."""
+
+    voxels: int
+    left: int
+    parked: int
+    standing: int
+    lost: int
+
+
+def mover_counts(busy: tuple[Drive, Path], clear: tuple[Drive, Path], movers: Sequence[Mover]) -> MoverCounts:
+    """Of a drive and its labels, and of the same drive without the movers."""
+    drive, labels = busy
+    found, expected = _surface(drive, labels), _surface(*clear)
+    is_new, found_world = ~_touches(found, expected), _in_world(drive, found)
+    moments_ns = drive.sequence.frames.stamps_ns + _half_sweep_ns(drive)
+    is_left, is_parked = np.zeros(len(found), np.bool_), np.zeros(len(found), np.bool_)
+    for mover in movers:
+        for stamp_ns in moments_ns.tolist():
+            is_there = mover.is_inside(found_world, stamp_ns, MARGIN_M)
+            (is_parked if mover.route.is_standing(stamp_ns) else is_left)[is_there] = True
+    lost = expected[~_touches(expected, found)]
+    standing = _standing_points(drive, movers, moments_ns)
+    is_seen = np.isfinite(cKDTree(standing).query(expected, distance_upper_bound=SEEN_M)[0])
+    is_lost = np.isfinite(cKDTree(standing).query(lost, distance_upper_bound=SEEN_M)[0])
+    left, parked = int((is_new & is_left & ~is_parked).sum()), int((is_new & is_parked).sum())
+    return MoverCounts(len(found), left, parked, int(is_seen.sum()), int(is_lost.sum()))
+
+
+def _surface(drive: Drive, labels: Path) -> Array:
+    """Centres (N, 3) of the voxels near the track that hold surface."""
+    centres = centres_of(np.unique(keys_of(read_mesh(labels / "mesh.ply").vertices_map, VOXEL_M)), VOXEL_M)
+    track = cKDTree(drive.sequence.frames.map_from_ego.translation_m[:, :2])
+    return centres[np.isfinite(track.query(centres[:, :2], distance_upper_bound=NEAR_M)[0])]
+
+
+def _touches(voxels: Array, others: Array) -> NDArray[np.bool_]:
+    """Which of the voxels (N, 3) are one of the others (M, 3), or touch one."""
+    return np.asarray(np.isfinite(cKDTree(others).query(voxels, distance_upper_bound=TOUCHING_M)[0]))
+
+
+def _half_sweep_ns(drive: Drive) -> int:
+    """A sweep takes 0.1 s, or as long as the time to the next one where that is less."""
+    return int(min(np.median(np.diff(drive.sequence.frames.stamps_ns)), 100_000_000)) // 2
+
+
+def _standing_points(drive: Drive, movers: Sequence[Mover], moments_ns: NDArray[np.int64]) -> Array:
+    """Where in the map the sweeps met what stands (M, 3), thinned."""
+    kept, world_from_ego = list[Keys](), drive.world_from_ego()
+    for frame, stamp_ns in enumerate(moments_ns.tolist()):
+        points_ego = _points_ego(drive, frame)
+        for mover in movers:
+            points_ego = points_ego[~mover.is_inside(world_from_ego[frame] @ points_ego, stamp_ns, MARGIN_M)]
+        kept.append(np.unique(keys_of(drive.sequence.frames.map_from_ego[frame] @ points_ego, VOXEL_M / 2)))
+    return centres_of(np.unique(np.concatenate(kept)), VOXEL_M / 2)
+
+
+def _in_world(drive: Drive, points_map: Array) -> Array:
+    """Points (N, 3) of the map in the world, by the nearest frame in plan."""
+    map_from_ego = drive.sequence.frames.map_from_ego
+    _, nearest = cKDTree(map_from_ego.translation_m[:, :2]).query(points_map[:, :2])
+    return np.asarray((drive.world_from_ego() @ map_from_ego.inverse())[nearest] @ points_map)
+
+
+def _points_ego(drive: Drive, frame: int) -> Array:
+    calibration = drive.sequence.calibration
+    nearest_m = SelectionParameters().min_range_m
+    points_lidar = drive.sweeps.sweep(frame).points_lidar
+    points_ego = world_points(points_lidar, calibration.ego_from_lidar, calibration.self_boxes_ego, nearest_m)
+    return points_ego.astype(np.float64)
