@@ -1,6 +1,6 @@
-# make install | demo | serve | test | test-all | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-platform | bench-pages | bench-truth | bench-real | bench-faults | bench-decisions | season | images
+# make install | demo | serve | test | test-all | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-platform | bench-pages | bench-truth | bench-movers | bench-real | bench-faults | bench-decisions | season | images
 # Each installs first, which costs nothing when nothing changed.
-.PHONY: install test-clients demo serve test test-all check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-platform bench-pages bench-truth bench-real bench-faults bench-decisions season images
+.PHONY: install test-clients demo serve test test-all check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-platform bench-pages bench-truth bench-movers bench-real bench-faults bench-decisions season images
 .DELETE_ON_ERROR:
 
 BIN := .venv/bin
@@ -90,6 +90,9 @@ bench-pages: test-clients
 
 bench-truth: install
 	$(BIN)/python -m benchmarks.truth
+
+bench-movers: install
+	$(BIN)/python -m benchmarks.movers
 
 # make bench-real FOLDER=... reads another folder than the tests' own.
 bench-real: install

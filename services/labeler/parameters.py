@@ -9,7 +9,7 @@ from stone.labels.footprint import BAND_M
 from stone.labels.observed_voxels import CarveParameters
 from stone.labels.traversability import ReferenceParameters
 from stone.sensors.selection import SelectionParameters
-from stone.surface.dynamic import DynamicParameters
+from stone.surface.range_image import DynamicParameters
 from stone.surface.screened_poisson import PoissonParameters
 from stone.surface.terrain import TerrainParameters
 

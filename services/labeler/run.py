@@ -24,7 +24,7 @@ from stone.labels.voxels import VOXEL_M
 from stone.sensors.ego_path import maps_of_frames
 from stone.sensors.sequence import Sequence, SweepSource
 
-USUAL_PERIOD_NS = 100_000_000
+USUAL_PERIOD_S = 0.1
 
 Part = tuple[int, int]
 Step = Callable[[int, int], None]
@@ -71,12 +71,15 @@ class LabelRun:
         """The map (N,) of each frame."""
         return maps_of_frames(self.sequence)
 
+    @property
+    def period_s(self) -> float:
+        """From one frame to the next, as it usually is; 0.1 s where there is but one."""
+        stamps_ns = self.sequence.frames.stamps_ns
+        return float(np.median(np.diff(stamps_ns))) * 1e-9 if len(stamps_ns) > 1 else USUAL_PERIOD_S
+
     def every(self, frames: int) -> int:
         """Which frames a stage takes that takes one of so many at 10 Hz: at slower rates, in as much time, not more."""
-        stamps_ns = self.sequence.frames.stamps_ns
-        if len(stamps_ns) < 2:
-            return frames
-        return max(1, min(frames, round(frames * USUAL_PERIOD_NS / float(np.median(np.diff(stamps_ns))))))
+        return max(1, min(frames, round(frames * USUAL_PERIOD_S / self.period_s)))
 
     def map_of(self, part: Part) -> int:
         """The map that all frames of the part are in."""

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from services.labeler.map.fused_files import fused_observed, fused_points
 from services.labeler.run import LabelRun, Part, Tile, parts_of
 from stone.labels.observed_voxels import Observed, union
-from stone.surface.dynamic import RangeImage, view_of
 from stone.surface.pointmap import PointMap
+from stone.surface.range_image import RangeImage, view_of
 
 Arrays = dict[str, NDArray[np.generic]]
 

@@ -14,8 +14,8 @@ from stone.labels.observed_voxels import BRICK, Carver, Observed
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.calibration import Box
 from stone.sensors.selection import world_points
-from stone.surface.dynamic import range_image
 from stone.surface.pointmap import PointMap, PointMapBuilder
+from stone.surface.range_image import range_image
 
 
 def fuse(run: LabelRun, part: Part, step: Step = silent) -> int:

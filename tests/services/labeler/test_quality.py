@@ -16,7 +16,7 @@ from stone.geometry.lattice import centres_of
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Box
 from stone.sensors.sequence import Sweep
-from stone.surface.dynamic import DynamicParameters
+from stone.surface.range_image import DynamicParameters
 from tests.services.labeler.worlds import EGO_FROM_LIDAR, RayCast, World, sequence_of
 
 # Bumpy enough for a reference: a kerb lies across the way.

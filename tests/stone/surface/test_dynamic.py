@@ -9,20 +9,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stone.geometry.se3 import SE3
-from stone.surface.dynamic import (
-    FEWEST_MISSES,
+from stone.surface.dynamic import FEWEST_MISSES, HITS, carried_along, fewest_misses, is_moving, no_votes, vote
+from stone.surface.range_image import (
     MAX_RING_GAP_PX,
     MAX_SPREAD_PX,
     NOTHING_M,
     DynamicParameters,
     RangeImage,
     _open_up,
-    carried_along,
-    is_moving,
     range_image,
     ring_spread_px,
     spread_px,
-    vote,
 )
 
 PARAMETERS = DynamicParameters()
@@ -58,7 +55,7 @@ def robot_at(x):
 
 
 def votes_on(points_map, visits):
-    votes = np.zeros((len(points_map), 2), np.int32)
+    votes = no_votes(len(points_map))
     for x, has_box in visits:
         image = range_image(seen(robot_at(x), has_box), robot_at(x), SENSOR_EGO, PARAMETERS)
         vote(points_map, image, PARAMETERS, votes)
@@ -80,6 +77,23 @@ def test_a_box_that_was_there_and_went_is_voted_out():
     assert is_moving(votes_on(box_points(), visits)).all()
 
 
+def test_a_box_that_came_stood_and_went_is_voted_out_though_it_was_seen_half_of_the_time():
+    votes = votes_on(box_points(), [(0.2 * i, 3 <= i < 7) for i in range(10)])
+    assert (votes[:, HITS] >= 3).mean() > 0.9
+    assert is_moving(votes).all()
+
+
+def test_a_box_that_came_and_stays_is_kept_and_so_is_one_that_is_seen_through_now_and_then():
+    assert not is_moving(votes_on(box_points(), [(0.2 * i, i >= 4) for i in range(10)])).any()
+    assert not is_moving(votes_on(box_points(), [(0.2 * i, i % 2 == 0) for i in range(10)])).any()
+
+
+def test_one_miss_is_enough_where_images_are_rare_and_nothing_was_hit():
+    votes = np.array([[0, 1, 1, 1], [1, 2, 1, 1], [0, 0, 0, 0]], np.int32)
+    assert is_moving(votes, fewest_misses(1.0)).tolist() == [True, False, False]
+    assert not is_moving(votes, fewest_misses(0.2)).any()
+
+
 def test_a_box_that_stays_is_kept():
     votes = votes_on(box_points(), [(0.3 * i, True) for i in range(7)])
     assert not is_moving(votes).any()
@@ -99,7 +113,7 @@ def seen_under_sky(pose, has_box):
 
 
 def votes_under_sky(points_map, visits):
-    votes = np.zeros((len(points_map), 2), np.int32)
+    votes = no_votes(len(points_map))
     for x, has_box in visits:
         pose = robot_at(x)
         above = pose.inverse() @ np.array([[WALL_X_M, 0.0, 4.0]])  # a branch: rays do go up there
@@ -129,9 +143,9 @@ def test_where_no_ray_went_nothing_is_voted():
 def test_points_out_of_reach_are_not_judged():
     reach = PARAMETERS.max_range_m
     image = range_image((directions() * 60).astype(np.float32), robot_at(0), np.zeros(3), PARAMETERS)
-    votes = np.zeros((4, 2), np.int32)
+    votes = no_votes(4)
     vote(np.array([[reach + 0.1, 0, 0], [0.9, 0, 0], [reach - 0.1, 0, 0], [1.1, 0, 0]]), image, PARAMETERS, votes)
-    assert votes.tolist() == [[0, 0], [0, 0], [0, 1], [0, 1]]
+    assert votes.tolist() == [[0, 0, 0, 0], [0, 0, 0, 0], [0, 1, 1, 1], [0, 1, 1, 1]]
 
 
 def vote_slowly(point_view, ranges_m):
@@ -149,23 +163,29 @@ def vote_slowly(point_view, ranges_m):
     return (int(abs(ranges_m[i, j] - r) < PARAMETERS.margin_m), 0), border_px
 
 
+def summed_slowly(verdicts):
+    """The columns of votes, of (hit, miss) in the order of time."""
+    hits = [at for at, (hit, _) in enumerate(verdicts) if hit]
+    misses = [at for at, (_, miss) in enumerate(verdicts) if miss]
+    first, last = (hits[0], hits[-1]) if hits else (len(verdicts), -1)
+    return len(hits), len(misses), sum(at < first for at in misses), sum(at > last for at in misses)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_votes_are_those_of_each_point_on_its_own(seed):
     rng = np.random.default_rng(seed)
-    ranges_m = (
-        rng.choice([0.0, 5.0, 8.0, 11.0, 14.0, 17.0, 25.0], (10, 15))
-        .repeat(13, axis=0)
-        .repeat(60, axis=1)
-        .astype(np.float32)
-    )
+    blocks = rng.choice([0.0, 5.0, 8.0, 11.0, 14.0, 17.0, 25.0], (3, 10, 15))
+    images = blocks.repeat(13, axis=1).repeat(60, axis=2).astype(np.float32)
     points = rng.normal(size=(3000, 3)) * [10, 10, 3]
     view = SE3.from_parts(rng.normal(size=4), rng.normal(size=3))
-    votes = np.zeros((len(points), 2), np.int32)
-    vote(view @ points, RangeImage(view, ranges_m), PARAMETERS, votes)
-    slow = [vote_slowly(point, ranges_m) for point in points.tolist()]
-    clear = np.array([border_px > 1e-4 for _, border_px in slow])
+    votes = no_votes(len(points))
+    for ranges_m in images:
+        vote(view @ points, RangeImage(view, ranges_m), PARAMETERS, votes)
+    slow = [[vote_slowly(point, ranges_m) for ranges_m in images] for point in points.tolist()]
+    clear = np.array([verdicts[0][1] > 1e-4 for verdicts in slow])
     assert clear.mean() > 0.99
-    np.testing.assert_array_equal(votes[clear], np.array([voted for voted, _ in slow])[clear])
+    expected = np.array([summed_slowly([verdict for verdict, _ in verdicts]) for verdicts in slow])
+    np.testing.assert_array_equal(votes[clear], expected[clear])
     assert (votes.sum(axis=0) > 20).all()
 
 
@@ -203,14 +223,15 @@ def test_dense_sweeps_fill_their_own_pixels_only_and_sparse_ones_those_around():
 @given(st.floats(-math.pi, math.pi), st.floats(-500, 500), st.floats(-500, 500))
 def test_moving_and_yawing_the_world_moves_no_vote_off_its_point(yaw, x, y):
     world = SE3(np.array([math.cos(yaw / 2), 0, 0, math.sin(yaw / 2), x, y, 3.0]))
-    votes = np.zeros((len(box_points()), 2), np.int32)
+    votes = no_votes(len(box_points()))
     image = range_image(seen(robot_at(0), False), world @ robot_at(0), SENSOR_EGO, PARAMETERS)
     vote(world @ box_points(), image, PARAMETERS, votes)
     assert (votes == votes_on(box_points(), [(0.0, False)])).all()
 
 
 def test_it_takes_more_than_twice_as_many_misses_as_hits():
-    votes = np.array([[0, FEWEST_MISSES - 1], [0, FEWEST_MISSES], [2, 4], [2, 5], [0, 0]], np.int32)
+    hits_and_misses = np.array([[0, FEWEST_MISSES - 1], [0, FEWEST_MISSES], [2, 4], [2, 5], [0, 0]], np.int32)
+    votes = np.concatenate([hits_and_misses, np.zeros((5, 2), np.int32)], axis=1)  # all misses between two hits
     assert is_moving(votes).tolist() == [False, True, False, True, False]
 
 
@@ -276,7 +297,7 @@ def empty_plain(rings):
 
 
 def votes_on_the_plain(points_map, rings):
-    votes = np.zeros((len(points_map), 2), np.int32)
+    votes = no_votes(len(points_map))
     for x in np.arange(0.0, 4.0, 0.4):
         image = range_image(empty_plain(rings), robot_at(x), SENSOR_EGO, PARAMETERS)
         vote(points_map, image, PARAMETERS, votes)
@@ -296,17 +317,17 @@ def test_who_left_is_voted_out_and_the_ground_is_not_however_few_rings_look(ring
 def test_what_was_hardly_seen_and_touches_what_moved_moved_too():
     """A column of points 0.09 m apart whose lower half was voted out: the head goes with it, a wall's top would not."""
     points = np.column_stack([np.zeros(12), np.zeros(12), 0.09 * np.arange(12)])
-    moving, votes = np.arange(12) < 6, np.zeros((12, 2), np.int32)
+    moving, votes = np.arange(12) < 6, no_votes(12)
     seldom = carried_along(points, np.full(12, 3), votes, moving)
     np.testing.assert_array_equal(seldom, np.arange(12) < 10)  # two touches of 0.2 m, and no farther
     often = carried_along(points, np.full(12, 40), votes, moving)
     np.testing.assert_array_equal(often, moving)
-    vouched = carried_along(points, np.full(12, 3), votes + np.array([3, 0], np.int32), moving)
+    vouched = carried_along(points, np.full(12, 3), votes + np.array([3, 0, 0, 0], np.int32), moving)
     np.testing.assert_array_equal(vouched, moving)
 
 
 def test_where_nothing_moved_nothing_is_carried_along():
     points = np.random.default_rng(0).uniform(size=(50, 3))
     none = np.zeros(50, np.bool_)
-    assert not carried_along(points, np.ones(50, np.int64), np.zeros((50, 2), np.int32), none).any()
-    assert len(carried_along(points[:0], np.ones(0, np.int64), np.zeros((0, 2), np.int32), none[:0])) == 0
+    assert not carried_along(points, np.ones(50, np.int64), no_votes(50), none).any()
+    assert len(carried_along(points[:0], np.ones(0, np.int64), no_votes(0), none[:0])) == 0
