@@ -62,7 +62,7 @@ def _surface(drive: Drive, labels: Path) -> Array:
     """Centres (N, 3) of the voxels near the track that hold surface."""
     centres = centres_of(np.unique(keys_of(read_mesh(labels / "mesh.ply").vertices_map, VOXEL_M)), VOXEL_M)
     track = cKDTree(drive.sequence.frames.map_from_ego.translation_m[:, :2])
-    return centres[np.isfinite(track.query(centres[:, :2], distance_upper_bound=NEAR_M)[0])]
+    return np.asarray(centres[np.isfinite(track.query(centres[:, :2], distance_upper_bound=NEAR_M)[0])])
 
 
 def _touches(voxels: Array, others: Array) -> NDArray[np.bool_]:

@@ -29,6 +29,7 @@ from stone_recordings.report.projection_checks import projection_findings
 from stone_recordings.sync.association import SensorTopics, associate
 from stone_recordings.sync.clock_offsets import ClockOffsets, shifted_finding
 from stone_recordings.sync.ground_check import applied_finding, corrected, ground_findings, is_off, measured_ground
+from stone_recordings.sync.lag_check import lag_findings, measured_lag
 from stone_recordings.sync.map_joining import joined
 from stone_recordings.sync.recorded_messages import read_recorded
 from stone_recordings.sync.sweeps import BagSweeps, SweepsOfOpenBag
@@ -92,6 +93,7 @@ def _checked(bag: Bag, calibration: Calibration, options: SynchroniseOptions, na
     sequence, sweeps = _grounded(bag, calibration, options, name)
     seen = projection_findings(bag, sequence, sweeps)
     seen += trigger_findings(bag, _without_refuted(sequence, seen), sweeps)
+    seen += lag_findings(measured_lag(sequence, SweepsOfOpenBag(sweeps, bag)))
     return replace(sequence, findings=(*sequence.findings, *seen)), sweeps
 
 

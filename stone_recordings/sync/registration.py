@@ -28,7 +28,8 @@ Points = NDArray[np.float64]
 @dataclass(frozen=True)
 class Trust:
     """What a registration is believed from: the share of the source within `FINE_M` of the target, the typical distance
-    from its planes, and how far apart (m, rad) the results of displaced starts may lie.
+    from its planes, and how far apart (m, rad) the results of displaced starts may lie, which are tried only where the
+    place is asked for and not the turn alone.
 
     Measured on the KITTI piece: right ones 0.028 to 0.037 m, wrong ones from 0.082 m.
     """
@@ -37,6 +38,7 @@ class Trust:
     residual_m: float = 0.06
     spread_m: float = 0.15
     spread_rad: float = 0.02
+    is_place_asked: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +76,7 @@ class Target:
             return Registered(best, overlap, residual_m, f"only {overlap:.0%} of what is seen after it overlaps")
         if residual_m > trust.residual_m:
             return Registered(best, overlap, residual_m, f"the surfaces are {residual_m:.2f} m apart")
-        if not all(self._agrees(cloud, best, start, trust) for start in _displaced(guess)):
+        if trust.is_place_asked and not all(self._agrees(cloud, best, start, trust) for start in _displaced(guess)):
             return Registered(best, overlap, residual_m, "more than one place fits")
         return Registered(best, overlap, residual_m, "")
 

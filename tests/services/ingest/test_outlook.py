@@ -1,5 +1,6 @@
 """Whatever labelling refuses or leaves out, inspection has named, over the fault catalogue."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -26,8 +27,9 @@ EVERY_DAY = (
     "one picture garbage",
     "a plain chunk with a bad CRC",
 )
-# What two sides of a break have to do with each other, and where mounts are, is told where sweeps are looked at.
-OF_SWEEPS = {"SYN-507", "SYN-508", "TIM-205", "MSG-306"}
+# What two sides of a break have to do with each other, where mounts are, and whether poses and sweeps are of one time
+# is told where sweeps are looked at, with the calibration.
+OF_SWEEPS = {"SYN-507", "SYN-508", "TIM-205", "TIM-213", "MSG-306"}
 
 
 @pytest.fixture(scope="module")
@@ -83,6 +85,26 @@ def test_with_a_calibration_the_mounts_are_looked_at_too(simulated: SoundDrive) 
         assert "CAL-433" in {finding.code for finding in outlook(bag, simulated.rig(lower), SynchroniseOptions())}
         assert outlook(bag, None, SynchroniseOptions()) == ()
         assert inspected_in(bag, calibration=simulated.calibration).findings == ()
+
+
+# The simulated LiDAR stamps every point: a late header does not move them.
+@pytest.mark.parametrize(
+    ("which", "name"),
+    [("simulated", "poses 0.1 s late"), ("kitti", "poses 0.1 s late"), ("kitti", "sweeps 0.1 s late")],
+)
+def test_poses_and_sweeps_of_two_times_are_named_with_what_puts_them_right(
+    which: str, name: str, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    drive: SoundDrive = request.getfixturevalue(which)
+    with open_bag(faulty(drive, BY_NAME[name], tmp_path / "run.mcap")) as bag:
+        (late,) = [one for one in inspected_in(bag, calibration=drive.calibration).findings if one.code == "TIM-213"]
+    words = re.search(r"stamps of the (\w+) are about (\d+) ms later", late.message)
+    assert words is not None
+    assert words[1] == name.split()[0]
+    assert 70 <= int(words[2]) <= 120
+    with open_bag(drive.bag) as bag:
+        sound = inspected_in(bag, calibration=drive.calibration).findings
+    assert "TIM-213" not in {one.code for one in sound}
 
 
 def test_a_refusal_is_an_error_where_no_calibration_can_avert_it(simulated: SoundDrive, tmp_path: Path) -> None:

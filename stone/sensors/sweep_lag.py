@@ -1,0 +1,126 @@
+"""The lag of the poses behind the LiDAR's sweeps, from the turns between sweeps that registration measured.
+
+    turn of the sweeps(t₁, t₂) ≈ b + turn of the poses(t₁ + lag, t₂ + lag), the lag at which the two agree best
+
+**Conventions.** A turn is a rotation from the ego frame at its end into that at its beginning, `wxyz`. All three axes
+count: rough ground rolls and pitches a robot faster than it ever yaws. What is wrong by the same at any time (`b`, the
+mount's share) is taken out by a median. A positive lag means that the poses' stamps are late, a negative one that the
+sweeps' are. Least squares by Gauss and Newton, each turn weighted by one over its distance, so that a wrong one counts
+little; the standard error is that of least squares, and does not know what a late pose did to the sweeps themselves,
+which were deskewed by it: on simulated drives a lag of 0.2 s is found up to 20 % too small.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.geometry.se3 import multiply
+from stone.geometry.trajectory import Trajectory
+
+MAX_LAG_S, COARSE_STEP_S, SLOPE_STEP_S = 0.4, 0.02, 0.01
+ROUNDS = 8
+LEAST_TURN_RAD = 1e-5
+FEWEST_TURNS = 8
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class SweepTurns:
+    """K turns `wxyz` (K, 4) between sweeps stamped `begin_ns` and `end_ns` (K,)."""
+
+    begin_ns: NDArray[np.int64]
+    end_ns: NDArray[np.int64]
+    wxyz: Array
+
+    def __len__(self) -> int:
+        return len(self.begin_ns)
+
+
+@dataclass(frozen=True)
+class SweepLag:
+    """By how much the poses are late, its standard error, and how far a typical turn of the sweeps is from that of the
+    poses at that lag, and without one."""
+
+    turns: int
+    lag_ns: int
+    sigma_ns: int
+    residual_rad: float
+    unshifted_rad: float
+
+
+def sweep_lag(turns: SweepTurns, track: Trajectory, max_gap_ns: int) -> SweepLag | None:
+    """None for fewer than `FEWEST_TURNS` within the track, where nothing turns in a way that time would change, and
+    where the best agreement is at the end of the search (± `MAX_LAG_S`), which is none."""
+    residual = _Residuals(turns, track, max_gap_ns)
+    searched = np.arange(-MAX_LAG_S, MAX_LAG_S + COARSE_STEP_S / 2, COARSE_STEP_S)
+    typical = np.array([_typical(residual.at(float(lag_s))) for lag_s in searched])
+    if not np.isfinite(typical).any():
+        return None
+    best = int(np.nanargmin(typical))
+    if best in (0, len(searched) - 1):
+        return None
+    refined = _refined(residual, float(searched[best]))
+    if refined is None:
+        return None
+    lag_s, sigma_s = refined
+    at_lag, unshifted = (_typical(residual.at(at_s)) for at_s in (lag_s, 0.0))
+    return SweepLag(len(turns), round(lag_s * 1e9), round(sigma_s * 1e9), at_lag, unshifted)
+
+
+@dataclass(frozen=True, eq=False)
+class _Residuals:
+    turns: SweepTurns
+    track: Trajectory
+    max_gap_ns: int
+
+    def at(self, lag_s: float) -> Array:
+        """The rotation vectors (K, 3) from the turns of the sweeps to those of the poses so much later; NaN outside."""
+        shift_ns = round(lag_s * 1e9)
+        begin = self.track.at(self.turns.begin_ns + shift_ns, self.max_gap_ns)
+        end = self.track.at(self.turns.end_ns + shift_ns, self.max_gap_ns)
+        of_poses = (begin.map_from_ego.inverse() @ end.map_from_ego).wxyz
+        vectors = _rotation_vectors(multiply(self.turns.wxyz * np.array([1.0, -1, -1, -1]), of_poses))
+        vectors[begin.segment != end.segment] = np.nan
+        return vectors
+
+
+def _rotation_vectors(wxyz: Array) -> Array:
+    """Axis times angle (K, 3)."""
+    signed = wxyz * np.where(wxyz[:, :1] < 0, -1.0, 1.0)
+    sine = np.linalg.norm(signed[:, 1:], axis=1, keepdims=True)
+    return np.asarray(signed[:, 1:] / np.where(sine > 0, sine, 1.0) * 2 * np.arctan2(sine, signed[:, :1]))
+
+
+def _beside_median(vectors: Array) -> Array:
+    """The rows that are known (N, 3), without what they share."""
+    known = vectors[np.isfinite(vectors).all(axis=1)]
+    return np.asarray(known - np.median(known, axis=0)) if len(known) else known
+
+
+def _typical(vectors: Array) -> float:
+    """The median length of what the rows do not share; NaN for fewer than `FEWEST_TURNS` known ones."""
+    own = _beside_median(vectors)
+    return float(np.median(np.linalg.norm(own, axis=1))) if len(own) >= FEWEST_TURNS else float("nan")
+
+
+def _refined(residual: _Residuals, lag_s: float) -> tuple[float, float] | None:
+    """(lag, standard error), s; None where fewer than `FEWEST_TURNS` lie within the track or no turn changes."""
+    error_s = np.inf
+    for _ in range(ROUNDS):
+        here, later, earlier = (residual.at(lag_s + step_s) for step_s in (0.0, SLOPE_STEP_S, -SLOPE_STEP_S))
+        known = np.isfinite(here + later + earlier).all(axis=1)
+        if known.sum() < FEWEST_TURNS:
+            return None
+        slope = (later - earlier)[known] / (2 * SLOPE_STEP_S)
+        slope, off = slope - slope.mean(axis=0), _beside_median(here[known])
+        lengths = np.maximum(np.linalg.norm(off, axis=1), LEAST_TURN_RAD)
+        weights = np.minimum(1 / lengths, 1 / np.median(lengths))[:, None]
+        energy = float((weights * slope**2).sum())
+        if energy == 0:
+            return None
+        change_s = -float((weights * slope * off).sum()) / energy
+        variance = float((weights**2 * slope**2 * off**2).sum()) / energy**2
+        error_s, lag_s = float(np.sqrt(variance)), lag_s + float(np.clip(change_s, -COARSE_STEP_S, COARSE_STEP_S))
+    return lag_s, error_s
