@@ -42,7 +42,7 @@ def main() -> None:
             world = SimulateOptions(options.seconds, seed, options.channels, cameras=False, lidar_hz=rate)
             file = options.folder / f"figures-{_stem(world)}.json"
             if not options.table:
-                file.write_text(json.dumps(asdict(_counted(options.folder, world))) + "\n", "utf-8")
+                file.write_text(json.dumps(asdict(measured(options.folder, world))) + "\n", "utf-8")
             counts[rate, seed] = MoverCounts(**json.loads(file.read_text("utf-8")))
     _show(counts, options.rates, options.seeds)
 
@@ -51,7 +51,8 @@ def _stem(world: SimulateOptions) -> str:
     return f"{world.seed}-{world.channels}x{world.lidar_hz}Hz-{world.seconds:g}s"
 
 
-def _counted(folder: Path, world: SimulateOptions) -> MoverCounts:
+def measured(folder: Path, world: SimulateOptions) -> MoverCounts:
+    """The counts of this world, whoever its options say is about; its drives and labels are left in the folder."""
     busy = _labelled(folder, replace(world, traffic="busy"))
     truth = busy[0].truth
     movers = movers_of(replace(world, traffic="busy"), truth.trajectory, truth)

@@ -49,7 +49,8 @@ def is_moving(votes: NDArray[np.int32], fewest: int = FEWEST_MISSES) -> NDArray[
     """Which points (N,) moved, by their votes (N, 4)."""
     hits, misses, before, since = votes.T
     came_and_went = (before > 0) & (since > 0) & (before + since == misses) & (misses > hits)
-    return (misses >= FEWEST_OF_A_STAY) & came_and_went | (misses >= fewest) & (misses > MISSES_PER_HIT * hits)
+    is_often_missed = (misses >= fewest) & (misses > MISSES_PER_HIT * hits)
+    return np.asarray(is_often_missed | (misses >= FEWEST_OF_A_STAY) & came_and_went)
 
 
 def carried_along(
