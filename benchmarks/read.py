@@ -9,12 +9,13 @@ Growth is the kernel's peak of the process above what it held before, mapped pag
 
 import argparse
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from mcap.reader import make_reader
@@ -63,7 +64,7 @@ class Work:
 
     name: str
     path: Path
-    ways: dict[str, Callable[[Path], float]]
+    ways: Mapping[str, Callable[[Path], float]]
     turns: dict[str, list[ReadTurn]] = field(default_factory=dict)
 
     def best_s(self, way: str) -> float:
@@ -85,9 +86,14 @@ def mcap_clouds(path: Path) -> float:
     return 1.0
 
 
+def _rosbags_message(payload: bytes, kind: str) -> Any:
+    """The fields of a message have no static type."""
+    return typestore().deserialize_cdr(payload, kind)
+
+
 def rosbags_clouds(path: Path) -> float:
     for payload, kind in _rosbags(path):
-        _xyz(typestore().deserialize_cdr(payload, kind).data)
+        _xyz(_rosbags_message(payload, kind).data)
     return 1.0
 
 
@@ -111,7 +117,7 @@ def mcap_lists(path: Path) -> float:
 
 def rosbags_lists(path: Path) -> float:
     for _, (payload, kind) in zip(range(PEER_LISTS), _rosbags(path), strict=False):
-        message = typestore().deserialize_cdr(payload, kind)
+        message = _rosbags_message(payload, kind)
         np.array([d.f_range for d in message.list_detections[: message.list_numofdetections]], np.float32)
     return PEER_LISTS / LISTS
 

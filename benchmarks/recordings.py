@@ -5,6 +5,7 @@ and no checksums; compressed only where a name says so.
 """
 
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
@@ -36,7 +37,7 @@ def write_clouds(path: Path, compression: str, clouds: int = CLOUDS) -> Path:
         for number in range(clouds):
             stamp_ns = START_NS + number * 100_000_000
             writer.add_message(channel, stamp_ns, cloud_payload(number), stamp_ns)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
     return path
 
 
@@ -54,11 +55,11 @@ def write_lists(path: Path, count: int = LISTS) -> Path:
             stamp_ns = START_NS + number * 16_666_667
             record["sec"], record["nanosec"] = divmod(stamp_ns, 1_000_000_000)
             writer.add_message(channel, stamp_ns, record.tobytes(), stamp_ns)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
     return path
 
 
-def _started(file: object, topic: str, kind: str, compression: str) -> tuple[Writer, int]:
+def _started(file: BinaryIO, topic: str, kind: str, compression: str) -> tuple[Writer, int]:
     writer = Writer(file, chunk_size=768 << 10, compression=COMPRESSIONS[compression], enable_crcs=False)
     writer.start("ros2", library="")
     schema = writer.register_schema(kind, "ros2msg", message_definition(kind).encode())
@@ -79,7 +80,7 @@ def cloud_payload(number: int) -> bytes:
     types = store.types
     fields = [
         types["sensor_msgs/msg/PointField"](name, offset, DATATYPES[POINT[name].str], 1)
-        for name, offset in ((name, POINT.fields[name][1]) for name in POINT.names or ())
+        for name, (_, offset, *_) in (POINT.fields or {}).items()
     ]
     sec, nanosec = divmod(stamp_ns, 1_000_000_000)
     header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](sec, nanosec), "hesai_lidar")

@@ -84,8 +84,8 @@ class ScoreInputs:
 def take_turns(opened: ScoreInputs, clocks: dict[str, ScoreTimes]) -> NDArray[np.int32]:
     """The confusions of all frames."""
     data, kept = opened.data, []
-    ours = ((OURS, data.planes_of, 1), (OURS_2, data.planes_of, 2))
-    ours += ((PACKED, opened.pack.planes_of, 1), (PACKED_2, opened.pack.planes_of, 2))
+    unpacked = ((OURS, data.planes_of, 1), (OURS_2, data.planes_of, 2))
+    ours = (*unpacked, (PACKED, opened.pack.planes_of, 1), (PACKED_2, opened.pack.planes_of, 2))
     for part in np.array_split(np.array(data.tokens), TURNS):
         tokens = tuple(map(str, part))
         found = []

@@ -105,8 +105,8 @@ def _figures(cast: Cast, seed: int) -> dict[str, Figures]:
         figures["paper"] |= _untiled_measured(drive, folders["paper"], cast.named(f"labels-{seed}-untiled"))
         return figures
     clean = replace(cast, name=CASTS[0]).drive(seed)
-    for profile, labels in folders.items():
-        invented = invented_counts(drive, labels, clean)
+    for profile in profiles:
+        invented = invented_counts(drive, folders[profile], clean)
         figures[profile] |= {"invented_tp": invented[1] + invented[2], "invented_n": invented[3]}
     return figures
 
