@@ -43,8 +43,8 @@ class ClockOffsets:
 
 
 def shifted_finding(topic: str, offset_ns: int) -> tuple[Finding, ...]:
-    """TIM-210 where a clock was shifted."""
+    """TIM-214 where a clock was shifted."""
     if not offset_ns:
         return ()
     sentence = f"its stamps are shifted by {offset_ns / 1e9:+.6f} s, as the calibration or the command says"
-    return (Finding("TIM-210", "info", topic, sentence),)
+    return (Finding("TIM-214", "info", topic, sentence),)

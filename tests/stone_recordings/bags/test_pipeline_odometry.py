@@ -149,7 +149,7 @@ def test_a_lidar_on_another_clock_is_put_right_by_the_calibration_or_the_command
         assert_true_path(sequence)
         assert sequence.frames.stamps_ns.tolist() == STAMPS_NS.tolist()
         assert source.sweep(3).stamp_ns == STAMPS_NS[3]
-        assert "TIM-210" in codes(sequence)
+        assert "TIM-214" in codes(sequence)
 
 
 def test_poses_on_another_clock_are_put_right_by_the_calibration_or_the_command(tmp_path):
@@ -166,7 +166,7 @@ def test_poses_on_another_clock_are_put_right_by_the_calibration_or_the_command(
     ):
         sequence, _ = synchronised(path, cal, **options)
         assert len(sequence.frames) == 8
-        assert "TIM-210" in codes(sequence)
+        assert "TIM-214" in codes(sequence)
 
 
 def test_the_topic_asked_for_wins(tmp_path):
