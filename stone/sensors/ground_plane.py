@@ -58,12 +58,14 @@ class GroundFit:
         return level if self.is_high_or_low else replace(level, height_m=0.0)
 
     def corrected(self, ego_from_lidar: SE3) -> SE3:
-        """The mount with which the ground lies where it should: the ego frame put on it, turned as little as can be."""
+        """The mount with which the ground lies where it should: turned as little as can be, as high above the ground as
+        it is seen to be, and in plan where it was entered, for how it is turned says nothing of where it sits."""
         normal = np.array([-self.slope_x, -self.slope_y, 1.0])
         normal /= np.linalg.norm(normal)
         turn = SE3.from_parts(shortest_turn_to_z(normal), np.zeros(3))
-        down = SE3.from_parts(np.array([1.0, 0, 0, 0]), np.array([0.0, 0.0, -self.height_m]))
-        return turn @ down @ ego_from_lidar
+        place_m = ego_from_lidar.translation_m
+        above_m = float(normal @ (place_m - np.array([0.0, 0.0, self.height_m])))
+        return SE3.from_parts((turn @ ego_from_lidar).wxyz, np.array([place_m[0], place_m[1], above_m]))
 
 
 def plane_around(points_ego: NDArray[np.float32]) -> Array | None:
@@ -88,22 +90,31 @@ def ground_fit(planes: list[Array]) -> GroundFit | None:
     return GroundFit(len(planes), height_m, slope_x, slope_y, low_m, high_m)
 
 
-def _lowest(points_ego: NDArray[np.float32]) -> Array:
-    """The low points (C, 3) of cells around the robot: their centre of mass in plan, a low quantile in height."""
+def around_robot(points_ego: NDArray[np.float32]) -> Array:
+    """Those of the points (N, 3) that may be ground near the robot."""
     points = points_ego.astype(np.float64)
     far_m = np.hypot(points[:, 0], points[:, 1])
     is_near = (far_m >= NEAREST_M) & (far_m <= FARTHEST_M) & (points[:, 2] >= LOWEST_M) & (points[:, 2] <= HIGHEST_M)
-    points = points[is_near]
-    if not len(points):
-        return np.zeros((0, 3))
-    index = np.floor(points[:, :2] / CELL_M).astype(np.int64) + 1000
-    cell = index[:, 0] * 10_000 + index[:, 1]
+    return np.asarray(points[is_near])
+
+
+def low_points(points: Array, cell: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
+    """The cells (C,) that hold `FEWEST_IN_CELL` of the points (N, 3), sorted, and the point (C, 3) of each that is at a
+    low quantile of height; `cell` (N,) says which each point is in."""
     order = np.lexsort((points[:, 2], cell))
     points, cell = points[order], cell[order]
-    first = np.flatnonzero(np.append(True, np.diff(cell) != 0))
+    first = np.flatnonzero(np.append(True, np.diff(cell) != 0)[: len(cell)])
     count = np.diff(np.append(first, len(cell)))
+    is_full = count >= FEWEST_IN_CELL
     lowest = points[first + (LOW_QUANTILE * (count - 1)).astype(np.int64)]
-    return np.asarray(lowest[count >= FEWEST_IN_CELL])
+    return cell[first][is_full], np.asarray(lowest[is_full])
+
+
+def _lowest(points_ego: NDArray[np.float32]) -> Array:
+    """The low points (C, 3) of cells around the robot."""
+    points = around_robot(points_ego)
+    index = np.floor(points[:, :2] / CELL_M).astype(np.int64) + 1000
+    return low_points(points, index[:, 0] * 10_000 + index[:, 1])[1]
 
 
 def _is_around(cells: Array) -> bool:
