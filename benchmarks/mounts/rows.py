@@ -51,8 +51,8 @@ WRONG = (
 
 
 def row_of(drive: MountDrive, number: int, sound: Mapping[str, Grids]) -> dict[str, Any]:
-    """Of the wrong mount of this number: how far the corrected one is from the right one, and the IoU of its labels with
-    the sound ones, by the way that these were put on the ground."""
+    """Of the wrong mount of this number: how far the corrected one is from the right one, and the IoU of its labels
+    with the sound ones, by the way that these were put on the ground."""
     entered = WRONG[number].misreading(drive.rig())
     with tempfile.TemporaryDirectory(prefix="stone-mounts-") as folder:
         try:

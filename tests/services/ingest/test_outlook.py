@@ -26,8 +26,8 @@ EVERY_DAY = (
     "one picture garbage",
     "a plain chunk with a bad CRC",
 )
-# What two sides of a break have to do with each other, and where mounts are, is told where sweeps are looked at.
-OF_SWEEPS = {"SYN-507", "SYN-508", "TIM-205", "MSG-306"}
+# What two sides of a break have to do with each other, where the ground is seen and mounts are, is told where sweeps are looked at.
+OF_SWEEPS = {"SYN-507", "SYN-508", "SYN-514", "SYN-515", "TIM-205", "MSG-306"}
 
 
 @pytest.fixture(scope="module")
