@@ -125,10 +125,15 @@ def _told(height_m: Array, moved_m: Array, is_near: NDArray[np.bool_], looks: tu
     """Of links (L,): by how much each one's second look lies higher, and is moved up against the first."""
     found_m, way = looks
     apart_m, left_m = np.abs(moved_m), np.abs(height_m + moved_m)
-    farthest = [float(gaps.max(initial=0.0)) for gaps in (apart_m, apart_m[is_near])]
-    left = float(np.quantile(left_m, 0.95)) if len(left_m) else 0.0
-    spans = (float(np.ptp(found_m)), float(np.ptp(way.driven_m)))
-    return HeightDrift(len(found_m), len(height_m), *farthest, left, *spans)
+    return HeightDrift(
+        len(found_m),
+        len(height_m),
+        apart_m=float(apart_m.max(initial=0.0)),
+        visit_apart_m=float(apart_m[is_near].max(initial=0.0)),
+        left_m=float(np.quantile(left_m, 0.95)) if len(left_m) else 0.0,
+        span_m=float(np.ptp(found_m)),
+        driven_m=float(np.ptp(way.driven_m)),
+    )
 
 
 def _pairs(way: Way) -> Rows:

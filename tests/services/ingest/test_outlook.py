@@ -26,7 +26,7 @@ EVERY_DAY = (
     "one picture garbage",
     "a plain chunk with a bad CRC",
 )
-# What two sides of a break have to do with each other, where the ground is seen and mounts are, is told where sweeps are looked at.
+# What two sides of a break have to do with each other, and where ground and mounts are, is told by looking at sweeps.
 OF_SWEEPS = {"SYN-507", "SYN-508", "SYN-514", "SYN-515", "TIM-205", "MSG-306"}
 
 
