@@ -1,6 +1,6 @@
 """The check that poses do not drift in z against the ground they were driven over, and the correction where they do.
 
-**Conventions.** Measured on sweeps spread along the way (`stone.sensors.height_drift`), once the mount of the LiDAR is
+**Conventions.** Measured on sweeps spread along the way (`stone.sensors.ground_links`), once the mount of the LiDAR is
 known to be right. Within
 `stone.sensors.height_drift.TOLERATED_M` poses stay as given, bit for bit; beyond, every pose of the frames and of the
 track between them is moved in z, and in nothing else, by what the ground says, interpolated in time.
@@ -14,18 +14,18 @@ from numpy.typing import NDArray
 from stone.findings import Finding
 from stone.geometry.se3 import SE3
 from stone.sensors.ego_path import maps_of_frames
-from stone.sensors.ground_plane import GroundFit, around_robot
-from stone.sensors.height_drift import (
+from stone.sensors.ground_links import (
     LEAST_FLOOR_M,
     SAME_FLOOR_RATIO,
     TERRAIN_RAD,
-    HeightDrift,
     Way,
     drift,
     driven,
     look,
     looks_along,
 )
+from stone.sensors.ground_plane import GroundFit, around_robot
+from stone.sensors.height_drift import HeightDrift
 from stone.sensors.sequence import Sequence, SweepSource
 from stone_recordings.sync.ground_check import is_off, seen_around
 

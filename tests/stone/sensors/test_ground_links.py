@@ -8,10 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from stone.sensors.height_drift import (
+from stone.sensors.ground_links import (
     FEWEST_CELLS,
     MANY_LOOKS,
-    TOLERATED_M,
     WIDEST_SPACING_M,
     Look,
     Way,
@@ -20,6 +19,7 @@ from stone.sensors.height_drift import (
     look,
     looks_along,
 )
+from stone.sensors.height_drift import TOLERATED_M
 
 FLOOR_M = 0.8
 LINE = np.column_stack([np.arange(0.0, 202.0, 2.0), np.zeros(101)])
