@@ -20,7 +20,7 @@ from stone.sensors.sequence import Sequence, SweepSource
 
 SWEEPS = 40
 MIN_RANGE_M = 1.0
-ROUNDS, SETTLED_M, SETTLED_RAD = 6, 0.0005, 0.00005
+ROUNDS, SETTLED_M, SETTLED_RAD = 8, 0.0001, 0.00001
 
 
 def measured_ground(sequence: Sequence, sweeps: SweepSource) -> GroundFit | None:
