@@ -1,6 +1,6 @@
-# make install | demo | serve | test | test-all | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-platform | bench-pages | bench-truth | bench-movers | bench-real | bench-faults | bench-decisions | season | images
+# make install | demo | serve | test | test-all | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-platform | bench-pages | bench-truth | bench-movers | bench-mounts | bench-real | bench-faults | bench-decisions | season | images
 # Each installs first, which costs nothing when nothing changed.
-.PHONY: install test-clients demo serve test test-all check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-platform bench-pages bench-truth bench-movers bench-real bench-faults bench-decisions season images
+.PHONY: install test-clients demo serve test test-all check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-platform bench-pages bench-truth bench-movers bench-mounts bench-real bench-faults bench-decisions season images
 .DELETE_ON_ERROR:
 
 BIN := .venv/bin
@@ -100,6 +100,9 @@ bench-real: install
 
 bench-faults: install
 	$(BIN)/python -m benchmarks.faults
+
+bench-mounts: install
+	$(BIN)/python -m benchmarks.mounts
 
 bench-decisions: install
 	$(BIN)/python -m benchmarks.decisions

@@ -74,7 +74,7 @@ OdometryOption = Annotated[
     typer.Option(metavar="TOPIC", help="What gives the poses: a topic, or kiss-icp; else the best the bag has."),
 ]
 GroundOption = Annotated[
-    Ground, typer.Option(help="Where it lies: as the calibration says, or measured, and the LiDAR's mount corrected.")
+    Ground, typer.Option(help="Where it lies: as the calibration says, or measured, with the LiDAR's height and tilt.")
 ]
 LidarOption = Annotated[
     str | None, typer.Option(metavar="TOPIC", help="The topic of the LiDAR's clouds, where the bag has several.")

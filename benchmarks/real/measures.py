@@ -21,6 +21,7 @@ from stone.geometry.lattice import keys_of
 from stone.geometry.se3 import SE3, Array
 from stone.labels.footprint import densified
 from stone.labels.grid import Grid
+from stone.labels.track_coverage import STEP_M, covered_places
 from stone.labels.traversability import NON_TRAVERSABLE, TRAVERSABLE
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.ego_path import ego_path
@@ -29,9 +30,6 @@ from stone.sensors.sequence import Sequence
 LEVEL_COSINE = np.cos(np.deg2rad(30.0))
 SEEN_M, GROUND_BAND_M, BELOW_M = 25.0, 1.0, 0.15
 WALL_M, WALL_FROM_M, WALL_TO_M = 0.3, 0.5, 2.5
-STEP_M, SPACING_M = 0.5, 0.1
-# What lies so far inside the footprint is in a voxel whose centre is under it.
-INSIDE_M = VOXEL_M / np.sqrt(2)
 Mask = NDArray[np.bool_]
 
 
@@ -105,18 +103,9 @@ def lowest(points_map: Array) -> Mask:
 
 
 def t_coverage(labels: WrittenLabels) -> float | None:
-    """The share of places under the footprint, along the track, in whose column a T voxel lies, or one above or below.
-
-    The places are `SPACING_M` apart and `INSIDE_M` inside the footprint.
-    """
-    footprint = labels.sequence.calibration.footprint
-    halves = (footprint.length_m / 2 - INSIDE_M, footprint.width_m / 2 - INSIDE_M)
-    x, y = (np.linspace(-half, half, 1 + int(np.ceil(2 * half / SPACING_M))) for half in halves)
-    under = np.stack(np.meshgrid(x, y, (-VOXEL_M, 0.0, VOXEL_M), indexing="ij"), axis=-1)
+    """The share of places under the footprint, along the track, in whose voxel T lies, or in the one above or below."""
     driven = labels.voxels.keys[labels.voxels.classes == TRAVERSABLE]
-    keys = [keys_of((labels.way[row] @ under).reshape(-1, 3), VOXEL_M) for row in range(len(labels.way))]
-    is_driven = np.isin(np.concatenate(keys), driven).reshape(-1, under.shape[2])
-    return share(np.asarray(is_driven.any(axis=1)))
+    return share(covered_places(driven, labels.way, labels.sequence.calibration.footprint)[0].ravel())
 
 
 def flat_non_traversable(labels: WrittenLabels) -> float | None:

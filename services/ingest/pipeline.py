@@ -1,6 +1,7 @@
 """From one recording and its calibration to a synchronised sequence: the page to read first.
 
     topics → stamps → ego trajectory → frames → associations → sweeps on demand → maps joined where the track breaks
+           → mount held against the ground → drift in z followed
 
 **Conventions.** The LiDAR stamp is the frame (paper, III-C). Nothing is shifted, extrapolated or repaired silently:
 what was noticed is in the sequence's findings, what is unusable in its exclusions, the rest is refused.
@@ -28,7 +29,8 @@ from stone_recordings.poses.quality import quality_findings
 from stone_recordings.report.projection_checks import projection_findings
 from stone_recordings.sync.association import SensorTopics, associate
 from stone_recordings.sync.clock_offsets import ClockOffsets, shifted_finding
-from stone_recordings.sync.ground_check import applied_finding, corrected, ground_findings, is_off, measured_ground
+from stone_recordings.sync.ground_check import applied_finding, ground_findings, measured_ground, settled
+from stone_recordings.sync.height_check import height_followed
 from stone_recordings.sync.lag_check import lag_findings, measured_lag
 from stone_recordings.sync.map_joining import joined
 from stone_recordings.sync.recorded_messages import read_recorded
@@ -48,7 +50,7 @@ class SynchroniseOptions:
     """Topics by name where the recording's roles are not meant; poses more than `max_pose_gap_ns` apart are a gap.
 
     `odometry_topic` may be "kiss-icp". `topics` names the topic of a role (lidar, pose) or of a channel (CAM_FRONT).
-    `ground` is "given" by the calibration, or "auto": measured, and the LiDAR's mount corrected where it is off.
+    `ground` is "given" by the calibration, or "auto": measured, and height and tilt of the LiDAR's mount taken from it.
     `time_offsets_ns` are added to the stamps of the parts "lidar" and "pose" instead of what the calibration says.
     `recording_sha256` spares reading the whole recording again where it is known; with `is_hashed` false nobody hashes
     it here, and `inputs` of the sequence lack it.
@@ -98,15 +100,18 @@ def _checked(bag: Bag, calibration: Calibration, options: SynchroniseOptions, na
 
 
 def _grounded(bag: Bag, calibration: Calibration, options: SynchroniseOptions, name: str) -> tuple[Sequence, BagSweeps]:
-    """With the ground measured, and the mount of the LiDAR corrected by it where that is asked for."""
+    """With the ground measured, the mount of the LiDAR corrected by it where that is asked for, and drift in z followed
+    where the poses have it."""
     sequence, sweeps = _synchronised(bag, calibration, options, name)
     fit, applied = measured_ground(sequence, SweepsOfOpenBag(sweeps, bag)), tuple[Finding, ...]()
-    if options.ground == "auto" and fit is not None and is_off(fit):
-        applied = (applied_finding(calibration, fit),)
-        sequence, sweeps = _synchronised(bag, corrected(calibration, fit), options, name)
+    if options.ground == "auto" and fit is not None:
+        settled_on = settled(sequence, SweepsOfOpenBag(sweeps, bag), fit)
+        applied = (applied_finding(fit, settled_on),)
+        sequence, sweeps = _synchronised(bag, settled_on, options, name)
         fit = measured_ground(sequence, SweepsOfOpenBag(sweeps, bag))
     findings = (*sequence.findings, *applied, *ground_findings(sequence, fit))
-    return replace(sequence, ground=fit, findings=findings), sweeps
+    measured = replace(sequence, ground=fit, findings=findings)
+    return height_followed(measured, SweepsOfOpenBag(sweeps, bag), fit), sweeps
 
 
 def _without_refuted(sequence: Sequence, seen: tuple[Finding, ...]) -> Sequence:

@@ -18,6 +18,7 @@ from services.domain.sequences.stage_checks import require_sequence
 from services.domain.viewer.playback import PLAYBACK
 from services.labeler.map.comparison import comparison_path
 from services.labeler.map.map_files import map_folder
+from services.labeler.map.track_coverage import coverage_path
 from services.labeler.report import report_of
 from services.labeler.results import PackIndex, load_pack, pack_path
 from services.labeler.run import LabelRun, Part, parts_of
@@ -71,7 +72,7 @@ def publish(context: LabelStageContext) -> Outcome:
 
 def files_of_publish(run: LabelRun) -> StageFiles:
     """What it pulls: all that is published, and what the report is made of."""
-    needed = ("sums", "packs", map_folder(run).name, comparison_path(run).name)
+    needed = ("sums", "packs", map_folder(run).name, comparison_path(run).name, coverage_path(run).name)
     return StageFiles(needed, needed)
 
 

@@ -3,7 +3,9 @@
 **Conventions.** `class_share_of_occupied` is over all occupied voxels of all frames; `profiles` over the voxels of the
 map, each once: the classes in the profile that was asked for and in the other, the share that would change, and whether
 the track spans the relief that profile `paper` needs it to. `reference.outliers` are of the driven voxels, null where
-they are few, with the share of the map that has another class by the other estimate. `refinement` is null where poses
+they are few, with the share of the map that has another class by the other estimate. `track` is how much of what the
+footprint went over is T, pinholes closed, and which share of the way has none; `height_drift` what the poses drifted
+in z. `refinement` is null where poses
 were taken as they came. What was measured while it was made (seconds, memory) is apart, in `costs`: without them equal
 inputs give equal bytes.
 """
@@ -19,12 +21,14 @@ from services.labeler.frames import FrameVoxelCounts
 from services.labeler.map.comparison import ProfileComparison, Relief, load_comparison, other_reference, relief_of
 from services.labeler.map.outliers import outlier_counts, outlier_findings
 from services.labeler.map.surface import TileSummary
+from services.labeler.map.track_coverage import coverage_findings, load_coverage
 from services.labeler.parameters import LabelParameters
 from services.labeler.results import load_pack, load_summaries, reference_from
 from services.labeler.run import LabelRun, parts_of
 from services.labeler.tables import concatenated
 from services.runtime.code_version import code_version
 from stone.findings import Finding
+from stone.labels.track_coverage import TrackCoverage
 from stone.labels.traversability import FEW_VOXELS, Reference
 from stone.sensors.sequence import Sequence
 
@@ -45,6 +49,7 @@ class LabelReport:
     counts: FrameVoxelCounts
     findings: tuple[Finding, ...]
     profiles: Mapping[str, Any]
+    track: TrackCoverage
     outliers: Mapping[str, Any] | None = None
     refinement: Mapping[str, Any] | None = None
     costs: Mapping[str, Any] = field(default_factory=dict)
@@ -64,7 +69,9 @@ class LabelReport:
             "profiles": dict(self.profiles),
             "refinement": self.refinement,
             "ground": None if sequence.ground is None else asdict(sequence.ground),
+            "height_drift": None if sequence.height_drift is None else asdict(sequence.height_drift),
             "observed_ratio": self._observed_ratio(),
+            "track": {name: round(getattr(self.track, name), 6) for name in ("closed_ratio", "bare_ratio")},
             "reference": {
                 "features": ["elevation_m", "slope_rad", "roughness_log_m2"],
                 "mean": reference.mean.tolist(),
@@ -109,12 +116,14 @@ def report_of(run: LabelRun) -> LabelReport:
     outliers = outlier_counts(tiles, parameters.reference)
     doubts = reference_findings(parameters, reference, comparison)
     doubts += tuple(outlier_findings(outliers, parameters, comparison.reestimated_ratio))
+    track = load_coverage(run)
+    doubts += coverage_findings(track, parameters.footprint_band_m)
     findings = (*sequence.findings, *label_findings(parameters, reference, counts, relief), *doubts)
     profiles = comparison.as_record(parameters) | {"elevation": asdict(relief)}
     named = (sequence, parameters, code_version("labels"))
     share = {"reestimated_share": round(comparison.reestimated_ratio, 6)}
     told = None if outliers is None else share | outliers.as_record()
-    return LabelReport(*named, reference, tuple(tiles), counts, findings, profiles, told)
+    return LabelReport(*named, reference, tuple(tiles), counts, findings, profiles, track, told)
 
 
 def label_findings(

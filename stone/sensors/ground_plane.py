@@ -15,11 +15,13 @@ from stone.geometry.se3 import SE3, shortest_turn_to_z
 NEAREST_M, FARTHEST_M = 0.8, 12.0
 LOWEST_M, HIGHEST_M = -2.5, 1.5
 CELL_M, LOW_QUANTILE = 0.3, 0.3
-FEWEST_IN_CELL, FEWEST_CELLS = 3, 24
-REACHES_M = (2.5, 3.0, 4.0, 6.0, 8.0, FARTHEST_M)  # the nearest that shows enough: terrain bends
+FEWEST_IN_CELL, FEWEST_CELLS, FULL_SHARE = 3, 24, 0.2
+REACHES_M = (2.5, 3.0, 4.0, 6.0, 8.0, FARTHEST_M)  # the nearest that is full enough, or shows enough: terrain bends
 TRIPLES, INLIER_M, STEEPEST = 200, 0.08, 0.35  # tan 19°: steeper is no ground a mount could be held against
 LEAST_INLIERS = 0.4
+FITS, FAR_M = 12, 0.15
 FEWEST_SWEEPS = 5
+UPRIGHT = 0.3
 TOLERATED_M, TOLERATED_RAD = 0.07, float(np.deg2rad(1.5))
 SEED = 17
 
@@ -58,23 +60,39 @@ class GroundFit:
         return level if self.is_high_or_low else replace(level, height_m=0.0)
 
     def corrected(self, ego_from_lidar: SE3) -> SE3:
-        """The mount with which the ground lies where it should: the ego frame put on it, turned as little as can be."""
+        """The mount with which the ground lies where it should: as high above it as it is seen to be and turned until
+        it is level, its place and the heading of its x axis in plan as they were entered."""
         normal = np.array([-self.slope_x, -self.slope_y, 1.0])
         normal /= np.linalg.norm(normal)
-        turn = SE3.from_parts(shortest_turn_to_z(normal), np.zeros(3))
-        down = SE3.from_parts(np.array([1.0, 0, 0, 0]), np.array([0.0, 0.0, -self.height_m]))
-        return turn @ down @ ego_from_lidar
+        turned = SE3.from_parts(shortest_turn_to_z(normal), np.zeros(3)) @ ego_from_lidar
+        yaw_rad = _heading_rad(ego_from_lidar) - _heading_rad(turned)
+        back = np.array([np.cos(yaw_rad / 2), 0.0, 0.0, np.sin(yaw_rad / 2)])
+        place_m = ego_from_lidar.translation_m
+        above_m = float(normal @ (place_m - np.array([0.0, 0.0, self.height_m])))
+        wxyz = (SE3.from_parts(back, np.zeros(3)) @ turned).wxyz
+        return SE3.from_parts(wxyz, np.array([place_m[0], place_m[1], above_m]))
+
+
+def _heading_rad(ego_from_lidar: SE3) -> float:
+    """Where the LiDAR's x axis points in plan; 0 where it points up or down."""
+    x, y, _ = ego_from_lidar.rotation()[:, 0]
+    return float(np.arctan2(y, x)) if np.hypot(x, y) > UPRIGHT else 0.0
 
 
 def plane_around(points_ego: NDArray[np.float32]) -> Array | None:
     """(height_m, slope_x, slope_y) of the ground around the robot by the points (N, 3) of one sweep; None where too
     little of it is seen, or no plane holds."""
     cells = _lowest(points_ego)
-    for reach_m in REACHES_M:
-        near = cells[np.hypot(cells[:, 0], cells[:, 1]) <= reach_m]
-        if len(near) >= FEWEST_CELLS and _is_around(near):
-            return _plane(near)
-    return None
+    around = [cells[np.hypot(cells[:, 0], cells[:, 1]) <= reach_m] for reach_m in REACHES_M]
+    shown = [near for near in around if len(near) >= FEWEST_CELLS and _is_around(near)]
+    full = [near for near, reach_m in zip(around, REACHES_M, strict=True) if _share(near, reach_m) >= FULL_SHARE]
+    chosen = [near for near in full if _is_around(near)] or shown
+    return _plane(chosen[0]) if chosen else None
+
+
+def _share(cells: Array, reach_m: float) -> float:
+    """How much of the plan within reach the cells are: of little, it may be what stands beside the robot."""
+    return len(cells) * CELL_M**2 / (np.pi * reach_m**2)
 
 
 def ground_fit(planes: list[Array]) -> GroundFit | None:
@@ -88,22 +106,31 @@ def ground_fit(planes: list[Array]) -> GroundFit | None:
     return GroundFit(len(planes), height_m, slope_x, slope_y, low_m, high_m)
 
 
-def _lowest(points_ego: NDArray[np.float32]) -> Array:
-    """The low points (C, 3) of cells around the robot: their centre of mass in plan, a low quantile in height."""
+def around_robot(points_ego: NDArray[np.float32]) -> Array:
+    """Those of the points (N, 3) that may be ground near the robot."""
     points = points_ego.astype(np.float64)
     far_m = np.hypot(points[:, 0], points[:, 1])
     is_near = (far_m >= NEAREST_M) & (far_m <= FARTHEST_M) & (points[:, 2] >= LOWEST_M) & (points[:, 2] <= HIGHEST_M)
-    points = points[is_near]
-    if not len(points):
-        return np.zeros((0, 3))
-    index = np.floor(points[:, :2] / CELL_M).astype(np.int64) + 1000
-    cell = index[:, 0] * 10_000 + index[:, 1]
+    return np.asarray(points[is_near])
+
+
+def low_points(points: Array, cell: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
+    """The cells (C,) that hold `FEWEST_IN_CELL` of the points (N, 3), sorted, and the point (C, 3) of each that is at a
+    low quantile of height; `cell` (N,) says which each point is in."""
     order = np.lexsort((points[:, 2], cell))
     points, cell = points[order], cell[order]
-    first = np.flatnonzero(np.append(True, np.diff(cell) != 0))
+    first = np.flatnonzero(np.append(True, np.diff(cell) != 0)[: len(cell)])
     count = np.diff(np.append(first, len(cell)))
+    is_full = count >= FEWEST_IN_CELL
     lowest = points[first + (LOW_QUANTILE * (count - 1)).astype(np.int64)]
-    return np.asarray(lowest[count >= FEWEST_IN_CELL])
+    return cell[first][is_full], np.asarray(lowest[is_full])
+
+
+def _lowest(points_ego: NDArray[np.float32]) -> Array:
+    """The low points (C, 3) of cells around the robot."""
+    points = around_robot(points_ego)
+    index = np.floor(points[:, :2] / CELL_M).astype(np.int64) + 1000
+    return low_points(points, index[:, 0] * 10_000 + index[:, 1])[1]
 
 
 def _is_around(cells: Array) -> bool:
@@ -113,7 +140,7 @@ def _is_around(cells: Array) -> bool:
 
 
 def _plane(cells: Array) -> Array | None:
-    """The plane that most cells lie on, by triples of them, then by least squares over those; None below a share."""
+    """The plane that most cells lie on, by triples of them, then by robust least squares; None below a share."""
     rng = np.random.default_rng(SEED)
     triples = cells[rng.integers(0, len(cells), (TRIPLES, 3))]
     design = np.concatenate([np.ones((TRIPLES, 3, 1)), triples[:, :, :2]], axis=2)
@@ -127,9 +154,10 @@ def _plane(cells: Array) -> Array | None:
     everywhere = np.column_stack([np.ones(len(cells)), cells[:, :2]])
     off_m = np.abs(cells[:, 2] - planes @ everywhere.T)
     plane = planes[np.argmax((off_m <= INLIER_M).sum(axis=1))]
-    for _ in range(3):
-        is_on = np.abs(cells[:, 2] - everywhere @ plane) <= INLIER_M
-        if is_on.sum() < max(LEAST_INLIERS * len(cells), 3):
+    for _ in range(FITS):
+        off_m = np.abs(cells[:, 2] - everywhere @ plane)
+        if (off_m <= INLIER_M).sum() < max(LEAST_INLIERS * len(cells), 3):
             return None
-        plane = np.linalg.lstsq(everywhere[is_on], cells[is_on, 2], rcond=None)[0]
+        root = np.clip(1.0 - np.square(off_m / FAR_M), 0.0, None)  # of Tukey's biweight: no cell comes or goes at once
+        plane = np.linalg.lstsq(everywhere * root[:, None], cells[:, 2] * root, rcond=None)[0]
     return np.asarray(plane)

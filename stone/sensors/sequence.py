@@ -19,6 +19,7 @@ from stone.geometry.se3 import SE3
 from stone.geometry.trajectory import DEFAULT_MAX_GAP_NS, Trajectory
 from stone.sensors.calibration import Calibration
 from stone.sensors.ground_plane import GroundFit
+from stone.sensors.height_drift import HeightDrift
 from stone.sensors.pose_quality import PoseQuality
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
@@ -104,7 +105,8 @@ class Sequence:
     `track` is where the robot was between the frames, as its poses say before any refinement of the frames' own; poses
     farther apart than `max_pose_gap_ns` are a gap in it. None where frames were not made from a recording.
     `map_of_segment` is the map that each segment of the track lies in, () where each has its own. `ground` is where the
-    sweeps show the ground in the ego frame, None where that was not measured.
+    sweeps show the ground in the ego frame, and `height_drift` by how much the poses drift in z against it; None where
+    that was not measured.
     """
 
     name: str
@@ -119,6 +121,7 @@ class Sequence:
     max_pose_gap_ns: int = DEFAULT_MAX_GAP_NS
     map_of_segment: tuple[int, ...] = ()
     ground: GroundFit | None = None
+    height_drift: HeightDrift | None = None
 
     def __post_init__(self) -> None:
         if not NAME.fullmatch(self.name):

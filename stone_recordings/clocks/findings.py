@@ -4,8 +4,8 @@
 stamps, TIM-207 drift, TIM-208 lost triggers, TIM-209 the IMU's lag, TIM-210 a sensor that knew no time, TIM-212 a
 recorder whose clock jumped; TIM-211, no date, is of `stone_recordings.report.head_checks`, TIM-213, poses and sweeps
 of two times, of `stone_recordings.sync.lag_check`, TIM-214, a clock that was shifted, of `clock_offsets` beside it.
-(TIM-205 and CAL-406 need a calibration: `stone_recordings.clocks.triggers`.) A clock is compared with what most topics agree on, so
-that the one that is wrong is named, and not all the others. Nothing is shifted.
+(TIM-205 and CAL-406 need a calibration: `stone_recordings.clocks.triggers`.) A clock is compared with what most topics
+agree on, so that the one that is wrong is named, and not all the others. Nothing is shifted.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

@@ -20,6 +20,7 @@ from stone_recordings.messages.batch import StampedMessage, refused_finding
 from stone_recordings.messages.odometry import decode_odometry, other_frames_finding
 from stone_recordings.messages.problems import read_readable
 from stone_recordings.messages.tf import TransformSamples, decode_transforms
+from stone_recordings.poses.child_frames import assumed_finding, sensor_named
 from stone_recordings.poses.extrinsics import BASE_FRAMES, plain
 from stone_recordings.poses.static_tree import StaticTree
 from stone_recordings.sync.clock_offsets import ClockOffsets, shifted_finding
@@ -61,7 +62,8 @@ def track_from_odometry(messages: Iterable[StampedMessage], topic: str, rig: Rig
     """Raises NoUsablePoseError and what `decode_odometry` raises."""
     samples, unread = read_readable(topic, messages, decode_odometry)
     source = f"{topic} ({samples.frame_id} to {samples.child_frame_id}, nav_msgs/msg/Odometry)"
-    track = _track((source, topic), samples.child_frame_id, (samples.stamps_ns, samples.parent_from_child), rig)
+    pair = (samples.frame_id, samples.child_frame_id)
+    track = _track((source, topic), pair, (samples.stamps_ns, samples.parent_from_child), rig)
     strays = other_frames_finding(topic, samples)
     return _with_refused(track, samples.refused_ns, samples.reason, (*unread, *strays))
 
@@ -78,7 +80,8 @@ def track_from_tf(messages: Iterable[StampedMessage], topic: str, rig: RigMounts
     if chosen is None:
         raise NoPoseSourceError([f"{topic} {pair.parent} to {pair.child}" for pair in samples])
     source = f"{topic} ({chosen.parent} to {chosen.child}, tf2_msgs/msg/TFMessage)"
-    track = _track((source, topic), chosen.child, (chosen.stamps_ns, chosen.parent_from_child), rig)
+    pair = (chosen.parent, chosen.child)
+    track = _track((source, topic), pair, (chosen.stamps_ns, chosen.parent_from_child), rig)
     return _with_refused(track, chosen.refused_ns, chosen.reason, unread)
 
 
@@ -88,7 +91,7 @@ def _with_refused(
     return replace(track, findings=(*others, *refused_finding(track.topic, refused_ns, reason), *track.findings))
 
 
-def child_from_ego(child: str, rig: RigMounts) -> tuple[SE3, tuple[Finding, ...]]:
+def child_from_ego(parent: str, child: str, rig: RigMounts) -> tuple[SE3, tuple[Finding, ...]]:
     """The fixed step from the frame a source speaks of to the ego frame; a warning where it had to be assumed."""
     calibration, frame = rig.calibration, plain(child)
     lidar_from_ego = calibration.ego_from_lidar.inverse()
@@ -97,13 +100,14 @@ def child_from_ego(child: str, rig: RigMounts) -> tuple[SE3, tuple[Finding, ...]
     for mount in calibration.mounts:
         if frame and frame == plain(mount.frame_id):
             return mount.lidar_from_sensor.inverse() @ lidar_from_ego, ()
-    if frame in BASE_FRAMES:
+    if frame in BASE_FRAMES and not sensor_named(parent, child):
         return SE3.identity(), ()
-    sentence = f"neither the calibration nor tf_static knows its frame {child!r}; it is taken for the ego frame"
-    return SE3.identity(), (Finding("CAL-405", "warning", child, sentence),)
+    return SE3.identity(), (assumed_finding(parent, child),)
 
 
-def _track(named: tuple[str, str], child: str, samples: tuple[NDArray[np.int64], SE3], rig: RigMounts) -> PoseTrack:
+def _track(
+    named: tuple[str, str], pair: tuple[str, str], samples: tuple[NDArray[np.int64], SE3], rig: RigMounts
+) -> PoseTrack:
     source, topic = named
     stamps_ns, fixed_from_child = samples
     if not len(stamps_ns):
@@ -112,8 +116,8 @@ def _track(named: tuple[str, str], child: str, samples: tuple[NDArray[np.int64],
     if not is_stamped.any():
         raise NoUsablePoseError(source, len(stamps_ns), "every stamp is 0")
     ordered = in_order(topic, stamps_ns, np.flatnonzero(is_stamped))
-    step, findings = child_from_ego(child, rig)
-    offset_ns = rig.clocks.of_poses(rig.calibration, child)
+    step, findings = child_from_ego(*pair, rig)
+    offset_ns = rig.clocks.of_poses(rig.calibration, pair[1])
     trajectory = Trajectory(ordered.stamps_ns + offset_ns, fixed_from_child[ordered.index] @ step)
     findings += shifted_finding(topic, offset_ns) + _unstamped_finding(topic, is_stamped)
     return PoseTrack(trajectory, source, topic, ordered.findings + findings)

@@ -1,8 +1,9 @@
 """The check that the ground lies where the calibration says: at the ego origin, and level with it.
 
 **Conventions.** Measured on sweeps spread over the run (`stone.sensors.ground_plane`); what is found is what the mount
-of the LiDAR and the ego frame together are wrong by. Below `TOLERATED_M` and `TOLERATED_RAD` nothing is said and
-nothing corrected: so much is terrain.
+of the LiDAR and the ego frame together are wrong by. Below `TOLERATED_M` and `TOLERATED_RAD` nothing is said: so much
+is terrain. Ground auto takes height and tilt from what was found, however little, so that labels do not depend on what
+was entered.
 """
 
 from dataclasses import replace
@@ -19,6 +20,7 @@ from stone.sensors.sequence import Sequence, SweepSource
 
 SWEEPS = 40
 MIN_RANGE_M = 1.0
+ROUNDS, SETTLED_M, SETTLED_RAD = 8, 0.0001, 0.00001
 
 
 def measured_ground(sequence: Sequence, sweeps: SweepSource) -> GroundFit | None:
@@ -46,7 +48,20 @@ def is_off(fit: GroundFit | None) -> bool:
 
 def corrected(calibration: Calibration, fit: GroundFit) -> Calibration:
     """The calibration with the LiDAR mounted so that the ground lies where it should."""
-    return replace(calibration, ego_from_lidar=fit.beyond_terrain().corrected(calibration.ego_from_lidar))
+    return replace(calibration, ego_from_lidar=fit.corrected(calibration.ego_from_lidar))
+
+
+def settled(sequence: Sequence, sweeps: SweepSource, fit: GroundFit) -> Calibration:
+    """The calibration with the LiDAR mounted so that the ground is found at the ego origin and level, to `SETTLED_M`
+    and `SETTLED_RAD`: whatever height and tilt were entered, they end in the same place."""
+    calibration, found = sequence.calibration, fit
+    for _ in range(ROUNDS):
+        calibration = corrected(calibration, found)
+        again = measured_ground(replace(sequence, calibration=calibration), sweeps)
+        if again is None or (abs(again.height_m) < SETTLED_M and again.tilt_rad < SETTLED_RAD):
+            break
+        found = again
+    return calibration
 
 
 def ground_findings(sequence: Sequence, fit: GroundFit | None) -> tuple[Finding, ...]:
@@ -59,17 +74,17 @@ def ground_findings(sequence: Sequence, fit: GroundFit | None) -> tuple[Finding,
     sentence = (
         f"the ground lies {_above(fit)} and tilts by {np.rad2deg(fit.tilt_rad):.1f}° in the ego frame ({fit.sweeps} "
         f"sweeps, 5 to 95 %: {fit.low_m:+.2f} to {fit.high_m:+.2f} m): is the LiDAR mounted as the calibration says, "
-        f"and the ego origin on the ground? {_mount(corrected(sequence.calibration, fit))} would put it right, and "
-        "ground auto does so for this run"
+        f"and the ego origin on the ground? {_mount(corrected(sequence.calibration, fit.beyond_terrain()))} would put "
+        "it right, and ground auto puts this run on its ground"
     )
     return (Finding("CAL-433", "warning", "", sentence),)
 
 
-def applied_finding(calibration: Calibration, fit: GroundFit) -> Finding:
-    """CAL-434: what ground auto did."""
+def applied_finding(fit: GroundFit, calibration: Calibration) -> Finding:
+    """CAL-434: what ground auto did, by the `calibration` it settled on."""
     sentence = (
         f"the ground lay {_above(fit)} and tilted by {np.rad2deg(fit.tilt_rad):.1f}° in the ego frame; the LiDAR is "
-        f"taken to be mounted so that it does not: {_mount(corrected(calibration, fit))}"
+        f"taken to be mounted so that it does not: {_mount(calibration)}"
     )
     return Finding("CAL-434", "info", "", sentence)
 

@@ -18,6 +18,7 @@ from stone.findings import Finding
 from stone.geometry.se3 import SE3
 from stone.geometry.trajectory import Trajectory
 from stone.sensors.ground_plane import GroundFit
+from stone.sensors.height_drift import HeightDrift
 from stone.sensors.pose_quality import PoseQuality
 from stone.sensors.sequence import Association, ExcludedFrame, Frames, Sequence, Slices, frame_token
 from stone_files.npz import npz_bytes
@@ -68,6 +69,7 @@ def read_sequence(payload: bytes) -> Sequence:
         max_pose_gap_ns=record["max_pose_gap_ns"],
         map_of_segment=tuple(record["map_of_segment"]),
         ground=GroundFit(**record["ground"]) if record["ground"] else None,
+        height_drift=HeightDrift(**record["height_drift"]) if record["height_drift"] else None,
     )
 
 
@@ -110,6 +112,7 @@ def _record(sequence: Sequence) -> dict[str, Any]:
         "max_pose_gap_ns": sequence.max_pose_gap_ns,
         "map_of_segment": list(sequence.map_of_segment),
         "ground": asdict(sequence.ground) if sequence.ground else None,
+        "height_drift": asdict(sequence.height_drift) if sequence.height_drift else None,
     }
 
 

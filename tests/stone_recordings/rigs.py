@@ -126,9 +126,11 @@ def stamped(topic: str, type_name: str, stamp_ns: int, frame_id: str) -> Recorde
     return Recorded(topic, type_name, stamp_ns + 1_000_000, serialised(message))
 
 
-def odometry(stamp_ns: int, pose: SE3, child: str = "base_link", topic: str = ODOM_TOPIC) -> Recorded:
+def odometry(
+    stamp_ns: int, pose: SE3, child: str = "base_link", topic: str = ODOM_TOPIC, parent: str = "odom"
+) -> Recorded:
     message = random_message("nav_msgs/msg/Odometry", np.random.default_rng(0), True)
-    message.header, message.child_frame_id = header(stamp_ns, "odom"), child
+    message.header, message.child_frame_id = header(stamp_ns, parent), child
     message.pose.pose = _pose("geometry_msgs/msg/Pose", "geometry_msgs/msg/Point", ("position", "orientation"), pose)
     return Recorded(topic, "nav_msgs/msg/Odometry", stamp_ns + 2_000_000, serialised(message))
 

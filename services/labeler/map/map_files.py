@@ -11,6 +11,7 @@ from services.labeler.map.comparison import ComparisonCounter, comparison_path, 
 from services.labeler.map.ply import Piece, class_at, write_mesh
 from services.labeler.map.scene_files import SceneFiles
 from services.labeler.map.surface import TileSummary
+from services.labeler.map.track_coverage import CoverageCounter, coverage_path, save_coverage
 from services.labeler.previews.map_picture import TopView, write_top_view
 from services.labeler.previews.map_pieces import MapPiece
 from services.labeler.previews.thumbnail import write_thumbnail
@@ -31,7 +32,7 @@ def draw_map(run: LabelRun, _arguments: Arguments, step: Step) -> StageResult:
 
 def files_of_map(run: LabelRun, _arguments: Arguments) -> StageFiles:
     needed = (reference_path(run).name, "surface", "sums")
-    return StageFiles(needed, needed, (map_folder(run).name, comparison_path(run).name))
+    return StageFiles(needed, needed, (map_folder(run).name, comparison_path(run).name, coverage_path(run).name))
 
 
 def map_folder(run: LabelRun) -> Path:
@@ -41,16 +42,19 @@ def map_folder(run: LabelRun) -> Path:
 
 def write_map(run: LabelRun, tiles: list[TileSummary], reference: Reference, out: Path, step: Step) -> None:
     """Write `bev.png`, `thumbnail.jpg`, `mesh.ply`, the map's previews and the viewer's scene into the folder `out`, in
-    the order of the tiles, and leave in scratch how the profiles compare."""
+    the order of the tiles, and leave in scratch how the profiles compare and how much of the way is T."""
     view, counter, scene = TopView({}), ComparisonCounter(run, tiles, reference), SceneFiles(run, reference, out)
+    driven = CoverageCounter(run)
     for number, summary in enumerate(tiles):
         step(number, len(tiles) + 2)
         arrays, classes = labelled_tile(run, summary.tile, reference)
         view.add(summary.tile, arrays["keys"], classes)  # type: ignore[arg-type]
         counter.add(arrays, classes)
+        driven.add(summary.tile, arrays)
         scene.add(summary.tile, arrays, classes)
     scene.finish()
     save_comparison(run, counter.comparison)
+    save_coverage(run, driven.coverage())
     with whole(out / TOP_VIEW) as staging:
         write_top_view(staging, view, run.sequence.frames.map_from_ego)
     with whole(out / THUMBNAIL) as staging:

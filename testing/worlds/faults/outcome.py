@@ -69,7 +69,7 @@ class FaultOutcome:
 
 def sound(drive: SoundDrive, folder: Path) -> LabelledDrive:
     """The drive's labels without a fault."""
-    return _labelled(drive.bag, drive.rig(), folder)
+    return labelled(drive.bag, drive.rig(), folder, SynchroniseOptions())
 
 
 def outcome(
@@ -85,7 +85,7 @@ def outcome(
     except StoneError as refusal:
         named = (refusal.code,)
     try:
-        made = _labelled(bag, rig, folder / "labels")
+        made = labelled(bag, rig, folder / "labels", SynchroniseOptions())
     except StoneError as refusal:
         return FaultOutcome(fault.name, drive.name, named, refusal.code, str(refusal))
     report = made.report
@@ -143,8 +143,9 @@ def agreement(ours: Mapping[int, NDArray[np.uint8]], theirs: Mapping[int, NDArra
     return alike / total if total else float("nan")
 
 
-def _labelled(bag: Path, rig: Calibration, folder: Path) -> LabelledDrive:
-    sequence, sweeps = synchronise(bag, rig, SynchroniseOptions(), NAME)
+def labelled(bag: Path, rig: Calibration, folder: Path, options: SynchroniseOptions) -> LabelledDrive:
+    """What labelling makes of a recording by this calibration. Raises whatever is no label set."""
+    sequence, sweeps = synchronise(bag, rig, options, NAME)
     report = label(sequence, sweeps, folder, LabelOptions())
     frames = report.sequence.frames
     picked = [row for row, stamp_ns in enumerate(frames.stamps_ns.tolist()) if _is_picked(stamp_ns)]

@@ -27,9 +27,9 @@ EVERY_DAY = (
     "one picture garbage",
     "a plain chunk with a bad CRC",
 )
-# What two sides of a break have to do with each other, where mounts are, and whether poses and sweeps are of one time
-# is told where sweeps are looked at, with the calibration.
-OF_SWEEPS = {"SYN-507", "SYN-508", "TIM-205", "TIM-213", "MSG-306"}
+# What two sides of a break have to do with each other, where ground and mounts are, and whether poses and sweeps are of
+# one time, is told where sweeps are looked at.
+OF_SWEEPS = {"SYN-507", "SYN-508", "SYN-514", "SYN-515", "TIM-205", "TIM-213", "MSG-306"}
 
 
 @pytest.fixture(scope="module")

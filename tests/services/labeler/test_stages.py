@@ -197,7 +197,7 @@ def test_the_command_and_the_queue_leave_each_other_the_same_files(
     files = [path.relative_to(ours) for path in ours.rglob("*") if path.is_file()]
     assert {path.parts[0] for path in files} == {
         *("fused", "images", "surface", "sums", "sight", "packs", "map"),
-        *("reference.npz", "profiles.npz"),
+        *("reference.npz", "profiles.npz", "coverage.npz"),
     }
     assert [path for path in files if (ours / path).read_bytes() != (theirs / path).read_bytes()] == []
 

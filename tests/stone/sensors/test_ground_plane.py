@@ -77,6 +77,36 @@ def test_with_the_corrected_mount_the_ground_is_where_it_should_be(height_m, slo
     assert np.abs(found) == pytest.approx(np.zeros(3), abs=0.02)
 
 
+@pytest.mark.parametrize("heading_rad", [0.0, 1.5, -2.5])
+def test_a_corrected_mount_stays_where_it_was_in_plan_and_looks_where_it_looked(heading_rad):
+    wxyz = np.array([np.cos(heading_rad / 2), 0.01, -0.02, np.sin(heading_rad / 2)])
+    mount = SE3.from_parts(wxyz, np.array([0.3, -0.1, 1.6]))
+    right = GroundFit(40, 0.4, 0.05, -0.04, 0.4, 0.4).corrected(mount)
+    assert right.translation_m[:2].tolist() == [0.3, -0.1]
+    ahead, ahead_before = (one.rotation()[:2, 0] for one in (right, mount))
+    assert np.arctan2(*ahead[::-1]) == pytest.approx(np.arctan2(*ahead_before[::-1]), abs=1e-9)
+
+
+def test_a_mount_that_looks_up_is_turned_as_little_as_can_be():
+    """Its x axis has no heading in plan."""
+    mount = SE3.from_parts(np.array([np.sqrt(0.5), 0.0, -np.sqrt(0.5), 0.0]), np.array([0.0, 0.0, 1.0]))
+    right = GroundFit(40, 0.0, 0.05, 0.0, 0.0, 0.0).corrected(mount)
+    turned = right @ mount.inverse()
+    assert 2 * np.linalg.norm(turned.wxyz[1:]) == pytest.approx(np.arctan(0.05), rel=0.01)
+
+
+def test_what_stands_close_beside_the_robot_is_not_its_ground():
+    """Two cars beside it fill little of the plan around it, and lie nearer than the road that the LiDAR sees."""
+    rng = np.random.default_rng(3)
+    road = np.column_stack([rng.uniform(-9, 9, (60_000, 2)), rng.normal(0.0, 0.01, 60_000)])
+    road = road[np.hypot(road[:, 0], road[:, 1]) > 4.0]
+    cars = np.column_stack([rng.uniform(-1.5, 1.5, 3000), rng.uniform(2.0, 2.5, 3000), rng.normal(0.9, 0.01, 3000)])
+    behind = cars * np.array([1.0, -1.0, 1.0])
+    found = plane_around(np.concatenate([road, cars, behind]).astype(np.float32))
+    assert found is not None
+    assert np.abs(found) == pytest.approx(np.zeros(3), abs=0.02)
+
+
 def test_terrain_is_not_corrected_away():
     assert GroundFit(40, 0.05, 0.02, 0.0, 0.0, 0.1).beyond_terrain() == GroundFit(40, 0.0, 0.0, 0.0, 0.0, 0.1)
     assert GroundFit(40, 0.23, 0.02, 0.0, 0.2, 0.3).beyond_terrain() == GroundFit(40, 0.23, 0.0, 0.0, 0.2, 0.3)

@@ -78,6 +78,43 @@ def test_a_frame_that_nobody_knows_is_taken_for_the_ego_frame_and_said(tmp_path)
     assert "CAL-405" in codes(sequence)
 
 
+@pytest.mark.parametrize(
+    ("parent", "child", "sensor"),
+    [
+        ("camera_init", "body", "IMU"),
+        ("/camera_init", "/aft_mapped", "IMU or LiDAR"),
+        ("odom", "imu_sensor", "IMU"),
+        ("map", "velodyne_top", "LiDAR"),
+        ("odom", "zed2_left_camera_frame", "camera"),
+        ("odom", "gps_antenna", "receiver"),
+    ],
+)
+def test_a_sensor_that_nobody_places_is_named_with_what_to_add(tmp_path, parent, child, sensor):
+    poses = odometry(parent=parent, child=child)
+    sequence, _ = synchronised(written(tmp_path / "a.mcap", sweeps(), poses))
+    finding = next(f for f in sequence.findings if f.code == "CAL-405")
+    assert (finding.severity, finding.topic) == ("warning", child)
+    assert f"by its name the {sensor}'s" in finding.message
+    assert f"frame_id {child}" in finding.message
+
+
+@pytest.mark.parametrize(("parent", "child"), [("odom", "body"), ("camera_init", "base_link"), ("map", "base")])
+def test_the_base_of_a_robot_is_not_taken_for_a_sensor(tmp_path, parent, child):
+    sequence, _ = synchronised(written(tmp_path / "a.mcap", sweeps(), odometry(parent=parent, child=child)))
+    assert "CAL-405" not in codes(sequence)
+
+
+def test_an_imu_under_camera_init_that_the_calibration_places_is_carried_over_its_mount(tmp_path):
+    """FAST-LIO's `body`, entered as the frame of the IMU's mount."""
+    rig = calibration()
+    mounts = tuple(replace(mount, frame_id="body") if mount.kind == "imu" else mount for mount in rig.mounts)
+    of_imu = TRUTH @ rigs.EGO_FROM_LIDAR @ rigs.MOUNTS[3].lidar_from_sensor
+    bag = written(tmp_path / "a.mcap", sweeps(), odometry(of_imu, parent="camera_init", child="body"))
+    sequence, _ = synchronise(bag, replace(rig, mounts=mounts), SynchroniseOptions(), "run")
+    assert_true_path(sequence)
+    assert "CAL-405" not in codes(sequence)
+
+
 def test_tf_static_that_agrees_is_silent(tmp_path):
     static = [rigs.transform("/tf_static", T0_NS, "base_link", LIDAR_FRAME, rigs.EGO_FROM_LIDAR)]
     sequence, _ = synchronised(written(tmp_path / "a.mcap", sweeps(), odometry(), static))

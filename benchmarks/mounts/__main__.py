@@ -1,0 +1,83 @@
+"""Mounts entered wrongly, put right by `--ground auto`: `python -m benchmarks.mounts`.
+
+Three simulated drives through worlds of their own, and a car's real one (left out where there is no field data), each
+labelled with its right mount and with twelve wrong ones. Told are how far the corrected mount is from the right one,
+and the IoU of its labels with those of the right mount: as the calibration has it, and put on the ground by
+`--ground auto` as well. Rows are kept as JSON in `--folder`; `--only WORD` takes the drives with this word in their
+names.
+"""
+
+import argparse
+import json
+import sys
+import tempfile
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from benchmarks.mounts.rows import WRONG, MountDrive, distances, row_of
+from benchmarks.mounts.table import shown
+from services.ingest.pipeline import Ground, SynchroniseOptions
+from simulator.options import SimulateOptions
+from simulator.pipeline import calibration_path, simulate
+from testing.field_data import field_folder
+from testing.worlds.faults.drive import EXAMPLE, KITTI
+from testing.worlds.faults.outcome import labelled
+
+SEEDS, SECONDS = (1, 3, 5), 10.0
+GROUNDS: tuple[Ground, ...] = ("given", "auto")
+
+
+def main() -> None:
+    options = _options()
+    options.folder.mkdir(parents=True, exist_ok=True)
+    drives = [drive for drive in _drives(options.folder) if options.only in drive.name]
+    made = {drive.name: _rows(drive, options) for drive in drives}
+    (options.folder / "mounts.json").write_text(json.dumps(made, indent=1) + "\n")
+    Console(width=200, soft_wrap=True).print(shown(made), markup=False, highlight=False)
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()) / "stone-mounts")
+    parser.add_argument("--only", default="")
+    parser.add_argument("--processes", type=int, default=2)
+    return parser.parse_args()
+
+
+def _drives(folder: Path) -> list[MountDrive]:
+    drives = [_simulated(folder, seed) for seed in SEEDS]
+    recording = field_folder() / KITTI
+    if recording.exists():
+        return [*drives, MountDrive("kitti", recording, EXAMPLE)]
+    print(f"no {recording}: the real drive is left out", file=sys.stderr)
+    return drives
+
+
+def _simulated(folder: Path, seed: int) -> MountDrive:
+    """From an earlier run where there is one."""
+    bag = folder / f"world-{seed}.mcap"
+    if not bag.exists():
+        simulate(bag, SimulateOptions(SECONDS, seed, channels=64, columns=450, cameras=False))
+    return MountDrive(f"world {seed}", bag, calibration_path(bag))
+
+
+def _rows(drive: MountDrive, options: argparse.Namespace) -> dict[str, Any]:
+    """By wrong mount; "" is the right one, by `--ground auto`."""
+    sound = {
+        ground: labelled(
+            drive.bag, drive.rig(), options.folder / f"{drive.name}-{ground}", SynchroniseOptions(ground=ground)
+        )
+        for ground in GROUNDS
+    }
+    grids = {ground: made.grids for ground, made in sound.items()}
+    with ProcessPoolExecutor(options.processes, mp_context=get_context("spawn")) as pool:
+        asked = {wrong.name: pool.submit(row_of, drive, number, grids) for number, wrong in enumerate(WRONG)}
+        return {"": distances(drive, sound["auto"])} | {name: future.result() for name, future in asked.items()}
+
+
+if __name__ == "__main__":
+    main()

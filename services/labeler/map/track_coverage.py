@@ -1,0 +1,63 @@
+"""Coverage of the robot's way by T, over all maps of a run (`stone.labels.track_coverage`)."""
+
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+
+from services.labeler.run import LabelRun, Tile
+from services.labeler.scratch import Arrays, load, save
+from stone.findings import Finding
+from stone.geometry.lattice import Keys
+from stone.labels.footprint import densified
+from stone.labels.track_coverage import STEP_M, TrackCoverage, coverage, spaced
+from stone.sensors.ego_path import ego_path
+
+# Of simulated runs 99.7 % and more are closed; a footprint that leaves the ground for a while closes less.
+USUAL_RATIO = 0.98
+
+
+class CoverageCounter:
+    """Collects what was driven on, tile after tile."""
+
+    def __init__(self, run: LabelRun) -> None:
+        self._run = run
+        self._driven = defaultdict[int, list[Keys]](list)
+
+    def add(self, tile: Tile, arrays: Arrays) -> None:
+        """One tile as the surface stage left it."""
+        keys: Keys = arrays["keys"]  # type: ignore[assignment]
+        self._driven[tile.map].append(keys[arrays["is_driven"]])
+
+    def coverage(self) -> TrackCoverage:
+        """Of every stretch of the way, in the map it lies in."""
+        sequence, total = self._run.sequence, TrackCoverage(0, 0, 0, 0)
+        for number in np.unique(self._run.maps).tolist():
+            driven = np.concatenate([np.zeros(0, np.int64), *self._driven[number]])
+            for stretch in ego_path(sequence, number):
+                total += coverage(driven, spaced(densified(stretch, STEP_M)), sequence.calibration.footprint)
+        return total
+
+
+def coverage_path(run: LabelRun) -> Path:
+    return run.scratch / "coverage.npz"
+
+
+def save_coverage(run: LabelRun, found: TrackCoverage) -> None:
+    save(coverage_path(run), {"counts": np.array([found.places, found.closed, found.poses, found.bare], np.int64)})
+
+
+def load_coverage(run: LabelRun) -> TrackCoverage:
+    return TrackCoverage(*load(coverage_path(run))["counts"].tolist())
+
+
+def coverage_findings(found: TrackCoverage, band_m: float) -> tuple[Finding, ...]:
+    """LAB-607 where less of the way is T than ground that was driven on leaves."""
+    if found.closed_ratio >= USUAL_RATIO:
+        return ()
+    sentence = (
+        f"{1 - found.closed_ratio:.1%} of what the footprint went over holds no T ({found.bare} of {found.poses} poses "
+        f"have none at all): no surface lies within ±{band_m:g} m of the footprint there; do the poses drift in z, "
+        "does the footprint float or sink, or did the LiDAR not see the ground there?"
+    )
+    return (Finding("LAB-607", "warning", "", sentence),)

@@ -1,0 +1,166 @@
+"""Drift of a run's poses in z, by the ground: how far apart two looks at the same place say that it lies.
+
+    ground seen around a pose → links of poses that saw the same ground → one correction in z for every pose
+
+**Conventions.** A look is one sweep's ground in cells of the map's plan; poses are picked `SPACING_M` apart. A link
+says by how much the ground of its second look lies higher than that of its first, in the cells that both saw: the
+median, so that neither movers nor a hedge count, and from both sides alike, so that what is seen differently from afar
+cancels. Corrections are metres to be added to z; the first look of each map keeps its own.
+
+Poses of the ego frame that a tilted mount belongs to look like drift, too: each look finds higher what lies ahead. So
+where the ground is tilted in the ego frame beyond `TERRAIN_RAD`, looks are also compared with that tilt taken out, and
+what needs the least correction counts.
+"""
+
+from collections.abc import Sequence as Listing
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.linalg import spsolve
+from scipy.spatial import cKDTree
+
+from stone.geometry.lattice import keys_of
+from stone.sensors.ground_plane import FARTHEST_M, low_points
+from stone.sensors.height_drift import HeightDrift
+
+SPACING_M, WIDEST_SPACING_M, MANY_LOOKS = 2.0, 8.0, 600
+CELL_M = 0.5
+FEWEST_CELLS, MOST_SCATTER_M = 40, 0.15
+PARTNERS_BEFORE, PARTNERS_OF_VISITS = 5, 6
+TERRAIN_RAD = float(np.deg2rad(0.5))
+# Two floors lie farther apart than the robot is high: nearer, it is the same one seen twice.
+SAME_FLOOR_RATIO, LEAST_FLOOR_M = 0.8, 0.3
+ROUNDS, ROBUST_M, STIFFNESS = 8, 0.02, 0.02
+FARTHEST_PLACE_M = 100_000.0
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """The ground around one pose: cells (C,) of the map's plan, sorted, and their heights (C,) in it."""
+
+    cells: Rows
+    heights_m: NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """Of every look its place in plan (K, 2), how far was driven until then (K,), and which map (K,) it is in."""
+
+    places_m: Array
+    driven_m: Array
+    maps: Rows
+
+
+def looks_along(places_m: Array) -> Rows:
+    """Which of the places (N, 2) or (N, 3) along a way are looked around at: the first, and one every `SPACING_M`, more
+    where that would be many."""
+    driven_m = driven(places_m)
+    spacing_m = min(max(SPACING_M, float(driven_m[-1]) / MANY_LOOKS), WIDEST_SPACING_M)
+    return np.unique(np.searchsorted(driven_m, np.arange(0.0, driven_m[-1] + 1e-9, spacing_m))).astype(np.int64)
+
+
+def driven(places_m: Array) -> Array:
+    """How far was driven, in plan, until each of the places (N, 2) or (N, 3)."""
+    return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(places_m[:, :2], axis=0), axis=1)))
+
+
+def look(points_map: Array) -> Look:
+    """What the points (N, 3) of a sweep around the robot, in the map, show of the ground."""
+    is_on_lattice = (np.abs(points_map[:, :2]) < FARTHEST_PLACE_M).all(axis=1)
+    points_map = points_map[is_on_lattice]
+    cells, lowest = low_points(points_map, keys_of(points_map * (1.0, 1.0, 0.0), CELL_M))
+    return Look(cells, lowest[:, 2].astype(np.float32))
+
+
+def drift(looks: Listing[Look], way: Way, floor_m: float) -> tuple[HeightDrift, Array]:
+    """What the looks (K,) say, and the correction (K,) of each. Passes whose ground lies more than `floor_m` apart,
+    once the way between them is corrected, are on two floors and say nothing."""
+    pairs = _pairs(way)
+    height_m = np.array([_higher(looks[a], looks[b]) for a, b in pairs.tolist()])
+    pairs, height_m = pairs[np.isfinite(height_m)], height_m[np.isfinite(height_m)]
+    along_m = np.diff(way.driven_m[pairs], axis=1)[:, 0]
+    is_near = along_m <= 2 * FARTHEST_M
+    found_m = _corrections(pairs[is_near], height_m[is_near], way)
+    off_m = np.abs(height_m + np.diff(found_m[pairs], axis=1)[:, 0])
+    is_same = is_near | (off_m <= floor_m)
+    pairs, height_m, is_near = pairs[is_same], height_m[is_same], is_near[is_same]
+    found_m = found_m if is_near.all() else _corrections(pairs, height_m, way)
+    return _told(height_m, np.diff(found_m[pairs], axis=1)[:, 0], is_near, (found_m, way)), found_m
+
+
+def _told(height_m: Array, moved_m: Array, is_near: NDArray[np.bool_], looks: tuple[Array, Way]) -> HeightDrift:
+    """Of links (L,): by how much each one's second look lies higher, and is moved up against the first."""
+    found_m, way = looks
+    apart_m, left_m = np.abs(moved_m), np.abs(height_m + moved_m)
+    return HeightDrift(
+        len(found_m),
+        len(height_m),
+        apart_m=float(apart_m.max(initial=0.0)),
+        visit_apart_m=float(apart_m[is_near].max(initial=0.0)),
+        left_m=float(np.quantile(left_m, 0.95)) if len(left_m) else 0.0,
+        span_m=float(np.ptp(found_m)),
+        driven_m=float(np.ptp(way.driven_m)),
+    )
+
+
+def _pairs(way: Way) -> Rows:
+    """The pairs (L, 2) of looks of one map that can have seen the same ground: of each some right before it, and some
+    of earlier visits."""
+    tree = cKDTree(way.places_m)
+    pairs = [
+        (before, row)
+        for row, near in enumerate(tree.query_ball_point(way.places_m, FARTHEST_M, return_sorted=True))
+        for before in _partners(np.array([one for one in near if one < row], np.int64))
+        if way.maps[before] == way.maps[row]
+    ]
+    return np.array(pairs, np.int64).reshape(-1, 2)
+
+
+def _partners(before: Rows) -> list[int]:
+    """The last of the earlier looks, and a few spread over the others."""
+    last, others = before[-PARTNERS_BEFORE:], before[:-PARTNERS_BEFORE]
+    spread = np.linspace(0, len(others) - 1, PARTNERS_OF_VISITS).round().astype(np.int64) if len(others) else others
+    return [*np.unique(others[spread]).tolist(), *last.tolist()]
+
+
+def _higher(one: Look, other: Look) -> float:
+    """By how much the other's ground lies higher than the one's; NaN where too little is shared, or it scatters."""
+    _, mine, theirs = np.intersect1d(one.cells, other.cells, assume_unique=True, return_indices=True)
+    if len(mine) < FEWEST_CELLS:
+        return np.nan
+    off_m = other.heights_m[theirs].astype(np.float64) - one.heights_m[mine]
+    middle_m = float(np.median(off_m))
+    return middle_m if float(np.median(np.abs(off_m - middle_m))) <= MOST_SCATTER_M else np.nan
+
+
+def _corrections(pairs: Rows, height_m: Array, way: Way) -> Array:
+    """The corrections (K,) with which the links agree best, as few of them as may be given less weight; where nothing
+    is linked a correction stays what it was before."""
+    count = len(way.maps)
+    is_new = np.append(True, np.diff(way.maps) != 0)
+    chain = np.column_stack([np.arange(count - 1), np.arange(1, count)])[~is_new[1:]]
+    first = np.flatnonzero(is_new)
+    found_m, weight = np.zeros(count), np.ones(len(pairs))
+    for _ in range(ROUNDS if len(pairs) else 0):
+        edges = np.concatenate([pairs, chain])
+        force = np.concatenate([weight, np.full(len(chain), STIFFNESS)])
+        pull = np.concatenate([-weight * height_m, np.zeros(len(chain))])
+        found_m = _solved((edges, force, pull), first, count)
+        off_m = np.abs(height_m + np.diff(found_m[pairs], axis=1)[:, 0])
+        weight = ROBUST_M / np.maximum(off_m, ROBUST_M)
+    return found_m
+
+
+def _solved(springs: tuple[Rows, Array, Array], fixed: Rows, count: int) -> Array:
+    """The places (K,) at which springs between pairs rest, with those of `fixed` at 0."""
+    edges, force, pull = springs
+    a, b = edges.T
+    rows, columns = np.concatenate([a, b, a, b, fixed]), np.concatenate([a, b, b, a, fixed])
+    values = np.concatenate([force, force, -force, -force, np.full(len(fixed), 1e6)])
+    right = np.bincount(b, pull, count) - np.bincount(a, pull, count)
+    return np.asarray(spsolve(coo_array((values, (rows, columns)), shape=(count, count)).tocsc(), right))

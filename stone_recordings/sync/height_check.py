@@ -1,0 +1,103 @@
+"""The check that poses do not drift in z against the ground they were driven over, and the correction where they do.
+
+**Conventions.** Measured on sweeps spread along the way (`stone.sensors.ground_links`), once the mount of the LiDAR is
+known to be right. Within
+`stone.sensors.height_drift.TOLERATED_M` poses stay as given, bit for bit; beyond, every pose of the frames and of the
+track between them is moved in z, and in nothing else, by what the ground says, interpolated in time.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.findings import Finding
+from stone.geometry.se3 import SE3
+from stone.sensors.ego_path import maps_of_frames
+from stone.sensors.ground_links import (
+    LEAST_FLOOR_M,
+    SAME_FLOOR_RATIO,
+    TERRAIN_RAD,
+    Way,
+    drift,
+    driven,
+    look,
+    looks_along,
+)
+from stone.sensors.ground_plane import GroundFit, around_robot
+from stone.sensors.height_drift import HeightDrift
+from stone.sensors.sequence import Sequence, SweepSource
+from stone_recordings.sync.ground_check import is_off, seen_around
+
+Array = NDArray[np.float64]
+
+
+def height_followed(sequence: Sequence, sweeps: SweepSource, fit: GroundFit | None) -> Sequence:
+    """The sequence with its drift in z measured, and followed where it is drift; itself where the ground under the
+    robot, `fit`, was not measured, or lies off for a reason of the mount."""
+    places_m = sequence.frames.map_from_ego.translation_m
+    if fit is None or is_off(fit) or len(places_m) < 2:
+        return sequence
+    rows = looks_along(places_m)
+    way = Way(places_m[rows, :2], driven(places_m)[rows], maps_of_frames(sequence)[rows])
+    found, up_m = _drift(sequence, sweeps, (rows, way), SE3.identity())
+    if found.is_beyond_terrain and fit.tilt_rad > TERRAIN_RAD:
+        level = replace(fit, height_m=0.0).corrected(SE3.identity())
+        found, up_m = min((found, up_m), _drift(sequence, sweeps, (rows, way), level), key=lambda one: one[0].apart_m)
+    if found.is_beyond_terrain and found.is_followable:
+        sequence, found = _moved(sequence, rows, up_m), replace(found, is_followed=True)
+    return replace(sequence, height_drift=found, findings=(*sequence.findings, *_findings(found)))
+
+
+def _drift(
+    sequence: Sequence, sweeps: SweepSource, picked: tuple[NDArray[np.int64], Way], level: SE3
+) -> tuple[HeightDrift, Array]:
+    """By the ground of the picked frames, turned by `level` in the ego frame first."""
+    rows, way = picked
+    poses = sequence.frames.map_from_ego
+    seen = (around_robot(seen_around(sequence, sweeps, row)) for row in rows.tolist())
+    looks = [look(poses[row] @ level @ points_ego) for row, points_ego in zip(rows.tolist(), seen, strict=True)]
+    return drift(looks, way, _floor_m(sequence))
+
+
+def _floor_m(sequence: Sequence) -> float:
+    """How far apart two floors that this robot drives on lie at least."""
+    return max(SAME_FLOOR_RATIO * float(sequence.calibration.ego_from_lidar.translation_m[2]), LEAST_FLOOR_M)
+
+
+def _moved(sequence: Sequence, rows: NDArray[np.int64], up_m: Array) -> Sequence:
+    """The sequence with `up_m` (K,) added to z at the frames `rows` (K,), and between them in proportion to time."""
+    frames, track = sequence.frames, sequence.track
+    stamps_ns = frames.stamps_ns[rows]
+    frames = replace(frames, map_from_ego=_raised(frames.map_from_ego, np.interp(frames.stamps_ns, stamps_ns, up_m)))
+    if track is None:
+        return replace(sequence, frames=frames)
+    raised = _raised(track.map_from_ego, np.interp(track.stamps_ns, stamps_ns, up_m))
+    return replace(sequence, frames=frames, track=replace(track, map_from_ego=raised))
+
+
+def _raised(poses: SE3, up_m: Array) -> SE3:
+    values = poses.wxyz_xyz.copy()
+    values[:, 6] += up_m
+    return SE3(values)
+
+
+def _findings(found: HeightDrift) -> tuple[Finding, ...]:
+    """SYN-514 where the drift was followed, SYN-515 where it was not."""
+    if not found.is_beyond_terrain:
+        return ()
+    where = (
+        f"two looks at the same ground lie up to {found.apart_m:.2f} m apart by the poses ({found.links} pairs of "
+        f"{found.looks} sweeps along {found.driven_m:.0f} m)"
+    )
+    if found.is_followed:
+        sentence = (
+            f"{where}: they drift in z, by {found.span_m:.2f} m over the run, and were moved up or down by what the "
+            f"ground says, after which such looks lie {found.left_m:.2f} m apart (95 %)"
+        )
+        return (Finding("SYN-514", "warning", "", sentence),)
+    sentence = (
+        f"{where}, and moving the poses up and down leaves {found.left_m:.2f} m (95 %): that is no slow drift in "
+        "z, and they stay as given; are they this robot's, of this time, and is the LiDAR mounted as entered?"
+    )
+    return (Finding("SYN-515", "warning", "", sentence),)
