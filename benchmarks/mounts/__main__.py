@@ -18,7 +18,7 @@ from typing import Any
 
 from rich.console import Console
 
-from benchmarks.mounts.rows import WRONG, MountDrive, distances, row_of
+from benchmarks.mounts.rows import WRONG, Grids, MountDrive, distances, row_of
 from benchmarks.mounts.table import shown
 from services.ingest.pipeline import Ground, SynchroniseOptions
 from simulator.options import SimulateOptions
@@ -73,7 +73,7 @@ def _rows(drive: MountDrive, options: argparse.Namespace) -> dict[str, Any]:
         )
         for ground in GROUNDS
     }
-    grids = {ground: made.grids for ground, made in sound.items()}
+    grids: dict[str, Grids] = {ground: made.grids for ground, made in sound.items()}
     with ProcessPoolExecutor(options.processes, mp_context=get_context("spawn")) as pool:
         asked = {wrong.name: pool.submit(row_of, drive, number, grids) for number, wrong in enumerate(WRONG)}
         return {"": distances(drive, sound["auto"])} | {name: future.result() for name, future in asked.items()}

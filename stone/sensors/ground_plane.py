@@ -54,9 +54,13 @@ class GroundFit:
         """Whether it leans more than terrain explains."""
         return self.tilt_rad > TOLERATED_RAD
 
+    def untilted(self) -> "GroundFit":
+        """Its height alone."""
+        return replace(self, slope_x=0.0, slope_y=0.0)
+
     def beyond_terrain(self) -> "GroundFit":
         """What the mount is to blame for: the height and the tilt, each only where terrain does not explain it."""
-        level = self if self.is_tilted else replace(self, slope_x=0.0, slope_y=0.0)
+        level = self if self.is_tilted else self.untilted()
         return level if self.is_high_or_low else replace(level, height_m=0.0)
 
     def corrected(self, ego_from_lidar: SE3) -> SE3:

@@ -2,8 +2,8 @@
 
 **Conventions.** Measured on sweeps spread over the run (`stone.sensors.ground_plane`); what is found is what the mount
 of the LiDAR and the ego frame together are wrong by. Below `TOLERATED_M` and `TOLERATED_RAD` nothing is said: so much
-is terrain. Ground auto takes height and tilt from what was found, however little, so that labels do not depend on what
-was entered.
+is terrain. Ground auto takes the height from what was found, however little, which is known to a centimetre; the tilt,
+which terrain moves by half a degree, only where it is beyond that.
 """
 
 from dataclasses import replace
@@ -52,15 +52,17 @@ def corrected(calibration: Calibration, fit: GroundFit) -> Calibration:
 
 
 def settled(sequence: Sequence, sweeps: SweepSource, fit: GroundFit) -> Calibration:
-    """The calibration with the LiDAR mounted so that the ground is found at the ego origin and level, to `SETTLED_M`
-    and `SETTLED_RAD`: whatever height and tilt were entered, they end in the same place."""
-    calibration, found = sequence.calibration, fit
+    """The calibration with the LiDAR mounted so that the ground is found at the ego origin, to `SETTLED_M`, and level,
+    to `SETTLED_RAD`, where the tilt was beyond terrain: whatever height was entered, it ends in the same place."""
+    calibration, found = sequence.calibration, fit if fit.is_tilted else fit.untilted()
     for _ in range(ROUNDS):
         calibration = corrected(calibration, found)
         again = measured_ground(replace(sequence, calibration=calibration), sweeps)
-        if again is None or (abs(again.height_m) < SETTLED_M and again.tilt_rad < SETTLED_RAD):
+        if again is None:
             break
-        found = again
+        found = again if fit.is_tilted else again.untilted()
+        if abs(found.height_m) < SETTLED_M and found.tilt_rad < SETTLED_RAD:
+            break
     return calibration
 
 

@@ -49,7 +49,7 @@ class ProcessRequest:
     """Choices for processing a sequence; `parameters` by dotted name (`services/domain/sequences/label_choices.py`).
 
     `topics` are those of the platform's profile; the two topics named here go before them. `ground` is "given" by the
-    calibration, or "auto": measured, and height and tilt of the LiDAR's mount taken from it.
+    calibration, or "auto": measured, and the height of the LiDAR's mount taken from it, and a tilt beyond terrain's.
     """
 
     profile: str = "paper"
