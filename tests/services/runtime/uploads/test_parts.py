@@ -136,6 +136,8 @@ def test_objects_two_uploads_share_go_with_the_last_of_them(stored: Platform) ->
     terminate(stored, first)
     collect_garbage(stored)
     assert kept(stored, second) == BAG
+    with stored.database.transaction() as session:
+        assert bytes_here(stored, session.get_one(type(first), first.id)) == 0
     terminate(stored, second)
     collect_garbage(stored)
     assert objects(stored) == []
