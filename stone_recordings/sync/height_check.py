@@ -1,9 +1,9 @@
 """The check that poses do not drift in z against the ground they were driven over, and the correction where they do.
 
 **Conventions.** Measured on sweeps spread along the way (`stone.sensors.ground_links`), once the mount of the LiDAR is
-known to be right. Within
-`stone.sensors.height_drift.TOLERATED_M` poses stay as given, bit for bit; beyond, every pose of the frames and of the
-track between them is moved in z, and in nothing else, by what the ground says, interpolated in time.
+known to be right. Within `stone.sensors.height_drift.TOLERATED_M` poses stay as given, bit for bit; beyond, every pose
+of the frames and of the track between them is moved in z, and in nothing else, by what the ground says, interpolated in
+time.
 """
 
 from dataclasses import replace
