@@ -1,8 +1,8 @@
 """Range images: what a sweep saw in each direction, and how far free sight went.
 
-**Conventions.** An image holds, for each direction from the sensor in the ego frame, the nearest return (m),
-`NOTHING_M` where rays went and none came back, as from the sky, and 0 where none went. Its rows go down from the
-highest elevation, its columns clockwise from behind.
+**Conventions.** An image holds, for each direction from the sensor in the ego frame, the nearest return (m); the
+sweep's farthest where rays went and none came back, as from the sky: the sensor may not see farther; and 0 where none
+went. Its rows go down from the highest elevation, its columns clockwise from behind.
 """
 
 import math
@@ -20,7 +20,6 @@ FIELD_PX, RAYS_PER_PIXEL, MAX_SPREAD_PX = 60_000, 2.0, 3
 MAX_RING_GAP_PX = 7
 MARGIN_PX = MAX_RING_GAP_PX - 1
 
-NOTHING_M = np.float32(1e6)
 FEWEST_RAYS = math.ceil(RAYS_PER_PIXEL * FIELD_PX / (2 * MAX_SPREAD_PX + 1) ** 2)  # fewer leave holes between them
 
 
@@ -66,7 +65,7 @@ def range_image(
     nearest_m = spread(nearest_m, max(sideways, between_rings), sideways)[MARGIN_PX:-MARGIN_PX]
     ranges_m = np.where(np.isfinite(nearest_m), nearest_m, np.float32(0))
     if len(points_ego) >= FEWEST_RAYS:
-        _open_up(ranges_m)
+        _open_up(ranges_m, ranges_m.max(initial=np.float32(0)))
     return RangeImage(view_of(map_from_ego, sensor_ego), ranges_m)
 
 
@@ -176,8 +175,8 @@ def _project(points, sensor, lens, nearest):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _open_up(ranges):  # type: ignore[no-untyped-def]
-    """Put `NOTHING_M` for 0 where rays went and none came back: in rows between the highest and the lowest return, in
+def _open_up(ranges, farthest):  # type: ignore[no-untyped-def]
+    """Put the farthest for 0 where rays went and none came back: in rows between the highest and the lowest return, in
     columns that have one (a sensor that looks to one side knows nothing of the other), and where more rows are empty
     than any two rings leave between them."""
     rows, columns = ranges.shape
@@ -193,7 +192,7 @@ def _open_up(ranges):  # type: ignore[no-untyped-def]
             if row < bottom and ranges[row, column] == 0:
                 continue
             if row - begin > MAX_RING_GAP_PX:
-                ranges[begin:row, column] = NOTHING_M
+                ranges[begin:row, column] = farthest
             begin = row + 1
 
 

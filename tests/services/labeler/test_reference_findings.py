@@ -105,7 +105,7 @@ def test_the_other_estimate_is_the_robust_one_or_the_plain_one():
 @pytest.mark.whole
 def test_slivers_of_wall_in_the_track_are_left_out_where_that_is_chosen(tmp_path):
     """Catches alone that the choice reaches the labels: P shrinks to what is like the ground."""
-    world = World(boxes=(Box((-1.0, 0.36, -0.2), (1.0, 0.5, 0.5)),), frames=48, reach_m=9.0)
+    world = World(boxes=(Box((-1.0, 0.36, -0.2), (1.0, 0.5, 0.5)),), frames=48, reach_m=5.0)
     wide = replace(sequence_of(world), calibration=replace(CALIBRATION, footprint=Footprint(width_m=1.2)))
     robust = replace(LOCAL, reference=replace(LOCAL.reference, outlier_ratio=0.25))
     plain, left_out = (

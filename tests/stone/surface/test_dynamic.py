@@ -247,3 +247,15 @@ def test_where_nothing_moved_nothing_is_carried_along():
     none = np.zeros(50, np.bool_)
     assert not carried_along(points, np.ones(50, np.int64), no_votes(50), none).any()
     assert len(carried_along(points[:0], np.ones(0, np.int64), no_votes(0), none[:0])) == 0
+
+
+@pytest.mark.parametrize(("farthest_m", "is_seen_through"), [(6.0, False), (11.0, False), (20.0, True)])
+def test_what_lies_farther_than_the_sensor_sees_is_not_looked_through(farthest_m, is_seen_through):
+    """Ground near the robot and branches above it, no return between: sky, if the sensor sees as far as the wall."""
+    rays = directions() / np.linalg.norm(directions(), axis=1, keepdims=True)
+    elevation_deg = np.degrees(np.arcsin(rays[:, 2]))
+    points = (SENSOR_EGO + 5.0 * rays)[(elevation_deg < -15) | (elevation_deg > 15)]
+    points[0] = SENSOR_EGO + [0.0, farthest_m, 0.0]  # to the side, beside nothing else
+    votes = no_votes(len(wall_points()))
+    vote(wall_points(), range_image(points.astype(np.float32), robot_at(0), SENSOR_EGO, PARAMETERS), PARAMETERS, votes)
+    assert votes.any() == is_seen_through

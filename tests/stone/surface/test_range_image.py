@@ -10,7 +10,6 @@ from stone.geometry.se3 import SE3
 from stone.surface.range_image import (
     MAX_RING_GAP_PX,
     MAX_SPREAD_PX,
-    NOTHING_M,
     DynamicParameters,
     _open_up,
     range_image,
@@ -20,6 +19,7 @@ from stone.surface.range_image import (
 
 PARAMETERS = DynamicParameters()
 SENSOR_EGO = np.array([0.2, 0.0, 1.2])
+FARTHEST_M = np.float32(99.0)
 
 
 def image_slowly(points):
@@ -81,7 +81,7 @@ def opened_slowly(ranges):
         edges = [filled[0] - 1, *rows, filled[-1] + 1]
         for above, below in pairwise(edges if rows.size else []):
             if below - above - 1 > MAX_RING_GAP_PX:
-                opened[above + 1 : below, column] = NOTHING_M
+                opened[above + 1 : below, column] = FARTHEST_M
     return opened
 
 
@@ -91,9 +91,9 @@ def test_nothing_came_back_where_more_rows_are_empty_than_rings_leave_and_never_
     ranges = np.zeros((64, 40), np.float32)
     ranges[9:51, :35] = np.where(rng.random((42, 35)) < 0.12, rng.uniform(1.0, 30.0, (42, 35)), 0.0)
     opened = ranges.copy()
-    _open_up(opened)
+    _open_up(opened, FARTHEST_M)
     assert (opened == opened_slowly(ranges)).all()
-    assert {0.0, float(NOTHING_M)} < set(opened.flat)
+    assert {0.0, float(FARTHEST_M)} < set(opened.flat)
     assert not opened[:9].any()
     assert not opened[51:].any()
     assert not opened[:, 35:].any()
