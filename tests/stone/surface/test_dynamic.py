@@ -255,7 +255,7 @@ def test_what_lies_farther_than_the_sensor_sees_is_not_looked_through(farthest_m
     rays = directions() / np.linalg.norm(directions(), axis=1, keepdims=True)
     elevation_deg = np.degrees(np.arcsin(rays[:, 2]))
     points = (SENSOR_EGO + 5.0 * rays)[(elevation_deg < -15) | (elevation_deg > 15)]
-    points[0] = SENSOR_EGO + [0.0, farthest_m, 0.0]  # to the side, beside nothing else
+    points[0] = SENSOR_EGO + np.array([0.0, farthest_m, 0.0])  # to the side, beside nothing else
     votes = no_votes(len(wall_points()))
     vote(wall_points(), range_image(points.astype(np.float32), robot_at(0), SENSOR_EGO, PARAMETERS), PARAMETERS, votes)
     assert votes.any() == is_seen_through
