@@ -90,11 +90,16 @@ def test_with_a_calibration_the_mounts_are_looked_at_too(simulated: SoundDrive) 
 # The simulated LiDAR stamps every point: a late header does not move them.
 @pytest.mark.parametrize(
     ("which", "name"),
-    [("simulated", "poses 0.1 s late"), ("kitti", "poses 0.1 s late"), ("kitti", "sweeps 0.1 s late")],
+    [
+        ("simulated", "poses 0.1 s late"),
+        pytest.param("kitti", "poses 0.1 s late", marks=pytest.mark.whole),
+        pytest.param("kitti", "sweeps 0.1 s late", marks=pytest.mark.whole),
+    ],
 )
 def test_poses_and_sweeps_of_two_times_are_named_with_what_puts_them_right(
     which: str, name: str, request: pytest.FixtureRequest, tmp_path: Path
 ) -> None:
+    """Catches alone, on the real drive, that its sweeps are not registered well enough to tell."""
     drive: SoundDrive = request.getfixturevalue(which)
     with open_bag(faulty(drive, BY_NAME[name], tmp_path / "run.mcap")) as bag:
         (late,) = [one for one in inspected_in(bag, calibration=drive.calibration).findings if one.code == "TIM-213"]

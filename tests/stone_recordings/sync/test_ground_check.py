@@ -77,9 +77,11 @@ def off_rad(mount: SE3, other: SE3) -> float:
     return float(2 * np.linalg.norm((mount @ other.inverse()).wxyz[1:]))
 
 
+@pytest.mark.whole
 def test_ground_auto_ends_at_one_height_whatever_was_entered_and_leaves_the_tilt(
     drive: tuple[Path, Calibration],
 ) -> None:
+    """Catches alone rounds that end before the height has settled, and a tilt that is taken along."""
     bag, rig = drive
     mounts = ends(bag, [rig, *(mounted(rig, high_m) for high_m in (-0.5, -0.05, 0.05, 0.5))])
     for mount in mounts:
@@ -87,8 +89,10 @@ def test_ground_auto_ends_at_one_height_whatever_was_entered_and_leaves_the_tilt
         assert off_rad(mount, rig.ego_from_lidar) < 1e-9
 
 
+@pytest.mark.whole
 def test_ground_auto_ends_at_one_tilt_whatever_was_entered_beyond_terrain(drive: tuple[Path, Calibration]) -> None:
-    """To 2 mm and 0.02°: a hundredth of a label voxel, and at 10 m a sixtieth."""
+    """Catches alone rounds that end before the tilt has settled. To 2 mm and 0.02°: a hundredth of a label voxel, and
+    at 10 m a sixtieth."""
     bag, rig = drive
     mounts = ends(bag, [rolled(by_deg, axis)(rig) for by_deg in (-3.0, 3.0) for axis in (0, 1)])
     for mount in mounts:
