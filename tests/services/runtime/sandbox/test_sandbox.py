@@ -41,7 +41,7 @@ def held() -> tuple[int, int]:
 def _leaves_nothing() -> Iterator[None]:
     before = held()
     yield
-    assert held() == before
+    assert all(now <= then for now, then in zip(held(), before, strict=True))  # an earlier test's garbage may go
 
 
 def killed(number: int) -> bytes:
