@@ -50,7 +50,8 @@ class SynchroniseOptions:
     """Topics by name where the recording's roles are not meant; poses more than `max_pose_gap_ns` apart are a gap.
 
     `odometry_topic` may be "kiss-icp". `topics` names the topic of a role (lidar, pose) or of a channel (CAM_FRONT).
-    `ground` is "given" by the calibration, or "auto": measured, and height and tilt of the LiDAR's mount taken from it.
+    `ground` is "given" by the calibration, or "auto": measured, and the height of the LiDAR's mount taken
+    from it, and a tilt beyond terrain's.
     `time_offsets_ns` are added to the stamps of the parts "lidar" and "pose" instead of what the calibration says.
     `recording_sha256` spares reading the whole recording again where it is known; with `is_hashed` false nobody hashes
     it here, and `inputs` of the sequence lack it.

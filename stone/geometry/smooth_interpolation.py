@@ -53,7 +53,7 @@ def _between(
     weights = _lagrange(times_ns.astype(np.float64), new_ns.astype(np.float64))
     base = trajectory.map_from_ego[rows]
     back = base.wxyz[:, None] * CONJUGATE
-    turn_rad = _log(multiply(back, trajectory.map_from_ego.wxyz[around]))
+    turn_rad = rotation_vectors(multiply(back, trajectory.map_from_ego.wxyz[around]))
     step_m = rotate(back, trajectory.map_from_ego.translation_m[around] - base.translation_m[:, None])
     new = SE3(base.wxyz_xyz[:, None]) @ SE3.from_parts(_exp(weights @ turn_rad), weights @ step_m)
     return (trajectory.stamps_ns[rows][:, None] + new_ns).ravel(), new.wxyz_xyz.reshape(-1, 7)
@@ -69,7 +69,7 @@ def _lagrange(nodes: Array, at: Array) -> Array:
     return weights
 
 
-def _log(wxyz: Array) -> Array:
+def rotation_vectors(wxyz: Array) -> Array:
     """Rotation vectors (..., 3) of unit quaternions, the short way."""
     shortest = np.where(wxyz[..., :1] < 0, -wxyz, wxyz)
     sine = np.linalg.norm(shortest[..., 1:], axis=-1, keepdims=True)

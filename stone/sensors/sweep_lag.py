@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone.geometry.se3 import multiply
+from stone.geometry.smooth_interpolation import rotation_vectors
 from stone.geometry.trajectory import Trajectory
 
 MAX_LAG_S, COARSE_STEP_S, SLOPE_STEP_S = 0.4, 0.02, 0.01
@@ -81,16 +82,9 @@ class _Residuals:
         begin = self.track.at(self.turns.begin_ns + shift_ns, self.max_gap_ns)
         end = self.track.at(self.turns.end_ns + shift_ns, self.max_gap_ns)
         of_poses = (begin.map_from_ego.inverse() @ end.map_from_ego).wxyz
-        vectors = _rotation_vectors(multiply(self.turns.wxyz * np.array([1.0, -1, -1, -1]), of_poses))
+        vectors = rotation_vectors(multiply(self.turns.wxyz * np.array([1.0, -1, -1, -1]), of_poses))
         vectors[begin.segment != end.segment] = np.nan
         return vectors
-
-
-def _rotation_vectors(wxyz: Array) -> Array:
-    """Axis times angle (K, 3)."""
-    signed = wxyz * np.where(wxyz[:, :1] < 0, -1.0, 1.0)
-    sine = np.linalg.norm(signed[:, 1:], axis=1, keepdims=True)
-    return np.asarray(signed[:, 1:] / np.where(sine > 0, sine, 1.0) * 2 * np.arctan2(sine, signed[:, :1]))
 
 
 def _beside_median(vectors: Array) -> Array:
