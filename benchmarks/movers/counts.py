@@ -13,13 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from benchmarks.truth.checks import Drive
+from benchmarks.truth.checks import Drive, points_ego
 from benchmarks.truth.surface import read_mesh
 from simulator.scenery.movers import Mover
 from stone.geometry.lattice import Keys, centres_of, keys_of
 from stone.geometry.se3 import Array
 from stone.labels.voxels import VOXEL_M
-from stone.sensors.selection import SelectionParameters, world_points
 
 NEAR_M = 24.0
 TOUCHING_M = VOXEL_M * 1.75  # a corner's distance is √3
@@ -79,10 +78,10 @@ def _standing_points(drive: Drive, movers: Sequence[Mover], moments_ns: NDArray[
     """Where in the map the sweeps met what stands (M, 3), thinned."""
     kept, world_from_ego = list[Keys](), drive.world_from_ego()
     for frame, stamp_ns in enumerate(moments_ns.tolist()):
-        points_ego = _points_ego(drive, frame)
+        seen = points_ego(drive, frame)
         for mover in movers:
-            points_ego = points_ego[~mover.is_inside(world_from_ego[frame] @ points_ego, stamp_ns, MARGIN_M)]
-        kept.append(np.unique(keys_of(drive.sequence.frames.map_from_ego[frame] @ points_ego, VOXEL_M / 2)))
+            seen = seen[~mover.is_inside(world_from_ego[frame] @ seen, stamp_ns, MARGIN_M)]
+        kept.append(np.unique(keys_of(drive.sequence.frames.map_from_ego[frame] @ seen, VOXEL_M / 2)))
     return centres_of(np.unique(np.concatenate(kept)), VOXEL_M / 2)
 
 
@@ -91,11 +90,3 @@ def _in_world(drive: Drive, points_map: Array) -> Array:
     map_from_ego = drive.sequence.frames.map_from_ego
     _, nearest = cKDTree(map_from_ego.translation_m[:, :2]).query(points_map[:, :2])
     return np.asarray((drive.world_from_ego() @ map_from_ego.inverse())[nearest] @ points_map)
-
-
-def _points_ego(drive: Drive, frame: int) -> Array:
-    calibration = drive.sequence.calibration
-    nearest_m = SelectionParameters().min_range_m
-    points_lidar = drive.sweeps.sweep(frame).points_lidar
-    points_ego = world_points(points_lidar, calibration.ego_from_lidar, calibration.self_boxes_ego, nearest_m)
-    return points_ego.astype(np.float64)

@@ -150,16 +150,17 @@ def _labelled_world(drive: Drive, labels: Path) -> tuple[Array, Grid]:
     return np.concatenate(centres), np.concatenate(classes)
 
 
-def _points_world(drive: Drive, frame: int, world_from_ego: SE3) -> Array:
+def points_ego(drive: Drive, frame: int) -> Array:
+    """The points (N, 3) of a frame's sweep in its ego frame, without the robot's own."""
     calibration = drive.sequence.calibration
     points_lidar, nearest_m = drive.sweeps.sweep(frame).points_lidar, SelectionParameters().min_range_m
-    points_ego = world_points(points_lidar, calibration.ego_from_lidar, calibration.self_boxes_ego, nearest_m)
-    return world_from_ego @ points_ego.astype(np.float64)
+    kept = world_points(points_lidar, calibration.ego_from_lidar, calibration.self_boxes_ego, nearest_m)
+    return kept.astype(np.float64)
 
 
 def _thinned_points(drive: Drive) -> Array:
     poses = drive.world_from_ego()
-    keys = [np.unique(keys_of(_points_world(drive, frame, poses[frame]), THINNED_M)) for frame in range(len(poses))]
+    keys = [np.unique(keys_of(poses[frame] @ points_ego(drive, frame), THINNED_M)) for frame in range(len(poses))]
     return centres_of(np.unique(np.concatenate(keys)), THINNED_M)
 
 
@@ -170,7 +171,7 @@ def _without_ray(drive: Drive, centres_world: Array) -> int:
         if len(left) == 0:
             break
         sensor = poses[frame] @ drive.sequence.calibration.ego_from_lidar.translation_m
-        left = left[~_is_passed(left, sensor, _points_world(drive, frame, poses[frame]))]
+        left = left[~_is_passed(left, sensor, poses[frame] @ points_ego(drive, frame))]
     return len(left)
 
 
