@@ -52,6 +52,7 @@ from api.routes import (
 from api.routes import problems as problem_routes
 from api.routes.admin import admin_alarms, admin_benchmarks, admin_jobs, admin_rescores, admin_truths
 from services.runtime.platform import Platform, open_platform
+from services.runtime.sandbox.fork_client import use_fork_server
 from services.runtime.settings import Settings
 from services.runtime.telemetry.log_lines import speak_json
 from services.runtime.telemetry.tracing import setup_tracing
@@ -141,7 +142,9 @@ def from_environment() -> FastAPI:
 
 
 def told(api: FastAPI) -> FastAPI:
-    """The application of a process of its own, whose spans and counts others hear of."""
+    """The application of a process of its own, whose spans and counts others hear of; what it reads of strangers it
+    reads in children of a process without keys."""
+    use_fork_server(["stone_recordings.calibrations.file"])
     setup_tracing("stone-api")
     api.state.meters.keep_writing()
     return api

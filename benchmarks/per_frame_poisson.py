@@ -9,6 +9,7 @@ classes, which it finds by nearest neighbour on a GPU, are left out.
 """
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from services.labeler.parameters import parameters_for
 from services.labeler.plan import plan_of
 from services.labeler.run import LabelRun
 from services.labeler.scratch import load_points, tile_named
-from services.labeler.separate_process import apart
+from services.runtime.sandbox import SandboxLimits, sandboxed
 from services.runtime.telemetry.process_usage import used_cpu_s
 from stone.geometry.se3 import SE3
 from stone.labels.grid import GRID_MAX_M, GRID_MIN_M
@@ -28,6 +29,7 @@ from stone.labels.voxels import VOXEL_M
 from stone.surface.pointmap import merge
 
 NEIGHBOURS, DEPTH, LEAST_DENSE = 20, 10, 0.1
+LIMITS = SandboxLimits(memory_bytes=32 * 2**30, cpu_s=3600)
 EVERYWHERE_M = 1e5  # the map's lattice ends there
 
 
@@ -50,7 +52,8 @@ def per_frame_poisson(bag: Path, calibration: Path, frames: int, folder: Path) -
     taken, found = list[float](), list[int]()
     for index in chosen:
         before = used_cpu_s()
-        found.append(apart(_frame_voxels, cloud, sequence.frames.map_from_ego[int(index)], run.sensor_ego))
+        pose = sequence.frames.map_from_ego[int(index)]
+        found.append(int(sandboxed(partial(_frame_voxels, cloud, pose, run.sensor_ego), LIMITS)))
         taken.append(used_cpu_s() - before)
     return PerFrame(tuple(taken), tuple(found))
 
@@ -62,7 +65,7 @@ def _aggregated(run: LabelRun) -> NDArray[np.float64]:
     return merge([part for tile in tiles for part in load_points(run, tile, *everywhere)]).centroids_map()
 
 
-def _frame_voxels(cloud_map: NDArray[np.float64], map_from_ego: SE3, sensor_ego: NDArray[np.float64]) -> int:
+def _frame_voxels(cloud_map: NDArray[np.float64], map_from_ego: SE3, sensor_ego: NDArray[np.float64]) -> bytes:
     """How many voxels the surface of this frame fills; in a child, for Open3D must not be used before a fork."""
     import open3d
 
@@ -74,4 +77,4 @@ def _frame_voxels(cloud_map: NDArray[np.float64], map_from_ego: SE3, sensor_ego:
     mesh, density = open3d.geometry.TriangleMesh.create_from_point_cloud_poisson(cloud, depth=DEPTH, n_threads=1)
     mesh.remove_vertices_by_mask(np.asarray(density) < np.quantile(np.asarray(density), LEAST_DENSE))
     voxels = np.unique(np.floor(np.asarray(mesh.vertices) / VOXEL_M).astype(np.int64), axis=0)
-    return len(voxels)
+    return str(len(voxels)).encode()

@@ -7,6 +7,7 @@ to write or the API's connections (`services/runtime/sandbox`), and answer with 
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from datetime import datetime, timedelta
 from functools import partial
 from io import BytesIO
@@ -69,7 +70,7 @@ def understood(path: Path) -> CalibrationRead:
     if not _turns.acquire(timeout=PATIENCE_S):
         raise RateLimitedError(PER_MINUTE, int(PATIENCE_S))
     try:
-        found = _believed(path.name, sandboxed(partial(_read, path), LIMITS))
+        found = _believed(path.name, sandboxed(partial(_read, path), replace(LIMITS, reads=(path,))))
         _check_names(path.name, found.calibration)
     except PlatformFaultError:
         raise

@@ -10,16 +10,16 @@ import struct
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from services.domain.benchmarks.submissions.scoring_ranges import Span
+from services.eval.kernel_warmup import warm
 from services.eval.ranges import Counts, ExaminedRange, examined
 from services.eval.scoring_errors import TruthDamagedError
-from services.eval.truth_pack import TruthPack, TruthPackError, write_truth_pack
+from services.eval.truth_pack import TruthPack, TruthPackError
 from services.runtime.sandbox import (
     ProgressCallback,
     SandboxCrashedError,
@@ -28,12 +28,11 @@ from services.runtime.sandbox import (
     SandboxWatch,
     sandboxed_with_progress,
 )
-from stone.labels.grid import GRID_SHAPE
-from stone.scoring.bitplanes import RINGS, frame_counts, truth_planes
+from services.runtime.sandbox.fork_client import fork_server
+from stone.scoring.bitplanes import RINGS
 from stone.scoring.metric import CLASSES
 from stone_submissions.archive import SubmissionZip, open_submission
 from stone_submissions.errors import ScoringCrashedError, ScoringInterruptedError, UnreadableInputError
-from stone_submissions.manifest import Manifest
 from stone_submissions.verdict import Validation, verdict
 from stone_submissions.verdict_record import merged, validation_of
 
@@ -59,7 +58,10 @@ class Examination:
         frames = self.span[1] - self.span[0]
         cpu_s = 10 + int(FRAME_S * frames)
         return SandboxLimits(
-            cpu_s=cpu_s, wall_s=10.0 * cpu_s, answer_bytes=LONGEST_PROBLEMS_BYTES + answer_bytes(frames)
+            cpu_s=cpu_s,
+            wall_s=10.0 * cpu_s,
+            answer_bytes=LONGEST_PROBLEMS_BYTES + answer_bytes(frames),
+            reads=(self.zip_path, *([self.pack_path] if self.pack_path else [])),
         )
 
 
@@ -68,7 +70,8 @@ def examine(examination: Examination, watch: SandboxWatch) -> ExaminedRange:
 
     Raises `ScoringCrashedError` where the child broke its limits, `ScoringInterruptedError`, and what `watch` raises.
     """
-    _warm()
+    if fork_server() is None:
+        warm()
     try:
         answer = sandboxed_with_progress(partial(_looked_at, examination), examination.limits, watch)
     except SandboxCrashedError as error:
@@ -98,21 +101,6 @@ def counts_of(raw: bytes, frames: int) -> Counts:
 def answer_bytes(frames: int) -> int:
     """How long the counts of this many frames are."""
     return frames * (CONFUSION_BYTES + BEV_BYTES)
-
-
-@cache
-def _warm() -> None:
-    """Load the kernels, or compile them, before the first child: none of them could keep what it does (0.4 s).
-
-    By the way that a frame takes, so that none is forgotten.
-    """
-    nothing, token = np.zeros(GRID_SHAPE, np.uint8), "0" * 32
-    truth = truth_planes(nothing, nothing == 0)
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "truth.pack"
-        write_truth_pack(path, Manifest({"": (token,)}), lambda _: truth, threads=1)
-        with TruthPack(path) as pack:
-            frame_counts(nothing, pack.planes_of(token))
 
 
 def _looked_at(examination: Examination, progress: ProgressCallback) -> bytes:

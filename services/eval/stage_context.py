@@ -10,7 +10,7 @@ from services.eval.examination import Examination, examine
 from services.eval.ranges import ExaminedRange
 from services.runtime.jobs.specs import Attempt
 from services.runtime.platform import Platform
-from services.runtime.sandbox.job_watch import sandbox_watch_of
+from services.runtime.sandbox.job_sandbox import sandbox_watch_of
 from services.runtime.store.workspace import Workspace
 from services.runtime.telemetry.counters import process_counters
 from services.runtime.telemetry.metric_names import FRAMES

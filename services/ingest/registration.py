@@ -16,14 +16,15 @@ from sqlalchemy.orm import Session
 
 from services.domain.sequences.previews import PreparedPreview, PreviewSubject, prepared_previews, replace_previews
 from services.ingest.errors import RecordingChangedError
+from services.ingest.kernel_warmup import warm
 from services.ingest.received_files import ReceivedBag, ReceivedFile, received
 from services.ingest.sandboxed_inspection import RECOVERED, STEPS, RecordingSurvey, seen
-from services.ingest.sandboxed_reading import SandboxedReading, private_folder_in
 from services.runtime.access import storage_quota
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.specs import Attempt, Outcome
 from services.runtime.orm import Recording
 from services.runtime.platform import Platform
+from services.runtime.sandbox.job_sandbox import JobSandbox, private_folder_in
 from services.runtime.store.blobs import PreparedBlob, link_all, prepare
 from services.runtime.store.workspace import Workspace
 from services.runtime.uploads.backends import remove_bytes
@@ -78,7 +79,8 @@ def _read_and_kept(platform: Platform, attempt: Attempt, brought: ReceivedBag) -
 def _seen(platform: Platform, attempt: Attempt, brought: ReceivedBag, work: Path) -> RecordingSurvey:
     """What was recovered lies below `work` then, until the run is collected."""
     with private_folder_in(work) as folder:
-        apart = SandboxedReading(folder, tuple(file.path for file in brought.files), attempt, platform.settings)
+        reads = tuple(file.path for file in brought.files)
+        apart = JobSandbox(folder, reads, attempt, platform.settings, warm, makes_links=True)
         found = seen(brought, apart)
         return replace(found, recovered={row_id: _moved(path, work) for row_id, path in found.recovered.items()})
 

@@ -17,8 +17,8 @@ from typing import Any
 from services.ingest.cut_files import RecoveredFile, recovered_files
 from services.ingest.outlook import inspected_in
 from services.ingest.received_files import ReceivedBag
-from services.ingest.sandboxed_reading import SandboxedReading
 from services.runtime.sandbox import ProgressCallback, SandboxCrashedError
+from services.runtime.sandbox.job_sandbox import JobSandbox
 from services.runtime.sandbox.result_files import File, SandboxResult, packed, unpacked
 from stone_recordings.bags.bag import Bag, open_bag
 from stone_recordings.bags.errors import CutBagError
@@ -48,9 +48,9 @@ class RecordingSurvey:
     drawn: tuple[File, ...]
 
 
-def seen(brought: ReceivedBag, apart: SandboxedReading) -> RecordingSurvey:
+def seen(brought: ReceivedBag, apart: JobSandbox) -> RecordingSurvey:
     """Raises the `BAG-*` refusals, `SandboxCrashedError`, `ConfinedInterruptedError`, `JobCancelledError`."""
-    answer = apart.read(partial(_look, brought), "inspect", STEPS)
+    answer = apart.run(partial(_look, brought), "inspect", STEPS)
     return _believed(unpacked(answer), brought, apart.folder)
 
 
@@ -106,12 +106,14 @@ def _believed(parcel: SandboxResult, brought: ReceivedBag, folder: Path) -> Reco
             "findings": int(findings),
             "recovered": list(row_ids),
         } if set(map(str, row_ids)) <= {file.row_id for file in brought.files}:
-            recovered = {row_id: _plain(folder / RECOVERED / f"{row_id}.mcap") for row_id in row_ids}
+            recovered = {row_id: _plain(folder, f"{RECOVERED}/{row_id}.mcap") for row_id in row_ids}
             return RecordingSurvey(inspection, quality, topics, findings, recovered, parcel.files)
     raise SandboxCrashedError("answered something else than what was seen")
 
 
-def _plain(path: Path) -> Path:
-    if path.is_symlink() or not path.is_file():
+def _plain(folder: Path, name: str) -> Path:
+    """A file of the folder itself, reached by no link."""
+    path = folder / name
+    if path.resolve() != folder.resolve() / name or not path.is_file():
         raise SandboxCrashedError("recovered no file where it said it did")
     return path

@@ -13,9 +13,9 @@ from typing import Any
 
 from services.domain.sequences.run_files import SEQUENCE_FILE, SWEEPS_FILE
 from services.ingest.pipeline import SynchroniseOptions
-from services.ingest.sandboxed_reading import SandboxedReading
 from services.ingest.sequence import sequence_in
 from services.runtime.sandbox import ProgressCallback, SandboxCrashedError
+from services.runtime.sandbox.job_sandbox import JobSandbox
 from services.runtime.sandbox.result_files import File, SandboxResult, packed, unpacked
 from stone.findings import Finding
 from stone_recordings.bags.bag import open_bag
@@ -50,9 +50,9 @@ class SynchronisationResult:
     overlays: tuple[File, ...]
 
 
-def synchronised(asked: SynchronisationRequest, apart: SandboxedReading) -> SynchronisationResult:
+def synchronised(asked: SynchronisationRequest, apart: JobSandbox) -> SynchronisationResult:
     """Raises what `open_sequence` raises, `SandboxCrashedError`, `ConfinedInterruptedError`, `JobCancelledError`."""
-    answer = apart.read(partial(_synchronise, asked), SYNCHRONISED, 2)
+    answer = apart.run(partial(_synchronise, asked), SYNCHRONISED, 2)
     return _believed(unpacked(answer), apart.folder)
 
 

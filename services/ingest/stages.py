@@ -15,14 +15,15 @@ from services.domain.sequences.recording_sources import kept_recording, locate, 
 from services.domain.sequences.restart import arguments_of_run
 from services.domain.sequences.run_files import SEQUENCE_FILE, SWEEPS_FILE
 from services.domain.sequences.stage_checks import require_sequence
+from services.ingest.kernel_warmup import warm
 from services.ingest.pipeline import SynchroniseOptions
 from services.ingest.registration import register
-from services.ingest.sandboxed_reading import SandboxedReading, private_folder_in
 from services.ingest.sandboxed_synchronisation import SYNCHRONISED, SynchronisationRequest, synchronised
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.specs import Attempt, Handlers, JobSpec, Outcome
 from services.runtime.orm import Blob, CalibrationRow, Recording
 from services.runtime.platform import Platform
+from services.runtime.sandbox.job_sandbox import JobSandbox, private_folder_in
 from services.runtime.store.blobs import link_all
 from services.runtime.store.workspace import Workspace
 from stone_files.atomic import flush
@@ -65,7 +66,8 @@ def synchronise_recording(platform: Platform, attempt: Attempt) -> Outcome:
     asked = SynchronisationRequest(path, calibration, inputs.name, inputs.recording, inputs.valid_ns, options)
     workspace = Workspace(platform.store, platform.settings, attempt.root_id)
     with private_folder_in(workspace.folder) as folder:
-        made = synchronised(asked, SandboxedReading(folder, tuple(bag_parts(path)), attempt, platform.settings))
+        reads = (path, *bag_parts(path), calibration)  # a folder of links does not lead to files by itself
+        made = synchronised(asked, JobSandbox(folder, reads, attempt, platform.settings, warm, makes_links=True))
         attempt.progress(SYNCHRONISED, 1, 2)
         overlays = prepared_previews(platform, workspace.folder, made.overlays)
         for name, made_file in made.files.items():

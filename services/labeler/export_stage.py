@@ -5,13 +5,11 @@ go from the folder into packs one by one, so the export lies on the disk once. B
 the job's success are one transaction, in which an export that was deleted meanwhile gets none.
 """
 
-import json
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from functools import partial
-from hashlib import sha256
 from pathlib import Path
 from secrets import token_hex
 
@@ -21,88 +19,32 @@ from sqlalchemy.orm import Session
 from services.domain.exports.requests import ExportResult, begin_export, write_export
 from services.domain.sequences.run_files import SEQUENCE_FILE
 from services.domain.sequences.stage_checks import require_sequence
-from services.labeler.exports.errors import DamagedLabelsError
-from services.labeler.exports.registry import exporter_of
-from services.labeler.exports.source import MESH, REPORT, TABLE, LabelledSequence
-from services.labeler.recordings import RecordingDeletedError, samples_of
+from services.labeler.exports.registry import Exporter, exporter_of
+from services.labeler.exports.sandboxed_export import (
+    FILES,
+    ExportInputs,
+    LabelRange,
+    PackedLabels,
+    SourceAnswer,
+    source_of,
+    write_format,
+)
+from services.labeler.exports.source import MESH, REPORT, TABLE
+from services.labeler.kernel_warmup import warm
+from services.labeler.recordings import located_recording
 from services.runtime.jobs.specs import Attempt, Outcome
-from services.runtime.orm import Artefact, Blob, Export, LabelledFrameRow, LabelSet, Recording
+from services.runtime.orm import Artefact, Blob, Export, LabelledFrameRow, LabelSet
 from services.runtime.platform import Platform
+from services.runtime.sandbox.job_sandbox import JobSandbox, SandboxedWork, private_folder_in
 from services.runtime.store.blobs import PreparedBlob, prepare
 from services.runtime.store.folder import refusing_full
 from services.runtime.store.pack_reading import archive_sha256, local_reader
 from services.runtime.store.packs import PackedFiles, index_bytes, pack_count, pack_folder, pack_path
-from services.runtime.store.protocol import Store
 from services.runtime.store.workspace import Workspace
-from stone.sensors.samples import CameraSample, LidarSample, RadarSample, SampleSource
-from stone.sensors.sequence import Sequence
-from stone_recordings.sync.sequence_file import read_sequence
+from stone_recordings.bags.fingerprint import bag_parts
 
 INDEX = "index.npz"
-
-
-@dataclass(frozen=True)
-class _Range:
-    """Where the labels of a frame lie, and what they hash to."""
-
-    token: str
-    object_key: str
-    offset_bytes: int
-    length_bytes: int
-    sha256: str
-
-
-@dataclass(frozen=True)
-class _PackedLabels:
-    """The labels of frames as ranges of packs."""
-
-    store: Store
-    ranges: tuple[_Range, ...]
-
-    def __call__(self, index: int) -> bytes:
-        """Raises `DamagedLabelsError`."""
-        at = self.ranges[index]
-        payload = b"".join(self.store.read(at.object_key, at.offset_bytes, at.offset_bytes + at.length_bytes))
-        if sha256(payload).hexdigest() != at.sha256:
-            raise DamagedLabelsError(Path(at.token) / "labels.npz", "its sha256 is another")
-        return payload
-
-
-@dataclass
-class LateSamples:
-    """Samples of the recording that a sequence was made of, opened when the first is asked for: a mesh asks for none.
-
-    The recording is known by its content, so it may have been deleted and sent again.
-    """
-
-    platform: Platform
-    sequence_id: str
-    sequence: Sequence
-    _opened: SampleSource | None = field(default=None)
-
-    def lidar(self, index: int) -> LidarSample:
-        return self._source().lidar(index)
-
-    def camera(self, channel: str, index: int) -> CameraSample | None:
-        return self._source().camera(channel, index)
-
-    def radar(self, channel: str, index: int) -> RadarSample | None:
-        return self._source().radar(channel, index)
-
-    def _source(self) -> SampleSource:
-        """Raises `RecordingDeletedError`."""
-        if self._opened is None:
-            self._opened = samples_of(self.platform, self._recording_id(), self.sequence)
-        return self._opened
-
-    def _recording_id(self) -> str:
-        registered = (Recording.sequence_id == self.sequence_id, Recording.state == "registered")
-        same = select(Recording.id).where(*registered, Recording.sha256.in_(self.sequence.inputs.values()))
-        with self.platform.database.reading() as session:
-            recording_id = session.scalar(same.order_by(Recording.id).limit(1))
-        if recording_id is None:
-            raise RecordingDeletedError(", ".join(self.sequence.inputs))
-        return recording_id
+INPUTS = "inputs"
 
 
 def export(platform: Platform, attempt: Attempt) -> Outcome:
@@ -122,28 +64,47 @@ def export(platform: Platform, attempt: Attempt) -> Outcome:
     return Outcome(result, commit=lambda session: write_export(session, attempt, made, limit_bytes))
 
 
-def platform_source(platform: Platform, label_set_id: str, folder: Path) -> LabelledSequence:
-    """A labelled sequence of the platform; `folder` gets links that call its files as they are called.
+def located_inputs(platform: Platform, label_set_id: str, folder: Path, exporter: Exporter) -> ExportInputs:
+    """What an export of the label set is made of, but the recording, on this machine.
 
-    Raises `ObjectMissingError`.
+    `folder` gets links that call the files as they are called. Raises `ObjectMissingError`.
     """
     with platform.database.reading() as session:
-        labels = session.get_one(LabelSet, label_set_id)
         named = select(Artefact.name, Blob.object_key).join(Blob, Blob.sha256 == Artefact.blob_sha256)
         keys = {name: key for name, key in session.execute(named.where(Artefact.label_set_id == label_set_id))}
-        ranges = _ranges(session, label_set_id)
+        ranges = _ranges(session, label_set_id) if exporter.reads_labels else ()
     folder.mkdir(parents=True, exist_ok=True)
     for name in (REPORT, SEQUENCE_FILE, MESH, TABLE):
         (folder / name).symlink_to(platform.store.local(keys[name]))
-    sequence = read_sequence((folder / SEQUENCE_FILE).read_bytes())
-    report = json.loads((folder / REPORT).read_text("utf-8"))
-    samples = LateSamples(platform, labels.sequence_id, sequence)
-    return LabelledSequence(
-        sequence, samples, _PackedLabels(platform.store, ranges), report, folder / MESH, folder / TABLE
-    )
+    packs = {key: platform.store.local(key) for key in sorted({at.pack for at in ranges})}
+    return ExportInputs(folder, PackedLabels(packs, ranges))
 
 
-def _ranges(session: Session, label_set_id: str) -> tuple[_Range, ...]:
+@dataclass(frozen=True)
+class ExportSandbox:
+    """Where the children of an attempt work, and what they may read."""
+
+    platform: Platform
+    attempt: Attempt
+    folder: Path
+
+    def run(self, work: SandboxedWork, inputs: ExportInputs) -> bytes:
+        """Raises as `JobSandbox.run`."""
+        bag = inputs.recording
+        files = (path.resolve() for path in inputs.folder.iterdir())
+        reads = (inputs.folder, *files, *inputs.labels.packs.values(), *((bag, *bag_parts(bag)) if bag else ()))
+        with private_folder_in(self.folder) as temporary:
+            sandbox = JobSandbox(self.folder, reads, self.attempt, self.platform.settings, warm, temporary)
+            return sandbox.run(work, "export", 1)
+
+
+def with_recording(sandbox: ExportSandbox, inputs: ExportInputs, sequence_id: str) -> ExportInputs:
+    """The inputs and the bag that the sequence was made of. Raises `RecordingDeletedError`."""
+    made_of = SourceAnswer.believed(sandbox.run(partial(source_of, inputs), inputs))
+    return replace(inputs, recording=located_recording(sandbox.platform, sequence_id, made_of.sha256s))
+
+
+def _ranges(session: Session, label_set_id: str) -> tuple[LabelRange, ...]:
     """Of all frames, in their order."""
     frames = (
         select(LabelledFrameRow, Blob.object_key)
@@ -153,7 +114,7 @@ def _ranges(session: Session, label_set_id: str) -> tuple[_Range, ...]:
         .order_by(LabelledFrameRow.ordinal)
     )
     return tuple(
-        _Range(frame.token, key, frame.offset_bytes, frame.length_bytes, frame.sha256)
+        LabelRange(frame.token, key, frame.offset_bytes, frame.length_bytes, frame.sha256)
         for frame, key in session.execute(frames)
     )
 
@@ -176,7 +137,7 @@ def attempt_folder(platform: Platform, attempt: Attempt) -> Iterator[Path]:
 
 def pack_files(attempt: Attempt, folder: Path) -> PackedFiles:
     """Move what lies in `files` of the attempt's folder into packs, and write their index."""
-    files = pack_folder(folder / "files", folder / "packs", partial(attempt.progress, "pack"))
+    files = pack_folder(folder / FILES, folder / "packs", partial(attempt.progress, "pack"))
     (folder / INDEX).write_bytes(index_bytes(files))
     return files
 
@@ -194,10 +155,18 @@ def stored_packs(platform: Platform, attempt: Attempt, folder: Path, files: Pack
 
 def _packed(platform: Platform, attempt: Attempt, row: Export, folder: Path) -> PackedFiles:
     """Have the files written, then move them into packs."""
-    source = platform_source(platform, row.label_set_id, folder / "inputs")
-    (folder / "files").mkdir()
-    exporter_of(row.format)(source, folder / "files", partial(attempt.progress, row.format))
+    exporter, sandbox = exporter_of(row.format), ExportSandbox(platform, attempt, folder)
+    inputs = located_inputs(platform, row.label_set_id, folder / INPUTS, exporter)
+    if exporter.reads_samples:
+        inputs = with_recording(sandbox, inputs, _sequence_of(platform, row.label_set_id))
+    (folder / FILES).mkdir()
+    sandbox.run(partial(write_format, row.format, inputs), inputs)
     return pack_files(attempt, folder)
+
+
+def _sequence_of(platform: Platform, label_set_id: str) -> str:
+    with platform.database.reading() as session:
+        return session.get_one(LabelSet, label_set_id).sequence_id
 
 
 def _made(platform: Platform, attempt: Attempt, folder: Path, files: PackedFiles) -> ExportResult:

@@ -8,12 +8,19 @@ from functools import partial
 from pathlib import Path
 
 from services.domain.benchmarks.phases.inputs import PhaseInputResult, phase_of_attempt, sequence_key, write_input
-from services.labeler.export_stage import LateSamples, attempt_folder, pack_files, stored_packs
-from services.labeler.exports.inputs import write_sensed
+from services.domain.sequences.run_files import SEQUENCE_FILE
+from services.labeler.export_stage import (
+    INPUTS,
+    ExportSandbox,
+    attempt_folder,
+    pack_files,
+    stored_packs,
+    with_recording,
+)
+from services.labeler.exports.sandboxed_export import FILES, ExportInputs, PackedLabels, write_phase_input
 from services.runtime.jobs.specs import Attempt, Outcome
 from services.runtime.platform import Platform
 from services.runtime.store.pack_reading import archive_sha256, local_reader
-from stone_recordings.sync.sequence_file import read_sequence
 
 
 def make_input(platform: Platform, attempt: Attempt) -> Outcome:
@@ -36,10 +43,12 @@ def make_input(platform: Platform, attempt: Attempt) -> Outcome:
 def _made(platform: Platform, attempt: Attempt, of: tuple[str, str], folder: Path) -> PhaseInputResult:
     """The files of the sequence called so that lies under this key, in the store."""
     name, key = of
-    sequence = read_sequence(b"".join(platform.store.read(key)))
-    samples = LateSamples(platform, str(attempt.arguments["sequence_id"]), sequence)
-    (folder / "files").mkdir()
-    write_sensed(sequence, samples, folder / "files", partial(attempt.progress, "inputs"))
+    (folder / INPUTS).mkdir()
+    (folder / INPUTS / SEQUENCE_FILE).symlink_to(platform.store.local(key))
+    sandbox, inputs = ExportSandbox(platform, attempt, folder), ExportInputs(folder / INPUTS, PackedLabels({}, ()))
+    inputs = with_recording(sandbox, inputs, str(attempt.arguments["sequence_id"]))
+    (folder / FILES).mkdir()
+    sandbox.run(partial(write_phase_input, inputs), inputs)
     files = pack_files(attempt, folder)
     tar = archive_sha256(files, "tar", local_reader(folder / "packs"), partial(attempt.progress, "tar"))
     index, *packs = stored_packs(platform, attempt, folder, files)

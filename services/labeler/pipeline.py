@@ -34,7 +34,7 @@ from services.runtime.jobs.specs import JobSpec
 FUSE, SURFACE, SIGHT = "labeler.fuse", "labeler.surface", "labeler.sight"
 REFERENCE, FRAMES, MAP, PUBLISH = "labeler.reference", "labeler.frames", "labeler.map", "labeler.publish"
 STAGES: Mapping[str, Stage] = {
-    FUSE: Stage(fuse_part, files_of_fuse, "fuse", shown="fuse", event="fused"),
+    FUSE: Stage(fuse_part, files_of_fuse, "fuse", shown="fuse", event="fused", reads_sweeps=True),
     SURFACE: Stage(surface_tile, files_of_surface, "surface", shown="surface", event="reconstructed"),
     SIGHT: Stage(lay_sight, files_of_sight, "sight", shown="sight lines"),
     REFERENCE: Stage(refer, files_of_reference, "reference", event="reference"),

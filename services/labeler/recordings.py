@@ -1,18 +1,14 @@
-"""The recordings that labels are made of: their sweeps, and the samples of all sensors for exports.
+"""The recordings that labels are made of, located for exports."""
 
-**Conventions.** Nothing is opened before the first sweep or sample is asked for.
-"""
+from collections.abc import Collection
+from pathlib import Path
 
-from functools import partial
+from sqlalchemy import select
 
 from services.domain.sequences.recording_sources import kept_recording, locate
 from services.runtime.orm import Recording
 from services.runtime.platform import Platform
 from stone.errors import StoneError
-from stone.sensors.sequence import Sequence
-from stone_recordings.sync.samples import BagSamples
-from stone_recordings.sync.sweep_file import read_sweeps
-from stone_recordings.sync.sweeps import BagSweeps
 
 
 class RecordingDeletedError(StoneError):
@@ -20,20 +16,20 @@ class RecordingDeletedError(StoneError):
 
     code = "recording_deleted"
 
-    def __init__(self, recording_id: str) -> None:
-        super().__init__(f"recording {recording_id} was deleted, so what it holds cannot be exported any more")
+    def __init__(self, recording: str) -> None:
+        super().__init__(f"recording {recording} was deleted, so what it holds cannot be exported any more")
 
 
-def described_sweeps(platform: Platform, description: bytes) -> BagSweeps:
-    """The sweeps that `sweep_file.sweeps_bytes` described, wherever this worker finds the recording."""
-    return read_sweeps(description, partial(locate, platform))
+def located_recording(platform: Platform, sequence_id: str, sha256s: Collection[str]) -> Path:
+    """The bag of the sequence with one of these hashes, on this machine; it may have been deleted and sent again.
 
-
-def samples_of(platform: Platform, recording_id: str, sequence: Sequence) -> BagSamples:
-    """What the sensors gave for each frame of a sequence made of this recording. Raises `RecordingDeletedError`."""
+    Raises `RecordingDeletedError`.
+    """
+    registered = (Recording.sequence_id == sequence_id, Recording.state == "registered")
+    same = select(Recording).where(*registered, Recording.sha256.in_(sha256s)).order_by(Recording.id).limit(1)
     with platform.database.reading() as session:
-        recording = session.get(Recording, recording_id)
+        recording = session.scalar(same)
         if recording is None:
-            raise RecordingDeletedError(recording_id)
+            raise RecordingDeletedError(", ".join(sorted(sha256s)))
         kept = kept_recording(session, recording)
-    return BagSamples(locate(platform, kept), sequence)
+    return locate(platform, kept)

@@ -40,7 +40,8 @@ class Stage:
     """What the jobs of one kind do, and their files.
 
     `step_name` is how the queue tells the progress within a job, `shown` how `stone label` tells how many jobs are
-    done ("" where it tells nothing), `event` the log line of a job that is done.
+    done ("" where it tells nothing), `event` the log line of a job that is done. One that does not say that it
+    `reads_sweeps` is not given the recording.
     """
 
     work: Callable[[LabelRun, Arguments, Step], StageResult]
@@ -48,6 +49,7 @@ class Stage:
     step_name: str
     shown: str = ""
     event: str = ""
+    reads_sweeps: bool = False
 
 
 def part_of(arguments: Arguments) -> Part:

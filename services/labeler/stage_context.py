@@ -1,36 +1,25 @@
-"""The context of a labelling stage: its run as values, its files in the workspace, its progress reports."""
+"""The context of a labelling stage: its run's files in the workspace, and the sandbox in which they are opened."""
 
-from dataclasses import dataclass
-from functools import partial
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
+from services.domain.sequences.recording_sources import kept_recording, locate
 from services.domain.sequences.restart import arguments_of_run
 from services.domain.sequences.run_files import SEQUENCE_FILE, SWEEPS_FILE
 from services.domain.sequences.stage_checks import require_sequence
 from services.labeler.errors import WorkGoneError
-from services.labeler.parameters import chosen_parameters
-from services.labeler.recordings import described_sweeps
-from services.labeler.run import LabelRun, Step
-from services.labeler.stage import StageFiles
+from services.labeler.kernel_warmup import warm
+from services.labeler.run_answers import Answer, FilesAnswer
+from services.labeler.sandboxed_run import RunOpening
+from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.specs import Attempt
+from services.runtime.orm import Recording
 from services.runtime.platform import Platform
+from services.runtime.sandbox.job_sandbox import JobSandbox, SandboxedWork, private_folder_in
 from services.runtime.store.workspace import Workspace
-from stone.sensors.sequence import Sweep, SweepSource
-from stone_recordings.sync.sequence_file import read_sequence
+from stone_recordings.bags.fingerprint import bag_parts
 
-
-@dataclass
-class LateSweeps:
-    """Sweeps that are opened when the first is asked for: most stages ask for none."""
-
-    platform: Platform
-    description: bytes
-    opened: SweepSource | None = None
-
-    def sweep(self, index: int) -> Sweep:
-        if self.opened is None:
-            self.opened = described_sweeps(self.platform, self.description)
-        return self.opened.sweep(index)
+A = TypeVar("A", bound=Answer)
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,25 +30,46 @@ class LabelStageContext:
     attempt: Attempt
     arguments: dict[str, Any]
     workspace: Workspace
-    run: LabelRun
 
-    def pull(self, files: StageFiles) -> None:
+    @property
+    def opening(self) -> RunOpening:
+        """The run, for stages that read no sweeps."""
+        return RunOpening(self.workspace.folder, self.arguments["profile"], self.arguments["parameters"])
+
+    def opening_with_sweeps(self) -> RunOpening:
+        """The run and its recording, brought to this machine. Raises `JobCancelledError` where that was deleted."""
+        with self.platform.database.reading() as session:
+            recording = session.get(Recording, self.arguments["recording_id"])
+            if recording is None:
+                raise JobCancelledError("its recording was deleted")
+            kept = kept_recording(session, recording)
+        return replace(self.opening, recording=locate(self.platform, kept))
+
+    def ask(self, answer: type[A], work: SandboxedWork, shown: str, opening: RunOpening) -> A:
+        """What a sandboxed child answers that may open what `opening` leads to.
+
+        Raises what `work` raises, `SandboxCrashedError`, `SandboxInterruptedError`, `JobCancelledError`.
+        """
+        bag = opening.recording
+        reads = () if bag is None else (bag, *bag_parts(bag))  # a folder of links does not lead to files by itself
+        with private_folder_in(opening.folder) as temporary:
+            sandbox = JobSandbox(opening.folder, reads, self.attempt, self.platform.settings, warm, temporary)
+            return answer.believed(sandbox.run(work, shown, 1))
+
+    def pull(self, files: FilesAnswer) -> None:
         """Make local what earlier stages left. Raises `WorkGoneError` where nothing is left of what is required."""
         self.workspace.pull(*files.reads)
         for name in files.requires:
-            if not (self.run.scratch / name).exists():
+            if not (self.workspace.folder / name).exists():
                 self.workspace.pull(name)
-            if not (self.run.scratch / name).exists():
+            if not (self.workspace.folder / name).exists():
                 raise WorkGoneError(name)
 
-    def push(self, files: StageFiles) -> None:
+    def push(self, files: FilesAnswer) -> None:
         """Leave for later stages what was written."""
-        found = (path for pattern in files.writes for path in sorted(self.run.scratch.glob(pattern)))
-        self.workspace.push(*(path.relative_to(self.run.scratch).as_posix() for path in found))
-
-    def step(self, stage: str) -> Step:
-        """What a stage calls as it goes on; raises `JobCancelledError` when it is to stop."""
-        return partial(self.attempt.progress, stage)
+        folder = self.workspace.folder
+        found = (path for pattern in files.writes for path in sorted(folder.glob(pattern)))
+        self.workspace.push(*(path.relative_to(folder).as_posix() for path in found))
 
 
 def stage_context_of(platform: Platform, attempt: Attempt) -> LabelStageContext:
@@ -73,10 +83,7 @@ def stage_context_of(platform: Platform, attempt: Attempt) -> LabelStageContext:
     arguments = arguments_of_run(platform, attempt)
     workspace = Workspace(platform.store, platform.settings, attempt.root_id)
     workspace.pull(SEQUENCE_FILE, SWEEPS_FILE)
-    if not (workspace.folder / SWEEPS_FILE).exists():
-        raise WorkGoneError(SWEEPS_FILE)
-    sequence = read_sequence((workspace.folder / SEQUENCE_FILE).read_bytes())
-    sweeps = LateSweeps(platform, (workspace.folder / SWEEPS_FILE).read_bytes())
-    parameters = chosen_parameters(arguments["profile"], arguments["parameters"])
-    run = LabelRun(sequence, sweeps, parameters, workspace.folder)
-    return LabelStageContext(platform, attempt, arguments, workspace, run)
+    for name in (SEQUENCE_FILE, SWEEPS_FILE):
+        if not (workspace.folder / name).exists():
+            raise WorkGoneError(name)
+    return LabelStageContext(platform, attempt, arguments, workspace)

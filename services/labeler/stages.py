@@ -2,20 +2,23 @@
 
 **Conventions.** A handler may run twice, at once or after being killed anywhere: files are renamed into place and have
 the same bytes. Jobs carry numbers only; everything else lies in the run's workspace, of which a handler pulls what its
-stage reads and pushes what it leaves.
+stage reads and pushes what it leaves. Whatever opens a file of the run does so in a sandboxed child
+(`services/labeler/sandboxed_run.py`).
 """
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 from services.domain.benchmarks.phases.inputs import INPUTS
 from services.domain.exports.requests import EXPORT
 from services.domain.sequences.processing import LABEL
-from services.labeler.errors import NoUsableFramesError
 from services.labeler.export_stage import export
 from services.labeler.phase_inputs import make_input
-from services.labeler.pipeline import FUSE, PUBLISH, STAGES, SURFACE, label_graph
+from services.labeler.pipeline import PUBLISH, STAGES
 from services.labeler.publication import publish
+from services.labeler.run_answers import FilesAnswer, GraphAnswer, WorkAnswer
+from services.labeler.sandboxed_run import StageTask, planned, stage_files, worked
 from services.labeler.stage import Stage
 from services.labeler.stage_context import LabelStageContext, stage_context_of
 from services.runtime.jobs.specs import Attempt, Handlers, Outcome
@@ -28,7 +31,7 @@ def handlers(platform: Platform) -> Handlers:
     """The stages by kind."""
     stages: dict[str, Callable[[LabelStageContext], Outcome]] = {
         LABEL: list_jobs,
-        **{kind: partial(run_stage, stage) for kind, stage in STAGES.items()},
+        **{kind: partial(run_stage, kind, stage) for kind, stage in STAGES.items()},
         PUBLISH: publish,
     }
     made = {kind: partial(_with_context, platform, stage) for kind, stage in stages.items()}
@@ -36,23 +39,22 @@ def handlers(platform: Platform) -> Handlers:
 
 
 def list_jobs(context: LabelStageContext) -> Outcome:
-    """All the jobs of the run. Raises `NoUsableFramesError`."""
-    if len(context.run.sequence.frames) == 0:
-        raise NoUsableFramesError(context.run.sequence)
-    jobs = label_graph(context.run)
-    parts, tiles = (sum(job.kind == kind for job in jobs) for kind in (FUSE, SURFACE))
-    return Outcome({"parts": parts, "tiles": tiles}, then=jobs)
+    """All the jobs of the run. Raises `NoUsableFramesError`, and what `LabelStageContext.ask` raises."""
+    graph = context.ask(GraphAnswer, partial(planned, context.opening), "plan", context.opening)
+    return Outcome({"parts": graph.parts, "tiles": graph.tiles}, then=tuple(job.spec() for job in graph.jobs))
 
 
-def run_stage(stage: Stage, context: LabelStageContext) -> Outcome:
+def run_stage(kind: str, stage: Stage, context: LabelStageContext) -> Outcome:
     """Pull what the job reads, do its work, push what it leaves. Raises what the work raises, and `WorkGoneError`."""
-    arguments = context.attempt.arguments
-    files = stage.files(context.run, arguments)
+    opening = context.opening_with_sweeps() if stage.reads_sweeps else context.opening
+    task = StageTask(opening, kind, context.attempt.arguments)
+    files = context.ask(FilesAnswer, partial(stage_files, task), stage.step_name, context.opening)
     context.pull(files)
-    done = stage.work(context.run, arguments, context.step(stage.step_name))
+    done = context.ask(WorkAnswer, partial(worked, task), stage.step_name, opening)
     context.push(files)
-    if done.facts:
-        context.attempt.log(stage.event, **done.facts)
+    facts: dict[str, Any] = dict(done.facts)
+    if facts:
+        context.attempt.log(stage.event, **facts)
     if labelled := done.result.get("frames"):
         process_counters().add(FRAMES, ("labelled",), labelled)
     return Outcome(done.result)

@@ -15,29 +15,31 @@ from services.labeler.exports.errors import UnknownFormatError
 from services.labeler.exports.source import LabelledSequence
 from services.labeler.run import Step
 
-Exporter = Callable[[LabelledSequence, Path, Step], None]
+Write = Callable[[LabelledSequence, Path, Step], None]
 
 
 @dataclass(frozen=True)
-class _Late:
-    """An exporter that is imported when it is called."""
+class Exporter:
+    """An exporter that is imported when it is called, and what it looks at besides the sequence and its map."""
 
     module: str
     function: str
+    reads_labels: bool = True
+    reads_samples: bool = True
 
     def __call__(self, source: LabelledSequence, out: Path, step: Step) -> None:
-        cast("Exporter", getattr(import_module(f"services.labeler.{self.module}"), self.function))(source, out, step)
+        cast("Write", getattr(import_module(f"services.labeler.{self.module}"), self.function))(source, out, step)
 
 
 EXPORTERS: Mapping[str, Exporter] = {
-    "nuscenes": _Late("exports.nuscenes.layout", "write_nuscenes"),
-    "inputs": _Late("exports.inputs", "write_inputs"),
-    "kitti": _Late("exports.kitti", "write_kitti"),
-    "mesh": _Late("exports.meshes", "write_meshes"),
-    "mcap": _Late("exports.foxglove", "write_foxglove"),
-    "rrd": _Late("exports.rerun", "write_rerun"),
-    "previews": _Late("previews.preview_files", "write_previews"),
-    "playback": _Late("exports.playback", "write_playback"),
+    "nuscenes": Exporter("exports.nuscenes.layout", "write_nuscenes"),
+    "inputs": Exporter("exports.inputs", "write_inputs", reads_labels=False),
+    "kitti": Exporter("exports.kitti", "write_kitti"),
+    "mesh": Exporter("exports.meshes", "write_meshes", reads_labels=False, reads_samples=False),
+    "mcap": Exporter("exports.foxglove", "write_foxglove"),
+    "rrd": Exporter("exports.rerun", "write_rerun"),
+    "previews": Exporter("previews.preview_files", "write_previews"),
+    "playback": Exporter("exports.playback", "write_playback", reads_labels=False),
 }
 
 

@@ -30,6 +30,7 @@ from stone.labels.traversability import (
 from stone.sensors.sequence import Sequence
 from stone.surface.terrain import with_elevation
 
+COMPARISON = "profiles.npz"
 CLASSES = ("traversable", "potentially_traversable", "non_traversable")
 
 
@@ -126,7 +127,7 @@ class ComparisonCounter:
 
 
 def comparison_path(run: LabelRun) -> Path:
-    return run.scratch / "profiles.npz"
+    return run.scratch / COMPARISON
 
 
 def save_comparison(run: LabelRun, comparison: ProfileComparison) -> None:

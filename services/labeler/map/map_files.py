@@ -21,7 +21,7 @@ from services.labeler.scratch import whole
 from services.labeler.stage import Arguments, StageFiles, StageResult
 from stone.labels.traversability import Reference
 
-TOP_VIEW, THUMBNAIL, MESH = "bev.png", "thumbnail.jpg", "mesh.ply"
+MAP, TOP_VIEW, THUMBNAIL, MESH = "map", "bev.png", "thumbnail.jpg", "mesh.ply"
 
 
 def draw_map(run: LabelRun, _arguments: Arguments, step: Step) -> StageResult:
@@ -37,7 +37,7 @@ def files_of_map(run: LabelRun, _arguments: Arguments) -> StageFiles:
 
 def map_folder(run: LabelRun) -> Path:
     """Everything that `draw_map` leaves in it is published under its name."""
-    return run.scratch / "map"
+    return run.scratch / MAP
 
 
 def write_map(run: LabelRun, tiles: list[TileSummary], reference: Reference, out: Path, step: Step) -> None:

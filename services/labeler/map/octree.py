@@ -9,22 +9,24 @@ solver's bounding box and are then dropped by it, so cells lie on one lattice wh
 the centres of label voxels, hence a vertex lies on a line between voxel centres, never on a voxel border.
 
 One thread: the same bits on every run; more threads differ between runs and crash upstream (Open3D #6828).
-Open3D is used in a child only: a parent that has used it before forking leaves its children one core, and the solver
-keeps the interpreter's lock (`services/labeler/separate_process.py`).
+A process that forks others must not have used Open3D: it would leave them one core. Stages run in processes that
+fork none.
 """
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 from numpy.typing import NDArray
 
-from services.labeler.separate_process import apart
 from stone.surface.mesh import Mesh
 from stone.surface.neighbours import cells_of, plane_fits
 
 # The solver rounds the extent up to a power of two of cells; this much less keeps an exact power from doubling.
 SLACK_M = 1e-6
 NEIGHBOURS = 20  # of a point, for its normal
+STREAMS = (1, 2)
 
 
 def octree_surface(
@@ -45,12 +47,10 @@ def reconstruct(
     points_map: NDArray[np.float64], normals: NDArray[np.float64], low: NDArray[np.float64], extent: tuple[int, float]
 ) -> Mesh:
     """The surface through points (N, 3) with unit normals in the cube at `low` (3,); `extent` = (cells, width m)."""
-    import open3d  # noqa: F401  before the fork, once, and not in every child
-
     cells, width_m = extent
     corners = np.stack([low, low + cells * width_m - SLACK_M])
     points_map = np.concatenate([points_map, corners])
-    return apart(_solved, points_map, np.concatenate([normals, np.zeros((2, 3))]), width_m)
+    return _solved(points_map, np.concatenate([normals, np.zeros((2, 3))]), width_m)
 
 
 def _normals(
@@ -75,18 +75,26 @@ def _upright(points_map: NDArray[np.float64], extent: tuple[int, float]) -> tupl
 def _solved(points_map: NDArray[np.float64], normals: NDArray[np.float64], width_m: float) -> Mesh:
     import open3d
 
-    _silence_open3d()
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points_map))
     cloud.normals = open3d.utility.Vector3dVector(normals)
-    surface, _ = open3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
-        cloud, width=width_m, scale=1.0, linear_fit=False, n_threads=1
-    )
+    with _silent_streams():
+        surface, _ = open3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
+            cloud, width=width_m, scale=1.0, linear_fit=False, n_threads=1
+        )
     return Mesh(np.array(surface.vertices), np.array(surface.triangles, dtype=np.int32))
 
 
-def _silence_open3d() -> None:
+@contextmanager
+def _silent_streams() -> Iterator[None]:
     """The solver writes warnings of its own past every log level (the two corner points are "bad data" to it, which
     is their purpose) straight to the process's streams, where they would spoil progress bars and JSON."""
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    for stream in (1, 2):
-        os.dup2(nowhere, stream)
+    kept, nowhere = [os.dup(stream) for stream in STREAMS], os.open(os.devnull, os.O_WRONLY)
+    try:
+        for stream in STREAMS:
+            os.dup2(nowhere, stream)
+        yield
+    finally:
+        for stream, descriptor in zip(STREAMS, kept, strict=True):
+            os.dup2(descriptor, stream)
+        for descriptor in (*kept, nowhere):
+            os.close(descriptor)

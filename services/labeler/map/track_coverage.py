@@ -14,6 +14,7 @@ from stone.labels.track_coverage import STEP_M, TrackCoverage, coverage, spaced
 from stone.sensors.ego_path import ego_path
 
 # Of simulated runs 99.7 % and more are closed; a footprint that leaves the ground for a while closes less.
+COVERAGE = "coverage.npz"
 USUAL_RATIO = 0.98
 
 
@@ -40,7 +41,7 @@ class CoverageCounter:
 
 
 def coverage_path(run: LabelRun) -> Path:
-    return run.scratch / "coverage.npz"
+    return run.scratch / COVERAGE
 
 
 def save_coverage(run: LabelRun, found: TrackCoverage) -> None:

@@ -8,6 +8,7 @@ import errno
 import gc
 import os
 import signal
+import sys
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -70,9 +71,10 @@ def run_child(answer: SandboxTask, parent: int) -> NoReturn:
     try:
         die_with(parent)
         _forget_the_parent()
+        _keep_nothing_compiled()
         replace_inherited_descriptors(answer.writing)
         apply_limits(answer.limits)
-        send_message(answer.writing, FENCED, texts_of(**enter_sandbox(answer.limits.folder)))
+        send_message(answer.writing, FENCED, texts_of(**enter_sandbox(answer.limits)))
         send_message(answer.writing, *answer.told())
         status = 0
     finally:
@@ -88,6 +90,13 @@ def _forget_the_parent() -> None:
             signal.signal(number, signal.SIG_DFL)
     signal.signal(signal.SIGXCPU, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_SETMASK, ())
+
+
+def _keep_nothing_compiled() -> None:
+    """What numba compiles here is used and not kept: whatever a child added to its cache would run in every worker."""
+    caching = sys.modules.get("numba.core.caching")
+    if caching is not None:
+        caching.FunctionCache.save_overload = lambda *_: None
 
 
 def _exception(error: BaseException) -> bytes:

@@ -5,11 +5,12 @@
 | network   | no socket at all                | a user and network namespace of its own; Landlock: no TCP |
 | processes | no fork, exec, trace or signal  | nothing                              |
 | writing   | no file is opened for writing   | Landlock; else a file size of zero, where no folder is given |
+| reading   | nothing                         | Landlock: what was given, and the system's own files |
 
-**Conventions.** A child may be given one folder to write in; Landlock then keeps it there, and without Landlock the
-file modes alone do. The strongest means are taken that this kernel has, none needs a privilege, and the child tells
-its parent which they were, which is logged once: nobody is silently unprotected. Only a container's own seccomp
-profile may forbid the namespace; Docker's and podman's default profiles allow `seccomp` and `landlock_*`.
+**Conventions.** A child may be given one folder to write in and files to read; Landlock then keeps it there, and
+without Landlock the file modes alone do. The strongest means are taken that this kernel has, none needs a privilege,
+and the child tells its parent which they were, which is logged once: nobody is silently unprotected. Only a container's
+own seccomp profile may forbid the namespace; Docker's and podman's default profiles allow `seccomp` and `landlock_*`.
 """
 
 import ctypes
@@ -18,7 +19,8 @@ from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from services.runtime.sandbox.landlock import write_below
+from services.runtime.sandbox.landlock import restrict_files
+from services.runtime.sandbox.limits import SandboxLimits
 from services.runtime.sandbox.seccomp import refuse_calls
 
 NONE = "none"
@@ -28,17 +30,19 @@ SandboxMechanisms = Mapping[str, str]
 _LIBC = ctypes.CDLL(None, use_errno=True)
 
 
-def enter_sandbox(folder: Path | None) -> SandboxMechanisms:
+def enter_sandbox(limits: SandboxLimits) -> SandboxMechanisms:
     """Shut this process in; by which means each fence stands, `none` where it does not.
 
     The process has one thread. Nothing of this can be undone.
     """
-    has_landlock = write_below(folder)
-    has_seccomp = refuse_calls(may_write=folder is not None)
+    folder = limits.folder
+    has_landlock = restrict_files(limits)
+    has_seccomp = refuse_calls(may_write=folder is not None, may_link=limits.makes_links)
     network = "seccomp" if has_seccomp else "namespace" if _leave_the_network() else NONE
     by_size = "file size" if folder is None else NONE
     writing = "landlock" if has_landlock else "seccomp" if has_seccomp and folder is None else by_size
-    return {"network": network, "processes": "seccomp" if has_seccomp else NONE, "writing": writing}
+    processes, reading = "seccomp" if has_seccomp else NONE, "landlock" if has_landlock else NONE
+    return {"network": network, "processes": processes, "writing": writing, "reading": reading}
 
 
 def replace_inherited_descriptors(kept: int) -> None:

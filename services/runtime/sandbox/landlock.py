@@ -1,21 +1,32 @@
-"""Landlock rules: a sandboxed child writes below one folder only, connects nowhere, signals nobody outside.
+"""Landlock rules: a sandboxed child writes below one folder only, reads what it was given and the system's own files,
+connects nowhere, signals and traces nobody outside.
 
 **Conventions.** Linux 5.13 and later (landlock(7)); what a kernel does not know of the list below is left out. It holds
-for root too, cannot be taken off, and is asked for without any privilege. Reading stays as the file's mode says.
+for root too, cannot be taken off, and is asked for without any privilege. Other processes' `/proc` entries are closed
+twice: they are not among the files, and nobody outside the domain may be traced (ptrace(2), access mode checks).
 """
 
 import ctypes
 import os
+import stat
 import struct
+from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
+
+from services.runtime.sandbox.limits import SandboxLimits
+from services.runtime.sandbox.system_files import DEVICES, system_files
 
 CREATE, ADD, RESTRICT = 444, 445, 446  # the same on every machine
 VERSION_ASKED, BENEATH = 1, 1
 PR_SET_NO_NEW_PRIVS = 38
-EXECUTE, WRITE_FILE, REFER, TRUNCATE, IOCTL_DEV = 1 << 0, 1 << 1, 1 << 13, 1 << 14, 1 << 15
+EXECUTE, WRITE_FILE, READ_FILE, READ_DIR = 1 << 0, 1 << 1, 1 << 2, 1 << 3
+REFER, TRUNCATE, IOCTL_DEV = 1 << 13, 1 << 14, 1 << 15
 MAKING = sum(1 << bit for bit in range(4, 13))  # remove_dir, remove_file, make_char to make_sym
-REGULAR = sum(1 << bit for bit in (4, 5, 7, 8, 12))  # of those: folders, files and links
-SINCE = {1: EXECUTE | WRITE_FILE | MAKING, 2: REFER, 3: TRUNCATE, 5: IOCTL_DEV}
+REGULAR = sum(1 << bit for bit in (4, 5, 7, 8))  # of those: folders and files
+MAKE_SYM = 1 << 12
+OF_FILES = EXECUTE | WRITE_FILE | READ_FILE | TRUNCATE | IOCTL_DEV  # the others are of folders
+SINCE = {1: EXECUTE | WRITE_FILE | READ_FILE | READ_DIR | MAKING, 2: REFER, 3: TRUNCATE, 5: IOCTL_DEV}
 TCP = 0b11  # bind and connect, since version 4
 SCOPES = 0b11  # abstract sockets and signals, since version 6
 
@@ -27,8 +38,8 @@ def version() -> int:
     return max(0, int(_LIBC.syscall(CREATE, None, ctypes.c_size_t(0), VERSION_ASKED)))
 
 
-def write_below(folder: Path | None) -> bool:
-    """Restrict this process to change files below `folder` only, or none; returns whether the kernel took it."""
+def restrict_files(limits: SandboxLimits) -> bool:
+    """Restrict this process to the files of `limits` and of the system; returns whether the kernel took it."""
     spoken = version()
     if spoken == 0 or _LIBC.prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0:
         return False
@@ -38,16 +49,31 @@ def write_below(folder: Path | None) -> bool:
     if ruleset < 0:
         return False
     try:
-        is_allowed = folder is None or _allow(ruleset, folder, held & (WRITE_FILE | REGULAR | REFER | TRUNCATE))
-        return is_allowed and bool(_LIBC.syscall(RESTRICT, ruleset, 0) == 0)
+        for path, rights in _allowed(limits):
+            with suppress(FileNotFoundError):
+                if not _allow(ruleset, path, held & rights):
+                    return False
+        return bool(_LIBC.syscall(RESTRICT, ruleset, 0) == 0)
     finally:
         os.close(ruleset)
 
 
-def _allow(ruleset: int, folder: Path, rights: int) -> bool:
-    below = os.open(folder, os.O_PATH | os.O_DIRECTORY)
+def _allowed(limits: SandboxLimits) -> Iterable[tuple[Path, int]]:
+    """Which rights hold for what."""
+    reading = READ_FILE | READ_DIR
+    yield from ((path, reading) for path in (*system_files(), *limits.reads))
+    yield from ((path, READ_FILE | WRITE_FILE) for path in DEVICES)
+    if limits.folder is not None:
+        links = MAKE_SYM if limits.makes_links else 0
+        yield limits.folder, reading | WRITE_FILE | REGULAR | REFER | TRUNCATE | links
+
+
+def _allow(ruleset: int, path: Path, rights: int) -> bool:
+    """Raises `FileNotFoundError`."""
+    below = os.open(path, os.O_PATH)
     try:
-        rule = struct.pack("<Qi", rights, below)
+        is_folder = stat.S_ISDIR(os.fstat(below).st_mode)
+        rule = struct.pack("<Qi", rights if is_folder else rights & OF_FILES, below)
         return bool(_LIBC.syscall(ADD, ruleset, BENEATH, rule, 0) == 0)
     finally:
         os.close(below)

@@ -21,7 +21,8 @@ class SandboxLimits:
     """The limits of a child: memory, processor and wall time, files opened at once, size of its answer.
 
     `mapped_bytes` are files that it maps, which take address space and no memory. It may write below `folder` only,
-    files of `file_bytes` at most; without a folder nowhere.
+    files of `file_bytes` at most, and links only where it `makes_links`; without a folder nowhere. Of other files it
+    may read `reads` (files, and whatever is below folders) and the system's own, no others.
     """
 
     memory_bytes: int = 256 * 2**20
@@ -32,6 +33,8 @@ class SandboxLimits:
     mapped_bytes: int = 0
     folder: Path | None = None
     file_bytes: int = 0
+    reads: tuple[Path, ...] = ()
+    makes_links: bool = False
 
 
 def apply_limits(limits: SandboxLimits) -> None:

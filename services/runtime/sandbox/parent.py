@@ -1,11 +1,13 @@
 """Runs work on untrusted bytes in a forked, sandboxed child with limits of memory, CPU, files and time.
 
-**Conventions.** The child sees everything of the parent by copy, so arguments cost nothing; what it changes is gone
-with it, and of its errors only code and sentence come back. It has no network, starts no process, signals nobody and
-writes no file but below a folder that it is given (`fences` says by which means and where those end); the parent's
-connections are not its own. It dies with the thread that waits for it, and is reaped whatever happens: no orphan, no
-zombie, no descriptor stays. What native code of the attacker's choice still could: read files and the copy of the
-parent's memory, and answer with what it found there, in the form that the parent believes.
+**Conventions.** In a service the child is forked from a process without secrets (`fork_server`), and its work is a
+module's function of plain values; a process that has no fork server forks it from itself, and it sees everything of its
+parent by copy. What it changes is gone with it, and of its errors only code and sentence come back. It has no network,
+starts no process, signals nobody, reads no file but what it is given and the system's own, and writes none but below a
+folder that it is given (`fences` says by which means and where those end); the parent's connections are not its own. It
+dies with the thread that waits for it, and is reaped whatever happens: no orphan, no zombie, no descriptor stays. What
+native code of the attacker's choice still could: answer with what it was given to read, in the form that the parent
+believes.
 
 What limits kill is a refusal and is not tried again: memory and processor are counted in the child alone, so the same
 bytes would meet them again (`SandboxCrashedError`). A kill from outside, the wall clock and a failing disk say nothing
@@ -23,12 +25,14 @@ import warnings
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 
 import structlog
 
 from services.runtime.sandbox.child import ProgressCallback, SandboxTask, run_child
 from services.runtime.sandbox.errors import SandboxCrashedError, SandboxInterruptedError
 from services.runtime.sandbox.fences import NONE, SandboxMechanisms
+from services.runtime.sandbox.fork_client import ServedChild, fork_server
 from services.runtime.sandbox.limits import SandboxLimits
 from services.runtime.sandbox.messages import (
     ANSWER,
@@ -70,7 +74,7 @@ def sandboxed(work: Callable[[], bytes], limits: SandboxLimits = LIMITS, watch: 
     Raises the `StoneError` leaf that `work` raises (code and sentence; its facts stay behind), `SandboxCrashedError`,
     `SandboxInterruptedError`, and what `watch` raises.
     """
-    return sandboxed_with_progress(lambda _: work(), limits, watch)
+    return sandboxed_with_progress(partial(_without_progress, work), limits, watch)
 
 
 def sandboxed_with_progress(
@@ -81,71 +85,100 @@ def sandboxed_with_progress(
         return _answered(child.listen(watch), child, limits)
 
 
+def _without_progress(work: Callable[[], bytes], _progress: ProgressCallback) -> bytes:
+    return work()
+
+
+class _OwnChild:
+    """A child that this process forked from itself."""
+
+    def __init__(self, work: Callable[[ProgressCallback], bytes], limits: SandboxLimits, pipe: tuple[int, int]) -> None:
+        reading, writing = pipe
+        self.begun_s: float | None = time.monotonic()
+        self._status: int | None = None
+        parent = os.getpid()
+        self._pid = _forked()
+        if self._pid == 0:
+            os.close(reading)
+            run_child(SandboxTask(work, limits, writing), parent)
+        self.ended = os.pidfd_open(self._pid)
+
+    def has_ended(self) -> bool:
+        """Whether it has."""
+        return bool(_readable([self.ended], 0))
+
+    def reap(self) -> int:
+        """Its wait status, having ended it where it has not ended by itself."""
+        if self._status is None:
+            os.kill(self._pid, signal.SIGKILL)  # a zombie takes this and keeps its status
+            _, self._status = os.waitpid(self._pid, 0)
+        return self._status
+
+    def close(self) -> None:
+        """Ended, and nothing of it left."""
+        self.reap()
+        os.close(self.ended)
+
+
 class _SandboxProcess:
-    """A forked process and the pipe it speaks through, from its first moment to its reaping."""
+    """A child and the pipe it speaks through, from its first moment to its reaping."""
 
     def __init__(self, work: Callable[[ProgressCallback], bytes], limits: SandboxLimits) -> None:
-        self.status: int | None = None
-        self._reading, writing = os.pipe()
-        self._begin_s, self._limits = time.monotonic(), limits
-        parent = os.getpid()
+        reading, writing = os.pipe()
+        self._limits, server = limits, fork_server()
         try:
-            self._pid = _forked()
-        except OSError:
-            os.close(self._reading)
-            os.close(writing)
+            self._child = (
+                _OwnChild(work, limits, (reading, writing))
+                if server is None
+                else ServedChild(server, work, limits, writing)
+            )
+        except BaseException:
+            os.close(reading)
             raise
-        if self._pid == 0:
-            os.close(self._reading)
-            run_child(SandboxTask(work, limits, writing), parent)
-        os.close(writing)
-        os.set_blocking(self._reading, False)
+        finally:
+            os.close(writing)
+        self._reading = reading
+        os.set_blocking(reading, False)
 
     def listen(self, watch: SandboxWatch) -> SandboxMessage | None:
         """Its last word; None where it ended without one. Raises `SandboxInterruptedError` when time is up."""
         reader = SandboxMessageReader(self._reading, self._limits.answer_bytes)
-        ended = os.pidfd_open(self._pid)
-        try:
-            while True:
-                is_over = bool(_ready(ended, None if reader.is_closed else self._reading))
-                for word in reader.words():
-                    if word.kind == FENCED:
-                        _note(word.texts())
-                    elif word.kind == TICK:
-                        watch.progress(*word.tick())
-                    else:
-                        return word
-                if is_over:
-                    return None
-                watch.on_poll()
-                self._stop_when_late()
-        finally:
-            os.close(ended)
+        while True:
+            _readable([self._child.ended, *([] if reader.is_closed else [self._reading])], GLANCE_MS)
+            is_over = self._child.has_ended()  # what it said before is in the pipe then
+            for word in reader.words():
+                if word.kind == FENCED:
+                    _note(word.texts())
+                elif word.kind == TICK:
+                    watch.progress(*word.tick())
+                else:
+                    return word
+            if is_over:
+                return None
+            watch.on_poll()
+            self._stop_when_late()
 
     def close(self) -> None:
         """Ended and reaped, its pipe closed."""
         os.close(self._reading)
-        self.reap()
+        self._child.close()
 
     def reap(self) -> int:
         """Its wait status, having ended it where it has not ended by itself."""
-        if self.status is None:
-            os.kill(self._pid, signal.SIGKILL)  # a zombie takes this and keeps its status
-            _, self.status = os.waitpid(self._pid, 0)
-        return self.status
+        return self._child.reap()
 
     def _stop_when_late(self) -> None:
-        if time.monotonic() - self._begin_s > self._limits.wall_s:
+        begun_s = self._child.begun_s
+        if begun_s is not None and time.monotonic() - begun_s > self._limits.wall_s:
             raise SandboxInterruptedError(f"took longer than {self._limits.wall_s:g} s of wall time")
 
 
-def _ready(ended: int, reading: int | None) -> bool:
-    """Wait a moment for a word or the end; whether it has ended (what it said before is in the pipe then)."""
+def _readable(descriptors: list[int], within_ms: int) -> list[int]:
+    """Those that have something to say, or whose other end is gone."""
     poller = select.poll()
-    for descriptor in (ended, reading):
-        if descriptor is not None:
-            poller.register(descriptor, select.POLLIN)
-    return ended in [descriptor for descriptor, _ in poller.poll(GLANCE_MS)]
+    for descriptor in descriptors:
+        poller.register(descriptor, select.POLLIN)
+    return [descriptor for descriptor, _ in poller.poll(within_ms)]
 
 
 def _forked() -> int:

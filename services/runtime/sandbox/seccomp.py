@@ -6,16 +6,18 @@ holds for root too. It lists what is refused, not what is allowed: numerical lib
 they call, and what is left after this list reaches nothing but the child's own memory and files it may read.
 
 `clone3` keeps its flags in memory that no filter can read, so it is answered ENOSYS and the C library takes `clone`,
-of which threads pass and processes do not. A signal goes to the child itself only. Limits may be read, not raised.
+of which threads pass and processes do not. A signal goes to the child itself only. Limits may be read, not raised. A
+pair of local sockets passes: a library's event loop wakes itself by one, and it leads nowhere else.
 """
 
 import ctypes
 import errno
 import os
+import socket
 import struct
 from collections.abc import Iterable, Mapping
 
-from services.runtime.sandbox.syscalls import FILES, MACHINE, NETWORK, NUMBERS, OWNERSHIP, PROCESSES
+from services.runtime.sandbox.syscalls import FILES, LINKS, MACHINE, NETWORK, NUMBERS, OWNERSHIP, PROCESSES
 
 AUDIT_ARCH = {"x86_64": 0xC000003E, "aarch64": 0xC00000B7}
 CALL = {"x86_64": 317, "aarch64": 277}  # seccomp(2) itself
@@ -37,26 +39,27 @@ class _Filter(ctypes.Structure):
     _fields_ = (("length", ctypes.c_ushort), ("instructions", ctypes.c_char_p))
 
 
-def refuse_calls(*, may_write: bool) -> bool:
+def refuse_calls(*, may_write: bool, may_link: bool = False) -> bool:
     """Put the filter on this process, whose threads to come have it too; whether the kernel took it.
 
-    With `may_write` the calls that make and change files pass (Landlock says where).
+    With `may_write` the calls that make and change files pass (Landlock says where), with `may_link` links as well.
     """
     machine = os.uname().machine
     if machine not in NUMBERS or _LIBC.prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0:
         return False
-    program = program_of(machine, os.getpid(), may_write=may_write)
+    program = program_of(machine, os.getpid(), may_write=may_write, may_link=may_link)
     taken = _Filter(len(program), b"".join(program))
     return bool(_LIBC.syscall(CALL[machine], SET_MODE_FILTER, SPEC_ALLOW, ctypes.byref(taken)) == 0)
 
 
-def program_of(machine: str, pid: int, *, may_write: bool) -> Program:
+def program_of(machine: str, pid: int, *, may_write: bool, may_link: bool = False) -> Program:
     """The filter for the process `pid`, an instruction an entry."""
     numbers = NUMBERS[machine]
     head = [_op(LOAD, ARCH_AT), _op(EQUAL, AUDIT_ARCH[machine], 1, 0), _op(RETURN, KILL), _op(LOAD, NUMBER_AT)]
     if machine == "x86_64":
         head += [_op(AT_LEAST, X32_BIT, 0, 1), _op(RETURN, KILL)]
-    refused = [*NETWORK, *PROCESSES, *MACHINE, *OWNERSHIP, *([] if may_write else FILES)]
+    refused = [*NETWORK, *PROCESSES, *MACHINE, *OWNERSHIP]
+    refused += [*([] if may_write else FILES), *([] if may_write and may_link else LINKS)]
     body = [*_refused(numbers, refused), *_without(numbers, ("clone3", "openat2"), errno.ENOSYS)]
     for name, block in _blocks(pid, may_write=may_write).items():
         if name in numbers:
@@ -82,6 +85,7 @@ def _blocks(pid: int, *, may_write: bool) -> dict[str, Program]:
     """Calls that pass or not by what they are given."""
     to_itself = _if(0, _op(EQUAL, pid, 1, 0))
     blocks = {
+        "socketpair": _if(0, _op(EQUAL, socket.AF_UNIX, 1, 0)),
         "clone": _if(0, _op(SET, CLONE_THREAD, 1, 0)),
         "kill": to_itself,
         "tgkill": to_itself,

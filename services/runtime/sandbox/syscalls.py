@@ -12,7 +12,7 @@ def _names(words: str) -> tuple[str, ...]:
 
 NETWORK = _names(
     """
-    socket socketpair connect bind listen accept accept4 sendto sendmsg sendmmsg recvfrom recvmsg recvmmsg
+    socket connect bind listen accept accept4 sendto sendmsg sendmmsg recvfrom recvmsg recvmmsg
     """
 )
 PROCESSES = _names(
@@ -39,10 +39,10 @@ OWNERSHIP = _names(
 )
 FILES = _names(
     """
-    creat truncate rename renameat renameat2 link linkat symlink symlinkat unlink unlinkat mkdir mkdirat rmdir chmod
-    fchmod fchmodat fchmodat2
+    creat truncate rename renameat renameat2 unlink unlinkat mkdir mkdirat rmdir chmod fchmod fchmodat fchmodat2
     """
 )
+LINKS = _names("link linkat symlink symlinkat")
 
 _X86_64 = """
     socket 41 socketpair 53 connect 42 bind 49 listen 50 accept 43 accept4 288 sendto 44 sendmsg 46 sendmmsg 307

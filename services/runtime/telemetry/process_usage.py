@@ -1,4 +1,5 @@
-"""Resource usage of this process and its children, and free memory and disk of the machine.
+"""Resource usage of this process, its children and those that a fork server has for it; free memory and disk of the
+machine.
 
 **Conventions.** Linux tells it in `/proc` (proc(5)) and, of a container, in `/sys/fs/cgroup` (cgroup v2); what cannot
 be read is None.
@@ -10,6 +11,7 @@ import resource
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Lock
 
 OURS = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
 PROC, CGROUP = Path("/proc"), Path("/sys/fs/cgroup")
@@ -23,15 +25,33 @@ class Room:
     total_bytes: int | None = None
 
 
+@dataclass
+class _ServedUsage:
+    """What children of a fork server have used that worked for this process."""
+
+    cpu_s: float = 0.0
+    peak_bytes: int = 0
+
+
+_SERVED, _SERVED_LOCK = _ServedUsage(), Lock()
+
+
+def note_served(cpu_s: float, peak_bytes: int) -> None:
+    """A child of a fork server has ended that worked for this process."""
+    with _SERVED_LOCK:
+        _SERVED.cpu_s += cpu_s
+        _SERVED.peak_bytes = max(_SERVED.peak_bytes, peak_bytes)
+
+
 def used_cpu_s() -> float:
     """Processor time, user and system."""
     used = [resource.getrusage(who) for who in OURS]
-    return sum(one.ru_utime + one.ru_stime for one in used)
+    return sum(one.ru_utime + one.ru_stime for one in used) + _SERVED.cpu_s
 
 
 def peak_bytes() -> int:
     """The most memory that any one of them held."""
-    return max(resource.getrusage(who).ru_maxrss for who in OURS) * 1024
+    return max(_SERVED.peak_bytes, *(resource.getrusage(who).ru_maxrss * 1024 for who in OURS))
 
 
 def held_bytes(proc: Path = PROC) -> int | None:

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from numba import njit
 
-from services.ingest import sandboxed_inspection, sandboxed_reading, sandboxed_synchronisation
+from services.ingest import sandboxed_inspection, sandboxed_synchronisation
 from services.runtime.platform import Platform
-from services.runtime.sandbox import SandboxLimits, sandboxed
+from services.runtime.sandbox import SandboxLimits, job_sandbox, sandboxed
 from services.runtime.sandbox.result_files import packed
 from services.runtime.store.workspace import Workspace
 from services.runtime.uploads import upload_file
@@ -42,7 +42,7 @@ ATTACKS: dict[str, tuple[Attack, str]] = {
     "a connection": (lambda *_: socket.create_connection(("127.0.0.1", 9)), "raised PermissionError"),
     "a fork": (lambda *_: os.fork(), "raised PermissionError"),
     "a crash": (lambda *_: os._exit(11), "ended with code 11"),
-    "all memory": (lambda *_: bytearray(2 * sandboxed_reading.MEMORY_BYTES), "needed more than"),
+    "all memory": (lambda *_: bytearray(2 * job_sandbox.MEMORY_BYTES), "needed more than"),
 }
 
 
@@ -109,12 +109,6 @@ def test_what_is_compiled_apart_is_used_and_not_kept(tmp_path: Path) -> None:
     def doubled(number):  # type: ignore[no-untyped-def]
         return 2 * number
 
-    def work(_folder: Path, _progress: object) -> bytes:
-        return str(doubled(21)).encode()
-
-    answer = sandboxed(
-        lambda: sandboxed_reading._work(tmp_path, work, lambda *_: None),
-        SandboxLimits(folder=tmp_path, memory_bytes=2**30),
-    )
+    answer = sandboxed(lambda: str(doubled(21)).encode(), SandboxLimits(folder=tmp_path, memory_bytes=2**30))
     assert answer == b"42"
     assert not list(Path(__file__).parent.glob("__pycache__/test_sandboxed_reading.*doubled*.nbi"))

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,8 @@ import pytest
 from sqlalchemy import func, select
 
 from services.domain.sequences.processing import delete_sequence
+from services.domain.sequences.recording_sources import locate
 from services.ingest.sequence import open_sequence
-from services.labeler.recordings import described_sweeps
 from services.runtime.jobs.specs import Attempt, Handler, Outcome
 from services.runtime.orm import Blob, JobAttempt, QuotaEntry, Recording
 from services.runtime.platform import Platform
@@ -191,7 +192,7 @@ def test_synchronising_leaves_the_sequence_for_workers_on_any_machine(
     sequence, sweeps = open_sequence(bag, calibration_path(bag), "field")
     assert left["sequence"] == sequence_bytes(sequence)
     assert job.result["frames"] == len(sequence.frames)
-    described = described_sweeps(there, left["sweeps"])
+    described = read_sweeps(left["sweeps"], partial(locate, there))
     assert described.path.name == "run.mcap"
     assert described.path.resolve().is_relative_to(tmp_path / "there")
     for index in range(len(sequence.frames)):

@@ -18,8 +18,9 @@ from sqlalchemy.orm import Session
 
 from services.domain.exports.requests import EXPORT, FORMATS, delete_export, start_export
 from services.domain.sequences.recordings import RecordingInUseError, remove_recording
-from services.labeler.export_stage import platform_source
+from services.labeler.export_stage import located_inputs
 from services.labeler.exports.registry import EXPORTERS, exporter_of
+from services.labeler.recordings import located_recording
 from services.labeler.stages import handlers
 from services.runtime.access import storage_quota
 from services.runtime.code_version import code_version
@@ -98,8 +99,10 @@ def written_directly(brought: Brought, form: str, out: Path) -> dict[str, bytes]
     """What the exporter writes into a folder when it is called by itself."""
     (label_set,) = brought.label_sets()
     out.mkdir(parents=True)
-    source = platform_source(brought.platform, label_set.id, out.with_name("inputs"))
-    exporter_of(form)(source, out, lambda done, total: None)
+    exporter = exporter_of(form)
+    inputs = located_inputs(brought.platform, label_set.id, out.with_name("inputs"), exporter)
+    bag = located_recording(brought.platform, brought.sequence_id, inputs.sequence().inputs.values())
+    exporter(replace(inputs, recording=bag).opened(), out, lambda done, total: None)
     return {path.relative_to(out).as_posix(): path.read_bytes() for path in out.rglob("*") if path.is_file()}
 
 

@@ -16,7 +16,7 @@ import structlog
 from services.runtime.sandbox import SandboxLimits, landlock, parent, sandboxed, seccomp
 from services.runtime.sandbox.errors import SandboxCrashedError, SandboxInterruptedError
 from services.runtime.sandbox.fences import enter_sandbox
-from services.runtime.sandbox.syscalls import FILES, MACHINE, NETWORK, NUMBERS, OWNERSHIP, PROCESSES
+from services.runtime.sandbox.syscalls import FILES, LINKS, MACHINE, NETWORK, NUMBERS, OWNERSHIP, PROCESSES
 
 Attack = Callable[[Path], object]
 LIBC = ctypes.CDLL(None, use_errno=True)
@@ -24,7 +24,7 @@ REFUSED = "raised PermissionError"
 
 
 def has_seccomp() -> bool:
-    return sandboxed(lambda: enter_sandbox(None)["network"].encode()) == b"seccomp"
+    return sandboxed(lambda: enter_sandbox(SandboxLimits())["network"].encode()) == b"seccomp"
 
 
 needs_seccomp = pytest.mark.skipif(not has_seccomp(), reason="this kernel or its container takes no seccomp filter")
@@ -55,7 +55,8 @@ def write_memory(_: Path) -> None:
 ATTACKS: dict[str, Attack] = {
     "a connection": lambda _: socket.create_connection(("127.0.0.1", 9)),
     "a datagram": send_away,
-    "a local socket": lambda _: socket.socketpair(),
+    "a local socket": lambda _: socket.socket(socket.AF_UNIX),
+    "a pair of sockets that are not local": lambda _: system_call("socketpair", socket.AF_INET, 1, 0, 0),
     "a newer connection": lambda _: socket.socket(socket.AF_INET6),
     "a packet": lambda _: system_call("socket", socket.AF_PACKET, socket.SOCK_RAW, 0),
     "the audit's socket": lambda _: system_call("socket", socket.AF_NETLINK, socket.SOCK_RAW, 9),
@@ -136,7 +137,7 @@ def test_a_child_writes_in_its_folder_and_nowhere_else(tmp_path: Path) -> None:
         (own / "staging").rename(own / "below" / "whole")
         return (foreign / "standing").read_bytes()
 
-    limits = SandboxLimits(folder=own, file_bytes=10)
+    limits = SandboxLimits(folder=own, file_bytes=10, reads=(foreign,), makes_links=True)
     assert sandboxed(work, limits) == b"stays"
     assert (own / "below" / "whole").read_bytes() == b"ten bytes!"
     for attack in ("a file", "a file made longer", "a file removed", "a folder", "a link", "a file renamed"):
@@ -192,7 +193,7 @@ def test_what_is_mapped_is_no_memory_but_what_is_allocated_is(tmp_path: Path) ->
     sparse = tmp_path / "sparse"
     with sparse.open("wb") as file:
         file.truncate(2**30)
-    limits = SandboxLimits(memory_bytes=64 * 2**20, mapped_bytes=2**30)
+    limits = SandboxLimits(memory_bytes=64 * 2**20, mapped_bytes=2**30, reads=(sparse,))
     assert sandboxed(lambda: str(np.memmap(sparse, mode="r").shape[0]).encode(), limits) == b"1073741824"
     with pytest.raises(SandboxCrashedError, match="needed more than 64 MiB"):
         sandboxed(lambda: bytes(512 * 2**20), limits)
@@ -233,7 +234,19 @@ def test_every_call_that_is_refused_has_a_number_where_the_machine_has_the_call(
         "fork", "vfork", "creat", "rename", "link", "symlink", "unlink", "mkdir", "rmdir", "mknod", "chmod", "chown",
         "lchown", "utime", "utimes", "futimesat", "iopl", "ioperm", "open",
     }  # fmt: skip
-    named = {*NETWORK, *PROCESSES, *MACHINE, *OWNERSHIP, *FILES, "clone", "clone3", "kill", "tgkill", "prlimit64"}
+    named = {
+        *NETWORK,
+        *PROCESSES,
+        *MACHINE,
+        *OWNERSHIP,
+        *FILES,
+        *LINKS,
+        "clone",
+        "clone3",
+        "kill",
+        "tgkill",
+        "prlimit64",
+    }
     assert named - set(NUMBERS["x86_64"]) == set()
     assert named - set(NUMBERS["aarch64"]) == never_on_aarch64 - {"open"}
     for numbers in NUMBERS.values():

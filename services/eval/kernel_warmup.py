@@ -1,0 +1,29 @@
+"""Compiled kernels for counting, loaded once in the process that forks children."""
+
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from services.eval.truth_pack import TruthPack, write_truth_pack
+from stone.labels.grid import GRID_SHAPE
+from stone.scoring.bitplanes import frame_counts, truth_planes
+from stone_submissions.manifest import Manifest
+
+
+@cache
+def warm() -> None:
+    """Load the kernels, or compile them, before the first child: none of them could keep what it does (0.4 s).
+
+    By the way that a frame takes, so that none is forgotten. What children do is imported.
+    """
+    import services.eval.examination  # noqa: F401
+
+    nothing, token = np.zeros(GRID_SHAPE, np.uint8), "0" * 32
+    truth = truth_planes(nothing, nothing == 0)
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "truth.pack"
+        write_truth_pack(path, Manifest({"": (token,)}), lambda _: truth, threads=1)
+        with TruthPack(path) as pack:
+            frame_counts(nothing, pack.planes_of(token))

@@ -1,0 +1,33 @@
+"""What a run that is done publishes beside the files of its stages: the report, the frame table, facts for rows."""
+
+from services.labeler.report import report_of
+from services.labeler.results import load_pack, pack_path
+from services.labeler.run import LabelRun, Part, parts_of
+from services.labeler.run_answers import PackAnswer, PublicationAnswer, TotalsAnswer
+from services.labeler.scratch import whole
+from services.labeler.tables import write_frames
+from services.labeler.totals import totals_of
+
+PUBLISHED = "published"
+REPORT, TABLE = "report.json", "frames.parquet"
+
+
+def publication(run: LabelRun) -> PublicationAnswer:
+    """Write both files into the folder `published` of scratch, and say what rows are to say."""
+    report, out = report_of(run), run.scratch / PUBLISHED
+    with whole(out / REPORT) as staging:
+        staging.write_text(report.text())
+    with whole(out / TABLE) as staging:
+        write_frames(staging, run.sequence, report.counts)
+    frames = run.sequence.frames
+    return PublicationAnswer(
+        tokens=list(frames.tokens),
+        stamps_ns=frames.stamps_ns.tolist(),
+        packs=[_pack(run, part) for part in parts_of(run)],
+        totals=TotalsAnswer(**totals_of(run)),  # type: ignore[arg-type]
+    )
+
+
+def _pack(run: LabelRun, part: Part) -> PackAnswer:
+    path, (index, _) = pack_path(run, part), load_pack(run, part)
+    return PackAnswer(name=f"{path.parent.name}/{path.name}", first=part[0], ranges=index.ranges())

@@ -1,0 +1,159 @@
+"""What sandboxed children of a labelling run may answer, as strict models of JSON.
+
+**Conventions.** A child may be in the hands of whoever recorded the bag: names lead nowhere else, numbers are whole and
+bounded, kinds are known, and nothing further is taken. What does not fit ends the child's job
+(`SandboxCrashedError`).
+"""
+
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError, field_validator, model_validator
+
+from services.labeler.pipeline import PUBLISH, STAGES
+from services.runtime.jobs.specs import JobSpec
+from services.runtime.sandbox import SandboxCrashedError
+
+KINDS = frozenset((*STAGES, PUBLISH))
+MOST_JOBS, MOST_FRAMES = 100_000, 2_000_000
+Count = Annotated[int, Field(ge=0, lt=2**63)]
+Place = Annotated[int, Field(ge=-(2**31), lt=2**31)]
+SEGMENT = r"[A-Za-z0-9_*\-\[][A-Za-z0-9_*.\-\[\]]*"  # no dot first: nothing hidden, and nothing above
+Name = Annotated[str, StringConstraints(pattern=rf"\A{SEGMENT}(/{SEGMENT})*/?\z", max_length=300)]
+Hex256 = Annotated[str, StringConstraints(pattern=r"\A[0-9a-f]{64}\z")]
+Token = Annotated[str, StringConstraints(pattern=r"\A[0-9a-f]{32}\z")]
+Fact = Count | float | bool | Annotated[str, StringConstraints(max_length=200)]
+FACTS = frozenset({"frames", "points", "tiles", "tile", "triangles", "driven", "voxels", "is_floored", "pack_bytes"})
+Range = tuple[Count, Count, Hex256]
+
+
+class Answer(BaseModel):
+    """One answer."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+    asked: ClassVar[str]
+
+    def packed(self) -> bytes:
+        return self.model_dump_json().encode()
+
+    @classmethod
+    def believed(cls, answer: bytes) -> Self:
+        """Raises `SandboxCrashedError`."""
+        try:
+            return cls.model_validate_json(answer)
+        except (ValidationError, RecursionError) as error:
+            raise SandboxCrashedError(f"answered something else than {cls.asked}") from error
+
+
+class JobAnswer(Answer):
+    """A job of the run, as `JobSpec`: its arguments are whole numbers."""
+
+    asked: ClassVar[str] = "a job"
+    kind: str
+    arguments: dict[Literal["part", "tile", "camera"], Place | tuple[Place, Place] | tuple[Place, Place, Place]]
+    key: Annotated[str, StringConstraints(max_length=100)]
+    needs: tuple[str, ...]
+
+    @field_validator("kind")
+    @classmethod
+    def _is_known(cls, kind: str) -> str:
+        if kind not in KINDS:
+            raise ValueError("nobody does such a job")
+        return kind
+
+    def spec(self) -> JobSpec:
+        return JobSpec(self.kind, {str(name): value for name, value in self.arguments.items()}, self.key, self.needs)
+
+
+class GraphAnswer(Answer):
+    """All the jobs of a run; each waits for earlier ones only."""
+
+    asked: ClassVar[str] = "the jobs of a run"
+    jobs: Annotated[list[JobAnswer], Field(max_length=MOST_JOBS)]
+    parts: Count
+    tiles: Count
+
+    @model_validator(mode="after")
+    def _ends(self) -> Self:
+        known = set[str]()
+        for job in self.jobs:
+            if not known.issuperset(job.needs) or (job.key and job.key in known):
+                raise ValueError("a job waits for none of those before it, or is there twice")
+            known.add(job.key)
+        return self
+
+
+class FilesAnswer(Answer):
+    """Names of the files of a job, as `StageFiles`."""
+
+    asked: ClassVar[str] = "names of files"
+    reads: tuple[Name, ...]
+    requires: tuple[Name, ...]
+    writes: tuple[Name, ...]
+
+
+class WorkAnswer(Answer):
+    """What a job's row and its log are told."""
+
+    asked: ClassVar[str] = "what a job did"
+    result: dict[str, Count]
+    facts: dict[str, Fact]
+
+    @field_validator("result", "facts")
+    @classmethod
+    def _are_known(cls, told: dict[str, Fact]) -> dict[str, Fact]:
+        if not FACTS.issuperset(told):
+            raise ValueError("nobody asked for that")
+        return told
+
+
+class TotalsAnswer(Answer):
+    """Totals of a label set, by the names of its row's columns."""
+
+    asked: ClassVar[str] = "totals"
+    duration_ns: Count
+    distance_m: Annotated[float, Field(ge=0.0)]
+    free_voxels: Count
+    t_voxels: Count
+    p_voxels: Count
+    n_voxels: Count
+
+
+class PackAnswer(Answer):
+    """A pack of labels: its file, the ordinal of its first frame, and (offset, length, sha256) of each."""
+
+    asked: ClassVar[str] = "a pack"
+    name: Annotated[str, StringConstraints(pattern=r"\Apacks/[0-9]{6,}\.pack\z")]
+    first: Count
+    ranges: list[Range]
+
+    @property
+    def size_bytes(self) -> int:
+        offset, length, _ = self.ranges[-1] if self.ranges else (0, 0, "")
+        return offset + length
+
+
+class PublicationAnswer(Answer):
+    """What rows say of a run that is done: its frames in order, its packs, its totals."""
+
+    asked: ClassVar[str] = "what is to be published"
+    tokens: Annotated[list[Token], Field(max_length=MOST_FRAMES)]
+    stamps_ns: list[Annotated[int, Field(ge=-(2**63), lt=2**63)]]
+    packs: list[PackAnswer]
+    totals: TotalsAnswer
+
+    @model_validator(mode="after")
+    def _agrees(self) -> Self:
+        if len(self.tokens) != len(self.stamps_ns) or len(set(self.tokens)) != len(self.tokens):
+            raise ValueError("there are not as many stamps as frames, or a frame is there twice")
+        first = 0
+        for pack in self.packs:
+            if pack.first != first:
+                raise ValueError("packs do not follow each other")
+            first += len(pack.ranges)
+        if first != len(self.tokens):
+            raise ValueError("there are not as many labels as frames")
+        return self
+
+    def frame(self, ordinal: int) -> dict[str, Any]:
+        """The columns that say which frame it is."""
+        return {"ordinal": ordinal, "token": self.tokens[ordinal], "stamp_ns": self.stamps_ns[ordinal]}

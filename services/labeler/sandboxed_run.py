@@ -1,0 +1,94 @@
+"""What a sandboxed child does with the files of a labelling run, and the checks of what it answers.
+
+    files of the run → the run as a value → (its jobs | the files of a job | a job's work | what is to be published)
+
+**Conventions.** Everything in the run's folder was computed from what a stranger sent, so only the child opens it; the
+parent moves files by their names and believes JSON of a known form (`run_answers.py`). The child writes within the
+run's folder, makes no links, and reads the recording where its stage reads sweeps.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from services.domain.sequences.run_files import SEQUENCE_FILE, SWEEPS_FILE
+from services.labeler.errors import NoUsableFramesError
+from services.labeler.parameters import chosen_parameters
+from services.labeler.pipeline import FUSE, STAGES, SURFACE, label_graph
+from services.labeler.publication_files import publication
+from services.labeler.run import LabelRun
+from services.labeler.run_answers import FilesAnswer, GraphAnswer, JobAnswer, WorkAnswer
+from services.runtime.sandbox import ProgressCallback
+from stone.sensors.sequence import Sweep, SweepSource
+from stone_recordings.sync.sequence_file import read_sequence
+from stone_recordings.sync.sweep_file import read_sweeps
+
+
+@dataclass
+class LateSweeps:
+    """Sweeps that are opened when the first is asked for: most stages ask for none. `recording` is the bag."""
+
+    description: Path
+    recording: Path | None
+    opened: SweepSource | None = None
+
+    def sweep(self, index: int) -> Sweep:
+        if self.opened is None:
+            if self.recording is None:
+                raise ValueError("a stage that says it reads no sweeps reads one")
+            recording = self.recording
+            self.opened = read_sweeps(self.description.read_bytes(), lambda _: recording)
+        return self.opened.sweep(index)
+
+
+@dataclass(frozen=True)
+class RunOpening:
+    """What a run is opened with: its folder, the choices of its owner, the bag where sweeps are read."""
+
+    folder: Path
+    profile: str
+    choices: Mapping[str, float]
+    recording: Path | None = None
+
+    def run(self) -> LabelRun:
+        sequence = read_sequence((self.folder / SEQUENCE_FILE).read_bytes())
+        sweeps = LateSweeps(self.folder / SWEEPS_FILE, self.recording)
+        return LabelRun(sequence, sweeps, chosen_parameters(self.profile, self.choices), self.folder)
+
+
+@dataclass(frozen=True)
+class StageTask:
+    """One job of a run: its kind and its arguments."""
+
+    opening: RunOpening
+    kind: str
+    arguments: Mapping[str, Any]
+
+
+def planned(opening: RunOpening, _folder: Path, _progress: ProgressCallback) -> bytes:
+    """All the jobs of the run. Raises `NoUsableFramesError`."""
+    run = opening.run()
+    if len(run.sequence.frames) == 0:
+        raise NoUsableFramesError(run.sequence)
+    jobs = label_graph(run)
+    parts, tiles = (sum(job.kind == kind for job in jobs) for kind in (FUSE, SURFACE))
+    return GraphAnswer(jobs=[JobAnswer(**asdict(job)) for job in jobs], parts=parts, tiles=tiles).packed()
+
+
+def stage_files(task: StageTask, _folder: Path, _progress: ProgressCallback) -> bytes:
+    """Which files the job reads and leaves."""
+    return FilesAnswer(**asdict(STAGES[task.kind].files(task.opening.run(), task.arguments))).packed()
+
+
+def worked(task: StageTask, _folder: Path, progress: ProgressCallback) -> bytes:
+    """The job's work. Raises what it raises."""
+    stage = STAGES[task.kind]
+    done = stage.work(task.opening.run(), task.arguments, partial(progress, stage.step_name))
+    return WorkAnswer(result=dict(done.result), facts=dict(done.facts)).packed()
+
+
+def described(opening: RunOpening, _folder: Path, _progress: ProgressCallback) -> bytes:
+    """The report and the frame table written, and what rows are to say of the run."""
+    return publication(opening.run()).packed()

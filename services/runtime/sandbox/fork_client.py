@@ -1,0 +1,164 @@
+"""How a service asks its fork server for sandboxed children, and starts it.
+
+**Conventions.** `use_fork_server` is for entry points (a worker before it forks its pool, the API's start): from then
+on every sandboxed child of this process, and of those that it forks, comes from the server, and none from a process
+with keys. One that dies (of memory) is started again by who next asks. Processes that hold no keys, such as a command
+or a test, start none: their children are forked from themselves.
+"""
+
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from threading import Lock
+
+from services.runtime.sandbox.errors import SandboxInterruptedError
+from services.runtime.sandbox.fork_server import CHILD_FORKED, FATE, Work, task_bytes
+from services.runtime.sandbox.limits import SandboxLimits
+from services.runtime.telemetry.process_usage import note_served
+
+PROGRAM = "from services.runtime.sandbox.fork_server import main; main()"
+# What a child needs of its environment; everything else stays behind, whatever it is called.
+PASSED = ("PATH", "HOME", "LANG", "TZ", "TMPDIR", "VIRTUAL_ENV", "LD_LIBRARY_PATH", "XDG_CACHE_HOME", "MPLCONFIGDIR")
+PASSED_BEGINNINGS = ("LC_", "PYTHON", "NUMBA_", "OMP_", "OPENBLAS_", "MKL_")
+WARMED_WITHIN_S = 900.0
+
+
+@dataclass
+class ForkServer:
+    """The server of this process and of those that it forks; started when it is first asked for."""
+
+    warmed_by: tuple[str, ...]
+    _process: subprocess.Popen[bytes] | None = None
+    _requests: socket.socket | None = None
+    _lock: Lock = field(default_factory=Lock)
+
+    def ensure_running(self) -> None:
+        with self._lock:
+            if self._requests is None:
+                self._process, self._requests = _started(self.warmed_by)
+
+    def ask(self, descriptors: Sequence[int]) -> None:
+        """Send a request; a server that is gone is started again, once. Raises `SandboxInterruptedError`."""
+        for _ in range(2):
+            self.ensure_running()
+            requests = self._requests
+            try:
+                if requests is not None:
+                    socket.send_fds(requests, [CHILD_FORKED], descriptors)
+                    return
+            except (BrokenPipeError, ConnectionError):
+                with self._lock:
+                    if self._requests is requests:
+                        self._end()
+        raise SandboxInterruptedError("could not be forked: its fork server ends at once")
+
+    def close(self) -> None:
+        """End the server, with the children that it has."""
+        with self._lock:
+            self._end()
+
+    def _end(self) -> None:
+        if self._requests is not None:
+            self._requests.close()
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+        self._process = self._requests = None
+
+
+_SERVERS: list[ForkServer] = []
+
+
+def use_fork_server(warmed_by: Sequence[str]) -> ForkServer:
+    """Fork sandboxed children from a server from now on, which starts when it is first asked.
+
+    `warmed_by` are modules that it loads first, or functions of them that it calls, as `module:function`.
+    """
+    if not _SERVERS:
+        _SERVERS.append(ForkServer(tuple(warmed_by)))
+    return _SERVERS[0]
+
+
+def fork_server() -> ForkServer | None:
+    """That of this process, if it has one."""
+    return _SERVERS[0] if _SERVERS else None
+
+
+class ServedChild:
+    """A child of the fork server: told of by its socket, ended by closing it."""
+
+    def __init__(self, server: ForkServer, work: Work, limits: SandboxLimits, writing: int) -> None:
+        self._told, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self.begun_s: float | None = None
+        self._asked_s, self._status = time.monotonic(), None
+        task = os.memfd_create("task")
+        try:
+            with os.fdopen(os.dup(task), "wb") as file:
+                file.write(task_bytes(limits, work))
+            server.ask([theirs.fileno(), writing, task])
+        except BaseException:
+            self._told.close()
+            raise
+        finally:
+            os.close(task)
+            theirs.close()
+
+    @property
+    def ended(self) -> int:
+        """The descriptor that is readable when there is something to be said of it."""
+        return self._told.fileno()
+
+    def has_ended(self) -> bool:
+        """Whether it has. Raises `SandboxInterruptedError` where nobody knows any more, or it was never begun."""
+        with suppress(BlockingIOError):
+            while self._status is None:
+                self._listen(socket.MSG_DONTWAIT)
+        if self.begun_s is None and time.monotonic() - self._asked_s > WARMED_WITHIN_S:
+            raise SandboxInterruptedError(f"was not begun within {WARMED_WITHIN_S:g} s: what does its fork server do?")
+        return self._status is not None
+
+    def reap(self) -> int:
+        """Its wait status, having ended it where it has not ended by itself."""
+        if self._status is None:
+            self._told.shutdown(socket.SHUT_WR)
+        while self._status is None:
+            self._listen(0)
+        return self._status
+
+    def close(self) -> None:
+        """Ended, and nothing of it left."""
+        with self._told, suppress(SandboxInterruptedError):
+            self.reap()
+
+    def _listen(self, flags: int) -> None:
+        try:
+            message = self._told.recv(FATE.size, flags)
+        except ConnectionError:
+            message = b""
+        if message == CHILD_FORKED:
+            self.begun_s = time.monotonic()
+        elif len(message) == FATE.size:
+            _, self._status, user_s, system_s, peak_bytes = FATE.unpack(message)
+            note_served(user_s + system_s, peak_bytes)
+        else:
+            raise SandboxInterruptedError("was lost with the process that forked it (out of memory?)")
+
+
+def harmless(environment: Mapping[str, str]) -> dict[str, str]:
+    """What of an environment a fork server is given."""
+    return {name: value for name, value in environment.items() if name in PASSED or name.startswith(PASSED_BEGINNINGS)}
+
+
+def _started(warmed_by: Sequence[str]) -> tuple[subprocess.Popen[bytes], socket.socket]:
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    command = [sys.executable, "-P", "-c", PROGRAM, str(theirs.fileno()), *warmed_by]
+    with theirs:
+        process = subprocess.Popen(
+            command, env=harmless(os.environ), cwd="/", stdin=subprocess.DEVNULL, pass_fds=[theirs.fileno()]
+        )
+    return process, ours

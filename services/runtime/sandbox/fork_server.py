@@ -1,0 +1,140 @@
+"""The process that sandboxed children of a service are forked from: it holds no secret, no connection, no one's data.
+
+**Conventions.** Its arguments are a descriptor, on which requests come, and what to load first: modules, or functions
+to call (`module:function`). A service holds the keys of the database and of the store, and a copy of its memory would
+be in every child that it forked. So it asks this process, which was executed afresh with an environment of harmless
+variables (`fork_client.py`). What is loaded first are libraries and compiled kernels, which all children then have. A
+request is a message with three descriptors: where the child is spoken of (`CHILD_*` below), where the child speaks
+itself, and a file with its limits and its work, pickled by the service. Who closes the first ends the child; this
+process ends when nobody is left to ask it.
+"""
+
+import os
+import pickle
+import selectors
+import signal
+import socket
+import struct
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from importlib import import_module
+
+from services.runtime.sandbox.child import ProgressCallback, SandboxTask, run_child
+from services.runtime.sandbox.limits import SandboxLimits
+
+CHILD_FORKED, CHILD_ENDED = b"f", b"e"
+FATE = struct.Struct("<ciddq")  # CHILD_ENDED, wait status, user and system seconds, most memory in bytes
+DESCRIPTORS = 3
+Work = Callable[[ProgressCallback], bytes]
+
+
+@dataclass(frozen=True)
+class _Child:
+    """A forked process: its number, what tells its end, and where its asker is told."""
+
+    pid: int
+    ended: int
+    asker: socket.socket
+
+    def end(self) -> None:
+        signal.pidfd_send_signal(self.ended, signal.SIGKILL)
+
+    def tell(self) -> None:
+        """Reap it, and say how it ended to who asked, if they are still there."""
+        _, status, used = os.wait4(self.pid, 0)
+        os.close(self.ended)
+        with suppress(OSError), self.asker:
+            self.asker.send(FATE.pack(CHILD_ENDED, status, used.ru_utime, used.ru_stime, used.ru_maxrss * 1024))
+
+
+def serve(requests: socket.socket) -> None:
+    """Fork for whoever asks, until nobody can."""
+    with selectors.DefaultSelector() as selector:
+        selector.register(requests, selectors.EVENT_READ)
+        while True:
+            for key, _ in selector.select():
+                child, now = key.data, selector.get_map().get(key.fileobj)
+                if now is None or now.data is not child:  # it ended a moment ago
+                    continue
+                if child is None:
+                    if not _answer_request(requests, selector):
+                        return
+                elif key.fd == child.ended:
+                    selector.unregister(child.ended)
+                    _forget(selector, child)
+                    child.tell()
+                else:  # the asker has gone, or wants it to end
+                    _forget(selector, child)
+                    child.end()
+
+
+def _answer_request(requests: socket.socket, selector: selectors.BaseSelector) -> bool:
+    """Fork once; false when nobody is left to ask."""
+    message, descriptors, _, _ = socket.recv_fds(requests, 1, DESCRIPTORS)
+    if not message:
+        return False
+    asker, writing, task = socket.socket(fileno=descriptors[0]), descriptors[1], descriptors[2]
+    try:
+        pid = os.fork()
+    except OSError:
+        asker.close()  # its asker takes that for a fault of the machine, which it is
+    else:
+        if pid == 0:
+            run_child(*_task(task, writing))
+        asker.send(CHILD_FORKED)
+        child = _Child(pid, os.pidfd_open(pid), asker)
+        selector.register(asker, selectors.EVENT_READ, child)
+        selector.register(child.ended, selectors.EVENT_READ, child)
+    finally:
+        os.close(writing)
+        os.close(task)
+    return True
+
+
+def _forget(selector: selectors.BaseSelector, child: _Child) -> None:
+    """Listen no longer to its asker."""
+    with suppress(KeyError):
+        selector.unregister(child.asker)
+
+
+def _task(task: int, writing: int) -> tuple[SandboxTask, int]:
+    """In the child: what it is to do. The work itself is unpickled within the fences."""
+    with os.fdopen(os.dup(task), "rb") as file:
+        file.seek(0)
+        limits, work = pickle.load(file)
+    return SandboxTask(_Unpickled(work), limits, writing), os.getppid()
+
+
+@dataclass(frozen=True)
+class _Unpickled:
+    """Work that is unpickled when it is done, where what fails is said."""
+
+    pickled: bytes
+
+    def __call__(self, progress: ProgressCallback) -> bytes:
+        work: Work = pickle.loads(self.pickled)
+        return work(progress)
+
+
+def task_bytes(limits: SandboxLimits, work: Work) -> bytes:
+    """What a request's third descriptor holds. Raises what pickling raises for work that is no plain function."""
+    return pickle.dumps((limits, pickle.dumps(work)))
+
+
+def _warm(named: Sequence[str]) -> None:
+    for name in named:
+        module, _, function = name.partition(":")
+        loaded = import_module(module)
+        if function:
+            getattr(loaded, function)()
+
+
+def main() -> None:
+    """Ctrl-C and the end of a service are not this process's: its children work as long as someone waits for them."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    with socket.socket(fileno=int(sys.argv[1])) as requests:
+        _warm(sys.argv[2:])
+        serve(requests)

@@ -1,0 +1,46 @@
+"""Files that any sandboxed child may read: the interpreter, the libraries, this code and its compiled kernels.
+
+**Conventions.** Folders of the project's packages, never the folder that they lie in: a data folder with its keys often
+lies beside them. Modules that a child imports late are found, since their packages were imported by its parent.
+"""
+
+import os
+import sys
+import sysconfig
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+
+PACKAGES = ("stone", "stone_files", "stone_recordings", "stone_submissions", "services", "api", "web", "stone_client")
+SYSTEM = ("/usr", "/lib", "/lib64", "/bin", "/etc/ld.so.cache", "/etc/localtime", "/etc/timezone", "/etc/fonts")
+KERNEL = ("/proc/meminfo", "/proc/cpuinfo", "/proc/stat", "/proc/filesystems", "/proc/sys/vm", "/sys/devices/system")
+GROUPS = ("/sys/fs/cgroup", "/sys/kernel/mm")  # memory limits and the size of pages, which allocators ask for
+DEVICES = tuple(Path("/dev", name) for name in ("null", "zero", "full", "random", "urandom"))
+
+
+def system_files() -> tuple[Path, ...]:
+    """What is there of them, this process's own `/proc` included."""
+    return (*_installed(), Path("/proc/self"))
+
+
+@cache
+def _installed() -> tuple[Path, ...]:
+    found = {*map(Path, (*SYSTEM, *KERNEL, *GROUPS, sys.prefix, sys.base_prefix)), *_libraries(), *_packages()}
+    return tuple(sorted(path for path in (*found, *_compiled()) if path.exists()))
+
+
+def _libraries() -> set[Path]:
+    """Folders that modules of others are installed in."""
+    return {Path(sysconfig.get_path(name)) for name in ("stdlib", "platstdlib", "purelib", "platlib")}
+
+
+def _packages() -> set[Path]:
+    specs = (find_spec(name) for name in PACKAGES)
+    return {Path(place) for spec in specs if spec for place in spec.submodule_search_locations or ()}
+
+
+def _compiled() -> set[Path]:
+    """Where numba keeps compiled kernels: beside the code, or where it is told to, or in the user's cache."""
+    named = os.environ.get("NUMBA_CACHE_DIR")
+    cache_home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return {cache_home / "numba", cache_home / "matplotlib", *([Path(named)] if named else [])}
