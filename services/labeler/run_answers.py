@@ -26,7 +26,7 @@ FACTS = frozenset({"frames", "points", "tiles", "tile", "triangles", "driven", "
 Range = tuple[Count, Count, Hex256]
 
 
-class Answer(BaseModel):
+class SandboxAnswer(BaseModel):
     """One answer."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
@@ -44,7 +44,7 @@ class Answer(BaseModel):
             raise SandboxCrashedError(f"answered something else than {cls.asked}") from error
 
 
-class JobAnswer(Answer):
+class JobAnswer(SandboxAnswer):
     """A job of the run, as `JobSpec`: its arguments are whole numbers."""
 
     asked: ClassVar[str] = "a job"
@@ -64,7 +64,7 @@ class JobAnswer(Answer):
         return JobSpec(self.kind, {str(name): value for name, value in self.arguments.items()}, self.key, self.needs)
 
 
-class GraphAnswer(Answer):
+class GraphAnswer(SandboxAnswer):
     """All the jobs of a run; each waits for earlier ones only."""
 
     asked: ClassVar[str] = "the jobs of a run"
@@ -82,7 +82,7 @@ class GraphAnswer(Answer):
         return self
 
 
-class FilesAnswer(Answer):
+class FilesAnswer(SandboxAnswer):
     """Names of the files of a job, as `StageFiles`."""
 
     asked: ClassVar[str] = "names of files"
@@ -91,7 +91,7 @@ class FilesAnswer(Answer):
     writes: tuple[Name, ...]
 
 
-class WorkAnswer(Answer):
+class WorkAnswer(SandboxAnswer):
     """What a job's row and its log are told."""
 
     asked: ClassVar[str] = "what a job did"
@@ -106,7 +106,7 @@ class WorkAnswer(Answer):
         return told
 
 
-class TotalsAnswer(Answer):
+class TotalsAnswer(SandboxAnswer):
     """Totals of a label set, by the names of its row's columns."""
 
     asked: ClassVar[str] = "totals"
@@ -118,7 +118,7 @@ class TotalsAnswer(Answer):
     n_voxels: Count
 
 
-class PackAnswer(Answer):
+class PackAnswer(SandboxAnswer):
     """A pack of labels: its file, the ordinal of its first frame, and (offset, length, sha256) of each."""
 
     asked: ClassVar[str] = "a pack"
@@ -132,7 +132,7 @@ class PackAnswer(Answer):
         return offset + length
 
 
-class PublicationAnswer(Answer):
+class PublicationAnswer(SandboxAnswer):
     """What rows say of a run that is done: its frames in order, its packs, its totals."""
 
     asked: ClassVar[str] = "what is to be published"

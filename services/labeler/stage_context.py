@@ -9,7 +9,7 @@ from services.domain.sequences.run_files import SEQUENCE_FILE, SWEEPS_FILE
 from services.domain.sequences.stage_checks import require_sequence
 from services.labeler.errors import WorkGoneError
 from services.labeler.kernel_warmup import warm
-from services.labeler.run_answers import Answer, FilesAnswer
+from services.labeler.run_answers import FilesAnswer, SandboxAnswer
 from services.labeler.sandboxed_run import RunOpening
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.specs import Attempt
@@ -19,7 +19,7 @@ from services.runtime.sandbox.job_sandbox import JobSandbox, SandboxedWork, priv
 from services.runtime.store.workspace import Workspace
 from stone_recordings.bags.fingerprint import bag_parts
 
-A = TypeVar("A", bound=Answer)
+A = TypeVar("A", bound=SandboxAnswer)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +83,7 @@ def stage_context_of(platform: Platform, attempt: Attempt) -> LabelStageContext:
     arguments = arguments_of_run(platform, attempt)
     workspace = Workspace(platform.store, platform.settings, attempt.root_id)
     workspace.pull(SEQUENCE_FILE, SWEEPS_FILE)
-    for name in (SEQUENCE_FILE, SWEEPS_FILE):
+    for name in (SWEEPS_FILE, SEQUENCE_FILE):
         if not (workspace.folder / name).exists():
             raise WorkGoneError(name)
     return LabelStageContext(platform, attempt, arguments, workspace)

@@ -20,7 +20,7 @@ from services.labeler.exports.inputs import write_sensed
 from services.labeler.exports.registry import exporter_of
 from services.labeler.exports.source import MESH, REPORT, TABLE, LabelledSequence
 from services.labeler.recordings import RecordingDeletedError
-from services.labeler.run_answers import Answer, Hex256
+from services.labeler.run_answers import Hex256, SandboxAnswer
 from services.runtime.sandbox import ProgressCallback
 from stone.sensors.samples import CameraSample, LidarSample, RadarSample, SampleSource
 from stone.sensors.sequence import Sequence
@@ -31,7 +31,7 @@ FILES = "files"
 MOST_INPUTS = 1000
 
 
-class SourceAnswer(Answer):
+class SourceAnswer(SandboxAnswer):
     """The hashes of what a sequence was made of."""
 
     asked: ClassVar[str] = "what a sequence was made of"

@@ -9,6 +9,10 @@ itself, and a file with its limits and its work, pickled by the service. Who clo
 process ends when nobody is left to ask it.
 """
 
+import services.runtime.one_thread  # noqa: F401
+
+# isort: split
+
 import os
 import pickle
 import selectors

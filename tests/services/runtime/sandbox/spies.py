@@ -1,0 +1,90 @@
+"""What code of an attacker would do in a sandboxed child; run by name, since a fork server imports it."""
+
+import os
+import re
+import socket
+import time
+from pathlib import Path
+
+SECRET = re.compile(rb"stone-secret-[0-9a-f]{32}")  # what it finds is not what it looks like
+
+
+def environment() -> bytes:
+    """As it was executed, and as it is now."""
+    return Path("/proc/self/environ").read_bytes() + repr(dict(os.environ)).encode()
+
+
+def secrets_in_memory() -> bytes:
+    """Every secret that some page of this process holds."""
+    found = set[bytes]()
+    with Path("/proc/self/mem").open("rb", buffering=0) as memory:
+        for line in Path("/proc/self/maps").read_text().splitlines():
+            place, modes, *_ = line.split()
+            if not modes.startswith("rw") or line.endswith(("[vvar]", "[vsyscall]")):
+                continue
+            begin, end = (int(number, 16) for number in place.split("-"))
+            memory.seek(begin)
+            try:
+                found |= set(SECRET.findall(memory.read(end - begin)))
+            except OSError:  # a guard page
+                continue
+    return b" ".join(sorted(found))
+
+
+def readable(paths: tuple[Path, ...]) -> bytes:
+    """Those that it can read, of files, or list, of folders."""
+    return " ".join(str(path) for path in paths if _can_read(path)).encode()
+
+
+def _can_read(path: Path) -> bool:
+    try:
+        _ = os.listdir(path) if path.is_dir() else path.open("rb").read(1)
+    except OSError:
+        return False
+    return True
+
+
+def reachable() -> bytes:
+    """Whether a socket can be had."""
+    try:
+        socket.socket(socket.AF_INET).close()
+    except OSError:
+        return b"nothing"
+    return b"the network"
+
+
+def bus_error(folder: Path) -> bytes:
+    """Write behind the end of a mapped file: SIGBUS, by the kernel."""
+    import faulthandler
+    import mmap
+
+    faulthandler.disable()
+    path = folder / "short"
+    path.write_bytes(bytes(mmap.PAGESIZE))
+    with path.open("r+b") as file, mmap.mmap(file.fileno(), mmap.PAGESIZE) as mapped:
+        file.truncate(0)
+        mapped[0] = 1
+    return b""
+
+
+def spin(seconds: float) -> bytes:
+    until_s = time.process_time() + seconds
+    while time.process_time() < until_s:
+        pass
+    return str(os.getpid()).encode()
+
+
+def sleep(told: Path) -> bytes:
+    """Say who sleeps, and sleep."""
+    told.write_text(str(os.getpid()))
+    time.sleep(600)
+    return b""
+
+
+def children_of_pid_1() -> bytes:
+    return str(os.getppid()).encode()
+
+
+def kill_parent() -> bytes:
+    os.kill(os.getppid(), 9)
+    return b""

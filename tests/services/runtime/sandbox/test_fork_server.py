@@ -1,0 +1,180 @@
+"""Children of a service come from a process without secrets: what they can read, and what happens when anyone dies."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+from secrets import token_hex
+
+import pytest
+
+from services.runtime.sandbox import SandboxLimits, fork_client, landlock, sandboxed
+from services.runtime.sandbox.errors import SandboxCrashedError, SandboxInterruptedError
+from services.runtime.sandbox.fork_client import ForkServer, harmless
+from services.runtime.telemetry.process_usage import used_cpu_s
+from stone.errors import StoneError
+from tests.services.runtime.sandbox import spies
+
+SPIES = (spies.__name__,)
+PATIENCE_S = 300.0
+ASKER = """
+import sys
+from functools import partial
+from pathlib import Path
+from services.runtime.sandbox import SandboxLimits, sandboxed
+from services.runtime.sandbox.fork_client import use_fork_server
+from tests.services.runtime.sandbox import spies
+told = Path(sys.argv[1])
+use_fork_server([spies.__name__])
+sandboxed(partial(spies.sleep, told), SandboxLimits(folder=told.parent, file_bytes=100))
+"""
+needs_landlock = pytest.mark.skipif(landlock.version() == 0, reason="this kernel has no Landlock")
+
+
+@pytest.fixture
+def secret(monkeypatch: pytest.MonkeyPatch) -> str:
+    """In this process's memory and environment, as the key of a store is."""
+    made = f"stone-secret-{token_hex(16)}"
+    monkeypatch.setenv("STONE_STORE__S3_SECRET", made)
+    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", made)
+    return made
+
+
+@pytest.fixture
+def server(monkeypatch: pytest.MonkeyPatch, secret: str) -> Iterator[ForkServer]:
+    made = ForkServer(SPIES)
+    monkeypatch.setattr(fork_client, "_SERVERS", [made])
+    yield made
+    made.close()
+
+
+def await_true(is_true: Callable[[], bool]) -> None:
+    until_s = time.monotonic() + PATIENCE_S
+    while not is_true():
+        assert time.monotonic() < until_s
+        time.sleep(0.02)
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+def test_a_child_holds_no_secret_of_the_service(server: ForkServer, secret: str) -> None:
+    assert secret.encode() not in sandboxed(spies.environment)
+    assert sandboxed(spies.secrets_in_memory) == b""
+
+
+def test_a_child_of_the_service_itself_would_hold_them_all(secret: str) -> None:
+    """So the check above can fail."""
+    assert secret.encode() in sandboxed(spies.environment)
+    assert secret.encode() in sandboxed(spies.secrets_in_memory)
+
+
+@needs_landlock
+def test_a_child_reads_what_it_is_given_and_the_systems_own_files(server: ForkServer, tmp_path: Path) -> None:
+    given, another = tmp_path / "given", tmp_path / "another"
+    for path in (given, another):
+        path.write_text("a recording")
+    asked = (
+        given, another, tmp_path, Path("/etc/shadow"), Path("/etc/passwd"), Path("/root"), Path("/proc"),
+        Path(f"/proc/{os.getpid()}/environ"), Path(f"/proc/{os.getpid()}/mem"), Path(f"/proc/{os.getpid()}/fd"),
+        Path(sys.prefix).parent / "pyproject.toml",
+    )  # fmt: skip
+    limits = SandboxLimits(reads=(given,))
+    assert sandboxed(partial(spies.readable, asked), limits).decode() == str(given)
+
+
+def test_a_child_reaches_nobody(server: ForkServer) -> None:
+    assert sandboxed(spies.reachable) == b"nothing"
+
+
+def test_harmless_variables_are_a_list_of_what_passes() -> None:
+    kept = {"PATH": "/bin", "LC_ALL": "C", "NUMBA_CACHE_DIR": "/data/numba", "OMP_NUM_THREADS": "1"}
+    secret = {"STONE_DATABASE__PASSWORD": "x", "AWS_SECRET_ACCESS_KEY": "x", "PGPASSWORD": "x", "TOKEN": "x"}
+    assert harmless({**kept, **secret}) == kept
+
+
+def test_what_the_kernel_kills_is_a_crash_with_its_signal(server: ForkServer, tmp_path: Path) -> None:
+    limits = SandboxLimits(folder=tmp_path, file_bytes=2**20)
+    with pytest.raises(SandboxCrashedError, match="was ended by SIGBUS"):
+        sandboxed(partial(spies.bus_error, tmp_path), limits)
+    assert sandboxed(spies.reachable) == b"nothing", "the server forks on"
+
+
+def test_children_of_many_threads_do_not_wait_for_each_other(server: ForkServer) -> None:
+    barrier = threading.Barrier(4)
+
+    def one(_: int) -> bytes:
+        barrier.wait(PATIENCE_S)
+        return sandboxed(partial(spies.spin, 0.05))
+
+    with ThreadPoolExecutor(4) as pool:
+        assert len(set(pool.map(one, range(4)))) == 4
+
+
+def test_what_children_use_is_counted_as_ours(server: ForkServer) -> None:
+    before = used_cpu_s()
+    sandboxed(partial(spies.spin, 0.4))
+    assert used_cpu_s() - before >= 0.4
+
+
+def test_a_server_that_was_killed_is_started_again(server: ForkServer) -> None:
+    first = sandboxed(spies.children_of_pid_1)
+    os.kill(int(first), signal.SIGKILL)
+    await_true(lambda: not is_alive(int(first)))
+    assert sandboxed(spies.children_of_pid_1) != first
+
+
+def test_work_that_is_lost_with_its_server_is_tried_again_and_not_refused(server: ForkServer, tmp_path: Path) -> None:
+    told, raised = tmp_path / "told", list[StoneError]()
+    limits = SandboxLimits(folder=tmp_path, file_bytes=100)
+
+    def work() -> None:
+        try:
+            sandboxed(partial(spies.sleep, told), limits)
+        except StoneError as error:
+            raised.append(error)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    await_true(lambda: told.exists() and told.read_text() != "")
+    child = int(told.read_text())
+    parent = int(Path(f"/proc/{child}/stat").read_text().rpartition(")")[2].split()[1])
+    os.kill(parent, signal.SIGKILL)
+    thread.join(PATIENCE_S)
+    assert [type(error) for error in raised] == [SandboxInterruptedError]
+    await_true(lambda: not is_alive(child))
+
+
+def test_a_server_that_ends_at_once_is_a_fault_of_the_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    server = ForkServer(("no_such_module",))
+    monkeypatch.setattr(fork_client, "_SERVERS", [server])
+    with pytest.raises(SandboxInterruptedError):
+        sandboxed(spies.reachable)
+    server.close()
+
+
+def test_work_that_no_other_process_can_be_given_is_said_at_once(server: ForkServer) -> None:
+    with pytest.raises((AttributeError, TypeError), match="pickle"):
+        sandboxed(lambda: b"")
+
+
+@pytest.mark.parametrize("death", [signal.SIGKILL, signal.SIGTERM])
+def test_children_and_server_end_with_the_service(tmp_path: Path, death: int) -> None:
+    told = tmp_path / "told"
+    asker = subprocess.Popen([sys.executable, "-c", ASKER, str(told)])
+    await_true(lambda: told.exists() and told.read_text() != "")
+    child = int(told.read_text())
+    server = int(Path(f"/proc/{child}/stat").read_text().rpartition(")")[2].split()[1])
+    os.kill(asker.pid, death)
+    asker.wait()
+    await_true(lambda: not is_alive(child) and not is_alive(server))
