@@ -72,7 +72,7 @@ def publish(context: LabelStageContext) -> Outcome:
 
 def files_of_publish(run: LabelRun) -> StageFiles:
     """What it pulls: all that is published, and what the report is made of."""
-    needed = ("sums", "packs", map_folder(run).name, comparison_path(run).name, coverage_path(run).name)
+    needed = ("sums", "packs", "far", map_folder(run).name, comparison_path(run).name, coverage_path(run).name)
     return StageFiles(needed, needed)
 
 

@@ -38,7 +38,7 @@ def sphere(radius_m=1.5, count=9000, seed=0):
 def surface(points, views, parameters=EXACT):
     patches, _ = patches_of(points, views, W, 20)
     band = band_of(patches.cells, W)
-    return zero_surface(band, solve_field(patches, band, parameters))
+    return zero_surface(band, solve_field(patches, band, parameters).values)
 
 
 def slow_planes(patches, places, sigma_m):
@@ -89,7 +89,7 @@ def test_the_field_is_the_minimum_of_the_energy_written_out_as_least_squares(see
     patches, _ = patches_of(*bumpy(seed, size_m=0.3), W, 12)
     band = band_of(patches.cells, W)
     parameters = PoissonParameters(screening, tolerance_ratio=1e-10)
-    found = solve_field(patches, band, parameters)
+    found = solve_field(patches, band, parameters).values
     np.testing.assert_allclose(found, slow_field(patches, band, parameters), atol=1e-8)
 
 
