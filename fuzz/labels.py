@@ -5,11 +5,11 @@ is loaded, and beside it a cache of its own, since numba takes unchecked code fr
 """
 
 import math
+import warnings
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-
-import numpy as np
 
 from services.ingest.pipeline import SynchroniseOptions
 from services.ingest.sequence import opened_sequence
@@ -19,16 +19,25 @@ from services.labeler.parameters import LabelParameters, parameters_for
 from services.labeler.report import LabelReport, report_of
 from services.labeler.results import load_pack
 from services.labeler.run import LabelRun, parts_of
-from testing.worlds.hostile_drive import Arrays, edits_in, sound_drive, write_drive
+from testing.worlds.hostile_drive import ATTACKS, Arrays, attacked, edit_bytes, edits_in, write_drive
+
+
+class WrongLabelsError(AssertionError):
+    """Labels that were made, and are none."""
+
+
+def label_seeds() -> Iterator[tuple[str, bytes]]:
+    """The sound drive, and one in which each kind of value stands where it once did harm, or would."""
+    yield "sound", b""
+    for name, edits in ATTACKS.items():
+        yield name.replace(" ", "-"), edit_bytes(*edits)
 
 
 def read_and_label(content: bytes) -> None:
-    """A drive with the edits that the bytes are."""
-    arrays = sound_drive()
-    for edit in edits_in(content):
-        edit.apply(arrays)
-    with TemporaryDirectory() as folder:
-        labelled(arrays, Path(folder))
+    """A drive with the edits that the bytes are; a calculation that numpy warns of is a crash."""
+    with TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        labelled(attacked(*edits_in(content)), Path(folder))
 
 
 def labelled(arrays: Arrays, folder: Path) -> LabelReport:
@@ -49,12 +58,13 @@ def parameters() -> LabelParameters:
 
 
 def checked(run: LabelRun) -> LabelReport:
-    """The report, of which every number is one, and whose labels are of the frames that it names."""
+    """The report. Raises `WrongLabelsError` where a number of it is none, or its labels are not of its frames."""
     report = report_of(run)
     labels = sum(len(load_pack(run, part)[0].ends_bytes) for part in parts_of(run))
-    assert labels == len(run.sequence.frames) > 0
-    assert not [number for number in _numbers(report.as_record()) if not math.isfinite(number)], report.as_record()
-    assert (np.isfinite(run.sequence.frames.map_from_ego.wxyz_xyz)).all()
+    if not 0 < labels == len(run.sequence.frames):
+        raise WrongLabelsError(f"{labels} labels of {len(run.sequence.frames)} frames")
+    if not all(math.isfinite(number) for number in _numbers(report.as_record())):
+        raise WrongLabelsError(f"a number of the report is none: {report.text()}")
     return report
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Box
-from stone.sensors.reach import is_in_reach
+from stone.sensors.reach import FARTHEST_POINT_M, is_in_reach
 
 # So many points are turned at once; only a block with points near the robot is looked at one by one.
 BLOCK = 64
@@ -50,8 +50,8 @@ def within(points: NDArray[np.float32], box: Box) -> NDArray[np.float32]:
 
 
 def _reach_m(boxes: NDArray[np.float64], ego_from_lidar: SE3) -> float:
-    """How far from the LiDAR the boxes (B, 2, 3) in the ego frame reach; 0 without any."""
-    farthest = np.abs(boxes - ego_from_lidar.translation_m).max(axis=1)
+    """How far from the LiDAR the boxes (B, 2, 3) in the ego frame reach; 0 without any, and no farther than points."""
+    farthest = np.minimum(np.abs(boxes - ego_from_lidar.translation_m).max(axis=1), FARTHEST_POINT_M)
     return float(np.linalg.norm(farthest, axis=1).max(initial=0.0))
 
 

@@ -2,12 +2,13 @@
 
 **Conventions.** `arrays` are what is recorded, as the types that messages have, and what the calibration says. The
 robot drives along x, tilted a little, 300 m from where its odometry began, and its LiDAR is mounted with a yaw of 45°.
-Edits in bytes are for a fuzzer: any bytes are some edits, and each is one of a few values that break arithmetic, or any.
+Edits in bytes are for a fuzzer: any bytes are some edits, each of one of a few values that break arithmetic, or of any.
 """
 
 import json
+import math
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,7 +34,8 @@ FLOATS = (
     1e154, 1e19, 9.3e18, -9.3e18, 1e15, 1e9, 4.3e9, 1e6, 1e5, 1e4, 1e3, -1e3, 999.9, 200.0, 40.0, 1.0, -1.0, 0.5, 1e-3,
 )  # fmt: skip
 INTEGERS = (0, 1, -1, 2, 7, 255, 2**15, 2**16 - 1, 2**31 - 1, -(2**31), 2**32 - 1, 2**63 - 1, -(2**63), 2**64 - 1)
-EDIT_BYTES = 14
+EDIT, ANY, ALL = struct.Struct("<BHBBQ"), 255, 1 << 15
+RAYS_FOLLOWED = 41_000  # a point of a frame whose rays are
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -58,11 +60,60 @@ class Edit:
                 flat[places] = np.array(int(self.value) & (2**64 - 1), np.uint64).astype(flat.dtype)
 
 
+# By what it is: the first once wrote outside of an array, since the turn by the mount's yaw is infinite.
+ATTACKS: Mapping[str, tuple[Edit, ...]] = {
+    "points that overflow as they are turned": tuple(
+        Edit("points", RAYS_FOLLOWED // 3 * 3 + axis, 512, 3, value) for axis, value in enumerate((3e38, -3e38, 5.0))
+    ),
+    "one point that overflows": tuple(
+        Edit("points", RAYS_FOLLOWED // 3 * 3 + axis, 1, 1, value) for axis, value in enumerate((3e38, -3e38, 5.0))
+    ),
+    "half of the points 1e30": (Edit("points", 0, ALL, 1, 1e30),),
+    "half of the points infinite": (Edit("points", 0, ALL, 1, -math.inf),),
+    "half of the points NaN": (Edit("points", 0, ALL, 1, math.nan),),
+    "heights below what a number holds": (Edit("points", 2, ALL, 3, 1e-45),),
+    "points just in reach": (Edit("points", 0, 256, 31, 999.9),),
+    "one position 1e300": (Edit("positions_m", 15, 1, 1, 1e300),),
+    "one position 1e9": (Edit("positions_m", 15, 1, 1, 1e9),),
+    "every position 1e9": (Edit("positions_m", 0, ALL, 1, 1e9),),
+    "every position 1e300": (Edit("positions_m", 0, ALL, 1, 1e300),),
+    "every position below what a number holds": (Edit("positions_m", 0, ALL, 1, 5e-324),),
+    "one quaternion of zeros": (Edit("turns_xyzw", 16, 4, 1, 0.0),),
+    "every quaternion of zeros": (Edit("turns_xyzw", 0, ALL, 1, 0.0),),
+    "quaternions of 1e300": (Edit("turns_xyzw", 0, ALL, 1, 1e300),),
+    "quaternions of 5e-324": (Edit("turns_xyzw", 0, ALL, 1, 5e-324),),
+    "one quaternion NaN": (Edit("turns_xyzw", 16, 1, 1, math.nan),),
+    "cloud stamps at the beginning of time": (Edit("cloud_sec", 0, ALL, 1, -(2**31)),),
+    "one cloud stamp at the end of time": (Edit("cloud_sec", 3, 1, 1, 2**31 - 1),),
+    "one cloud of four seconds' nanoseconds": (Edit("cloud_nanosec", 3, 1, 1, 2**32 - 1),),
+    "pose stamps at both ends": (Edit("pose_sec", 0, 1, 1, -(2**31)), Edit("pose_sec", 19, 1, 1, 2**31 - 1)),
+    "recorded at both ends": (Edit("cloud_log_ns", 0, 4, 1, 0), Edit("pose_log_ns", 0, ALL, 1, 2**64 - 1)),
+    "recorded beyond int64": (Edit("cloud_log_ns", 0, ALL, 1, 2**63),),
+    "point times NaN": (Edit("times_s", 0, ALL, 1, math.nan),),
+    "point times at the end of int64": (Edit("times_s", 0, ALL, 3, 9.3e18),),
+    "point times of 1e300": (Edit("times_s", 0, ALL, 1, 1e300),),
+    "one point a second early": (Edit("times_s", 0, 1, 1, START_S - 0.9),),
+    "rings of 65535": (Edit("rings", 0, ALL, 1, 2**16 - 1),),
+    "clouds of 4 billion points": (Edit("sizes", 0, ALL, 5, 2**32 - 1),),
+    "a cloud of no rows": (Edit("sizes", 5, 1, 1, 0),),
+    "a point of no bytes": (Edit("sizes", 2, 1, 1, 0),),
+    "a point of half a cloud": (Edit("sizes", 2, 1, 1, 2**16 - 1),),
+    "a mount beyond the map": (Edit("mount_m", 0, 1, 1, 1e300),),
+    "a mount at the end of its limit": (Edit("mount_m", 0, 4, 1, 99.9),),
+    "a mount turned by nothing": (Edit("mount_wxyz", 0, 4, 1, 0.0),),
+    "a mount turned by infinity": (Edit("mount_wxyz", 0, 1, 1, math.inf),),
+    "a footprint without end": (Edit("footprint_m", 0, 2, 1, math.inf),),
+    "a footprint of 50 m": (Edit("footprint_m", 0, 2, 1, 49.0),),
+    "a negative footprint": (Edit("footprint_m", 0, 2, 1, -1.0),),
+    "a robot around all of its points": (Edit("boxes_m", 0, 2, 1, -1e300), Edit("boxes_m", 3, 2, 1, 1e300)),
+}
+
+
 def sound_drive() -> Arrays:
     """What is recorded where nobody is hostile."""
     frames, poses = np.arange(FRAMES), np.arange(POSES)
     world_from_ego = _world_from_ego(poses * POSE_NS)
-    points = np.stack([_ground_seen(frame * SWEEP_NS) for frame in frames])
+    points = np.stack([_ground_seen(frame * SWEEP_NS) for frame in range(FRAMES)])
     count = points.shape[1]
     shape = np.array([count, 1, POINT.itemsize, count * POINT.itemsize], np.uint32)
     stamps_ns = SWEEP_NS * (1 + frames)
@@ -83,17 +134,30 @@ def sound_drive() -> Arrays:
 
 
 def edits_in(content: bytes) -> Iterator[Edit]:
-    """Any bytes as edits, `EDIT_BYTES` each; what is left over is none."""
-    names = sorted(sound_drive())
-    for name, first, few, chosen, raw in struct.iter_unpack(
-        "<BHBHQ", content[: len(content) // EDIT_BYTES * EDIT_BYTES]
-    ):
+    """Any bytes as edits, `EDIT.size` each; what is left over is none."""
+    drive = sound_drive()
+    names = sorted(drive)
+    for name, first, span, chosen, raw in EDIT.iter_unpack(content[: len(content) // EDIT.size * EDIT.size]):
         array = names[name % len(names)]
-        is_float = array in {"points", "times_s", "positions_m", "turns_xyzw"} or array.endswith(("_m", "_wxyz"))
+        is_float = drive[array].dtype.kind == "f"
         values = FLOATS if is_float else INTEGERS
         any_value = struct.unpack("<d", struct.pack("<Q", raw))[0] if is_float else raw
-        value = values[chosen % (len(values) + 4)] if chosen % (len(values) + 4) < len(values) else any_value
-        yield Edit(array, first, 1 << few % 16, 1 + 2 * (few >> 4), value)
+        value = values[chosen] if chosen < len(values) else any_value
+        yield Edit(array, first, 1 << span % 16, 1 + 2 * (span >> 4), value)
+
+
+def edit_bytes(*edits: Edit) -> bytes:
+    """What `edits_in` makes these of; their counts are powers of two up to 2^15, their steps odd and below 32."""
+    names = sorted(sound_drive())
+    return b"".join(EDIT.pack(names.index(one.array), one.first, *_spanned(one), ANY, _raw(one)) for one in edits)
+
+
+def attacked(*edits: Edit) -> Arrays:
+    """The sound drive with these edits."""
+    arrays = sound_drive()
+    for edit in edits:
+        edit.apply(arrays)
+    return arrays
 
 
 def write_drive(arrays: Arrays, folder: Path) -> tuple[Path, Path]:
@@ -110,6 +174,17 @@ def write_drive(arrays: Arrays, folder: Path) -> tuple[Path, Path]:
         writer.finish()  # type: ignore[no-untyped-call]
     calibration.write_text(_calibration_text(arrays))
     return bag, calibration
+
+
+def _spanned(edit: Edit) -> tuple[int]:
+    return ((edit.step - 1) // 2 << 4 | edit.count.bit_length() - 1,)
+
+
+def _raw(edit: Edit) -> int:
+    """The value's bits."""
+    if isinstance(edit.value, float):
+        return int(struct.unpack("<Q", struct.pack("<d", edit.value))[0])
+    return edit.value & (2**64 - 1)
 
 
 def _world_from_ego(after_ns: NDArray[np.int64]) -> SE3:
