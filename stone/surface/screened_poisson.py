@@ -44,7 +44,10 @@ class PoissonParameters:
 
 @dataclass(frozen=True)
 class Descent:
-    """How the solver ended: after so many rounds, `MOST_ROUNDS` at most, with this residual in cells."""
+    """How the solver ended: after so many rounds, `MOST_ROUNDS` at most, with this residual, in cells.
+
+    It is calculated anew from the field: the one that the rounds carry along shrinks on when the field's no longer does.
+    """
 
     rounds: int = 0
     residual_ratio: float = 0.0
@@ -167,7 +170,7 @@ def _apply(system, x, y):  # type: ignore[no-untyped-def]
 def _descend(system, right, inverse, enough, x):  # type: ignore[no-untyped-def]
     """Conjugate gradients from `x` on, preconditioned by the diagonal, until rᵀD⁻¹r ≤ `enough` or for `MOST_ROUNDS`.
 
-    Gives how many rounds it took and what rᵀD⁻¹r is then.
+    Gives how many rounds it took and what rᵀD⁻¹r is then, of r = b − A x.
     """
     y = np.empty(x.size)
     _apply(system, x, y)
@@ -178,7 +181,10 @@ def _descend(system, right, inverse, enough, x):  # type: ignore[no-untyped-def]
     while rounds < MOST_ROUNDS and not size <= enough:
         rounds += 1
         _apply(system, p, y)
-        step = size / (p * y).sum()
+        bent = (p * y).sum()
+        if not bent > 0.0:  # nothing is left to go along, or something is no number
+            break
+        step = size / bent
         before, size = size, 0.0
         for i in range(x.size):
             x[i] += step * p[i]
@@ -186,4 +192,6 @@ def _descend(system, right, inverse, enough, x):  # type: ignore[no-untyped-def]
             size += r[i] * r[i] * inverse[i]
         for i in range(x.size):
             p[i] = r[i] * inverse[i] + size / before * p[i]
-    return rounds, size
+    _apply(system, x, y)
+    r = right - y
+    return rounds, (r * r * inverse).sum()

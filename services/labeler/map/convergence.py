@@ -12,6 +12,8 @@ from services.labeler.map.surface import TileSummary
 from services.labeler.parameters import SurfaceParameters
 from stone.findings import Finding
 
+SLACK_RATIO = 1.001  # the residual that the rounds carry along, and end by, is rounded otherwise
+
 
 @dataclass(frozen=True)
 class Convergence:
@@ -36,7 +38,7 @@ def convergence_of(tiles: Iterable[TileSummary], parameters: SurfaceParameters) 
         return None
     descents = [tile.descent for tile in tiles]
     residuals = [one.residual_ratio if math.isfinite(one.residual_ratio) else math.inf for one in descents]
-    over = sum(residual > parameters.poisson.tolerance_ratio for residual in residuals)
+    over = sum(residual > SLACK_RATIO * parameters.poisson.tolerance_ratio for residual in residuals)
     return Convergence(
         max((one.rounds for one in descents), default=0), max(residuals, default=0.0), len(descents), over
     )
