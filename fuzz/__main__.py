@@ -25,7 +25,7 @@ from fuzz.targets import TARGETS, limits_of
 
 ROOT = Path(__file__).resolve().parents[1]
 CASES = ROOT / "tests" / "fuzz" / "cases"
-LONGEST_INPUT_BYTES = 1 << 16
+SHORT_BYTES = 1 << 12
 PROGRESS = re.compile(r"^#(\d+)\s.*?cov: (\d+) ft: (\d+)", re.MULTILINE)
 CONSOLE = Console(highlight=False, markup=False, soft_wrap=True)
 
@@ -66,10 +66,12 @@ def _fuzz(name: str, options: argparse.Namespace) -> FuzzResult:
         f"-rss_limit_mb={may.process_mb}",
     ]
     shape = [
-        f"-max_len={LONGEST_INPUT_BYTES}",
+        f"-max_len={may.longest_bytes}",
         f"-seed={options.seed}",
         f"-artifact_prefix={found}/",
         "-print_final_stats=1",
+        f"-report_slow_units={may.hang_s}",
+        *(["-len_control=0"] if may.longest_bytes < SHORT_BYTES else []),
     ]
     known = [str(CASES / name)] if (CASES / name).is_dir() else []
     command = [sys.executable, "-m", "fuzz.libfuzzer", name, *limits, *shape, str(corpus), *known]

@@ -22,18 +22,20 @@ Target = Callable[[bytes], None]
 class FuzzLimits:
     """What an input may take: growth of the process, time, and what the process may hold at all.
 
-    `is_checked` where kernels check their indices meanwhile.
+    `longest_bytes` is tried from the beginning where it is short. `is_checked` where kernels check their indices
+    meanwhile.
     """
 
     growth_bytes: int
     hang_s: int
     process_mb: int
+    longest_bytes: int = 1 << 16
     is_checked: bool = False
 
 
 OF_PARSERS = FuzzLimits(GROWTH_LIMIT_BYTES, 10, 1024)
 # The dense windows of a few frames, beside a point map made for a minute of a full rig.
-OF_LABELLING = FuzzLimits(512 * 2**20, 60, 3072, is_checked=True)
+OF_LABELLING = FuzzLimits(512 * 2**20, 60, 3072, longest_bytes=1 << 8, is_checked=True)
 
 
 class GrowthError(AssertionError):

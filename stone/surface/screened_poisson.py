@@ -46,7 +46,7 @@ class PoissonParameters:
 class Descent:
     """How the solver ended: after so many rounds, `MOST_ROUNDS` at most, with this residual, in cells.
 
-    It is calculated anew from the field: the one that the rounds carry along shrinks on when the field's no longer does.
+    It is calculated anew from the field: the one that the rounds carry along shrinks on where the field stays.
     """
 
     rounds: int = 0
