@@ -40,7 +40,8 @@ test: install
 	deploy/install-browser.sh
 	$(BIN)/pytest $(BESIDE) -m "not whole"
 
-test-all: test-clients test-kernels
+test-all: test-clients
+	$(MAKE) --no-print-directory test-kernels
 	$(BIN)/pytest $(BESIDE)
 
 test-kernels: install
