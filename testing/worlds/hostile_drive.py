@@ -78,6 +78,8 @@ ATTACKS: Mapping[str, tuple[Edit, ...]] = {
     "every position 1e9": (Edit("positions_m", 0, ALL, 1, 1e9),),
     "every position 1e300": (Edit("positions_m", 0, ALL, 1, 1e300),),
     "every position below what a number holds": (Edit("positions_m", 0, ALL, 1, 5e-324),),
+    "poses that go 1.5 km away and come back": (Edit("positions_m", 18, 32, 1, -1000.0),),
+    "poses that go 100 km away and come back": (Edit("positions_m", 18, 32, 1, -99_000.0),),
     "one quaternion of zeros": (Edit("turns_xyzw", 16, 4, 1, 0.0),),
     "every quaternion of zeros": (Edit("turns_xyzw", 0, ALL, 1, 0.0),),
     "quaternions of 1e300": (Edit("turns_xyzw", 0, ALL, 1, 1e300),),

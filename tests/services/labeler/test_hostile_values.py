@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fuzz.labels import WrongLabelsError, checked, labelled
+from fuzz.labels import WrongLabelsError, checked, labelled, read_and_label
+from fuzz.limits import OF_LABELLING, check
 from services.labeler.report import LabelReport
 from stone.errors import StoneError
 from stone.sensors.reach import FARTHEST_POINT_M
@@ -131,3 +132,11 @@ def test_labels_that_are_no_labels_are_noticed(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr("services.labeler.report.LabelReport.class_shares", lambda _: {"traversable": float("nan")})
     with pytest.raises(WrongLabelsError, match="a number of the report is none"):
         checks[0]()
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize("name", ["poses that go 1.5 km away and come back", "poses that go 100 km away and come back"])
+def test_maps_far_apart_cost_no_picture_of_all_between(name: str) -> None:
+    """Catches alone a picture with a pixel for every voxel between them: 2 GiB at 1.5 km, and terabytes at 100 km."""
+    read_and_label(b"")  # what is compiled for any drive is no cost of this one
+    check(read_and_label, edit_bytes(*ATTACKS[name]), OF_LABELLING)
