@@ -1,6 +1,6 @@
-# make install | demo | serve | test | test-all | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-platform | bench-pages | bench-truth | bench-movers | bench-mounts | bench-real | bench-faults | bench-decisions | season | images
+# make install | demo | serve | test | test-all | test-kernels | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-platform | bench-pages | bench-truth | bench-movers | bench-mounts | bench-real | bench-faults | bench-decisions | season | images
 # Each installs first, which costs nothing when nothing changed.
-.PHONY: install test-clients demo serve test test-all check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-platform bench-pages bench-truth bench-movers bench-mounts bench-real bench-faults bench-decisions season images
+.PHONY: install test-clients demo serve test test-all test-kernels check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-platform bench-pages bench-truth bench-movers bench-mounts bench-real bench-faults bench-decisions season images
 .DELETE_ON_ERROR:
 
 BIN := .venv/bin
@@ -8,6 +8,10 @@ INSTALLED := .venv/.installed
 BUILT := web/built/app.js
 # One more than cores: tests wait for the servers that they start. Whole files, so that what a file makes is made once.
 BESIDE = --numprocesses $(shell n=$$(nproc); echo $$((n < 5 ? n + 1 : 6))) --dist loadfile --no-loadscope-reorder
+# Tests that run kernels, and with every index checked: from a cache of their own, for numba takes what it finds there.
+KERNELS := tests/stone/geometry tests/stone/labels tests/stone/scoring tests/stone/sensors tests/stone/surface \
+	tests/stone/test_kernels.py tests/stone_recordings/bags/test_messages_pointcloud2.py \
+	tests/services/labeler/previews/test_render.py tests/services/labeler/test_hostile_values.py
 MODULES := $(shell find web/modules web/libraries -name '*.ts' -o -name '*.js')
 
 install: $(INSTALLED) $(BUILT)
@@ -37,7 +41,11 @@ test: install
 	$(BIN)/pytest $(BESIDE) -m "not whole"
 
 test-all: test-clients
+	$(MAKE) --no-print-directory test-kernels
 	$(BIN)/pytest $(BESIDE)
+
+test-kernels: install
+	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=$(CURDIR)/build/checked-kernels $(BIN)/pytest $(BESIDE) -m "not whole" $(KERNELS)
 
 check: test-clients
 	$(BIN)/ruff format --check .

@@ -1,8 +1,9 @@
-"""Fuzz the parsers: `python -m fuzz [--minutes 10] [--only mcap db3 messages archive frame …] [--folder DIR]`.
+"""Fuzz parsers and labelling: `python -m fuzz [--minutes 10] [--only mcap db3 messages labels …] [--folder DIR]`.
 
 `--minutes` is of each target; two run side by side. Ends with 1 when an input crashed a parser, hung it for ten seconds
-or cost it more than 64 MiB. Such an input lies in the folder; once repaired it belongs into
-`tests/fuzz/cases/<target>/`, where every test run plays it again.
+or cost it more than 64 MiB; labelling, whose kernels check their indices here, may take a minute and 512 MiB. Such an
+input lies in the folder; once repaired it belongs into `tests/fuzz/cases/<target>/`, where every test run plays it
+again.
 """
 
 import argparse
@@ -18,14 +19,13 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from fuzz.limits import FuzzLimits
 from fuzz.seeds import write_seeds
-from fuzz.targets import TARGETS
+from fuzz.targets import TARGETS, limits_of
 
 ROOT = Path(__file__).resolve().parents[1]
 CASES = ROOT / "tests" / "fuzz" / "cases"
-HANG_S = 10
-PROCESS_LIMIT_MB = 1024
-LONGEST_INPUT_BYTES = 1 << 16
+SHORT_BYTES = 1 << 12
 PROGRESS = re.compile(r"^#(\d+)\s.*?cov: (\d+) ft: (\d+)", re.MULTILINE)
 CONSOLE = Console(highlight=False, markup=False, soft_wrap=True)
 
@@ -59,28 +59,39 @@ def _fuzz(name: str, options: argparse.Namespace) -> FuzzResult:
     for each in (corpus, found):
         each.mkdir(parents=True, exist_ok=True)
     write_seeds(name, corpus)
-    limits = [f"-max_total_time={int(options.minutes * 60)}", f"-timeout={HANG_S}", f"-rss_limit_mb={PROCESS_LIMIT_MB}"]
+    may = limits_of(name)
+    limits = [
+        f"-max_total_time={int(options.minutes * 60)}",
+        f"-timeout={may.hang_s}",
+        f"-rss_limit_mb={may.process_mb}",
+    ]
     shape = [
-        f"-max_len={LONGEST_INPUT_BYTES}",
+        f"-max_len={may.longest_bytes}",
         f"-seed={options.seed}",
         f"-artifact_prefix={found}/",
         "-print_final_stats=1",
+        f"-report_slow_units={may.hang_s}",
+        *(["-len_control=0"] if may.longest_bytes < SHORT_BYTES else []),
     ]
     known = [str(CASES / name)] if (CASES / name).is_dir() else []
     command = [sys.executable, "-m", "fuzz.libfuzzer", name, *limits, *shape, str(corpus), *known]
     log = options.folder / f"{name}.log"
     with log.open("wb") as file:
-        ended = subprocess.run(
-            command, cwd=ROOT, env={**os.environ, "TMPDIR": options.scratch}, stdout=file, stderr=file
-        )
+        ended = subprocess.run(command, cwd=ROOT, env=_environment(options, folder, may), stdout=file, stderr=file)
     said = PROGRESS.findall(log.read_text("utf-8", "replace")) or [("0", "0", "0")]
     return FuzzResult(name, int(said[-1][0]), int(said[-1][2]), tuple(sorted(found.iterdir())), ended.returncode)
 
 
+def _environment(options: argparse.Namespace, folder: Path, may: FuzzLimits) -> dict[str, str]:
+    """Numba takes what it finds in its cache, checked or not: what is checked has one of its own."""
+    checked = {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(folder / "kernels")} if may.is_checked else {}
+    return {**os.environ, "TMPDIR": options.scratch, **checked}
+
+
 def _table(fuzzed: list[FuzzResult], options: argparse.Namespace) -> Table:
     table = Table(title=f"{options.minutes:g} minutes each, seed {options.seed}")
-    for column in ("parser", "inputs", "branches met", "crashes, hangs, growth over 64 MiB"):
-        table.add_column(column, justify="left" if column == "parser" else "right")
+    for column in ("target", "inputs", "branches met", "crashes, hangs, growth beyond the limit"):
+        table.add_column(column, justify="left" if column == "target" else "right")
     for one in fuzzed:
         table.add_row(one.name, str(one.inputs), str(one.branches), str(len(one.broken)))
     return table
@@ -88,10 +99,10 @@ def _table(fuzzed: list[FuzzResult], options: argparse.Namespace) -> Table:
 
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m fuzz", description=__doc__)
-    parser.add_argument("--minutes", type=float, default=10.0, help="of each parser")
+    parser.add_argument("--minutes", type=float, default=10.0, help="of each target")
     parser.add_argument("--only", nargs="+", choices=list(TARGETS), default=[])
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--jobs", type=int, default=2, help="parsers side by side")
+    parser.add_argument("--jobs", type=int, default=2, help="targets side by side")
     parser.add_argument("--folder", type=Path, help="a temporary one unless named")
     options = parser.parse_args()
     options.folder = (options.folder or Path(tempfile.mkdtemp(prefix="stone-fuzz-"))).absolute()

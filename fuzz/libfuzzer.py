@@ -11,15 +11,18 @@ import stone_recordings.messages.point_kernel  # noqa: F401 # numba compiles byt
 
 EXPORTED = ("stone_client.files.export_files", "stone_client.files.tar_index", "stone_client.files.exported_sweeps")
 
-with atheris.instrument_imports(include=["stone_recordings", "stone_submissions", "services.eval", *EXPORTED]):
+with atheris.instrument_imports(
+    include=["stone_recordings", "stone_submissions", "services.eval", "services.ingest", *EXPORTED]
+):
     from fuzz.limits import check
-    from fuzz.targets import TARGETS
+    from fuzz.targets import TARGETS, limits_of
 
 
 def main() -> None:
     name = sys.argv.pop(1)
-    target = TARGETS[name]
-    atheris.Setup(sys.argv, lambda content: check(target, content))
+    target, limits = TARGETS[name], limits_of(name)
+    target(b"")  # compiles what it uses: no input's cost
+    atheris.Setup(sys.argv, lambda content: check(target, content, limits))
     atheris.Fuzz()
 
 

@@ -18,11 +18,32 @@ CLEAR_REFS, RESET_PEAK = Path("/proc/self/clear_refs"), "5"  # man 5 proc
 Target = Callable[[bytes], None]
 
 
+@dataclass(frozen=True)
+class FuzzLimits:
+    """What an input may take: growth of the process, time, and what the process may hold at all.
+
+    `longest_bytes` is tried from the beginning where it is short. `is_checked` where kernels check their indices
+    meanwhile.
+    """
+
+    growth_bytes: int
+    hang_s: int
+    process_mb: int
+    longest_bytes: int = 1 << 16
+    is_checked: bool = False
+
+
+OF_PARSERS = FuzzLimits(GROWTH_LIMIT_BYTES, 10, 1024)
+# The dense windows of a few frames, beside a point map made for a minute of a full rig.
+OF_LABELLING = FuzzLimits(512 * 2**20, 60, 3072, longest_bytes=1 << 8, is_checked=True)
+
+
 class GrowthError(AssertionError):
     """An input cost more memory than any may."""
 
-    def __init__(self, growth_bytes: int, input_bytes: int) -> None:
-        super().__init__(f"{growth_bytes >> 20} MiB for an input of {input_bytes} bytes, the limit is 64 MiB")
+    def __init__(self, growth_bytes: int, input_bytes: int, limit_bytes: int) -> None:
+        limit = f"the limit is {limit_bytes >> 20} MiB"
+        super().__init__(f"{growth_bytes >> 20} MiB for an input of {input_bytes} bytes, {limit}")
 
 
 class UncodedError(AssertionError):
@@ -45,7 +66,7 @@ def memory() -> Memory:
     return Memory(*(int(lines[name].split()[0]) * 1024 for name in ("VmRSS", "VmHWM")))
 
 
-def check(target: Target, content: bytes) -> None:
+def check(target: Target, content: bytes, limits: FuzzLimits = OF_PARSERS) -> None:
     """Raises `GrowthError`, `UncodedError`, and whatever the target lets through."""
     CLEAR_REFS.write_text(RESET_PEAK)
     before = memory()
@@ -55,5 +76,5 @@ def check(target: Target, content: bytes) -> None:
         if type(error) is StoneError or not error.code or "\n" in str(error):
             raise UncodedError(error) from error
     after = memory()
-    if after.peak > before.held + GROWTH_LIMIT_BYTES:
-        raise GrowthError(after.peak - before.held, len(content))
+    if after.peak > before.held + limits.growth_bytes:
+        raise GrowthError(after.peak - before.held, len(content), limits.growth_bytes)

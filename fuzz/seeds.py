@@ -19,6 +19,7 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 
 from fuzz.calibrations import calibrations
 from fuzz.exports import table_seeds, tar_seeds
+from fuzz.labels import label_seeds
 from fuzz.messages import DECODERS
 from fuzz.submissions import archive_seeds, frame_seeds, header_seeds, manifest_seeds
 from simulator.options import SimulateOptions
@@ -122,6 +123,7 @@ SEEDS: Mapping[str, Callable[[], Iterator[tuple[str, bytes]]]] = {
     "manifest": manifest_seeds,
     "tar": tar_seeds,
     "tables": table_seeds,
+    "labels": label_seeds,
 }
 
 

@@ -1,5 +1,5 @@
-"""What is fuzzed: the readers of recordings, messages, calibrations, submissions and exports, each as one function
-of bytes.
+"""What is fuzzed: the readers of recordings, messages, calibrations, submissions and exports, and labelling, each as
+one function of bytes.
 
 **Conventions.** Each target ends normally or with a `StoneError`. Of `messages` the first byte chooses the type, of
 `calibration` the ending of the file's name; the rest is the content.
@@ -10,7 +10,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from fuzz.exports import read_tables, read_tar
-from fuzz.limits import Target
+from fuzz.labels import read_and_label
+from fuzz.limits import OF_LABELLING, OF_PARSERS, FuzzLimits, Target
 from fuzz.messages import DECODERS
 from fuzz.submissions import read_archive, read_frame, read_header, read_manifest_file
 from stone.errors import StoneError
@@ -90,4 +91,10 @@ TARGETS: Mapping[str, Target] = {
     "manifest": read_manifest_file,
     "tar": read_tar,
     "tables": read_tables,
+    "labels": read_and_label,
 }
+
+
+def limits_of(name: str) -> FuzzLimits:
+    """What an input of this target may take."""
+    return OF_LABELLING if name == "labels" else OF_PARSERS

@@ -17,6 +17,7 @@ from services.domain.sequences.run_files import SEQUENCE_FILE
 from services.domain.sequences.stage_checks import require_sequence
 from services.domain.viewer.playback import PLAYBACK
 from services.labeler.map.comparison import COMPARISON
+from services.labeler.map.far_points import FAR
 from services.labeler.map.map_files import MAP
 from services.labeler.map.track_coverage import COVERAGE
 from services.labeler.parameters import chosen_parameters
@@ -43,7 +44,7 @@ MEDIA_TYPES = {
 }
 
 
-NEEDED = ("sums", "packs", MAP, COMPARISON, COVERAGE)
+NEEDED = ("sums", "packs", FAR, MAP, COMPARISON, COVERAGE)
 FILES = FilesAnswer(reads=NEEDED, requires=NEEDED, writes=())
 
 

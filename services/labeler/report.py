@@ -5,7 +5,8 @@ map, each once: the classes in the profile that was asked for and in the other, 
 the track spans the relief that profile `paper` needs it to. `reference.outliers` are of the driven voxels, null where
 they are few, with the share of the map that has another class by the other estimate. `track` is how much of what the
 footprint went over is T, pinholes closed, and which share of the way has none; `height_drift` what the poses drifted
-in z. `refinement` is null where poses
+in z. `map.far_points` are those that were left out as no LiDAR sees as far; `solver` is how the surface was solved for,
+residuals in cells, null where Open3D did. `refinement` is null where poses
 were taken as they came. What was measured while it was made (seconds, memory) is apart, in `costs`: without them equal
 inputs give equal bytes.
 """
@@ -19,6 +20,8 @@ import numpy as np
 
 from services.labeler.frames import FrameVoxelCounts
 from services.labeler.map.comparison import ProfileComparison, Relief, load_comparison, other_reference, relief_of
+from services.labeler.map.convergence import Convergence, convergence_findings, convergence_of
+from services.labeler.map.far_points import FarPoints, far_point_findings, load_far_points
 from services.labeler.map.outliers import outlier_counts, outlier_findings
 from services.labeler.map.surface import TileSummary
 from services.labeler.map.track_coverage import coverage_findings, load_coverage
@@ -50,6 +53,8 @@ class LabelReport:
     findings: tuple[Finding, ...]
     profiles: Mapping[str, Any]
     track: TrackCoverage
+    solver: Convergence | None
+    far: FarPoints
     outliers: Mapping[str, Any] | None = None
     refinement: Mapping[str, Any] | None = None
     costs: Mapping[str, Any] = field(default_factory=dict)
@@ -84,7 +89,8 @@ class LabelReport:
                 name: sum(getattr(tile, name) for tile in self.tiles)
                 for name in ("points", "moving", "vertices", "triangles", "voxels")
             }
-            | {"tiles": len(self.tiles)},
+            | {"tiles": len(self.tiles), "far_points": self.far.points},
+            "solver": None if self.solver is None else self.solver.as_record(),
             **self.costs,
             "findings": [finding.as_record() for finding in self.findings],
         }
@@ -118,12 +124,14 @@ def report_of(run: LabelRun) -> LabelReport:
     doubts += tuple(outlier_findings(outliers, parameters, comparison.reestimated_ratio))
     track = load_coverage(run)
     doubts += coverage_findings(track, parameters.footprint_band_m)
+    solver, far = convergence_of(tiles, parameters.surface), load_far_points(run)
+    doubts += (*far_point_findings(far), *convergence_findings(solver, parameters.surface))
     findings = (*sequence.findings, *label_findings(parameters, reference, counts, relief), *doubts)
     profiles = comparison.as_record(parameters) | {"elevation": asdict(relief)}
     named = (sequence, parameters, code_version("labels"))
     share = {"reestimated_share": round(comparison.reestimated_ratio, 6)}
     told = None if outliers is None else share | outliers.as_record()
-    return LabelReport(*named, reference, tuple(tiles), counts, findings, profiles, track, told)
+    return LabelReport(*named, reference, tuple(tiles), counts, findings, profiles, track, solver, far, told)
 
 
 def label_findings(

@@ -27,6 +27,7 @@ from stone.labels.traversability import (
     robust_reference_of,
     total_of,
 )
+from stone.surface.screened_poisson import Descent
 
 COUNTED = ("voxels", "points", "moving", "vertices", "triangles")
 
@@ -74,6 +75,8 @@ def save_summary(run: LabelRun, summary: TileSummary) -> None:
         **_sums_arrays(summary.sums, ""),
         **_sums_arrays(summary.other_sums, "other_"),
         "counted": np.array([getattr(summary, name) for name in COUNTED]),
+        "rounds": np.array(summary.descent.rounds),
+        "residual_ratio": np.array(summary.descent.residual_ratio),
     }
     save(sums_path(run, summary.tile), arrays)
 
@@ -95,7 +98,8 @@ def load_summaries(run: LabelRun) -> list[TileSummary]:
         arrays = load(path)
         both = (_sums_from(arrays, ""), _sums_from(arrays, "other_"))
         tile, driven = Tile(*arrays["tile"].tolist()), arrays["driven"]
-        summaries.append(TileSummary(tile, driven, *both, *arrays["counted"].tolist()))  # type: ignore[arg-type]
+        descent = Descent(int(arrays["rounds"].item()), float(arrays["residual_ratio"].item()))
+        summaries.append(TileSummary(tile, driven, *both, *arrays["counted"].tolist(), descent))  # type: ignore[arg-type,call-arg]
     return sorted(summaries, key=lambda summary: summary.tile)
 
 

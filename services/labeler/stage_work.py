@@ -8,6 +8,7 @@ process it runs in.
 from pathlib import Path
 
 from services.labeler.frames import compute_sight_lines, labelled_frames
+from services.labeler.map.far_points import far_points_path
 from services.labeler.map.fuse import fuse
 from services.labeler.plan import plan_of, surface_where_reached, tiles_around
 from services.labeler.results import (
@@ -38,7 +39,8 @@ def fuse_part(run: LabelRun, arguments: Arguments, step: Step) -> StageResult:
 
 def files_of_fuse(run: LabelRun, arguments: Arguments) -> StageFiles:
     part = part_of(arguments)
-    return StageFiles(writes=(_fused(part), _name(run, images_path(run, part))))
+    beside = (images_path(run, part), far_points_path(run, part))
+    return StageFiles(writes=(_fused(part), *(_name(run, path) for path in beside)))
 
 
 def surface_tile(run: LabelRun, arguments: Arguments, step: Step) -> StageResult:

@@ -1,7 +1,7 @@
 """Single steps on upright columns of voxels, of which LLVM makes a few vector instructions; for compiled kernels only.
 
 **Conventions.** A column is 32 voxels: 32 bytes of labels, or one uint32 of a plane, bit n voxel n. Addresses are
-counted in elements of a C-contiguous array and are not checked.
+counted in elements of a C-contiguous array, and checked as those of `stone.kernels.lanes` are.
 """
 
 from typing import Any
@@ -35,8 +35,9 @@ def _packing(voxels: Any, low: Any, high: Any, columns: int) -> Any:
             tested = builder.and_(bytes_, ir.Constant(lanes, [mask] * size))
             return builder.bitcast(builder.icmp_unsigned("!=", tested, ir.Constant(lanes, [0] * size)), word)
 
-        source = pointer(context, builder, (voxels, arguments[0]), arguments[1], lanes)
-        planes = [pointer(context, builder, (t, arguments[k]), arguments[4], word) for t, k in ((low, 2), (high, 3))]
+        source = pointer(context, builder, (voxels, arguments[0]), arguments[1], lanes, columns * COLUMN)
+        both = ((low, arguments[2]), (high, arguments[3]))
+        planes = [pointer(context, builder, plane, arguments[4], word, columns) for plane in both]
         seen = ir.Constant(lanes, [0] * size)
         for n in range(columns * COLUMN // size):
             place = ir.Constant(I64, n)
@@ -56,7 +57,7 @@ def _drivable32(typing_context: Any, low: Any, high: Any, evaluated: Any, at: An
         lanes = ir.VectorType(I32, 32)
         none = ir.Constant(lanes, [0] * 32)
         columns = [
-            builder.load(pointer(context, builder, (kind, array), arguments[3], lanes), align=4)
+            builder.load(pointer(context, builder, (kind, array), arguments[3], lanes, 32), align=4)
             for kind, array in zip(signature.args[:3], arguments[:3], strict=True)
         ]
         ones, twos = (builder.and_(plane, columns[2]) for plane in columns[:2])
@@ -81,9 +82,9 @@ def _unroll8(typing_context: Any, changes: Any, runs: Any, run: Any, out: Any, a
         first = builder.and_(changes, ir.Constant(I32, 1))
         rank = builder.sub(counts, splat(builder, first, lanes))
         source = builder.add(run, builder.zext(first, I64))
-        near = builder.load(pointer(context, builder, (signature.args[1], runs), source, lanes), align=4)
+        near = builder.load(pointer(context, builder, (signature.args[1], runs), source, lanes, 8), align=4)
         found = _permuted(context, builder, near, rank)
-        builder.store(found, pointer(context, builder, (signature.args[3], out), at, lanes), 4)
+        builder.store(found, pointer(context, builder, (signature.args[3], out), at, lanes, 8), 4)
         return builder.zext(builder.extract_element(counts, ir.Constant(I32, 7)), I64)
 
     return types.int64(types.uint32, runs, types.int64, out, types.int64), emit

@@ -1,13 +1,15 @@
 """Single steps on machine words that LLVM fits to the vector unit at hand; to be called from compiled kernels only.
 
 **Conventions.** Bit n of a word stands for lane n: for voxel n of an upright column, or for frame n of a batch.
-Addresses are counted in elements of a C-contiguous array and are not checked.
+Addresses are counted in elements of a C-contiguous array. Like those that numba makes itself they are checked with
+`NUMBA_BOUNDSCHECK=1` alone: why each is in range is in docs/security/kernels.md.
 """
 
 from typing import Any
 
 from llvmlite import ir  # type: ignore[import-untyped]
-from numba import types
+from numba import config, types
+from numba.core.cgutils import do_boundscheck
 from numba.extending import intrinsic
 
 BIT, I8, I32, I64 = (ir.IntType(bits) for bits in (1, 8, 32, 64))
@@ -38,7 +40,7 @@ def _spread(typing_context: Any, ones: Any, twos: Any, out: Any, at: Any) -> Any
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         lanes = ir.VectorType(I8, COLUMN)
         low, high = (builder.zext(builder.bitcast(word, bits_of(COLUMN)), lanes) for word in arguments[:2])
-        target = pointer(context, builder, (signature.args[2], arguments[2]), arguments[3], lanes)
+        target = pointer(context, builder, (signature.args[2], arguments[2]), arguments[3], lanes, COLUMN)
         builder.store(builder.add(low, builder.add(high, high)), target, 1)
         return context.get_dummy_value()
 
@@ -65,14 +67,14 @@ def _fetch(typing_context: Any, source: Any, at: Any, shift: Any, mask: Any, out
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         source, at, shift, mask, out, to = arguments
         lanes = ir.VectorType(I32, 4)
-        origin = pointer(context, builder, (signature.args[0], source), at, lanes)
+        origin = pointer(context, builder, (signature.args[0], source), at, lanes, 8)
         lower = builder.load(origin, align=4)
         upper = builder.load(builder.gep(origin, [ir.Constant(I64, 1)]), align=4)
         right = splat(builder, shift, lanes)
         left = builder.sub(ir.Constant(lanes, [31] * 4), right)  # one less, for a shift by all 32 would be undefined
         upper = builder.shl(builder.shl(upper, ir.Constant(lanes, [1] * 4)), left)
         found = builder.and_(builder.or_(builder.lshr(lower, right), upper), splat(builder, mask, lanes))
-        target = pointer(context, builder, (signature.args[4], out), to, lanes)
+        target = pointer(context, builder, (signature.args[4], out), to, lanes, 4)
         builder.store(builder.or_(builder.load(target, align=4), found), target, 4)
         return context.get_dummy_value()
 
@@ -85,12 +87,12 @@ def _transpose(typing_context: Any, source: Any, at: Any, out: Any, to: Any) -> 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         source, at, out, to = arguments
         lanes = ir.VectorType(I32, COLUMN)
-        rows = builder.load(pointer(context, builder, (signature.args[0], source), at, lanes), align=4)
+        rows = builder.load(pointer(context, builder, (signature.args[0], source), at, lanes, COLUMN), align=4)
         for n in range(COLUMN):
             tested = builder.and_(rows, ir.Constant(lanes, [1 << n] * COLUMN))
             word = builder.bitcast(builder.icmp_unsigned("!=", tested, ir.Constant(lanes, [0] * COLUMN)), I32)
             place = builder.add(to, ir.Constant(I64, n))
-            builder.store(word, pointer(context, builder, (signature.args[2], out), place, I32), 4)
+            builder.store(word, pointer(context, builder, (signature.args[2], out), place, I32, 1), 4)
         return context.get_dummy_value()
 
     return types.void(source, types.int64, out, types.int64), emit
@@ -107,9 +109,13 @@ def bits_of(count: int) -> Any:
     return ir.VectorType(BIT, count)
 
 
-def pointer(context: Any, builder: Any, array: tuple[Any, Any], at: Any, lanes: Any) -> Any:
-    data = context.make_array(array[0])(context, builder, array[1]).data
-    return builder.bitcast(builder.gep(data, [at]), lanes.as_pointer())
+def pointer(context: Any, builder: Any, array: tuple[Any, Any], at: Any, lanes: Any, count: int) -> Any:
+    """The address of array[at] as one of `lanes`; of the array `count` elements are read or written from there on."""
+    made = context.make_array(array[0])(context, builder, array[1])
+    if config.BOUNDSCHECK and count:  # type: ignore[attr-defined]
+        for place in (at, builder.add(at, ir.Constant(I64, count - 1))):
+            do_boundscheck(context, builder, place, made.nitems)  # type: ignore[no-untyped-call]
+    return builder.bitcast(builder.gep(made.data, [at]), lanes.as_pointer())
 
 
 popcount: Any = intrinsic(_popcount)
@@ -124,7 +130,7 @@ def _prefetch(typing_context: Any, source: Any, at: Any) -> Any:
     """Bring the cache line of source[at] near; harmless anywhere."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        address = pointer(context, builder, (signature.args[0], arguments[0]), arguments[1], I8)
+        address = pointer(context, builder, (signature.args[0], arguments[0]), arguments[1], I8, 0)
         kind = ir.FunctionType(ir.VoidType(), [I8.as_pointer(), I32, I32, I32])
         function = builder.module.declare_intrinsic("llvm.prefetch", [I8.as_pointer()], kind)
         builder.call(function, [address, ir.Constant(I32, 0), ir.Constant(I32, 3), ir.Constant(I32, 1)])

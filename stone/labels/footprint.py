@@ -70,18 +70,11 @@ def densified(poses: SE3, step_m: float, step_rad: float = np.inf) -> SE3:
 @njit(cache=True, nogil=True)
 def _sweep(poses, box, table, under):  # type: ignore[no-untyped-def]
     length, width, bottom, top, voxel_m = box
-    reach = math.sqrt(length**2 + width**2 + max(abs(bottom), abs(top)) ** 2)
     for p in range(poses.shape[0]):
         m = poses[p]
-        low = (
-            math.floor((m[0, 3] - reach) / voxel_m),
-            math.floor((m[1, 3] - reach) / voxel_m),
-            math.floor((m[2, 3] - reach) / voxel_m),
-        )
-        span = math.ceil(2 * reach / voxel_m) + 1
-        for i in range(low[0], low[0] + span):
-            for j in range(low[1], low[1] + span):
-                for k in range(low[2], low[2] + span):
+        for i in range(*_reached(m[0], box)):
+            for j in range(*_reached(m[1], box)):
+                for k in range(*_reached(m[2], box)):
                     x = (i + 0.5) * voxel_m - m[0, 3]
                     y = (j + 0.5) * voxel_m - m[1, 3]
                     z = (k + 0.5) * voxel_m - m[2, 3]
@@ -94,3 +87,11 @@ def _sweep(poses, box, table, under):  # type: ignore[no-untyped-def]
                     row = find(table[0], table[1], pack(i, j, k))
                     if row >= 0:
                         under[row] = True
+
+
+@njit(inline="always")
+def _reached(row, box):  # type: ignore[no-untyped-def]
+    """The voxels [first, end) along one axis of the map, whose row of the pose this is, that the box can lie over."""
+    length, width, bottom, top, voxel_m = box
+    half = abs(row[0]) * length + abs(row[1]) * width + abs(row[2]) * max(abs(bottom), abs(top))
+    return math.floor((row[3] - half) / voxel_m) - 1, math.floor((row[3] + half) / voxel_m) + 2

@@ -123,7 +123,7 @@ def _carve(points, view, reach, window):  # type: ignore[no-untyped-def]
         for p in range(block.shape[0]):
             level = 0 if p % 8 == 0 else 1 if p % 8 == 4 else 2 if p % 4 == 2 else 3
             start, end = level * reach[1], min(rays[3, p], reach[0])
-            if start < end:
+            if start < end and rays[3, p] <= NEVER:  # a length that is no number is none of a ray
                 ray = rays[0, p], rays[1, p], rays[2, p], start, end
                 count = _follow(ray, _begin(ray, view[1], view[2]), words, touched, steps, count)
     return count

@@ -58,7 +58,7 @@ def _reach_of(typing_context: Any, ways: Any, places: Any, weights: Any, free: A
         total = ir.Constant(wide, [0] * LANES)
         for corner in range(4):
             place = builder.extract_value(places, corner)
-            row = builder.load(pointer(context, builder, (signature.args[0], array), place, lanes), align=1)
+            row = builder.load(pointer(context, builder, (signature.args[0], array), place, lanes, LANES), align=1)
             weight = builder.zext(builder.extract_value(weights, corner), ir.IntType(16))
             total = builder.add(total, builder.mul(builder.zext(row, wide), splat(builder, weight, wide)))
         reached = builder.udiv(total, ir.Constant(wide, [OPEN] * LANES))
@@ -67,7 +67,7 @@ def _reach_of(typing_context: Any, ways: Any, places: Any, weights: Any, free: A
             builder.bitcast(free, bits_of(LANES)), builder.trunc(reached, lanes), ir.Constant(lanes, [0] * LANES)
         )
         place = builder.extract_value(places, 4)
-        builder.store(onward, pointer(context, builder, (signature.args[0], array), place, lanes), 1)
+        builder.store(onward, pointer(context, builder, (signature.args[0], array), place, lanes, LANES), 1)
         return builder.bitcast(seen, I32)
 
     return types.uint32(ways, places, weights, types.uint32), emit
@@ -78,7 +78,9 @@ def _half_open_of(typing_context: Any, ways: Any, place: Any) -> Any:
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         lanes = ir.VectorType(I8, LANES)
-        row = builder.load(pointer(context, builder, (signature.args[0], arguments[0]), arguments[1], lanes), align=1)
+        row = builder.load(
+            pointer(context, builder, (signature.args[0], arguments[0]), arguments[1], lanes, LANES), align=1
+        )
         return builder.bitcast(builder.icmp_unsigned(">=", row, ir.Constant(lanes, [OPEN // 2] * LANES)), I32)
 
     return types.uint32(ways, types.int64), emit

@@ -5,6 +5,7 @@ One is covered when T lies in its voxel, the one above or the one below; it is c
 neighbours on two opposite sides are, as a frame's grid closes pinholes (`stone.labels.pinholes`).
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +20,7 @@ SPACING_M = 0.1
 INSIDE_M = VOXEL_M / np.sqrt(2)
 STEP_M = 0.5
 BESIDE = ((-1, 0), (1, 0), (0, -1), (0, 1))
-POSES_AT_ONCE = 500
+PLACES_AT_ONCE = 50_000  # of all poses that are looked at together
 
 Mask = NDArray[np.bool_]
 
@@ -59,23 +60,30 @@ def places_of(footprint: Footprint) -> NDArray[np.float64]:
 def covered_places(driven: Keys, poses: SE3, footprint: Footprint) -> tuple[Mask, Mask]:
     """Which of the places under the footprint at each pose (P, C) are covered by the T voxels `driven`, and which are
     closed."""
-    found = [_covered(driven, poses[at : at + POSES_AT_ONCE], footprint) for at in range(0, len(poses), POSES_AT_ONCE)]
     nothing = np.zeros((0, len(places_of(footprint))), np.bool_)
-    return np.concatenate([nothing, *(own for own, _ in found)]), np.concatenate(
-        [nothing, *(all_ for _, all_ in found)]
-    )
+    found = [(nothing, nothing), *_covered_in_turn(driven, poses, footprint)]
+    return np.concatenate([own for own, _ in found]), np.concatenate([closed for _, closed in found])
 
 
 def coverage(driven: Keys, poses: SE3, footprint: Footprint) -> TrackCoverage:
     """Of the way through these poses with the T voxels `driven`."""
-    _, closed = covered_places(driven, poses, footprint)
-    return TrackCoverage(closed.size, int(closed.sum()), len(closed), int((~closed.any(axis=1)).sum()))
+    total = TrackCoverage(0, 0, 0, 0)
+    for _, closed in _covered_in_turn(driven, poses, footprint):
+        total += TrackCoverage(closed.size, int(closed.sum()), len(closed), int((~closed.any(axis=1)).sum()))
+    return total
 
 
 def spaced(poses: SE3) -> SE3:
     """The first of the poses (P, P ≥ 1), and one every `STEP_M` of the way through them."""
     driven_m = np.append(0.0, np.cumsum(steps_of(poses)[0]))
     return poses[np.append(True, np.diff(np.floor(driven_m / STEP_M)) > 0)]
+
+
+def _covered_in_turn(driven: Keys, poses: SE3, footprint: Footprint) -> Iterator[tuple[Mask, Mask]]:
+    """As `covered_places`, of a few poses after another: a footprint may be as large as a calibration says."""
+    few = max(1, PLACES_AT_ONCE // len(places_of(footprint)))
+    for at in range(0, len(poses), few):
+        yield _covered(driven, poses[at : at + few], footprint)
 
 
 def _covered(driven: Keys, poses: SE3, footprint: Footprint) -> tuple[Mask, Mask]:

@@ -5,7 +5,8 @@
 **Conventions.** `offset_ns` is a point's time relative to the sweep's stamp. One transform serves each 100 µs bin,
 centred on whole multiples of 100 µs, so a pose is at most 50 µs off: below 1.3 mm at 40 m, 4.8 m/s and 28 °/s.
 
-A point whose bin has no pose (before the first, after the last, in a gap, beyond a jump) is dropped, not moved by the
+A point whose bin has no pose (before the first, after the last, in a gap, beyond a jump, or moved out of reach within
+one sweep) is dropped, not moved by the
 nearest pose: clamping is extrapolation with velocity zero and smears what it keeps. A frame whose whole sweep is not
 covered should be excluded before it comes here (`stone_recordings.sync` does, with a reason); the drop is for others.
 """
@@ -20,6 +21,7 @@ from stone.errors import ShapeError, StoneError
 from stone.geometry.quaternions import conjugate, product, slerped, turned, unit
 from stone.geometry.se3 import SE3
 from stone.geometry.trajectory import DEFAULT_MAX_GAP_NS, Trajectory
+from stone.sensors.reach import is_in_reach
 
 BIN_NS = 100_000
 
@@ -115,8 +117,8 @@ def _fill_motion(times, track, ego_from_lidar, made):  # type: ignore[no-untyped
     x, y, z = turned(conjugate(q), t)
     for b in range(times_ns.shape[0]):
         (q, t), is_ok, own_segment = _lidar_at(times_ns[b], track, ego_from_lidar)
-        has_pose[b] = is_ok and own_segment == segment
         u, v, w = turned(back, t)
+        has_pose[b] = is_ok and own_segment == segment and is_in_reach(u - x, v - y, w - z)
         translation[b, 0], translation[b, 1], translation[b, 2] = u - x, v - y, w - z
         _write_rotation(unit(product(back, q)), rotation[b])
 

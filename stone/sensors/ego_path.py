@@ -53,15 +53,15 @@ def ego_path(sequence: Sequence, number: int) -> tuple[SE3, ...]:
 
 
 def datum_m(sequence: Sequence, number: int) -> float:
-    """How much higher the frames of one map are than those of the first, on average, metres.
+    """How much higher the frames of one map are than those of the first that has any, on average, metres.
 
     Elevations of two maps that are not joined cannot be compared but by what was driven in each: a source that jumped
     jumped in height, too.
     """
-    if not number:
-        return 0.0
     maps, heights_m = maps_of_frames(sequence), sequence.frames.map_from_ego.translation_m[:, 2]
-    return float(heights_m[maps == number].mean() - heights_m[maps == 0].mean())
+    if number == maps[0]:
+        return 0.0
+    return float(heights_m[maps == number].mean() - heights_m[maps == maps[0]].mean())
 
 
 def _maps(sequence: Sequence, segments: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -1,4 +1,4 @@
-"""Selection of a sweep's points: those that are not the robot itself, and those that can ever be labelled.
+"""Selection of a sweep's points: those that are returns and not the robot itself, and those that can be labelled.
 
 **Conventions.** Input in the LiDAR frame, output in the ego frame, float32. Points of the robot itself are dropped by
 a minimum range *and* boxes: a box alone misses antennas, a range alone misses the tail.
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Box
+from stone.sensors.reach import FARTHEST_POINT_M, is_in_reach
 
 # So many points are turned at once; only a block with points near the robot is looked at one by one.
 BLOCK = 64
@@ -33,7 +34,7 @@ class SelectionParameters:
 def world_points(
     points_lidar: NDArray[np.float32], ego_from_lidar: SE3, boxes_ego: tuple[Box, ...], min_range_m: float
 ) -> NDArray[np.float32]:
-    """The points (M, 3) in the ego frame that are neither nearer than `min_range_m` nor inside a box."""
+    """The points (M, 3) in the ego frame that are in reach, and neither nearer than `min_range_m` nor inside a box."""
     boxes = np.array([[box.min_m, box.max_m] for box in boxes_ego], np.float64).reshape(-1, 2, 3)
     points_ego = np.empty((len(points_lidar), 3), np.float32)
     near_m = max(min_range_m, _reach_m(boxes, ego_from_lidar)) * (1.0 + SLACK_RATIO)
@@ -49,8 +50,8 @@ def within(points: NDArray[np.float32], box: Box) -> NDArray[np.float32]:
 
 
 def _reach_m(boxes: NDArray[np.float64], ego_from_lidar: SE3) -> float:
-    """How far from the LiDAR the boxes (B, 2, 3) in the ego frame reach; 0 without any."""
-    farthest = np.abs(boxes - ego_from_lidar.translation_m).max(axis=1)
+    """How far from the LiDAR the boxes (B, 2, 3) in the ego frame reach; 0 without any, and no farther than points."""
+    farthest = np.minimum(np.abs(boxes - ego_from_lidar.translation_m).max(axis=1), FARTHEST_POINT_M)
     return float(np.linalg.norm(farthest, axis=1).max(initial=0.0))
 
 
@@ -68,7 +69,7 @@ def _select(points, pose, boxes, limits, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _turn(block, pose, near, out):  # type: ignore[no-untyped-def]
-    """Write all points of the block in the ego frame; how many are nearer than `near` (m²), or not finite."""
+    """Write all points of the block in the ego frame; how many are nearer than `near` (m²), or out of reach."""
     count = 0
     m00, m01, m02, m03 = pose[0]  # read once: for all the compiler knows, `out` may be where the pose is
     m10, m11, m12, m13 = pose[1]
@@ -78,7 +79,7 @@ def _turn(block, pose, near, out):  # type: ignore[no-untyped-def]
         out[p, 0] = m00 * x + m01 * y + m02 * z + m03
         out[p, 1] = m10 * x + m11 * y + m12 * z + m13
         out[p, 2] = m20 * x + m21 * y + m22 * z + m23
-        count += not x * x + y * y + z * z >= near
+        count += not (x * x + y * y + z * z >= near) & is_in_reach(x, y, z)
     return count
 
 
@@ -86,7 +87,7 @@ def _turn(block, pose, near, out):  # type: ignore[no-untyped-def]
 def _select_one_by_one(points, pose, boxes, min_range_m2, out, kept):  # type: ignore[no-untyped-def]
     for p in range(points.shape[0]):
         x, y, z = np.float64(points[p, 0]), np.float64(points[p, 1]), np.float64(points[p, 2])
-        if not x * x + y * y + z * z >= min_range_m2:
+        if not (x * x + y * y + z * z >= min_range_m2 and is_in_reach(x, y, z)):
             continue
         ex = pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3]
         ey = pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3]

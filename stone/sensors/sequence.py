@@ -39,10 +39,14 @@ class SequenceNameError(StoneError):
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """One LiDAR revolution, deskewed to its stamp: finite, non-zero points (N, 3) float32 in the LiDAR frame."""
+    """One LiDAR revolution, deskewed to its stamp: finite, non-zero points (N, 3) float32 in the LiDAR frame.
+
+    `beyond` counts the points of its message that were left out because no LiDAR sees as far (`stone.sensors.reach`).
+    """
 
     stamp_ns: int
     points_lidar: NDArray[np.float32]
+    beyond: int = 0
 
 
 @dataclass(frozen=True, eq=False)

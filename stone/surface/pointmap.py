@@ -4,7 +4,6 @@
 adding sweeps in any order, in any grouping, on any number of workers gives the same bits. Rows are sorted by key.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -28,7 +27,7 @@ from stone.surface.moments import (
 COUNT, FRAMES, OFFSET, VIEW = 0, 1, slice(2, 5), slice(5, 8)
 LOAD_RATIO = 0.55
 SWEEP_REACH_M = 1000.0
-EVERYWHERE = Box((-math.inf,) * 3, (math.inf,) * 3)
+EVERYWHERE = Box((-SWEEP_REACH_M,) * 3, (SWEEP_REACH_M,) * 3)
 
 
 @dataclass(frozen=True, eq=False)

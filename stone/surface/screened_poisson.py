@@ -42,8 +42,33 @@ class PoissonParameters:
     tolerance_ratio: float = 1e-5
 
 
-def solve_field(patches: Patches, band: Band, parameters: PoissonParameters) -> NDArray[np.float64]:
-    """φ (N,) at the corners of the band around these patches."""
+@dataclass(frozen=True)
+class Descent:
+    """How the solver ended: after so many rounds, `MOST_ROUNDS` at most, with this residual, in cells.
+
+    It is calculated anew from the field: the one that the rounds carry along shrinks on where the field stays.
+    """
+
+    rounds: int = 0
+    residual_ratio: float = 0.0
+
+
+NOT_SOLVED = Descent()
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedField:
+    """φ (N,) at the corners of the band, and how well it was solved for."""
+
+    values: NDArray[np.float64]
+    descent: Descent
+
+
+def solve_field(patches: Patches, band: Band, parameters: PoissonParameters) -> SolvedField:
+    """φ at the corners of the band around these patches, at least one.
+
+    It may end unconverged, which the caller has to look at: `descent.residual_ratio` is above the tolerance then.
+    """
     blurred = blurred_planes(patches, band, parameters.blur_ratio * band.width_m)
     weights = corner_weights(patches, band)
     pull = parameters.screening * np.minimum(patches.counts, FULL_POINTS) / FULL_POINTS
@@ -52,8 +77,8 @@ def solve_field(patches: Patches, band: Band, parameters: PoissonParameters) -> 
     np.add.at(diagonal, band.corners, pull[:, None] * weights**2)
     field = np.ascontiguousarray(blurred[:, DISTANCE])
     enough = (parameters.tolerance_ratio * band.width_m) ** 2 * len(band)
-    _descend((band.onward, band.corners, weights, pull), right, 1.0 / diagonal, enough, field)
-    return field
+    rounds, size = _descend((band.onward, band.corners, weights, pull), right, 1.0 / diagonal, enough, field)
+    return SolvedField(field, Descent(int(rounds), math.sqrt(size / len(band)) / band.width_m))
 
 
 def blurred_planes(patches: Patches, band: Band, sigma_m: float) -> NDArray[np.float64]:
@@ -143,17 +168,23 @@ def _apply(system, x, y):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _descend(system, right, inverse, enough, x):  # type: ignore[no-untyped-def]
-    """Conjugate gradients from `x` on, preconditioned by the diagonal, until rᵀD⁻¹r ≤ `enough`."""
+    """Conjugate gradients from `x` on, preconditioned by the diagonal, until rᵀD⁻¹r ≤ `enough` or for `MOST_ROUNDS`.
+
+    Gives how many rounds it took and what rᵀD⁻¹r is then, of r = b − A x.
+    """
     y = np.empty(x.size)
     _apply(system, x, y)
     r = right - y
     p = r * inverse
     size = (r * p).sum()
-    for _ in range(MOST_ROUNDS):
-        if size <= enough:
-            break
+    rounds = 0
+    while rounds < MOST_ROUNDS and not size <= enough:
+        rounds += 1
         _apply(system, p, y)
-        step = size / (p * y).sum()
+        bent = (p * y).sum()
+        if not bent > 0.0:  # nothing is left to go along, or something is no number
+            break
+        step = size / bent
         before, size = size, 0.0
         for i in range(x.size):
             x[i] += step * p[i]
@@ -161,3 +192,6 @@ def _descend(system, right, inverse, enough, x):  # type: ignore[no-untyped-def]
             size += r[i] * r[i] * inverse[i]
         for i in range(x.size):
             p[i] = r[i] * inverse[i] + size / before * p[i]
+    _apply(system, x, y)
+    r = right - y
+    return rounds, (r * r * inverse).sum()

@@ -1,6 +1,7 @@
 """Points, times and rings out of a LiDAR cloud, whatever its driver calls them.
 
-**Conventions.** Points without a return are NaN or (0, 0, 0) and are dropped. A time field is recognised by its values:
+**Conventions.** Points without a return are NaN, infinite or (0, 0, 0) and are dropped, and so are those out of reach
+(`stone.sensors.reach`), which are counted. A time field is recognised by its values:
 the unit is the one in which a cloud lasts between 1 ms and 1 s; it is absolute when the values are a date, relative to
 the header stamp otherwise. Names only nominate fields. Source: Hesai ROS 2.0, Nebula, Velodyne and Ouster drivers.
 """
@@ -33,7 +34,8 @@ class LidarPoints:
     """N returns: (N, 3) float32 metres in the LiDAR frame, and where the cloud says so when and by which laser.
 
     `offset_ns` is relative to the header stamp; `time_meaning` says how it was read ("absolute s", "relative ns",
-    "none", "another clock"); `rows` (N,) are the records of the cloud that the returns are.
+    "none", "another clock"); `rows` (N,) are the records of the cloud that the returns are, and `beyond` counts those
+    that are places out of any LiDAR's reach.
     """
 
     points_lidar: NDArray[np.float32]
@@ -41,14 +43,15 @@ class LidarPoints:
     ring: NDArray[np.uint16] | None
     time_meaning: str
     rows: NDArray[np.int32]
+    beyond: int
 
 
 def resolve_points(points: NDArray[np.void], stamp_ns: int, *, with_ring: bool = True) -> LidarPoints:
     """Raises: CloudLayoutError when there are no x, y, z of one floating type."""
     check_xyz(points.dtype)
-    xyz, kept = _packed(points)
+    xyz, kept, beyond = _packed(points)
     offset_ns, meaning = _offsets(points, kept, stamp_ns)
-    return LidarPoints(xyz, offset_ns, _rings(points, kept) if with_ring else None, meaning, kept)
+    return LidarPoints(xyz, offset_ns, _rings(points, kept) if with_ring else None, meaning, kept, beyond)
 
 
 def check_xyz(record: np.dtype[np.void]) -> None:
@@ -59,12 +62,12 @@ def check_xyz(record: np.dtype[np.void]) -> None:
         raise CloudLayoutError(f"x, y and z must be floats of one size, its fields are {', '.join(names)}"[:200])
 
 
-def _packed(points: NDArray[np.void]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """The returns and their rows."""
+def _packed(points: NDArray[np.void]) -> tuple[NDArray[np.float32], NDArray[np.int32], int]:
+    """The returns, their rows, and how many places out of reach were left out."""
     xyz = np.empty((len(points), 3), np.float32)
     kept = np.empty(len(points), np.int32)
-    count = pack_points((points["x"], points["y"], points["z"]), xyz, kept)
-    return xyz[:count], kept[:count]
+    count, beyond = pack_points((points["x"], points["y"], points["z"]), xyz, kept)
+    return xyz[:count], kept[:count], beyond
 
 
 def _offsets(points: NDArray[np.void], kept: NDArray[np.int32], stamp_ns: int) -> tuple[NDArray[np.int64] | None, str]:

@@ -10,24 +10,29 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from stone.sensors.reach import is_in_reach
+
 
 @njit(cache=True, nogil=True)
 def pack_points(
     xyz: tuple[NDArray[Any], NDArray[Any], NDArray[Any]], points: NDArray[np.float32], kept: NDArray[np.int32]
-) -> int:
-    """Fill `points` (N, 3) with every finite, non-zero point and `kept` (N,) with its row; gives how many.
+) -> tuple[int, int]:
+    """Fill `points` (N, 3) with every non-zero point in reach and `kept` (N,) with its row.
 
-    Doubles are rounded to float32 first: what overflows is no return.
+    Gives how many these are, and how many are numbers but out of reach; NaN and ±inf say that there was no return.
     """
-    count = 0
+    count = beyond = 0
     for row in range(len(xyz[0])):
-        x, y, z = np.float32(xyz[0][row]), np.float32(xyz[1][row]), np.float32(xyz[2][row])
-        is_finite = np.isfinite(x) & np.isfinite(y) & np.isfinite(z)
-        if is_finite & ((x != 0) | (y != 0) | (z != 0)):
+        u, v, w = xyz[0][row], xyz[1][row], xyz[2][row]
+        if not is_in_reach(u, v, w):
+            beyond += np.isfinite(u) & np.isfinite(v) & np.isfinite(w)
+            continue
+        x, y, z = np.float32(u), np.float32(v), np.float32(w)
+        if (x != 0) | (y != 0) | (z != 0):
             points[count, 0], points[count, 1], points[count, 2] = x, y, z
             kept[count] = row
             count += 1
-    return count
+    return count, beyond
 
 
 @njit(cache=True, nogil=True)

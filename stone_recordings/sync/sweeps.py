@@ -48,8 +48,9 @@ class BagSweeps:
         message = bag.message(self.topic, int(self.message_index[index]))
         found = lidar_points(decode_cloud(message.payload), with_ring=False)
         if self.mount is None or found.offset_ns is None:
-            return Sweep(stamp_ns, found.points_lidar)
-        return Sweep(stamp_ns, deskew(found.points_lidar, found.offset_ns, self.mount, stamp_ns))
+            return Sweep(stamp_ns, found.points_lidar, found.beyond)
+        moved = deskew(found.points_lidar, found.offset_ns, self.mount, stamp_ns)
+        return Sweep(stamp_ns, moved, found.beyond)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ import pytest
 
 from fuzz.limits import GROWTH_LIMIT_BYTES, GrowthError, UncodedError, check
 from fuzz.seeds import SEEDS
-from fuzz.targets import TARGETS
+from fuzz.targets import TARGETS, limits_of
 from stone.errors import StoneError
 
 CASES = Path(__file__).with_name("cases")
@@ -26,7 +26,7 @@ class WordyError(StoneError):
 
 @pytest.mark.parametrize("path", FOUND, ids=lambda path: f"{path.parent.name}-{path.name}")
 def test_an_input_that_once_broke_a_parser_does_not(path: Path) -> None:
-    check(TARGETS[path.parent.name], path.read_bytes())
+    check(TARGETS[path.parent.name], path.read_bytes(), limits_of(path.parent.name))
 
 
 @pytest.mark.parametrize("target", TARGETS)
@@ -34,7 +34,7 @@ def test_every_seed_is_read_or_refused_by_code(target: str) -> None:
     seeds = dict(SEEDS[target]())
     assert seeds
     for content in seeds.values():
-        check(TARGETS[target], content)
+        check(TARGETS[target], content, limits_of(target))
 
 
 def test_growth_is_noticed_after_whatever_the_process_once_held() -> None:

@@ -6,9 +6,10 @@ Every n-th sweep also leaves a range image, against which the surface stage vote
 import numpy as np
 from numpy.typing import NDArray
 
+from services.labeler.map.far_points import FarPoints, far_points_of, save_far_points
 from services.labeler.map.fused_files import fused_columns
 from services.labeler.run import LabelRun, Part, Step, Tile, core_cells, silent, tiles_of
-from services.labeler.scratch import Arrays, fused_path, image_name, images_path, save
+from services.labeler.scratch import fused_path, image_name, images_path, save
 from stone.labels.grid import GRID_MAX_M, GRID_MIN_M
 from stone.labels.observed_voxels import BRICK, Carver, Observed
 from stone.labels.voxels import VOXEL_M
@@ -24,12 +25,12 @@ def fuse(run: LabelRun, part: Part, step: Step = silent) -> int:
     calibration = run.sequence.calibration
     builder = PointMapBuilder(parameters.surface.point_voxel_m)
     carver = Carver(parameters.carve)
-    images: Arrays = {}
+    images, far = dict[str, NDArray[np.generic]](), FarPoints()
     followed, imaged = run.every(parameters.carve.every_frame), run.every(parameters.dynamic.every_frame)
     reach = labelled_box(parameters.selection.margin_m)
     for index in range(*part):
         sweep = run.sweeps.sweep(index)
-        pose = frames.map_from_ego[index]
+        pose, far = frames.map_from_ego[index], far + far_points_of(sweep)
         points_ego = world_points(
             sweep.points_lidar, calibration.ego_from_lidar, calibration.self_boxes_ego, parameters.selection.min_range_m
         )
@@ -42,6 +43,7 @@ def fuse(run: LabelRun, part: Part, step: Step = silent) -> int:
             images[image_name(index)] = image.ranges_m
         step(index + 1 - part[0], part[1] - part[0])
     _leave(run, part, builder.finish(), carver.finish())
+    save_far_points(run, part, far)
     if images:
         save(images_path(run, part), images)
     return int(builder.points)

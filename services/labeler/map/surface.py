@@ -27,9 +27,10 @@ from stone.surface.mesh import Mesh, vertex_normals
 from stone.surface.neighbours import is_near
 from stone.surface.patches import patches_of
 from stone.surface.pointmap import PointMap, merge
-from stone.surface.screened_poisson import solve_field
+from stone.surface.screened_poisson import NOT_SOLVED, Descent, solve_field
 from stone.surface.terrain import ELEVATION, terrain_features, with_elevation
 
+_Surface = tuple[Mesh, NDArray[np.float64]]
 FEWEST_POINTS = 100
 STEPS = 4  # merged, voted, reconstructed, described
 
@@ -39,7 +40,7 @@ class TileSummary:
     """What the run needs to know of a tile before any voxel gets its class.
 
     `sums` are of the run's own profile, of the features `driven` (n, 3); `other_sums` of what the other profile would
-    measure.
+    measure. `descent` says how the solver ended; that of no rounds where it had nothing to solve.
     """
 
     tile: Tile
@@ -51,6 +52,7 @@ class TileSummary:
     moving: int
     vertices: int
     triangles: int
+    descent: Descent = NOT_SOLVED
 
 
 def surface(run: LabelRun, tile: Tile, step: Step = silent) -> TileSummary:
@@ -63,7 +65,7 @@ def surface(run: LabelRun, tile: Tile, step: Step = silent) -> TileSummary:
     moving = _moving(run, tile, points) | _passed_through(run, path, points)
     points = points.where(~moving).where_seen(run.parameters.surface.min_frames)
     step(2, STEPS)
-    mesh, normals = _mesh(run.parameters, points, low)
+    (mesh, normals), descent = _mesh(run.parameters, points, low)
     step(3, STEPS)
     voxels, other_height_m = _features(run.parameters, mesh, normals, datum_m(run.sequence, tile.map))
     mine = in_core(centres_of(voxels.keys, VOXEL_M), tile, run.parameters.core_m)
@@ -79,7 +81,7 @@ def surface(run: LabelRun, tile: Tile, step: Step = silent) -> TileSummary:
     other_sums = sums_of(other, reference_origin(run, other_profile))
     inside = int(in_core(points.centroids_map(), tile, run.parameters.core_m).sum())
     counts = (len(voxels), inside, int(moving.sum()), len(kept.vertices_map), len(kept.triangles))
-    return TileSummary(tile, driven.features, sums, other_sums, *counts)
+    return TileSummary(tile, driven.features, sums, other_sums, *counts, descent)
 
 
 def reference_origin(run: LabelRun, profile: Profile) -> NDArray[np.float64]:
@@ -111,19 +113,21 @@ def _passed_through(run: LabelRun, path: tuple[SE3, ...], points: PointMap) -> N
     return passed_through(points.keys, points.voxel_m, path, run.sequence.calibration.footprint, heights_m)
 
 
-def _mesh(parameters: LabelParameters, points: PointMap, low: NDArray[np.float64]) -> tuple[Mesh, NDArray[np.float64]]:
-    """The trimmed mesh and its vertex normals; empty where there are too few points for a surface."""
+def _mesh(parameters: LabelParameters, points: PointMap, low: NDArray[np.float64]) -> tuple[_Surface, Descent]:
+    """The trimmed mesh and its vertex normals, empty where there are too few points for one; how it was solved."""
     surface, centroids = parameters.surface, points.centroids_map()
     patches, is_in_patch = patches_of(centroids, points.views_map(), surface.width_m, surface.normal_neighbours)
     if is_in_patch.sum() < FEWEST_POINTS:
-        return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32)), np.zeros((0, 3))
+        return (Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32)), np.zeros((0, 3))), NOT_SOLVED
     if surface.solver == "octree":
-        whole = octree_surface(centroids, points.views_map(), low, (parameters.tiling.cube_cells, surface.width_m))
+        cube = (parameters.tiling.cube_cells, surface.width_m)
+        whole, descent = octree_surface(centroids, points.views_map(), low, cube), NOT_SOLVED
     else:
         band = band_of(patches.cells, surface.width_m)
-        whole = zero_surface(band, solve_field(patches, band, surface.poisson))
+        solved = solve_field(patches, band, surface.poisson)
+        whole, descent = zero_surface(band, solved.values), solved.descent
     keep = is_near(whole.vertices_map, centroids[is_in_patch], surface.trim_m)
-    return whole.where(keep), vertex_normals(whole)[keep]
+    return (whole.where(keep), vertex_normals(whole)[keep]), descent
 
 
 def _features(

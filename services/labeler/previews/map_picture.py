@@ -5,6 +5,7 @@
 """
 
 from dataclasses import dataclass
+from math import ceil, sqrt
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,16 @@ from stone.labels.class_colours import CLASS_NAME, CLASS_RGB, INK, PAPER, TRACK
 from stone.labels.voxels import VOXEL_M
 
 MARGIN_PX, LEGEND_PX, MAX_SIDE_PX, MIN_SIDE_PX = 16, 44, 4000, 900
+MOST_PIXELS = 4_000_000  # of a map before it is scaled: two parts of it may lie as far apart as poses can
+
+
+@dataclass(frozen=True, eq=False)
+class ShadedMap:
+    """`pixels` (Y, X, 3), north up, of `side_m` each; `low` (2,) is the lowest place in x and y, in such sides."""
+
+    pixels: NDArray[np.uint8]
+    low: NDArray[np.int64]
+    side_m: float
 
 
 @dataclass
@@ -34,21 +45,26 @@ class TopView:
 
     def draw(self, map_from_ego: SE3) -> Image.Image:
         """The picture, at least `MIN_SIDE_PX` and at most about `MAX_SIDE_PX` a side."""
-        pixels, low = self.shaded()
-        image = Image.fromarray(pixels)
+        whole = self.shaded()
+        image = Image.fromarray(whole.pixels)
         scale = _scale(max(image.size))
         side = (max(1, round(image.width * scale)), max(1, round(image.height * scale)))
         image = image.resize(side, Image.Resampling.NEAREST if scale >= 1 else Image.Resampling.BOX)
-        track = (map_from_ego.translation_m[:, :2] / VOXEL_M - low) * scale
-        return _framed(image, np.stack([track[:, 0], side[1] - track[:, 1]], axis=1), scale / VOXEL_M)
+        track = (map_from_ego.translation_m[:, :2] / whole.side_m - whole.low) * scale
+        return _framed(image, np.stack([track[:, 0], side[1] - track[:, 1]], axis=1), scale / whole.side_m)
 
-    def shaded(self) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
-        """A pixel a column (Y, X, 3), north up, and the lowest voxel index (2,) of x and y; there is some tile."""
+    def shaded(self) -> ShadedMap:
+        """A pixel a column, or a square of them where there would be more than `MOST_PIXELS`; there is some tile."""
         indices = np.concatenate([part[0] for part in self.columns.values()])
         classes = np.concatenate([part[1] for part in self.columns.values()])
         low = indices[:, :2].min(axis=0)
         size = indices[:, :2].max(axis=0) - low + 1
-        return _shaded(indices - np.append(low, 0), classes, size), low
+        step = ceil(sqrt(float(size[0]) * float(size[1]) / MOST_PIXELS))
+        if step > 1:
+            order = np.argsort(indices[:, 2], kind="stable")  # of a square the highest column shows
+            indices, classes = indices[order] // step, classes[order]
+            low, size = low // step, indices[:, :2].max(axis=0) - low // step + 1
+        return ShadedMap(_shaded(indices - np.append(low, 0), classes, size), low, VOXEL_M * step)
 
 
 def write_top_view(path: Path, view: TopView, map_from_ego: SE3) -> None:
@@ -73,8 +89,9 @@ def _shaded(indices: NDArray[np.int64], classes: NDArray[np.uint8], size: NDArra
     down, right = (np.nan_to_num(np.diff(top, axis=axis, append=np.nan)) for axis in (0, 1))
     light = np.clip(1.0 + 0.09 * np.clip(down + right, -4, 4), 0.6, 1.25)
     light[kind == 0] = 1.0
-    lit: NDArray[np.uint8] = np.clip(palette[kind] * light[..., None], 0, 255).astype(np.uint8)
-    return lit
+    lit = palette[kind]
+    lit *= light[..., None]
+    return np.clip(lit, 0, 255, out=lit).astype(np.uint8)
 
 
 def _framed(image: Image.Image, track: NDArray[np.float64], px_per_m: float) -> Image.Image:

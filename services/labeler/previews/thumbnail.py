@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from services.labeler.previews.map_picture import TopView
+from services.labeler.previews.map_picture import ShadedMap, TopView
 from stone.geometry.se3 import SE3
 from stone.labels.class_colours import PAPER, TRACK
-from stone.labels.voxels import VOXEL_M
 
 WIDTH_PX, HEIGHT_PX = 640, 400
 LEAST_M, MARGIN_M = 48.0, 8.0
@@ -29,12 +28,11 @@ def write_thumbnail(path: Path, view: TopView, map_from_ego: SE3) -> None:
 
 def thumbnail(view: TopView, map_from_ego: SE3) -> Image.Image:
     """The picture; the view has some tile and the track some pose."""
-    pixels, low = view.shaded()
     track_m = map_from_ego.translation_m[:, :2]
     centre_m, width_m = _framing(track_m)
     per_m = WIDTH_PX * FINER / width_m
     corner_m = centre_m + np.array([-width_m, width_m * HEIGHT_PX / WIDTH_PX]) / 2  # its upper left
-    image = _cropped(pixels, low, corner_m, width_m)
+    image = _cropped(view.shaded(), corner_m, width_m)
     line = [((x - corner_m[0]) * per_m, (corner_m[1] - y) * per_m) for x, y in track_m.tolist()]
     _draw_track(ImageDraw.Draw(image), line)
     return image.reduce(FINER)
@@ -47,13 +45,12 @@ def _framing(track_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
     return (low + high) / 2, float(max(across, up * WIDTH_PX / HEIGHT_PX, LEAST_M))
 
 
-def _cropped(
-    pixels: NDArray[np.uint8], low: NDArray[np.int64], corner_m: NDArray[np.float64], width_m: float
-) -> Image.Image:
+def _cropped(whole: ShadedMap, corner_m: NDArray[np.float64], width_m: float) -> Image.Image:
     """The part of the map whose upper left is at `corner_m`, `FINER` times as large as it is shown, paper around it."""
-    north_m = (low[1] * VOXEL_M) + len(pixels) * VOXEL_M
-    left, top = (corner_m[0] / VOXEL_M - low[0], (north_m - corner_m[1]) / VOXEL_M)
-    step = width_m / VOXEL_M / (WIDTH_PX * FINER)  # map pixels in a pixel of the picture
+    pixels, low, side_m = whole.pixels, whole.low, whole.side_m
+    north_m = (low[1] * side_m) + len(pixels) * side_m
+    left, top = (corner_m[0] / side_m - low[0], (north_m - corner_m[1]) / side_m)
+    step = width_m / side_m / (WIDTH_PX * FINER)  # map pixels in a pixel of the picture
     size = (WIDTH_PX * FINER, HEIGHT_PX * FINER)
     resample = Image.Resampling.NEAREST if step <= 1 else Image.Resampling.BILINEAR
     return Image.fromarray(pixels).transform(

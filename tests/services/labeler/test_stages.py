@@ -196,7 +196,7 @@ def test_the_command_and_the_queue_leave_each_other_the_same_files(
     ours, theirs = worked[0].scratch, brought.platform.settings.root / "store" / "work" / root_id
     files = [path.relative_to(ours) for path in ours.rglob("*") if path.is_file()]
     assert {path.parts[0] for path in files} == {
-        *("fused", "images", "surface", "sums", "sight", "packs", "map"),
+        *("fused", "far", "images", "surface", "sums", "sight", "packs", "map"),
         *("reference.npz", "profiles.npz", "coverage.npz"),
     }
     assert [path for path in files if (ours / path).read_bytes() != (theirs / path).read_bytes()] == []

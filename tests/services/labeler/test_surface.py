@@ -44,7 +44,7 @@ def heights():
     points = sheet()
     patches, _ = patches_of(points, np.tile([0.0, 0.0, 1.0], (len(points), 1)), W, 20)
     band = band_of(patches.cells, W)
-    ours = heights_on_lines(zero_surface(band, solve_field(patches, band, PoissonParameters())).vertices_map)
+    ours = heights_on_lines(zero_surface(band, solve_field(patches, band, PoissonParameters()).values).vertices_map)
     theirs = heights_on_lines(reconstruct(patches.points_map, patches.normals, LOW, (64, W)).vertices_map)
     lines = sorted(ours.keys() & theirs.keys())
     assert len(lines) > 0.95 * ((SIZE_M - 1.2) / W) ** 2

@@ -163,3 +163,15 @@ def test_masks_agree_and_are_counted():
     assert (spread_out(masks.visible) == visible & expected).all()
     assert masks.by_class.tolist() == np.bincount(classes.ravel(), minlength=4).tolist()
     assert masks.by_mask.tolist() == [expected.sum(), (visible & expected).sum()]
+
+
+@pytest.mark.parametrize("far_m", [10.0, 12.8, 19.2, 75.0, 1e5])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_frame_beside_the_window_is_free_and_unobserved(axis, far_m):
+    """Above it, below it and to all sides: what is looked up there is asked for first."""
+    world, place = World(POSES["level"], 4), POSES["level"].translation_m
+    for way in (-1, 1):
+        shifted = place + way * (far_m if axis == 2 else far_m + 75.0) * np.eye(3)[axis]
+        columns = cut(world.window, SE3.from_parts(POSES["level"].wxyz, shifted))
+        assert not columns.occupied.any()
+        assert not columns.observed.any()

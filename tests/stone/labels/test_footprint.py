@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from stone.geometry.lattice import centres_of, keys_from_indices
 from stone.geometry.se3 import SE3
-from stone.labels.footprint import BAND_M, STEP_M, STEP_RAD, densified, passed_through, swept
+from stone.labels.footprint import BAND_M, STEP_M, STEP_RAD, _reached, densified, passed_through, swept
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.calibration import Footprint
 
@@ -122,3 +122,13 @@ def test_the_body_goes_through_what_is_above_its_clearance_and_below_its_top():
     expected = (x >= -0.53) & (x <= 1.13) & (np.abs(y) <= 0.425) & (z >= 0.3) & (z <= 1.2)
     assert (passed == expected).all()
     assert not passed_through(keys, 0.1, [path((0, 0, 0, 0))], FOOTPRINT, (0.3, 0.2)).any()
+
+
+@pytest.mark.parametrize("voxel_m", [0.1, VOXEL_M])
+def test_what_is_looked_at_is_as_flat_as_the_footprint(voxel_m):
+    """A cube around 50 m of it was 343 million voxels a pose."""
+    pose = path((3.0, -2.0, 0.4, 0.3)).as_matrix()[0]
+    spans = [_reached.py_func(pose[axis], (25.0, 25.0, -0.15, 0.15, voxel_m)) for axis in range(3)]
+    x, y, z = (end - first for first, end in spans)
+    assert max(x, y) <= 50 * (math.cos(0.3) + math.sin(0.3)) / voxel_m + 4
+    assert z <= 0.3 / voxel_m + 4

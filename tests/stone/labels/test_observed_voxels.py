@@ -190,3 +190,16 @@ def test_nothing_followed_observes_nothing():
     empty = Carver(CarveParameters()).finish()
     assert len(voxel_keys(empty)) == 0
     assert len(union([empty, empty]).keys) == 0
+
+
+ELSEWHERE = SE3.from_parts(np.array([1.0, 0.02, 0.03, 0.1]), np.array([300.0, -200.0, 10.0]))
+
+
+@pytest.mark.parametrize("place", [(np.inf, 3e22, 6.5), (np.inf, -np.inf, np.inf), (np.nan, 0, 0), (3e38, -3e38, 5.0)])
+@pytest.mark.parametrize("pose", [POSE, ELSEWHERE])
+def test_a_ray_that_leads_nowhere_marks_nothing(pose, place):
+    """Far from the map's origin it wrote outside of the window, and the process was killed."""
+    hostile = np.tile(np.array(place, np.float32), (64, 1))
+    assert len(carved(hostile, pose=pose).keys) == 0
+    both = carved(np.concatenate([rays(3), hostile]), pose=pose)
+    assert voxel_keys(both).tolist() == voxel_keys(carved(rays(3), pose=pose)).tolist()

@@ -1,5 +1,6 @@
 """How much of the way is T, on ground where every voxel is known."""
 
+import tracemalloc
 from itertools import product
 
 import numpy as np
@@ -110,3 +111,15 @@ def test_a_way_that_holds_too_little_t_is_a_finding():
     assert "10.0%" in finding.message
     assert "2 of 20 poses" in finding.message
     assert "±0.15 m" in finding.message
+
+
+def test_a_footprint_as_large_as_a_calibration_may_say_is_looked_at_in_pieces():
+    """500 poses of 20 × 20 m at a time were gigabytes."""
+    large = Footprint(20.0, 20.0)
+    tracemalloc.start()
+    found = coverage(keys(WIDE), WAY[:40], large)
+    _, peak_bytes = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert found.places == 40 * len(places_of(large))
+    assert 0 < found.closed < found.places
+    assert peak_bytes < 64 * 2**20

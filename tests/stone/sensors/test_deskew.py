@@ -184,3 +184,15 @@ def test_implausible_inputs_are_refused():
         deskew(points, offset_ns[:3], driven(), STAMP_NS)
     with pytest.raises(ShapeError, match=r"\(N, 3\)"):
         deskew(points[:, :2], offset_ns, driven(), STAMP_NS)
+
+
+@pytest.mark.parametrize("far_m", [2e3, 1e12, 1e300, np.inf])
+def test_where_the_robot_was_moved_out_of_reach_within_a_sweep_there_is_no_pose(far_m):
+    """At a steady speed no step is a jump, however fast it is."""
+    stamps_ns = STAMP_NS + np.array([0, SWEEP_NS], np.int64)
+    poses = SE3.from_parts(np.tile([1.0, 0, 0, 0], (2, 1)), np.array([[0.0, 0, 0], [far_m, 0, 0]]))
+    mount = SweepMount(Trajectory(stamps_ns, poses), SE3.identity())
+    with np.errstate(all="ignore"):
+        moved = deskew(np.ones((11, 3), np.float32), np.arange(11) * SWEEP_NS // 10, mount, STAMP_NS)
+    assert 1 <= len(moved) < 11
+    assert (np.abs(moved) < 1010).all()

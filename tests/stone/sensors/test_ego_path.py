@@ -9,7 +9,7 @@ from stone.geometry.jumps import split
 from stone.geometry.se3 import SE3
 from stone.geometry.trajectory import Trajectory
 from stone.sensors.calibration import Calibration
-from stone.sensors.ego_path import STEP_M, ego_path, maps_of_frames
+from stone.sensors.ego_path import STEP_M, datum_m, ego_path, maps_of_frames
 from stone.sensors.sequence import Frames, Sequence
 
 CALIBRATION = Calibration("none", SE3.identity())
@@ -100,3 +100,15 @@ def test_frames_without_a_track_are_split_where_no_vehicle_goes():
 
 def test_no_frames_are_in_no_map():
     assert maps_of_frames(sequence([], None)).tolist() == []
+
+
+def test_a_track_that_begins_without_a_frame_has_its_heights_above_the_first_frames():
+    """The heights of no frame were a number that is none, and so was every elevation."""
+    broken = split(split(track(), np.array([99])), np.array([99, 999]))
+    driven = sequence([5.0, 6.0, 12.0], broken)
+    assert maps_of_frames(driven).tolist() == [1, 1, 2]
+    assert [datum_m(driven, number) for number in (1, 2)] == [0.0, 0.0]
+    poses = driven.frames.map_from_ego.wxyz_xyz.copy()
+    poses[:, 6] = [1.0, 2.0, 7.5]
+    raised = replace(driven, frames=replace(driven.frames, map_from_ego=SE3(poses)))
+    assert [datum_m(raised, number) for number in (1, 2)] == [0.0, 6.0]

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Box
+from stone.sensors.reach import FARTHEST_POINT_M
 from stone.sensors.selection import within, world_points
 
 EGO_FROM_LIDAR = SE3.from_parts(np.array([0.9, 0.1, -0.2, 0.3]), np.array([0.3, -0.1, 1.2]))
@@ -63,3 +64,22 @@ def test_within_is_half_open(seed):
 def test_no_points_stay_none():
     none = np.zeros((0, 3), np.float32)
     assert within(none, BOXES[0]).shape == world_points(none, EGO_FROM_LIDAR, BOXES, 1.0).shape == (0, 3)
+
+
+HOSTILE = (math.nan, math.inf, -math.inf, 0.0, 1e-45, -1e-30, 1.0, -3.0, 700.0, 1e3, 1e19, -1e30, 1e38, 3e38, -3e38)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.lists(st.tuples(*[st.sampled_from(HOSTILE)] * 3), min_size=1, max_size=80), st.floats(-math.pi, math.pi))
+def test_whatever_a_point_is_no_later_one_is_out_of_reach(rows, yaw_rad):
+    """Under a yaw of 45° (3e38, -3e38, 5) was infinite, which wrote outside of an array later on."""
+    mount = SE3.from_parts(np.array([math.cos(yaw_rad / 2), 0, 0, math.sin(yaw_rad / 2)]), np.array([99.0, 0, 5.0]))
+    for boxes in ((), BOXES):
+        made = world_points(np.array(rows, np.float32), mount, boxes, 1.0)
+        assert (np.linalg.norm(made - mount.translation_m, axis=1) <= FARTHEST_POINT_M * 1.001).all()
+
+
+def test_a_box_around_everything_leaves_nothing():
+    endless = Box((-1e300, -1e300, -1e300), (1e300, 1e300, 1e300))
+    points = np.array([[0, 0, 2.0], [900.0, 0, 0]], np.float32)
+    assert world_points(points, EGO_FROM_LIDAR, (endless,), 1.0).shape == (0, 3)

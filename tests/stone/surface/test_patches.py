@@ -53,7 +53,7 @@ def patches(points: PointMap):
 def mesh_normals(points: PointMap):
     found, is_in_patch = patches(points)
     band = band_of(found.cells, WIDTH_M)
-    whole = zero_surface(band, solve_field(found, band, PoissonParameters()))
+    whole = zero_surface(band, solve_field(found, band, PoissonParameters()).values)
     keep = is_near(whole.vertices_map, points.centroids_map()[is_in_patch], WIDTH_M)
     return vertex_normals(whole)[keep]
 

@@ -13,7 +13,13 @@ from stone.surface.contour import zero_surface
 from stone.surface.mesh import vertex_normals
 from stone.surface.neighbours import is_near
 from stone.surface.patches import patches_of
-from stone.surface.screened_poisson import FULL_POINTS, PoissonParameters, blurred_planes, solve_field
+from stone.surface.screened_poisson import (
+    FULL_POINTS,
+    MOST_ROUNDS,
+    PoissonParameters,
+    blurred_planes,
+    solve_field,
+)
 
 W = 0.2
 EXACT = PoissonParameters(tolerance_ratio=1e-10)
@@ -38,7 +44,7 @@ def sphere(radius_m=1.5, count=9000, seed=0):
 def surface(points, views, parameters=EXACT):
     patches, _ = patches_of(points, views, W, 20)
     band = band_of(patches.cells, W)
-    return zero_surface(band, solve_field(patches, band, parameters))
+    return zero_surface(band, solve_field(patches, band, parameters).values)
 
 
 def slow_planes(patches, places, sigma_m):
@@ -89,7 +95,7 @@ def test_the_field_is_the_minimum_of_the_energy_written_out_as_least_squares(see
     patches, _ = patches_of(*bumpy(seed, size_m=0.3), W, 12)
     band = band_of(patches.cells, W)
     parameters = PoissonParameters(screening, tolerance_ratio=1e-10)
-    found = solve_field(patches, band, parameters)
+    found = solve_field(patches, band, parameters).values
     np.testing.assert_allclose(found, slow_field(patches, band, parameters), atol=1e-8)
 
 
@@ -198,3 +204,21 @@ def test_patches_are_the_means_of_their_cells():
         plane = np.linalg.eigh(np.cov(points[nearest].T))[1][:, 0]
         assert abs(plane @ normal) == pytest.approx(1, abs=1e-6)
         assert normal @ [0.0, 0.1, 0.9] > 0
+
+
+@pytest.mark.parametrize("tolerance_ratio", [1e-3, 1e-5, 1e-10])
+def test_a_field_that_was_solved_for_says_how_well(tolerance_ratio):
+    patches, _ = patches_of(*bumpy(1), W, 20)
+    descent = solve_field(
+        patches, band_of(patches.cells, W), PoissonParameters(tolerance_ratio=tolerance_ratio)
+    ).descent
+    assert 0 < descent.rounds < 200
+    assert 0 < descent.residual_ratio <= 1.001 * tolerance_ratio
+
+
+def test_a_field_that_was_not_solved_for_says_so():
+    """What is asked for is less than numbers hold: no number of rounds is enough, whatever they carry along."""
+    patches, _ = patches_of(*bumpy(1), W, 20)
+    descent = solve_field(patches, band_of(patches.cells, W), PoissonParameters(tolerance_ratio=1e-300)).descent
+    assert 200 < descent.rounds <= MOST_ROUNDS
+    assert 1e-18 < descent.residual_ratio < 1e-9

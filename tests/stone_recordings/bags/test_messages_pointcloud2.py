@@ -1,5 +1,6 @@
 """Clouds are views of what was recorded; points come out bit for bit, and a cloud that lies is refused."""
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from stone.sensors.reach import FARTHEST_POINT_M
 from stone_recordings.bags.bag import open_bag
 from stone_recordings.bags.errors import ByteOrderError, CloudLayoutError, MessageLayoutError
 from stone_recordings.messages.lidar import offsets_from_values
@@ -42,9 +44,15 @@ def _slow_points(points: NDArray[np.void]) -> list[int]:
     rows = []
     for row, point in enumerate(points):
         xyz = [float(point[name]) for name in "xyz"]
-        if all(np.isfinite(xyz)) and any(value != 0 for value in xyz):
+        if all(np.isfinite(xyz)) and 0 < math.hypot(*xyz) <= FARTHEST_POINT_M:
             rows.append(row)
     return rows
+
+
+def _slow_beyond(points: NDArray[np.void]) -> int:
+    """How many are places, and too far."""
+    places = [[float(point[name]) for name in "xyz"] for point in points]
+    return sum(all(np.isfinite(xyz)) and math.hypot(*xyz) > FARTHEST_POINT_M for xyz in places)
 
 
 @settings(max_examples=60, deadline=None)
@@ -62,8 +70,8 @@ def test_a_cloud_is_what_rosbags_reads(layout: str, seed: int, count: int, frame
 
 @settings(max_examples=80, deadline=None)
 @given(layout=layouts, seed=seeds, count=st.integers(0, 60))
-def test_points_are_the_finite_non_zero_ones_bit_for_bit(layout: str, seed: int, count: int) -> None:
-    """Random bits hold every kind of NaN and infinity; zeros of both signs are put in."""
+def test_points_are_the_non_zero_ones_in_reach_bit_for_bit(layout: str, seed: int, count: int) -> None:
+    """Random bits hold every kind of NaN and infinity, and numbers of every size; zeros of both signs are put in."""
     record, generator = LAYOUTS[layout], np.random.default_rng(seed)
     points = np.frombuffer(generator.bytes(count * record.itemsize), record).copy()
     for name in "xyz":
@@ -73,6 +81,7 @@ def test_points_are_the_finite_non_zero_ones_bit_for_bit(layout: str, seed: int,
     assert read.points_lidar.dtype == np.float32
     for axis, name in enumerate("xyz"):
         assert read.points_lidar[:, axis].tobytes() == expected[name].tobytes()
+    assert read.beyond == _slow_beyond(points)
 
 
 def test_a_view_does_not_copy() -> None:
@@ -165,7 +174,19 @@ def test_double_coordinates_are_rounded_once() -> None:
     record = np.dtype([("x", "<f8"), ("y", "<f8"), ("z", "<f8")])
     points = np.zeros(4, record)
     points["x"] = [1 / 3, 0, np.nan, 1e300]
-    assert _read(points).points_lidar.tolist() == [[np.float32(1 / 3), 0, 0]]
+    read = _read(points)
+    assert (read.points_lidar.tolist(), read.beyond) == ([[np.float32(1 / 3), 0, 0]], 1)
+
+
+@pytest.mark.parametrize("code", ["<f4", "<f8"])
+def test_what_no_lidar_sees_is_no_point_and_is_counted(code: str) -> None:
+    """Driver's words for no return, NaN and infinity, are counted as that."""
+    record = np.dtype([(name, code) for name in "xyz"])
+    points = np.ones(8, record)
+    points["x"] = [999.9, 1000.1, 3e38, -3e38, np.inf, -np.inf, np.nan, 1.0]
+    points["y"][7] = -2000.0
+    read = _read(points)
+    assert (read.rows.tolist(), read.beyond) == ([0], 4)
 
 
 def test_padded_rows_are_skipped_over() -> None:

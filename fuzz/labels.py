@@ -1,0 +1,76 @@
+"""Labelling as a target: a short drive with whatever values the bytes put into it, through all that `stone label` does.
+
+**Conventions.** In one process, with the indices of all kernels checked: `NUMBA_BOUNDSCHECK` must be set before numba
+is loaded, and beside it a cache of its own, since numba takes unchecked code from a cache for checked.
+"""
+
+import math
+import warnings
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from services.ingest.pipeline import SynchroniseOptions
+from services.ingest.sequence import opened_sequence
+from services.labeler.errors import NoUsableFramesError
+from services.labeler.local_run import tasks_of
+from services.labeler.parameters import LabelParameters, parameters_for
+from services.labeler.report import LabelReport, report_of
+from services.labeler.results import load_pack
+from services.labeler.run import LabelRun, parts_of
+from testing.worlds.hostile_drive import ATTACKS, Arrays, attacked, edit_bytes, edits_in, write_drive
+
+
+class WrongLabelsError(AssertionError):
+    """Labels that were made, and are none."""
+
+
+def label_seeds() -> Iterator[tuple[str, bytes]]:
+    """The sound drive, and one in which each kind of value stands where it once did harm, or would."""
+    yield "sound", b""
+    for name, edits in ATTACKS.items():
+        yield name.replace(" ", "-"), edit_bytes(*edits)
+
+
+def read_and_label(content: bytes) -> None:
+    """A drive with the edits that the bytes are; a calculation that numpy warns of is a crash."""
+    with TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        labelled(attacked(*edits_in(content)), Path(folder))
+
+
+def labelled(arrays: Arrays, folder: Path) -> LabelReport:
+    """The report of the drive's labels, made in this process. Raises whatever refuses it."""
+    bag, calibration = write_drive(arrays, folder)
+    with opened_sequence(bag, calibration, "run", SynchroniseOptions(ground="given")) as opened:
+        if len(opened.sequence.frames) == 0:
+            raise NoUsableFramesError(opened.sequence)
+        sequence = replace(opened.sequence, inputs=opened.recording_inputs())
+        run = LabelRun(sequence, opened.sweeps, parameters(), folder / "scratch")
+        for task in tasks_of(run):
+            task.call(*task.arguments)
+    return checked(run)
+
+
+def parameters() -> LabelParameters:
+    return replace(parameters_for("local"), confidence=True)
+
+
+def checked(run: LabelRun) -> LabelReport:
+    """The report. Raises `WrongLabelsError` where a number of it is none, or its labels are not of its frames."""
+    report = report_of(run)
+    labels = sum(len(load_pack(run, part)[0].ends_bytes) for part in parts_of(run))
+    if not 0 < labels == len(run.sequence.frames):
+        raise WrongLabelsError(f"{labels} labels of {len(run.sequence.frames)} frames")
+    if not all(math.isfinite(number) for number in _numbers(report.as_record())):
+        raise WrongLabelsError(f"a number of the report is none: {report.text()}")
+    return report
+
+
+def _numbers(record: object) -> list[float]:
+    if isinstance(record, dict):
+        return [number for value in record.values() for number in _numbers(value)]
+    if isinstance(record, list | tuple):
+        return [number for value in record for number in _numbers(value)]
+    return [record] if isinstance(record, float) else []

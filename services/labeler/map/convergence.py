@@ -1,0 +1,57 @@
+"""Convergence of the surface's solver over the tiles of a run.
+
+**Conventions.** Residuals are in cells, as `PoissonParameters.tolerance_ratio`; one that is no number is not converged.
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from services.labeler.map.surface import TileSummary
+from services.labeler.parameters import SurfaceParameters
+from stone.findings import Finding
+
+SLACK_RATIO = 1.001  # the residual that the rounds carry along, and end by, is rounded otherwise
+
+
+@dataclass(frozen=True)
+class Convergence:
+    """The most `rounds` and the worst `residual_ratio` of any tile, and how many of `tiles` stopped above tolerance."""
+
+    rounds: int
+    residual_ratio: float
+    tiles: int
+    unconverged: int
+
+    def as_record(self) -> dict[str, Any]:
+        return {
+            "most_rounds": self.rounds,
+            "worst_residual_ratio": self.residual_ratio if math.isfinite(self.residual_ratio) else None,
+            "unconverged_tiles": self.unconverged,
+        }
+
+
+def convergence_of(tiles: Iterable[TileSummary], parameters: SurfaceParameters) -> Convergence | None:
+    """None where the surface is Open3D's, which does not tell."""
+    if parameters.solver == "octree":
+        return None
+    descents = [tile.descent for tile in tiles]
+    residuals = [one.residual_ratio if math.isfinite(one.residual_ratio) else math.inf for one in descents]
+    over = sum(residual > SLACK_RATIO * parameters.poisson.tolerance_ratio for residual in residuals)
+    return Convergence(
+        max((one.rounds for one in descents), default=0), max(residuals, default=0.0), len(descents), over
+    )
+
+
+def convergence_findings(found: Convergence | None, parameters: SurfaceParameters) -> tuple[Finding, ...]:
+    """LAB-609 where a tile's surface is not what its points say."""
+    if found is None or not found.unconverged:
+        return ()
+    sentence = (
+        f"the surface of {found.unconverged} of {found.tiles} tiles was left unsolved after {found.rounds} rounds, "
+        f"with a residual of up to {found.residual_ratio:.2g} cells, above {parameters.poisson.tolerance_ratio:g}: "
+        "slopes and heights there are not the points'; is the tolerance below what numbers hold, or does the map "
+        "hold points that are no surface?"
+    )
+    return (Finding("LAB-609", "warning", "", sentence),)

@@ -1,0 +1,56 @@
+"""Points that no LiDAR can have seen, left out while sweeps are read: how many of how many clouds, over a run."""
+
+from dataclasses import astuple, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from services.labeler.run import LabelRun, Part, parts_of
+from services.labeler.scratch import load, save
+from stone.findings import Finding
+from stone.sensors.reach import FARTHEST_POINT_M
+from stone.sensors.sequence import Sweep
+
+FAR = "far"
+
+
+@dataclass(frozen=True)
+class FarPoints:
+    """`points` that were left out, of `sweeps` of so many that were read; parts add up."""
+
+    points: int = 0
+    sweeps: int = 0
+    read: int = 0
+
+    def __add__(self, other: "FarPoints") -> "FarPoints":
+        return FarPoints(self.points + other.points, self.sweeps + other.sweeps, self.read + other.read)
+
+
+def far_points_of(sweep: Sweep) -> FarPoints:
+    return FarPoints(sweep.beyond, int(sweep.beyond > 0), 1)
+
+
+def far_points_path(run: LabelRun, part: Part) -> Path:
+    return run.scratch / FAR / f"{part[0]:06d}.npz"
+
+
+def save_far_points(run: LabelRun, part: Part, found: FarPoints) -> None:
+    save(far_points_path(run, part), {"counts": np.array(astuple(found), np.int64)})
+
+
+def load_far_points(run: LabelRun) -> FarPoints:
+    """Of all parts of the run."""
+    counts = (load(far_points_path(run, part))["counts"].tolist() for part in parts_of(run))
+    return sum((FarPoints(*one) for one in counts), FarPoints())
+
+
+def far_point_findings(found: FarPoints) -> tuple[Finding, ...]:
+    """LAB-608 where points were left out."""
+    if not found.points:
+        return ()
+    sentence = (
+        f"{found.points} points in {found.sweeps} of {found.read} sweeps lie farther than {FARTHEST_POINT_M:g} m from "
+        "the LiDAR, which none sees, and are left out: does its driver write a number where nothing came back, are "
+        "its points in millimetres, or is the recording damaged?"
+    )
+    return (Finding("LAB-608", "warning", "", sentence),)
