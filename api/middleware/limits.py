@@ -19,6 +19,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from api.errors import RateLimitedError
 from api.middleware.bodies import UPLOADS
 from api.middleware.context import COOKIE
+from services.runtime.access.login_throttle import SignInTry
 from services.runtime.settings import Settings
 
 MOST_BUCKETS = 10_000
@@ -58,10 +59,16 @@ class RequestLimits:
         if not (known and is_piece(request)):
             self._take(known or address_of(request), self._api.requests_per_minute)
 
-    def admit_sign_in(self, request: Request, name: str) -> None:
-        """Count an attempt at a password, by address and by name. Raises `RateLimitedError`."""
+    def admit_sign_in(self, request: Request, tried: SignInTry) -> None:
+        """Count an attempt at a password, by address and by name. Raises `RateLimitedError`.
+
+        Where the address is known for the name it is counted by both at once, apart from everybody else's.
+        """
+        if tried.is_known:
+            self._take(f"sign-in {address_of(request)} as {tried.name}", self._api.sign_ins_per_minute)
+            return
         self._take(f"sign-in {address_of(request)}", self._api.sign_ins_per_minute)
-        self._take(f"sign-in as {name}", self._api.sign_ins_per_minute * NAME_SHARE)
+        self._take(f"sign-in as {tried.name}", self._api.sign_ins_per_minute * NAME_SHARE)
 
     def know(self, request: Request, user_id: str) -> None:
         """Count requests with this credential as this user's from now on."""

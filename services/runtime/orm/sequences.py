@@ -50,7 +50,8 @@ class ProfileRow(Base):
 class SequenceRow(Base):
     """One continuous run of the robot. `revision` counts changes (ETag); deleted: the row stays.
 
-    What is made of a public one may be looked at by anybody, signed in or not.
+    What is made of a public one may be looked at by anybody, signed in or not. `published_ns` is when it first was
+    public, and stays when it is not any more: whoever fetched its labels has them.
     """
 
     __tablename__ = "sequences"
@@ -63,6 +64,7 @@ class SequenceRow(Base):
     platform: Mapped[str] = mapped_column(String(64), default="")
     calibration_id: Mapped[Id | None] = mapped_column(ForeignKey("calibrations.id"))
     is_public: Mapped[bool] = mapped_column(default=False, server_default=false())
+    published_ns: Mapped[Ns | None]
     revision: Mapped[int] = mapped_column(default=1)
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
     deleted_ns: Mapped[Ns | None]
