@@ -3,7 +3,7 @@
 from typing import Any
 
 from sqlalchemy import JSON, ForeignKey, Index, String, false, text
-from sqlalchemy.orm import Mapped, mapped_column
+from sqlalchemy.orm import Mapped, mapped_column, validates
 
 from services.runtime.orm.base import Base, Bytes, Id, Ns, new_id, now_ns
 from services.runtime.telemetry.origins import origin_trace
@@ -82,6 +82,13 @@ class SequenceRow(Base):
         Index("ix_sequences_public", "id", sqlite_where=text("is_public = 1"), postgresql_where=text("is_public")),
         *(Index(f"ix_sequences_{name}", name, "id") for name in ("environment", "illumination", "region", "platform")),
     )
+
+    @validates("is_public")
+    def _remember(self, _key: str, is_public: bool) -> bool:
+        """Whoever makes it public, and however: when it first was is kept."""
+        if is_public and self.published_ns is None:
+            self.published_ns = now_ns()
+        return is_public
 
 
 class Upload(Base):
