@@ -118,7 +118,7 @@ def members_now(session: Session) -> tuple[CurrentSplits, Members, tuple[RuleFin
     if broken := errors_of(findings):
         raise BrokenSplitsError([finding.message for finding in broken])
     parts = current.split.parts
-    members = {part: tuple(one for one in labelled if one.entry.id in parts[part]) for part in PARTS}
+    members: Members = {part: tuple(one for one in labelled if one.entry.id in parts[part]) for part in PARTS}
     return current, members, findings
 
 
