@@ -86,12 +86,15 @@ class ConflictError(ApiError):
 
 
 class HiddenTruthError(ConflictError):
-    """The labels of a hidden phase cannot be made public."""
+    """The labels of what is in test, or what a hidden phase is scored against, cannot be made public."""
 
     code = "hidden_truth"
 
-    def __init__(self, name: str) -> None:
-        super().__init__(f"sequence {name} is in the test part of a version, or a hidden phase is scored against it")
+    def __init__(self, name: str, where: str) -> None:
+        super().__init__(
+            f"sequence {name!r} is {where}: made public, anybody could fetch the labels that entries are scored "
+            "against; make another sequence public, or take this one out of test before anything is published of it"
+        )
 
 
 class PreconditionFailedError(ApiError):

@@ -28,6 +28,7 @@ from services.runtime.orm import (
     Phase,
     Recording,
     SequenceRow,
+    SplitMember,
     SubmissionRow,
     Team,
     TeamMember,
@@ -75,6 +76,18 @@ def hidden_truths() -> Select[str]:
     same_part = and_(Phase.dataset_id == DatasetMember.dataset_id, Phase.part == DatasetMember.part)
     members = select(DatasetMember.sequence_id).outerjoin(Phase, and_(same_part, Phase.is_hidden))
     return members.where(or_(DatasetMember.part == HIDDEN_PART, Phase.id.is_not(None)))
+
+
+def hiding(session: Session, sequence_id: str) -> str:
+    """What hides the labels of a sequence, in words; '' where nothing does. The draft splits are read as they are."""
+    of_sequence = DatasetMember.sequence_id == sequence_id
+    in_test = select(Dataset.name).join(DatasetMember).where(of_sequence, DatasetMember.part == HIDDEN_PART)
+    if version := session.scalar(in_test.order_by(Dataset.id).limit(1)):
+        return f"in test of version {version!r}"
+    if session.scalar(hidden_truths().where(of_sequence).limit(1)):
+        return "in a part of a version that a hidden phase is scored against"
+    drafted = select(SplitMember.part).where(SplitMember.sequence_id == sequence_id, SplitMember.part == HIDDEN_PART)
+    return "in test of the splits under discussion" if session.scalar(drafted) else ""
 
 
 def calibration_of(session: Session, caller: Caller, calibration_id: str) -> CalibrationRow:

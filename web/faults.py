@@ -31,7 +31,10 @@ def shown(request: Request, answer: Response) -> Response:
     if problem["status"] == 401:
         return page(request, caller_of(request), "sign_in.html", status=401, back=_here(request))
     advice = NEXT.get(problem["status"], "Load the page again; if it stays, tell your administrator the request's id.")
-    return page(request, caller_of(request), "problem.html", status=problem["status"], problem=problem, advice=advice)
+    made = page(request, caller_of(request), "problem.html", status=problem["status"], problem=problem, advice=advice)
+    if wait := answer.headers.get("Retry-After"):
+        made.headers["Retry-After"] = wait
+    return made
 
 
 def _here(request: Request) -> str:

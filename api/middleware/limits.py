@@ -2,7 +2,8 @@
 
 **Conventions.** A bucket holds a minute's requests and fills evenly. Whoever has shown a valid credential has a bucket
 of their own, everybody else shares that of their address (IPv6: of their /64), so inventing tokens buys nothing.
-Buckets are kept in memory, per process, the `MOST_BUCKETS` used last. Probes at the root are not counted.
+Buckets are kept in memory, per process, the `MOST_BUCKETS` used last. Everything is counted, pages too, but `PROBES`;
+what browsers load for pages (`FILES`), a page's dozens of them at once and then never again, apart from the rest.
 """
 
 import ipaddress
@@ -19,9 +20,13 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from api.errors import RateLimitedError
 from api.middleware.bodies import UPLOADS
 from api.middleware.context import COOKIE
+from services.runtime.access.login_throttle import SignInTry
 from services.runtime.settings import Settings
 
 MOST_BUCKETS = 10_000
+PROBES = ("/healthz", "/readyz")
+FILES = "/assets/"
+FILES_SHARE = 10  # such files a minute, against other requests
 NAME_SHARE = 3  # sign-ins a minute with one name, from everywhere, against those from one address
 
 
@@ -55,13 +60,22 @@ class RequestLimits:
         """Count a request, but no piece of a known caller's upload. Raises `RateLimitedError`."""
         with self._lock:
             known = self._known.get(credential_of(request))
-        if not (known and is_piece(request)):
-            self._take(known or address_of(request), self._api.requests_per_minute)
+        who, per_minute = known or address_of(request), self._api.requests_per_minute
+        if request.url.path.startswith(FILES):
+            self._take(f"files to {who}", per_minute * FILES_SHARE)
+        elif not (known and is_piece(request)):
+            self._take(who, per_minute)
 
-    def admit_sign_in(self, request: Request, name: str) -> None:
-        """Count an attempt at a password, by address and by name. Raises `RateLimitedError`."""
+    def admit_sign_in(self, request: Request, tried: SignInTry) -> None:
+        """Count an attempt at a password, by address and by name. Raises `RateLimitedError`.
+
+        Where the address is known for the name it is counted by both at once, apart from everybody else's.
+        """
+        if tried.is_known:
+            self._take(f"sign-in {address_of(request)} as {tried.name}", self._api.sign_ins_per_minute)
+            return
         self._take(f"sign-in {address_of(request)}", self._api.sign_ins_per_minute)
-        self._take(f"sign-in as {name}", self._api.sign_ins_per_minute * NAME_SHARE)
+        self._take(f"sign-in as {tried.name}", self._api.sign_ins_per_minute * NAME_SHARE)
 
     def know(self, request: Request, user_id: str) -> None:
         """Count requests with this credential as this user's from now on."""
@@ -81,7 +95,7 @@ class RateLimit:
         self._app, self._limits = app, limits
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] == "http" and scope["path"].startswith("/api/"):
+        if scope["type"] == "http" and scope["path"] not in PROBES:
             self._limits.admit(Request(scope))
         await self._app(scope, receive, send)
 

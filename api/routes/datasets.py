@@ -24,8 +24,10 @@ from api.schemas.datasets import (
     DatasetItem,
     NewDatasetBody,
     OpenPart,
+    PublishedDataset,
 )
 from api.views.datasets import dataset_detail, dataset_item
+from api.views.splits import rule_items
 from api.visible import dataset_of
 from services.domain.datasets.manifest import NewDataset
 from services.domain.datasets.queries import locate_part
@@ -44,20 +46,25 @@ ARCHIVE = file_responses(MEDIA_TYPES["tar"])
 @router.post("", status_code=201, responses=refusals(409))
 def create_dataset(
     body: NewDatasetBody, caller: Administrator, platform: PlatformDep, response: Response
-) -> DatasetDetail:
-    """Publish the splits as they stand, as a version that never changes; train and val may then be downloaded."""
+) -> PublishedDataset:
+    """Publish the splits as they stand, as a version that never changes; train and val may then be downloaded.
+
+    What the rules warn of is in the answer, and by its codes in the audit log.
+    """
     asked = NewDataset(body.name, body.licence, caller.user_id)
     platform.settings.root.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(dir=platform.settings.root) as folder:
         prepared = prepare_dataset(platform, asked, FilePath(folder))
         with platform.database.transaction() as session:
             dataset = write_dataset(session, prepared)
-            facts = {"name": dataset.name, "manifest_sha256": dataset.manifest_sha256}
+            warned = sorted({finding.code for finding in prepared.warnings})
+            facts = {"name": dataset.name, "manifest_sha256": dataset.manifest_sha256, "warnings": warned}
             audit.record_admin_act(session, caller, "dataset.create", dataset.id, body.reason, facts)
             shown = dataset_detail(session, dataset)
+    published = PublishedDataset(**dict(shown), findings=rule_items(prepared.warnings))
     response.headers["Location"] = f"/api/v1/datasets/{dataset.name}"
     response.headers["ETag"] = etag(dataset.manifest_sha256)
-    return shown
+    return published
 
 
 @router.get("", responses=refusals())

@@ -29,11 +29,12 @@ from api.schemas.sequences import (
     SequenceItem,
 )
 from api.views.sequences import sequence_detail, sequence_items
-from api.visible import calibration_of, hidden_truths, sequence_of, sequences_shown_to, shown_sequence
+from api.visible import calibration_of, hiding, sequence_of, sequences_shown_to, shown_sequence
+from services.domain.datasets.splits import lock_splits
 from services.domain.sequences.processing import PROCESS, delete_sequence, lock_sequence
 from services.runtime.access.errors import NameTakenError
 from services.runtime.jobs.specs import TERMINAL
-from services.runtime.orm import DatasetMember, Job, LabelSet, SequenceRow
+from services.runtime.orm import Job, LabelSet, SequenceRow
 
 router = APIRouter(prefix="/sequences", tags=["sequences"])
 Prefix = Annotated[str | None, Query(pattern=PLAIN, max_length=100)]
@@ -109,15 +110,15 @@ def change_sequence(
 ) -> SequenceDetail:
     """Change what is said of a sequence; what is left out or null stays."""
     with platform.database.transaction() as session:
+        if body.is_public:
+            lock_splits(session)  # first, as whoever puts splits does: of two at once one sees the other
         sequence = lock_sequence(session, sequence_of(session, caller, sequence_id).id)
         require_match(request, sequence.revision)
         changes = {key: value for key, value in body if value is not None and value != getattr(sequence, key)}
         if "name" in changes:
             _refuse_renaming(session, sequence)
-        if changes.get("is_public") and session.scalar(
-            select(hidden_truths().where(DatasetMember.sequence_id == sequence.id).exists())
-        ):
-            raise HiddenTruthError(sequence.name)
+        if changes.get("is_public"):
+            _refuse_revealing_truth(session, sequence)
         _change(sequence, changes)
         _flush_named(session, sequence.name)
         audit.record(session, caller, "sequence.change", sequence.id, facts=changes)
@@ -176,8 +177,8 @@ def _refuse_renaming(session: Session, sequence: SequenceRow) -> None:
 
 def _refuse_revealing_truth(session: Session, sequence: SequenceRow) -> None:
     """Raises `HiddenTruthError`."""
-    if session.scalar(hidden_truths().where(DatasetMember.sequence_id == sequence.id).limit(1)):
-        raise HiddenTruthError(sequence.name)
+    if where := hiding(session, sequence.id):
+        raise HiddenTruthError(sequence.name, where)
 
 
 def _flush_named(session: Session, name: str) -> None:

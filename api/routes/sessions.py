@@ -7,14 +7,14 @@ wrong password.
 """
 
 from math import ceil
-from typing import Annotated
 
 import structlog
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import APIRouter, Request, Response
 
 from api import audit
 from api.answers import refusals
-from api.deps import Caller, PlatformDep, require
+from api.callers import AccountHolder, Anybody, Reader
+from api.deps import Caller, PlatformDep
 from api.errors import ConflictError, TooManyFailedSignInsError, WrongPasswordError
 from api.middleware.context import COOKIE
 from api.middleware.limits import address_of
@@ -22,6 +22,7 @@ from api.schemas.base import instant
 from api.schemas.people import BrowserItem, MeItem, PasswordBody, SessionItem, SignInBody
 from api.views.people import browsers_of
 from services.runtime.access import login_throttle, passwords, sessions, users
+from services.runtime.access.login_throttle import SignInTry
 from services.runtime.access.sessions import SessionSecrets
 from services.runtime.orm import User
 from services.runtime.platform import Platform
@@ -29,8 +30,6 @@ from services.runtime.settings import Settings
 
 router = APIRouter(tags=["people"])
 log = structlog.get_logger(__name__)
-
-Anybody = Annotated[Caller, Depends(require("read"))]
 
 
 @router.post("/sessions", status_code=201, summary="Sign a browser in", responses=refusals(401))
@@ -45,7 +44,7 @@ def sign_in(body: SignInBody, request: Request, response: Response, platform: Pl
     with platform.database.transaction() as session:
         if session.get_one(User, user.id).password_hash != user.password_hash:  # changed while it was checked
             raise WrongPasswordError()
-        login_throttle.take_back(session, **tried)
+        login_throttle.take_back(session, tried, user.id)
         opened = sessions.open_session(session, user, platform.settings.api.session_s)
         audit.record(session, _as_caller(user), "session.open", user.id)
     _give_cookie(response, opened, platform.settings)
@@ -69,13 +68,13 @@ def sign_out(caller: Anybody, response: Response, platform: PlatformDep) -> None
 
 
 @router.get("/sessions", summary="The browsers one is signed in with, newest first")
-def browsers(caller: Anybody, platform: PlatformDep) -> list[BrowserItem]:
+def browsers(caller: Reader, platform: PlatformDep) -> list[BrowserItem]:
     with platform.database.reading() as session:
         return browsers_of(session, caller.user_id, caller.credential_id)
 
 
 @router.delete("/sessions/others", status_code=204, summary="Sign all one's other browsers out")
-def sign_others_out(caller: Anybody, platform: PlatformDep) -> None:
+def sign_others_out(caller: AccountHolder, platform: PlatformDep) -> None:
     """All but the browser that asks; asked with a token, all of them."""
     with platform.database.transaction() as session:
         closed = sessions.close_others(session, caller.user_id, caller.credential_id)
@@ -83,7 +82,7 @@ def sign_others_out(caller: Anybody, platform: PlatformDep) -> None:
 
 
 @router.get("/me", summary="Who is calling and what they may")
-def me(caller: Anybody) -> MeItem:
+def me(caller: Reader) -> MeItem:
     return MeItem(
         user_id=caller.user_id,
         name=caller.name,
@@ -96,7 +95,7 @@ def me(caller: Anybody) -> MeItem:
 
 
 @router.put("/me/password", status_code=204, summary="Change one's own password", responses=refusals(401))
-def change_own_password(body: PasswordBody, caller: Anybody, request: Request, platform: PlatformDep) -> None:
+def change_own_password(body: PasswordBody, caller: AccountHolder, request: Request, platform: PlatformDep) -> None:
     tried = _counted_try(request, platform, caller.name)
     with platform.database.reading() as session:
         user = session.get_one(User, caller.user_id)
@@ -104,17 +103,18 @@ def change_own_password(body: PasswordBody, caller: Anybody, request: Request, p
         raise WrongPasswordError()
     password_hash = passwords.hash_password(body.new.get_secret_value(), caller.name)
     with platform.database.transaction() as session:
-        login_throttle.take_back(session, **tried)
         users.change_password(session, session.get_one(User, caller.user_id), password_hash)
+        login_throttle.take_back(session, tried, caller.user_id)
         audit.record(session, caller, "user.password", caller.user_id)
 
 
-def _counted_try(request: Request, platform: Platform, name: str) -> dict[str, str]:
-    """What the try was counted by. Raises `RateLimitedError`, `TooManyFailedSignInsError`."""
-    request.app.state.limits.admit_sign_in(request, name)
-    tried = {"name": name, "address": address_of(request)}
+def _counted_try(request: Request, platform: Platform, name: str) -> SignInTry:
+    """The try, counted. Raises `RateLimitedError`, `TooManyFailedSignInsError`."""
+    with platform.database.reading() as session:
+        tried = login_throttle.try_at(session, name, address_of(request))
+    request.app.state.limits.admit_sign_in(request, tried)
     with platform.database.transaction() as session:
-        wait_s = login_throttle.count_try(session, **tried)
+        wait_s = login_throttle.count_try(session, tried)
     if wait_s:
         log.warning("sign-in not tried, too many were wrong", name=name)
         raise TooManyFailedSignInsError(ceil(wait_s))

@@ -3,7 +3,6 @@
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Query
-from sqlalchemy import delete
 
 from api import audit
 from api.answers import refusals
@@ -17,7 +16,6 @@ from api.views.people import tokens_page, user_item, user_of, users_page
 from services.runtime.access import login_throttle, passwords, sessions, tokens, users
 from services.runtime.access.erasure import erase_user
 from services.runtime.access.roles import Role
-from services.runtime.orm import Token
 
 router = APIRouter(prefix="/users", tags=["people"])
 
@@ -84,8 +82,7 @@ def revoke_token(
 ) -> None:
     """Whoever holds it is answered 401 from now on."""
     with platform.database.transaction() as session:
-        theirs = delete(Token).where(Token.id == token_id, Token.user_id == user_id).returning(Token.name)
-        name = session.scalars(theirs).one_or_none()
+        name = tokens.revoke(session, user_id, token_id)
         if name is None:
             raise NotFoundError("token", token_id)
         facts = {"token_id": token_id, "name": name}
@@ -96,7 +93,10 @@ def revoke_token(
     "/{user_id}/credentials/revoke", summary="End all of a user's tokens and sessions", responses=refusals(404)
 )
 def revoke_credentials(user_id: IdPath, body: ReasonBody, caller: Administrator, platform: PlatformDep) -> RevokedItem:
-    """Whatever uses them is answered 401 from now on. The credential that asks is spared, and the password stays."""
+    """Whatever uses them is answered 401 from now on. The credential that asks is spared, and the password stays.
+
+    A token that asks and was made by one of them ends with that.
+    """
     with platform.database.transaction() as session:
         user_of(session, user_id, is_locked=True)
         ended = tokens.revoke_others(session, user_id, caller.credential_id)

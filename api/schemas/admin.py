@@ -177,19 +177,17 @@ class WorkerItem(Answer):
 
 
 class WorkersAnswer(Answer):
-    """Worker processes by their heartbeats, attempts that run, and the Celery nodes that answered a ping.
+    """Worker processes by their heartbeats, attempts that run, and whether the broker answers.
 
-    `is_broker_reachable` false means that nodes could not be asked: an empty list then says nothing.
+    Workers are asked nothing by the broker: their remote control is off.
     """
 
     model_config = example(
         workers=[WORKER_EXAMPLE],
         running=[{"job_id": ID_EXAMPLE, "kind": "labeler.surface", "attempt": 1, "worker": "worker-3:4711"}],
-        nodes=["celery@worker-3"],
         is_broker_reachable=True,
     )
 
     workers: list[WorkerItem]
     running: list[RunningAttempt]
-    nodes: list[str]
     is_broker_reachable: bool

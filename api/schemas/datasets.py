@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from api.schemas.base import SHA256_EXAMPLE, Answer, Body, Line, Reason, example
-from api.schemas.splits import DRIVEN_EXAMPLE, DrivenItem, Sizes
+from api.schemas.splits import DRIVEN_EXAMPLE, FINDING_EXAMPLE, DrivenItem, RuleItem, Sizes
 
 VERSION_PATTERN = "^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 OpenPart = Literal["train", "val"]
@@ -79,3 +79,16 @@ class DatasetDetail(DatasetItem):
 
     sequences: list[DatasetMemberItem]
     parts: list[DatasetPartItem]
+
+
+class PublishedDataset(DatasetDetail):
+    """A version that was published just now, with what the rules warn of."""
+
+    model_config = example(
+        **DATASET_EXAMPLE,
+        sequences=[{"split": "train", **DRIVEN_EXAMPLE}],
+        parts=[PART_EXAMPLE],
+        findings=[FINDING_EXAMPLE],
+    )
+
+    findings: list[RuleItem]

@@ -111,12 +111,14 @@ class PasswordBody(Body):
 
 
 class TokenBody(Body):
-    """A token to be; without `scopes` it has all that the caller holds, without `expires_s` it lasts a year."""
+    """A token to be; without `scopes` it has all that the caller holds but `account`, without `expires_s` it lasts a
+    year. What a token makes ends with it.
+    """
 
     model_config = Body.model_config | example(name="field laptop", scopes=["read", "upload"], expires_s=2592000)
 
     name: Title
-    scopes: Annotated[list[Scope], Field(min_length=1, max_length=4)] | None = None
+    scopes: Annotated[list[Scope], Field(min_length=1, max_length=5)] | None = None
     expires_s: Annotated[float, Field(ge=1, le=10 * 365 * 86400, allow_inf_nan=False)] | None = None
 
 

@@ -80,7 +80,9 @@ class NewValidationBody(Body):
 
 
 class NewSubmissionBody(NewValidationBody):
-    """A zip of predictions to be scored. A `baseline` is shown and not ranked; curators and administrators send one."""
+    """A zip of predictions to be scored. A `baseline` is shown and not ranked; curators and administrators send one,
+    and where the ground truth is hidden it costs their team a scoring as an entry does.
+    """
 
     model_config = Body.model_config | example(team_id=ID_EXAMPLE, **SAID, **FILE, kind="entry")
 

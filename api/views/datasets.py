@@ -11,21 +11,23 @@ from sqlalchemy.orm import Session
 from api.schemas.base import instant
 from api.schemas.datasets import DatasetDetail, DatasetItem, DatasetMemberItem, DatasetPartItem, OpenPart
 from api.schemas.splits import Sizes
+from services.domain.datasets.exposure import OPEN
 from services.domain.datasets.files import files_of
-from services.domain.datasets.manifest import OPEN, told_statistics
+from services.domain.datasets.manifest import told_statistics
 from services.domain.datasets.queries import dataset_entries, open_parts
 from services.domain.datasets.splits import current_splits
 from services.domain.datasets.statistics import Record
 from services.domain.datasets.versions import members_now
 from services.runtime.orm import Dataset, DatasetMember, DatasetPart
 from stone.errors import StoneError
+from stone.splits.splits import RuleFinding
 
 
 @dataclass(frozen=True)
 class DatasetPreview:
     """A version as it would be published now; `obstacle` says why it cannot be, '' where it can.
 
-    `files` and `size_bytes` are those of train and val together.
+    `files` and `size_bytes` are those of train and val together, `warnings` what the rules say all the same.
     """
 
     revision: int
@@ -33,18 +35,19 @@ class DatasetPreview:
     statistics: Record | None = None
     files: int = 0
     size_bytes: int = 0
+    warnings: tuple[RuleFinding, ...] = ()
 
 
 def prospect_of(session: Session) -> DatasetPreview:
     """A preview of the version as `prepare_dataset` would find it."""
     revision = current_splits(session).revision
     try:
-        current, members = members_now(session)
+        current, members, warnings = members_now(session)
         files = [file for part in OPEN for file in files_of(session, members[part])]
     except StoneError as error:
         return DatasetPreview(revision, str(error))
     size_bytes = sum(file.size_bytes for file in files)
-    return DatasetPreview(current.revision, "", told_statistics(members), len(files), size_bytes)
+    return DatasetPreview(current.revision, "", told_statistics(members), len(files), size_bytes, warnings)
 
 
 def dataset_detail(session: Session, row: Dataset) -> DatasetDetail:

@@ -142,6 +142,10 @@ class ApiSettings:
 
     With `trusts_traceparent` a request's span continues the trace that the request names: only behind a proxy of ours
     that sets the header itself.
+
+    `trusted_proxies` are the addresses and networks (CIDR) of the proxies in front, between blanks or commas. Who asks
+    is then the right-most address of `X-Forwarded-For` that is not one of them: what stands left of it anybody can
+    write. Name the proxies and nothing else: rates and waits are by that address.
     """
 
     host: str = "127.0.0.1"
@@ -156,7 +160,13 @@ class ApiSettings:
     token_s: float = 365 * 86400.0
     metrics_token: SecretStr = field(default=SecretStr(""))
     trusts_traceparent: bool = False
+    trusted_proxies: str = "127.0.0.1"
     first_password: SecretStr = field(default=SecretStr(""))
+
+    @property
+    def proxies(self) -> list[str]:
+        """`trusted_proxies` one by one."""
+        return self.trusted_proxies.replace(",", " ").split()
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,14 @@
 """Checks of the settings when a process reads them: names that nothing reads, and values with which it cannot work.
 
-**Conventions.** All that is wrong is said at once. A value is quoted only where it is a number: others may be secrets.
+**Conventions.** All that is wrong is said at once. A value is quoted only where it is a number or should be an address:
+others may be secrets.
 """
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from difflib import get_close_matches
+from ipaddress import ip_network
 from operator import attrgetter
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
@@ -20,6 +22,7 @@ PREFIX = "STONE_"
 OF_COMMANDS = ("STONE_CONFIG_HOME", "STONE_TOKEN", "STONE_URL")
 OF_DEPLOYMENTS = (
     "STONE_BUILD_OPTIONS",
+    "STONE_EDGE_SUBNET",
     "STONE_ENGINE",
     "STONE_EVAL_WORKERS",
     "STONE_INGEST_WORKERS",
@@ -41,6 +44,8 @@ OF_TESTS = (
 )
 RENAMED = {"STONE_UPLOADS__PLACE": "STONE_UPLOADS__BACKEND", "STONE_UPLOADS__SLAB_BYTES": "STONE_UPLOADS__PART_BYTES"}
 """New names of variables (and, in small letters, of secret files) by old ones."""
+RETIRED = {"FORWARDED_ALLOW_IPS": "STONE_API__TRUSTED_PROXIES"}
+"""Variables that said something before and would be ignored now, by what says it."""
 OTHERS = frozenset({"STONE_SECRETS_DIR", *OF_COMMANDS, *OF_DEPLOYMENTS, *OF_TESTS})
 """Variables that are no settings of a process, and may well stand in its environment."""
 
@@ -50,8 +55,9 @@ class UnknownSettingError(StoneError):
 
     code = "unknown_setting"
 
-    def __init__(self, names: Iterable[str], known: Iterable[str]) -> None:
-        nearest = {name: get_close_matches(name.upper(), known, n=1) for name in names}
+    def __init__(self, names: Sequence[str], known: Iterable[str]) -> None:
+        meant = {name: [RETIRED[name]] for name in names if name in RETIRED}
+        nearest = {name: meant.get(name) or get_close_matches(name.upper(), known, n=1) for name in names}
         super().__init__("; ".join(f"{name} is no setting{_meant(found)}" for name, found in nearest.items()))
 
 
@@ -127,13 +133,14 @@ def variables_of(settings: "type[Settings]") -> Iterator[str]:
 
 
 def refuse_unknown(settings: "type[Settings]", variables: Iterable[str], files: Iterable[str]) -> None:
-    """Raise `UnknownSettingError` for variables of the environment and secret files that only look like settings.
+    """Raise `UnknownSettingError` for variables of the environment and secret files that only look like settings, and
+    for those that were some once.
 
     A group's own name is one, whose value is JSON. Of files only `stone_<group>__<name>` is meant for us.
     """
     known = {*variables_of(settings), *(variable_of(name) for name in settings.model_fields)}
     ours = [name for name in files if name.upper().startswith(PREFIX) and "__" in name]
-    named = [*(name for name in variables if name.upper().startswith(PREFIX)), *ours]
+    named = [*(name for name in variables if name.upper().startswith(PREFIX) or name in RETIRED), *ours]
     unknown = sorted(name for name in named if name.upper() not in known | OTHERS | RENAMED.keys())
     if unknown:
         raise UnknownSettingError(unknown, sorted(known | OTHERS.difference(OF_TESTS)))
@@ -172,8 +179,21 @@ def _contradictions(settings: "Settings") -> Iterator[str]:
         yield "STONE_STORE__S3_ENDPOINT needs STONE_STORE__S3_BUCKET: without one the store is a folder"
     if not 0 <= port <= 65535:
         yield f"STONE_API__PORT is {port} and must lie from 0 to 65535"
+    yield from _untrustworthy(settings.api.proxies)
     if not _is_address(settings.api.url):
         yield "STONE_API__URL must begin with http:// or https:// and name a host: it decides if cookies are Secure"
+
+
+def _untrustworthy(proxies: Iterable[str]) -> Iterator[str]:
+    """What uvicorn would take for a name that no address has, and what makes everybody's word count."""
+    for one in proxies:
+        try:
+            is_everybody = ip_network(one).prefixlen == 0
+        except ValueError as error:
+            yield f"STONE_API__TRUSTED_PROXIES names {one[:80]!r}, no address and no network as 10.1.0.0/16 is: {error}"
+            continue
+        if is_everybody:
+            yield f"STONE_API__TRUSTED_PROXIES names {one}: then anybody may say who they are; name the proxies alone"
 
 
 def _is_address(url: str) -> bool:

@@ -35,7 +35,8 @@ def duration_ns(stamps_ns: NDArray[np.int64]) -> int:
 class CatalogueEntry:
     """A labelled sequence as the dataset sees it; two that share a recording (its sha256) are one sequence twice.
 
-    `voxels` is None, and `distance_m` is, where the labels were made before these were kept.
+    `voxels` is None, and `distance_m` is, where the labels were made before these were kept. `exposure` says why
+    anybody may have its labels, '' where nobody may.
     """
 
     id: str
@@ -48,6 +49,7 @@ class CatalogueEntry:
     voxels: Voxels | None = None
     distance_m: float | None = None
     recordings: tuple[str, ...] = ()
+    exposure: str = ""
 
     @property
     def half(self) -> str:

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator
 
 from stone.splits.composition import CatalogueEntry
 from stone.splits.splits import (
+    EXPOSED,
     LENGTH,
     LIGHT,
     REGIONS,
@@ -104,12 +105,21 @@ def check_said(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[RuleF
     )
 
 
+def check_exposed(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[RuleFinding, ...]:
+    """A warning for each sequence of test whose labels anybody may have: whoever has them wins the benchmark."""
+    exposed = [entry for part, entry in _assigned(split, catalogue) if part == "test" and entry.exposure]
+    told = "is in test and anybody may have its labels"
+    return tuple(
+        RuleFinding(EXPOSED, "warning", f"{entry.name} {told}: {entry.exposure}", (entry.id,)) for entry in exposed
+    )
+
+
 def check_split(
     split: Split, catalogue: Iterable[CatalogueEntry], sizes: tuple[int, int, int] | None = None
 ) -> tuple[RuleFinding, ...]:
     """All rules, in their order; errors and warnings of each. Sizes only where they were asked for."""
     entries = tuple(catalogue)
-    checks = (check_whole, check_length, check_regions, check_light, check_places, check_said)
+    checks = (check_whole, check_length, check_regions, check_light, check_places, check_said, check_exposed)
     findings = [finding for check in checks for finding in check(split, entries)]
     return (*findings, *(check_sizes(split, sizes) if sizes is not None else ()))
 

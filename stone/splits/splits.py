@@ -31,6 +31,7 @@ LIGHT = "day_and_night"
 SEPARATED_PLACES = "every_environment"
 SIZES = "split_sizes"
 UNSAID = "not_said"
+EXPOSED = "test_is_public"
 
 
 class BadSizesError(StoneError):

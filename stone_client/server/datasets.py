@@ -62,6 +62,8 @@ def show_datasets(record: Mapping[str, Any]) -> None:
         said = (safe_text(one[key]) for key in ("split", "environment", "illumination", "region"))
         table.add_row(safe_text(one["name"]), *said, f"{one['frames']:,}")
     show(table)
+    for finding in record.get("findings", ()):
+        typer.echo(f"{finding['severity']} {safe_text(finding['code'])}: {safe_text(finding['message'])}", err=True)
     for file in record.get("files", ()):
         typer.echo(f"{file['output']} ({file['size_bytes']:,} bytes, sha256 {file['sha256']})")
 

@@ -27,6 +27,7 @@ NO_BROKER = BrokerSettings("redis://127.0.0.1:1/0")
 UNBOUND = ApiSettings(requests_per_minute=10**7, sign_ins_per_minute=10**7)
 OF_PLATFORM = {("splits", "dataset")}  # nobody's own; administrators put them
 SUCCEEDING = ("owner", "administrator", "browser")
+ENDING_WHAT_ASKS = {("DELETE", "/api/v1/tokens/current")}  # each caller's own token, which the next cell would miss
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,8 @@ def test_every_cell_is_as_the_table_says(
     before = ledger_of(scene.platform)
     for operation in operations_in(scene.matrix.document):
         is_changing = operation[0] not in SAFE and scene.matrix.table[operation][caller] < 400
-        cast, world = scene.fresh() if is_changing and caller in SUCCEEDING else (scene.cast, scene.world)
+        is_alone = is_changing and (caller in SUCCEEDING or operation in ENDING_WHAT_ASKS)
+        cast, world = scene.fresh() if is_alone else (scene.cast, scene.world)
         found += scene.matrix.findings(caller, cast, world, operation)
         cells += 1
     assert "\n".join(found) == ""

@@ -80,14 +80,14 @@ def test_an_administrators_token_for_reading_does_not_administrate(api: httpx.Cl
 def test_a_token_loses_what_its_user_loses(api: httpx.Client, platform: Platform, administrator: Person) -> None:
     with platform.database.transaction() as session:
         session.execute(update(User).where(User.id == administrator.user_id).values(role="participant"))
-    assert api.get(ME, headers=administrator.headers).json()["scopes"] == ["read", "submit"]
+    assert api.get(ME, headers=administrator.headers).json()["scopes"] == ["account", "read", "submit"]
     assert api.get("/api/v1/users", headers=administrator.headers).status_code == 403
 
 
 def test_a_token_says_who_calls(api_on: httpx.Client, platform_on: Platform) -> None:
     caller = person(platform_on, "curator")
     me = api_on.get(ME, headers=caller.headers).json()
-    assert (me["name"], me["role"], me["scopes"]) == (caller.name, "curator", ["read", "submit", "upload"])
+    assert (me["name"], me["role"], me["scopes"]) == (caller.name, "curator", ["account", "read", "submit", "upload"])
     assert (me["is_session"], me["csrf_token"]) == (False, None)
 
 

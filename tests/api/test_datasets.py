@@ -275,7 +275,9 @@ def test_a_version_has_a_plain_name(api: httpx.Client, administrator: Person, na
 def test_publishing_is_in_the_audit_log(api: httpx.Client, release: Release) -> None:
     log = api.get("/api/v1/admin/audit-log", headers=release.administrator.headers).json()["items"]
     (line,) = (line for line in log if line["act"] == "dataset.create")
-    assert line["facts"] == {"name": "stone-1.0", "manifest_sha256": release.shown["manifest_sha256"]}
+    warned = ["day_and_night", "every_environment"]
+    digest = release.shown["manifest_sha256"]
+    assert line["facts"] == {"name": "stone-1.0", "manifest_sha256": digest, "warnings": warned}
     assert line["reason"] == "release"
 
 

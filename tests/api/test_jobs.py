@@ -321,7 +321,7 @@ def test_workers_are_told_by_the_database_when_the_broker_is_away(
         workers = api.get(f"{ADMIN}/workers")
         assert workers.elapsed.total_seconds() < 10
         body = workers.json()
-        assert (body["nodes"], body["is_broker_reachable"]) == ([], False)
+        assert body["is_broker_reachable"] is False
         assert [(one["job_id"], one["kind"], one["attempt"]) for one in body["running"]] == [
             (job_id, "ingest.speak", 1)
         ]
@@ -330,12 +330,12 @@ def test_workers_are_told_by_the_database_when_the_broker_is_away(
     platform.database.close()
 
 
-def test_bells_and_nodes_are_asked_of_a_real_broker(
+def test_bells_are_asked_of_a_real_broker(
     tmp_path: Any, settings: Any, bells: list[tuple[str, int]], redis_url: str
 ) -> None:
     platform = opened(make_settings(tmp_path, broker=BrokerSettings(url=redis_url)), bells)
     with client_of(platform, person(platform, "administrator")) as api:
         body = api.get(f"{ADMIN}/workers").json()
-        assert (body["nodes"], body["is_broker_reachable"]) == ([], True)
+        assert body["is_broker_reachable"] is True
         assert [type(queue["bells"]) for queue in api.get(f"{ADMIN}/queues").json()] == [int, int, int]
     platform.database.close()

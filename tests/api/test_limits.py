@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from api.errors import RateLimitedError
 from api.middleware import limits
 from api.middleware.limits import Buckets, RequestLimits, address_of, credential_of
+from services.runtime.access.login_throttle import SignInTry
 from services.runtime.platform import Platform
 from services.runtime.settings import ApiSettings, Settings
 from testing.api.serving import Person, client_of
@@ -122,14 +123,14 @@ def test_a_known_caller_is_counted_apart_from_their_address_and_over_all_their_t
 def test_sign_ins_are_counted_by_address_and_by_name() -> None:
     limiting = RequestLimits(strict(sign_ins_per_minute=2), Clock())
     for _ in range(2):
-        limiting.admit_sign_in(request(), "ada")
+        limiting.admit_sign_in(request(), SignInTry("ada", ""))
     with pytest.raises(RateLimitedError):
-        limiting.admit_sign_in(request(), "eve")
+        limiting.admit_sign_in(request(), SignInTry("eve", ""))
     for number in range(4):
-        limiting.admit_sign_in(request(f"10.0.1.{number}"), "ada")
+        limiting.admit_sign_in(request(f"10.0.1.{number}"), SignInTry("ada", ""))
     with pytest.raises(RateLimitedError, match="more than 6 a minute"):
-        limiting.admit_sign_in(request("10.0.2.1"), "ada")
-    limiting.admit_sign_in(request("10.0.2.1"), "bob")
+        limiting.admit_sign_in(request("10.0.2.1"), SignInTry("ada", ""))
+    limiting.admit_sign_in(request("10.0.2.1"), SignInTry("bob", ""))
 
 
 def test_a_secret_is_not_kept_in_memory() -> None:

@@ -101,7 +101,7 @@ def test_a_signed_in_browser_has_its_users_role_and_a_cookie_scripts_cannot_read
     assert answer.headers["cache-control"] == "no-store"
     me = api.get(ME).json()
     assert (me["name"], me["role"], me["is_session"]) == ("ada", "curator", True)
-    assert me["scopes"] == ["read", "submit", "upload"]
+    assert me["scopes"] == ["account", "read", "submit", "upload"]
     assert me["csrf_token"] == answer.json()["csrf_token"]
 
 
@@ -177,6 +177,7 @@ def test_wrong_passwords_make_the_next_wait_whoever_asks_and_from_any_process(
     platform: Platform, ada: dict[str, str], browser: httpx.Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(login_throttle, "pause_s", lambda kind, failures: 600 * (kind == "name" and failures >= 2))
+    monkeypatch.setattr("api.routes.sessions.address_of", lambda _: "address 10.9.9.9")  # where nobody signed in
     wrong = {**ada, "password": "wrong password"}
     assert [browser.post(SESSIONS, json=wrong).status_code for _ in range(2)] == [401, 401]
     with client_of(platform) as other:
@@ -184,6 +185,27 @@ def test_wrong_passwords_make_the_next_wait_whoever_asks_and_from_any_process(
     assert (refused.status_code, refused.json()["code"]) == (429, "guessed_too_often")
     assert 500 < int(refused.headers["retry-after"]) <= 600
     assert browser.get(ME).status_code == 200, "who is in stays in"
+
+
+def test_others_wrong_passwords_shut_nobody_out_where_they_signed_in_before(
+    platform: Platform, ada: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ada's own place is 10.0.0.1; a crowd elsewhere fills every count of her name, in the database and in memory."""
+    monkeypatch.setattr("api.main.RequestLimits", lambda settings: RequestLimits(settings, lambda: 0.0))
+    place = ["10.0.0.1"]
+    for module in ("api.routes.sessions", "api.middleware.limits"):
+        monkeypatch.setattr(f"{module}.address_of", lambda _: f"address {place[0]}")
+    wrong = {**ada, "password": "wrong password"}
+    with client_of(platform) as api:
+        assert api.post(SESSIONS, json=ada).status_code == 201
+        codes = []
+        for number in range(40):
+            place[0] = f"10.1.0.{number}"
+            codes.append(api.post(SESSIONS, json=wrong).json()["code"])
+        assert set(codes) == {"wrong_password", "guessed_too_often", "rate_limited"}
+        assert api.post(SESSIONS, json=ada).status_code == 429, "where she never was she waits as they do"
+        place[0] = "10.0.0.1"
+        assert api.post(SESSIONS, json=ada).status_code == 201
 
 
 def test_a_browser_that_nobody_uses_is_signed_out(platform: Platform, browser: httpx.Client) -> None:

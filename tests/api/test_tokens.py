@@ -21,7 +21,7 @@ TOKENS = "/api/v1/tokens"
         {"name": "x", "expires_s": 0},
         {"name": "x", "expires_s": 1e12},
         {"name": "x", "role": "administrator"},
-        {"name": "x", "scopes": ["read"] * 5},
+        {"name": "x", "scopes": ["read"] * 6},
     ],
 )
 def test_a_token_that_cannot_be_is_422(api: httpx.Client, curator: Person, body: dict[str, object]) -> None:
@@ -34,7 +34,7 @@ def test_nobody_issues_or_reads_tokens(api: httpx.Client) -> None:
 
 
 def test_a_token_grants_no_scope_its_maker_does_not_hold(api: httpx.Client, platform: Platform) -> None:
-    narrow = person(platform, "administrator", scopes=["read", "submit"])
+    narrow = person(platform, "administrator", scopes=["read", "submit", "account"])
     for scope in ("upload", "admin"):
         answer = api.post(TOKENS, json={"name": "x", "scopes": ["read", scope]}, headers=narrow.headers)
         assert answer.status_code == 403

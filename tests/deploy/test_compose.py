@@ -6,13 +6,15 @@ import shutil
 import subprocess
 import sys
 from dataclasses import fields, is_dataclass
+from ipaddress import ip_network
 from pathlib import Path
 from typing import Any
 
 import pytest
 from ruamel.yaml import YAML
 
-from services.runtime.settings import Settings
+from services.runtime.settings import ApiSettings, Settings
+from tests.services.runtime.processes.test_trusted_proxies import client_seen
 
 ROOT = Path(__file__).resolve().parents[2]
 COMPOSE: dict[str, Any] = YAML(typ="safe").load((ROOT / "docker-compose.yml").read_text("utf-8"))
@@ -137,3 +139,17 @@ def test_secrets_are_made_once_and_are_long(tmp_path: Path) -> None:
 def _secrets_after(script: Path) -> dict[str, str]:
     subprocess.run([script], check=True, capture_output=True, env={"PATH": os.environ["PATH"]})
     return {path.name: path.read_text() for path in (script.parent / "secrets").iterdir()}
+
+
+def test_who_asks_is_told_by_the_proxy_and_cannot_be_forged() -> None:
+    """The proxy is the one in its network whose word is believed; with "*" a client's own header would be."""
+    subnet = COMPOSE["networks"]["edge"]["ipam"]["config"][0]["subnet"]
+    told = SERVICES["api"]["environment"]
+    assert "FORWARDED_ALLOW_IPS" not in told
+    assert subnet in told["STONE_API__TRUSTED_PROXIES"]
+    own = re.search(r":-([0-9./]+)\}", subnet)
+    assert own is not None
+    peer = str(next(ip_network(own[1]).hosts()))
+    settings = Settings(api=ApiSettings(trusted_proxies=own[1]))
+    assert client_seen(settings, peer, ["6.6.6.6, 203.0.113.9"]) == "203.0.113.9"
+    assert {name for name, service in SERVICES.items() if "edge" in service["networks"]} == {"proxy", "api"}

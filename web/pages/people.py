@@ -32,6 +32,7 @@ ALLOWS = {
     "submit": "submit to benchmarks",
     "upload": "upload and process",
     "admin": "administrate",
+    "account": "issue and revoke tokens, sign browsers out",
 }
 Part = Annotated[str, Query(pattern=PLAIN, max_length=64)]
 Cursor = Annotated[str | None, Query(max_length=LONGEST_CURSOR)]

@@ -16,7 +16,7 @@ from api.views.splits import splits_answer
 from api.visible import sequences_of
 from services.domain.datasets.catalogue import entries_of, labelled_sequences
 from services.domain.datasets.splits import current_splits, judged
-from stone.splits.splits import LENGTH, LIGHT, PARTS, REGIONS, SEPARATED_PLACES, SHORTEST_S, UNSAID, WHOLE
+from stone.splits.splits import EXPOSED, LENGTH, LIGHT, PARTS, REGIONS, SEPARATED_PLACES, SHORTEST_S, UNSAID, WHOLE
 from stone.splits.surroundings import ENVIRONMENTS, HALVES
 from web.rendering import page
 
@@ -28,6 +28,7 @@ RULES = {
     LIGHT: "Day and night",
     SEPARATED_PLACES: "Every environment",
     UNSAID: "Everything said",
+    EXPOSED: "Test unseen",
 }
 
 

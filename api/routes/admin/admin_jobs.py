@@ -33,7 +33,6 @@ from api.views.queues import pending_wake_ups_of, queue_items, running_items, wo
 from api.visible import job_of
 from services.runtime.jobs import control
 from services.runtime.jobs.broker_app import QUEUES
-from services.runtime.jobs.worker_list import BrokerAwayError, node_calls
 from services.runtime.orm import Job, User
 
 router = APIRouter(prefix="/admin", tags=["administration"])
@@ -157,11 +156,8 @@ def switch_queue(
 
 @router.get("/workers", responses=refusals(403))
 def list_workers(_caller: Administrator, platform: PlatformDep) -> WorkersAnswer:
-    """Who works and what runs now, by the database; who answers a call, by the broker, if that answers."""
+    """Who works and what runs now, by the database, and whether the broker answers."""
+    is_reachable = all(count is not None for count in pending_wake_ups_of(platform).values())
     with platform.database.reading() as session:
         workers, running = worker_items(session, platform.settings), running_items(session)
-    try:
-        nodes, is_reachable = node_calls(platform.settings)(), True
-    except BrokerAwayError:
-        nodes, is_reachable = [], False
-    return WorkersAnswer(workers=workers, running=running, nodes=nodes, is_broker_reachable=is_reachable)
+    return WorkersAnswer(workers=workers, running=running, is_broker_reachable=is_reachable)

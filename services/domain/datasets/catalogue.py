@@ -5,11 +5,12 @@ fixed number of statements.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from sqlalchemy import Select, func, select
 from sqlalchemy.orm import Session, aliased
 
+from services.domain.datasets.exposure import exposures
 from services.runtime.orm import LabelSet, Recording, SequenceRow
 from stone.splits.composition import CatalogueEntry, Voxels
 
@@ -35,9 +36,12 @@ def labelled_sequences(session: Session, among: Select[SequenceRow] | None = Non
     sequence = aliased(SequenceRow, sequences)
     found = select(sequence, counting).join(counting, counting.sequence_id == sequence.id).where(newest.c.place == 1)
     rows = session.execute(found.order_by(sequence.name, sequence.id)).all()
-    recordings = _recordings(session, [row.id for row, _ in rows])
+    recordings, exposed = _recordings(session, [row.id for row, _ in rows]), exposures(session)
     return tuple(
-        CatalogueSequence(row, labels, _entry(row, labels, recordings.get(row.id, ()))) for row, labels in rows
+        CatalogueSequence(
+            row, labels, replace(_entry(row, labels, recordings.get(row.id, ())), exposure=exposed.get(row.id, ""))
+        )
+        for row, labels in rows
     )
 
 

@@ -11,15 +11,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from services.domain.datasets.catalogue import CatalogueSequence, entries_of
+from services.domain.datasets.exposure import HIDDEN
 from services.domain.datasets.files import DatasetFile
 from services.domain.datasets.statistics import CLASSES, statistics_record
 from services.runtime.code_version import code_version
 from stone.splits.composition import CatalogueEntry
-from stone.splits.splits import PARTS
 from stone.splits.surroundings import DAYLIGHT, UNSAID
 
-HIDDEN = "test"
-OPEN = tuple(part for part in PARTS if part != HIDDEN)
 FORMAT = 1
 
 Members = Mapping[str, tuple[CatalogueSequence, ...]]

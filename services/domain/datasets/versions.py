@@ -5,7 +5,7 @@ or refuses. What a version is made of is held by foreign keys to blobs, test's l
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sqlalchemy import insert, select
@@ -14,8 +14,9 @@ from sqlalchemy.orm import Session
 
 from services.domain.datasets.catalogue import labelled_sequences
 from services.domain.datasets.errors import BrokenSplitsError, NoSplitsError, SplitsChangedError
+from services.domain.datasets.exposure import OPEN
 from services.domain.datasets.files import DatasetFile, files_of, packed, sums_file, sums_of
-from services.domain.datasets.manifest import OPEN, Members, NewDataset, manifest_bytes
+from services.domain.datasets.manifest import Members, NewDataset, manifest_bytes
 from services.domain.datasets.splits import CurrentSplits, current_splits, errors_of, judged, lock_splits
 from services.runtime.access.errors import NameTakenError
 from services.runtime.code_version import code_version
@@ -25,7 +26,7 @@ from services.runtime.platform import Platform
 from services.runtime.store.blobs import PreparedBlob, link_all, prepare
 from services.runtime.store.pack_reading import StoredFiles, archive_sha256
 from services.runtime.store.packs import PackedFiles, index_bytes
-from stone.splits.splits import PARTS
+from stone.splits.splits import PARTS, RuleFinding
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +50,7 @@ class PreparedDataset:
     members: Members
     manifest: PreparedBlob
     parts: Mapping[str, PreparedPart]
+    warnings: tuple[RuleFinding, ...] = ()
 
 
 def prepare_dataset(platform: Platform, asked: NewDataset, folder: Path) -> PreparedDataset:
@@ -59,8 +61,8 @@ def prepare_dataset(platform: Platform, asked: NewDataset, folder: Path) -> Prep
     with platform.database.reading() as session:
         if session.scalar(select(Dataset.id).where(Dataset.name == asked.name)) is not None:
             raise NameTakenError("dataset version", asked.name)
-        current, members = members_now(session)
-    return assembled(platform, asked, folder, (current.revision, members))
+        current, members, warnings = members_now(session)
+    return replace(assembled(platform, asked, folder, (current.revision, members)), warnings=warnings)
 
 
 def assembled(platform: Platform, asked: NewDataset, folder: Path, found: tuple[int, Members]) -> PreparedDataset:
@@ -103,16 +105,21 @@ def write_dataset(session: Session, prepared: PreparedDataset) -> Dataset:
     return dataset
 
 
-def members_now(session: Session) -> tuple[CurrentSplits, Members]:
-    """The splits as they stand, with the sequences of each part. Raises `NoSplitsError`, `BrokenSplitsError`."""
+def members_now(session: Session) -> tuple[CurrentSplits, Members, tuple[RuleFinding, ...]]:
+    """The splits as they stand, the sequences of each part, and what the rules warn of.
+
+    Raises `NoSplitsError`, `BrokenSplitsError`.
+    """
     current = current_splits(session)
     if not current.split.filled:
         raise NoSplitsError()
     labelled = labelled_sequences(session)
-    if broken := errors_of(judged(current.split, labelled)):
+    findings = judged(current.split, labelled)
+    if broken := errors_of(findings):
         raise BrokenSplitsError([finding.message for finding in broken])
     parts = current.split.parts
-    return current, {part: tuple(one for one in labelled if one.entry.id in parts[part]) for part in PARTS}
+    members: Members = {part: tuple(one for one in labelled if one.entry.id in parts[part]) for part in PARTS}
+    return current, members, findings
 
 
 def _prepared_part(platform: Platform, folder: Path, part: str, files: tuple[DatasetFile, ...]) -> PreparedPart:

@@ -1,4 +1,4 @@
-"""Deletes expired sessions, tokens and invitations, failed sign-in counts, and stored idempotent replies.
+"""Deletes expired sessions, tokens and invitations, failed sign-in counts, old addresses and idempotent replies.
 
 **Conventions.** Done by the sweeper. What ended is refused from its last second on, whether its row is gone or not. A
 token stays listed for `TOKENS_SHOWN_NS` after its end, so that its owner sees why a program is refused.
@@ -6,8 +6,8 @@ token stays listed for `TOKENS_SHOWN_NS` after its end, so that its owner sees w
 
 from sqlalchemy import delete, or_
 
-from services.runtime.access.login_throttle import FORGOTTEN_NS
-from services.runtime.orm import FailedSignInRow, IdempotentReply, TeamInvitation, Token, WebSession
+from services.runtime.access.login_throttle import ADDRESSES_KEPT_NS, FORGOTTEN_NS
+from services.runtime.orm import FailedSignInRow, IdempotentReply, SignInAddress, TeamInvitation, Token, WebSession
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 
@@ -24,6 +24,7 @@ def forget_ended(platform: Platform) -> int:
         delete(Token).where(Token.expires_ns <= now - TOKENS_SHOWN_NS),
         delete(TeamInvitation).where(TeamInvitation.expires_ns <= now - INVITATIONS_SHOWN_NS),
         delete(FailedSignInRow).where(FailedSignInRow.failed_ns <= now - FORGOTTEN_NS),
+        delete(SignInAddress).where(SignInAddress.used_ns <= now - ADDRESSES_KEPT_NS),
         delete(IdempotentReply).where(IdempotentReply.created_ns <= now - REPLIES_KEPT_NS),
     )
     with platform.database.transaction() as session:

@@ -1,20 +1,23 @@
 """Roles and the scopes they allow.
 
 **Conventions.** Roles are ordered: whatever a participant may, a curator may; whatever a curator may, an administrator.
+The scope `account` is to change one's own credentials: tokens, browsers, the password. Every role allows it, and a
+token has it only where it was asked for.
 """
 
 from collections.abc import Iterable
 from typing import Literal
 
 Role = Literal["participant", "curator", "administrator"]
-Scope = Literal["read", "upload", "submit", "admin"]
+Scope = Literal["read", "upload", "submit", "admin", "account"]
 
 ROLES: tuple[Role, ...] = ("participant", "curator", "administrator")
-SCOPES: tuple[Scope, ...] = ("read", "upload", "submit", "admin")
+SCOPES: tuple[Scope, ...] = ("read", "upload", "submit", "admin", "account")
+ACCOUNT: Scope = "account"
 SCOPES_OF: dict[str, frozenset[str]] = {
-    "participant": frozenset({"read", "submit"}),
-    "curator": frozenset({"read", "submit", "upload"}),
-    "administrator": frozenset({"read", "submit", "upload", "admin"}),
+    "participant": frozenset({"read", "submit", ACCOUNT}),
+    "curator": frozenset({"read", "submit", "upload", ACCOUNT}),
+    "administrator": frozenset({"read", "submit", "upload", "admin", ACCOUNT}),
 }
 
 

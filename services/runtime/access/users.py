@@ -6,13 +6,14 @@ a path or for another name in capitals. A user is never deleted, only made inact
 
 import re
 
-from sqlalchemy import func, select
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from services.runtime.access.errors import BadNameError, LastAdministratorError, NameTakenError, UnknownRoleError
+from services.runtime.access.login_throttle import forget_addresses
 from services.runtime.access.passwords import hash_password
 from services.runtime.access.roles import ROLES
-from services.runtime.orm import Token, User, WebSession
+from services.runtime.orm import User, WebSession
 
 NAME = re.compile(r"[a-z0-9._@+-]{1,64}")
 
@@ -52,15 +53,13 @@ def change_user(session: Session, user: User, role: str | None, is_active: bool 
 
 
 def change_password(session: Session, user: User, password_hash: str) -> None:
-    """Set the hash of a new password; every browser that was signed in with the old one is signed out."""
+    """Set the hash of a new password; every browser that was signed in with the old one is signed out, and no address
+    is known for the user any more."""
     user.password_hash = password_hash
+    forget_addresses(session, user.id)
     for row in session.scalars(select(WebSession).where(WebSession.user_id == user.id)).all():
         session.delete(row)
     session.flush()
-
-
-def token_count(session: Session, user_id: str) -> int:
-    return session.scalar(select(func.count()).select_from(Token).where(Token.user_id == user_id)) or 0
 
 
 def _others(session: Session, user: User) -> list[User]:

@@ -18,7 +18,8 @@ from services.runtime.settings import Settings
 
 def main(descriptor: int, replies_s: int) -> None:
     """Answer until SIGTERM, with pages unless the settings say otherwise; then replies may take `replies_s` more."""
-    config = uvicorn.Config(application(Settings()), **options(replies_s))
+    settings = Settings()
+    config = uvicorn.Config(application(settings), **options(settings, replies_s))
     uvicorn.Server(config).run(sockets=[socket.socket(fileno=descriptor)])
 
 

@@ -17,7 +17,16 @@ from services.runtime.orm.exports import Export, ExportPack
 from services.runtime.orm.gc_holds import GcHoldRow
 from services.runtime.orm.jobs import Job, JobAttempt, JobLine, JobNeed, Queue, Worker
 from services.runtime.orm.ledgers import AuditAnchor, AuditEntry, IdempotentReply, QuotaEntry
-from services.runtime.orm.people import FailedSignInRow, Team, TeamInvitation, TeamMember, Token, User, WebSession
+from services.runtime.orm.people import (
+    FailedSignInRow,
+    SignInAddress,
+    Team,
+    TeamInvitation,
+    TeamMember,
+    Token,
+    User,
+    WebSession,
+)
 from services.runtime.orm.recordings import Preview, Recording, RecordingFile
 from services.runtime.orm.sequences import CalibrationRow, ProfileRow, SequenceRow, Upload
 from services.runtime.orm.submissions import Alarm, PhaseTeam, Score, ScorePart, ScoringEntry, SubmissionRow
@@ -70,6 +79,7 @@ __all__ = [
     "ScorePart",
     "ScoringEntry",
     "SequenceRow",
+    "SignInAddress",
     "SplitMember",
     "Splits",
     "SubmissionRow",

@@ -19,7 +19,10 @@ class User(Base):
 
 
 class Token(Base):
-    """`scopes` lists read, upload, submit, admin; `secret_hash` is the sha256 of 32 random bytes in base64url."""
+    """`scopes` lists read, upload, submit, admin, account; `secret_hash` is the sha256 of 32 random bytes in base64url.
+
+    `parent_id` is the token that made it, with which it ends; null where a browser, or the platform itself, did.
+    """
 
     __tablename__ = "tokens"
     id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
@@ -30,6 +33,7 @@ class Token(Base):
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
     expires_ns: Mapped[Ns]
     used_ns: Mapped[Ns | None]
+    parent_id: Mapped[Id | None] = mapped_column(ForeignKey("tokens.id", ondelete="CASCADE"), index=True)
     user: Mapped[User] = relationship(lazy="joined")
 
 
@@ -58,6 +62,15 @@ class FailedSignInRow(Base):
     failures: Mapped[int] = mapped_column(default=0)
     failed_ns: Mapped[Ns] = mapped_column(index=True)
     blocked_until_ns: Mapped[Ns] = mapped_column(default=0)
+
+
+class SignInAddress(Base):
+    """An address from which a user signed in; `key` is the sha256 of name and address."""
+
+    __tablename__ = "sign_in_addresses"
+    key: Mapped[str] = mapped_column(String(64), primary_key=True)
+    user_id: Mapped[Id] = mapped_column(ForeignKey("users.id", ondelete="CASCADE"), index=True)
+    used_ns: Mapped[Ns] = mapped_column(default=now_ns)
 
 
 class Team(Base):

@@ -3,7 +3,7 @@
 from typing import Any
 
 from sqlalchemy import JSON, ForeignKey, Index, String, false, text
-from sqlalchemy.orm import Mapped, mapped_column
+from sqlalchemy.orm import Mapped, mapped_column, validates
 
 from services.runtime.orm.base import Base, Bytes, Id, Ns, new_id, now_ns
 from services.runtime.telemetry.origins import origin_trace
@@ -50,7 +50,8 @@ class ProfileRow(Base):
 class SequenceRow(Base):
     """One continuous run of the robot. `revision` counts changes (ETag); deleted: the row stays.
 
-    What is made of a public one may be looked at by anybody, signed in or not.
+    What is made of a public one may be looked at by anybody, signed in or not. `published_ns` is when it first was
+    public, and stays when it is not any more: whoever fetched its labels has them.
     """
 
     __tablename__ = "sequences"
@@ -63,6 +64,7 @@ class SequenceRow(Base):
     platform: Mapped[str] = mapped_column(String(64), default="")
     calibration_id: Mapped[Id | None] = mapped_column(ForeignKey("calibrations.id"))
     is_public: Mapped[bool] = mapped_column(default=False, server_default=false())
+    published_ns: Mapped[Ns | None]
     revision: Mapped[int] = mapped_column(default=1)
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
     deleted_ns: Mapped[Ns | None]
@@ -80,6 +82,13 @@ class SequenceRow(Base):
         Index("ix_sequences_public", "id", sqlite_where=text("is_public = 1"), postgresql_where=text("is_public")),
         *(Index(f"ix_sequences_{name}", name, "id") for name in ("environment", "illumination", "region", "platform")),
     )
+
+    @validates("is_public")
+    def _remember(self, _key: str, is_public: bool) -> bool:
+        """Whoever makes it public, and however: when it first was is kept."""
+        if is_public and self.published_ns is None:
+            self.published_ns = now_ns()
+        return is_public
 
 
 class Upload(Base):

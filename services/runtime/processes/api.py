@@ -1,7 +1,7 @@
 """The API's process in a deployment: `python -m services.runtime.processes.api`.
 
 **Conventions.** It listens on `STONE_API__HOST` and `STONE_API__PORT`. Whose word about the client's address is
-believed is uvicorn's `FORWARDED_ALLOW_IPS`, how many processes answer its `WEB_CONCURRENCY`. SIGTERM: no more
+believed says `STONE_API__TRUSTED_PROXIES`, how many processes answer uvicorn's `WEB_CONCURRENCY`. SIGTERM: no more
 connections; replies may take `REPLIES_S`, then they are cut, uploads at a byte that is known.
 """
 
@@ -26,12 +26,17 @@ def application(settings: Settings) -> str:
     return SITE if settings.api.pages else API
 
 
-def options(replies_s: int) -> dict[str, Any]:
-    """Options of uvicorn, wherever it listens."""
+def options(settings: Settings, replies_s: int) -> dict[str, Any]:
+    """Options of uvicorn, wherever it listens.
+
+    Its own `X-Forwarded-For` is right with addresses and networks named, and takes the left-most one with "*", which
+    the settings refuse (`tests/services/runtime/processes/test_trusted_proxies.py`).
+    """
     return {
         "factory": True,
         "loop": "uvloop",
         "http": PROTOCOL,
+        "forwarded_allow_ips": settings.api.proxies,
         "timeout_graceful_shutdown": replies_s,
         "server_header": False,
         "access_log": False,
@@ -49,7 +54,7 @@ def main() -> None:
         host=settings.api.host,
         port=settings.api.port,
         log_config=None,
-        **options(REPLIES_S),
+        **options(settings, REPLIES_S),
     )
 
 

@@ -27,11 +27,12 @@ GET    /api/v1/problems/{code}                                200  200  200   20
 POST   /api/v1/sessions                                       401  201  201   201   201  201 201  201  401  201 201
 GET    /api/v1/sessions                                       401  200  200   200   200  200 403  401  401  200 200
 DELETE /api/v1/sessions/others                                401  204  204   204   204  204 403  401  401  204 403
-DELETE /api/v1/sessions/current                               401  409  409   409   409  409 403  401  401  204 403
+DELETE /api/v1/sessions/current                               401  409  409   409   409  409 409  401  401  204 403
 GET    /api/v1/me                                             401  200  200   200   200  200 403  401  401  200 200
 PUT    /api/v1/me/password                                    401  204  204   204   204  204 403  401  401  204 403
 POST   /api/v1/tokens                                         401  403  201   201   201  201 403  401  401  201 403
 GET    /api/v1/tokens                                         401  200  200   200   200  200 403  401  401  200 200
+DELETE /api/v1/tokens/current                                 401  204  204   204   204  204 204  401  401  409 403
 DELETE /api/v1/tokens/{token_id}                              401  404  204   404   404  404 403  401  401  204 403
 POST   /api/v1/users                                          401  403  403   403   201  403 403  401  401  403 403
 GET    /api/v1/users                                          401  403  403   403   200  403 403  401  401  403 403

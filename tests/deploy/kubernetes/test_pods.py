@@ -108,7 +108,7 @@ def test_every_setting_is_one_that_the_platform_knows(manifests: Sequence[Manife
     for role, container in ours(manifests):
         for name in environment(container):
             if not name.startswith("STONE_"):
-                assert name.startswith("OTEL_") or (role, name) == ("api", "FORWARDED_ALLOW_IPS"), (role, name)
+                assert name.startswith("OTEL_"), (role, name)
                 continue
             group, _, one = name.removeprefix("STONE_").lower().partition("__")
             if not one:

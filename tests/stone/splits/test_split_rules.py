@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from stone.splits.composition import CatalogueEntry
 from stone.splits.rules import (
+    check_exposed,
     check_length,
     check_light,
     check_places,
@@ -17,7 +18,18 @@ from stone.splits.rules import (
     check_split,
     check_whole,
 )
-from stone.splits.splits import LENGTH, LIGHT, REGIONS, SEPARATED_PLACES, SIZES, UNSAID, WHOLE, RuleFinding, Split
+from stone.splits.splits import (
+    EXPOSED,
+    LENGTH,
+    LIGHT,
+    REGIONS,
+    SEPARATED_PLACES,
+    SIZES,
+    UNSAID,
+    WHOLE,
+    RuleFinding,
+    Split,
+)
 from stone.splits.surroundings import DAYLIGHT, ENVIRONMENTS
 from tests.stone.catalogues import catalogue, entry
 
@@ -65,6 +77,13 @@ def test_one_sequence_twice_is_found_even_within_one_split(same: dict[str, objec
     finding = only(check_whole(split_of((a, b)), (a, b)))
     assert (finding.code, finding.sequences) == (WHOLE, (a.id, b.id))
     assert why in finding.message
+
+
+def test_labels_that_anybody_may_have_are_told_of_in_test_and_nowhere_else() -> None:
+    a, b, c = (entry(number, exposure="it is public") for number in (1, 2, 3))
+    finding = only(check_exposed(split_of((a,), (b,), (c, entry(4))), (a, b, c, entry(4))))
+    assert (finding.code, finding.severity, finding.sequences) == (EXPOSED, "warning", (c.id,))
+    assert finding.message == f"{c.name} is in test and anybody may have its labels: it is public"
 
 
 def test_twins_of_which_one_is_left_out_are_not_found() -> None:

@@ -5,6 +5,9 @@
 
 {{/* Settings stand in the pod itself and in no ConfigMap: a changed one starts the pods anew, a rollback takes it back. */}}
 {{- define "stone.environment" -}}
+{{- if and .root.Values.ingress.enabled (not .root.Values.settings.api.trusted_proxies) }}
+{{- fail "settings.api.trusted_proxies is empty: name the addresses of the ingress controller's pods (CIDR), else all users share one rate" }}
+{{- end }}
 - name: STONE_DATA_FOLDER
   value: /data
 {{- range $group, $names := .root.Values.settings }}
@@ -16,10 +19,6 @@
 {{- if .root.Values.redis.enabled }}
 - name: STONE_BROKER__URL
   value: {{ printf "redis://%s:6379/0" (include "stone.name" (dict "root" .root "role" "redis")) }}
-{{- end }}
-{{- if eq .role "api" }}
-- name: FORWARDED_ALLOW_IPS # the network policy lets nobody in but who forwards, and that one says truly who asks
-  value: "*"
 {{- end }}
 {{- with .processes }}
 - name: STONE_WORKERS

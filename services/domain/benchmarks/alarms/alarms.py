@@ -1,7 +1,8 @@
 """Alarms for administrators: equal predictions of several teams, and probing by near-identical submissions.
 
 **Conventions.** An alarm is about its subject: the later of two submissions, or a team's day; it is raised once, in
-whatever order and however often they are scored. Withdrawn and hidden entries count, baselines do not.
+whatever order and however often they are scored. Withdrawn and hidden entries count; baselines where the truth is
+hidden, of which probing by them would tell as much, and nowhere else.
 """
 
 from typing import Any
@@ -11,8 +12,10 @@ from sqlalchemy.orm import Session, aliased
 
 from services.domain.benchmarks.alarms.similarity import AlarmLimits, ScoredEntry, flat_cells, suspicions
 from services.domain.benchmarks.rescores.errors import AlarmDismissedError, AlarmMissingError
+from services.domain.benchmarks.submissions.scoring_quota import is_charged
+from services.domain.benchmarks.visibility import ON_BOARDS
 from services.runtime.database.inserts import insert_new
-from services.runtime.orm import Alarm, Score, SubmissionRow, Team
+from services.runtime.orm import Alarm, Phase, Score, SubmissionRow, Team
 from services.runtime.orm.base import new_id, now_ns
 
 DEFAULTS = AlarmLimits()
@@ -26,18 +29,21 @@ def raise_alarms(session: Session, score: Score, limits: AlarmLimits = DEFAULTS)
     """
     session.flush()
     own = session.get_one(SubmissionRow, score.submission_id)
-    if own.kind != "entry":
+    phase = session.get_one(Phase, own.phase_id)
+    if not is_charged(phase, own.kind):
         return
     _take_turns(session, own.phase_id)
     if _is_known(session, score):
         return
-    mine = _scored(session, _entries(score).where(SubmissionRow.id == own.id), 1)[0]
-    others = [one for one in _seen(session, score, own.team_id, limits) if one.submission_id != own.id]
+    entries = _entries(score, ON_BOARDS if phase.is_hidden else ("entry",))
+    mine = _scored(session, entries.where(SubmissionRow.id == own.id), 1)[0]
+    found = _seen(session, entries, score, own.team_id, limits)
+    others = [one for one in found if one.submission_id != own.id]
     of_team = [one for one in others if one.team_id == own.team_id]
     foreign = [one for one in others if one.team_id != own.team_id]
-    found = suspicions(mine, of_team, foreign, limits)
     raised = {"phase_id": own.phase_id, "created_ns": now_ns()}
-    insert_new(session, Alarm, [{"id": new_id(), **raised, **vars(one)} for one in found])
+    about = suspicions(mine, of_team, foreign, limits)
+    insert_new(session, Alarm, [{"id": new_id(), **raised, **vars(one)} for one in about])
 
 
 def open_alarms(phase_id: str) -> Select[Alarm]:
@@ -69,8 +75,8 @@ def _is_known(session: Session, score: Score) -> bool:
     return session.scalar(same.where(Score.id != score.id).limit(1)) is not None
 
 
-def _entries(score: Score) -> Select[Any]:
-    """Entries with a score against this ground truth, one row each, newest first."""
+def _entries(score: Score, kinds: tuple[str, ...]) -> Select[Any]:
+    """Submissions of these kinds with a score against this ground truth, one row each, newest first."""
     other = aliased(Score)
     first = (
         select(other.id)
@@ -84,14 +90,14 @@ def _entries(score: Score) -> Select[Any]:
         select(*columns, Score.content_sha256, Score.record["cells"])
         .join(Score, Score.submission_id == SubmissionRow.id)
         .join(Team, Team.id == SubmissionRow.team_id)
-        .where(Score.id == first, SubmissionRow.kind == "entry")
+        .where(Score.id == first, SubmissionRow.kind.in_(kinds))
         .order_by(SubmissionRow.id.desc())
     )
 
 
-def _seen(session: Session, score: Score, team_id: str, limits: AlarmLimits) -> list[ScoredEntry]:
+def _seen(session: Session, entries: Select[Any], score: Score, team_id: str, limits: AlarmLimits) -> list[ScoredEntry]:
     """The last entries of the team and of others, and any others with equal content, each once."""
-    entries, foreign = _entries(score), SubmissionRow.team_id != team_id
+    foreign = SubmissionRow.team_id != team_id
     queries = (
         entries.where(SubmissionRow.team_id == team_id),
         entries.where(foreign),

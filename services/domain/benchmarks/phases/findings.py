@@ -1,7 +1,7 @@
 """Warnings about a phase whose hidden labels are visible elsewhere.
 
-**Conventions.** A sequence's labels are public once a version has it in train or val, and stay so; they are hidden
-while a version has it in test. One sequence may be both, in two versions.
+**Conventions.** A sequence's labels are public once a version has it in train or val or its owner showed it to
+everybody, and stay so; they are hidden while a version has it in test. One sequence may be both, in two versions.
 """
 
 from collections.abc import Iterator
@@ -10,7 +10,7 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.phases.phases import HIDDEN_PART
-from services.runtime.orm import DatasetMember, Phase
+from services.runtime.orm import DatasetMember, Phase, SequenceRow
 from stone.findings import Finding
 
 
@@ -29,6 +29,10 @@ def _findings(session: Session, phase: Phase) -> Iterator[Finding]:
             f"{public} of {total} sequence(s) are in train or val of a published version: anybody may have the labels"
         )
         yield Finding("labels_are_public", "warning", "", told)
+    shown = select(func.count()).select_from(SequenceRow).where(SequenceRow.published_ns.is_not(None))
+    if phase.is_hidden and (public := session.scalar(shown.where(SequenceRow.id.in_(own)))):
+        told = f"{public} of {total} sequence(s) are or were public by themselves: anybody may have fetched the labels"
+        yield Finding("labels_were_public", "warning", "", told)
     if not phase.is_hidden and (hidden := session.scalar(counted.where(DatasetMember.part == HIDDEN_PART))):
         told = f"{hidden} of {total} sequence(s) are in test of another version: this phase tells what that one hides"
         yield Finding("labels_are_hidden_elsewhere", "warning", "", told)

@@ -1,7 +1,9 @@
 """The scoring quota of teams: an append-only ledger whose sum is the balance.
 
 **Conventions.** A scoring is reserved when a submission is finalised (+1), then consumed by its score (0) or released
-(−1) by whatever else ends it. It counts in the window of the moment it was reserved, a released one never did. A grant
+(−1) by whatever else ends it, and retaken (+1) when its run is tried again. What counts is the balance of a submission,
+from the moment it was taken last; what was released never did. Entries cost one, and where the truth is hidden
+baselines too: a score tells of the truth whoever asks for it. A grant
 (negative, without a submission) raises the total for good, and what the window allows for one window's length. Each
 function is part of the caller's transaction; whoever takes locks the team's row, so that two at once cannot both take
 the last scoring. Locks are taken in one order everywhere: run, submission, upload, team.
@@ -37,6 +39,11 @@ class ScoringQuota:
     window_ns: int
 
 
+def is_charged(phase: Phase, kind: str) -> bool:
+    """Whether a submission of this kind costs a scoring."""
+    return kind == "entry" or (kind == "baseline" and phase.is_hidden)
+
+
 def reserve(session: Session, phase: Phase, team_id: str, submission_id: str) -> None:
     """Take a scoring for the submission. Raises `ScoringsExhaustedError`, and takes nothing then."""
     lock_team(session, team_id)
@@ -51,7 +58,7 @@ def reserve(session: Session, phase: Phase, team_id: str, submission_id: str) ->
 
 def consume(session: Session, submission_id: str) -> None:
     """Note that the scoring was used: what was reserved stays taken."""
-    for phase_id, team_id, _taken in _of_submission(session, submission_id):
+    for phase_id, team_id in _charged_to(session, submission_id):
         entry = ScoringEntry(phase_id=phase_id, team_id=team_id, submission_id=submission_id)
         _add(session, entry, 0, CONSUMED)
 
@@ -94,8 +101,8 @@ def scoring_quota(session: Session, phase: Phase, team_id: str, at_ns: int | Non
 
 def balance(session: Session, phase_id: str, team_id: str) -> int:
     """The sum of all entries: scorings used and under way, less what was granted."""
-    ours = (ScoringEntry.phase_id == phase_id, ScoringEntry.team_id == team_id)
-    return int(session.scalar(select(func.coalesce(func.sum(ScoringEntry.amount), 0)).where(*ours)) or 0)
+    total = select(func.coalesce(func.sum(ScoringEntry.amount), 0)).where(*_of_team(phase_id, team_id))
+    return int(session.scalar(total) or 0)
 
 
 def _first_free_ns(surplus: int, steps: Sequence[tuple[int, int]], at_ns: int) -> int | None:
@@ -110,52 +117,60 @@ def _first_free_ns(surplus: int, steps: Sequence[tuple[int, int]], at_ns: int) -
 
 
 def _taken_in_window(session: Session, phase: Phase, team_id: str, at_ns: int) -> Sequence[Row[int, int, int]]:
-    """Of each submission that holds a scoring of the window: since when, how many, and whether it is consumed.
+    """Of each submission that holds a scoring taken in the window: since when, how many, and whether it is consumed.
 
-    A release follows its reservation, so no reservation of the window is counted without it.
+    All entries of a submission count, whenever they were made: one that was reserved before the window, released and
+    retaken in it holds one.
     """
     is_consumed = func.max(case((ScoringEntry.reason == CONSUMED, 1), else_=0)).label("is_consumed")
     amount = func.sum(ScoringEntry.amount).label("amount")
-    since = func.min(ScoringEntry.created_ns).label("taken_ns")
-    held = select(since, amount, is_consumed).where(*_in_window(phase, team_id, at_ns))
+    since = func.max(case((ScoringEntry.amount > 0, ScoringEntry.created_ns))).label("taken_ns")
+    held = select(since, amount, is_consumed).where(*_of_team(phase.id, team_id))
     held = held.where(ScoringEntry.submission_id.is_not(None)).group_by(ScoringEntry.submission_id)
-    return session.execute(held.having(func.sum(ScoringEntry.amount) > 0)).all()
+    return session.execute(held.having(func.sum(ScoringEntry.amount) > 0, since > at_ns - phase.window_ns)).all()
 
 
 def _granted_in_window(session: Session, phase: Phase, team_id: str, at_ns: int) -> Sequence[Row[int, int]]:
     """The grants of the window, negative amounts."""
     granted = select(ScoringEntry.created_ns.label("taken_ns"), ScoringEntry.amount.label("amount"))
-    granted = granted.where(*_in_window(phase, team_id, at_ns), ScoringEntry.submission_id.is_(None))
-    return session.execute(granted).all()
+    granted = granted.where(*_of_team(phase.id, team_id), ScoringEntry.submission_id.is_(None))
+    return session.execute(granted.where(ScoringEntry.created_ns > at_ns - phase.window_ns)).all()
 
 
-def _in_window(phase: Phase, team_id: str, at_ns: int) -> tuple[ColumnElement[bool], ...]:
-    of_team = (ScoringEntry.phase_id == phase.id, ScoringEntry.team_id == team_id)
-    return (*of_team, ScoringEntry.created_ns > at_ns - phase.window_ns)
+def _of_team(phase_id: str, team_id: str) -> tuple[ColumnElement[bool], ...]:
+    return ScoringEntry.phase_id == phase_id, ScoringEntry.team_id == team_id
 
 
 def _settle_at(session: Session, submission_id: str, wanted: int, reason: str) -> int:
-    """Bring what the submission holds to `wanted`, where it ever held any; how many were given back."""
+    """Bring what the submission holds to `wanted`, where it ever held any; how many were given back.
+
+    The balance is read under the team's lock, so that of two at once the second finds it settled.
+    """
     given_back = 0
-    for phase_id, team_id, taken in _of_submission(session, submission_id):
+    for phase_id, team_id in _charged_to(session, submission_id):
+        lock_team(session, team_id)
+        taken = _held(session, submission_id)
         if taken == wanted:
             continue
-        lock_team(session, team_id)
         entry = ScoringEntry(phase_id=phase_id, team_id=team_id, submission_id=submission_id)
         _add(session, entry, wanted - taken, reason[:64])
         given_back += taken - wanted
     return given_back
 
 
-def _of_submission(session: Session, submission_id: str) -> Sequence[Row[str, str, int]]:
-    """(phase, team, taken) of a submission for which a scoring was ever reserved: one, or none."""
-    columns = (ScoringEntry.phase_id, ScoringEntry.team_id)
-    held = select(*columns, func.sum(ScoringEntry.amount)).where(ScoringEntry.submission_id == submission_id)
-    return session.execute(held.group_by(*columns)).all()
+def _charged_to(session: Session, submission_id: str) -> Sequence[Row[str, str]]:
+    """(phase, team) of a submission for which a scoring was ever reserved: one, or none."""
+    charged = select(ScoringEntry.phase_id, ScoringEntry.team_id).where(ScoringEntry.submission_id == submission_id)
+    return session.execute(charged.distinct()).all()
+
+
+def _held(session: Session, submission_id: str) -> int:
+    held = select(func.sum(ScoringEntry.amount)).where(ScoringEntry.submission_id == submission_id)
+    return int(session.scalar(held) or 0)
 
 
 def _add(session: Session, entry: ScoringEntry, amount: int, reason: str) -> ScoringEntry:
-    entry.amount, entry.reason = amount, reason
+    entry.amount, entry.reason, entry.created_ns = amount, reason, now_ns()
     session.add(entry)
     session.flush()
     return entry

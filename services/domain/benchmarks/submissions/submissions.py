@@ -120,7 +120,7 @@ def largest_bytes(frames: int) -> int:
 
 
 def finalise(session: Session, submission: SubmissionRow, upload_id: str) -> Job:
-    """Use up the draft's complete upload, take a scoring for an entry, and queue the run; all of it or nothing.
+    """Use up the draft's complete upload, take a scoring for what costs one, and queue the run; all of it or nothing.
 
     The team takes part in the phase from now on. Raises `SubmissionStateError`, `PhaseClosedError`,
     `NoGroundTruthError`, what `uploads.consume` raises, `HashMismatchError`, `AlreadyInTeamError`,
@@ -133,7 +133,7 @@ def finalise(session: Session, submission: SubmissionRow, upload_id: str) -> Job
     _scored_against(session, phase)
     upload = _consumed(session, submission, upload_id)
     enter(session, phase, submission.team_id)
-    if submission.kind == "entry":
+    if scoring_quota.is_charged(phase, submission.kind):
         scoring_quota.reserve(session, phase, submission.team_id, submission.id)
     elif submission.kind == "validation":
         lock_team(session, submission.team_id)

@@ -7,7 +7,10 @@ from dataclasses import dataclass
 from hashlib import sha256
 from typing import Any
 
+from sqlalchemy.orm import Session
+
 from services.domain.benchmarks.submissions import scoring_quota
+from services.domain.benchmarks.submissions.scoring_quota import ScoringQuota
 from services.domain.benchmarks.submissions.submissions import SubmissionDraft, create_draft, finalise
 from services.domain.benchmarks.teams import teams
 from services.runtime.orm import Phase, SubmissionRow, new_id
@@ -93,3 +96,32 @@ def taken(entrant: Entrant) -> int:
     """How many scorings the team holds."""
     with entrant.platform.database.reading() as session:
         return scoring_quota.balance(session, entrant.phase_id, entrant.team_id)
+
+
+def reserved(entrant: Entrant) -> str:
+    """The id of a draft for which a scoring is taken."""
+    submission_id = drafted(entrant)
+    with entrant.platform.database.transaction() as session:
+        scoring_quota.reserve(session, session.get_one(Phase, entrant.phase_id), entrant.team_id, submission_id)
+    return submission_id
+
+
+def standing(entrant: Entrant, at_ns: int | None = None) -> ScoringQuota:
+    with entrant.platform.database.reading() as session:
+        return scoring_quota.scoring_quota(session, session.get_one(Phase, entrant.phase_id), entrant.team_id, at_ns)
+
+
+def another_phase(session: Session, entrant: Entrant, per_window: int | None = None, total: int | None = None) -> Phase:
+    phase = Phase(benchmark_id=entrant.place.phase.benchmark_id, name=new_id(), part="val", is_hidden=False)
+    phase.scorings_per_window, phase.scorings_total, phase.dataset_id = per_window, total, entrant.place.dataset_id
+    session.add(phase)
+    session.flush()
+    return phase
+
+
+def a_submission(session: Session, phase: Phase, entrant: Entrant) -> str:
+    row = SubmissionRow(phase_id=phase.id, team_id=entrant.team_id, user_id=entrant.captain.user_id, method="Net")
+    row.modality, row.declared_sha256, row.size_bytes = "L", "0" * 64, 1
+    session.add(row)
+    session.flush()
+    return row.id

@@ -14,7 +14,7 @@ from sqlalchemy import select
 from services.domain.benchmarks.alarms.alarms import dismiss, open_alarms, raise_alarms
 from services.domain.benchmarks.alarms.similarity import DAY_NS, AlarmLimits, differing_ratio
 from services.domain.benchmarks.rescores.errors import AlarmDismissedError, AlarmMissingError
-from services.runtime.orm import Alarm
+from services.runtime.orm import Alarm, Phase
 from services.runtime.platform import Platform
 from stone.scoring.metric import OCCUPIED_VERSION
 from tests.services.domain.benchmarks.scored import (
@@ -102,6 +102,21 @@ def test_one_team_may_send_the_same_twice_and_baselines_may_be_sent_by_anybody(p
         _join(place, entry(place, team_id, **columns), 0)
     _join(place, entry(place, team(place), kind="baseline"), 0)
     assert _raised(place) == []
+
+
+def test_where_the_truth_is_hidden_baselines_that_probe_it_or_are_copied_are_told(platform_on: Platform) -> None:
+    """The attack: a curator sends baseline after baseline, each a voxel off the last, and reads the board."""
+    place = phase_of_rows(platform_on)
+    with platform_on.database.transaction() as session:
+        session.get_one(Phase, place.phase.id).is_hidden = True
+    ours = team(place)
+    for number in range(5):
+        _join(place, entry(place, ours, kind="baseline", finalized_ns=NOON_NS + number), number)
+    probing = [("near_equal", f"{ours}:{NOON_NS // DAY_NS}")]
+    assert _raised(place) == probing
+    copied = entry(place, team(place), finalized_ns=NOON_NS + 9)
+    _join(place, copied, 0)
+    assert _raised(place) == sorted([*probing, ("equal_content", copied), ("near_equal_teams", copied)])
 
 
 def test_entries_of_another_ground_truth_are_not_compared(platform: Platform) -> None:

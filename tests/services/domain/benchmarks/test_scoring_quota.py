@@ -11,27 +11,22 @@ from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.submissions import scoring_quota
 from services.domain.benchmarks.submissions.errors import ScoringsExhaustedError
-from services.domain.benchmarks.submissions.scoring_quota import ScoringQuota
-from services.runtime.orm import Phase, ScoringEntry, SubmissionRow, new_id
+from services.runtime.orm import Phase, ScoringEntry
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
-from tests.services.domain.benchmarks.drafts import Entrant, another_entrant, drafted, entrant_on
+from tests.services.domain.benchmarks.drafts import (
+    Entrant,
+    a_submission,
+    another_entrant,
+    another_phase,
+    drafted,
+    entrant_on,
+    reserved,
+    standing,
+)
 
 DAY_NS = 86_400 * 10**9
 NOW_NS = 1_800_000_000 * 10**9
-
-
-def reserved(entrant: Entrant) -> str:
-    """The id of a draft for which a scoring is taken."""
-    submission_id = drafted(entrant)
-    with entrant.platform.database.transaction() as session:
-        scoring_quota.reserve(session, session.get_one(Phase, entrant.phase_id), entrant.team_id, submission_id)
-    return submission_id
-
-
-def standing(entrant: Entrant, at_ns: int | None = None) -> ScoringQuota:
-    with entrant.platform.database.reading() as session:
-        return scoring_quota.scoring_quota(session, session.get_one(Phase, entrant.phase_id), entrant.team_id, at_ns)
 
 
 def granted(entrant: Entrant, amount: int) -> None:
@@ -199,10 +194,7 @@ def test_the_next_time_is_the_first_at_which_there_is_room(
 ) -> None:
     """Against a count of every day by itself; what is released leaves no trace."""
     with counted.platform.database.transaction() as session:
-        phase = Phase(benchmark_id=counted.place.phase.benchmark_id, name=new_id(), part="val", is_hidden=False)
-        phase.scorings_per_window, phase.scorings_total, phase.dataset_id = per_window, total, counted.place.dataset_id
-        session.add(phase)
-        session.flush()
+        phase = another_phase(session, counted, per_window, total)
         for entry in entries:
             _write(session, phase, counted, entry)
         session.flush()
@@ -219,11 +211,7 @@ def _write(session: Session, phase: Phase, entrant: Entrant, entry: tuple[int, s
     steps += {"consumed": [(1, 0, "consumed")], "released": [(1, -1, "released: failed")]}.get(kind, [])
     submission_id = None
     if kind != "granted":
-        row = SubmissionRow(phase_id=phase.id, team_id=entrant.team_id, user_id=entrant.captain.user_id, method="Net")
-        row.modality, row.declared_sha256, row.size_bytes = "L", "0" * 64, 1
-        session.add(row)
-        session.flush()
-        submission_id = row.id
+        submission_id = a_submission(session, phase, entrant)
     for later_ns, step, reason in steps:
         at_ns = NOW_NS + day * DAY_NS + later_ns
         line = ScoringEntry(phase_id=phase.id, team_id=entrant.team_id, submission_id=submission_id, created_ns=at_ns)

@@ -137,6 +137,18 @@ def test_what_is_not_an_entry_costs_no_scoring(platform: Platform, kind: str) ->
     assert taken(entrant) == 0
 
 
+def test_a_baseline_costs_a_scoring_where_the_truth_is_hidden(platform_on: Platform) -> None:
+    """The attack: as many looks at a hidden truth as a curator likes, by calling each a baseline."""
+    entrant = entrant_on(platform_on, is_hidden=True, scorings_per_window=2)
+    finalised(entrant, kind="baseline")
+    finalised(entrant, kind="validation")
+    finalised(entrant, kind="entry")
+    assert taken(entrant) == 2
+    with pytest.raises(ScoringsExhaustedError):
+        finalised(entrant, kind="baseline")
+    assert taken(entrant) == 2
+
+
 def test_a_quota_that_is_used_up_leaves_draft_and_upload_for_later(platform_on: Platform) -> None:
     entrant = entrant_on(platform_on, scorings_per_window=0)
     submission_id = drafted(entrant)

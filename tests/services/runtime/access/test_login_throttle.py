@@ -8,16 +8,24 @@ from sqlalchemy.orm import Session
 
 from services.runtime.access import login_throttle
 from services.runtime.access.errors import GuessablePasswordError
+from services.runtime.access.users import change_password, create_user, find_user
 from services.runtime.access.weak_passwords import refuse_guessable
-from services.runtime.orm import FailedSignInRow
+from services.runtime.orm import FailedSignInRow, SignInAddress
 from services.runtime.platform import Platform
 
 HERE = {"name": "ada", "address": "address 10.0.0.1"}
+ELSEWHERE = "address 10.0.0.2"
 
 
 def tried(platform: Platform, **told: str) -> float:
     with platform.database.transaction() as session:
-        return login_throttle.count_try(session, **(HERE | told))
+        return login_throttle.count_try(session, login_throttle.try_at(session, **(HERE | told)))
+
+
+def signed_in(platform: Platform, **told: str) -> None:
+    with platform.database.transaction() as session:
+        user = find_user(session, "ada") or create_user(session, "ada", "curator")
+        login_throttle.take_back(session, login_throttle.try_at(session, **(HERE | told)), user.id)
 
 
 class Clock:
@@ -76,11 +84,64 @@ def test_the_right_password_forgets_the_wrong_ones(platform_on: Platform, clock:
     exhausted(platform_on)
     clock.wind(1)
     assert tried(platform_on) == 0
-    with platform_on.database.transaction() as session:
-        login_throttle.take_back(session, **HERE)
-    assert tried(platform_on) == 0
+    signed_in(platform_on)
+    assert tried(platform_on, address=ELSEWHERE) == 0
     with platform_on.database.reading() as session:
-        assert sorted(session.scalars(select(FailedSignInRow.failures))) == [1, login_throttle.FREE["name"] + 1]
+        assert sorted(session.scalars(select(FailedSignInRow.failures))) == [1, 1, login_throttle.FREE["name"]]
+
+
+def test_nobody_elses_wrong_passwords_shut_out_an_address_that_signed_in_before(
+    platform_on: Platform, clock: Clock
+) -> None:
+    signed_in(platform_on)
+    for number in range(3 * login_throttle.FREE["name"]):  # from many addresses, so that the name alone waits
+        tried(platform_on, address=f"address 10.1.0.{number}")
+    for number in range(login_throttle.FREE["address"] + 1):  # and whoever else is behind this one
+        tried(platform_on, name=f"neighbour {number}")
+    assert tried(platform_on, address=ELSEWHERE) > 0, "the name waits for whoever is not known"
+    assert tried(platform_on, name="grace") > 0, "and so does the address"
+    assert tried(platform_on) == 0
+    signed_in(platform_on)
+    assert tried(platform_on, address=ELSEWHERE) > 0, "nor does signing in there give a guesser new tries"
+
+
+def test_who_guesses_from_a_known_address_waits_as_everywhere(platform: Platform, clock: Clock) -> None:
+    signed_in(platform)
+    exhausted(platform)
+    for expected_s in (1, 2, 4):
+        assert tried(platform) == expected_s
+        clock.wind(expected_s)
+        assert tried(platform) == 0
+
+
+def test_an_address_is_known_for_the_name_that_signed_in_and_no_other(platform: Platform) -> None:
+    signed_in(platform)
+    with platform.database.reading() as session:
+        assert login_throttle.try_at(session, **HERE).is_known
+        assert not login_throttle.try_at(session, "eve", HERE["address"]).is_known
+        assert not login_throttle.try_at(session, "ada", ELSEWHERE).is_known
+
+
+def test_an_address_is_forgotten_with_the_password_after_its_time_and_beyond_the_most(
+    platform_on: Platform, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(login_throttle, "MOST_ADDRESSES", 2)
+    for number in (1, 2, 3):
+        clock.wind(1)
+        signed_in(platform_on, address=f"address 10.2.0.{number}")
+    assert known(platform_on) == [False, True, True]
+    clock.wind(login_throttle.ADDRESSES_KEPT_NS / 1e9 - 1)
+    assert known(platform_on) == [False, False, True]
+    with platform_on.database.transaction() as session:
+        user = find_user(session, "ada")
+        assert user is not None
+        change_password(session, user, "")
+    assert known(platform_on) == [False, False, False]
+
+
+def known(platform: Platform) -> list[bool]:
+    with platform.database.reading() as session:
+        return [login_throttle.try_at(session, "ada", f"address 10.2.0.{number}").is_known for number in (1, 2, 3)]
 
 
 def test_a_day_without_a_wrong_password_forgets_all(platform: Platform, clock: Clock) -> None:
@@ -109,12 +170,14 @@ def test_many_at_once_buy_no_more_than_one_after_another(platform_on: Platform) 
 
 def test_rows_tell_nobodys_name_or_address(platform: Platform) -> None:
     tried(platform)
+    signed_in(platform)
     with platform.database.reading() as session:
         assert _all_text(session).isdisjoint(HERE.values())
 
 
 def _all_text(session: Session) -> set[str]:
-    return {str(value) for row in session.scalars(select(FailedSignInRow)) for value in vars(row).values()}
+    rows = (*session.scalars(select(FailedSignInRow)), *session.scalars(select(SignInAddress)))
+    return {str(value) for row in rows for value in vars(row).values()}
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from services.runtime.access import audit_retention, login_throttle, sessions, t
 from services.runtime.access.erasure import erase_user
 from services.runtime.access.errors import LastAdministratorError
 from services.runtime.access.retention import forget_ended
-from services.runtime.orm import AuditEntry, Base, FailedSignInRow, Token, User, WebSession
+from services.runtime.orm import AuditEntry, Base, FailedSignInRow, SignInAddress, Token, User, WebSession
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from services.runtime.settings import RetentionSettings
@@ -32,12 +32,16 @@ def test_what_has_ended_is_deleted_and_what_has_not_stays(platform_on: Platform)
         tokens.issue(session, ada, "standing", ["read"], 3600)
         tokens.issue(session, ada, "ended lately", ["read"], -3600)
         tokens.issue(session, ada, "ended long ago", ["read"], -31 * 86_400)
-        login_throttle.count_try(session, name="ada", address="here")
+        login_throttle.count_try(session, login_throttle.try_at(session, "ada", "here"))
+        login_throttle.take_back(session, login_throttle.try_at(session, "eve", "there"), ada.id)
+        old = now_ns() - login_throttle.ADDRESSES_KEPT_NS - 1
+        session.add(SignInAddress(key="old", user_id=ada.id, used_ns=old))
         row = sessions.find_session(session, idle.secret, 60)
         assert row is not None
         row.used_ns -= 31 * 60 * 10**9
-    assert forget_ended(platform_on) == 2
-    assert [count(platform_on, table) for table in (WebSession, Token, FailedSignInRow)] == [1, 2, 2]
+    assert forget_ended(platform_on) == 3
+    tables = (WebSession, Token, FailedSignInRow, SignInAddress)
+    assert [count(platform_on, table) for table in tables] == [1, 2, 2, 1]
     assert forget_ended(platform_on) == 0
 
 

@@ -41,7 +41,7 @@ def test_a_change_that_leaves_a_row_without_its_parent_is_undone(platform: Platf
     with pytest.raises(BrokenReferenceError, match="'tokens' refers to a row of 'users'"):  # noqa: SIM117
         with schema_connection(platform.settings) as connection:
             connection.execute(
-                text("INSERT INTO tokens VALUES ('t', 'nobody', 'n', 'h', '[]', 1, 2, NULL)"),
+                text("INSERT INTO tokens VALUES ('t', 'nobody', 'n', 'h', '[]', 1, 2, NULL, NULL)"),
             )
     with platform.database.reading() as session:
         assert session.scalar(text("SELECT count(*) FROM tokens")) == 0

@@ -1,5 +1,6 @@
 """What an older version left in the database is there, in its new place, once the revisions have run."""
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -103,3 +104,19 @@ def test_going_back_tears_no_recording_of_several_files_apart(older: Settings) -
     with pytest.raises(RuntimeError, match="1 files belong to recordings of several files"):  # noqa: SIM117
         with schema_connection(older) as connection:
             command.downgrade(config_on(connection), "0005")
+
+
+def test_what_was_public_is_remembered_by_the_audit_log_and_else_from_its_making_on(older: Settings) -> None:
+    sequence = OLDER["sequences"] | {"is_public": False}
+    with schema_connection(older) as connection:
+        command.upgrade(config_on(connection), "0020")
+        for name, is_public in (("once", False), ("is", True), ("never", False)):
+            insert(connection, "sequences", sequence | {"id": name, "name": name, "is_public": is_public})
+        for number, facts in enumerate(({"is_public": True}, {"is_public": False}, {"name": "x"}), 1):
+            line = {"number": number, "actor_id": "", "actor": "a", "act": "sequence.change", "subject_id": "once"}
+            more = {"reason": "", "facts": json.dumps(facts), "request_id": "", "logged_ns": 90 + number}
+            insert(connection, "audit_log", line | more | {"hash": str(number)})
+    upgrade(older)
+    with schema_connection(older) as connection:
+        found = dict(connection.execute(text("SELECT id, published_ns FROM sequences")).all())
+    assert found == {"once": 91, "is": 4, "never": None, "s": None}

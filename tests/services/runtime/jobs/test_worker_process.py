@@ -15,6 +15,7 @@ from pathlib import Path
 from threading import Event, Thread
 
 import pytest
+from celery import Celery
 from redis import Redis
 from sqlalchemy import select
 
@@ -105,6 +106,26 @@ def kill(worker: "subprocess.Popen[bytes]") -> None:
     with suppress(ProcessLookupError):
         os.killpg(worker.pid, signal.SIGKILL)
     worker.wait()
+
+
+def test_who_writes_to_the_broker_neither_ends_nor_asks_workers_nor_limits_their_jobs(
+    loud: Platform, platform: Platform, start: Start, tmp_path: Path
+) -> None:
+    """A stranger with Redis asks, shuts down, and sends wake-ups that say to kill whoever works for them."""
+    stranger = Celery(broker=loud.settings.broker.address)
+    owner, worker = loud_owner(loud), start()
+    first = a_job(loud, owner, "ingest.note", file=str(tmp_path / "first"))
+    until(lambda: job(loud, first).state == "succeeded", "the worker listens")
+    assert stranger.control.inspect(timeout=2.0).ping() is None
+    limited = a_job(platform, owner, "ingest.note", file=str(tmp_path / "second"), steps=40)
+    for _ in range(3):
+        stranger.send_task("ingest.work", queue="ingest", time_limit=0.2, ignore_result=True)
+    until(lambda: job(loud, limited).state in ("succeeded", "failed"), "the job ends")
+    assert (job(loud, limited).state, job(loud, limited).attempt) == ("succeeded", 1)
+    stranger.control.broadcast("shutdown")
+    last = a_job(loud, owner, "ingest.note", file=str(tmp_path / "third"), steps=40)
+    until(lambda: job(loud, last).state == "succeeded" or worker.poll() is not None, "the job or the worker ends")
+    assert worker.poll() is None
 
 
 def test_messages_of_another_release_are_dropped_once_and_work_goes_on(
