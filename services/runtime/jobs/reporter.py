@@ -2,28 +2,29 @@
 
 **Conventions.** A thread writes at most once every `progress_s` and at least once every `heartbeat_s`; the handler only
 touches memory. Writing is a compare-and-set: an attempt that no longer holds its job (terminated, or taken over after
-silence) ends its whole process at once, whatever library it is in, so that no zombie works on. A database that is away
-for a while silences the attempt, which goes on; if it stays away longer than a lease, another worker takes over.
+silence) ends its whole process at once, whatever library it is in, so that no zombie works on. A heartbeat is a
+transaction of its own, so that nothing else that is to be written can make it fail. No error of the database ends the
+thread: the attempt goes on in silence and tries again, and only a heartbeat that was answered says that the job is held
+no more. If the database stays away from this process alone for longer than a lease, another worker takes over.
 """
 
 import os
 import time
 from collections.abc import Mapping
 from contextvars import copy_context
-from dataclasses import dataclass
 from threading import Event, Lock, Thread
 from typing import Any
 
 import structlog
 from sqlalchemy import select, update
-from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
+from services.runtime.jobs.attempt_lines import OUTAGES, AttemptLine, write_lines, write_lines_singly
 from services.runtime.jobs.changes import rows_changed
 from services.runtime.jobs.claims import Claim
 from services.runtime.jobs.completion import Failure, fail
 from services.runtime.jobs.errors import JobCancelledError
-from services.runtime.orm import Job, JobLine
+from services.runtime.orm import Job
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from services.runtime.telemetry.stage_spans import StageSpans
@@ -34,14 +35,6 @@ LOST = 70  # EX_SOFTWARE: the exit code of a worker process that ended itself
 log = structlog.get_logger(__name__)
 
 
-@dataclass(frozen=True)
-class _Line:
-    level: str
-    event: str
-    facts: dict[str, Any]
-    logged_ns: int
-
-
 class Reporter:
     """`with Reporter(platform, claim) as attempt: handler(attempt)`; the `Attempt` that handlers see."""
 
@@ -49,11 +42,11 @@ class Reporter:
         self._platform, self._claim = platform, claim
         self._limits = platform.settings.jobs
         self._lock = Lock()
-        self._lines: list[_Line] = []
-        self._logged = self._written = 0
+        self._lines: list[AttemptLine] = []
+        self._logged = 0
         self._progress: tuple[str, int, int] | None = None
         self._cancel_reason = ""
-        self._begin = time.monotonic()
+        self._begin = self._beaten = time.monotonic()
         self._is_ending = False
         self._leaving = Event()
         self._stages = StageSpans()
@@ -127,39 +120,52 @@ class Reporter:
             if self._logged == limit:
                 event, level, facts = f"more than {limit} lines; the rest is not kept", "warning", {}
             if self._logged <= limit:
-                self._lines.append(_Line(level, event[:LONGEST_EVENT], facts, now_ns()))
+                self._lines.append(AttemptLine(self._logged - 1, level, event[:LONGEST_EVENT], facts, now_ns()))
 
     def _speak(self) -> None:
-        beat = time.monotonic()
         while not self._leaving.wait(self._limits.progress_s):
-            if time.monotonic() - self._begin > self._limits.time_limit_s:
-                self._time_out()
-            is_due = time.monotonic() - beat >= self._limits.heartbeat_s
-            if is_due or self._progress or self._lines:
-                self._flush(is_last=False)
-                beat = time.monotonic()
+            try:
+                self._take_turn()
+            except Exception as error:  # this thread is what holds the job: it goes on, whatever is raised
+                self._warn("a turn of the reporter failed; the job goes on", error)
+
+    def _take_turn(self) -> None:
+        is_due = time.monotonic() - self._beaten >= self._limits.heartbeat_s
+        if is_due or self._progress or self._lines:
+            self._flush(is_last=False)
+        if time.monotonic() - self._begin > self._limits.time_limit_s:
+            self._time_out()
 
     def _flush(self, *, is_last: bool) -> None:
+        """Beat, then write the lines; the last time there is no job to hold any more."""
+        if is_last:
+            self._write_lines()
+        elif (is_ours := self._beat()) is not None:
+            self._write_lines()
+            if not is_ours:
+                self._end_process("attempt lost")
+
+    def _beat(self) -> bool | None:
+        """Whether the job is still ours; None where the database did not say."""
         with self._lock:
-            lines, self._lines = self._lines, []
             progress, self._progress = self._progress, None
-        try:
-            with self._platform.database.transaction() as session:
-                is_ours = is_last or self._beat(session, progress)
-                self._write_lines(session, lines)
-        except SQLAlchemyError as error:
-            log.warning("progress not written; the job goes on", job_id=self.job_id, reason=str(error))
-            self._put_back(lines, progress)
-            return
-        self._written += len(lines)
-        if not is_ours:
-            self._end_process("attempt lost")
+        for told in (progress, None):  # the second time without what no column takes: a heartbeat needs no words
+            try:
+                with self._platform.database.transaction() as session:
+                    is_ours = self._renew(session, told)
+            except OUTAGES as error:
+                self._warn("heartbeat not written; the job goes on", error)
+                with self._lock:
+                    self._progress = self._progress or told
+                return None
+            except Exception as error:
+                self._warn("progress not written", error)
+                continue
+            self._beaten = time.monotonic()
+            return is_ours
+        return None
 
-    def _put_back(self, lines: list[_Line], progress: tuple[str, int, int] | None) -> None:
-        with self._lock:
-            self._lines, self._progress = lines + self._lines, self._progress or progress
-
-    def _beat(self, session: Session, progress: tuple[str, int, int] | None) -> bool:
+    def _renew(self, session: Session, progress: tuple[str, int, int] | None) -> bool:
         held = update(Job).where(Job.id == self.job_id, Job.attempt == self._claim.attempt, Job.state == "running")
         values: dict[str, Any] = {"heartbeats": Job.heartbeats + 1}
         if progress:
@@ -172,18 +178,33 @@ class Reporter:
         self._cancel_reason = session.scalar(own_or_run) or ""
         return True
 
-    def _write_lines(self, session: Session, lines: list[_Line]) -> None:
-        for number, line in enumerate(lines, start=self._written):
-            row = JobLine(job_id=self.job_id, attempt=self._claim.attempt, number=number, level=line.level)
-            row.event, row.facts, row.logged_ns = line.event, line.facts, line.logged_ns
-            session.add(row)
+    def _write_lines(self) -> None:
+        with self._lock:
+            lines, self._lines = self._lines, []
+        for write in (write_lines, write_lines_singly):
+            if not lines:
+                return
+            try:
+                with self._platform.database.transaction() as session:
+                    write(session, self._claim, lines)
+                return
+            except Exception as error:
+                self._warn("log lines not written; the job goes on", error)
+                if isinstance(error, OUTAGES):
+                    break
+        with self._lock:
+            self._lines = lines + self._lines
 
     def _time_out(self) -> None:
+        """Raises what the database raises; the next turn tries again."""
         limit_s = self._limits.time_limit_s
         sentence = f"ran longer than {limit_s:.0f} s and was stopped; stages are cut to take minutes, is the input odd?"
         with self._platform.database.transaction() as session:
             fail(session, self._claim, Failure("time_limit", sentence))
         self._end_process("time limit")
+
+    def _warn(self, event: str, error: Exception) -> None:
+        log.warning(event, job_id=self.job_id, reason=f"{type(error).__name__}: {error}"[:500])
 
     def _end_process(self, reason: str) -> None:
         """The handler may be inside a library that hears nothing; a process that ends stops surely."""

@@ -1,0 +1,186 @@
+"""The heartbeat of a job that lives: nothing that befalls the database, or is to be written, ends it."""
+
+from collections.abc import Callable
+from time import monotonic
+from time import sleep as wait
+
+import pytest
+from sqlalchemy import select
+from sqlalchemy.exc import TimeoutError as PoolTimeoutError
+
+from services.runtime.jobs.control import cancel
+from services.runtime.jobs.reporter import Reporter
+from services.runtime.jobs.specs import Attempt, Outcome
+from services.runtime.orm import JobLine
+from services.runtime.platform import Platform
+from tests.services.runtime.jobs.outages import GONE, Away, LostAnswers, quick
+from tests.services.runtime.jobs.steps import a_job, an_owner, job, run_all
+
+PATIENCE_S = 120.0
+
+
+def until(is_so: Callable[[], bool]) -> bool:
+    """Whether it came to be so within minutes."""
+    end_s = monotonic() + PATIENCE_S
+    while not (is_here := is_so()) and monotonic() < end_s:
+        wait(0.01)
+    return is_here
+
+
+def goes_on_beating(platform: Platform, job_id: str, beats: int = 3) -> bool:
+    begin = job(platform, job_id).heartbeats
+    return until(lambda: job(platform, job_id).heartbeats >= begin + beats)
+
+
+def events_of(platform: Platform, job_id: str) -> list[str]:
+    with platform.database.reading() as session:
+        lines = select(JobLine.event).where(JobLine.job_id == job_id).order_by(JobLine.attempt, JobLine.number)
+        return list(session.scalars(lines))
+
+
+@pytest.fixture
+def ended(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Why reporters would have ended this process."""
+    reasons: list[str] = []
+
+    def end(reporter: Reporter, reason: str) -> None:
+        reasons.append(reason)
+        reporter._leaving.set()
+
+    monkeypatch.setattr(Reporter, "_end_process", end)
+    return reasons
+
+
+@pytest.mark.parametrize("commits", [1, 2], ids=["of the heartbeat", "of the lines"])
+def test_a_commit_whose_answer_is_lost_silences_no_heartbeat_and_doubles_no_line(
+    platform_on: Platform, monkeypatch: pytest.MonkeyPatch, ended: list[str], commits: int
+) -> None:
+    platform, lost = quick(platform_on), LostAnswers(platform_on, monkeypatch)
+    beats: list[bool] = []
+
+    def talk(attempt: Attempt) -> Outcome:
+        goes_on_beating(platform, attempt.job_id)
+        attempt.log("opened the bag")
+        lost.after(commits)
+        until(lambda: not lost.is_armed)
+        attempt.log("read the bag")
+        beats.append(goes_on_beating(platform, attempt.job_id))
+        return Outcome()
+
+    job_id = a_job(platform, an_owner(platform), "ingest.talk")
+    run_all(platform, {"ingest.talk": talk})
+    assert (beats, ended) == ([True], [])
+    assert events_of(platform, job_id) == ["opened the bag", "read the bag"]
+    assert (job(platform, job_id).state, job(platform, job_id).attempt) == ("succeeded", 1)
+
+
+@pytest.mark.parametrize(
+    "error", [GONE, PoolTimeoutError("no connection in 30 s"), OSError(104, "reset"), ValueError("a bug of the driver")]
+)
+def test_no_error_of_the_database_ends_the_heartbeat(
+    platform: Platform, monkeypatch: pytest.MonkeyPatch, ended: list[str], error: Exception
+) -> None:
+    platform, away = quick(platform), Away(monkeypatch)
+    beats: list[bool] = []
+
+    def work(attempt: Attempt) -> Outcome:
+        goes_on_beating(platform, attempt.job_id)
+        away.error = error
+        attempt.progress("frames", 3, 8)
+        attempt.log("said in the outage")
+        until(lambda: away.refused >= 3)
+        away.error = None
+        beats.append(goes_on_beating(platform, attempt.job_id))
+        return Outcome()
+
+    job_id = a_job(platform, an_owner(platform), "ingest.work")
+    run_all(platform, {"ingest.work": work})
+    assert (beats, ended, job(platform, job_id).state) == ([True], [], "succeeded")
+    assert events_of(platform, job_id) == ["said in the outage"]
+
+
+def test_a_time_limit_that_passes_during_an_outage_is_enforced_after_it(
+    platform_on: Platform, monkeypatch: pytest.MonkeyPatch, ended: list[str]
+) -> None:
+    platform, away = quick(platform_on, time_limit_s=0.2), Away(monkeypatch)
+
+    def hang(attempt: Attempt) -> Outcome:
+        away.error = GONE
+        until(lambda: away.refused >= 40)
+        away.error = None
+        until(lambda: bool(ended))
+        return Outcome()
+
+    job_id = a_job(platform, an_owner(platform), "ingest.hang")
+    run_all(platform, {"ingest.hang": hang})
+    assert ended == ["time limit"]
+    assert (job(platform, job_id).state, job(platform, job_id).failure_code) == ("failed", "time_limit")
+
+
+def test_an_attempt_hears_after_an_outage_that_it_is_to_stop(
+    platform: Platform, monkeypatch: pytest.MonkeyPatch, ended: list[str]
+) -> None:
+    platform, away = quick(platform), Away(monkeypatch)
+
+    def work(attempt: Attempt) -> Outcome:
+        with platform.database.transaction() as session:
+            cancel(session, attempt.root_id, "wrong bag")
+        away.error = GONE
+        until(lambda: away.refused >= 3)
+        away.error = None
+        end_s = monotonic() + PATIENCE_S
+        while monotonic() < end_s:
+            attempt.progress("frames", 1, 2)
+            wait(0.01)
+        return Outcome()
+
+    job_id = a_job(platform, an_owner(platform), "ingest.work")
+    run_all(platform, {"ingest.work": work})
+    assert (job(platform, job_id).state, ended) == ("cancelled", [])
+
+
+@pytest.mark.parametrize(
+    ("stage", "count"), [("frames", 10**30), ("frames", 2**40), ("s" * 100, 1), ("a\x00b", 1), ("a\ud800b", 1)]
+)
+def test_progress_that_no_column_takes_silences_no_heartbeat(
+    platform_on: Platform, ended: list[str], stage: str, count: int
+) -> None:
+    """A sandboxed child says what it likes, as often as it likes."""
+    platform = quick(platform_on)
+    beats: list[bool] = []
+
+    def babble(attempt: Attempt) -> Outcome:
+        begin = job(platform, attempt.job_id).heartbeats
+
+        def has_beaten() -> bool:
+            attempt.progress(stage, count, count)
+            return job(platform, attempt.job_id).heartbeats >= begin + 3
+
+        beats.append(until(has_beaten))
+        return Outcome()
+
+    job_id = a_job(platform, an_owner(platform), "ingest.babble")
+    run_all(platform, {"ingest.babble": babble})
+    assert (beats, ended, job(platform, job_id).state) == ([True], [], "succeeded")
+
+
+@pytest.mark.parametrize("facts", [{"x": object()}, {"topic": "a\ud800b"}, {"x": float("nan")}, {"topic": "a\x00b"}])
+def test_a_line_that_cannot_be_kept_takes_neither_the_heartbeat_nor_the_other_lines_with_it(
+    platform_on: Platform, ended: list[str], facts: dict[str, object]
+) -> None:
+    platform = quick(platform_on)
+    beats: list[bool] = []
+
+    def talk(attempt: Attempt) -> Outcome:
+        attempt.log("before")
+        attempt.log("topic \x00 \ud800", **facts)
+        attempt.log("after")
+        beats.append(goes_on_beating(platform, attempt.job_id))
+        return Outcome()
+
+    job_id = a_job(platform, an_owner(platform), "ingest.talk")
+    run_all(platform, {"ingest.talk": talk})
+    assert (beats, ended, job(platform, job_id).state) == ([True], [], "succeeded")
+    first, odd, last = events_of(platform, job_id)
+    assert (first, last) == ("before", "after")
+    assert "cannot be kept" in odd
