@@ -59,7 +59,7 @@ def serve(requests: socket.socket) -> None:
         selector.register(requests, selectors.EVENT_READ)
         while True:
             for key, _ in selector.select():
-                child, now = key.data, selector.get_map().get(key.fileobj)
+                child, now = key.data, selector.get_map().get(key.fd)
                 if now is None or now.data is not child:  # it ended a moment ago
                     continue
                 if child is None:

@@ -8,6 +8,8 @@ than 64 MiB of address space or a second of processor is ended. Growth is the ke
 import json
 import resource
 import sys
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from services.eval.pipeline import validate
@@ -41,7 +43,8 @@ def main() -> None:
         path = Path(line.rstrip("\n"))
         try:
             CLEAR_REFS.write_text(RESET_PEAK)
-            answer = sandboxed(lambda path=path: measured(path, manifest), LIMITS)  # type: ignore[misc]
+            limits = replace(LIMITS, reads=(path, manifest))
+            answer = sandboxed(partial(measured, path, manifest), limits)
         except StoneError as error:
             answer = json.dumps({"refused": error.code}).encode()
         sys.stdout.write(answer.decode() + "\n")

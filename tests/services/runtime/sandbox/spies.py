@@ -4,9 +4,11 @@ import os
 import re
 import socket
 import time
+from contextlib import suppress
 from pathlib import Path
 
 SECRET = re.compile(rb"stone-secret-[0-9a-f]{32}")  # what it finds is not what it looks like
+PIECE_BYTES, LONGEST_BYTES = 2**20, 45
 
 
 def environment() -> bytes:
@@ -23,11 +25,10 @@ def secrets_in_memory() -> bytes:
             if not modes.startswith("rw") or line.endswith(("[vvar]", "[vsyscall]")):
                 continue
             begin, end = (int(number, 16) for number in place.split("-"))
-            memory.seek(begin)
-            try:
-                found |= set(SECRET.findall(memory.read(end - begin)))
-            except OSError:  # a guard page
-                continue
+            for at in range(begin, end, PIECE_BYTES):
+                memory.seek(at)
+                with suppress(OSError):  # a guard page
+                    found |= set(SECRET.findall(memory.read(min(PIECE_BYTES + LONGEST_BYTES, end - at))))
     return b" ".join(sorted(found))
 
 
