@@ -92,9 +92,10 @@ class FilesAnswer(SandboxAnswer):
 
 
 class WorkAnswer(SandboxAnswer):
-    """What a job's row and its log are told."""
+    """What a job's row and its log are told, and which files it left."""
 
     asked: ClassVar[str] = "what a job did"
+    files: FilesAnswer
     result: dict[str, Count]
     facts: dict[str, Fact]
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from services.domain.sequences.run_files import SEQUENCE_FILE, SWEEPS_FILE
-from services.labeler.errors import NoUsableFramesError
+from services.labeler.errors import NoUsableFramesError, WorkGoneError
 from services.labeler.parameters import chosen_parameters
 from services.labeler.pipeline import FUSE, STAGES, SURFACE, label_graph
 from services.labeler.publication_files import publication
@@ -79,14 +79,22 @@ def planned(opening: RunOpening, _folder: Path, _progress: ProgressCallback) -> 
 
 def stage_files(task: StageTask, _folder: Path, _progress: ProgressCallback) -> bytes:
     """Which files the job reads and leaves."""
-    return FilesAnswer(**asdict(STAGES[task.kind].files(task.opening.run(), task.arguments))).packed()
+    return _files_of(task, task.opening.run()).packed()
 
 
-def worked(task: StageTask, _folder: Path, progress: ProgressCallback) -> bytes:
-    """The job's work. Raises what it raises."""
-    stage = STAGES[task.kind]
-    done = stage.work(task.opening.run(), task.arguments, partial(progress, stage.step_name))
-    return WorkAnswer(result=dict(done.result), facts=dict(done.facts)).packed()
+def worked(task: StageTask, folder: Path, progress: ProgressCallback) -> bytes:
+    """The job's work. Raises what it raises, and `WorkGoneError` where nothing is left of what it requires."""
+    stage, run = STAGES[task.kind], task.opening.run()
+    files = _files_of(task, run)
+    for name in files.requires:
+        if not (folder / name).exists():
+            raise WorkGoneError(name)
+    done = stage.work(run, task.arguments, partial(progress, stage.step_name))
+    return WorkAnswer(result=dict(done.result), facts=dict(done.facts), files=files).packed()
+
+
+def _files_of(task: StageTask, run: LabelRun) -> FilesAnswer:
+    return FilesAnswer(**asdict(STAGES[task.kind].files(run, task.arguments)))
 
 
 def described(opening: RunOpening, _folder: Path, _progress: ProgressCallback) -> bytes:

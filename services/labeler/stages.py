@@ -48,10 +48,10 @@ def run_stage(kind: str, stage: Stage, context: LabelStageContext) -> Outcome:
     """Pull what the job reads, do its work, push what it leaves. Raises what the work raises, and `WorkGoneError`."""
     opening = context.opening_with_sweeps() if stage.reads_sweeps else context.opening
     task = StageTask(opening, kind, context.attempt.arguments)
-    files = context.ask(FilesAnswer, partial(stage_files, task), stage.step_name, context.opening)
-    context.pull(files)
+    if not context.workspace.is_in_place:
+        context.pull(context.ask(FilesAnswer, partial(stage_files, task), stage.step_name, context.opening))
     done = context.ask(WorkAnswer, partial(worked, task), stage.step_name, opening)
-    context.push(files)
+    context.push(done.files)
     facts: dict[str, Any] = dict(done.facts)
     if facts:
         context.attempt.log(stage.event, **facts)

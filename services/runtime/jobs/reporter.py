@@ -155,8 +155,7 @@ class Reporter:
                     is_ours = self._renew(session, told)
             except OUTAGES as error:
                 self._warn("heartbeat not written; the job goes on", error)
-                with self._lock:
-                    self._progress = self._progress or told
+                self._keep(told)
                 return None
             except Exception as error:
                 self._warn("progress not written", error)
@@ -164,6 +163,12 @@ class Reporter:
             self._beaten = time.monotonic()
             return is_ours
         return None
+
+    def _keep(self, told: tuple[str, int, int] | None) -> None:
+        """What was not written is told the next time, unless there is newer progress by then."""
+        with self._lock:
+            if self._progress is None:
+                self._progress = told
 
     def _renew(self, session: Session, progress: tuple[str, int, int] | None) -> bool:
         held = update(Job).where(Job.id == self.job_id, Job.attempt == self._claim.attempt, Job.state == "running")

@@ -27,6 +27,7 @@ from importlib import import_module
 
 from services.runtime.sandbox.child import ProgressCallback, SandboxTask, run_child
 from services.runtime.sandbox.limits import SandboxLimits
+from services.runtime.sandbox.system_files import system_files
 
 CHILD_FORKED, CHILD_ENDED = b"f", b"e"
 FATE = struct.Struct("<ciddq")  # CHILD_ENDED, wait status, user and system seconds, most memory in bytes
@@ -141,4 +142,5 @@ def main() -> None:
         signal.signal(number, signal.SIG_IGN)
     with socket.socket(fileno=int(sys.argv[1])) as requests:
         _warm(sys.argv[2:])
+        system_files()  # found once, not by every child
         serve(requests)

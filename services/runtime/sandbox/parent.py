@@ -45,6 +45,7 @@ from services.runtime.sandbox.messages import (
     SandboxMessage,
     SandboxMessageReader,
 )
+from services.runtime.sandbox.system_files import system_files
 from stone.errors import StoneError
 
 GLANCE_MS = 200
@@ -97,6 +98,7 @@ class _OwnChild:
         self.begun_s: float | None = time.monotonic()
         self._status: int | None = None
         parent = os.getpid()
+        system_files()  # found once, not by every child
         self._pid = _forked()
         if self._pid == 0:
             os.close(reading)

@@ -29,7 +29,7 @@ class Workspace:
     def __init__(self, store: Store, settings: Settings, root_id: str) -> None:
         self._prefix = checked(f"work/{root_id}") + "/"
         self._store = store
-        self._is_in_place = isinstance(store, FolderStore)
+        self.is_in_place = isinstance(store, FolderStore)
         base = store.root if isinstance(store, FolderStore) else settings.root / "cache"
         self._folder = base / "work" / root_id
 
@@ -43,7 +43,7 @@ class Workspace:
         """Make local every file whose name begins with one of the prefixes; "" stands for all."""
         for prefix in prefixes:
             checked_prefix(prefix)
-        if self._is_in_place:
+        if self.is_in_place:
             return
         os.utime(self.folder)  # in use: the cache leaves it alone
         stale = [stored for stored in self._stored(prefixes).values() if not _is_same(self._path(stored.key), stored)]
@@ -57,7 +57,7 @@ class Workspace:
         files = {
             checked(self._prefix + name): self.folder / name for prefix in prefixes for name in self._names(prefix)
         }
-        if self._is_in_place:
+        if self.is_in_place:
             _flush_all(self._folder, files.values())
             return
         os.utime(self.folder)
