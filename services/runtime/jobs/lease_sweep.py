@@ -2,11 +2,12 @@
 
 **Conventions.** A sweeper remembers when, on its own monotonic clock, it last saw the heartbeats of an attempt change;
 one that stood still for a lease is given back, or failed as `worker_lost` when no attempt is left. No two clocks are
-ever compared. Several sweepers may run; each change is a compare-and-set, so they do nothing twice.
+ever compared. A sweeper that could not look has seen nobody stand still: after an outage every attempt has a lease more
+in which to be heard. Several sweepers may run; each change is a compare-and-set, so they do nothing twice.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import structlog
@@ -15,6 +16,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from services.runtime.jobs.broker_app import QUEUES
+from services.runtime.jobs.changes import lock_run
 from services.runtime.jobs.claims import Claim
 from services.runtime.jobs.completion import Failure, lose
 from services.runtime.jobs.instrumentation import record_lost_attempt
@@ -48,8 +50,7 @@ class Sweeper:
     def recover(self) -> int:
         """Give back every attempt whose heartbeats stood still for a lease; how many there were."""
         now_s = self.monotonic_s()
-        with self.platform.database.reading() as session:
-            running = session.scalars(select(Job).where(Job.state == "running", Job.queue != "")).all()
+        running = self._look()
         pulses = {(job.id, job.attempt): job.heartbeats for job in running}
         before, self._seen = self._seen, {}
         for pulse, beats in pulses.items():
@@ -57,9 +58,7 @@ class Sweeper:
             self._seen[pulse] = (beats, since_s if known == beats else now_s)
         lease_s = self.platform.settings.jobs.lease_s
         silent = [job for job in running if now_s - self._seen[job.id, job.attempt][1] >= lease_s]
-        for job in silent:
-            self._lose(job)
-        return len(silent)
+        return sum(self._lose(job) for job in silent)
 
     def resend_wake_ups(self) -> None:
         """Send wake-ups for ready jobs without one: seen twice in a row, so that one under way is not doubled."""
@@ -79,16 +78,36 @@ class Sweeper:
                 process_counters().add(WAKE_UPS_RESENT, (queue,), lost)
         self._quiet = missing
 
-    def _lose(self, job: Job) -> None:
-        claim = Claim(job.id, job.root_id, job.sequence_id, job.kind, job.attempt, {})
-        lease_s = self.platform.settings.jobs.lease_s
-        failure = Failure("worker_lost", f"attempt {job.attempt} gave no sign of life for {lease_s:g} s")
+    def _look(self) -> Sequence[Job]:
+        try:
+            with self.platform.database.reading() as session:
+                return session.scalars(select(Job).where(Job.state == "running", Job.queue != "")).all()
+        except Exception:
+            self._seen.clear()
+            raise
+
+    def _lose(self, job: Job) -> bool:
         with self.platform.database.transaction() as session:
-            if session.get_one(Job, job.id).heartbeats != job.heartbeats:
-                return
-            lose(session, claim, failure)
-        record_lost_attempt(job)
-        log.warning("attempt lost", job_id=job.id, run_id=job.root_id, kind=job.kind, attempt=job.attempt)
+            is_lost = lose_silent(session, job, self.platform.settings.jobs.lease_s)
+        if is_lost:
+            record_lost_attempt(job)
+            log.warning("attempt lost", job_id=job.id, run_id=job.root_id, kind=job.kind, attempt=job.attempt)
+        return is_lost
+
+
+def lose_silent(session: Session, seen: Job, lease_s: float) -> bool:
+    """Take the attempt from whom it was seen with for `lease_s`; false when it was heard since, or has ended.
+
+    The job's row is locked before it is looked at: no heartbeat comes between the look and the loss.
+    """
+    lock_run(session, seen.root_id)
+    now = session.get_one(Job, seen.id, with_for_update={"key_share": True}, populate_existing=True)
+    if (now.state, now.attempt, now.heartbeats) != ("running", seen.attempt, seen.heartbeats):
+        return False
+    claim = Claim(seen.id, seen.root_id, seen.sequence_id, seen.kind, seen.attempt, {})
+    return lose(
+        session, claim, Failure("worker_lost", f"attempt {seen.attempt} gave no sign of life for {lease_s:g} s")
+    )
 
 
 def _ready(session: Session) -> dict[str, int]:

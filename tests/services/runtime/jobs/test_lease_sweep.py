@@ -3,16 +3,18 @@
 import pytest
 from redis import ConnectionError as RedisConnectionError
 from sqlalchemy import update
+from sqlalchemy.exc import OperationalError
 
 from services.runtime.database.transactions import Database
 from services.runtime.jobs import claims
 from services.runtime.jobs.claims import claim
 from services.runtime.jobs.control import cancel, set_mode
 from services.runtime.jobs.enqueue import enqueue
-from services.runtime.jobs.lease_sweep import Sweeper
+from services.runtime.jobs.lease_sweep import Sweeper, lose_silent
 from services.runtime.jobs.specs import Context, JobSpec
 from services.runtime.orm import Job, base
 from services.runtime.platform import Platform
+from tests.services.runtime.jobs.outages import GONE
 from tests.services.runtime.jobs.steps import a_job, a_run, an_owner, job, run_all, states
 
 
@@ -137,6 +139,50 @@ def test_two_sweepers_give_an_attempt_back_once(platform_on: Platform) -> None:
     clock.now_s += platform_on.settings.jobs.lease_s
     one.recover(), other.recover()
     assert (job(platform_on, job_id).state, job(platform_on, job_id).attempts_left) == ("queued", 2)
+
+
+def test_an_attempt_that_was_lost_once_is_counted_once(platform_on: Platform) -> None:
+    """The second sweeper's look was before the first one's act."""
+    clock = Clock()
+    a_job(platform_on, an_owner(platform_on))
+    seen = job(platform_on, start(platform_on))
+    lost = []
+    for _ in range(2):
+        with platform_on.database.transaction() as session:
+            lost.append(lose_silent(session, seen, platform_on.settings.jobs.lease_s))
+    assert lost == [True, False]
+    assert a_sweeper(platform_on, clock).recover() == 0
+
+
+def test_an_attempt_that_is_heard_while_it_is_being_lost_is_kept(platform_on: Platform) -> None:
+    a_job(platform_on, an_owner(platform_on))
+    seen = job(platform_on, start(platform_on))
+    with platform_on.database.transaction() as session:
+        session.execute(update(Job).where(Job.id == seen.id).values(heartbeats=Job.heartbeats + 1))
+    with platform_on.database.transaction() as session:
+        assert not lose_silent(session, seen, platform_on.settings.jobs.lease_s)
+    assert job(platform_on, seen.id).state == "running"
+
+
+def test_a_sweeper_that_could_not_look_takes_no_job_from_anybody_as_it_looks_again(
+    platform_on: Platform, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In an outage longer than a lease nobody can be heard; who lives says so within a lease after it."""
+    clock = Clock()
+    sweeper = a_sweeper(platform_on, clock)
+    a_job(platform_on, an_owner(platform_on))
+    job_id = start(platform_on)
+    sweeper.recover()
+    with monkeypatch.context() as outage:
+        outage.setattr(Database, "reading", lambda database: (_ for _ in ()).throw(GONE))
+        clock.now_s += 1.0
+        with pytest.raises(OperationalError):
+            sweeper.recover()
+    clock.now_s += platform_on.settings.jobs.lease_s
+    assert sweeper.recover() == 0
+    clock.now_s += platform_on.settings.jobs.lease_s * 0.9
+    assert (sweeper.recover(), job(platform_on, job_id).state) == (0, "running")
+    assert silence(platform_on, sweeper, clock) == 1
 
 
 def test_a_lost_wake_up_is_sent_again_and_none_is_doubled(platform_on: Platform) -> None:
