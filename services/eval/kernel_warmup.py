@@ -16,10 +16,8 @@ from stone_submissions.manifest import Manifest
 def warm() -> None:
     """Load the kernels, or compile them, before the first child: none of them could keep what it does (0.4 s).
 
-    By the way that a frame takes, so that none is forgotten. What children do is imported.
+    By the way that a frame takes, so that none is forgotten.
     """
-    import services.eval.examination  # noqa: F401
-
     nothing, token = np.zeros(GRID_SHAPE, np.uint8), "0" * 32
     truth = truth_planes(nothing, nothing == 0)
     with TemporaryDirectory() as folder:

@@ -32,10 +32,7 @@ OUSTER = PointLayout(("t", "<u4", 20), ("ring", "u1", 26), 48)
 
 @cache
 def warm() -> None:
-    """Call each kernel with four points: once a process. What children do is imported."""
-    import services.ingest.sandboxed_inspection
-    import services.ingest.sandboxed_synchronisation  # noqa: F401
-
+    """Call each kernel with four points: once a process."""
     still = Trajectory(np.array([0, 10**9]), SE3.identity((2,)))
     mount = SweepMount(still, SE3.identity(), 10**9)
     for layout in (HESAI, NEBULA, OUSTER):

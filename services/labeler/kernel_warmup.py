@@ -59,10 +59,7 @@ def warmup_sequence() -> Sequence:
 
 @cache
 def warm() -> None:
-    """Label the small run in both profiles, and draw it in one: once a process. What children do is imported."""
-    import services.labeler.exports.playback
-    import services.labeler.exports.sandboxed_export
-    import services.labeler.sandboxed_run  # noqa: F401
+    """Label the small run in both profiles, and draw it in one: once a process."""
     from services.labeler.pipeline import MAP
 
     confident = replace(parameters_for("local"), confidence=True)

@@ -33,6 +33,22 @@ from services.runtime.settings import Settings
 from services.runtime.telemetry.log_lines import speak_json
 from stone.errors import StoneError
 
+# What sandboxed children of a service find loaded: compiled kernels, and the modules of their work.
+FORKED_FROM = {
+    "ingest": (
+        "services.ingest.kernel_warmup:warm",
+        "services.ingest.sandboxed_inspection",
+        "services.ingest.sandboxed_synchronisation",
+    ),
+    "labeler": (
+        "services.labeler.kernel_warmup:warm",
+        "services.labeler.sandboxed_run",
+        "services.labeler.exports.sandboxed_export",
+        "services.labeler.exports.playback",
+    ),
+    "eval": ("services.eval.kernel_warmup:warm", "services.eval.examination"),
+}
+
 log = structlog.get_logger(__name__)
 
 
@@ -98,7 +114,7 @@ def main() -> None:
         Path(os.environ["TMPDIR"]).mkdir(parents=True, exist_ok=True)
     settings, queues = Settings(), sys.argv[1:]
     argv = arguments(queues, settings.concurrency)
-    use_fork_server([f"services.{name}.kernel_warmup:warm" for name in services_of(queues)])
+    use_fork_server([loaded for name in services_of(queues) for loaded in FORKED_FROM[name]])
     await_schema(settings)
     app.worker_main(argv)
 
