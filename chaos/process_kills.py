@@ -5,10 +5,12 @@ import shutil
 import signal
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from redis import RedisError
 
+from chaos.process_tree import children_of, fork_servers_of, sandboxed_children_of
 from chaos.turns import LOOK_S, OwnerRound
 from services.runtime.jobs.broker_app import QUEUES
 from services.runtime.jobs.wakeup import wake_up_counter
@@ -20,13 +22,22 @@ APPEND_ONLY = ("appendonlydir", "appendonly.aof")  # since Redis 7, and before
 
 
 def kill_worker(turn: OwnerRound, run_id: str) -> None:
-    """One process of the pool, one that works if any does, or the worker with its whole pool."""
-    is_whole = turn.chance.random() < 0.5
+    """One process of the pool, one that works if any does; the worker with its whole pool; the process that sandboxed
+    children are forked from; or one of these."""
+    victim_of = turn.chance.choice(["worker and pool", "pool process", "fork server", "sandboxed child"])
     turn.wait_for_moment(run_id)
     at_work = _await_work(turn, run_id)
-    pool = _children_of(turn.target.child("worker").pid)
+    worker = turn.target.child("worker").pid
+    apart = {"fork server": fork_servers_of, "sandboxed child": sandboxed_children_of}
+    pool = [pid for pid in children_of(worker) if pid not in fork_servers_of(worker)]
     busy = [pid for pid in at_work if pid in pool]
-    if is_whole or not pool:
+    if victim_of in apart:
+        victims = apart[victim_of](worker)
+        turn.note(victim_of, is_hit=bool(busy and victims))
+        with suppress(ProcessLookupError):
+            for victim in victims[:1]:
+                os.kill(victim, signal.SIGKILL)
+    elif victim_of == "worker and pool" or not pool:
         turn.note("worker and pool", is_hit=bool(busy))
         turn.target.kill("worker")
     else:
@@ -53,7 +64,7 @@ def kill_sweeper(turn: OwnerRound, run_id: str) -> None:
     """A process of the pool that works, and a moment later, before or while its job is taken up, the sweeper."""
     later_s = turn.chance.uniform(0.0, 1.5) * turn.target.platform.settings.jobs.lease_s
     turn.wait_for_moment(run_id)
-    pool = _children_of(turn.target.child("worker").pid)
+    pool = children_of(turn.target.child("worker").pid)
     busy = [pid for pid in _await_work(turn, run_id) if pid in pool]
     if busy:
         os.kill(turn.chance.choice(busy), signal.SIGKILL)
@@ -91,10 +102,6 @@ def _await_work(turn: OwnerRound, run_id: str) -> list[int]:
     while not (busy := turn.busy_processes()) and _is_running(turn, run_id):
         time.sleep(LOOK_S / 4)
     return busy
-
-
-def _children_of(pid: int) -> list[int]:
-    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
 
 def _waiting_wake_ups(turn: OwnerRound) -> int:

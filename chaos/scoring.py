@@ -23,6 +23,7 @@ from rich.console import Console
 from sqlalchemy import select
 
 from chaos.places import API, JOBS, STORE, WORKERS
+from chaos.process_tree import sandboxed_children_of
 from chaos.scoring_verdict import SubmissionOutcome, came_of, judge, judge_quota
 from chaos.scoring_world import build_scoring_world, files
 from chaos.turns import TERMINAL, await_true
@@ -201,19 +202,11 @@ def _await_work(arena: ScoringPlatform, submission_id: str, *, is_reading: bool)
         found = arena.at_work(submission_id)
         if found is not None and not is_reading:
             return found
-        children = _children_of(found[1]) if found is not None else []
+        children = sandboxed_children_of(arena.worker.pid)
         if found is not None and children:
             return found[0], children[0]
         time.sleep(LOOK_S)
     return None
-
-
-def _children_of(pid: int) -> list[int]:
-    """Of all its threads; none when it has ended."""
-    with suppress(FileNotFoundError, ProcessLookupError):
-        tasks = Path(f"/proc/{pid}/task").glob("*/children")
-        return [int(child) for task in tasks for child in task.read_text().split()]
-    return []
 
 
 def _options() -> argparse.Namespace:

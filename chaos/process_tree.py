@@ -1,0 +1,31 @@
+"""Processes of a worker: its pool, the fork server that it started, and the sandboxed children of that."""
+
+from contextlib import suppress
+from pathlib import Path
+
+GONE = (FileNotFoundError, ProcessLookupError)
+
+
+def children_of(pid: int) -> list[int]:
+    """Of all its threads; none when it has ended."""
+    with suppress(*GONE):
+        tasks = Path(f"/proc/{pid}/task").glob("*/children")
+        return [int(child) for task in tasks for child in task.read_text().split()]
+    return []
+
+
+def fork_servers_of(worker: int) -> list[int]:
+    """That of a worker, and of each process of its pool that had to start another."""
+    near = children_of(worker)
+    return [pid for pid in (*near, *(child for one in near for child in children_of(one))) if _is_fork_server(pid)]
+
+
+def sandboxed_children_of(worker: int) -> list[int]:
+    """Those that are at work now."""
+    return [child for server in fork_servers_of(worker) for child in children_of(server)]
+
+
+def _is_fork_server(pid: int) -> bool:
+    with suppress(*GONE):
+        return b"sandbox.fork_server" in Path(f"/proc/{pid}/cmdline").read_bytes()
+    return False
