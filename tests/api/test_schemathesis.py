@@ -42,6 +42,7 @@ EXAMPLES = int(os.environ.get("STONE_SCHEMATHESIS_EXAMPLES", "4"))
 Operation = APIOperation[Any, Any, Any, Any]
 ROLES = ("anonymous", "participant", "owner", "administrator")
 SUCCEEDING = {"anonymous": 5, "participant": 13, "owner": 32, "administrator": 40}  # operations, of four examples each
+LAST = "DELETE /api/v1/tokens/current"  # whoever asks it has asked for the last time
 STREAMED_S = 0.05
 REFUSING = ["400", "401", "403", "404", "405", "409", "412", "413", "415", "416", "422", "428"]
 PATIENCE_S = 120.0  # splits proposed for all that was made meanwhile take seconds
@@ -93,9 +94,11 @@ def test_every_answer_is_documented_and_none_is_a_fault(scene: Scene, role: str)
     answered = Answered()
     with requests.Session() as session:
         session.headers.update(scene.cast.headers[role])
-        for result in schema.get_all_operations():
-            assert isinstance(result, Ok), result
-            answered.ask(scene, session, result.ok())
+        found = list(schema.get_all_operations())
+        operations = [result.ok() for result in found if isinstance(result, Ok)]
+        assert len(operations) == len(found), found
+        for operation in sorted(operations, key=lambda operation: operation.label == LAST):
+            answered.ask(scene, session, operation)
     assert not answered.wrong, "\n\n".join(answered.wrong)
     assert len(answered.succeeding) >= SUCCEEDING[role], sorted(answered.succeeding)
 
