@@ -3,15 +3,7 @@
 from contextlib import suppress
 from pathlib import Path
 
-GONE = (FileNotFoundError, ProcessLookupError)
-
-
-def children_of(pid: int) -> list[int]:
-    """Of all its threads; none when it has ended."""
-    with suppress(*GONE):
-        tasks = Path(f"/proc/{pid}/task").glob("*/children")
-        return [int(child) for task in tasks for child in task.read_text().split()]
-    return []
+from testing.process_states import GONE, children_of
 
 
 def fork_servers_of(worker: int) -> list[int]:

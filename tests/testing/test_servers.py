@@ -12,6 +12,7 @@ import pytest
 from botocore.exceptions import ClientError
 from redis import Redis
 
+from testing.process_states import is_running
 from testing.servers.postgres import PostgresServer, running_postgres
 from testing.servers.redis import running_redis
 from testing.servers.s3 import S3Server
@@ -80,19 +81,10 @@ def test_no_server_outlives_the_run_that_started_it(number: signal.Signals) -> N
     run.send_signal(number)
     run.communicate(timeout=300)
     deadline_s = time.monotonic() + 300
-    while any(is_alive(pid) for pid in pids):
+    while any(is_running(pid) for pid in pids):
         assert time.monotonic() < deadline_s
         time.sleep(0.05)
     if number == signal.SIGINT:
         assert not any(folder.exists() for folder in folders)
     for folder in folders:
         subprocess.run(["rm", "-rf", str(folder)], check=True)
-
-
-def is_alive(pid: int) -> bool:
-    """Whether the process runs; one that ended and waits for its parent does not."""
-    try:
-        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
-    except (FileNotFoundError, ProcessLookupError):
-        return False
-    return state != "Z"

@@ -7,8 +7,7 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from pathlib import Path
+from contextlib import contextmanager
 
 import pytest
 
@@ -21,6 +20,7 @@ from services.runtime.jobs.lease_sweep import Sweeper
 from services.runtime.orm import JobAttempt
 from services.runtime.platform import Platform
 from services.runtime.store.factory import open_store
+from testing.process_states import children_of, is_running
 from testing.worlds.benchmark_world import World, benchmark_world, run_eval
 from testing.worlds.sending import (
     guess,
@@ -74,22 +74,6 @@ def until(claim: Callable[[], bool], what: str) -> None:
         time.sleep(0.01)
 
 
-def is_alive(pid: int) -> bool:
-    try:
-        return "\nState:\tZ" not in Path(f"/proc/{pid}/status").read_text()
-    except FileNotFoundError:
-        return False
-
-
-def children_of(pid: int) -> list[int]:
-    """The children that its threads have; none once it is gone."""
-    found: list[int] = []
-    for task in Path(f"/proc/{pid}/task").glob("*/children"):
-        with suppress(OSError):
-            found += map(int, task.read_text().split())
-    return found
-
-
 def give_back_silent(platform: Platform) -> None:
     """What the sweeper does when a lease has gone by without a heartbeat."""
     clock = iter((0.0, platform.settings.jobs.lease_s + 1.0))
@@ -112,7 +96,7 @@ def test_a_worker_killed_in_the_middle_is_replaced_and_scores_once(
             until(lambda: bool(children_of(worker)), "the worker confines its reader")
             (reader,) = children_of(worker)
             os.kill(worker, signal.SIGKILL)
-            until(lambda: not is_alive(reader), "the child ends with its worker")
+            until(lambda: not is_running(reader), "the child ends with its worker")
     assert [job.state for job in jobs_of(world.platform, submission_id)].count("running") == 1
     assert (scores_of(world.platform, submission_id), parts_left(world.platform)) == ([], 0)
     give_back_silent(world.platform)

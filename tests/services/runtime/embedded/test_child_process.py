@@ -12,6 +12,7 @@ import psutil
 import pytest
 
 from services.runtime.embedded.child_process import Child, Program
+from testing.process_states import is_running
 
 PATIENCE_S = 300.0
 FORKS = "import os, time; os.fork(); time.sleep(600)"
@@ -35,10 +36,6 @@ def until(claim: Callable[[], bool]) -> None:
     while not claim():
         assert time.monotonic() < end, "it never came true"
         time.sleep(0.02)
-
-
-def is_alive(pid: int) -> bool:
-    return psutil.pid_exists(pid) and psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
 
 
 @pytest.fixture
@@ -70,7 +67,7 @@ def test_a_dead_child_is_started_again_after_a_pause_and_it_is_said(
     child.revive()
     assert child.pid == first, "not at once"
     until(lambda: child.revive() or child.pid != first)
-    assert is_alive(child.pid)
+    assert is_running(child.pid)
     assert "sleeper was killed by SIGKILL; starting it again in 0.5 s" in told[0]
     assert "started again" in told[1]
 
@@ -89,7 +86,7 @@ def test_stopping_ends_what_the_child_forked_too(make: Callable[..., Child]) -> 
     until(lambda: len(psutil.Process(child.pid).children()) == 1)
     grandchild = psutil.Process(child.pid).children()[0].pid
     assert child.stop()
-    until(lambda: not is_alive(grandchild))
+    until(lambda: not is_running(grandchild))
 
 
 def test_a_child_that_does_not_listen_is_killed_when_its_time_is_up(make: Callable[..., Child]) -> None:
@@ -105,10 +102,10 @@ def test_a_child_dies_with_its_supervisor_even_by_kill_9(tmp_path: Path) -> None
     assert supervisor.stdout is not None
     with supervisor.stdout:
         pid = int(supervisor.stdout.readline())
-    assert is_alive(pid)
+    assert is_running(pid)
     supervisor.kill()
     supervisor.wait()
-    until(lambda: not is_alive(pid))
+    until(lambda: not is_running(pid))
 
 
 def test_a_log_is_appended_to_across_starts(make: Callable[..., Child]) -> None:

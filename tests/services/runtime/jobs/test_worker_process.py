@@ -27,6 +27,7 @@ from services.runtime.jobs.wakeup import wake_up_counter, wake_up_sender
 from services.runtime.orm import JobAttempt, Worker
 from services.runtime.platform import Platform
 from services.runtime.settings import BrokerSettings, Settings
+from testing.process_states import is_running
 from tests.services.runtime.jobs.steps import a_job, an_owner, job
 
 pytestmark = pytest.mark.whole
@@ -199,7 +200,7 @@ def test_a_frozen_worker_is_ended_by_terminate_and_replaced(loud: Platform, star
     with loud.database.transaction() as session:
         terminate(session, job_id, "it hears nothing")
     assert job(loud, job_id).state == "cancelled"
-    until(lambda: not is_alive(pid), "its process ends")
+    until(lambda: not is_running(pid), "its process ends")
     after = a_job(loud, owner, "ingest.note", file=str(tmp_path / "b"))
     until(lambda: job(loud, after).state == "succeeded", "the pool has a new process")
     assert job(loud, job_id).attempt == 1
@@ -244,14 +245,6 @@ def worker_pid(platform: Platform, job_id: str) -> int:
     """The process at work on the job."""
     with platform.database.reading() as session:
         return int(session.get_one(JobAttempt, (job_id, job(platform, job_id).attempt)).worker.rpartition(":")[2])
-
-
-def is_alive(pid: int) -> bool:
-    """Whether the process runs; one that ended and waits for its parent does not."""
-    try:
-        return "\nState:\tZ" not in Path(f"/proc/{pid}/status").read_text()
-    except FileNotFoundError:
-        return False
 
 
 def test_idle_processes_say_that_they_are_there_and_when_they_leave(loud: Platform, start: Start) -> None:

@@ -1,4 +1,4 @@
-"""What sandboxed children of a worker find loaded is there, and is all that they work with."""
+"""What sandboxed children of a worker are to find loaded can be loaded."""
 
 from importlib import import_module
 

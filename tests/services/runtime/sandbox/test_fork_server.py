@@ -5,8 +5,7 @@ import signal
 import subprocess
 import sys
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -19,10 +18,11 @@ from services.runtime.sandbox.errors import SandboxCrashedError, SandboxInterrup
 from services.runtime.sandbox.fork_client import ForkServer, harmless
 from services.runtime.telemetry.process_usage import used_cpu_s
 from stone.errors import StoneError
+from testing.process_states import is_running, parent_of
+from testing.stone_serve import PATIENCE_S, until
 from tests.services.runtime.sandbox import spies
 
 SPIES = (spies.__name__,)
-PATIENCE_S = 300.0
 ASKER = """
 import sys
 from functools import partial
@@ -52,20 +52,6 @@ def server(monkeypatch: pytest.MonkeyPatch, secret: str) -> Iterator[ForkServer]
     monkeypatch.setattr(fork_client, "_SERVERS", [made])
     yield made
     made.close()
-
-
-def await_true(is_true: Callable[[], bool]) -> None:
-    until_s = time.monotonic() + PATIENCE_S
-    while not is_true():
-        assert time.monotonic() < until_s
-        time.sleep(0.02)
-
-
-def is_alive(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except (FileNotFoundError, ProcessLookupError):
-        return False
 
 
 def test_a_child_holds_no_secret_of_the_service(server: ForkServer, secret: str) -> None:
@@ -128,10 +114,10 @@ def test_what_children_use_is_counted_as_ours(server: ForkServer) -> None:
 
 
 def test_a_server_that_was_killed_is_started_again(server: ForkServer) -> None:
-    first = sandboxed(spies.children_of_pid_1)
+    first = sandboxed(spies.parent)
     os.kill(int(first), signal.SIGKILL)
-    await_true(lambda: not is_alive(int(first)))
-    assert sandboxed(spies.children_of_pid_1) != first
+    until(lambda: not is_running(int(first)))
+    assert sandboxed(spies.parent) != first
 
 
 def test_work_that_is_lost_with_its_server_is_tried_again_and_not_refused(server: ForkServer, tmp_path: Path) -> None:
@@ -146,13 +132,13 @@ def test_work_that_is_lost_with_its_server_is_tried_again_and_not_refused(server
 
     thread = threading.Thread(target=work)
     thread.start()
-    await_true(lambda: told.exists() and told.read_text() != "")
+    until(lambda: told.exists() and told.read_text() != "")
     child = int(told.read_text())
-    parent = int(Path(f"/proc/{child}/stat").read_text().rpartition(")")[2].split()[1])
+    parent = parent_of(child)
     os.kill(parent, signal.SIGKILL)
     thread.join(PATIENCE_S)
     assert [type(error) for error in raised] == [SandboxInterruptedError]
-    await_true(lambda: not is_alive(child))
+    until(lambda: not is_running(child))
 
 
 def test_a_server_that_ends_at_once_is_a_fault_of_the_machine(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -172,9 +158,9 @@ def test_work_that_no_other_process_can_be_given_is_said_at_once(server: ForkSer
 def test_children_and_server_end_with_the_service(tmp_path: Path, death: int) -> None:
     told = tmp_path / "told"
     asker = subprocess.Popen([sys.executable, "-c", ASKER, str(told)])
-    await_true(lambda: told.exists() and told.read_text() != "")
+    until(lambda: told.exists() and told.read_text() != "")
     child = int(told.read_text())
-    server = int(Path(f"/proc/{child}/stat").read_text().rpartition(")")[2].split()[1])
+    server = parent_of(child)
     os.kill(asker.pid, death)
     asker.wait()
-    await_true(lambda: not is_alive(child) and not is_alive(server))
+    until(lambda: not is_running(child) and not is_running(server))

@@ -5,9 +5,10 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
+
+from testing.process_states import is_running
 
 PARENT = """
 import os, sys, time
@@ -41,13 +42,6 @@ if __name__ == "__main__":
     print(answers.get(), answers.get())
     process.join()
 """
-
-
-def is_running(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 @pytest.mark.parametrize("death", [signal.SIGKILL, signal.SIGTERM])
