@@ -28,7 +28,7 @@ from services.runtime.sandbox import (
     SandboxWatch,
     sandboxed_with_progress,
 )
-from services.runtime.sandbox.fork_client import fork_server
+from services.runtime.sandbox.fork_client import warm_unless_served
 from stone.scoring.bitplanes import RINGS
 from stone.scoring.metric import CLASSES
 from stone_submissions.archive import SubmissionZip, open_submission
@@ -70,8 +70,7 @@ def examine(examination: Examination, watch: SandboxWatch) -> ExaminedRange:
 
     Raises `ScoringCrashedError` where the child broke its limits, `ScoringInterruptedError`, and what `watch` raises.
     """
-    if fork_server() is None:
-        warm()
+    warm_unless_served(warm)
     try:
         answer = sandboxed_with_progress(partial(_looked_at, examination), examination.limits, watch)
     except SandboxCrashedError as error:

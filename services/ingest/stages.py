@@ -27,7 +27,7 @@ from services.runtime.sandbox.job_sandbox import JobSandbox, private_folder_in
 from services.runtime.store.blobs import link_all
 from services.runtime.store.workspace import Workspace
 from stone_files.atomic import flush
-from stone_recordings.bags.fingerprint import bag_parts
+from stone_recordings.bags.fingerprint import bag_paths
 from stone_recordings.sync.stored_recording import StoredRecording, StoredRecordingFile
 
 
@@ -66,7 +66,7 @@ def synchronise_recording(platform: Platform, attempt: Attempt) -> Outcome:
     asked = SynchronisationRequest(path, calibration, inputs.name, inputs.recording, inputs.valid_ns, options)
     workspace = Workspace(platform.store, platform.settings, attempt.root_id)
     with private_folder_in(workspace.folder) as folder:
-        reads = (path, *bag_parts(path), calibration)  # a folder of links does not lead to files by itself
+        reads = (*bag_paths(path), calibration)
         made = synchronised(asked, JobSandbox(folder, reads, attempt, platform.settings, warm, makes_links=True))
         attempt.progress(SYNCHRONISED, 1, 2)
         overlays = prepared_previews(platform, workspace.folder, made.overlays)

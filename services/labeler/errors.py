@@ -1,6 +1,8 @@
 """Why a sequence cannot be labelled."""
 
 import math
+from collections.abc import Iterable
+from pathlib import Path
 
 from stone.errors import StoneError
 from stone.sensors.sequence import Sequence
@@ -39,3 +41,10 @@ class WorkGoneError(StoneError):
 
     def __init__(self, name: str) -> None:
         super().__init__(f"{name} of this run is gone, so it cannot be continued; process the sequence again")
+
+
+def require_left(folder: Path, names: Iterable[str]) -> None:
+    """Raises `WorkGoneError` for the first of these files or folders that is not there."""
+    for name in names:
+        if not (folder / name).exists():
+            raise WorkGoneError(name)

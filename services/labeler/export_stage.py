@@ -41,7 +41,7 @@ from services.runtime.store.folder import refusing_full
 from services.runtime.store.pack_reading import archive_sha256, local_reader
 from services.runtime.store.packs import PackedFiles, index_bytes, pack_count, pack_folder, pack_path
 from services.runtime.store.workspace import Workspace
-from stone_recordings.bags.fingerprint import bag_parts
+from stone_recordings.bags.fingerprint import bag_paths
 
 INDEX = "index.npz"
 INPUTS = "inputs"
@@ -92,7 +92,7 @@ class ExportSandbox:
         """Raises as `JobSandbox.run`."""
         bag = inputs.recording
         files = (path.resolve() for path in inputs.folder.iterdir())
-        reads = (inputs.folder, *files, *inputs.labels.packs.values(), *((bag, *bag_parts(bag)) if bag else ()))
+        reads = (inputs.folder, *files, *inputs.labels.packs.values(), *(bag_paths(bag) if bag else ()))
         with private_folder_in(self.folder) as temporary:
             sandbox = JobSandbox(self.folder, reads, self.attempt, self.platform.settings, warm, temporary)
             return sandbox.run(work, "export", 1)

@@ -16,12 +16,13 @@ from services.domain.exports.requests import follow_labels
 from services.domain.sequences.run_files import SEQUENCE_FILE
 from services.domain.sequences.stage_checks import require_sequence
 from services.domain.viewer.playback import PLAYBACK
+from services.labeler.exports.source import REPORT, TABLE
 from services.labeler.map.comparison import COMPARISON
 from services.labeler.map.far_points import FAR
 from services.labeler.map.map_files import MAP
 from services.labeler.map.track_coverage import COVERAGE
 from services.labeler.parameters import chosen_parameters
-from services.labeler.publication_files import PUBLISHED, REPORT, TABLE
+from services.labeler.publication_files import PUBLISHED
 from services.labeler.run_answers import FilesAnswer, PackAnswer, PublicationAnswer
 from services.labeler.sandboxed_run import described
 from services.labeler.stage_context import LabelStageContext

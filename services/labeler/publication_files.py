@@ -1,5 +1,6 @@
 """What a run that is done publishes beside the files of its stages: the report, the frame table, facts for rows."""
 
+from services.labeler.exports.source import REPORT, TABLE
 from services.labeler.report import report_of
 from services.labeler.results import load_pack, pack_path
 from services.labeler.run import LabelRun, Part, parts_of
@@ -9,7 +10,6 @@ from services.labeler.tables import write_frames
 from services.labeler.totals import totals_of
 
 PUBLISHED = "published"
-REPORT, TABLE = "report.json", "frames.parquet"
 
 
 def publication(run: LabelRun) -> PublicationAnswer:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from services.domain.sequences.run_files import SEQUENCE_FILE, SWEEPS_FILE
-from services.labeler.errors import NoUsableFramesError, WorkGoneError
+from services.labeler.errors import NoUsableFramesError, require_left
 from services.labeler.parameters import chosen_parameters
 from services.labeler.pipeline import FUSE, STAGES, SURFACE, label_graph
 from services.labeler.publication_files import publication
@@ -86,9 +86,7 @@ def worked(task: StageTask, folder: Path, progress: ProgressCallback) -> bytes:
     """The job's work. Raises what it raises, and `WorkGoneError` where nothing is left of what it requires."""
     stage, run = STAGES[task.kind], task.opening.run()
     files = _files_of(task, run)
-    for name in files.requires:
-        if not (folder / name).exists():
-            raise WorkGoneError(name)
+    require_left(folder, files.requires)
     done = stage.work(run, task.arguments, partial(progress, stage.step_name))
     return WorkAnswer(result=dict(done.result), facts=dict(done.facts), files=files).packed()
 

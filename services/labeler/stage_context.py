@@ -7,7 +7,7 @@ from services.domain.sequences.recording_sources import kept_recording, locate
 from services.domain.sequences.restart import arguments_of_run
 from services.domain.sequences.run_files import SEQUENCE_FILE, SWEEPS_FILE
 from services.domain.sequences.stage_checks import require_sequence
-from services.labeler.errors import WorkGoneError
+from services.labeler.errors import require_left
 from services.labeler.kernel_warmup import warm
 from services.labeler.run_answers import FilesAnswer, SandboxAnswer
 from services.labeler.sandboxed_run import RunOpening
@@ -17,7 +17,7 @@ from services.runtime.orm import Recording
 from services.runtime.platform import Platform
 from services.runtime.sandbox.job_sandbox import JobSandbox, SandboxedWork, private_folder_in
 from services.runtime.store.workspace import Workspace
-from stone_recordings.bags.fingerprint import bag_parts
+from stone_recordings.bags.fingerprint import bag_paths
 
 A = TypeVar("A", bound=SandboxAnswer)
 
@@ -51,7 +51,7 @@ class LabelStageContext:
         Raises what `work` raises, `SandboxCrashedError`, `SandboxInterruptedError`, `JobCancelledError`.
         """
         bag = opening.recording
-        reads = () if bag is None else (bag, *bag_parts(bag))  # a folder of links does not lead to files by itself
+        reads = () if bag is None else bag_paths(bag)
         with private_folder_in(opening.folder) as temporary:
             sandbox = JobSandbox(opening.folder, reads, self.attempt, self.platform.settings, warm, temporary)
             return answer.believed(sandbox.run(work, shown, 1))
@@ -62,8 +62,7 @@ class LabelStageContext:
         for name in files.requires:
             if not (self.workspace.folder / name).exists():
                 self.workspace.pull(name)
-            if not (self.workspace.folder / name).exists():
-                raise WorkGoneError(name)
+        require_left(self.workspace.folder, files.requires)
 
     def push(self, files: FilesAnswer) -> None:
         """Leave for later stages what was written."""
@@ -83,7 +82,5 @@ def stage_context_of(platform: Platform, attempt: Attempt) -> LabelStageContext:
     arguments = arguments_of_run(platform, attempt)
     workspace = Workspace(platform.store, platform.settings, attempt.root_id)
     workspace.pull(SEQUENCE_FILE, SWEEPS_FILE)
-    for name in (SWEEPS_FILE, SEQUENCE_FILE):
-        if not (workspace.folder / name).exists():
-            raise WorkGoneError(name)
+    require_left(workspace.folder, (SWEEPS_FILE, SEQUENCE_FILE))
     return LabelStageContext(platform, attempt, arguments, workspace)

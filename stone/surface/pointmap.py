@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from stone.geometry.lattice import Keys, centres_of, check_reach
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Box
+from stone.sensors.reach import FARTHEST_POINT_M
 from stone.surface.moments import (
     MOST_FRAMES,
     MOST_POINTS,
@@ -26,8 +27,7 @@ from stone.surface.moments import (
 
 COUNT, FRAMES, OFFSET, VIEW = 0, 1, slice(2, 5), slice(5, 8)
 LOAD_RATIO = 0.55
-SWEEP_REACH_M = 1000.0
-EVERYWHERE = Box((-SWEEP_REACH_M,) * 3, (SWEEP_REACH_M,) * 3)
+EVERYWHERE = Box((-FARTHEST_POINT_M,) * 3, (FARTHEST_POINT_M,) * 3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,12 +100,14 @@ class PointMapBuilder:
         reach: Box = EVERYWHERE,
     ) -> None:
         """Add one sweep (N, 3) seen from `sensor_ego` (3,): its points in the half-open box `reach` of the ego frame,
-        nearer than `SWEEP_REACH_M`.
+        nearer than `FARTHEST_POINT_M`.
 
         Raises `OffLatticeError` for a pose that is not finite or off the lattice.
         """
         sensor_map = map_from_ego @ sensor_ego
-        check_reach(np.abs(sensor_map) + SWEEP_REACH_M, self._voxel_m)  # a broken rotation shows in the sensor's place
+        check_reach(
+            np.abs(sensor_map) + FARTHEST_POINT_M, self._voxel_m
+        )  # a broken rotation shows in the sensor's place
         if self._frames >= MOST_FRAMES or self._points + len(points_ego) > MOST_POINTS:
             self._begin_another()
         box = np.array([reach.min_m, reach.max_m], np.float64)

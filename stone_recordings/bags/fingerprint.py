@@ -20,6 +20,11 @@ def bag_parts(path: Path) -> list[Path]:
     return [part for part in parts if _has_bytes(part) or not part.name.endswith(LEFT_BESIDE)]
 
 
+def bag_paths(path: Path) -> tuple[Path, ...]:
+    """The bag and its files: a folder may be of links, and whoever may read it may not for that read what they name."""
+    return (path, *bag_parts(path))
+
+
 def recording_sha256(path: Path, is_given_up: Callable[[], bool] = lambda: False) -> str:
     """sha256 of the file; of several, of their names and hashes in order of name; nothing of use once given up."""
     if path.is_dir() or len(bag_parts(path)) > 1:

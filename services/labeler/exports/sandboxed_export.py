@@ -19,7 +19,6 @@ from services.labeler.exports.errors import DamagedLabelsError
 from services.labeler.exports.inputs import write_sensed
 from services.labeler.exports.registry import exporter_of
 from services.labeler.exports.source import MESH, REPORT, TABLE, LabelledSequence
-from services.labeler.recordings import RecordingDeletedError
 from services.labeler.run_answers import Hex256, SandboxAnswer
 from services.runtime.sandbox import ProgressCallback
 from stone.sensors.samples import CameraSample, LidarSample, RadarSample, SampleSource
@@ -29,6 +28,7 @@ from stone_recordings.sync.sequence_file import read_sequence
 
 FILES = "files"
 MOST_INPUTS = 1000
+UNASKED = "a format that says it reads no samples reads one"
 
 
 class SourceAnswer(SandboxAnswer):
@@ -93,16 +93,16 @@ class ExportInputs:
 
 
 class NoSamples:
-    """The samples of an export whose format asks for none; asked all the same, it raises."""
+    """The samples of an export whose format says that it reads none; asked all the same, it raises ValueError."""
 
     def lidar(self, index: int) -> LidarSample:
-        raise RecordingDeletedError(f"of frame {index}")
+        raise ValueError(UNASKED)
 
     def camera(self, channel: str, index: int) -> CameraSample | None:
-        raise RecordingDeletedError(f"of frame {index} of {channel}")
+        raise ValueError(UNASKED)
 
     def radar(self, channel: str, index: int) -> RadarSample | None:
-        raise RecordingDeletedError(f"of frame {index} of {channel}")
+        raise ValueError(UNASKED)
 
 
 def source_of(inputs: ExportInputs, _folder: Path, _progress: ProgressCallback) -> bytes:

@@ -21,14 +21,14 @@ from threading import Thread
 
 import structlog
 from billiard.process import active_children  # type: ignore[import-untyped]
-from celery.signals import worker_init, worker_shutting_down
+from celery.signals import worker_shutting_down
 
 from services.runtime.jobs.broker_app import QUEUES
 from services.runtime.jobs.celery_app import app
 from services.runtime.jobs.claims import worker_name
 from services.runtime.jobs.interruption import WORKER_STOPPED, give_back_of
 from services.runtime.platform import platform
-from services.runtime.sandbox.fork_client import fork_server, use_fork_server
+from services.runtime.sandbox.fork_client import use_fork_server
 from services.runtime.settings import Settings
 from services.runtime.telemetry.log_lines import speak_json
 from stone.errors import StoneError
@@ -78,14 +78,6 @@ def arguments(queues: Sequence[str], concurrency: int) -> list[str]:
     ]
 
 
-@worker_init.connect
-def _fork_apart(**_: object) -> None:
-    """Before the pool is forked, whose processes share it."""
-    server = fork_server()
-    if server is not None:
-        server.ensure_running()
-
-
 @worker_shutting_down.connect
 def _drain(**_: object) -> None:
     """Called within a signal handler: a thread does the waiting."""
@@ -114,7 +106,8 @@ def main() -> None:
         Path(os.environ["TMPDIR"]).mkdir(parents=True, exist_ok=True)
     settings, queues = Settings(), sys.argv[1:]
     argv = arguments(queues, settings.concurrency)
-    use_fork_server([loaded for name in services_of(queues) for loaded in FORKED_FROM[name]])
+    server = use_fork_server([loaded for name in services_of(queues) for loaded in FORKED_FROM[name]])
+    server.ensure_running()  # before the pool is forked, whose processes share it
     await_schema(settings)
     app.worker_main(argv)
 

@@ -11,13 +11,13 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from threading import Lock
 
 from services.runtime.sandbox.errors import SandboxInterruptedError
-from services.runtime.sandbox.fork_server import CHILD_FORKED, FATE, Work, task_bytes
+from services.runtime.sandbox.fork_server import CHILD_FORKED, FATE, REQUEST, Work, task_bytes
 from services.runtime.sandbox.limits import SandboxLimits
 from services.runtime.telemetry.process_usage import note_served
 
@@ -49,7 +49,7 @@ class ForkServer:
             requests = self._requests
             try:
                 if requests is not None:
-                    socket.send_fds(requests, [CHILD_FORKED], descriptors)
+                    socket.send_fds(requests, [REQUEST], descriptors)
                     return
             except (BrokenPipeError, ConnectionError):
                 with self._lock:
@@ -87,6 +87,12 @@ def use_fork_server(warmed_by: Sequence[str]) -> ForkServer:
 def fork_server() -> ForkServer | None:
     """That of this process, if it has one."""
     return _SERVERS[0] if _SERVERS else None
+
+
+def warm_unless_served(warm: Callable[[], None]) -> None:
+    """Compile here what children need, where they are forked from this process: they could not keep it."""
+    if fork_server() is None:
+        warm()
 
 
 class ServedChild:

@@ -29,7 +29,7 @@ from services.runtime.sandbox.child import ProgressCallback, SandboxTask, run_ch
 from services.runtime.sandbox.limits import SandboxLimits
 from services.runtime.sandbox.system_files import system_files
 
-CHILD_FORKED, CHILD_ENDED = b"f", b"e"
+REQUEST, CHILD_FORKED, CHILD_ENDED = b"r", b"f", b"e"
 FATE = struct.Struct("<ciddq")  # CHILD_ENDED, wait status, user and system seconds, most memory in bytes
 DESCRIPTORS = 3
 Work = Callable[[ProgressCallback], bytes]

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from services.runtime.jobs.specs import Attempt
 from services.runtime.sandbox.child import ProgressCallback
-from services.runtime.sandbox.fork_client import fork_server
+from services.runtime.sandbox.fork_client import warm_unless_served
 from services.runtime.sandbox.limits import SandboxLimits
 from services.runtime.sandbox.parent import SandboxWatch, sandboxed_with_progress
 from services.runtime.settings import Settings
@@ -60,8 +60,7 @@ class JobSandbox:
 
     def run(self, work: SandboxedWork, stage: str, total: int) -> bytes:
         """The answer of `work(folder, progress)`. Raises as `sandboxed_with_progress`, and `JobCancelledError`."""
-        if fork_server() is None:
-            self.warm()
+        warm_unless_served(self.warm)
         temporary = self.temporary or self.folder
         task = partial(_work, self.folder, str(temporary), work)
         return sandboxed_with_progress(task, self.limits, sandbox_watch_of(self.attempt, stage, total))

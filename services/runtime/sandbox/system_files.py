@@ -6,7 +6,6 @@ lies beside them. Modules that a child imports late are found, since their packa
 
 import os
 import sys
-import sysconfig
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -25,13 +24,8 @@ def system_files() -> tuple[Path, ...]:
 
 @cache
 def _installed() -> tuple[Path, ...]:
-    found = {*map(Path, (*SYSTEM, *KERNEL, *GROUPS, sys.prefix, sys.base_prefix)), *_libraries(), *_packages()}
+    found = {*map(Path, (*SYSTEM, *KERNEL, *GROUPS, sys.prefix, sys.base_prefix)), *_packages()}
     return tuple(sorted(path for path in (*found, *_compiled()) if path.exists()))
-
-
-def _libraries() -> set[Path]:
-    """Folders that modules of others are installed in."""
-    return {Path(sysconfig.get_path(name)) for name in ("stdlib", "platstdlib", "purelib", "platlib")}
 
 
 def _packages() -> set[Path]:
