@@ -9,6 +9,8 @@ from collections.abc import Callable, Mapping
 import sqlalchemy as sa
 from alembic import op
 
+from services.runtime.database.migrations.renames import name_reference, rename_column
+
 revision = "0019"
 down_revision = "0018"
 branch_labels = None
@@ -25,8 +27,8 @@ def upgrade() -> None:
         _move(old, new, MADE[old])
     for table, columns in COLUMNS.items():
         for column, named in columns.items():
-            _rename(table, column, named)
-    _refer("draws_sha256", "replicates_sha256")
+            rename_column(table, column, named)
+    name_reference("scores", "draws_sha256", "replicates_sha256")
     _rename_metrics("process_counters", METRICS)
 
 
@@ -34,8 +36,8 @@ def downgrade() -> None:
     _rename_metrics("process_counters", {new: old for old, new in METRICS.items()})
     for table, columns in COLUMNS.items():
         for column, named in columns.items():
-            _rename(table, named, column)
-    _refer("replicates_sha256", "draws_sha256")
+            rename_column(table, named, column)
+    name_reference("scores", "replicates_sha256", "draws_sha256")
     for old, new in TABLES.items():
         _move(new, old, MADE[old])
 
@@ -45,31 +47,6 @@ def _move(source: str, target: str, make: Callable[[str], None]) -> None:
     names = ", ".join(column["name"] for column in sa.inspect(op.get_bind()).get_columns(target))
     op.execute(f"INSERT INTO {target} ({names}) SELECT {names} FROM {source}")
     op.drop_table(source)
-
-
-def _rename(table: str, column: str, named: str) -> None:
-    """In place, on both databases; foreign keys, indexes and defaults follow."""
-    op.execute(f"ALTER TABLE {table} RENAME COLUMN {column} TO {named}")
-
-
-def _refer(column: str, named: str) -> None:
-    """The index and the foreign key of a renamed column of `scores` are named after it."""
-    op.drop_index(op.f(f"ix_scores_{column}"), table_name="scores")
-    op.create_index(op.f(f"ix_scores_{named}"), "scores", [named], unique=False)
-    triggers = _sqlite_triggers("scores")
-    with op.batch_alter_table("scores") as scores:
-        scores.drop_constraint(op.f(f"fk_scores_{column}"), type_="foreignkey")
-        scores.create_foreign_key(op.f(f"fk_scores_{named}"), "blobs", [named], ["sha256"])
-    for trigger in triggers:
-        op.execute(trigger)
-
-
-def _sqlite_triggers(table: str) -> list[str]:
-    """What makes them anew: SQLite drops them with the table that Alembic copies. PostgreSQL keeps its own."""
-    if op.get_bind().dialect.name != "sqlite":
-        return []
-    asked = sa.text("SELECT sql FROM sqlite_master WHERE type = 'trigger' AND tbl_name = :table ORDER BY name")
-    return list(op.get_bind().scalars(asked, {"table": table}))
 
 
 def _rename_metrics(table: str, names: Mapping[str, str]) -> None:
