@@ -119,6 +119,7 @@ STATUS_OF: dict[type[StoneError], int] = {
     submissions.TooManyOpenError: 409,
     splits.SplitRefusedError: 422,
     metric.UnknownMetricError: 422,
+    metric.SupersededMetricError: 422,
     splitting.BadSizesError: 422,
     splitting.CatalogueTooLargeError: 422,
     splitting.EmptyCatalogueError: 409,

@@ -18,7 +18,7 @@ from services.runtime.orm import Job, JobAttempt, Phase, Score, ScorePart, Scori
 from services.runtime.platform import Platform
 from services.runtime.uploads import upload_file
 
-SCORE_COLUMNS = ("metric", "signature", "miou", "confusions_sha256", "replicates_sha256", "content_sha256", "record")
+SCORE_COLUMNS = ("metric", "signature", "miou", "confusions_sha256", "spectra_sha256", "content_sha256", "record")
 
 
 @dataclass(frozen=True)

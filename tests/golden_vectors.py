@@ -17,7 +17,7 @@ from tests.slow_metric import Counts, added, slow_counts, slow_extras, slow_rati
 
 FOLDER = Path(__file__).resolve().parents[1] / "services" / "domain" / "benchmarks" / "golden"
 SHAPE = (256, 256, 32)
-METRICS = ("stone-iou-1", "stone-iou-occupied-1")
+METRICS = ("stone-iou-2", "stone-iou-1", "stone-iou-occupied-2", "stone-iou-occupied-1")
 MASKS = ("all", "lidar", "camera")
 SEQUENCES = {"golden-mixed": 2, "golden-absent": 1, "golden-free": 1}
 EPOCH = (1980, 1, 1, 0, 0, 0)

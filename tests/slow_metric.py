@@ -62,8 +62,8 @@ def added(counts: Sequence[Counts]) -> tuple[list[list[int]], list[int]]:
 
 
 def slow_ratios(cells: Sequence[Sequence[int]], metric: str) -> dict[str, Ratio]:
-    """`metric` is stone-iou-1 or stone-iou-occupied-1."""
-    rows = {"stone-iou-1": (0, 1, 2, 3), "stone-iou-occupied-1": (1, 2, 3)}[metric]
+    """`metric` is stone-iou or stone-iou-occupied, of any version."""
+    rows = {"stone-iou": (0, 1, 2, 3), "stone-iou-occupied": (1, 2, 3)}[metric.rpartition("-")[0]]
     occupied = [(t, p) for t in range(4) for p in range(4) if t and p]
     either = [(t, p) for t in range(4) for p in range(4) if t or p]
     iou_occ = quotient(sum(cells[t][p] for t, p in occupied), sum(cells[t][p] for t, p in either))

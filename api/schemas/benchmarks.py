@@ -11,10 +11,10 @@ from services.domain.benchmarks.phases.phases import NewBenchmark, PhaseStatus
 
 PhaseShown = TypeVar("PhaseShown")
 
-SIGNATURE_EXAMPLE = {"metric": "stone-iou-1", "ground_truth": SHA256_EXAMPLE, "mask": "all"}
+SIGNATURE_EXAMPLE = {"metric": "stone-iou-2", "ground_truth": SHA256_EXAMPLE, "mask": "all"}
 ACTIVE_EXAMPLE: dict[str, Any] = {
     "ground_truth": 1,
-    "metric": "stone-iou-1",
+    "metric": "stone-iou-2",
     "dataset": "stone-1.0",
     "frames": 7012,
     "manifest_sha256": SHA256_EXAMPLE,
@@ -188,7 +188,7 @@ class MetricItem(Answer):
     """A version of the metric: `definition` is Markdown and never changes; golden vectors prove it."""
 
     model_config = example(
-        version="stone-iou-1", title="IoU over all evaluated voxels", definition="# …", is_active=True
+        version="stone-iou-2", title="IoU over all evaluated voxels", definition="# …", is_active=True
     )
 
     version: str

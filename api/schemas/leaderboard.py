@@ -9,14 +9,15 @@ from api.schemas.base import ID_EXAMPLE, ID_PATTERN, SHA256_EXAMPLE, Answer, exa
 from api.schemas.phase_bodies import Moment
 from services.domain.benchmarks.boards.entries import EntryStatus, Track, Which
 from services.domain.benchmarks.visibility import Secrecy
+from stone.scoring.silences import Scope, Silence
 
-SIGNATURE_EXAMPLE = "metric:stone-iou-1|truth:9f86d081884c7d65|mask:all|grid:256x256x32@0.2m|classes:0=free,1=T,2=P,3=N"
+SIGNATURE_EXAMPLE = "metric:stone-iou-2|truth:9f86d081884c7d65|mask:all|grid:256x256x32@0.2m|classes:0=free,1=T,2=P,3=N"
 RATIOS_EXAMPLE = {"miou": 0.2431, "iou_occ": 0.4119, "iou_t": 0.3120, "iou_p": 0.1980, "iou_n": 0.2193}
 INTERVAL_EXAMPLE = [0.2389, 0.2474]
 PAIR_EXAMPLE = {
     "ground_truth": 1,
     "ground_truth_sha256": SHA256_EXAMPLE,
-    "metric": "stone-iou-1",
+    "metric": "stone-iou-2",
     "signature": SIGNATURE_EXAMPLE,
     "frames": 7012,
     "sequences": 5,
@@ -46,14 +47,20 @@ CHANGE_EXAMPLE = {
     "is_new_pair": False,
     "best_miou": 0.2431,
 }
-DIFFERENCE_EXAMPLE = {"interval": [0.0012, 0.0031], "share_above": 0.998, "p": 0.0045}
+DIFFERENCE_EXAMPLE = {
+    "interval": [0.0012, 0.0031],
+    "standard_error": 0.00046,
+    "degrees_of_freedom": 18.2,
+    "p": 0.0002,
+}
 FLIP_EXAMPLE = {"sequences": 5, "p": 0.0625, "smallest_p": 0.0625}
 COMPARED_EXAMPLE: dict[str, Any] = {
     "a": 0.2431,
     "b": 0.2410,
     "difference": 0.0021,
-    "block": DIFFERENCE_EXAMPLE,
-    "sequence": DIFFERENCE_EXAMPLE,
+    "these_places": DIFFERENCE_EXAMPLE,
+    "new_place": None,
+    "silences": {"these_places": None, "new_place": "few_sequences"},
     "sign_flip": FLIP_EXAMPLE,
 }
 
@@ -80,7 +87,7 @@ class RatiosItem(Answer):
 
 
 class IntervalsItem(Answer):
-    """Of each ratio the central 95 % of draws; null where a draw leaves it undefined."""
+    """Of each ratio the interval of 95 %; null where nothing can be said."""
 
     model_config = example(**dict.fromkeys(RATIOS_EXAMPLE, INTERVAL_EXAMPLE))
 
@@ -222,12 +229,13 @@ class HistoryAnswer(Answer):
 
 
 class DifferenceItem(Answer):
-    """Of a − b over paired draws; `p` is two-sided, `share_above` the share of draws in which a > b."""
+    """Of a − b, frame by frame: the interval of its true value, and the two-sided p of Student's t."""
 
     model_config = example(**DIFFERENCE_EXAMPLE)
 
-    interval: Interval | None
-    share_above: float
+    interval: Interval
+    standard_error: float
+    degrees_of_freedom: float
     p: float
 
 
@@ -242,15 +250,17 @@ class SignFlipItem(Answer):
 
 
 class RatioDifferenceItem(Answer):
-    """One ratio of both; null is what is undefined, withheld, or where resampling tells nothing."""
+    """One ratio of both; null is what is undefined or withheld. `these_places` is about the ground of the ground truth,
+    `new_place` about another; where one is null, `silences` has the code of the reason."""
 
     model_config = example(**COMPARED_EXAMPLE)
 
     a: float | None
     b: float | None
     difference: float | None
-    block: DifferenceItem | None
-    sequence: DifferenceItem | None
+    these_places: DifferenceItem | None
+    new_place: DifferenceItem | None
+    silences: dict[Scope, Silence | None] | None
     sign_flip: SignFlipItem | None
 
 

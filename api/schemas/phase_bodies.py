@@ -26,7 +26,7 @@ NULLABLE = ("opens_at", "closes_at", "named_from_at", "scorings_per_window", "sc
 
 BenchmarkName = Annotated[str, Path(pattern=BENCHMARK_PATTERN, examples=["stone"])]
 PhaseName = Annotated[str, Path(pattern=PHASE_PATTERN, examples=["test"])]
-MetricName = Annotated[str, Path(pattern=METRIC_PATTERN, examples=["stone-iou-1"])]
+MetricName = Annotated[str, Path(pattern=METRIC_PATTERN, examples=["stone-iou-2"])]
 Heading = Annotated[str, StringConstraints(pattern=PLAIN, max_length=200, strip_whitespace=True)]
 Prose = Annotated[str, StringConstraints(pattern=PROSE, max_length=20_000)]
 Version = Annotated[str, Field(pattern=VERSION_PATTERN)]

@@ -9,13 +9,13 @@ from api.schemas.base import ID_EXAMPLE, PLAIN, Answer, Body, IdText, Reason, ex
 from api.schemas.jobs import FailureItem
 
 RescoreState = Literal["running", "incomplete", "complete", "activated", "abandoned"]
-SIDE_EXAMPLE: dict[str, Any] = {"truth_id": ID_EXAMPLE, "truth_number": 2, "metric": "stone-iou-1"}
+SIDE_EXAMPLE: dict[str, Any] = {"truth_id": ID_EXAMPLE, "truth_number": 2, "metric": "stone-iou-2"}
 RATIOS_EXAMPLE = {"iou_occ": 0.512, "iou_t": 0.431, "iou_p": 0.207, "iou_n": 0.388, "miou": 0.342}
 RESCORE_EXAMPLE: dict[str, Any] = {
     "id": ID_EXAMPLE,
     "phase_id": ID_EXAMPLE,
     "truth_id": ID_EXAMPLE,
-    "metric": "stone-iou-1",
+    "metric": "stone-iou-2",
     "reason": "labels of the quarry corrected",
     "state": "running",
     "total": 600,
@@ -48,7 +48,7 @@ MOVED_EXAMPLE: dict[str, Any] = {
 class NewRescoreBody(Body):
     """By which pair all standing entries are to be scored; what is not said stays as the board has it."""
 
-    model_config = example(truth_id=ID_EXAMPLE, metric="stone-iou-1", reason="labels of the quarry corrected")
+    model_config = example(truth_id=ID_EXAMPLE, metric="stone-iou-2", reason="labels of the quarry corrected")
 
     truth_id: IdText | None = None
     metric: Annotated[str, Field(pattern=PLAIN, max_length=32)] | None = None
@@ -145,7 +145,7 @@ class ActivationItem(Answer):
         id=ID_EXAMPLE,
         phase_id=ID_EXAMPLE,
         truth_id=ID_EXAMPLE,
-        metric="stone-iou-1",
+        metric="stone-iou-2",
         rescore_id=ID_EXAMPLE,
         activated_at="2026-05-03T09:12:44.120000Z",
     )

@@ -17,15 +17,17 @@ from api.schemas.leaderboard import (
 )
 from services.domain.benchmarks.submissions.results import By
 from services.domain.benchmarks.visibility import Secrecy
+from stone.scoring.silences import Silence
 
 SUPPORT_EXAMPLE = {"free": 2000000, "T": 40000, "P": 30000, "N": 27152}
 EXTRAS_EXAMPLE = {"n_predicted_t_ratio": 0.031, "t_predicted_n_ratio": 0.058, "bev_drivable_iou": 0.61}
 INTERVALS_EXAMPLE = dict.fromkeys(RATIOS_EXAMPLE, INTERVAL_EXAMPLE)
+SILENCES_EXAMPLE = dict.fromkeys(RATIOS_EXAMPLE, "few_sequences")
 SCORED_AT = "2026-06-02T09:14:02.512000Z"
 SCORE_EXAMPLE = {
     "score_id": ID_EXAMPLE,
     "ground_truth": 1,
-    "metric": "stone-iou-1",
+    "metric": "stone-iou-2",
     "is_active": True,
     "scored_at": SCORED_AT,
 }
@@ -52,13 +54,22 @@ class ExtrasItem(Answer):
     bev_drivable_iou: float | None
 
 
-class DrawnIntervals(Answer):
-    """By resampling blocks of frames inside the sequences there are, and whole sequences (a new place)."""
+class ScopedIntervals(Answer):
+    """About the ground of the ground truth, and about a new place."""
 
-    model_config = example(block=INTERVALS_EXAMPLE, sequence=INTERVALS_EXAMPLE)
+    model_config = example(these_places=INTERVALS_EXAMPLE, new_place=dict.fromkeys(RATIOS_EXAMPLE))
 
-    block: IntervalsItem
-    sequence: IntervalsItem
+    these_places: IntervalsItem
+    new_place: IntervalsItem
+
+
+class ScopedSilences(Answer):
+    """Why there is no interval, by ratio; null where there is one."""
+
+    model_config = example(these_places=dict.fromkeys(RATIOS_EXAMPLE), new_place=SILENCES_EXAMPLE)
+
+    these_places: dict[str, Silence | None]
+    new_place: dict[str, Silence | None]
 
 
 class ScoreItem(Answer):
@@ -97,7 +108,8 @@ class ResultsAnswer(Answer):
         support=SUPPORT_EXAMPLE,
         confusion=[[0] * 4] * 4,
         extras=EXTRAS_EXAMPLE,
-        intervals={"block": INTERVALS_EXAMPLE, "sequence": INTERVALS_EXAMPLE},
+        intervals={"these_places": INTERVALS_EXAMPLE, "new_place": dict.fromkeys(RATIOS_EXAMPLE)},
+        silences={"these_places": dict.fromkeys(RATIOS_EXAMPLE), "new_place": SILENCES_EXAMPLE},
         submitted_at=SCORED_AT,
         scored_at=SCORED_AT,
         scores=[SCORE_EXAMPLE],
@@ -121,7 +133,8 @@ class ResultsAnswer(Answer):
     support: SupportItem | None
     confusion: list[list[int]] | None
     extras: ExtrasItem | None
-    intervals: DrawnIntervals | None
+    intervals: ScopedIntervals | None
+    silences: ScopedSilences | None
     submitted_at: datetime
     scored_at: datetime
     scores: list[ScoreItem]

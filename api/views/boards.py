@@ -29,14 +29,14 @@ from api.schemas.leaderboard import (
     SupportItem,
 )
 from services.domain.benchmarks.boards.board import Board, BoardEvaluationVersion, LeaderboardRow, sequences_of
-from services.domain.benchmarks.boards.comparison import EntryComparison, RatioDifference
+from services.domain.benchmarks.boards.comparison import DifferenceEstimate, EntryComparison, RatioDifference
 from services.domain.benchmarks.boards.entries import TIE_BREAK, Track
 from services.domain.benchmarks.boards.history import history
 from services.domain.benchmarks.boards.tables import MEDIA_TYPES, notes, table_bytes
 from services.domain.benchmarks.submissions.results import ScoreView
 from services.domain.benchmarks.visibility import RATIO_DIGITS, Viewer
 from services.runtime.orm import Benchmark, Phase
-from stone.scoring.ranking import LEVEL, Difference
+from stone.scoring.intervals import LEVEL
 
 JSON_TYPE = "application/json"
 
@@ -156,11 +156,12 @@ def _compared(found: RatioDifference) -> RatioDifferenceItem:
         a=found.a,
         b=found.b,
         difference=found.difference,
-        block=_difference(found.block),
-        sequence=_difference(found.sequence),
+        these_places=_difference(found.these_places),
+        new_place=_difference(found.new_place),
+        silences=None if found.silences is None else dict(found.silences),
         sign_flip=None if found.sign_flip is None else SignFlipItem(**asdict(found.sign_flip)),
     )
 
 
-def _difference(found: Difference | None) -> DifferenceItem | None:
+def _difference(found: DifferenceEstimate | None) -> DifferenceItem | None:
     return None if found is None else DifferenceItem(**asdict(found))

@@ -8,11 +8,12 @@ from api.schemas.base import instant, instant_or_none
 from api.schemas.leaderboard import IntervalsItem, RatiosItem, SupportItem
 from api.schemas.results import (
     BreakdownAnswer,
-    DrawnIntervals,
     ExtrasItem,
     PartItem,
     ProvenanceAnswer,
     ResultsAnswer,
+    ScopedIntervals,
+    ScopedSilences,
     ScoreItem,
 )
 from api.views.boards import evaluation_version_item
@@ -76,7 +77,10 @@ def results_answer(session: Session, viewer: Viewer, found: SubmissionResults) -
         extras=None if found.extras is None else ExtrasItem(**found.extras),
         intervals=None
         if intervals is None
-        else DrawnIntervals(**{kind: IntervalsItem(**one) for kind, one in intervals.items()}),
+        else ScopedIntervals(**{scope: IntervalsItem(**one) for scope, one in intervals.items()}),
+        silences=None
+        if found.silences is None
+        else ScopedSilences(**{scope: dict(one) for scope, one in found.silences.items()}),
         submitted_at=instant(row.finalized_ns or row.created_ns),
         scored_at=instant(seen.score.created_ns),
         scores=score_items(session, viewer, row),

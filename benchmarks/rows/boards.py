@@ -77,7 +77,7 @@ def _submissions(connection: Connection, count: int, runs: tuple[int, int]) -> N
         "truth_id": f"hex_id({TRUTH}, {PHASE_OF})", "metric": f"'{METRIC}'", "signature": "'s'",
         **dict.fromkeys(RATIOS, ratio), "content_sha256": f"hex_sha({SCORE}, n)",
         "record": """'{"intervals": {"block": {}}, "support": {}}'::json""",
-        "confusions_sha256": f"hex_sha({SCORE}, n)", "replicates_sha256": f"hex_sha({SCORE}, n)",
+        "confusions_sha256": f"hex_sha({SCORE}, n)", "spectra_sha256": f"hex_sha({SCORE}, n)",
     })  # fmt: skip
     insert_rows(connection, "scoring_ledger", numbers(count), {
         "id": f"hex_id({LEDGER}, n)", **of, "submission_id": f"hex_id({SUBMISSION}, n)", "amount": "1",

@@ -23,17 +23,19 @@ from rich.table import Table
 
 from benchmarks.score.material import Material, material
 from benchmarks.score.peers import ByteMoving, Plain, occ3d
-from services.eval.bootstrap_replicates import ratio_replicates
 from services.eval.counting import CountedFrames, TruthOf, count_range
+from services.eval.score_intervals import interval_record, spectra_of
 from services.eval.truth_pack import TruthPack
+from stone.scoring.confusion import named_ratios
+from stone.scoring.metric import METRIC_VERSION, METRICS
 from stone_submissions.archive import SubmissionZip, open_submission
 
 TURNS, LOOPED = 10, 4
 OURS, OURS_2 = "ours, 1 thread", "ours, 2 threads"
 PACKED, PACKED_2 = "ours from the kept pack, 1 thread", "ours from the kept pack, 2 threads"
 OCC3D, PLAIN, LIMIT = "(a) np.load, masked, bincount, as Occ3D", "(b) np.load + bincount", "(c) moving the bytes"
-REPLICATES = "draws of all intervals, once"
-NAMES = (OURS, OURS_2, PACKED, PACKED_2, OCC3D, PLAIN, LIMIT, REPLICATES)
+INTERVALS = "all intervals, once"
+NAMES = (OURS, OURS_2, PACKED, PACKED_2, OCC3D, PLAIN, LIMIT, INTERVALS)
 # (what, of which it is told, how the two are compared, bound)
 EXPECTED = ((OCC3D, "at least", 50.0), (PLAIN, "at least", 18.0), (LIMIT, "at most", 3.2))
 MOST_MEMORY_BYTES = 400e6
@@ -121,9 +123,9 @@ def measure(data: Material, clocks: dict[str, ScoreTimes]) -> float:
             open_s = time.process_time() - started_s
         confusions = take_turns(opened, clocks)
     lengths = [len(rows) for rows in np.array_split(confusions, 5)]
-    ratio_replicates(confusions[:10], [10])
-    with clocks[REPLICATES].turn(1):
-        ratio_replicates(confusions, lengths)
+    total = named_ratios(confusions.sum(axis=(0, 1), dtype=np.int64))
+    with clocks[INTERVALS].turn(1):
+        interval_record(total, spectra_of(confusions, tuple(lengths), METRICS[METRIC_VERSION]), METRICS[METRIC_VERSION])
     return open_s
 
 

@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from services.eval.bootstrap_replicates import ScoreReplicates, intervals_of, ratio_replicates
+from services.eval.score_intervals import interval_record, spectra_of
 from services.runtime.code_version import code_version
 from stone.scoring.bitplanes import RING_EDGES_M, Confusion, Drivable
 from stone.scoring.confusion import extras, named_ratios, supports
-from stone.scoring.metric import METRIC_VERSION, OCCUPIED_VERSION
+from stone.scoring.intervals import RatioSpectra
+from stone.scoring.metric import METRIC_VERSION, OCCUPIED_VERSION, metric_of
 from stone.scoring.signature import Signature
 
 Record = dict[str, Any]
@@ -48,6 +49,10 @@ class SubmissionCounts:
     def frames_of_sequence(self) -> tuple[int, ...]:
         return tuple(sequence.frames for sequence in self.sequences)
 
+    def spectra(self, metric: str = METRIC_VERSION) -> RatioSpectra:
+        """What tells the uncertainty of the ratios. Raises `UnknownMetricError`, and `ShapeError`."""
+        return spectra_of(self.confusions, self.frames_of_sequence, metric_of(metric))
+
     def cells(self) -> NDArray[np.int64]:
         """The confusions of each sequence [sequence, ring, truth, prediction]."""
         runs = pairwise(accumulate(self.frames_of_sequence, initial=0))
@@ -64,29 +69,29 @@ class Scores:
     def as_record(self) -> Record:
         """What `stone score --json` prints."""
         counts_of_frames, metric = self.counts_of_frames, self.signature.metric
-        replicates = ratio_replicates(counts_of_frames.confusions, counts_of_frames.frames_of_sequence, metric)
         return {
-            **record_of(counts_of_frames, replicates, metric),
+            **record_of(counts_of_frames, counts_of_frames.spectra(metric), metric),
             "signature": str(self.signature),
             "code_version": code_version("scores"),
         }
 
 
-def record_of(counts_of_frames: SubmissionCounts, replicates: ScoreReplicates, metric: str = METRIC_VERSION) -> Record:
-    """All that is said of a score; `replicates` are those of the same counts and metric.
+def record_of(counts_of_frames: SubmissionCounts, spectra: RatioSpectra, metric: str = METRIC_VERSION) -> Record:
+    """All that is said of a score; `spectra` are those of the same counts and metric.
 
-    Raises `UnknownMetricError`, and `ShapeError` where frames and sequences disagree.
+    Raises `UnknownMetricError`.
     """
     cells = counts_of_frames.cells()
     total = cells.sum(axis=(0, 1))
+    ratios = named_ratios(total, metric)
     return {
         "frames": len(counts_of_frames.confusions),
-        "total": named_ratios(total, metric),
+        "total": ratios,
         "within_occupied": named_ratios(total, OCCUPIED_VERSION),
         "support": supports(total),
         "confusion": total.tolist(),
         "extras": asdict(extras(total, counts_of_frames.bev.sum(axis=(0, 1), dtype=np.int64))),
-        "intervals": intervals_of(replicates, counts_of_frames.frames_of_sequence),
+        **interval_record(ratios, spectra, metric_of(metric)),
         "by": dict(_breakdowns(counts_of_frames, cells, metric)),
         "cells": {s.name: cell.tolist() for s, cell in zip(counts_of_frames.sequences, cells, strict=True)},
     }

@@ -5,9 +5,9 @@ from secrets import token_hex
 
 from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion
 from services.domain.benchmarks.submissions.scores import NewScore
-from services.eval.bootstrap_replicates import ratio_replicates
 from services.eval.cases import Case, ReadyTruth
 from services.eval.ranges import Counts
+from services.eval.score_intervals import spectra_npz
 from services.eval.scores import SequenceFacts, SubmissionCounts, record_of
 from services.eval.stage_context import EvalStageContext
 from services.runtime.code_version import code_version
@@ -24,19 +24,17 @@ def made_score(
     Raises `UnknownMetricError`, and what the store raises.
     """
     counts_of_frames = SubmissionCounts(counts.confusions, counts.bev, sequences_of(case.truth))
-    replicates = ratio_replicates(
-        counts_of_frames.confusions, counts_of_frames.frames_of_sequence, evaluation_version.metric
-    )
+    spectra = counts_of_frames.spectra(evaluation_version.metric)
     return NewScore(
         submission_id=case.submission_id,
         evaluation_version=evaluation_version,
         signature=str(Signature(case.truth.sha256, case.truth.mask, evaluation_version.metric)),
         record={
             "code_version": case.kept.code_version if case.kept else code_version("scores"),
-            **record_of(counts_of_frames, replicates, evaluation_version.metric),
+            **record_of(counts_of_frames, spectra, evaluation_version.metric),
         },
         confusions=_stored(context, npz_bytes({"confusions": counts.confusions, "bev": counts.bev})),
-        replicates=_stored(context, replicates.npz()),
+        spectra=_stored(context, spectra_npz(spectra)),
         content_sha256=sha256(counts.confusions.astype("<i4").tobytes()).hexdigest(),
     )
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone.errors import ShapeError
-from stone.scoring.metric import CLASS_NAMES, CLASSES, METRIC_VERSION, OCCUPIED_VERSION, RATIOS, metric_of
+from stone.scoring.metric import CLASS_NAMES, CLASSES, METRIC_VERSION, RATIOS, metric_of
 
 OCCUPIED = slice(1, None)
 T, N = CLASS_NAMES.index("T"), CLASS_NAMES.index("N")
@@ -43,10 +43,21 @@ def ratios(confusions: Counts, metric: str = METRIC_VERSION) -> Ratios:
 
     Raises `ShapeError` for other shapes and `UnknownMetricError`.
     """
+    unions, hits = unions_and_hits(confusions, metric)
+    of_parts = _ratio(hits, unions)
+    return np.concatenate([of_parts, of_parts[..., OCCUPIED].mean(axis=-1, keepdims=True)], axis=-1)
+
+
+def unions_and_hits(confusions: Counts, metric: str = METRIC_VERSION) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Denominators and numerators (..., 4) of IoU_occ and of IoU of T, P, N, of confusions (..., 4, 4).
+
+    Raises `ShapeError` for other shapes and `UnknownMetricError`.
+    """
     counts = _checked(confusions)
-    of_classes = iou_classes(within_occupied(counts) if metric_of(metric).version == OCCUPIED_VERSION else counts)
-    parts = (iou_occupied(counts)[..., None], of_classes, of_classes.mean(axis=-1, keepdims=True))
-    return np.concatenate(parts, axis=-1)
+    of_classes = within_occupied(counts) if metric_of(metric).is_within_occupied else counts
+    parts = (_occupied(counts), _classes(of_classes))
+    unions, hits = (np.concatenate(of_both, axis=-1) for of_both in zip(*parts, strict=True))
+    return unions, hits
 
 
 def named_ratios(confusion: Counts, metric: str = METRIC_VERSION) -> dict[str, float | None]:
@@ -67,18 +78,14 @@ def extras(confusion: Counts, bev: Counts) -> Extras:
 
 def iou_occupied(confusion: Counts) -> Ratios:
     """IoU_occ (...,) of confusions (..., 4, 4); NaN where nothing is occupied in either."""
-    counts = _checked(confusion)
-    both = counts[..., OCCUPIED, OCCUPIED].sum(axis=(-2, -1))
-    either = counts.sum(axis=(-2, -1)) - counts[..., 0, 0]
-    return _ratio(both, either)
+    union, hit = _occupied(_checked(confusion))
+    return _ratio(hit[..., 0], union[..., 0])
 
 
 def iou_classes(confusion: Counts) -> Ratios:
     """IoU of T, P, N (..., 3) over all voxels of confusions (..., 4, 4); NaN for a class in neither."""
-    counts = _checked(confusion)
-    both = np.diagonal(counts, axis1=-2, axis2=-1)[..., OCCUPIED]
-    in_truth, in_prediction = counts.sum(axis=-1)[..., OCCUPIED], counts.sum(axis=-2)[..., OCCUPIED]
-    return _ratio(both, in_truth + in_prediction - both)
+    union, hit = _classes(_checked(confusion))
+    return _ratio(hit, union)
 
 
 def within_occupied(confusion: Counts) -> NDArray[np.int64]:
@@ -91,6 +98,19 @@ def within_occupied(confusion: Counts) -> NDArray[np.int64]:
 def supports(confusion: Counts) -> Mapping[str, int]:
     """Voxels of each class in the ground truth of one confusion (4, 4)."""
     return dict(zip(CLASS_NAMES, _checked(confusion).sum(axis=-1).tolist(), strict=True))
+
+
+def _occupied(counts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Union and hits (..., 1) of occupancy."""
+    both = counts[..., OCCUPIED, OCCUPIED].sum(axis=(-2, -1))
+    return (counts.sum(axis=(-2, -1)) - counts[..., 0, 0])[..., None], both[..., None]
+
+
+def _classes(counts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Union and hits (..., 3) of T, P, N."""
+    both = np.diagonal(counts, axis1=-2, axis2=-1)[..., OCCUPIED]
+    in_truth, in_prediction = counts.sum(axis=-1)[..., OCCUPIED], counts.sum(axis=-2)[..., OCCUPIED]
+    return in_truth + in_prediction - both, both
 
 
 def _checked(confusion: Counts) -> NDArray[np.int64]:

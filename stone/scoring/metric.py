@@ -1,7 +1,9 @@
 """The metrics of the benchmark: their versions, their ratios, and the text that defines each of them.
 
 **Conventions.** A version is never changed: another rule is another version, and a board shows one at a time. The
-definitions are plain Markdown for people; `confusion.ratios` computes what they say, golden vectors prove it.
+definitions are plain Markdown for people; `confusion.ratios` computes what they say, golden vectors prove it. The
+versions `-1` have the same ratios as those that follow them, and intervals that claimed more than was known: of their
+scores no interval, tie or rank interval is told any more, and nothing is scored anew by them.
 This module loads nothing, so that every process may.
 """
 
@@ -13,8 +15,8 @@ from stone.errors import StoneError
 CLASS_NAMES = ("free", "T", "P", "N")
 CLASSES = len(CLASS_NAMES)
 RATIOS = ("iou_occ", "iou_t", "iou_p", "iou_n", "miou")
-METRIC_VERSION = "stone-iou-1"
-OCCUPIED_VERSION = "stone-iou-occupied-1"
+METRIC_VERSION = "stone-iou-2"
+OCCUPIED_VERSION = "stone-iou-occupied-2"
 
 
 class UnknownMetricError(StoneError):
@@ -27,13 +29,39 @@ class UnknownMetricError(StoneError):
         super().__init__(f"there is no metric {version[:64]!r}; there are {known} (was it named from memory?)")
 
 
+class SupersededMetricError(StoneError):
+    """By this version nothing is scored anew."""
+
+    code = "superseded_metric"
+
+    def __init__(self, metric: "Metric") -> None:
+        super().__init__(
+            f"by {metric.version!r} nothing is scored anew, since its intervals are withdrawn; its ratios are those of"
+            f" {metric.successor!r}, which is what to name"
+        )
+
+
 @dataclass(frozen=True)
 class Metric:
-    """One way to read ratios from confusions; `definition` is Markdown."""
+    """One way to read ratios from confusions; `definition` is Markdown.
+
+    `is_within_occupied` restricts classes to voxels that the ground truth calls occupied. `successor` has the same
+    ratios and intervals that hold; None of a version that is current.
+    """
 
     version: str
     title: str
     definition: str
+    is_within_occupied: bool
+    successor: str | None = None
+
+
+def current_metric(version: str) -> Metric:
+    """The metric, if scores are made by it. Raises `UnknownMetricError`, `SupersededMetricError`."""
+    metric = metric_of(version)
+    if metric.successor is not None:
+        raise SupersededMetricError(metric)
+    return metric
 
 
 def metric_of(version: str) -> Metric:
@@ -76,8 +104,24 @@ absent from the ground truth but predicted there has IoU 0. A submission whose m
 ## Ties
 
 Entries are ordered by mIoU, then IoU_occ, then IoU_N, each rounded to four digits, then by the time of finalisation,
-earlier first; equal rounded values share a rank. Ranks come with an interval from paired block resampling (blocks of
+earlier first; equal rounded values share a rank."""
+
+_BLOCK_RESAMPLING = """\
+ Ranks come with an interval from paired block resampling (blocks of
 200 frames inside sequences, circular), since neighbouring frames are no independent samples.
+"""
+
+_SPECTRAL_INTERVALS = """\
+
+
+## Intervals
+
+An interval of 95 % is told where it can be held, and elsewhere the reason why it is not: neighbouring frames see the
+same ground, and how alike they are is measured. *These places*: the variance of a ratio, and of a difference of two, is
+estimated from the slow cosine coefficients of its frames' influences in each sequence, with critical values of
+Student's t; it takes five of them below the frequency of the correlation time that is allowed for. *A new place*: the
+variance over whole sequences, five or more. A rank's interval and the tie groups follow from all pairs of the board at
+once (Tukey): that any two equal entries of a board are told apart has a chance of 5 % or less.
 """
 
 _OTHERS = """\
@@ -92,8 +136,8 @@ where its denominator is 0.
 """
 
 
-def _definition(title: str, reading: str) -> str:
-    return "\n".join((f"# {title}\n", _COUNTED, f"## The ratios\n\n{reading}{_RULES}", _OTHERS))
+def _definition(title: str, reading: str, intervals: str) -> str:
+    return "\n".join((f"# {title}\n", _COUNTED, f"## The ratios\n\n{reading}{_RULES}{intervals}", _OTHERS))
 
 
 _EVERYWHERE = """\
@@ -112,14 +156,20 @@ what is predicted into the ground truth's free space costs IoU_occ and no class:
 """
 
 
-def _metric(version: str, title: str, reading: str) -> Metric:
-    return Metric(version, title, _definition(f"{version}: {title}", reading))
+def _versions(name: str, title: str, reading: str, is_within_occupied: bool) -> tuple[Metric, Metric]:
+    """The current version, and the one before it."""
+    (old, old_text), (new, new_text) = (
+        (version, _definition(f"{version}: {title}", reading, intervals))
+        for version, intervals in ((f"{name}-1", _BLOCK_RESAMPLING), (f"{name}-2", _SPECTRAL_INTERVALS))
+    )
+    return Metric(new, title, new_text, is_within_occupied), Metric(old, title, old_text, is_within_occupied, new)
 
 
 METRICS: Mapping[str, Metric] = {
     metric.version: metric
-    for metric in (
-        _metric(METRIC_VERSION, "IoU over all evaluated voxels", _EVERYWHERE),
-        _metric(OCCUPIED_VERSION, "IoU of classes within occupied ground truth", _OCCUPIED_ONLY),
+    for versions in (
+        _versions("stone-iou", "IoU over all evaluated voxels", _EVERYWHERE, False),
+        _versions("stone-iou-occupied", "IoU of classes within occupied ground truth", _OCCUPIED_ONLY, True),
     )
+    for metric in versions
 }

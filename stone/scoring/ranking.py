@@ -1,42 +1,24 @@
-"""Ranking with confidence: the order of a board, intervals of ranks, paired differences, tie groups.
+"""Ranking with confidence: the order of a board, intervals of ranks, tie groups, the sign-flip test.
 
-**Conventions.** Replicates are resampled ratios of entries, (n, D), NaN where undefined; column d is the same resample
-for every entry, so differences are paired: the ground that is hard is hard for both, and what remains is between the
-two. Ranks count from 1, the largest ratio first. What is undefined in a replicate may have been anything: it widens an
-interval and never decides.
+**Conventions.** Ranks count from 1, the largest ratio first. `above` (n, n) says which entry surely does better than
+which (`pairs.py`), with one level for all pairs together, so that what is read from it here holds together too.
 
 Two entries whose separate intervals overlap may well differ surely (Schenker and Gentleman, 2001); so ties are found by
-paired tests. Source: percentile intervals, Efron (1979); sign-flip test, Fisher (1935).
+pairs. Source: rank intervals from pairs, Mogstad et al. (2024); sign-flip test, Fisher (1935).
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stone.errors import ShapeError
-
-LEVEL = 0.95
 MOST_EXACT = 16
 RANDOM_FLIPS = 2**13
 FLIPS_SEED = 0
 
-Replicates = NDArray[np.floating[Any]]
+Claims = NDArray[np.bool_]
 Ranks = NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class Difference:
-    """Of two entries a − b over replicates; `interval` is None where a replicate leaves it undefined.
-
-    `share_above` is that of the replicates in which a > b, ties counted half; `p` the two-sided bootstrap p, in (0, 1].
-    """
-
-    interval: tuple[float, float] | None
-    share_above: float
-    p: float
 
 
 @dataclass(frozen=True)
@@ -62,40 +44,21 @@ def shared_ranks(keys: Sequence[Sequence[float]]) -> list[int]:
     return ranks
 
 
-def rank_intervals(replicates: Replicates, level: float = LEVEL) -> Ranks:
-    """The central interval of each entry's rank over replicates (n, D): (n, 2), lowest and highest rank, both included.
+def rank_intervals(above: Claims) -> Ranks:
+    """The lowest and the highest rank (n, 2) that each entry may have, both included."""
+    return np.stack([1 + above.sum(axis=0), len(above) - above.sum(axis=1)], axis=1).astype(np.int64)
 
-    Equal entries of a replicate hold all the ranks they share. Raises `ShapeError` where there is no replicate.
+
+def tie_groups(above: Claims) -> Ranks:
+    """The group (n,) of each entry, from 1, of entries in the order of the board.
+
+    A group begins with the first entry that is surely below the beginning of the group before. Entries of a group do
+    not surely differ from its first.
     """
-    best, worst = _ranks_in_replicates(_checked(replicates))
-    low = np.quantile(best, (1 - level) / 2, axis=1, method="inverted_cdf")
-    high = np.quantile(worst, (1 + level) / 2, axis=1, method="inverted_cdf")
-    return np.stack([low, high], axis=1).astype(np.int64)
-
-
-def paired(a: Replicates, b: Replicates, level: float = LEVEL) -> Difference:
-    """How a differs from b over their common replicates (D,). Raises `ShapeError` where these are not as many."""
-    if a.shape != b.shape or a.ndim != 1 or not a.size:
-        raise ShapeError("draws", b.shape, f"(D,) as those of the other entry, {a.shape}, with at least one draw")
-    difference = a.astype(np.float64) - b.astype(np.float64)
-    share, p = _decided(difference)
-    if np.isnan(difference).any():
-        return Difference(None, share, p)
-    low, high = np.quantile(difference, [(1 - level) / 2, (1 + level) / 2])
-    return Difference((float(low), float(high)), share, p)
-
-
-def tie_groups(replicates: Replicates, level: float = LEVEL) -> Ranks:
-    """The group (n,) of each entry, from 1, of replicates (n, D) in the order of the board.
-
-    A group begins with the first entry that is surely below the beginning of the group before: whose paired difference
-    from it has p ≤ 1 − level. Entries of a group do not surely differ from its first.
-    """
-    groups = np.ones(len(replicates), np.int64)
+    groups = np.ones(len(above), np.int64)
     first = 0
-    for place in range(1, len(replicates)):
-        share, p = _decided(replicates[first] - replicates[place])
-        if share > 0.5 and p <= 1 - level:
+    for place in range(1, len(above)):
+        if above[first, place]:
             first = place
         groups[place] = groups[place - 1] + (first == place)
     return groups
@@ -115,14 +78,6 @@ def sign_flip(differences: Sequence[float]) -> SignFlip:
     return SignFlip(len(values), p, min(1.0, 2.0 / len(flips)))
 
 
-def _decided(difference: Replicates) -> tuple[float, float]:
-    """The share of replicates above 0, and the two-sided p: equal and undefined ones speak for neither side."""
-    above, below = int(np.sum(difference > 0)), int(np.sum(difference < 0))
-    replicates = len(difference)
-    neither = replicates - above - below
-    return (above + neither / 2) / replicates, min(1.0, 2 * (min(above, below) + neither + 1) / (replicates + 1))
-
-
 def _flips(sequences: int) -> NDArray[np.float64]:
     """Signs (…, n), the unflipped ones among them."""
     if sequences <= MOST_EXACT:
@@ -131,23 +86,3 @@ def _flips(sequences: int) -> NDArray[np.float64]:
     signs = np.random.default_rng(FLIPS_SEED).integers(0, 2, (RANDOM_FLIPS, sequences)) * 2.0 - 1.0
     signs[:2] = [[1.0], [-1.0]]
     return np.asarray(signs)
-
-
-def _ranks_in_replicates(replicates: Replicates) -> tuple[Ranks, Ranks]:
-    """The best and the worst rank (n, D) that each entry may have in each replicate."""
-    by_replicate = np.ascontiguousarray(replicates.T)
-    is_unknown = np.isnan(by_replicate)
-    best, worst = np.empty(by_replicate.shape, np.int64), np.empty(by_replicate.shape, np.int64)
-    for replicate, values in enumerate(by_replicate):
-        known = np.sort(values[~is_unknown[replicate]])
-        unknown = len(values) - len(known)
-        best[replicate] = 1 + len(known) - np.searchsorted(known, values, "right")
-        worst[replicate] = len(known) - np.searchsorted(known, values, "left") + unknown
-    best[is_unknown], worst[is_unknown] = 1, by_replicate.shape[1]
-    return best.T, worst.T
-
-
-def _checked(replicates: Replicates) -> Replicates:
-    if replicates.ndim != 2 or not replicates.shape[1]:
-        raise ShapeError("draws", replicates.shape, "(n, D) with at least one draw")
-    return replicates

@@ -75,13 +75,19 @@ def results_tables(record: Mapping[str, Any]) -> list[Table]:
     """The totals with their intervals, then what else is shown to the caller."""
     named = f"{record['method']} ({record['modality']}) in {record['benchmark']} / {record['phase']}"
     table = plain_table(safe_text(named), "", "%", "95 % here", "95 % in a new place", "within occupied")
-    drawn, within = record["intervals"] or {}, record["within_occupied"] or {}
+    within = record["within_occupied"] or {}
     for key, name in RATIOS.items():
-        spans = (interval((drawn.get(kind) or {}).get(key)) for kind in ("block", "sequence"))
+        spans = (_told(record, scope, key) for scope in ("these_places", "new_place"))
         table.add_row(name, percent(record["total"][key]), *spans, percent(within.get(key)))
     for key, name in EXTRAS.items() if record["extras"] else ():
         table.add_row(name, percent(record["extras"][key]), *[DASH] * 3)
     return [table, *([confusion_table(record["confusion"])] if record["confusion"] else [])]
+
+
+def _told(record: Mapping[str, Any], scope: str, ratio: str) -> str:
+    """The interval, or in a word why there is none."""
+    bounds, silence = (((record.get(part) or {}).get(scope) or {}).get(ratio) for part in ("intervals", "silences"))
+    return silence.replace("_", " ") if bounds is None and silence else interval(bounds)
 
 
 def breakdown_table(record: Mapping[str, Any]) -> Table:
@@ -100,10 +106,11 @@ def comparison_table(record: Mapping[str, Any]) -> Table:
     table = plain_table(f"A {record['a']}  B {record['b']}, %", "", *columns)
     for key, name in RATIOS.items():
         one = record["ratios"][key]
-        block, sequence = one["block"] or {}, one["sequence"] or {}
+        here, elsewhere = one["these_places"] or {}, one["new_place"] or {}
         said = (percent(one[which]) for which in ("a", "b", "difference"))
-        tests = (chance(block.get("p")), chance(sequence.get("p")))
-        table.add_row(name, *said, interval(block.get("interval")), *tests)
+        tests = (chance(here.get("p")), chance(elsewhere.get("p")))
+        told = (one.get("silences") or {}).get("these_places") if not here else None
+        table.add_row(name, *said, told.replace("_", " ") if told else interval(here.get("interval")), *tests)
     return table
 
 

@@ -43,9 +43,9 @@ def test_a_board_says_by_what_and_how_surely(api_on: httpx.Client, platform_on: 
         4,
     )
     assert board["ordered_by"] == ["miou", "iou_occ", "iou_n", "submitted_at"]
-    assert (board["pair"]["metric"], board["pair"]["signature"]) == ("stone-iou-1", "metric:a|truth:b")
+    assert (board["pair"]["metric"], board["pair"]["signature"]) == ("stone-iou-2", "metric:a|truth:b")
     assert (board["pair"]["ground_truth"], board["pair"]["frames"], board["pair"]["sequences"]) == (1, 1350, 3)
-    assert any("3 sequences are few" in note for note in board["notes"])
+    assert any("in a new place: it takes 5 sequences or more, here 3" in note for note in board["notes"])
     first, second = board["rows"]
     assert (first["submission_id"], second["submission_id"]) == (look.mine, look.theirs)
     assert (first["rank"], first["rank_interval"], first["tie_group"]) == (1, [1, 1], 1)
@@ -173,7 +173,8 @@ def test_a_comparison_says_whether_it_is_more_than_chance(api_on: httpx.Client, 
     assert (found["a"], found["b"], found["is_withheld"]) == (look.mine, look.theirs, False)
     miou = found["ratios"]["miou"]
     assert miou["difference"] == pytest.approx(miou["a"] - miou["b"])
-    assert 0 < miou["block"]["interval"][0] < miou["difference"] < miou["block"]["interval"][1]
+    assert 0 < miou["these_places"]["interval"][0] < miou["difference"] < miou["these_places"]["interval"][1]
+    assert (miou["new_place"], miou["silences"]["new_place"]) == (None, "few_sequences")
     assert miou["sign_flip"] == {"sequences": 3, "p": 0.25, "smallest_p": 0.25}
     look.at.hide()
     hidden = answered(look.read(f"{look.path}/compare", look.member, a=look.mine, b=look.theirs))
@@ -182,8 +183,9 @@ def test_a_comparison_says_whether_it_is_more_than_chance(api_on: httpx.Client, 
         "a": round(miou["a"], 4),
         "b": round(miou["b"], 4),
         "difference": round(round(miou["a"], 4) - round(miou["b"], 4), 4),
-        "block": None,
-        "sequence": None,
+        "these_places": None,
+        "new_place": None,
+        "silences": None,
         "sign_flip": None,
     }
 

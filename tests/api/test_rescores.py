@@ -161,6 +161,7 @@ def test_what_cannot_be_re_scored_is_refused(place: Place, admin: Administrating
         ({"truth_id": NOBODY}, (404, "foreign_truth")),
         ({"truth_id": another_truth(place, is_ready=False)}, (409, "truth_not_ready")),
         ({"metric": "stone-iou-0"}, (422, "unknown_metric")),
+        ({"metric": "stone-iou-1"}, (422, "superseded_metric")),
     ):
         assert refused(admin.ask("POST", "", {"reason": "why not", **asked})) == expected
     assert refused(admin.ask("POST", "", {"metric": OCCUPIED_VERSION})) == (422, "invalid_request")

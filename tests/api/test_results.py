@@ -54,7 +54,7 @@ def seen(look: Boarding, caller: Any) -> set[str]:
         "exact totals": exact in totals,
         "rounded totals": {round(total, 4) for total in totals} == {round(exact or 0, 4)},
         "ranks": row["rank_interval"] or row["tie_group"],
-        "comparison": compared["block"] or compared["sequence"] or compared["sign_flip"],
+        "comparison": compared["these_places"] or compared["silences"] or compared["sign_flip"],
         "content": origin["content_sha256"],
         "file": origin["prediction_sha256"] or origin["size_bytes"],
         "signature": origin["pair"]["signature"],

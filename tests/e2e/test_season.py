@@ -28,7 +28,7 @@ def test_a_season_ends_with_the_board_that_its_kept_counts_make(tmp_path: Path) 
     assert 0 < figures.grants <= SMALL.submissions - SMALL.teams * SMALL.scorings
     assert figures.alarms["equal_content"] >= 1
     assert [move["new"]["truth_number"] for move in figures.moves] == [2, 2, 3]
-    assert [move["new"]["metric"] for move in figures.moves] == ["stone-iou-1"] + ["stone-iou-occupied-1"] * 2
+    assert [move["new"]["metric"] for move in figures.moves] == ["stone-iou-2"] + ["stone-iou-occupied-2"] * 2
     assert all(move["rescore"]["missing"] == 0 and move["largest_value_move"] > 0 for move in figures.moves)
 
 
@@ -54,7 +54,7 @@ def _counts(folder: Path, name: str, right: int) -> dict[str, float]:
 
 
 def _recomputed(folder: Path, rows: list[dict[str, Any]], best: list[dict[str, Any]]) -> int:
-    pair = {"metric": "stone-iou-1"}
+    pair = {"metric": "stone-iou-2"}
     boards = {"all": {"pair": pair, "rows": rows}, "best": {"pair": pair, "rows": best}}
     (folder / "boards.json").write_text(json.dumps(boards))
     return subprocess.run([sys.executable, RECOMPUTE, folder], check=False, capture_output=True).returncode

@@ -116,7 +116,8 @@ def test_a_shortened_board_says_how_many_are_left_out() -> None:
 
 
 def comparison(miou: dict[str, Any], is_withheld: bool = False) -> ComparisonAnswer:
-    nothing = {"a": None, "b": None, "difference": None, "block": None, "sequence": None, "sign_flip": None}
+    nothing = {"a": None, "b": None, "difference": None, "these_places": None}
+    nothing |= {"new_place": None, "silences": None, "sign_flip": None}
     ratios = dict.fromkeys(("miou", "iou_occ", "iou_t", "iou_p", "iou_n"), nothing) | {"miou": nothing | miou}
     at = {"a": "0" * 32, "b": "1" * 32, "pair": PairItem.model_validate(PAIR_EXAMPLE), "interval_level": 0.95}
     return ComparisonAnswer.model_validate(at | {"is_withheld": is_withheld, "ratios": ratios})
@@ -124,21 +125,22 @@ def comparison(miou: dict[str, Any], is_withheld: bool = False) -> ComparisonAns
 
 NAMES = Names("Ant", "Bee")
 BEHIND = {"a": 0.40, "b": 0.42, "difference": -0.02}
-SURE = {"interval": [-0.03, -0.01], "share_above": 0.0, "p": 0.0005}
-UNSURE = {"interval": [-0.03, 0.002], "share_above": 0.1, "p": 0.2}
-FLIPPED = {"sequences": 12, "p": 0.01, "smallest_p": 0.0005}
+SURE = {"interval": [-0.03, -0.01], "standard_error": 0.005, "degrees_of_freedom": 12.0, "p": 0.0005}
+UNSURE = SURE | {"interval": [-0.03, 0.002], "p": 0.2}
+HERE, ELSEWHERE = {"these_places": SURE}, {"silences": {"these_places": None, "new_place": "few_sequences"}}
+FEW = {"silences": {"these_places": "few_frames", "new_place": "few_sequences"}}
 
 
 @pytest.mark.parametrize(
     ("miou", "headline", "ground"),
     [
-        (BEHIND | {"block": SURE}, "Bee is better than Ant", "its margin is +1.00 to +3.00 (95 % interval, p < 0.001)"),
-        (BEHIND | {"block": UNSURE}, "Ant and Bee do not surely differ", "its margin is −0.20 to +3.00"),
-        (BEHIND | {"block": SURE, "sign_flip": FLIPPED}, "Bee is better than Ant", "holds over whole sequences too"),
-        (BEHIND | {"block": SURE, "sign_flip": FLIPPED | {"p": 0.3}}, "Bee is better than Ant", "is open"),
-        (BEHIND, "Bee is ahead of Ant", "Resampling says nothing"),
-        (BEHIND | {"block": SURE | {"interval": None}}, "Bee is better than Ant", "No interval can be given"),
-        ({"a": 0.4, "b": 0.4, "difference": 0.0}, "Ant and Bee have the same mIoU", "Resampling says nothing"),
+        (BEHIND | HERE, "Bee is better than Ant", "its margin is +1.00 to +3.00 (95 % interval, p < 0.001)"),
+        (BEHIND | {"these_places": UNSURE}, "Ant and Bee do not surely differ", "its margin is −0.20 to +3.00"),
+        (BEHIND | HERE | {"new_place": SURE}, "Bee is better than Ant", "holds over whole sequences too"),
+        (BEHIND | HERE | {"new_place": UNSURE}, "Bee is better than Ant", "is open"),
+        (BEHIND | HERE | ELSEWHERE, "Bee is better than Ant", "Of a new place nothing is said: it takes 5 sequences"),
+        (BEHIND | FEW, "Bee is ahead of Ant", "more than chance is not said: there are too few frames"),
+        ({"a": 0.4, "b": 0.4, "difference": 0.0} | FEW, "Ant and Bee have the same mIoU", "there are too few frames"),
         ({"a": 0.4}, "The two cannot be put in order", "a class is undefined"),
     ],
 )
@@ -154,7 +156,7 @@ def test_a_withheld_comparison_claims_no_more_than_the_rounded_totals() -> None:
     found = compared(comparison(BEHIND, is_withheld=True), NAMES)
     assert found.verdict.headline == "Bee is ahead of Ant"
     assert "when the phase has ended" in found.verdict.grounds[1]
-    assert all(one.block is None and one.sequence is None for one in found.rows)
+    assert all(one.these_places is None and one.new_place is None for one in found.rows)
 
 
 class Parsed(HTMLParser):

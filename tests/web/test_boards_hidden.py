@@ -48,12 +48,16 @@ class Reading:
     def secrets(self) -> dict[str, str]:
         """What a page must not hold while the truth is hidden, by what it is."""
         record = self.world.at.score_row(self.world.mine).record
-        bounds = record["intervals"]["block"]
+        bounds = record["intervals"]["these_places"]
         exact = {f"exact {name}": f"{record['total'][name]:.8f}"[2:9] for name in RATIOS}
         ends = {f"{name} {end}": f"{100 * bounds[name][end]:.2f}" for name in RATIOS for end in (0, 1)}
         parts = {f"of {name}": f"{100 * part['miou']:.2f}" for name, part in record["by"]["sequence"].items()}
         counts = {f"count {n}": f"{n:,}" for row in record["confusion"] for n in row if n}
-        return exact | ends | parts | counts
+        ids = (self.world.mine, *self.world.entries.values())
+        totals = [self.world.at.score_row(one).record["total"].values() for one in ids]
+        shown = {f"{100 * ratio:.2f}" for of_entry in totals for ratio in of_entry if ratio}
+        kept = {what: digits for what, digits in (ends | parts).items() if digits not in shown}
+        return exact | kept | counts
 
 
 @pytest.fixture

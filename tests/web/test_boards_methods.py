@@ -41,7 +41,7 @@ def test_an_older_score_stays_readable_beside_the_one_in_force(site: Site, board
     with site.visit() as page:
         page.goto(f"/entries/{board.mine}")
         page.get_by_text("2 scores of this entry").click()
-        page.get_by_role("link", name="Ground truth 1, stone-iou-1").click()
+        page.get_by_role("link", name="Ground truth 1, stone-iou-2").click()
         expect(page.get_by_text("An older score, by ground truth 1")).to_be_visible()
         page.get_by_role("link", name="See the one in force").click()
         expect(page.get_by_text("An older score")).to_have_count(0)
@@ -54,7 +54,7 @@ def test_from_the_list_of_benchmarks_one_comes_to_rules_leaders_and_the_definiti
         page.get_by_role("link", name="STONE", exact=True).last.click()
         expect(page.get_by_text("20 a day, free of quota")).to_be_visible()
         look(page, "benchmark")
-        page.get_by_role("link", name="stone-iou-1").first.click()
+        page.get_by_role("link", name="stone-iou-2").first.click()
         expect(page.get_by_role("heading", name="What is undefined")).to_be_visible()
         assert page.locator("article em").first.inner_text() == "Occupied"
         look(page, "metric")

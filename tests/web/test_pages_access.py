@@ -21,7 +21,7 @@ PAGES = """
 /benchmarks/none      401 404 404 404
 /benchmarks/none/val  401 404 404 404
 /benchmarks/none/val/compare             401 404 404 404
-/benchmarks/none/val/metrics/stone-iou-1 401 404 404 404
+/benchmarks/none/val/metrics/stone-iou-2 401 404 404 404
 /entries/00000000000000000000000000000000 401 404 404 404
 /sequences            200 200 200 200
 /sequences/new        401 403 200 200

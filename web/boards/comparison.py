@@ -1,13 +1,14 @@
 """Comparison of two leaderboard entries, as figures and in words.
 
 **Conventions.** Differences are points of per cent, a − b; words always speak of the better one. "Surely" means that
-the two-sided p of the paired block draws is at most 1 − the level of the intervals. Sequences answer another question,
-whether it would hold in a new place, and are told apart from it.
+the two-sided p, about these places, is at most 1 − the level of the intervals. Whole sequences answer another question,
+whether it would hold in a new place, and are told apart from it. Where nothing can be said, the reason is.
 """
 
 from dataclasses import dataclass
 
 from api.schemas.leaderboard import ComparisonAnswer, DifferenceItem, RatioDifferenceItem
+from stone.scoring.silences import SILENCES, Scope
 from web.boards.axes import Axis, axis_around_zero, axis_from_zero
 
 TITLES = {"miou": "mIoU", "iou_occ": "IoU occ", "iou_t": "IoU T", "iou_p": "IoU P", "iou_n": "IoU N"}
@@ -49,8 +50,8 @@ class ComparedRow:
     a_width: str | None
     b_width: str | None
     at: str | None
-    block: DifferenceSpan | None
-    sequence: DifferenceSpan | None
+    these_places: DifferenceSpan | None
+    new_place: DifferenceSpan | None
 
 
 @dataclass(frozen=True)
@@ -81,15 +82,12 @@ def verdict(answer: ComparisonAnswer, names: Names) -> ComparisonVerdict:
     margin = f"{better} is ahead by {abs(100 * found.difference):.2f} points of mIoU."
     if found.difference == 0:
         return ComparisonVerdict(f"{names.a} and {names.b} have the same mIoU", (_uncertain(answer, found),))
-    if answer.is_withheld or found.block is None:
+    if answer.is_withheld or found.these_places is None:
         return ComparisonVerdict(f"{better} is ahead of {worse}", (margin, _uncertain(answer, found)))
-    if found.block.p > 1 - answer.interval_level:
-        return ComparisonVerdict(
-            f"{names.a} and {names.b} do not surely differ", (margin, _by_frames(answer, found), *_elsewhere(found))
-        )
-    return ComparisonVerdict(
-        f"{better} is better than {worse}", (margin, _by_frames(answer, found), *_elsewhere(found))
-    )
+    grounds = (margin, _here(answer, found.difference, found.these_places), *_elsewhere(answer, found))
+    if found.these_places.p > 1 - answer.interval_level:
+        return ComparisonVerdict(f"{names.a} and {names.b} do not surely differ", grounds)
+    return ComparisonVerdict(f"{better} is better than {worse}", grounds)
 
 
 def signed(difference: float) -> str:
@@ -103,38 +101,30 @@ def _uncertain(answer: ComparisonAnswer, found: RatioDifferenceItem) -> str:
         return (
             "Whether that is more than chance is told when the phase has ended: until then its ground truth is hidden."
         )
-    if found.block is None:
-        return "Resampling says nothing of it: every sequence is shorter than a block of frames."
-    return _by_frames(answer, found)
+    if found.these_places is None:
+        return f"Whether that is more than chance is not said: {_silence(found, 'these_places')}."
+    return _here(answer, found.difference or 0.0, found.these_places)
 
 
-def _by_frames(answer: ComparisonAnswer, found: RatioDifferenceItem) -> str:
-    block = found.block
-    if block is None or block.interval is None:
-        return "No interval can be given: in a draw one of them is undefined."
-    low, high = _towards(found, block)
-    level = round(100 * answer.interval_level)
-    return f"On this ground its margin is {signed(low)} to {signed(high)} ({level} % interval, {_p(block.p)})."
-
-
-def _towards(found: RatioDifferenceItem, block: DifferenceItem) -> tuple[float, float]:
+def _here(answer: ComparisonAnswer, difference: float, told: DifferenceItem) -> str:
     """The interval of the better one's margin."""
-    low, high = block.interval or (0.0, 0.0)
-    return (low, high) if (found.difference or 0.0) >= 0 else (-high, -low)
+    low, high = told.interval if difference >= 0 else (-told.interval[1], -told.interval[0])
+    level = round(100 * answer.interval_level)
+    return f"On this ground its margin is {signed(low)} to {signed(high)} ({level} % interval, {_p(told.p)})."
 
 
-def _elsewhere(found: RatioDifferenceItem) -> tuple[str, ...]:
-    flip = found.sign_flip
-    if flip is None:
-        return ()
-    if flip.smallest_p > 0.05:
-        return (
-            f"Of a new place it says nothing yet: over {flip.sequences} "
-            f"sequence{'s' if flip.sequences != 1 else ''} no difference could have a p below {flip.smallest_p:g}.",
-        )
-    if flip.p <= 0.05:
-        return (f"It holds over whole sequences too, so a new place would likely agree ({_p(flip.p)}).",)
-    return (f"Whether it would hold in a new place is open: over whole sequences {_p(flip.p)}.",)
+def _elsewhere(answer: ComparisonAnswer, found: RatioDifferenceItem) -> tuple[str, ...]:
+    told = found.new_place
+    if told is None:
+        return (f"Of a new place nothing is said: {_silence(found, 'new_place')}.",)
+    if told.p <= 1 - answer.interval_level:
+        return (f"It holds over whole sequences too, so a new place would likely agree ({_p(told.p)}).",)
+    return (f"Whether it would hold in a new place is open: over whole sequences {_p(told.p)}.",)
+
+
+def _silence(found: RatioDifferenceItem, scope: Scope) -> str:
+    code = (found.silences or {}).get(scope)
+    return "it is not known" if code is None else SILENCES[code]
 
 
 def _p(value: float) -> str:
@@ -149,18 +139,17 @@ def _row(name: str, found: RatioDifferenceItem, bars: Axis, differences: Axis) -
         None if found.a is None else bars.width(found.a),
         None if found.b is None else bars.width(found.b),
         None if found.difference is None else differences.at(found.difference),
-        _span(found.block, differences),
-        _span(found.sequence, differences),
+        _span(found.these_places, differences),
+        _span(found.new_place, differences),
     )
 
 
 def _span(found: DifferenceItem | None, axis: Axis) -> DifferenceSpan | None:
-    if found is None or found.interval is None:
+    if found is None:
         return None
     low, high = found.interval
     return DifferenceSpan(axis.at(low), axis.width(high, low), f"{signed(low)} to {signed(high)}, {_p(found.p)}")
 
 
 def _ends(found: RatioDifferenceItem) -> tuple[float, ...]:
-    kinds = (kind.interval for kind in (found.block, found.sequence) if kind is not None)
-    return tuple(end for interval in kinds if interval is not None for end in interval)
+    return tuple(end for told in (found.these_places, found.new_place) if told is not None for end in told.interval)

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from api.schemas.results import BreakdownAnswer, PartItem, ResultsAnswer
+from stone.scoring.silences import SILENCES
 from web.boards.axes import Axis, axis_from_zero, axis_over
 from web.boards.comparison import TITLES
 
@@ -25,13 +26,15 @@ STRONG = 0.55
 
 @dataclass(frozen=True)
 class TotalBar:
-    """A total from zero; `low` and `length` are of its block interval, `within` of the ratio within occupied truth."""
+    """A total from zero; `low` and `length` are of its interval, `silence` says why it has none, `within` is
+    of the ratio within occupied truth."""
 
     name: str
     title: str
     value: float | None
     width: str | None
     interval: tuple[float, float] | None
+    silence: str | None
     low: str | None
     length: str | None
     within: str | None
@@ -41,6 +44,12 @@ class TotalBar:
 class Totals:
     bars: tuple[TotalBar, ...]
     axis: Axis
+
+    @property
+    def silences(self) -> tuple[tuple[str, tuple[str, ...]], ...]:
+        """Each reason why there is no interval, with the titles of the ratios without one."""
+        reasons = dict.fromkeys(bar.silence for bar in self.bars if bar.silence)
+        return tuple((reason, tuple(bar.title for bar in self.bars if bar.silence == reason)) for reason in reasons)
 
 
 @dataclass(frozen=True)
@@ -116,8 +125,13 @@ def matrix(confusion: Sequence[Sequence[int]] | None) -> tuple[MatrixCell, ...]:
 def _interval(answer: ResultsAnswer, name: str) -> tuple[float, float] | None:
     if answer.intervals is None:
         return None
-    interval: tuple[float, float] | None = getattr(answer.intervals.block, name)
+    interval: tuple[float, float] | None = getattr(answer.intervals.these_places, name)
     return interval
+
+
+def _silence(answer: ResultsAnswer, name: str) -> str | None:
+    code = None if answer.silences is None else answer.silences.these_places[name]
+    return None if code is None else SILENCES[code]
 
 
 def _bar(answer: ResultsAnswer, name: str, axis: Axis) -> TotalBar:
@@ -129,6 +143,7 @@ def _bar(answer: ResultsAnswer, name: str, axis: Axis) -> TotalBar:
         value,
         None if value is None else axis.width(value),
         interval,
+        _silence(answer, name),
         None if interval is None else axis.at(interval[0]),
         None if interval is None else axis.width(interval[1], interval[0]),
         None if within is None else axis.at(within),

@@ -66,9 +66,9 @@ class SubmissionRow(Base):
 class Score(Base):
     """One submission against one ground truth by one metric.
 
-    `confusions_sha256` names the kept counts by frame and ring, `replicates_sha256` the bootstrap replicates that every
-    interval and comparison is read from. `content_sha256` is equal for equal predictions. Ratios are null where
-    undefined.
+    `confusions_sha256` names the kept counts by frame and ring, `spectra_sha256` the spectra that every interval and
+    comparison is read from (bootstrap replicates, where the metric's intervals are withdrawn).
+    `content_sha256` is equal for equal predictions. Ratios are null where undefined.
     """
 
     __tablename__ = "scores"
@@ -84,7 +84,7 @@ class Score(Base):
     miou: Mapped[float | None]
     record: Mapped[Record] = mapped_column(JSON)
     confusions_sha256: Mapped[str] = mapped_column(ForeignKey("blobs.sha256"), index=True)
-    replicates_sha256: Mapped[str] = mapped_column(ForeignKey("blobs.sha256"), index=True)
+    spectra_sha256: Mapped[str] = mapped_column(ForeignKey("blobs.sha256"), index=True)
     content_sha256: Mapped[str] = mapped_column(String(64), index=True)
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
 

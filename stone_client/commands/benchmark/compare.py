@@ -13,7 +13,7 @@ SecondArgument = Annotated[str, typer.Argument(metavar="B", help="Another submis
 
 
 def compare(a: FirstArgument, b: SecondArgument, server: ServerOption = None, as_json: JsonOption = False) -> None:
-    """Show how two submissions differ and whether that is more than chance, by paired resampling."""
+    """Show how two submissions differ and whether that is more than chance, frame held against frame."""
     from stone_client.connection import connected
     from stone_client.server.scores import compare as compare_both
     from stone_client.server.scores import comparison_table, submission_id

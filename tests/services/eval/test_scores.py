@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.eval.bootstrap_replicates import ratio_replicates
 from services.eval.scores import RING_NAMES, SequenceFacts, SubmissionCounts, record_of
 from stone.scoring.confusion import extras, named_ratios
 from stone.scoring.metric import METRIC_VERSION, METRICS, OCCUPIED_VERSION, RATIOS, UnknownMetricError
+from stone.scoring.silences import SCOPES
 
 SEQUENCES = (
     SequenceFacts("hill", 4, "forest", "day"),
@@ -27,7 +27,7 @@ def counts_of_frames(seed: int = 0) -> SubmissionCounts:
 
 
 def record(counts: SubmissionCounts, metric: str = METRIC_VERSION) -> dict[str, Any]:
-    return record_of(counts, ratio_replicates(counts.confusions, counts.frames_of_sequence, metric), metric)
+    return record_of(counts, counts.spectra(metric), metric)
 
 
 @pytest.mark.parametrize("metric", METRICS)
@@ -40,7 +40,7 @@ def test_the_whole_is_the_sum_of_all_counts(metric: str) -> None:
     assert said["total"] == named_ratios(total, metric)
     assert said["within_occupied"] == named_ratios(total, OCCUPIED_VERSION)
     assert said["extras"] == vars(extras(total, counts.bev.sum(axis=(0, 1))))
-    assert set(said["intervals"]) == {"block", "sequence"}
+    assert set(said["intervals"]) == set(said["silences"]) == set(SCOPES)
 
 
 def test_every_breakdown_adds_up_to_what_it_breaks_down() -> None:
@@ -99,6 +99,7 @@ def test_counts_beyond_32_bits_are_added_exactly() -> None:
 
 
 def test_an_unknown_metric_has_no_record() -> None:
-    replicates = ratio_replicates(counts_of_frames().confusions, counts_of_frames().frames_of_sequence)
-    with pytest.raises(UnknownMetricError, match="there is no metric 'best'"):
-        record_of(counts_of_frames(), replicates, "best")
+    spectra = counts_of_frames().spectra()
+    for ask in (counts_of_frames().spectra, lambda metric: record_of(counts_of_frames(), spectra, metric)):
+        with pytest.raises(UnknownMetricError, match="there is no metric 'best'"):
+            ask("best")

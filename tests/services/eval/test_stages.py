@@ -79,7 +79,7 @@ def test_counted_in_parts_it_has_the_same_score(world: World, monkeypatch: pytes
     assert [job.kind for job in jobs_of(world.platform, whole)] == ["eval.open"]
     (one,), (other,) = scores_of(world.platform, whole), scores_of(world.platform, parted)
     assert one.record == other.record
-    assert (one.confusions_sha256, one.replicates_sha256) == (other.confusions_sha256, other.replicates_sha256)
+    assert (one.confusions_sha256, one.spectra_sha256) == (other.confusions_sha256, other.spectra_sha256)
     assert one.content_sha256 == other.content_sha256
     assert parts_left(world.platform) == 0
 

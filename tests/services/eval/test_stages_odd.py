@@ -32,7 +32,7 @@ def ran(world: World, kind: str, **arguments: object) -> Job:
 @pytest.mark.parametrize("kind", ["eval.open", "eval.part", "eval.join"])
 def test_a_job_of_a_submission_that_is_gone_ends_cancelled(world: World, kind: str) -> None:
     truth_id = pair_of(world, "val").truth_id
-    job = ran(world, kind, submission_id=NOBODY, truth_id=truth_id, start=0, stop=1, metric="stone-iou-1")
+    job = ran(world, kind, submission_id=NOBODY, truth_id=truth_id, start=0, stop=1, metric="stone-iou-2")
     assert (job.state, job.attempt) == ("cancelled", 1)
 
 
@@ -53,7 +53,7 @@ def test_nothing_is_scored_against_a_ground_truth_that_is_not_ready(world: World
                 truth_of(session, truth_id)
     submission_id = send(world, zipped(world, guess(world, turn=1)))
     run_eval(world.platform)
-    ended = ran(world, "eval.join", submission_id=submission_id, truth_id=unready.id, metric="stone-iou-1")
+    ended = ran(world, "eval.join", submission_id=submission_id, truth_id=unready.id, metric="stone-iou-2")
     assert (ended.state, ended.result) == ("succeeded", {"refused": "ground_truth_unready"})
     assert row_of(world.platform, submission_id).state == "scored", "what it has, it keeps"
 
@@ -64,7 +64,7 @@ def test_a_metric_that_nobody_knows_is_refused_and_the_score_stands(world: World
     truth_id = pair_of(world, "val").truth_id
     ended = ran(world, "eval.join", submission_id=submission_id, truth_id=truth_id, metric="stone-iou-0")
     assert (ended.state, ended.result) == ("succeeded", {"refused": "unknown_metric"})
-    assert [score.metric for score in scores_of(world.platform, submission_id)] == ["stone-iou-1"]
+    assert [score.metric for score in scores_of(world.platform, submission_id)] == ["stone-iou-2"]
 
 
 def test_it_is_scored_from_a_bucket(settings: Settings, s3_settings: StoreSettings) -> None:

@@ -10,13 +10,13 @@ from sqlalchemy import update
 from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion
 from services.domain.benchmarks.rescores.rescore import NewRescore, start_rescore
 from services.domain.benchmarks.submissions import scoring_ranges
-from services.eval import join
+from services.eval import examination, join
 from services.eval.ranges import Counts
 from services.eval.stages import handlers
 from services.runtime import code_version
 from services.runtime.jobs.execution import run_next
-from services.runtime.orm import Phase, Score, ScorePart, SubmissionRow
-from stone.scoring.metric import OCCUPIED_VERSION
+from services.runtime.orm import Activation, Phase, Score, ScorePart, SubmissionRow
+from stone.scoring.metric import METRIC_VERSION, METRICS, OCCUPIED_VERSION, RATIOS
 from testing.worlds.benchmark_world import World, run_eval
 from testing.worlds.sending import counts_of, guess, pair_of, parts_left, scores_of, send, standing_world, zipped
 
@@ -36,10 +36,10 @@ def upgraded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(code_version._DIGESTS, "scores", "f" * 64)
 
 
-def scored_again(world: World) -> None:
+def scored_again(world: World, metric: str = OCCUPIED_VERSION) -> None:
     """By another metric, which may be read from kept counts."""
     with world.platform.database.transaction() as session:
-        version = EvaluationVersion(pair_of(world, "val").truth_id, OCCUPIED_VERSION)
+        version = EvaluationVersion(pair_of(world, "val").truth_id, metric)
         start_rescore(
             session, session.get_one(Phase, world.val), NewRescore(version, world.administrator.user_id, "a test")
         )
@@ -93,3 +93,24 @@ def test_where_the_file_is_gone_a_score_bears_the_version_of_what_was_kept(
 def versions_of(world: World, submission_id: str) -> list[str]:
     scores: list[Score] = scores_of(world.platform, submission_id)
     return [score.record["code_version"] for score in scores]
+
+
+@pytest.mark.parametrize("current", [METRIC_VERSION, OCCUPIED_VERSION])
+def test_a_phase_whose_intervals_are_withdrawn_gets_some_that_hold_from_what_is_kept(
+    world: World, current: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = next(metric.version for metric in METRICS.values() if metric.successor == current)
+    truth_id = pair_of(world, "val").truth_id
+    with world.platform.database.transaction() as session:
+        user_id = world.administrator.user_id
+        session.add(Activation(phase_id=world.val, truth_id=truth_id, metric=before, activated_by=user_id))
+    submission_id = send(world, zipped(world, guess(world, turn=4)))
+    run_eval(world.platform)
+    monkeypatch.setattr(examination, "examine", lambda *_: pytest.fail("the file was read again"))
+    scored_again(world, current)
+    old, new = scores_of(world.platform, submission_id)
+    assert (old.metric, new.metric) == (before, current)
+    assert {name: getattr(old, name) for name in RATIOS} == {name: getattr(new, name) for name in RATIOS}
+    withdrawn = [set(score.record["silences"]["these_places"].values()) for score in (old, new)]
+    assert withdrawn[0] == {"withdrawn"}
+    assert "withdrawn" not in withdrawn[1]

@@ -123,5 +123,5 @@ def test_shapes_that_are_no_confusion_are_refused() -> None:
 
 def test_the_signature_names_all_that_a_score_depends_on() -> None:
     assert str(Signature(ground_truth="ab" * 32, mask="lidar")) == (
-        "metric:stone-iou-1|truth:abababababababab|mask:lidar|grid:256x256x32@0.2m|classes:0=free,1=T,2=P,3=N"
+        "metric:stone-iou-2|truth:abababababababab|mask:lidar|grid:256x256x32@0.2m|classes:0=free,1=T,2=P,3=N"
     )

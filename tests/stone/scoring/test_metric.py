@@ -1,5 +1,7 @@
 """The written metrics say what the code does, in its own numbers."""
 
+from hashlib import sha256
+
 import numpy as np
 import pytest
 
@@ -13,7 +15,9 @@ from stone.scoring.metric import (
     METRICS,
     OCCUPIED_VERSION,
     RATIOS,
+    SupersededMetricError,
     UnknownMetricError,
+    current_metric,
     metric_of,
 )
 
@@ -43,8 +47,29 @@ def test_a_definition_is_plain_markdown(version: str) -> None:
 
 def test_an_unknown_metric_is_refused() -> None:
     for ask in (metric_of, lambda version: ratios(np.zeros((4, 4), np.int64), version)):
-        with pytest.raises(UnknownMetricError, match="there is no metric 'stone-iou-2'; there are stone-iou-1"):
-            ask("stone-iou-2")
+        with pytest.raises(UnknownMetricError, match="there is no metric 'stone-iou-9'; there are stone-iou-2"):
+            ask("stone-iou-9")
+
+
+@pytest.mark.parametrize("version", [METRIC_VERSION, OCCUPIED_VERSION])
+def test_what_went_before_a_version_has_its_ratios_and_scores_nothing_anew(version: str) -> None:
+    before = next(metric for metric in METRICS.values() if metric.successor == version)
+    confusion = np.random.default_rng(1).integers(1, 99, (4, 4))
+    assert named_ratios(confusion, before.version) == named_ratios(confusion, version)
+    assert current_metric(version).version == version
+    with pytest.raises(SupersededMetricError, match=f"those of '{version}', which is what to name"):
+        current_metric(before.version)
+
+
+@pytest.mark.parametrize(
+    ("version", "digest"),
+    [
+        ("stone-iou-1", "e9b9ef82888e608c32e4e74c746ebf21e3018c95a55cc50dc0566d1de9c3bee4"),
+        ("stone-iou-occupied-1", "4522bc39f741a5c040e129753dd8040b5ca721a82ea1e60208a78b98fa9c7a38"),
+    ],
+)
+def test_the_text_of_an_old_version_never_changes(version: str, digest: str) -> None:
+    assert sha256(metric_of(version).definition.encode()).hexdigest() == digest
 
 
 def test_the_metrics_differ_only_where_free_space_was_called_something() -> None:

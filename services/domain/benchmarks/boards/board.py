@@ -2,7 +2,7 @@
 
 **Conventions.** A board shows one evaluation version (a ground truth and a metric), that in force at its time, so its
 scores have one signature. What a viewer may not see of a row is null already here (`visibility.py`). At most
-`MOST_ROWS` entries of a status are told, the best ones; `ranked_total` says of how many. Replicates are read after
+`MOST_ROWS` entries of a status are told, the best ones; `ranked_total` says of how many. Spectra are read after
 the rows, outside the transaction.
 """
 
@@ -13,7 +13,6 @@ from typing import Any
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from services.domain.benchmarks.boards.bootstrap import RankConfidence, rank_confidence_of
 from services.domain.benchmarks.boards.entries import (
     BoardEntry,
     BoardOrder,
@@ -22,12 +21,14 @@ from services.domain.benchmarks.boards.entries import (
     board_order_of,
     entries_on_board,
 )
+from services.domain.benchmarks.boards.rank_confidence import RankConfidence, RankedScore, rank_confidence_of
 from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion, in_force
 from services.domain.benchmarks.visibility import Secrecy, Viewer, policy_of, secrecy_of
 from services.runtime.orm import Benchmark, Blob, GroundTruthRow, Phase, Reported, Score
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from stone.scoring.metric import RATIOS
+from stone.scoring.silences import Silence
 
 MOST_ROWS = 2000
 CHUNK = 500  # ids in one statement
@@ -38,7 +39,7 @@ Ratios = Mapping[str, float | None]
 
 @dataclass(frozen=True)
 class LeaderboardRow:
-    """A line of the board. `intervals` are of block replicates, by ratio; `support` voxels of the truth by class."""
+    """A line of the board. `intervals` are about these places, by ratio; `support` voxels of the truth by class."""
 
     standing: EntryStatus
     method: str
@@ -73,7 +74,10 @@ class BoardEvaluationVersion:
 
 @dataclass(frozen=True)
 class Board:
-    """`pair` is null, and nothing stands on the board, before the phase's first ground truth."""
+    """`pair` is null, and nothing stands on the board, before the phase's first ground truth.
+
+    `silence` is why neither ties nor intervals of ranks are told.
+    """
 
     benchmark: str
     phase: str
@@ -83,6 +87,7 @@ class Board:
     pair: BoardEvaluationVersion | None
     ranked_total: int
     rows: tuple[LeaderboardRow, ...]
+    silence: Silence | None = None
 
 
 @dataclass(frozen=True)
@@ -103,9 +108,10 @@ def board(platform: Platform, phase_id: str, query: BoardQuery, viewer: Viewer) 
     """The board as the viewer may see it now; `as_of_ns` in the future is now. Raises `StoreAwayError`."""
     with platform.database.reading() as session:
         read = _read(session, session.get_one(Phase, phase_id), query, viewer)
-    draws = [entry.replicates_sha256 for entry in read.order.ranked]
-    confidence = rank_confidence_of(platform.store, draws, read.key_of) if draws else RankConfidence((), ())
-    return replace(read.board, rows=(*_ranked(read, confidence), *_unranked(read), *read.reported))
+    ranked = [RankedScore(entry.ratios["miou"] or 0.0, entry.spectra_sha256) for entry in read.order.ranked]
+    confidence = rank_confidence_of(platform.store, ranked, read.key_of) if ranked else RankConfidence((), ())
+    rows = (*_ranked(read, confidence), *_unranked(read), *read.reported)
+    return replace(read.board, rows=rows, silence=confidence.silence)
 
 
 def board_order(session: Session, phase: Phase, pair: EvaluationVersion, query: BoardQuery) -> BoardOrder:
@@ -134,7 +140,7 @@ def _read(session: Session, phase: Phase, query: BoardQuery, viewer: Viewer) -> 
     empty = Board(benchmark.name, phase.name, *at, ())
     told = _bounded(entries)
     every = (*told.ranked, *told.baselines, *told.undefined)
-    keys = _object_keys(session, [entry.replicates_sha256 for entry in told.ranked])
+    keys = _object_keys(session, [entry.spectra_sha256 for entry in told.ranked])
     return _BoardRecords(
         empty, told, viewer, phase, _details(session, every), keys, _reported(session, phase, query), now
     )
@@ -155,9 +161,9 @@ def _board_version(
 
 
 def _details(session: Session, entries: Sequence[BoardEntry]) -> dict[str, tuple[Any, Any]]:
-    """Block intervals and supports by score, without the rest of the records."""
+    """Intervals and supports by score, without the rest of the records."""
     found: dict[str, tuple[Any, Any]] = {}
-    wanted = select(Score.id, Score.record["intervals"]["block"], Score.record["support"])
+    wanted = select(Score.id, Score.record["intervals"]["these_places"], Score.record["support"])
     for ids in _chunks([entry.score_id for entry in entries]):
         found |= {row[0]: (row[1], row[2]) for row in session.execute(wanted.where(Score.id.in_(ids)))}
     return found

@@ -1,19 +1,18 @@
 """Comparison of two entries of a phase: differences and their significance.
 
-**Conventions.** Differences are a − b by the evaluation version in force, from replicates that are paired. `block`
-resamples blocks of frames inside the sequences that there are; `sequence` whole sequences, which answers for a new
-place, and beside it an exact test over the few there are. While a phase hides its truth only the difference of rounded
-totals is told.
+**Conventions.** Differences are a − b by the evaluation version in force, from spectra that are subtracted, so what is
+hard for both cancels. `these_places` is about the ground of the ground truth, `new_place` about another one, and beside
+it an exact test over the few sequences there are; where nothing can be said, the code of the silence stands. While a
+phase hides its truth only the difference of rounded totals is told.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from sqlalchemy.orm import Session
 
-from services.domain.benchmarks.boards.bootstrap import BLOCK, SEQUENCE, read_replicates, varies
+from services.domain.benchmarks.boards.score_spectra import read_spectra
 from services.domain.benchmarks.phases.evaluation_versions import active
 from services.domain.benchmarks.submissions.result_errors import NotComparableError, NotScoredError
 from services.domain.benchmarks.submissions.results import ScoreView, seen_score
@@ -21,19 +20,34 @@ from services.domain.benchmarks.visibility import Viewer, rounded
 from services.runtime.orm import Blob, Phase, SubmissionRow
 from services.runtime.platform import Platform
 from services.runtime.store.protocol import Store
+from stone.scoring.intervals import Estimate, estimates
 from stone.scoring.metric import RATIOS
-from stone.scoring.ranking import Difference, SignFlip, paired, sign_flip
+from stone.scoring.ranking import SignFlip, sign_flip
+from stone.scoring.silences import SCOPES, WITHDRAWN, Scope, Silence
+
+Found = Mapping[Scope, tuple[Estimate | Silence, ...]]
+
+
+@dataclass(frozen=True)
+class DifferenceEstimate:
+    """Of a − b: the interval that holds its true value with the level of the board, and the two-sided p."""
+
+    interval: tuple[float, float]
+    standard_error: float
+    degrees_of_freedom: float
+    p: float
 
 
 @dataclass(frozen=True)
 class RatioDifference:
-    """The difference of one ratio; null where undefined, withheld, or where resampling tells nothing."""
+    """The difference of one ratio; null where undefined or withheld. Of each scope an estimate or a silence."""
 
     a: float | None
     b: float | None
     difference: float | None
-    block: Difference | None = None
-    sequence: Difference | None = None
+    these_places: DifferenceEstimate | None = None
+    new_place: DifferenceEstimate | None = None
+    silences: Mapping[Scope, Silence | None] | None = None
     sign_flip: SignFlip | None = None
 
 
@@ -47,21 +61,6 @@ class EntryComparison:
     is_withheld: bool
 
 
-@dataclass(frozen=True)
-class _PairedReplicates:
-    """Replicates (D, 5) of both entries."""
-
-    a: Any
-    b: Any
-
-    def of(self, column: int) -> Difference | None:
-        return paired(self.a[:, column], self.b[:, column]) if self._is_conclusive else None
-
-    @property
-    def _is_conclusive(self) -> bool:
-        return self.a.shape == self.b.shape and (varies(self.a) or varies(self.b))
-
-
 def compare(
     platform: Platform, phase_id: str, pair: tuple[SubmissionRow, SubmissionRow], viewer: Viewer
 ) -> EntryComparison:
@@ -69,28 +68,38 @@ def compare(
     with platform.database.reading() as session:
         phase = session.get_one(Phase, phase_id)
         a, b = (_scored(session, viewer, phase, submission) for submission in pair)
-        keys = [session.get_one(Blob, seen.score.replicates_sha256).object_key for seen in (a, b)]
+        keys = [session.get_one(Blob, seen.score.spectra_sha256).object_key for seen in (a, b)]
     is_withheld = not (a.policy.shows("comparison") and b.policy.shows("comparison"))
     totals = {name: _totals(a, b, name) for name in RATIOS}
     if is_withheld:
         return EntryComparison(a, b, totals, True)
-    block, sequence = (_paired_replicates(platform.store, keys, kind) for kind in (BLOCK, SEQUENCE))
-    return EntryComparison(
-        a,
-        b,
-        {
-            name: RatioDifference(
-                totals[name].a,
-                totals[name].b,
-                totals[name].difference,
-                block.of(column),
-                sequence.of(column),
-                _flipped(a, b, name),
-            )
-            for column, name in enumerate(RATIOS)
-        },
-        False,
-    )
+    found = _differences(platform.store, keys, [totals[name].difference for name in RATIOS])
+    compared = {
+        name: replace(_compared(totals[name], found, column), sign_flip=_flipped(a, b, name))
+        for column, name in enumerate(RATIOS)
+    }
+    return EntryComparison(a, b, compared, False)
+
+
+def _differences(store: Store, keys: Sequence[str], values: Sequence[float | None]) -> Found:
+    """By scope, of each ratio an estimate or the silence."""
+    a, b = (read_spectra(store, key) for key in keys)
+    if a is None or b is None:
+        return dict.fromkeys(SCOPES, (WITHDRAWN,) * len(RATIOS))
+    of_ratios = np.array([np.nan if value is None else value for value in values], np.float64)
+    return {scope: estimates(of_ratios, a.minus(b), scope) for scope in SCOPES}
+
+
+def _compared(totals: RatioDifference, found: Found, column: int) -> RatioDifference:
+    of_ratio = {scope: of_scope[column] for scope, of_scope in found.items()}
+    known = {scope: _told(one) for scope, one in of_ratio.items() if isinstance(one, Estimate)}
+    silences = {scope: None if isinstance(one, Estimate) else one for scope, one in of_ratio.items()}
+    return replace(totals, these_places=known.get("these_places"), new_place=known.get("new_place"), silences=silences)
+
+
+def _told(found: Estimate) -> DifferenceEstimate:
+    low, high = found.interval()
+    return DifferenceEstimate((max(low, -1.0), min(high, 1.0)), found.error, found.degrees, found.p)
 
 
 def _scored(session: Session, viewer: Viewer, phase: Phase, submission: SubmissionRow) -> ScoreView:
@@ -106,10 +115,6 @@ def _totals(a: ScoreView, b: ScoreView, name: str) -> RatioDifference:
     of_a, of_b = (seen.policy.ratio(getattr(seen.score, name)) for seen in (a, b))
     is_exact = a.policy.shows("exact") and b.policy.shows("exact")
     return RatioDifference(of_a, of_b, _difference(of_a, of_b, is_exact))
-
-
-def _paired_replicates(store: Store, keys: list[str], kind: str) -> _PairedReplicates:
-    return _PairedReplicates(*(np.asarray(read_replicates(store, key, kind)) for key in keys))
 
 
 def _flipped(a: ScoreView, b: ScoreView, name: str) -> SignFlip | None:

@@ -58,7 +58,7 @@ class BoardEntry:
     modality: str
     finalized_ns: int
     signature: str
-    replicates_sha256: str
+    spectra_sha256: str
     ratios: Mapping[str, float | None]
 
     @cached_property
@@ -96,7 +96,7 @@ def entries_on_board(
     ratios = [getattr(Score, name) for name in RATIOS]
     found = (
         select(Score, SubmissionRow, Team.name)
-        .options(load_only(Score.signature, Score.replicates_sha256, *ratios), load_only(*_SHOWN))
+        .options(load_only(Score.signature, Score.spectra_sha256, *ratios), load_only(*_SHOWN))
         .join(SubmissionRow, SubmissionRow.id == Score.submission_id)
         .join(Team, Team.id == SubmissionRow.team_id)
         .where(SubmissionRow.phase_id == phase.id, Score.truth_id == pair.truth_id, Score.metric == pair.metric)
@@ -147,7 +147,7 @@ def _entry(score: Score, submission: SubmissionRow, team: str) -> BoardEntry:
         modality=submission.modality,
         finalized_ns=submission.finalized_ns or 0,
         signature=score.signature,
-        replicates_sha256=score.replicates_sha256,
+        spectra_sha256=score.spectra_sha256,
         ratios={name: getattr(score, name) for name in RATIOS},
     )
 

@@ -14,6 +14,7 @@ from typing import Any, Literal
 from services.domain.benchmarks.boards.board import Board, LeaderboardRow
 from services.domain.benchmarks.boards.plain_text import csv_text, latex_text, markdown_text
 from services.domain.benchmarks.visibility import rounded
+from stone.scoring.silences import FEWEST_SEQUENCES, SILENCES
 
 Form = Literal["csv", "parquet", "md", "tex"]
 MEDIA_TYPES: Mapping[Form, str] = {
@@ -151,14 +152,17 @@ def _notes(board: Board, plain: Callable[[str], str]) -> str:
 
 def notes(board: Board) -> Iterator[str]:
     """Notes for the reader of the board."""
-    yield "Entries of one tie group do not surely differ from its first (paired block bootstrap)."
+    if board.silence is None:
+        yield "Entries of one tie group do not surely differ from its first (all pairs of the board at once, 95 %)."
+    else:
+        yield f"Nothing is said of ties and of intervals of ranks: {SILENCES[board.silence]}."
     yield "Baselines are not ranked; reported rows were published elsewhere and not scored here."
     sequences = board.pair.sequences if board.pair is not None else FEW_SEQUENCES
-    if sequences == 1:
-        yield "One sequence says nothing of how entries would do in another place."
+    if sequences < FEWEST_SEQUENCES:
+        yield f"Nothing is said of how entries would do in a new place: {SILENCES['few_sequences']}, here {sequences}."
     elif sequences < FEW_SEQUENCES:
         yield (
-            f"{sequences} sequences are few: over whole sequences no difference, however large, "
+            f"{sequences} sequences are few: in the exact test over whole sequences no difference, however large, "
             f"can have a p below {2.0 ** (1 - sequences):g}."
         )
     if board.secrecy == "running":

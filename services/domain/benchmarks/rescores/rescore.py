@@ -30,7 +30,7 @@ from services.runtime.jobs.enqueue import enqueue_run
 from services.runtime.jobs.specs import TERMINAL, Context
 from services.runtime.orm import Activation, GroundTruthRow, Job, Phase, Rescore
 from services.runtime.orm.base import now_ns
-from stone.scoring.metric import metric_of
+from stone.scoring.metric import current_metric
 
 RUN = "phase.rescore"
 PRIORITY = -10  # new submissions first
@@ -50,8 +50,8 @@ def start_rescore(session: Session, phase: Phase, asked: NewRescore) -> tuple[Re
 
     By the evaluation version of the board it is refused, unless an entry lacks that (one that was hidden, say, and is
     shown again). Where one by this evaluation version is pending, it is that one: its run goes on, or, has that ended,
-    another takes up what is missing. Raises `UnknownMetricError`, `ForeignTruthError`, `TruthNotReadyError`,
-    `AlreadyActiveError`, `QueueDrainingError`.
+    another takes up what is missing. Raises `UnknownMetricError`, `SupersededMetricError`, `ForeignTruthError`,
+    `TruthNotReadyError`, `AlreadyActiveError`, `QueueDrainingError`.
     """
     lock_phase(session, phase.id)
     pair = asked.pair
@@ -119,7 +119,7 @@ def old_version(session: Session, rescore: Rescore) -> EvaluationVersion | None:
 
 
 def _check(session: Session, phase: Phase, pair: EvaluationVersion) -> None:
-    metric_of(pair.metric)
+    current_metric(pair.metric)
     truth = session.get(GroundTruthRow, pair.truth_id)
     if truth is None or truth.phase_id != phase.id:
         raise ForeignTruthError(pair.truth_id)

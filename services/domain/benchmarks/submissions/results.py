@@ -18,6 +18,7 @@ from services.domain.benchmarks.visibility import Field, Policy, Viewer, policy_
 from services.runtime.orm import Activation, Benchmark, Blob, GroundTruthRow, Phase, Score, SubmissionRow, Team
 from services.runtime.orm.base import now_ns
 from stone.scoring.metric import RATIOS
+from stone.scoring.silences import SCOPES, WITHDRAWN, Scope, Silence
 
 By = Literal["sequence", "environment", "illumination", "distance"]
 Record = Mapping[str, Any]
@@ -50,7 +51,7 @@ class ScoreView:
 @dataclass(frozen=True)
 class SubmissionResults:
     """Totals, and beside them what may be seen: confusion (4, 4) and supports of all evaluated voxels, intervals by
-    kind of resampling and ratio. `is_rounded` says that the totals are. Whose it is may be unnamed as yet.
+    scope and ratio, and why there is none. `is_rounded` says that the totals are. Whose it is may be unnamed as yet.
     """
 
     seen: ScoreView
@@ -63,7 +64,8 @@ class SubmissionResults:
     support: Mapping[str, int] | None
     confusion: list[list[int]] | None
     extras: Ratios | None
-    intervals: Mapping[str, Mapping[str, tuple[float, float] | None]] | None
+    intervals: Mapping[Scope, Mapping[str, tuple[float, float] | None]] | None
+    silences: Mapping[Scope, Mapping[str, Silence | None]] | None
 
 
 @dataclass(frozen=True)
@@ -97,6 +99,7 @@ def results(
 ) -> SubmissionResults:
     """Raises `NotScoredError`, `ScoreMissingError`."""
     seen = seen_score(session, viewer, submission, score_id)
+    shows_intervals = seen.policy.shows("intervals")
     return SubmissionResults(
         seen,
         benchmark=session.get_one(Benchmark, seen.phase.benchmark_id).name,
@@ -108,7 +111,8 @@ def results(
         support=seen.unless_withheld("extras", "support"),
         confusion=seen.unless_withheld("extras", "confusion"),
         extras=seen.unless_withheld("extras", "extras"),
-        intervals=seen.unless_withheld("intervals", "intervals"),
+        intervals=_by_scope(seen, "intervals", None) if shows_intervals else None,
+        silences=_by_scope(seen, "silences", WITHDRAWN) if shows_intervals else None,
     )
 
 
@@ -169,6 +173,12 @@ def readable_scores(session: Session, viewer: Viewer, submission: SubmissionRow)
     if viewer.is_administrator:
         return tuple(rows)
     return tuple(row for row in rows if _was_in_force(session, submission.phase_id, row[0]))
+
+
+def _by_scope(seen: ScoreView, name: str, otherwise: Silence | None) -> Mapping[Scope, Any]:
+    """That part of the record; `otherwise` of a score from before silences were told: its intervals are withdrawn."""
+    found: Mapping[Scope, Any] = seen.score.record[name] if "silences" in seen.score.record else {}
+    return found or {scope: dict.fromkeys(RATIOS, otherwise) for scope in SCOPES}
 
 
 def _score(

@@ -28,7 +28,7 @@ class NewScore:
     signature: str
     record: Mapping[str, Any]
     confusions: PreparedBlob
-    replicates: PreparedBlob
+    spectra: PreparedBlob
     content_sha256: str
 
 
@@ -47,7 +47,7 @@ class CountedPart:
 
 def write_score(session: Session, new: NewScore) -> Score:
     """The score with its blobs; the one that stands already where there is one. Its parts are gone afterwards."""
-    link_all(session, (new.confusions, new.replicates))
+    link_all(session, (new.confusions, new.spectra))
     facts = {
         "id": new_id(),
         "submission_id": new.submission_id,
@@ -56,7 +56,7 @@ def write_score(session: Session, new: NewScore) -> Score:
         "signature": new.signature,
         "record": dict(new.record),
         "confusions_sha256": new.confusions.sha256,
-        "replicates_sha256": new.replicates.sha256,
+        "spectra_sha256": new.spectra.sha256,
         "content_sha256": new.content_sha256,
         "created_ns": now_ns(),
     }

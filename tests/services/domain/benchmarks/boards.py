@@ -1,4 +1,4 @@
-"""Entries with true records and true draws, from counts that a test makes up: no grid, no zip, no job.
+"""Entries with true records and true spectra, from counts that a test makes up: no grid, no zip, no job.
 
 **Conventions.** The ground truth is of three sequences of 450 frames. All entries meet the same ground, hard in places;
 `errors` is about what share of its voxels an entry gets wrong. Equal arguments, equal counts.
@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion
 from services.domain.benchmarks.submissions.scores import NewScore, write_score
 from services.domain.benchmarks.visibility import Viewer
-from services.eval.bootstrap_replicates import ratio_replicates
+from services.eval.score_intervals import spectra_npz
 from services.eval.scores import SequenceFacts, SubmissionCounts, record_of
 from services.runtime.orm import Activation, GroundTruthRow, Phase, Score, SubmissionRow, new_id
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from services.runtime.store import blobs
-from stone.scoring.metric import METRIC_VERSION
+from stone.scoring.metric import METRIC_VERSION, RATIOS
 from stone_files.npz import npz_bytes
 from tests.services.domain.benchmarks.scored import Place, entry, phase_of_rows, team
 
@@ -40,13 +40,15 @@ Counts = NDArray[np.int32]
 class Made:
     """How an entry scores: `seed` tells its errors apart from another's, `without` empties a class altogether.
 
-    `total` are totals to be written instead of what the counts say.
+    `total` are totals to be written instead of what the counts say. `is_withdrawn` writes what was kept while intervals
+    were those of resampled blocks.
     """
 
     errors: float = 0.3
     seed: int = 0
     without: int | None = None
     total: tuple[tuple[str, float], ...] = ()
+    is_withdrawn: bool = False
 
 
 @dataclass(frozen=True)
@@ -79,8 +81,8 @@ class Scene:
 
     def score(self, submission_id: str, made: Made, evaluation_version: EvaluationVersion | None = None) -> str:
         """The id of the score of the submission by the evaluation version."""
-        record, confusions, replicates = computed(made)
-        files = (self._stored(confusions), self._stored(replicates))
+        record, confusions, spectra = computed(made)
+        files = (self._stored(confusions), self._stored(spectra))
         new = NewScore(
             submission_id,
             evaluation_version or self.evaluation_version,
@@ -149,7 +151,7 @@ def scene(platform: Platform) -> Scene:
 def counts(made: Made) -> Counts:
     """Confusions (F, 3, 4, 4)."""
     ground = np.random.default_rng(7)
-    hardness = np.repeat(ground.uniform(0.6, 1.4, FRAMES // 50), 50)[:, None, None]
+    hardness = np.repeat(ground.uniform(0.6, 1.4, FRAMES // 9), 9)[:, None, None]
     voxels = ground.integers(50, 400, (FRAMES, 3, 4)) * np.array([10, 1, 1, 1])
     if made.without is not None:
         voxels[..., made.without] = 0
@@ -167,11 +169,16 @@ def counts(made: Made) -> Counts:
 
 @cache
 def computed(made: Made) -> tuple[dict[str, Any], bytes, bytes]:
-    """The record of a score, the npz of its counts, the npz of its draws."""
+    """The record of a score, the npz of its counts, the npz of its spectra."""
     confusions = counts(made)
     bev = np.ones((FRAMES, 3, 3), np.int32)
     counts_of_frames = SubmissionCounts(confusions, bev, SEQUENCES)
-    replicates = ratio_replicates(confusions, counts_of_frames.frames_of_sequence)
-    record = {"code_version": "9.9", **record_of(counts_of_frames, replicates)}
+    spectra = counts_of_frames.spectra()
+    record = {"code_version": "9.9", **record_of(counts_of_frames, spectra)}
     record["total"] |= dict(made.total)
-    return record, npz_bytes({"confusions": confusions, "bev": bev}), replicates.npz()
+    if made.is_withdrawn:
+        del record["silences"]
+        record["intervals"] = {"block": {name: [0.1, 0.2] for name in RATIOS}, "sequence": dict.fromkeys(RATIOS)}
+        replicates = {"block": np.zeros((9, 5), np.float32), "sequence": np.zeros((3, 5), np.float32)}
+        return record, npz_bytes({"confusions": confusions, "bev": bev}), npz_bytes(replicates)
+    return record, npz_bytes({"confusions": confusions, "bev": bev}), spectra_npz(spectra)

@@ -107,7 +107,7 @@ def score(session: Session, place: Place, submission_id: str, laid: Laid) -> Sco
     row = Score(submission_id=submission_id, truth_id=place.truth_id, metric=METRIC_VERSION)
     row.signature, row.content_sha256 = "signature", content
     row.record = {"cells": laid.cells}
-    row.confusions_sha256 = row.replicates_sha256 = place.blob_sha256
+    row.confusions_sha256 = row.spectra_sha256 = place.blob_sha256
     for name in RATIOS:
         setattr(row, name, laid.miou)
     for name, value in laid.columns.items():

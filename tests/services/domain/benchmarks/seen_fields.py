@@ -88,7 +88,7 @@ def seen_fields(at: Scene, ids: tuple[str, str], viewer: Viewer) -> set[str]:
 def comparison_says(at: Scene, both: tuple[SubmissionRow, SubmissionRow], viewer: Viewer) -> bool:
     """Whether the comparison tells more than the difference of the totals."""
     found = compare(at.platform, at.phase_id, both, viewer).ratios.values()
-    return any(one.block or one.sequence or one.sign_flip for one in found)
+    return any(one.these_places or one.new_place or one.silences or one.sign_flip for one in found)
 
 
 def _of_totals(told: list[dict[str, float | None]], exact: dict[str, float]) -> dict[str, bool]:
@@ -102,7 +102,7 @@ def _of_totals(told: list[dict[str, float | None]], exact: dict[str, float]) -> 
 
 def _of_results(found: SubmissionResults, row: LeaderboardRow) -> dict[str, object]:
     return {
-        "intervals": found.intervals or row.intervals,
+        "intervals": found.intervals or found.silences or row.intervals,
         "ranks": row.rank_interval or row.tie_group,
         "support": found.support or row.support,
         "confusion": found.confusion,

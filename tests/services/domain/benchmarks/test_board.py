@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from services.domain.benchmarks.boards.board import MOST_ROWS, Board, LeaderboardRow, board
-from services.domain.benchmarks.boards.bootstrap import rank_confidence_of
 from services.domain.benchmarks.boards.entries import BoardQuery
+from services.domain.benchmarks.boards.rank_confidence import rank_confidence_of
+from services.domain.benchmarks.boards.tables import notes
 from services.domain.benchmarks.visibility import ANYBODY, Viewer
 from services.runtime.orm import Reported
 from services.runtime.orm.base import now_ns
@@ -102,7 +103,7 @@ def test_a_baseline_is_shown_but_has_no_rank(platform: Platform) -> None:
     at.enter(at.team(), Made(0.3))
     found = shown(at)
     assert [(row.standing, row.rank) for row in found.rows] == [("ranked", 1), ("baseline", None)]
-    assert found.rows[0].rank_interval == (1, 1)
+    assert found.ranked_total == 1
 
 
 def test_reported_results_stand_last_with_their_source(platform: Platform) -> None:
@@ -212,17 +213,37 @@ def test_before_the_first_ground_truth_there_is_an_empty_board(platform: Platfor
     assert (found.pair, found.rows, found.ranked_total) == (None, (), 0)
 
 
-def test_sequences_shorter_than_a_block_claim_nothing(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Resampled to themselves, they would show a certainty that nobody has."""
+def test_a_board_of_one_claims_nothing(platform: Platform) -> None:
     at = scene(platform)
-    entered = at.enter(at.team(), Made(0.2))
-    draws = shown(at).rows[0]
-    assert draws.rank_interval == (1, 1)
-    monkeypatch.setattr("services.domain.benchmarks.boards.bootstrap.varies", lambda draws: False)
+    at.enter(at.team(), Made(0.2))
+    found = shown(at)
+    assert [(row.rank, row.rank_interval, row.tie_group) for row in found.rows] == [(1, None, None)]
+    assert found.silence is None
+
+
+def test_scores_of_a_metric_whose_intervals_are_withdrawn_claim_nothing(platform: Platform) -> None:
+    """Bootstrap replicates were kept of them, and intervals that claimed more than was known."""
+    at = scene(platform)
+    entered = [at.enter(at.team(), Made(error, is_withdrawn=True)) for error in (0.2, 0.4)]
+    found = shown(at)
+    assert ids(found) == entered
+    assert found.silence == "withdrawn"
+    for row in found.rows:
+        assert (row.rank_interval, row.tie_group, row.intervals) == (None, None, None)
+    assert any("withdrawn" in note for note in notes(found))
+
+
+def test_entries_below_those_that_are_compared_claim_nothing(
+    platform: Platform, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    at = scene(platform)
+    for error in (0.2, 0.3, 0.4):
+        at.enter(at.team(), Made(error))
+    monkeypatch.setattr("services.domain.benchmarks.boards.rank_confidence.MOST_COMPARED", 2)
     monkeypatch.setattr(
         "services.domain.benchmarks.boards.board.rank_confidence_of", unwrap(rank_confidence_of)
     )  # nothing is remembered
-    assert (ids(shown(at)), shown(at).rows[0].rank_interval, shown(at).rows[0].tie_group) == ([entered], None, None)
+    assert [(row.rank_interval, row.tie_group) for row in shown(at).rows] == [((1, 2), 1), ((2, 3), 2), (None, None)]
 
 
 def test_a_board_tells_at_most_so_many(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -48,7 +48,7 @@ HOSTILE = (
     "Ünï 道路",
 )
 RATIOS = {"iou_occ": 0.5, "iou_t": 0.25, "iou_p": 0.125, "iou_n": None, "miou": 0.43216}
-PAIR = BoardEvaluationVersion("t" * 32, 3, "5" * 64, "stone-iou-1", "metric:stone-iou-1|truth:5", 10**18, 7012, 5)
+PAIR = BoardEvaluationVersion("t" * 32, 3, "5" * 64, "stone-iou-2", "metric:stone-iou-2|truth:5", 10**18, 7012, 5)
 ROW = LeaderboardRow(
     standing="ranked",
     method="Net",
@@ -115,7 +115,7 @@ def test_latex_is_a_booktabs_table() -> None:
 @pytest.mark.parametrize("form", ["csv", "md", "tex"])
 def test_every_table_names_its_pair(form: Form) -> None:
     text = table(form, ROW).replace("\\", "").replace("{}", "")
-    assert "stone-iou-1" in text
+    assert "stone-iou-2" in text
     assert "truth" in text
 
 
@@ -127,6 +127,11 @@ def test_an_empty_board_is_a_table_too(form: Form) -> None:
 
 def test_few_sequences_and_rounding_are_said() -> None:
     assert any("5 sequences are few" in note and "0.0625" in note for note in notes(board_of(ROW)))
+    few = notes(replace(board_of(ROW), pair=replace(PAIR, sequences=3)))
+    assert any("in a new place: it takes 5 sequences or more, here 3" in note for note in few)
+    silent = list(notes(replace(board_of(ROW), silence="few_frames")))
+    assert any("of ties and of intervals of ranks: there are too few frames" in note for note in silent)
+    assert not any("tie group" in note for note in silent)
     assert not any("few" in note for note in notes(replace(board_of(ROW), pair=replace(PAIR, sequences=70))))
     assert any("rounded to 4 digits" in note for note in notes(replace(board_of(ROW), secrecy="running")))
 

@@ -24,7 +24,7 @@ from services.runtime.jobs.specs import Context, JobSpec
 from services.runtime.orm import Activation, GroundTruthRow, Job, Rescore
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
-from stone.scoring.metric import METRIC_VERSION, OCCUPIED_VERSION, UnknownMetricError
+from stone.scoring.metric import METRIC_VERSION, OCCUPIED_VERSION, SupersededMetricError, UnknownMetricError
 from tests.services.domain.benchmarks.scored import (
     Place,
     another_truth,
@@ -151,6 +151,7 @@ def test_what_cannot_be_re_scored_is_refused(platform: Platform) -> None:
     for pair, error in (
         (EvaluationVersion(place.truth_id, METRIC_VERSION), AlreadyActiveError),
         (EvaluationVersion(place.truth_id, "stone-iou-0"), UnknownMetricError),
+        (EvaluationVersion(place.truth_id, "stone-iou-1"), SupersededMetricError),
         (EvaluationVersion(other.truth_id, METRIC_VERSION), ForeignTruthError),
         (EvaluationVersion("0" * 32, METRIC_VERSION), ForeignTruthError),
         (EvaluationVersion(another_truth(place, is_ready=False), METRIC_VERSION), TruthNotReadyError),

@@ -14,11 +14,13 @@ from services.domain.benchmarks.submissions.results import (
     results,
     seen_score,
 )
+from services.domain.benchmarks.visibility import ANYBODY
 from services.runtime.orm import SubmissionRow
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from stone.scoring.confusion import ratios
 from stone.scoring.metric import RATIOS
+from stone.scoring.silences import SCOPES
 from tests.services.domain.benchmarks.boards import ADMINISTRATOR, FRAMES, SEQUENCES, Made, counts, scene
 
 
@@ -79,3 +81,13 @@ def test_provenance_names_what_a_score_was_made_of_and_by(platform: Platform) ->
     assert found.content_sha256 == "c" * 64
     assert seen.truth.sha256 == "7" * 64
     assert seen.score.signature == "metric:a|truth:b"
+
+
+def test_of_a_score_from_before_silences_were_told_no_interval_is(platform: Platform) -> None:
+    at = scene(platform)
+    entered = at.enter(at.team(), Made(0.3, is_withdrawn=True))
+    with platform.database.reading() as session:
+        found = results(session, ANYBODY, session.get_one(SubmissionRow, entered))
+    assert found.total["miou"] is not None
+    assert found.intervals == dict.fromkeys(SCOPES, dict.fromkeys(RATIOS))
+    assert found.silences == dict.fromkeys(SCOPES, dict.fromkeys(RATIOS, "withdrawn"))

@@ -23,6 +23,7 @@ from sqlalchemy import (
 from sqlalchemy.exc import DBAPIError
 
 from services.runtime.database.migrate import alembic_on, schema_connection, upgrade
+from services.runtime.database.migrations.versions import r0022_spectra
 from services.runtime.database.migrations.versions.r0019_words import COLUMNS, METRICS, TABLES
 from services.runtime.jobs.lease_sweep import Sweeper
 from services.runtime.orm import Base
@@ -124,11 +125,16 @@ def renamed(rows: Rows) -> Rows:
     """The rows of a previous release by the names of this one, of tables, columns and counted metrics."""
     return {
         TABLES.get(table, table): [
-            {COLUMNS.get(table, {}).get(name, name): _renamed_counts(name, value) for name, value in row.items()}
+            {_renamed_column(table, name): _renamed_counts(name, value) for name, value in row.items()}
             for row in of_table
         ]
         for table, of_table in rows.items()
     }
+
+
+def _renamed_column(table: str, column: str) -> str:
+    since_0019 = COLUMNS.get(table, {}).get(column, column)
+    return r0022_spectra.NEW if (table, since_0019) == ("scores", r0022_spectra.OLD) else since_0019
 
 
 def _renamed_counts(column: str, value: Any) -> Any:

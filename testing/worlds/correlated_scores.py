@@ -1,0 +1,115 @@
+"""Worlds of correlated frames whose true scores are known in closed form.
+
+**Conventions.** In frame t of a sequence, class c has N voxels, of which an entry gets a share h right:
+
+    log N = log m_c + 0.3 x − 0.045,   logit h = 0.4 + δ_s + δ'_s + 0.25 y + 0.25 y'
+
+x, y, y' are stationary processes of mean 0 and variance 1, each its own for every class; y and the place's δ are common
+to all entries, y' and δ' an entry's own: so entries are equally good, and hard ground is hard for all. Of what is
+missed half is predicted free, half the next class. Size and quality are independent, so the truth is read from
+E N = m_c and E h, a Gauss–Hermite sum. Written from the definition of the scores: nothing of the platform is imported.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+from scipy.special import expit
+
+Kind = Literal["first_order", "noisy", "moving_average"]
+Floats = NDArray[np.float64]
+
+VOXELS = np.array([900.0, 600.0, 1500.0])
+SIZE_WANDER, SHARED_WANDER, OWN_WANDER, BASE = 0.3, 0.25, 0.25, 0.4
+NOISE_SHARE = 0.7
+
+
+@dataclass(frozen=True)
+class World:
+    """Sequences of these lengths; `rho` from frame to frame; `place` and `own_place` the spread of δ and δ'.
+
+    `noisy` hides the process in 70 % of noise of single frames; `moving_average` has the same correlation time, and no
+    correlation beyond it.
+    """
+
+    frames_of_sequence: tuple[int, ...]
+    rho: float
+    kind: Kind = "first_order"
+    place: float = 0.3
+    own_place: float = 0.1
+
+    @property
+    def correlation_frames(self) -> float:
+        return (1 + self.rho) / (1 - self.rho)
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One season in that world: confusions of each entry (F, 4, 4), its true mIoU on this ground."""
+
+    confusions: tuple[NDArray[np.int64], ...]
+    true_here: tuple[float, ...]
+
+
+def trial(world: World, random: np.random.Generator, entries: int = 2) -> Trial:
+    """A season of equally good entries."""
+    places = world.place * random.standard_normal(len(world.frames_of_sequence))
+    own = world.own_place * random.standard_normal((entries, len(places)))
+    counts: list[list[NDArray[np.int64]]] = [[] for _ in range(entries)]
+    for sequence, frames in enumerate(world.frames_of_sequence):
+        size = VOXELS[:, None] * np.exp(SIZE_WANDER * _wander(world, random, frames) - SIZE_WANDER**2 / 2)
+        ground = SHARED_WANDER * _wander(world, random, frames) + BASE + places[sequence]
+        for entry in range(entries):
+            quality = expit(ground + own[entry, sequence] + OWN_WANDER * _wander(world, random, frames))
+            counts[entry].append(_confusions(np.rint(size), quality))
+    truths = tuple(true_miou(world.frames_of_sequence, places + one) for one in own)
+    return Trial(tuple(np.concatenate(of_entry) for of_entry in counts), truths)
+
+
+def true_miou(weights: Sequence[float], offsets: Floats, spread: float = 0.0) -> float:
+    """Of places with these offsets, weighted; `spread` is that of places which are still unknown."""
+    right = np.array([_expected_share(float(offset), spread) for offset in offsets])
+    share = float(np.average(right, weights=np.asarray(weights, np.float64)))
+    hits, misses = VOXELS * share, VOXELS * (1 - share)
+    unions = VOXELS + np.roll(misses, 1) / 2
+    return float(np.mean(hits / unions))
+
+
+@lru_cache(4096)
+def _expected_share(offset: float, spread: float) -> float:
+    """E h over y, y' and what is unknown of the place, all normal."""
+    nodes, weights = np.polynomial.hermite_e.hermegauss(80)
+    deviation = np.sqrt(SHARED_WANDER**2 + OWN_WANDER**2 + spread**2)
+    return float(weights @ expit(BASE + offset + deviation * nodes) / weights.sum())
+
+
+def _confusions(size: Floats, share: Floats) -> NDArray[np.int64]:
+    """(F, 4, 4) of voxels and shares (3, F)."""
+    hits = np.rint(size * share)
+    wrong = np.floor((size - hits) / 2)
+    found = np.zeros((size.shape[1], 4, 4), np.int64)
+    for of_class in range(3):
+        row = found[:, 1 + of_class]
+        row[:, 1 + of_class] = hits[of_class]
+        row[:, 1 + (of_class + 1) % 3] = wrong[of_class]
+        row[:, 0] = size[of_class] - hits[of_class] - wrong[of_class]
+    return found
+
+
+def _wander(world: World, random: np.random.Generator, frames: int) -> Floats:
+    """(3, F) of mean 0 and variance 1, one for each class."""
+    if world.kind == "moving_average":
+        length = max(1, round(world.correlation_frames))
+        sums = np.cumsum(random.standard_normal((3, frames + length)), axis=1)
+        return np.asarray((sums[:, length:] - sums[:, :-length]) / np.sqrt(length), np.float64)
+    drive = random.standard_normal((3, frames))
+    drive[:, 1:] *= np.sqrt(1 - world.rho**2)
+    slow: Floats = np.asarray(lfilter([1.0], [1.0, -world.rho], drive, axis=1), np.float64)
+    if world.kind == "first_order":
+        return slow
+    noise = random.standard_normal((3, frames))
+    return np.asarray(np.sqrt(1 - NOISE_SHARE) * slow + np.sqrt(NOISE_SHARE) * noise, np.float64)
