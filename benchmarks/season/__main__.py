@@ -16,7 +16,7 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -106,6 +106,14 @@ class SeasonProgress:
         command = [sys.executable, str(RECOMPUTE), str(self.folder)]
         return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
 
+    def ties(self) -> str:
+        """How the entries of the last board are tied, or why nothing is said of it."""
+        board: Any = self.season.board("all")
+        groups = [row["tie_group"] for row in board["rows"] if row["standing"] == "ranked"]
+        if not any(groups):
+            return str(board["notes"][0])
+        return f"{len(set(groups))} groups of {len(groups)} entries, the largest of {max(map(groups.count, groups))}"
+
     def changed_past(self) -> int:
         """How many of the boards before the switches are no longer what `as_of` shows."""
         return sum(
@@ -158,10 +166,10 @@ def run_season(folder: Path, size: SeasonSize, workers: int = 2) -> Figures:
         begun_s = time.perf_counter()
         play_season(course, plan_of(size))
         lasted_s = time.perf_counter() - begun_s
-        said, changed = course.recompute(), course.changed_past()
+        said, changed, ties = course.recompute(), course.changed_past(), course.ties()
         figures = figures_of(running.platform, season, lasted_s)
         close_all(season, course.teams)
-    return figures.with_outcome(course.grants, course.moves, said, changed)
+    return replace(figures, grants=course.grants, moves=course.moves, recomputed=said, changed_past=changed, ties=ties)
 
 
 def play_season(course: SeasonProgress, plan: Sequence[Play]) -> None:

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -33,11 +33,7 @@ class Figures:
     moves: Sequence[Mapping[str, Any]] = field(default_factory=tuple)
     recomputed: str = ""
     changed_past: int = 0
-
-    def with_outcome(
-        self, grants: int, moves: Sequence[Mapping[str, Any]], recomputed: str, changed_past: int
-    ) -> "Figures":
-        return replace(self, grants=grants, moves=moves, recomputed=recomputed, changed_past=changed_past)
+    ties: str = ""
 
     @property
     def submissions(self) -> int:
@@ -89,6 +85,7 @@ def _rows(figures: Figures) -> list[tuple[str, str]]:
         *(("re-score", _moved(one)) for one in figures.moves),
         ("board from the kept counts", figures.recomputed),
         ("boards of the past that changed", str(figures.changed_past)),
+        ("ties of the last board", figures.ties),
     ]
 
 

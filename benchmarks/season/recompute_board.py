@@ -17,7 +17,7 @@ RATIOS = ("iou_occ", "iou_t", "iou_p", "iou_n", "miou")
 def ratios_of(path: Path, metric: str) -> dict[str, float]:
     counts = np.load(path)["confusions"].sum(axis=(0, 1), dtype=np.int64)
     occupied = counts[1:, 1:].sum() / (counts.sum() - counts[0, 0])
-    seen = counts if metric == "stone-iou-1" else counts * np.array([0, 1, 1, 1])[:, None]
+    seen = counts if "occupied" not in metric else counts * np.array([0, 1, 1, 1])[:, None]
     t, p, n = (seen[k, k] / (seen[k].sum() + seen[:, k].sum() - seen[k, k]) for k in (1, 2, 3))
     return dict(zip(RATIOS, map(float, (occupied, t, p, n, (t + p + n) / 3)), strict=True))
 

@@ -1,0 +1,194 @@
+"""Do intervals cover, and are equal entries told apart? `python -m benchmarks.intervals [--trials 1000]`.
+
+In worlds whose truth is known (`testing/worlds/correlated_scores.py`) two entries are scored as the platform scores
+them. Printed is in how many trials something is said, and of these, how often the interval of 95 % holds the true mIoU,
+and how often that of the difference misses the true one, which is 0 in a new place and nearly so in these. Below, how
+often any two of many equally good entries of a board are told apart.
+"""
+
+import argparse
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from stone.scoring.confusion import ratios
+from stone.scoring.intervals import LEVEL, Estimate, RatioSpectra, estimates, ratio_spectra
+from stone.scoring.metric import RATIOS
+from stone.scoring.pairs import BoardSpectra, surely_above
+from stone.scoring.ranking import tie_groups
+from stone.scoring.silences import SCOPES, Scope
+from testing.worlds.correlated_scores import World, trial, true_miou
+
+MIOU = RATIOS.index("miou")
+FRAMES, SEQUENCES, RHOS = (200, 300, 600, 1200, 5000), (1, 2, 3, 5, 7, 10), (0.0, 0.5, 0.9, 0.98)
+UNEQUAL: tuple[tuple[int, ...], ...] = ((5000, *[200] * 4), (1200, 200, 300, 600), (210,) * 5, (250, 1100, 420))
+OTHER: tuple[tuple[int, ...], ...] = ((1200,) * 3, (600,) * 5, (300,) * 10)
+MOST_FRAMES = 3_000_000  # of a row; rows of many frames have fewer trials
+
+
+@dataclass
+class ScopeCounts:
+    """Of the trials of a row, in one scope."""
+
+    said: int = 0
+    covered: int = 0
+    compared: int = 0
+    missed: int = 0
+
+
+@dataclass(frozen=True)
+class IntervalRow:
+    world: World
+    trials: int
+    of_scope: dict[Scope, ScopeCounts]
+
+
+@dataclass(frozen=True)
+class BoardTrials:
+    """Boards of equal entries: how many there were, how many said something, and told any two apart."""
+
+    world: World
+    entries: int
+    trials: int
+    said: int
+    split: int
+
+
+def measured(world: World, trials: int, seed: int) -> IntervalRow:
+    """A row of the table."""
+    random = np.random.default_rng([seed, *world.frames_of_sequence, round(1000 * world.rho)])
+    row = IntervalRow(world, trials, {scope: ScopeCounts() for scope in SCOPES})
+    spread = float(np.hypot(world.place, world.own_place))
+    anywhere = true_miou([1.0], np.zeros(1), spread)
+    for _ in range(trials):
+        drawn = trial(world, random)
+        values = [ratios(confusions.sum(axis=0)) for confusions in drawn.confusions]
+        spectra = [ratio_spectra(confusions, world.frames_of_sequence) for confusions in drawn.confusions]
+        truths: dict[Scope, tuple[float, float]] = {
+            "these_places": (drawn.true_here[0], drawn.true_here[0] - drawn.true_here[1]),
+            "new_place": (anywhere, 0.0),
+        }
+        for scope, counts in row.of_scope.items():
+            found = estimates(values[0], spectra[0], scope)[MIOU]
+            of_both = estimates(values[0] - values[1], spectra[0].minus(spectra[1]), scope)[MIOU]
+            _count(counts, found, of_both, truths[scope])
+    return row
+
+
+def _count(counts: ScopeCounts, found: object, of_both: object, truth: tuple[float, float]) -> None:
+    if isinstance(found, Estimate):
+        low, high = found.ratio_interval()
+        counts.said += 1
+        counts.covered += low <= truth[0] <= high
+    if isinstance(of_both, Estimate):
+        low, high = of_both.interval()
+        counts.compared += 1
+        counts.missed += not low <= truth[1] <= high
+
+
+def boards(world: World, entries: int, trials: int, seed: int) -> BoardTrials:
+    """Boards whose entries are all equally good on this ground."""
+    random = np.random.default_rng([seed, entries, *world.frames_of_sequence])
+    said = split = 0
+    for _ in range(trials):
+        drawn = trial(world, random, entries)
+        values = np.array([ratios(confusions.sum(axis=0))[MIOU] for confusions in drawn.confusions])
+        spectra = [ratio_spectra(confusions, world.frames_of_sequence) for confusions in drawn.confusions]
+        order = np.argsort(-values)
+        above = surely_above(values[order], _board([spectra[place] for place in order]))
+        said += above is not None
+        split += above is not None and int(tie_groups(above).max()) > 1
+    return BoardTrials(world, entries, trials, said, split)
+
+
+def _board(spectra: Sequence[RatioSpectra]) -> BoardSpectra:
+    return BoardSpectra(
+        spectra[0].layout,
+        np.stack([one.coefficients[:, MIOU] for one in spectra]),
+        np.array([one.spread[MIOU] for one in spectra]),
+    )
+
+
+def worlds() -> Iterator[World]:
+    """The rows of the table."""
+    for sequences, frames, rho in product(SEQUENCES, FRAMES, RHOS):
+        yield World((frames,) * sequences, rho)
+    for lengths, rho in product(UNEQUAL, (0.5, 0.9)):
+        yield World(lengths, rho)
+    for lengths in OTHER:
+        yield World(lengths, 0.9, "noisy")
+        yield World(lengths, 0.9, "moving_average")
+
+
+def show(rows: Sequence[IntervalRow], of_boards: Sequence[BoardTrials]) -> None:
+    console = Console(width=130)
+    table = Table(title=f"Intervals of {100 * LEVEL:.0f} %, mIoU: said in / covers / difference missed, in per cent")
+    for column in ("sequences × frames", "ρ", "trials", "these places", "a new place"):
+        table.add_column(column, justify="left" if column == "sequences × frames" else "right")
+    for row in rows:
+        scopes = (_percents(row.of_scope[scope], row.trials) for scope in SCOPES)
+        table.add_row(_name(row.world), f"{row.world.rho:g}", str(row.trials), *scopes)
+    console.print(table)
+    table = Table(title="Boards of equal entries: said in / any two told apart, in per cent")
+    for column in ("sequences × frames", "ρ", "entries", "boards", "told apart"):
+        table.add_column(column, justify="left" if column == "sequences × frames" else "right")
+    for one in of_boards:
+        figures = f"{_share(one.said, one.trials)} / {_share(one.split, one.said)}"
+        table.add_row(_name(one.world), f"{one.world.rho:g}", str(one.entries), str(one.trials), figures)
+    console.print(table)
+
+
+def _name(world: World) -> str:
+    lengths = world.frames_of_sequence
+    name = f"{len(lengths)} × {lengths[0]}" if len(set(lengths)) == 1 else " + ".join(map(str, lengths))
+    return name if world.kind == "first_order" else f"{name}, {world.kind.replace('_', ' ')}"
+
+
+def _percents(counts: ScopeCounts, trials: int) -> str:
+    if not counts.said and not counts.compared:
+        return "silent"
+    covered, missed = _share(counts.covered, counts.said), _share(counts.missed, counts.compared)
+    return f"{_share(counts.said, trials)} / {covered} / {missed}"
+
+
+def _share(part: int, whole: int) -> str:
+    """In per cent; of few trials in brackets, for it is known to a few points only."""
+    if not whole:
+        return "–"
+    return f"{100 * part / whole:.1f}" if whole >= 200 else f"({100 * part / whole:.0f})"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--trials", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", default="", help="rows whose name holds this")
+    options = parser.parse_args()
+    with ProcessPoolExecutor() as pool:
+        rows = [
+            pool.submit(measured, world, _trials(world, options.trials), options.seed)
+            for world in worlds()
+            if options.only in _name(world)
+        ]
+        of_boards = [
+            pool.submit(
+                boards, World((300,) * 10, rho, place=0.3, own_place=0.0), entries, options.trials // 2, options.seed
+            )
+            for rho in (0.0, 0.9)
+            for entries in (2, 5, 20)
+            if not options.only
+        ]
+        show([one.result() for one in rows], [one.result() for one in of_boards])
+
+
+def _trials(world: World, most: int) -> int:
+    return max(100, min(most, MOST_FRAMES // sum(world.frames_of_sequence)))
+
+
+if __name__ == "__main__":
+    main()
