@@ -10,9 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from api.schemas.leaderboard import PAIR_EXAMPLE, ROW_EXAMPLE, BoardRow, ComparisonAnswer, LeaderboardAnswer, PairItem
+from api.schemas.results import ResultsAnswer
 from stone.scoring.metric import METRICS
+from stone.scoring.silences import SILENCES
 from web.boards.axes import Axis, axis_around_zero, axis_from_zero, axis_over
 from web.boards.comparison import Names, compared, verdict
+from web.boards.results import totals
 from web.boards.rows import ShownBoard, Sort, board_with_figures, shortened
 from web.markdown import html_of
 
@@ -157,6 +160,17 @@ def test_a_withheld_comparison_claims_no_more_than_the_rounded_totals() -> None:
     assert found.verdict.headline == "Bee is ahead of Ant"
     assert "when the phase has ended" in found.verdict.grounds[1]
     assert all(one.these_places is None and one.new_place is None for one in found.rows)
+
+
+def test_why_there_is_no_interval_is_said_once_with_the_ratios_that_have_none() -> None:
+    example = ResultsAnswer.model_config["json_schema_extra"]["examples"][0]
+    few = dict.fromkeys(("miou", "iou_t", "iou_p"), "few_frames") | {"iou_n": "no_wander", "iou_occ": None}
+    asked = {"silences": {"these_places": few, "new_place": dict.fromkeys(few)}}
+    found = totals(ResultsAnswer.model_validate(example | asked)).silences
+    assert found == (
+        (SILENCES["few_frames"], ("mIoU", "IoU T", "IoU P")),
+        (SILENCES["no_wander"], ("IoU N",)),
+    )
 
 
 class Parsed(HTMLParser):
