@@ -150,6 +150,8 @@ STATUS_OF: dict[type[StoneError], int] = {
     uploads.OffsetMismatchError: 409,
     uploads.OverLengthError: 413,
     uploads.TooManyUploadPartsError: 413,
+    uploads.TooManyUploadsError: 409,
+    uploads.TooManyUploadsOfDraftError: 409,
     uploads.UndeclaredUploadError: 409,
     uploads.UploadGoneError: 410,
     uploads.UploadLockedError: 423,

@@ -25,6 +25,7 @@ from services.domain.benchmarks.submissions.completion_estimate import expected_
 from services.domain.benchmarks.submissions.states import LIVE
 from services.domain.benchmarks.submissions.submissions import validations_left
 from services.runtime.orm import Job, Phase, SubmissionRow, Upload
+from services.runtime.uploads.rows import is_waiting
 
 SHOWN = 100
 
@@ -113,4 +114,4 @@ def _upload_id(session: Session, row: SubmissionRow) -> str | None:
     if row.upload_id is not None or row.state != "draft":
         return row.upload_id
     alive = select(Upload.id).where(Upload.target_id == row.id, Upload.purpose == "submission")
-    return session.scalar(alive.where(Upload.state.in_(("open", "complete"))).order_by(Upload.id.desc()).limit(1))
+    return session.scalar(alive.where(is_waiting()).order_by(Upload.id.desc()).limit(1))

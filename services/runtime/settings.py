@@ -102,12 +102,16 @@ class UploadSettings:
     """Bounds on what comes in. `owner_bytes` is what one owner may have stored or under way; a client that sends
     nothing for `idle_s` is taken for gone.
 
+    `owner_waiting` is how many uploads of one owner may wait at once, which are those that are unfinished, or finished
+    and not used yet: eight bags of 512 files each, all of which come before the first is sealed.
+
     `backend` is where bytes under way lie: `folder`, which API and workers then share, or `store`, in parts of at most
     `part_bytes`. It is of uploads that are created from now on; those under way stay where they are.
     """
 
     max_bytes: int = 512 * GIB
     owner_bytes: int = 1024 * GIB
+    owner_waiting: int = 4096
     expires_s: float = 7 * 86400.0
     form_bytes: int = 64 * 2**20
     idle_s: float = 60.0
@@ -119,11 +123,16 @@ class UploadSettings:
 class SubmissionSettings:
     """`participant_bytes` is what a participant may have stored or under way, whose uploads are submissions only.
 
+    `participant_waiting` is how many of their uploads may wait at once, `draft_waiting` how many for one draft, which
+    needs a single one: the others are tries that were given up.
+
     A draft for which nothing was sent goes after `draft_s`, the file of a submission that counts for nothing after
     `purged_after_s`.
     """
 
     participant_bytes: int = 60 * GIB
+    participant_waiting: int = 400
+    draft_waiting: int = 8
     draft_s: float = 7 * 86400.0
     purged_after_s: float = 30 * 86400.0
 

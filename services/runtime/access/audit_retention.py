@@ -15,19 +15,23 @@ from services.runtime.platform import Platform
 
 LEAST_S = 90 * 86_400.0
 AT_A_TIME = 10_000
+MOST_TIMES = 5
 
 log = structlog.get_logger(__name__)
 
 
 def cut_audit(platform: Platform) -> int:
-    """Remove the lines that are old enough; how many went. With 0 set none is."""
+    """Remove lines that are old enough, at most `AT_A_TIME * MOST_TIMES`; how many went. With 0 set none is."""
     kept_s = platform.settings.retention.audit_s
     if not kept_s:
         return 0
     before_ns = now_ns() - int(max(kept_s, LEAST_S) * 1e9)
     removed = 0
-    while gone := _cut_some(platform, before_ns):
+    for _ in range(MOST_TIMES):
+        gone = _cut_some(platform, before_ns)
         removed += gone
+        if not gone:
+            break
     return removed
 
 

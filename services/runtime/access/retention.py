@@ -4,9 +4,11 @@
 token stays listed for `TOKENS_SHOWN_NS` after its end, so that its owner sees why a program is refused.
 """
 
-from sqlalchemy import delete, or_
+from sqlalchemy import ColumnElement, delete, select
+from sqlalchemy.orm import InstrumentedAttribute
 
 from services.runtime.access.login_throttle import ADDRESSES_KEPT_NS, FORGOTTEN_NS
+from services.runtime.jobs.changes import rows_changed
 from services.runtime.orm import FailedSignInRow, IdempotentReply, SignInAddress, TeamInvitation, Token, WebSession
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
@@ -14,18 +16,34 @@ from services.runtime.platform import Platform
 TOKENS_SHOWN_NS = 30 * 86_400 * 10**9
 REPLIES_KEPT_NS = 86_400 * 10**9
 INVITATIONS_SHOWN_NS = 30 * 86_400 * 10**9
+AT_A_TIME = 1000
+MOST_TIMES = 20
 
 
 def forget_ended(platform: Platform) -> int:
-    """Delete such rows; how many went. Any number may run at once."""
+    """Delete such rows, of each kind at most `AT_A_TIME * MOST_TIMES`; how many went. Any number may run at once."""
     now, idle_ns = now_ns(), int(platform.settings.api.session_idle_s * 1e9)
     ended = (
-        delete(WebSession).where(or_(WebSession.expires_ns <= now, WebSession.used_ns <= now - idle_ns)),
-        delete(Token).where(Token.expires_ns <= now - TOKENS_SHOWN_NS),
-        delete(TeamInvitation).where(TeamInvitation.expires_ns <= now - INVITATIONS_SHOWN_NS),
-        delete(FailedSignInRow).where(FailedSignInRow.failed_ns <= now - FORGOTTEN_NS),
-        delete(SignInAddress).where(SignInAddress.used_ns <= now - ADDRESSES_KEPT_NS),
-        delete(IdempotentReply).where(IdempotentReply.created_ns <= now - REPLIES_KEPT_NS),
+        (WebSession.id, WebSession.expires_ns <= now),
+        (WebSession.id, WebSession.used_ns <= now - idle_ns),
+        (Token.id, Token.expires_ns <= now - TOKENS_SHOWN_NS),
+        (TeamInvitation.id, TeamInvitation.expires_ns <= now - INVITATIONS_SHOWN_NS),
+        (FailedSignInRow.key, FailedSignInRow.failed_ns <= now - FORGOTTEN_NS),
+        (SignInAddress.key, SignInAddress.used_ns <= now - ADDRESSES_KEPT_NS),
+        (IdempotentReply.id, IdempotentReply.created_ns <= now - REPLIES_KEPT_NS),
     )
-    with platform.database.transaction() as session:
-        return sum(session.execute(some).rowcount for some in ended)  # type: ignore[attr-defined]
+    return sum(_deleted(platform, key, is_over) for key, is_over in ended)
+
+
+def _deleted(platform: Platform, key: InstrumentedAttribute[str], is_over: ColumnElement[bool]) -> int:
+    """How many rows went, some in each of a few transactions: whoever else writes does not wait for all of them."""
+    some = select(key).where(is_over).limit(AT_A_TIME)
+    ended = delete(key.class_).where(key.in_(some), is_over)
+    deleted = 0
+    for _ in range(MOST_TIMES):
+        with platform.database.transaction() as session:
+            gone = rows_changed(session, ended)
+        deleted += gone
+        if gone < AT_A_TIME:
+            break
+    return deleted

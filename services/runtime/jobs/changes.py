@@ -1,15 +1,15 @@
-"""Compare-and-set updates: an UPDATE with its precondition, and whether it matched."""
+"""Compare-and-set updates: an UPDATE or DELETE with its precondition, and whether it matched."""
 
 from typing import cast
 
-from sqlalchemy import CursorResult, Update, select
+from sqlalchemy import CursorResult, Delete, Update, select
 from sqlalchemy.orm import Session
 
 from services.runtime.orm import Job
 
 
-def rows_changed(session: Session, statement: Update) -> int:
-    """The number of rows the update changed; 0 means that somebody else was first."""
+def rows_changed(session: Session, statement: Update | Delete) -> int:
+    """The number of rows it changed; 0 means that somebody else was first."""
     result = session.execute(statement.execution_options(synchronize_session=False))
     return cast("CursorResult[None]", result).rowcount
 

@@ -27,8 +27,10 @@ class LooseObject(Base):
 
     __tablename__ = "loose_objects"
     object_key: Mapped[str] = mapped_column(String(160), primary_key=True)
-    is_condemned: Mapped[bool] = mapped_column(default=False, index=True)
+    is_condemned: Mapped[bool] = mapped_column(default=False)
     expected_ns: Mapped[Ns] = mapped_column(default=now_ns)
+
+    __table_args__ = (Index("ix_loose_objects_condemned_expected", "is_condemned", "expected_ns"),)
 
 
 class LabelSet(Base):

@@ -64,6 +64,6 @@ class IdempotentReply(Base):
     status: Mapped[int] = mapped_column(default=0)
     headers: Mapped[Record] = mapped_column(JSON, default=dict)
     body: Mapped[bytes] = mapped_column(LargeBinary, default=b"")
-    created_ns: Mapped[Ns] = mapped_column(default=now_ns)
+    created_ns: Mapped[Ns] = mapped_column(default=now_ns, index=True)
 
     __table_args__ = (Index("uq_idempotent_replies_user_route_key", "user_id", "route", "key", unique=True),)

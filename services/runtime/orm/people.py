@@ -31,7 +31,7 @@ class Token(Base):
     secret_hash: Mapped[str] = mapped_column(String(64), unique=True)
     scopes: Mapped[list[str]] = mapped_column(JSON)
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
-    expires_ns: Mapped[Ns]
+    expires_ns: Mapped[Ns] = mapped_column(index=True)
     used_ns: Mapped[Ns | None]
     parent_id: Mapped[Id | None] = mapped_column(ForeignKey("tokens.id", ondelete="CASCADE"), index=True)
     user: Mapped[User] = relationship(lazy="joined")
@@ -49,8 +49,8 @@ class WebSession(Base):
     secret_hash: Mapped[str] = mapped_column(String(64), unique=True)
     csrf_token: Mapped[str] = mapped_column(String(64))
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
-    expires_ns: Mapped[Ns]
-    used_ns: Mapped[Ns] = mapped_column(default=now_ns)
+    expires_ns: Mapped[Ns] = mapped_column(index=True)
+    used_ns: Mapped[Ns] = mapped_column(default=now_ns, index=True)
     user: Mapped[User] = relationship(lazy="joined")
 
 
@@ -70,7 +70,7 @@ class SignInAddress(Base):
     __tablename__ = "sign_in_addresses"
     key: Mapped[str] = mapped_column(String(64), primary_key=True)
     user_id: Mapped[Id] = mapped_column(ForeignKey("users.id", ondelete="CASCADE"), index=True)
-    used_ns: Mapped[Ns] = mapped_column(default=now_ns)
+    used_ns: Mapped[Ns] = mapped_column(default=now_ns, index=True)
 
 
 class Team(Base):
@@ -96,6 +96,6 @@ class TeamInvitation(Base):
     secret_hash: Mapped[str] = mapped_column(String(64), unique=True)
     created_by: Mapped[Id] = mapped_column(ForeignKey("users.id"))
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
-    expires_ns: Mapped[Ns]
+    expires_ns: Mapped[Ns] = mapped_column(index=True)
     used_by: Mapped[Id | None] = mapped_column(ForeignKey("users.id"))
     used_ns: Mapped[Ns | None]

@@ -5,8 +5,10 @@ from typing import Any
 from sqlalchemy import JSON, ForeignKey, Index, String, false, text
 from sqlalchemy.orm import Mapped, mapped_column, validates
 
-from services.runtime.orm.base import Base, Bytes, Id, Ns, new_id, now_ns
+from services.runtime.orm.base import Base, Bytes, Id, Ns, new_id, now_ns, partial_index
 from services.runtime.telemetry.origins import origin_trace
+
+UPLOAD_WAITS = "state IN ('open', 'complete')"
 
 
 class CalibrationRow(Base):
@@ -95,6 +97,7 @@ class Upload(Base):
     """A file under way. Its offset is the number of bytes that are here, never a column; `backend`: folder or store.
 
     `state`: open, complete (all bytes there, sha256 verified), consumed (by a recording), failed, expired, terminated.
+    The first two wait, and are found by indexes of their own however many ended before.
     """
 
     __tablename__ = "uploads"
@@ -106,9 +109,15 @@ class Upload(Base):
     length_bytes: Mapped[Bytes]
     declared_sha256: Mapped[str] = mapped_column(String(64), default="")
     sha256: Mapped[str] = mapped_column(String(64), default="", index=True)
-    state: Mapped[str] = mapped_column(String(16), default="open", index=True)
+    state: Mapped[str] = mapped_column(String(16), default="open")
     detail: Mapped[str] = mapped_column(String(512), default="")
     backend: Mapped[str] = mapped_column(String(8), default="folder", server_default=text("'folder'"))
     traceparent: Mapped[str] = mapped_column(String(55), default=origin_trace, server_default=text("''"))
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
     expires_ns: Mapped[Ns]
+
+    __table_args__ = (
+        partial_index("ix_uploads_expiring", UPLOAD_WAITS, "expires_ns", "id"),
+        partial_index("ix_uploads_waiting_owner", UPLOAD_WAITS, "owner_id"),
+        partial_index("ix_uploads_waiting_target", UPLOAD_WAITS, "target_id"),
+    )

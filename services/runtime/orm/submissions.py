@@ -11,7 +11,9 @@ from typing import Any
 from sqlalchemy import JSON, CheckConstraint, ForeignKey, Index, LargeBinary, String, Text, text
 from sqlalchemy.orm import Mapped, mapped_column
 
-from services.runtime.orm.base import Base, Bytes, Id, Ns, Record, new_id, now_ns
+from services.runtime.orm.base import Base, Bytes, Id, Ns, Record, new_id, now_ns, partial_index
+
+IS_UNSCORED = "state IN ('valid', 'invalid', 'failed', 'cancelled')"
 
 
 class PhaseTeam(Base):
@@ -60,6 +62,9 @@ class SubmissionRow(Base):
         Index("ix_submissions_phase_state", "phase_id", "state"),
         Index("ix_submissions_state_settled", "state", "settled_ns"),
         Index("ix_submissions_settled", "settled_ns"),
+        Index("ix_submissions_state_created", "state", "created_ns", "id"),
+        partial_index("ix_submissions_purgeable", f"{IS_UNSCORED} AND upload_id IS NOT NULL", "settled_ns"),
+        partial_index("ix_submissions_withdrawn", "upload_id IS NOT NULL", "state", "withdrawn_ns"),
     )
 
 

@@ -1,9 +1,9 @@
 """ORM model of upload parts in the store."""
 
-from sqlalchemy import ForeignKey, Index, String, text
+from sqlalchemy import ForeignKey, String, text
 from sqlalchemy.orm import Mapped, mapped_column
 
-from services.runtime.orm.base import Base, Bytes, Id
+from services.runtime.orm.base import Base, Bytes, Id, partial_index
 
 FIRST = text("offset_bytes = 0")
 
@@ -21,4 +21,4 @@ class UploadPartRow(Base):
     object_key: Mapped[str] = mapped_column(String(160), index=True)
     blob_sha256: Mapped[str | None] = mapped_column(ForeignKey("blobs.sha256"), index=True)
 
-    __table_args__ = (Index("ix_upload_parts_first", "upload_id", sqlite_where=FIRST, postgresql_where=FIRST),)
+    __table_args__ = (partial_index("ix_upload_parts_first", "offset_bytes = 0", "upload_id", "offset_bytes"),)

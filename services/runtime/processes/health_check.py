@@ -23,8 +23,12 @@ def silence(found: list[LiveProcess], within_s: float) -> str:
     """The processes that beat too long ago, in words; empty when all beat."""
     if not found:
         return "no process of this container beats"
-    late = [f"process {one.pid} beat {one.age_s:.0f} s ago" for one in found if one.age_s > within_s]
+    late = [f"{_name_of(one)} beat {one.age_s:.0f} s ago" for one in found if one.age_s > within_s]
     return "; ".join(late)
+
+
+def _name_of(one: LiveProcess) -> str:
+    return f"{one.part} of process {one.pid}" if one.part else f"process {one.pid}"
 
 
 def refusal(url: str) -> str:

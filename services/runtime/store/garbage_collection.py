@@ -7,20 +7,22 @@ who takes out the row of `loose_objects` (`services/runtime/store/blobs.py`). Wh
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain, groupby, islice
+from itertools import groupby, islice
 
 from sqlalchemy import ColumnElement, and_, delete, exists, or_, select, union_all, update
 from sqlalchemy.orm import Session
 
 from services.runtime.database.inserts import insert_new
+from services.runtime.jobs.changes import rows_changed
 from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import Base, Blob, Job, LooseObject, UploadPartRow
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
-from services.runtime.store.gc_cursor import GcCursor
+from services.runtime.store.gc_cursor import GcCursor, whole_cursor
 from services.runtime.store.gc_holds import is_gc_held
+from services.runtime.store.protocol import StoredObject
 from services.runtime.store.workspace import Workspace
 
 BLOBS = "blobs/"
@@ -48,10 +50,13 @@ def collect_garbage(platform: Platform, turn: GcCursor | None = None) -> GcResul
     With a `turn` some of it: what fits into its share of time, going on where it ended before.
     """
     before_ns = now_ns() - int(platform.settings.store.grace_s * 1e9)
-    rows = _release_blobs(platform, before_ns, turn or GcCursor(share_s=float("inf")))
-    _condemn_loose(platform, before_ns)
-    _condemn_unknown(platform, before_ns, BLOBS if turn is None else turn.next_shard(BLOBS))
-    objects = _delete_condemned(platform) + _delete_work(platform, before_ns)
+    blobs = BLOBS if turn is None else turn.next_shard(BLOBS)
+    turn = turn or whole_cursor()
+    rows = _release_blobs(platform, before_ns, turn)
+    _condemn_loose(platform, before_ns, turn.until_s())
+    _condemn_unknown(platform, before_ns, platform.store.listed(blobs))
+    _condemn_unknown(platform, before_ns, turn.of_uploads.turn(platform.store.listed(UPLOADS), turn.listed))
+    objects = _delete_condemned(platform, turn.deleting_s) + _delete_work(platform, before_ns, turn)
     return GcResult(rows, objects + platform.store.tidy(max(platform.settings.store.grace_s, SLOWEST_WRITE_S)))
 
 
@@ -94,16 +99,20 @@ def _is_referenced() -> ColumnElement[bool]:
     return or_(*(exists().where(column == Blob.sha256) for column in referring))
 
 
-def _condemn_loose(platform: Platform, before_ns: int) -> None:
+def _condemn_loose(platform: Platform, before_ns: int, until_s: float) -> None:
     """Objects written and never linked."""
-    forgotten = update(LooseObject).where(LooseObject.is_condemned.is_(False), LooseObject.expected_ns <= before_ns)
-    with platform.database.transaction() as session:
-        session.execute(forgotten.values(is_condemned=True))
+    is_forgotten = and_(LooseObject.is_condemned.is_(False), LooseObject.expected_ns <= before_ns)
+    some = select(LooseObject.object_key).where(is_forgotten).limit(BATCH)
+    forgotten = update(LooseObject).where(LooseObject.object_key.in_(some)).values(is_condemned=True)
+    while True:
+        with platform.database.transaction() as session:
+            changed = rows_changed(session, forgotten)
+        if changed < BATCH or time.monotonic() >= until_s:
+            return
 
 
-def _condemn_unknown(platform: Platform, before_ns: int, blobs: str) -> None:
+def _condemn_unknown(platform: Platform, before_ns: int, listed: Iterable[StoredObject]) -> None:
     """Objects no row speaks of: of transactions rolled back, of a database restored to an earlier day."""
-    listed = chain.from_iterable(platform.store.listed(kind) for kind in (blobs, UPLOADS))
     found = (stored for stored in listed if stored.modified_ns <= before_ns)
     while batch := [stored.key for stored in islice(found, BATCH)]:
         with platform.database.reading() as session:
@@ -125,8 +134,8 @@ def _spare(session: Session, condemned: Sequence[str]) -> None:
     session.execute(delete(LooseObject).where(LooseObject.object_key.in_(named)).execution_options(**UNSYNCHRONISED))
 
 
-def _delete_condemned(platform: Platform) -> int:
-    deleted = 0
+def _delete_condemned(platform: Platform, share_s: float) -> int:
+    deleted, until_s = 0, time.monotonic() + share_s
     while True:
         with platform.database.reading() as session:
             condemned = select(LooseObject.object_key).where(LooseObject.is_condemned, ~is_gc_held())
@@ -136,19 +145,24 @@ def _delete_condemned(platform: Platform) -> int:
         with platform.database.transaction() as session:
             gone = delete(LooseObject).where(LooseObject.object_key.in_(keys)).returning(LooseObject.object_key)
             deleted += len(session.scalars(gone.execution_options(**UNSYNCHRONISED)).all())
-        if len(keys) < BATCH:
+        if len(keys) < BATCH or time.monotonic() >= until_s:
             return deleted
 
 
-def _delete_work(platform: Platform, before_ns: int) -> int:
+def _delete_work(platform: Platform, before_ns: int, turn: GcCursor) -> int:
     """Remove the workspaces of runs that are over; how many objects they had."""
     deleted = 0
-    for root_id, objects in groupby(platform.store.listed(WORK), key=lambda stored: stored.key.split("/")[1]):
-        modified_ns = [stored.modified_ns for stored in objects]
+    for root_id, modified_ns in turn.of_work.turn(_workspaces(platform), turn.workspaces):
         if _is_over(platform, root_id, max(modified_ns) <= before_ns):
             Workspace(platform.store, platform.settings, root_id).remove()
             deleted += len(modified_ns)
     return deleted
+
+
+def _workspaces(platform: Platform) -> Iterator[tuple[str, list[int]]]:
+    """Each run that has files under way, and when those were written."""
+    for root_id, objects in groupby(platform.store.listed(WORK), key=lambda stored: stored.key.split("/")[1]):
+        yield root_id, [stored.modified_ns for stored in objects]
 
 
 def _is_over(platform: Platform, root_id: str, is_old: bool) -> bool:

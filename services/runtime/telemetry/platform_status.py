@@ -17,6 +17,7 @@ from services.runtime.jobs.worker_presence import WorkerPresence, workers_seen
 from services.runtime.orm import ChoreRow, FigureRow, Job, Queue, Upload
 from services.runtime.orm.base import now_ns
 from services.runtime.orm.jobs import IS_READY, IS_RUNNING, IS_WAITING
+from services.runtime.uploads.rows import is_waiting
 
 MOST = 10_000
 MOST_WORKERS = 5_000
@@ -70,5 +71,5 @@ def _oldest_s(session: Session, queue: str) -> float:
 
 
 def _uploads_open(session: Session) -> int:
-    some = select(ONE).select_from(Upload).where(Upload.state == "open").limit(MOST).subquery()
+    some = select(ONE).select_from(Upload).where(is_waiting(), Upload.state == "open").limit(MOST).subquery()
     return session.scalar(select(func.count()).select_from(some)) or 0

@@ -6,6 +6,7 @@ through all of it.
 """
 
 import time
+from threading import Lock
 
 from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
@@ -22,24 +23,33 @@ STORED_BYTES, STORED_BLOBS = "stored_bytes", "stored_blobs"
 
 
 class ChoreLedger:
-    """`note(name)` when a chore is done; `write()` every few seconds."""
+    """`note(name)` when a chore is done, by any thread; `write()` every few seconds, by one."""
 
     def __init__(self, platform: Platform) -> None:
         self._platform = platform
         self._done_s: dict[str, float] = {}
+        self._guard = Lock()
         self._row = CounterWriter(process_counters())
 
     def note(self, name: str) -> None:
-        self._done_s[name] = time.monotonic()
+        with self._guard:
+            self._done_s[name] = time.monotonic()
 
     def write(self) -> None:
+        """What cannot be written now is kept for the next time."""
         now_s = time.monotonic()
-        with self._platform.database.transaction() as session:
-            for name, done_s in self._done_s.items():
-                _write_chore(session, name, int((now_s - done_s) * 1e9))
-            committed = self._row.tell(session)
+        with self._guard:
+            done_s, self._done_s = self._done_s, {}
+        try:
+            with self._platform.database.transaction() as session:
+                for name, one_s in done_s.items():
+                    _write_chore(session, name, int((now_s - one_s) * 1e9))
+                committed = self._row.tell(session)
+        except BaseException:
+            with self._guard:
+                self._done_s = {**done_s, **self._done_s}
+            raise
         committed()
-        self._done_s.clear()
 
 
 class StoreSum:

@@ -3,7 +3,7 @@
 Read in this order: `declaration` (what a client says of a file), `creation` (room, row and quota come to be), `backend`
 (where bytes lie: `folder_backend` with `files`, `store_backend` with `part_reader`, `part_writer` and `part_rows`),
 `reception` (one request's bytes), `completion` (complete, failed, terminated), `rows` (states; `consume`), `expiry`
-(the sweeper's share), `running_hash`.
+with `sweep_cursor` (the sweeper's share), `running_hash`. How many may wait is in `waiting`.
 
 **Conventions.** The offset is the number of bytes that are here, nothing else remembers it. Several processes may serve
 one backend: the backend says who writes, the row's compare-and-set says how it ends.

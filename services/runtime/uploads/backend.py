@@ -4,7 +4,7 @@
 and owners are the rows' (`rows.py`), and a row changes before its bytes go. Whoever holds bytes reads the row again.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Protocol
@@ -77,8 +77,8 @@ class UploadBackend(Protocol):
         """A file on this machine with all bytes of a whole upload, to be read only; a copy goes with the block."""
         ...
 
-    def holding(self) -> Iterable[str]:
-        """The uploads that have bytes here, as far as they might be superfluous."""
+    def holding(self) -> Iterator[str]:
+        """The uploads that have bytes here, in no order, found as they are asked for: over minutes, if need be."""
         ...
 
     def is_forgotten(self, upload_id: str) -> bool:

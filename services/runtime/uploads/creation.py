@@ -14,13 +14,14 @@ from services.runtime.uploads.declaration import UploadDeclaration
 from services.runtime.uploads.errors import UploadTooLargeError
 from services.runtime.uploads.rows import UploadOwner, expiry_ns
 from services.runtime.uploads.targets import refuse_foreign_target
+from services.runtime.uploads.waiting import hold_draft, refuse_too_many
 
 
 def create(platform: Platform, owner: UploadOwner, declared: UploadDeclaration) -> Upload:
     """A new upload, open, or complete when the owner has these bytes already.
 
-    Raises `UploadTooLargeError`, `UploadTargetMissingError`, `UndeclaredUploadError`, `QuotaExceededError`,
-    `DiskFullError`.
+    Raises `UploadTooLargeError`, `UploadTargetMissingError`, `UndeclaredUploadError`, `TooManyUploadsOfDraftError`,
+    `QuotaExceededError`, `TooManyUploadsError`, `DiskFullError`.
     """
     limit_bytes = platform.settings.uploads.max_bytes
     if declared.length_bytes > limit_bytes:
@@ -31,8 +32,10 @@ def create(platform: Platform, owner: UploadOwner, declared: UploadDeclaration) 
     is_here = backend.begin(upload)
     try:
         with platform.database.transaction() as session:
+            hold_draft(session, platform.settings, declared)
             limit_bytes = owner_limit_bytes(platform, owner)
-            reserve(session, owner.user_id, upload.length_bytes, upload.id, "upload", limit_bytes)
+            reserve(session, owner.user_id, upload.length_bytes, upload.id, "upload", limit_bytes)  # locks the owner
+            refuse_too_many(session, platform.settings, owner)
             session.add(upload)
             session.flush()
             if is_here or backend.enter(session, upload):

@@ -21,6 +21,30 @@ class UploadTooLargeError(StoneError):
         super().__init__(f"the file has {length_bytes} bytes, at most {limit_bytes} are taken; split it")
 
 
+class TooManyUploadsError(StoneError):
+    """The owner has more unfinished or unused uploads than anybody needs."""
+
+    code = "too_many_uploads"
+
+    def __init__(self, limit: int) -> None:
+        super().__init__(
+            f"{limit} uploads of yours are unfinished or not used yet, and no more may be; does a client begin anew "
+            "instead of resuming? use or delete some of them (GET /api/v1/uploads) or wait until they expire"
+        )
+
+
+class TooManyUploadsOfDraftError(StoneError):
+    """The draft of a submission has more unfinished or unused uploads than it needs."""
+
+    code = "too_many_uploads_of_draft"
+
+    def __init__(self, draft_id: str, limit: int) -> None:
+        super().__init__(
+            f"{limit} uploads for the draft {draft_id[:64]!r} are unfinished or not used yet, and no more may be: "
+            "it needs one; resume that one, or delete those that were given up"
+        )
+
+
 class UploadMissingError(StoneError):
     """There is no such upload, or it is somebody else's."""
 

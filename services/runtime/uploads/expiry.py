@@ -1,12 +1,16 @@
 """Sweeper chores of uploads: expire overdue ones, finish complete ones, delete leftovers.
 
 **Conventions.** Several sweepers may run beside the API: what is locked is in use and left alone, every change is a
-compare-and-set. A row changes before its bytes go; bytes whose row says that they should be gone are removed.
+compare-and-set. A row changes before its bytes go; bytes whose row says that they should be gone are removed. A turn
+looks at a slice of all there is (`sweep_cursor`), each upload in a transaction of its own, files outside of it.
 """
 
+import time
+from collections.abc import Iterator, Sequence
+from itertools import islice
+
 import structlog
-from sqlalchemy import select
-from sqlalchemy.orm import Session
+from sqlalchemy import ColumnElement, and_, exists, or_, select
 
 from services.runtime.orm import RecordingFile, SubmissionRow, Upload
 from services.runtime.orm.base import now_ns
@@ -16,23 +20,25 @@ from services.runtime.uploads.backends import backend_of, backends
 from services.runtime.uploads.completion import settle_if_whole
 from services.runtime.uploads.errors import FileMismatchError, UploadLockedError
 from services.runtime.uploads.rows import GONE, leave
+from services.runtime.uploads.sweep_cursor import UploadCursor
+
+BATCH = 500
 
 log = structlog.get_logger(__name__)
 
 
-def expire(platform: Platform) -> int:
-    """End what expired, settle what is whole, remove bytes that belong to nothing; how many uploads expired."""
-    _settle(platform)
-    expired = sum(_expire(platform, upload) for upload in _overdue(platform))
+def expire(platform: Platform, cursor: UploadCursor | None = None) -> int:
+    """End what expired, settle what is whole, remove bytes that belong to nothing; how many uploads expired.
+
+    Some of each: what comes after the `cursor`, or from the beginning.
+    """
+    cursor = cursor or UploadCursor()
+    _settle(platform, cursor)
+    overdue = cursor.overdue.turn(platform.database, cursor.slice_rows, last_ns=now_ns())
+    expired = sum(_expire(platform, upload) for upload in overdue)
     for backend in backends(platform):
-        _remove_superfluous(platform, backend)
+        _remove_superfluous(platform, backend, cursor)
     return expired
-
-
-def _overdue(platform: Platform) -> list[Upload]:
-    overdue = select(Upload).where(Upload.state.in_(("open", "complete")), Upload.expires_ns <= now_ns())
-    with platform.database.reading() as session:
-        return list(session.scalars(overdue.order_by(Upload.id).limit(1000)))
 
 
 def _expire(platform: Platform, upload: Upload) -> bool:
@@ -60,34 +66,44 @@ def _end_overdue(platform: Platform, upload: Upload, detail: str) -> bool:
     return moved
 
 
-def _settle(platform: Platform) -> None:
+def _settle(platform: Platform, cursor: UploadCursor) -> None:
     """Uploads that have all their bytes but whose process died before it could say so."""
-    with platform.database.reading() as session:
-        uploads = list(session.scalars(select(Upload).where(Upload.state == "open", Upload.expires_ns > now_ns())))
-    for upload in uploads:
+    until_s = cursor.until_s()
+    for upload in cursor.unsettled.turn(platform.database, cursor.slice_rows, first_ns=now_ns()):
         try:
             settle_if_whole(platform, upload)
         except FileMismatchError as mismatch:
             log.warning("upload refused", upload_id=upload.id, reason=str(mismatch))
         except FileNotFoundError:
             log.warning("upload without a file", upload_id=upload.id)
+        if time.monotonic() >= until_s:
+            return
 
 
-def _remove_superfluous(platform: Platform, backend: UploadBackend) -> None:
+def _remove_superfluous(platform: Platform, backend: UploadBackend, cursor: UploadCursor) -> None:
     """Bytes of ended uploads, of what is kept as blobs or gone, and of uploads that never were."""
-    for upload_id in backend.holding():
-        with platform.database.reading() as session:
-            upload = session.get(Upload, upload_id)
-            is_superfluous = backend.is_forgotten(upload_id) if upload is None else _is_needed_no_more(session, upload)
-        if is_superfluous:
+    names = cursor.names_in(type(backend)).turn(backend.holding(), cursor.slice_files)
+    upload_ids = iter(dict.fromkeys(names))
+    while batch := list(islice(upload_ids, BATCH)):
+        for upload_id in _superfluous(platform, backend, batch):
             backend.remove(upload_id)
 
 
-def _is_needed_no_more(session: Session, upload: Upload) -> bool:
-    """Whether it ended without its bytes, or what used it has its bytes in the store or is gone."""
-    if upload.state != "consumed" or upload.purpose not in ("recording", "submission"):
-        return upload.state in GONE
-    recorded = select(RecordingFile.blob_sha256).where(RecordingFile.upload_id == upload.id)
-    submitted = select(SubmissionRow.blob_sha256).where(SubmissionRow.upload_id == upload.id)
-    used = session.scalars(recorded if upload.purpose == "recording" else submitted).all()
-    return None not in used
+def _superfluous(platform: Platform, backend: UploadBackend, upload_ids: Sequence[str]) -> Iterator[str]:
+    asked = select(Upload.id, _is_needed_no_more()).where(Upload.id.in_(upload_ids))
+    with platform.database.reading() as session:
+        known = {upload_id: is_superfluous for upload_id, is_superfluous in session.execute(asked)}
+    for upload_id in upload_ids:
+        if known[upload_id] if upload_id in known else backend.is_forgotten(upload_id):
+            yield upload_id
+
+
+def _is_needed_no_more() -> ColumnElement[bool]:
+    """Whether an upload ended without its bytes, or what used it has its bytes in the store or is gone."""
+    recorded = exists().where(RecordingFile.upload_id == Upload.id, RecordingFile.blob_sha256.is_(None))
+    submitted = exists().where(SubmissionRow.upload_id == Upload.id, SubmissionRow.blob_sha256.is_(None))
+    used = or_(
+        and_(Upload.purpose == "recording", ~recorded),
+        and_(Upload.purpose == "submission", ~submitted),
+    )
+    return or_(Upload.state.in_(GONE), and_(Upload.state == "consumed", used))

@@ -3,7 +3,7 @@
 import os
 import re
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -54,11 +54,15 @@ class FolderUploadBackend:
         path.stat()
         yield path
 
-    def holding(self) -> Iterable[str]:
-        """Uploads that have a file, or a mark whose file is gone."""
+    def holding(self) -> Iterator[str]:
+        """Uploads that have a file, or a mark whose file is gone; twice those that have both."""
         folder = self._platform.settings.uploads_folder
-        names = sorted(path.name for path in folder.iterdir()) if folder.is_dir() else []
-        return sorted({match[1] for name in names if (match := OURS.fullmatch(name))})
+        if not folder.is_dir():
+            return
+        with os.scandir(folder) as entries:
+            for entry in entries:
+                if match := OURS.fullmatch(entry.name):
+                    yield match[1]
 
     def is_forgotten(self, upload_id: str) -> bool:
         with suppress(FileNotFoundError):

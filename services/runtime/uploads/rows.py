@@ -8,7 +8,7 @@ and complete → expired are decided by the compare-and-set alone.
 from dataclasses import dataclass
 from typing import Any, cast
 
-from sqlalchemy import CursorResult, select, update
+from sqlalchemy import ColumnElement, CursorResult, literal_column, select, update
 from sqlalchemy.orm import Session
 
 from services.runtime.access.storage_quota import release
@@ -39,6 +39,11 @@ class UploadOwner:
 def expiry_ns(platform: Platform) -> int:
     """When an upload that is touched now expires."""
     return now_ns() + int(platform.settings.uploads.expires_s * 1e9)
+
+
+def is_waiting() -> ColumnElement[bool]:
+    """Whether an upload is unfinished, or finished and not used yet; in the literals that its partial indexes know."""
+    return Upload.state.in_([literal_column("'open'"), literal_column("'complete'")])
 
 
 def find(database: Database, upload_id: str, owner_id: str) -> Upload:

@@ -4,7 +4,7 @@
 its cache and removes the copy; what a killed one leaves is found by the next attempt, or evicted.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -22,7 +22,7 @@ from services.runtime.uploads.part_reader import copy_parts
 from services.runtime.uploads.part_rows import UploadPart
 from services.runtime.uploads.part_writer import LockedUploadParts
 
-NEEDED = ("open", "complete")
+BATCH = 500
 
 
 class StoreUploadBackend:
@@ -63,11 +63,17 @@ class StoreUploadBackend:
         with self._cache().borrowed(f"{UPLOADS}{upload.id}", partial(self._copy, parts)) as path:
             yield path
 
-    def holding(self) -> Iterable[str]:
-        """Uploads with parts that are needed no more: ended, or used."""
-        ended = select(UploadPartRow.upload_id).join(Upload, Upload.id == UploadPartRow.upload_id)
-        with self._platform.database.reading() as session:
-            return session.scalars(ended.where(FIRST, Upload.state.not_in(NEEDED))).all()
+    def holding(self) -> Iterator[str]:
+        """Uploads with parts, in the order of their ids."""
+        after = ""
+        while True:
+            ordered = select(UploadPartRow.upload_id).where(FIRST, UploadPartRow.upload_id > after)
+            with self._platform.database.reading() as session:
+                found = session.scalars(ordered.order_by(UploadPartRow.upload_id).limit(BATCH)).all()
+            yield from found
+            if len(found) < BATCH:
+                return
+            after = found[-1]
 
     def is_forgotten(self, upload_id: str) -> bool:
         """There are no parts without a row."""

@@ -6,21 +6,23 @@ blob, so that its bytes are collected.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import structlog
-from sqlalchemy import ColumnElement, and_, delete, exists, or_, select
+from sqlalchemy import ColumnElement, and_, delete, exists, or_, select, text, tuple_
 
 from services.domain.benchmarks.submissions.states import LIVE, end, lock_submission
 from services.runtime.access import storage_quota
-from services.runtime.jobs.changes import lock_run
+from services.runtime.jobs.changes import lock_run, rows_changed
 from services.runtime.jobs.completion import Failure
 from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import Job, SubmissionRow, Upload
 from services.runtime.orm.base import now_ns
+from services.runtime.orm.submissions import IS_UNSCORED
 from services.runtime.platform import Platform
+from services.runtime.uploads.rows import is_waiting
 
 AT_A_TIME = 200
-UNSCORED = ("valid", "invalid", "failed", "cancelled")
 UNSAID = Failure("internal_error", "a fault of the platform ended it; the scoring was given back, please submit again")
 UNSETTLED = Failure("unsettled", "its jobs ended without a verdict; the scoring was given back, please submit again")
 
@@ -33,24 +35,30 @@ def settle_ended(platform: Platform) -> int:
     A run fails or is cancelled without its submission when its worker was lost too often, a stage refused or a time
     limit was reached, or somebody stopped the job itself. What was reserved is given back.
     """
-    ended = select(SubmissionRow.id, SubmissionRow.job_id).join(Job, Job.id == SubmissionRow.job_id)
-    ended = (
-        ended.where(SubmissionRow.state.in_(LIVE), Job.state.in_(TERMINAL)).order_by(SubmissionRow.id).limit(AT_A_TIME)
-    )
+    state = select(Job.state).where(Job.id == SubmissionRow.job_id).scalar_subquery()  # a join would begin at all jobs
+    ended = select(SubmissionRow.id, SubmissionRow.job_id).where(SubmissionRow.state.in_(LIVE), state.in_(TERMINAL))
+    ended = ended.order_by(SubmissionRow.id).limit(AT_A_TIME)
     with platform.database.reading() as session:
         found = session.execute(ended).all()
     return sum(_settle(platform, submission_id, job_id) for submission_id, job_id in found if job_id)
 
 
-def tidy_submissions(platform: Platform) -> tuple[int, int]:
-    """Purge files after their time and remove drafts that nothing was sent for; how many of each."""
+@dataclass
+class DraftWalk:
+    """Which of the old drafts, in the order of their age, are looked at next; those that are awaited are passed by."""
+
+    after: tuple[int, str] = (0, "")
+
+
+def tidy_submissions(platform: Platform, drafts: DraftWalk | None = None) -> tuple[int, int]:
+    """Purge files after their time and remove drafts that nothing was sent for; how many of each, some a turn."""
     settings = platform.settings.submissions
     now = now_ns()
     purged = sum(
         _purge(platform, submission_id, now - int(settings.purged_after_s * 1e9))
         for submission_id in _purgeable(platform, now - int(settings.purged_after_s * 1e9))
     )
-    return purged, _remove_drafts(platform, now - int(settings.draft_s * 1e9))
+    return purged, _remove_drafts(platform, now - int(settings.draft_s * 1e9), drafts or DraftWalk())
 
 
 def _settle(platform: Platform, submission_id: str, job_id: str) -> bool:
@@ -74,23 +82,29 @@ def _failure_of(run: Job) -> Failure:
     return UNSAID if run.failure_code in ("", UNSAID.code) else Failure(run.failure_code, run.failure)
 
 
-def _is_purgeable(before_ns: int) -> ColumnElement[bool]:
-    """Whether a file is kept that no score stands on, and its time is over. Scored ones are kept for re-scores."""
-    is_unscored = and_(SubmissionRow.state.in_(UNSCORED), SubmissionRow.settled_ns <= before_ns)
-    is_withdrawn = and_(SubmissionRow.state == "scored", SubmissionRow.withdrawn_ns <= before_ns)
-    return and_(SubmissionRow.upload_id.is_not(None), or_(is_unscored, is_withdrawn))
+def _purgeable_before(before_ns: int) -> tuple[ColumnElement[bool], ColumnElement[bool]]:
+    """Which files are kept that no score stands on, and their time is over. Scored ones are kept for re-scores.
+
+    Each with the literals that its partial index knows: those that were purged long ago are not looked at again.
+    """
+    is_kept = SubmissionRow.upload_id.is_not(None)
+    is_unscored = and_(is_kept, text(IS_UNSCORED), SubmissionRow.settled_ns <= before_ns)
+    is_withdrawn = and_(is_kept, SubmissionRow.state == "scored", SubmissionRow.withdrawn_ns <= before_ns)
+    return is_unscored, is_withdrawn
 
 
 def _purgeable(platform: Platform, before_ns: int) -> Sequence[str]:
-    found = select(SubmissionRow.id).where(_is_purgeable(before_ns)).order_by(SubmissionRow.id).limit(AT_A_TIME)
+    found: list[str] = []
     with platform.database.reading() as session:
-        return session.scalars(found).all()
+        for is_purgeable in _purgeable_before(before_ns):
+            found += session.scalars(select(SubmissionRow.id).where(is_purgeable).limit(AT_A_TIME))
+    return found
 
 
 def _purge(platform: Platform, submission_id: str, before_ns: int) -> bool:
     with platform.database.transaction() as session:
         submission = lock_submission(session, submission_id)
-        due = select(SubmissionRow.id).where(SubmissionRow.id == submission_id, _is_purgeable(before_ns))
+        due = select(SubmissionRow.id).where(SubmissionRow.id == submission_id, or_(*_purgeable_before(before_ns)))
         if session.scalar(due) is None:  # another sweeper was first, or its run is tried again
             return False
         storage_quota.release(session, submission.upload_id or "", "submission purged")
@@ -99,13 +113,21 @@ def _purge(platform: Platform, submission_id: str, before_ns: int) -> bool:
     return True
 
 
-def _remove_drafts(platform: Platform, before_ns: int) -> int:
-    """Drafts of old that have no upload on its way."""
-    waiting = and_(Upload.purpose == "submission", Upload.state.in_(("open", "complete")))
-    is_awaited = exists().where(waiting, Upload.target_id == SubmissionRow.id)
-    forgotten = delete(SubmissionRow).where(
-        SubmissionRow.state == "draft", SubmissionRow.created_ns <= before_ns, ~is_awaited
+def _remove_drafts(platform: Platform, before_ns: int, walk: DraftWalk) -> int:
+    """Drafts of old that have no upload on its way.
+
+    They are locked before it is asked whether they have one: an upload is made under the same lock.
+    """
+    place = (SubmissionRow.created_ns, SubmissionRow.id)
+    old = select(*place).where(
+        SubmissionRow.state == "draft", SubmissionRow.created_ns <= before_ns, tuple_(*place) > walk.after
     )
-    gone = forgotten.returning(SubmissionRow.id).execution_options(synchronize_session=False)
+    with platform.database.reading() as session:
+        found = [(age, submission_id) for age, submission_id in session.execute(old.order_by(*place).limit(AT_A_TIME))]
+    walk.after = found[-1] if len(found) == AT_A_TIME else (0, "")
+    are_found = SubmissionRow.id.in_([submission_id for _, submission_id in found])
+    is_awaited = exists().where(Upload.purpose == "submission", is_waiting(), Upload.target_id == SubmissionRow.id)
+    forgotten = delete(SubmissionRow).where(are_found, SubmissionRow.state == "draft", ~is_awaited)
     with platform.database.transaction() as session:
-        return len(session.scalars(gone).all())
+        session.execute(select(SubmissionRow.id).where(are_found).order_by(SubmissionRow.id).with_for_update())
+        return rows_changed(session, forgotten)

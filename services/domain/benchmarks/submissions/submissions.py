@@ -47,6 +47,7 @@ from services.runtime.orm.base import now_ns
 from services.runtime.telemetry.origins import link_to
 from services.runtime.uploads import consume
 from services.runtime.uploads.errors import UploadMissingError
+from services.runtime.uploads.rows import is_waiting
 
 __all__ = [
     "SubmissionDraft",
@@ -275,6 +276,6 @@ def _consumed(session: Session, submission: SubmissionRow, upload_id: str) -> Up
 
 def _end_uploads(session: Session, submission_id: str) -> None:
     """Whatever else is on its way for this submission is needed no more; the sweeper frees its bytes."""
-    waiting = (Upload.purpose == PURPOSE, Upload.target_id == submission_id, Upload.state.in_(("open", "complete")))
+    waiting = (Upload.purpose == PURPOSE, Upload.target_id == submission_id, is_waiting())
     ending = update(Upload).where(*waiting).values(expires_ns=now_ns())
     session.execute(ending, execution_options={"synchronize_session": False})

@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from services.domain.benchmarks.submissions.chores import tidy_submissions
+from services.domain.benchmarks.submissions import chores
+from services.domain.benchmarks.submissions.chores import DraftWalk, tidy_submissions
 from services.domain.benchmarks.submissions.submissions import cancel
 from services.runtime.access import storage_quota
 from services.runtime.orm import Blob, SubmissionRow
@@ -140,6 +141,20 @@ def test_a_draft_that_nothing_is_sent_for_goes_after_its_time(platform_on: Platf
     with platform_on.database.reading() as session:
         left = {row.id for row in session.query(SubmissionRow)}
     assert left == {old[0], fresh, finished}
+
+
+def test_drafts_that_are_awaited_hold_up_none_behind_them(
+    platform_on: Platform, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(chores, "AT_A_TIME", 1)
+    entrant, walk = entrant_on(platform_on), DraftWalk()
+    awaited, forgotten = drafted(entrant), drafted(entrant)
+    uploaded(entrant, awaited)
+    with platform_on.database.transaction() as session:
+        for age_ns, submission_id in enumerate((awaited, forgotten), start=1):
+            session.get_one(SubmissionRow, submission_id).created_ns = age_ns
+    assert [tidy_submissions(platform_on, walk) for _ in range(3)] == [(0, 0), (0, 1), (0, 0)]
+    assert seen(entrant, awaited).state == "draft"
 
 
 def test_the_times_are_those_of_the_settings(platform: Platform) -> None:

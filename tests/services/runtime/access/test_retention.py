@@ -7,7 +7,7 @@ from sqlalchemy import func, select, text, update
 from sqlalchemy.exc import DatabaseError
 
 from api import audit
-from services.runtime.access import audit_retention, login_throttle, sessions, tokens, users
+from services.runtime.access import audit_retention, login_throttle, retention, sessions, tokens, users
 from services.runtime.access.erasure import erase_user
 from services.runtime.access.errors import LastAdministratorError
 from services.runtime.access.retention import forget_ended
@@ -43,6 +43,18 @@ def test_what_has_ended_is_deleted_and_what_has_not_stays(platform_on: Platform)
     tables = (WebSession, Token, FailedSignInRow, SignInAddress)
     assert [count(platform_on, table) for table in tables] == [1, 2, 2, 1]
     assert forget_ended(platform_on) == 0
+
+
+def test_of_very_many_rows_some_go_a_turn_and_all_in_the_end(
+    platform_on: Platform, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(retention, "AT_A_TIME", 2)
+    monkeypatch.setattr(retention, "MOST_TIMES", 2)
+    with platform_on.database.transaction() as session:
+        session.add_all(FailedSignInRow(key=f"{number}", failed_ns=number) for number in range(5))
+        session.add(FailedSignInRow(key="fresh", failed_ns=now_ns()))
+    assert [forget_ended(platform_on) for _ in range(3)] == [4, 1, 0]
+    assert count(platform_on, FailedSignInRow) == 1
 
 
 def test_a_session_that_nobody_uses_ends_and_one_that_is_used_goes_on(platform: Platform) -> None:
@@ -94,8 +106,8 @@ def log(platform: Platform, ages_days: list[int]) -> None:
 
 
 def keeping(platform: Platform, days: float) -> Platform:
-    retention = RetentionSettings(audit_s=days * 86_400)
-    return replace(platform, settings=platform.settings.model_copy(update={"retention": retention}))
+    kept = RetentionSettings(audit_s=days * 86_400)
+    return replace(platform, settings=platform.settings.model_copy(update={"retention": kept}))
 
 
 def subjects(platform: Platform) -> list[str]:
@@ -117,6 +129,14 @@ def test_the_audit_log_is_cut_where_it_is_old_and_its_chain_goes_on(
     assert subjects(platform_on) == ["5", "0"]
     with platform_on.database.reading() as session:
         assert audit.head(session).number == 6
+
+
+def test_a_long_log_is_cut_some_lines_a_turn(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(audit_retention, "AT_A_TIME", 1)
+    monkeypatch.setattr(audit_retention, "MOST_TIMES", 2)
+    log(platform, [500, 450, 420, 5])
+    assert [audit_retention.cut_audit(keeping(platform, 400)) for _ in range(3)] == [2, 1, 0]
+    assert subjects(platform) == ["5"]
 
 
 def test_a_log_that_is_all_old_goes_on_from_its_anchor(platform: Platform) -> None:

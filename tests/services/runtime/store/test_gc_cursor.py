@@ -6,11 +6,12 @@ from pathlib import Path
 import pytest
 from sqlalchemy import func, select
 
-from services.runtime.orm import Blob
+from services.runtime.orm import Blob, LooseObject, new_id
 from services.runtime.platform import Platform
 from services.runtime.settings import StoreSettings
+from services.runtime.store import garbage_collection
 from services.runtime.store.blobs import keep
-from services.runtime.store.garbage_collection import BLOBS, collect_garbage
+from services.runtime.store.garbage_collection import BLOBS, UPLOADS, collect_garbage
 from services.runtime.store.gc_cursor import SHARDS, GcCursor
 
 
@@ -58,6 +59,35 @@ def test_objects_no_row_speaks_of_are_found_when_their_turn_comes(hasty: Platfor
     turn = GcCursor()
     assert [collect_garbage(hasty, turn).objects for _ in range(3)] == [0, 0, 1]
     assert list(hasty.store.listed(BLOBS)) == []
+
+
+def test_objects_under_way_that_no_row_speaks_of_are_found_some_a_turn(hasty: Platform, tmp_path: Path) -> None:
+    stray = tmp_path / "stray"
+    stray.write_text("of an upload that was rolled back")
+    for number in range(3):
+        hasty.store.write(f"{UPLOADS}{number:032x}/000000000000-{number:016x}", stray)
+    turn = GcCursor(listed=2)
+    assert [collect_garbage(hasty, turn).objects for _ in range(3)] == [2, 1, 0]
+
+
+def test_workspaces_of_runs_that_are_over_are_removed_some_a_turn(hasty: Platform, tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.write_text("of a run that nobody knows any more")
+    for _ in range(3):
+        hasty.store.write(f"work/{new_id()}/points", file)
+    turn = GcCursor(workspaces=2)
+    assert [collect_garbage(hasty, turn).objects for _ in range(3)] == [2, 1, 0]
+
+
+def test_a_turn_without_time_deletes_a_batch(hasty: Platform, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(garbage_collection, "BATCH", 2)
+    laid(hasty, tmp_path, 5)
+    turn = GcCursor(deleting_s=0.0)
+    assert [collect_garbage(hasty, turn).objects for _ in range(3)] == [2, 2, 1]
+    with hasty.database.transaction() as session:
+        session.add_all(LooseObject(object_key=f"blobs/{number}", expected_ns=1) for number in range(5))
+    turn.share_s = 0.0
+    assert [collect_garbage(hasty, turn).objects for _ in range(3)] == [2, 2, 1]
 
 
 def test_every_shard_has_its_turn() -> None:

@@ -6,7 +6,8 @@ import pytest
 from sqlalchemy import update
 
 from benchmarks.rows.plans import explained, taken_down
-from services.maintenance.sweeper import Chore, recorded
+from services.maintenance.chore_loops import Chore, ChoreLoop
+from services.maintenance.sweeper import recorded
 from services.runtime.jobs.claims import claim
 from services.runtime.jobs.control import set_mode
 from services.runtime.jobs.execution import run_next
@@ -98,8 +99,9 @@ def test_a_chore_that_was_not_done_is_not_written_down(platform: Platform) -> No
     def away() -> None:
         raise OSError(28, "No space left on device")
 
-    chores = recorded(platform, (Chore("jobs", 1.0, lambda: None), Chore("uploads", 1.0, away)))
-    assert [chore.run_if_due(0.0) for chore in chores] == [True, False, True, True, True]
+    done, not_done = (Chore("jobs", 1.0, lambda: None), Chore("uploads", 1.0, away))
+    loops = recorded(platform, (ChoreLoop("jobs", (done,)), ChoreLoop("cleaning", (not_done,))))
+    assert [chore.run_if_due(0.0) for loop in loops for chore in loop.chores] == [True, False, True, True, True]
     assert set(standing_of(platform).chores_s) == {"jobs", "size of the store", "counts"}
 
 

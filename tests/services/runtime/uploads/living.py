@@ -43,9 +43,9 @@ def leave_unsettled(platform: Platform, upload: Upload, content: bytes) -> None:
     held.close()
 
 
-def record(platform: Platform, owner: UploadOwner, upload: Upload) -> Recording:
+def record(platform: Platform, owner: UploadOwner, upload: Upload, name: str = "field") -> Recording:
     """As the register stage leaves it: the bytes are a blob, the recording names it."""
-    sequence_id = make_sequence(platform, owner)
+    sequence_id = make_sequence(platform, owner, name)
     with backend_of(platform, upload).local(upload) as path, platform.database.transaction() as session:
         consume(session, upload.id, owner.user_id, "recording")
         blob = keep(session, platform.store, path, adopt=True)

@@ -1,0 +1,117 @@
+"""What strangers have piled up makes no turn of the sweeper longer: each chore's work is counted, never timed."""
+
+from collections.abc import Callable
+from functools import partial
+
+import pytest
+from sqlalchemy import func, insert, select
+
+from services.domain.benchmarks.submissions import chores as submission_chores
+from services.maintenance import sweeper
+from services.runtime.access import audit_retention, retention
+from services.runtime.orm import Base, Upload, User, new_id
+from services.runtime.platform import Platform
+from services.runtime.settings import RetentionSettings
+from services.runtime.store import garbage_collection
+from services.runtime.store.gc_cursor import GcCursor
+from services.runtime.uploads.sweep_cursor import FILES, SLICE, UploadCursor
+from tests.services.maintenance.flood import LATER_NS, NOT_STRANGERS, PARTICULAR, Cost, cost_of, flood
+
+SOME, MORE = 250, 750
+SMALL = 40
+ATTACK = 5000
+CHORES = ("jobs", "submissions", "submitted files", "uploads", "blobs", "credentials", "audit log", "workers")
+
+
+@pytest.fixture
+def flooded(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> Platform:
+    """A platform whose chores take small slices, so that `SOME` rows are many already."""
+    for module in (submission_chores, audit_retention, retention):
+        monkeypatch.setattr(module, "AT_A_TIME", SMALL)
+    for module in (audit_retention, retention):
+        monkeypatch.setattr(module, "MOST_TIMES", 2)
+    monkeypatch.setattr(garbage_collection, "BATCH", SMALL)
+    uploads = partial(UploadCursor, slice_rows=SMALL, slice_files=SMALL)
+    blobs = partial(GcCursor, share_s=0.0, slice_rows=SMALL, deleting_s=0.0, listed=SMALL, workspaces=SMALL)
+    monkeypatch.setattr(sweeper, "UploadCursor", uploads)
+    monkeypatch.setattr(sweeper, "GcCursor", blobs)
+    flood(platform, SOME)
+    settings = platform.settings.model_copy(update={"retention": RetentionSettings(audit_s=1.0)})
+    return Platform(settings, platform.database, platform.store)
+
+
+def work_of(platform: Platform, name: str) -> Callable[[], object]:
+    """What the chore of this name does in a turn."""
+    chores = [chore for loop in sweeper.loops_of(platform) for chore in loop.chores]
+    (work,) = (chore.work for chore in chores if chore.name == name)
+    return work
+
+
+def costs(platform: Platform, work: Callable[[], object]) -> tuple[Cost, Cost]:
+    """Of a turn, and of another one after so much more has come."""
+    with cost_of(platform.database.engine) as before:
+        work()
+    flood(platform, MORE, first=SOME)
+    with cost_of(platform.database.engine) as after:
+        work()
+    return before, after
+
+
+def is_bounded(before: Cost, after: Cost) -> bool:
+    """Whether the second is no more than the first, but for a few rows that only the second turn met."""
+    return after.statements <= before.statements * 1.5 + 10 and after.steps <= before.steps * 1.5 + 50
+
+
+@pytest.mark.parametrize("name", CHORES)
+def test_a_turn_of_a_chore_costs_no_more_where_strangers_have_left_more(flooded: Platform, name: str) -> None:
+    before, after = costs(flooded, work_of(flooded, name))
+    assert is_bounded(before, after), f"{before}, then {after}"
+
+
+def test_a_chore_that_reads_everything_is_noticed(flooded: Platform) -> None:
+    def read_all() -> None:
+        with flooded.database.reading() as session:
+            session.scalar(select(func.count()).select_from(Upload).where(Upload.filename != ""))
+
+    def ask_of_each() -> None:
+        with flooded.database.reading() as session:
+            for upload_id in session.scalars(select(Upload.id).limit(after_rows.pop())).all():
+                session.get(Upload, upload_id)
+
+    after_rows = [SOME + MORE, SOME]
+    assert not is_bounded(*costs(flooded, read_all))
+    with cost_of(flooded.database.engine) as before:
+        ask_of_each()
+    with cost_of(flooded.database.engine) as after:
+        ask_of_each()
+    assert not is_bounded(before, after)
+
+
+def test_every_chore_is_flooded_and_every_table_but_those_that_strangers_do_not_fill(platform: Platform) -> None:
+    assert [chore.name for loop in sweeper.loops_of(platform) for chore in loop.chores] == list(CHORES)
+    assert NOT_STRANGERS.keys() | PARTICULAR.keys() <= Base.metadata.tables.keys()
+    flood(platform, 1)
+    with platform.database.reading() as session:
+        rows = {
+            table.name: session.scalar(select(func.count()).select_from(table)) for table in Base.metadata.sorted_tables
+        }
+    assert {name for name, count in rows.items() if not count} == NOT_STRANGERS.keys()
+
+
+def test_thousands_of_tiny_uploads_cost_a_turn_a_few_statements(platform: Platform) -> None:
+    """The attack as it was made: files of one byte that nobody sends, each of which was asked for by itself."""
+    with platform.database.transaction() as session:
+        eve = User(name="eve", role="participant")
+        session.add(eve)
+        session.flush()
+        ids = [new_id() for _ in range(ATTACK)]
+        said = {"owner_id": eve.id, "purpose": "submission", "filename": "a", "length_bytes": 1}
+        session.execute(insert(Upload), [{"id": one, "expires_ns": LATER_NS, **said} for one in ids])
+    platform.settings.uploads_folder.mkdir(parents=True)
+    for one in ids:
+        (platform.settings.uploads_folder / one).touch()
+    work = work_of(platform, "uploads")
+    for _ in range(ATTACK // min(SLICE, FILES) + 1):
+        with cost_of(platform.database.engine) as cost:
+            work()
+        assert cost.statements <= 20
