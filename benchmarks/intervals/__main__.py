@@ -15,6 +15,7 @@ from itertools import product
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from scipy.stats import binom
 
 from stone.scoring.confusion import ratios
 from stone.scoring.intervals import LEVEL, Estimate, RatioSpectra, estimates, ratio_spectra
@@ -22,12 +23,13 @@ from stone.scoring.metric import RATIOS
 from stone.scoring.pairs import BoardSpectra, surely_above
 from stone.scoring.ranking import tie_groups
 from stone.scoring.silences import SCOPES, Scope
-from testing.worlds.correlated_scores import World, trial, true_miou
+from testing.worlds.correlated_scores import CorrelatedWorld, trial, true_miou
 
 MIOU = RATIOS.index("miou")
 FRAMES, SEQUENCES, RHOS = (200, 300, 600, 1200, 5000), (1, 2, 3, 5, 7, 10), (0.0, 0.5, 0.9, 0.98)
 UNEQUAL: tuple[tuple[int, ...], ...] = ((5000, *[200] * 4), (1200, 200, 300, 600), (210,) * 5, (250, 1100, 420))
 OTHER: tuple[tuple[int, ...], ...] = ((1200,) * 3, (600,) * 5, (300,) * 10)
+CHANCE = 0.001
 MOST_FRAMES = 3_000_000  # of a row; rows of many frames have fewer trials
 
 
@@ -43,7 +45,7 @@ class ScopeCounts:
 
 @dataclass(frozen=True)
 class IntervalRow:
-    world: World
+    world: CorrelatedWorld
     trials: int
     of_scope: dict[Scope, ScopeCounts]
 
@@ -52,14 +54,14 @@ class IntervalRow:
 class BoardTrials:
     """Boards of equal entries: how many there were, how many said something, and told any two apart."""
 
-    world: World
+    world: CorrelatedWorld
     entries: int
     trials: int
     said: int
     split: int
 
 
-def measured(world: World, trials: int, seed: int) -> IntervalRow:
+def measured(world: CorrelatedWorld, trials: int, seed: int) -> IntervalRow:
     """A row of the table."""
     random = np.random.default_rng([seed, *world.frames_of_sequence, round(1000 * world.rho)])
     row = IntervalRow(world, trials, {scope: ScopeCounts() for scope in SCOPES})
@@ -91,7 +93,7 @@ def _count(counts: ScopeCounts, found: object, of_both: object, truth: tuple[flo
         counts.missed += not low <= truth[1] <= high
 
 
-def boards(world: World, entries: int, trials: int, seed: int) -> BoardTrials:
+def boards(world: CorrelatedWorld, entries: int, trials: int, seed: int) -> BoardTrials:
     """Boards whose entries are all equally good on this ground."""
     random = np.random.default_rng([seed, entries, *world.frames_of_sequence])
     said = split = 0
@@ -114,15 +116,15 @@ def _board(spectra: Sequence[RatioSpectra]) -> BoardSpectra:
     )
 
 
-def worlds() -> Iterator[World]:
+def worlds() -> Iterator[CorrelatedWorld]:
     """The rows of the table."""
     for sequences, frames, rho in product(SEQUENCES, FRAMES, RHOS):
-        yield World((frames,) * sequences, rho)
+        yield CorrelatedWorld((frames,) * sequences, rho)
     for lengths, rho in product(UNEQUAL, (0.5, 0.9)):
-        yield World(lengths, rho)
+        yield CorrelatedWorld(lengths, rho)
     for lengths in OTHER:
-        yield World(lengths, 0.9, "noisy")
-        yield World(lengths, 0.9, "moving_average")
+        yield CorrelatedWorld(lengths, 0.9, "noisy")
+        yield CorrelatedWorld(lengths, 0.9, "moving_average")
 
 
 def show(rows: Sequence[IntervalRow], of_boards: Sequence[BoardTrials]) -> None:
@@ -134,6 +136,8 @@ def show(rows: Sequence[IntervalRow], of_boards: Sequence[BoardTrials]) -> None:
         scopes = (_percents(row.of_scope[scope], row.trials) for scope in SCOPES)
         table.add_row(_name(row.world), f"{row.world.rho:g}", str(row.trials), *scopes)
     console.print(table)
+    for scope in SCOPES:
+        console.print(_summary(scope, rows))
     table = Table(title="Boards of equal entries: said in / any two told apart, in per cent")
     for column in ("sequences × frames", "ρ", "entries", "boards", "told apart"):
         table.add_column(column, justify="left" if column == "sequences × frames" else "right")
@@ -143,7 +147,27 @@ def show(rows: Sequence[IntervalRow], of_boards: Sequence[BoardTrials]) -> None:
     console.print(table)
 
 
-def _name(world: World) -> str:
+def _summary(scope: Scope, rows: Sequence[IntervalRow]) -> str:
+    """All rows together, and those that are beyond the aims by more than chance."""
+    counts = [row.of_scope[scope] for row in rows]
+    said, compared = sum(one.said for one in counts), sum(one.compared for one in counts)
+    covered, missed = sum(one.covered for one in counts), sum(one.missed for one in counts)
+    beyond = [_name(row.world) for row in rows if _is_beyond(row.of_scope[scope])]
+    return (
+        f"{scope.replace('_', ' ')}, all rows: {_share(covered, said)} % of {said} intervals cover, "
+        f"{_share(missed, compared)} % of {compared} differences are missed; beyond 93 to 97 % and 6 % by more than "
+        f"chance (p < {CHANCE:g} a row): {', '.join(beyond) or 'none'}"
+    )
+
+
+def _is_beyond(counts: ScopeCounts) -> bool:
+    low = binom.cdf(counts.covered, counts.said, 0.93) if counts.said else 1.0
+    high = binom.sf(counts.covered - 1, counts.said, 0.97) if counts.said else 1.0
+    apart = binom.sf(counts.missed - 1, counts.compared, 0.06) if counts.compared else 1.0
+    return bool(min(low, high, apart) < CHANCE)
+
+
+def _name(world: CorrelatedWorld) -> str:
     lengths = world.frames_of_sequence
     name = f"{len(lengths)} × {lengths[0]}" if len(set(lengths)) == 1 else " + ".join(map(str, lengths))
     return name if world.kind == "first_order" else f"{name}, {world.kind.replace('_', ' ')}"
@@ -177,7 +201,11 @@ def main() -> None:
         ]
         of_boards = [
             pool.submit(
-                boards, World((300,) * 10, rho, place=0.3, own_place=0.0), entries, options.trials // 2, options.seed
+                boards,
+                CorrelatedWorld((300,) * 10, rho, place=0.3, own_place=0.0),
+                entries,
+                options.trials // 2,
+                options.seed,
             )
             for rho in (0.0, 0.9)
             for entries in (2, 5, 20)
@@ -186,8 +214,8 @@ def main() -> None:
         show([one.result() for one in rows], [one.result() for one in of_boards])
 
 
-def _trials(world: World, most: int) -> int:
-    return max(100, min(most, MOST_FRAMES // sum(world.frames_of_sequence)))
+def _trials(world: CorrelatedWorld, most: int) -> int:
+    return max(200, min(most, MOST_FRAMES // sum(world.frames_of_sequence)))
 
 
 if __name__ == "__main__":

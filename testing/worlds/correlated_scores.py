@@ -29,7 +29,7 @@ NOISE_SHARE = 0.7
 
 
 @dataclass(frozen=True)
-class World:
+class CorrelatedWorld:
     """Sequences of these lengths; `rho` from frame to frame; `place` and `own_place` the spread of δ and δ'.
 
     `noisy` hides the process in 70 % of noise of single frames; `moving_average` has the same correlation time, and no
@@ -48,14 +48,14 @@ class World:
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
+class CorrelatedTrial:
     """One season in that world: confusions of each entry (F, 4, 4), its true mIoU on this ground."""
 
     confusions: tuple[NDArray[np.int64], ...]
     true_here: tuple[float, ...]
 
 
-def trial(world: World, random: np.random.Generator, entries: int = 2) -> Trial:
+def trial(world: CorrelatedWorld, random: np.random.Generator, entries: int = 2) -> CorrelatedTrial:
     """A season of equally good entries."""
     places = world.place * random.standard_normal(len(world.frames_of_sequence))
     own = world.own_place * random.standard_normal((entries, len(places)))
@@ -67,7 +67,7 @@ def trial(world: World, random: np.random.Generator, entries: int = 2) -> Trial:
             quality = expit(ground + own[entry, sequence] + OWN_WANDER * _wander(world, random, frames))
             counts[entry].append(_confusions(np.rint(size), quality))
     truths = tuple(true_miou(world.frames_of_sequence, places + one) for one in own)
-    return Trial(tuple(np.concatenate(of_entry) for of_entry in counts), truths)
+    return CorrelatedTrial(tuple(np.concatenate(of_entry) for of_entry in counts), truths)
 
 
 def true_miou(weights: Sequence[float], offsets: Floats, spread: float = 0.0) -> float:
@@ -100,7 +100,7 @@ def _confusions(size: Floats, share: Floats) -> NDArray[np.int64]:
     return found
 
 
-def _wander(world: World, random: np.random.Generator, frames: int) -> Floats:
+def _wander(world: CorrelatedWorld, random: np.random.Generator, frames: int) -> Floats:
     """(3, F) of mean 0 and variance 1, one for each class."""
     if world.kind == "moving_average":
         length = max(1, round(world.correlation_frames))

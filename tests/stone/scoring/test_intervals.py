@@ -14,7 +14,7 @@ from stone.scoring.confusion import ratios
 from stone.scoring.intervals import Estimate, RatioSpectra, estimates, ratio_spectra
 from stone.scoring.metric import RATIOS
 from stone.scoring.silences import FEWEST_SEQUENCES, SCOPES, SILENCES, Scope
-from testing.worlds.correlated_scores import World, trial, true_miou
+from testing.worlds.correlated_scores import CorrelatedWorld, trial, true_miou
 
 MIOU = RATIOS.index("miou")
 Counts = NDArray[np.int64]
@@ -24,7 +24,7 @@ def scored(confusions: Counts, lengths: tuple[int, ...]) -> tuple[NDArray[np.flo
     return ratios(confusions.sum(axis=0)), ratio_spectra(confusions, lengths)
 
 
-def told_apart(world: World, trials: int, scope: Scope = "these_places") -> tuple[int, int, int, int]:
+def told_apart(world: CorrelatedWorld, trials: int, scope: Scope = "these_places") -> tuple[int, int, int, int]:
     """Of these trials: how often an interval was told, and held; how often a difference was, and was wrong."""
     random = np.random.default_rng(1)
     said = held = compared = wrong = 0
@@ -49,19 +49,19 @@ def test_the_attack_covers_and_equal_entries_are_not_told_apart(sequences: int, 
     Alone in holding the intervals of the platform against a known truth; bounds are what luck does in one of 10,000.
     """
     trials = 100
-    said, held, compared, wrong = told_apart(World((frames,) * sequences, 0.9, own_place=0.0), trials)
+    said, held, compared, wrong = told_apart(CorrelatedWorld((frames,) * sequences, 0.9, own_place=0.0), trials)
     assert held >= stats.binom.ppf(1e-4, said, 0.94)
     assert wrong <= stats.binom.ppf(1 - 1e-4, compared, 0.06)
     assert said >= (0 if frames < 300 else trials / 2)
 
 
 def test_a_few_hundred_frames_that_are_all_alike_are_hardly_ever_spoken_of() -> None:
-    said, _, compared, _ = told_apart(World((300,), 0.98), 60)
+    said, _, compared, _ = told_apart(CorrelatedWorld((300,), 0.98), 60)
     assert said + compared <= 2
 
 
 def test_a_new_place_is_spoken_of_by_five_sequences_and_held() -> None:
-    said, held, compared, wrong = told_apart(World((60,) * 5, 0.5, own_place=0.0), 150, "new_place")
+    said, held, compared, wrong = told_apart(CorrelatedWorld((60,) * 5, 0.5, own_place=0.0), 150, "new_place")
     assert said == compared == 150
     assert held >= stats.binom.ppf(1e-4, said, 0.94)
     assert wrong <= stats.binom.ppf(1 - 1e-4, compared, 0.06)
