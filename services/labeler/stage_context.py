@@ -53,8 +53,9 @@ class LabelStageContext:
         """
         bag = opening.recording
         reads = () if bag is None else bag_paths(bag)
-        with private_folder_in(opening.folder) as temporary:
-            sandbox = JobSandbox(opening.folder, reads, self.attempt, self.platform.settings, warm, temporary)
+        settings, folder = self.platform.settings, opening.folder
+        with private_folder_in(folder) as temporary:
+            sandbox = JobSandbox(folder, reads, self.attempt, settings, warm, temporary, shares_run=True)
             return answer.believed(sandbox.run(work, shown, 1))
 
     def pull(self, files: FilesAnswer) -> None:

@@ -54,6 +54,16 @@ def peak_bytes() -> int:
     return max(_SERVED.peak_bytes, *(resource.getrusage(who).ru_maxrss * 1024 for who in OURS))
 
 
+def usage_of(pid: int, proc: Path = PROC) -> tuple[float, int]:
+    """Processor time of another process, user and system, and the bytes that it holds; nothing of one that ended."""
+    try:
+        fields = (proc / str(pid) / "stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return 0.0, 0
+    ticks, pages = sum(map(int, fields[11:13])), int(fields[21])
+    return ticks / os.sysconf("SC_CLK_TCK"), pages * os.sysconf("SC_PAGE_SIZE")
+
+
 def held_bytes(proc: Path = PROC) -> int | None:
     """The memory that this process holds now (resident set)."""
     try:
