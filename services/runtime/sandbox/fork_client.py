@@ -19,7 +19,7 @@ from threading import Lock
 from services.runtime.sandbox.errors import SandboxInterruptedError
 from services.runtime.sandbox.fork_server import FATE, FORKED, REQUEST, Work, parcel
 from services.runtime.sandbox.limits import SandboxLimits
-from services.runtime.telemetry.process_usage import note_served, usage_of
+from services.runtime.telemetry.process_usage import ProcessUsage, note_served, usage_of
 
 PROGRAM = "from services.runtime.sandbox.fork_server import main; main()"
 # What a child needs of its environment; everything else stays behind, whatever it is called.
@@ -166,11 +166,11 @@ class ServedChild:
         else:
             raise SandboxInterruptedError("was lost with the process that forked it (out of memory?)")
 
-    def note_usage(self) -> tuple[float, int]:
-        """Count what it has used by now, while it lives on: its processor time, and the memory that it holds."""
-        used_s, held_bytes = usage_of(self._pid)
-        self._note(used_s, held_bytes)
-        return used_s, held_bytes
+    def note_usage(self) -> ProcessUsage:
+        """Count what it has used by now, while it lives on."""
+        used = usage_of(self._pid)
+        self._note(used.cpu_s, used.peak_bytes)
+        return used
 
     def _note(self, used_s: float, peak_bytes: int) -> None:
         note_served(max(used_s - self._noted_s, 0.0), peak_bytes)

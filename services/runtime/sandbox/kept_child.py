@@ -54,8 +54,8 @@ class RunChild:
 
     def is_worth_keeping(self) -> bool:
         """Whether another job may have it."""
-        used_s, held_bytes = self.served.note_usage()
-        return self.process.is_waiting and used_s < MOST_USED_S and held_bytes < MOST_HELD_BYTES
+        used = self.served.note_usage()
+        return self.process.is_waiting and used.cpu_s < MOST_USED_S and used.held_bytes < MOST_HELD_BYTES
 
     def serves(self, run_id: str, limits: SandboxLimits) -> bool:
         """Whether it waits, and was given all that a job of these limits needs, and as much of the rest."""
