@@ -14,7 +14,7 @@ from pathlib import Path
 from services.runtime.jobs.specs import Attempt
 from services.runtime.sandbox.child import ProgressCallback
 from services.runtime.sandbox.fork_client import warm_unless_served
-from services.runtime.sandbox.kept_child import RunWork, sandboxed_in_run
+from services.runtime.sandbox.kept_child import CHILDREN, RunWork, sandboxed_in_run
 from services.runtime.sandbox.limits import SandboxLimits
 from services.runtime.sandbox.parent import SandboxWatch, sandboxed_with_progress
 from services.runtime.settings import Settings
@@ -69,6 +69,7 @@ class JobSandbox:
         watch = sandbox_watch_of(self.attempt, stage, total)
         if self.shares_run:
             return sandboxed_in_run(RunWork(self.attempt.root_id, task, self.limits, watch))
+        CHILDREN.close()  # one child at a time
         return sandboxed_with_progress(task, self.limits, watch)
 
 

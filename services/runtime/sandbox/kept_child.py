@@ -1,7 +1,8 @@
 """A sandboxed child that is kept for the next job of the same run, which then forks nothing and finds its memory there.
 
 **Conventions.** A process keeps one child at most, for one run of one sequence of one owner. Another run's job ends it,
-so no child ever sees two runs; so does one that needs more than the child was given, since fences are never widened.
+so no child ever sees two runs; so does one that shares no child, or needs more than this one was given, since fences
+are never widened.
 What it was given is the run's own folder to write in and the run's own recording to read: who takes a child over by a
 recording reads and writes what the jobs of that run may anyway, and can spoil the labels of that recording alone.
 

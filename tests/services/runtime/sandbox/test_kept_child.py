@@ -6,29 +6,37 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import pytest
 
+from services.runtime.orm import Job
 from services.runtime.sandbox import SandboxLimits, SandboxWatch, fork_client, kept_child, landlock
 from services.runtime.sandbox.errors import SandboxCrashedError, SandboxInterruptedError
 from services.runtime.sandbox.fork_client import ForkServer
+from services.runtime.sandbox.job_sandbox import JobSandbox
 from services.runtime.sandbox.kept_child import CHILDREN, RunWork, sandboxed_in_run
 from services.runtime.telemetry.process_usage import used_cpu_s
 from stone.errors import StoneError
 from stone_submissions.errors import CorruptError
 from testing.process_states import is_running, parent_of
+from testing.servers.fixtures import make_settings
 from testing.stone_serve import PATIENCE_S, until
+from testing.worlds.runs import Said
 from tests.services.runtime.sandbox import spies
 
 RUN, OTHER = "1" * 32, "2" * 32
 ASKER = """
 import sys
 from functools import partial
+from services.runtime.orm import Job
 from services.runtime.sandbox import SandboxLimits, UNWATCHED
 from services.runtime.sandbox.fork_client import use_fork_server
+from services.runtime.sandbox.job_sandbox import JobSandbox
 from services.runtime.sandbox.kept_child import RunWork, sandboxed_in_run
+from testing.worlds.runs import Said
 from tests.services.runtime.sandbox import spies
 use_fork_server([spies.__name__])
 work = partial(spies.without_progress, spies.pid)
@@ -220,6 +228,16 @@ def test_two_threads_do_not_wait_for_each_other() -> None:
         thread.join(PATIENCE_S)
     assert len(set(found)) == 2
     assert asked(spies.pid) in found
+
+
+def test_a_job_that_shares_no_child_waits_for_none_beside_it(tmp_path: Path) -> None:
+    settings = make_settings(tmp_path)
+    sharing = JobSandbox(tmp_path, (), Said(Job(root_id=RUN)), settings, lambda: None, shares_run=True)
+    first = sharing.run(spies.pid_in, "stage", 1)
+    assert sharing.run(spies.pid_in, "stage", 1) == first
+    alone = replace(sharing, shares_run=False).run(spies.pid_in, "stage", 1)
+    assert alone != first
+    assert not is_running(int(first))
 
 
 def test_work_of_many_bytes_has_a_child_of_its_own() -> None:
