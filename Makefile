@@ -89,6 +89,7 @@ bench-platform: install
 	$(BIN)/python -m benchmarks.upload
 	$(BIN)/python -m benchmarks.api
 	$(BIN)/python -m benchmarks.platform_label
+	$(BIN)/python -m benchmarks.sandbox
 
 bench-pages: test-clients
 	$(BIN)/python -m benchmarks.pages

@@ -10,12 +10,12 @@ from pathlib import Path
 
 from redis import RedisError
 
-from chaos.process_tree import fork_servers_of, sandboxed_children_of
 from chaos.turns import LOOK_S, OwnerRound
 from services.runtime.jobs.broker_app import QUEUES
 from services.runtime.jobs.wakeup import wake_up_counter
 from services.runtime.orm import Job
 from testing.process_states import children_of
+from testing.process_tree import fork_servers_of, sandboxed_children_of
 from testing.servers.process import ServerProcess
 
 MOST_WAKE_UPS_RATIO = 0.7  # what comes later is one job after the other, and their wake-ups are received at once

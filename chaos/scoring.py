@@ -23,7 +23,6 @@ from rich.console import Console
 from sqlalchemy import select
 
 from chaos.places import API, JOBS, STORE, WORKERS
-from chaos.process_tree import sandboxed_children_of
 from chaos.scoring_verdict import SubmissionOutcome, came_of, judge, judge_quota
 from chaos.scoring_world import build_scoring_world, files
 from chaos.turns import TERMINAL, await_true
@@ -33,6 +32,7 @@ from services.runtime.embedded.supervisor import RunningPlatform, running_platfo
 from services.runtime.orm import Job, JobAttempt, SubmissionRow
 from services.runtime.platform import Platform
 from services.runtime.settings import Settings
+from testing.process_tree import sandboxed_children_of
 from testing.worlds.benchmark_world import World
 from testing.worlds.sending import send
 

@@ -1,15 +1,13 @@
 """The stage that builds a ground truth: the labels of one part of a dataset version → a pack, a manifest and facts.
 
-**Conventions.** Here, and nowhere else, are the labels of test read out of a version. Frames follow the version's
-index, inside a sequence that of time. Every label file is held against its digest and read as strictly as a
-submission's. A ground truth that is ready is never written again.
+**Conventions.** Here, and nowhere else, are the labels of test read out of a version, by a sandboxed child
+(`services/eval/sandboxed_truth.py`): this process reads the index, which is ours, and moves files. Frames follow the
+version's index, inside a sequence that of time. A ground truth that is ready is never written again.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from hashlib import sha256
-from pathlib import Path
 from secrets import token_hex
 from typing import Any
 
@@ -17,23 +15,25 @@ from sqlalchemy import select, update
 from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.phases.ground_truths import LABELS, first_activation
-from services.eval.ground_truth import Mask, truth_in
+from services.eval.ground_truth import Mask
+from services.eval.kernel_warmup import warm
+from services.eval.sandboxed_truth import PACK, PackedLabelFile, TruthAnswer, TruthInputs, write_truth
 from services.eval.scoring_errors import LabelsUnfitError
 from services.eval.stage_context import EvalStageContext
-from services.eval.truth_pack import PackSummary, write_truth_pack
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.specs import Outcome
 from services.runtime.orm import Blob, DatasetMember, DatasetPack, DatasetPart, GroundTruthRow
 from services.runtime.orm.base import now_ns
+from services.runtime.sandbox import SandboxCrashedError
+from services.runtime.sandbox.job_sandbox import JobSandbox
 from services.runtime.store.blobs import PreparedBlob, link_all, prepare
 from services.runtime.store.pack_archive import ExportLocation, stored_files
-from services.runtime.store.pack_reading import StoredFiles, file_pieces
+from services.runtime.store.pack_reading import StoredFiles
+from services.runtime.store.packs import PackedFiles
 from services.runtime.store.protocol import Store
-from stone.scoring.bitplanes import TruthPlanes
-from stone_submissions.errors import GroundTruthError
 from stone_submissions.manifest import MAX_FRAMES, SEQUENCE_NAME, Manifest, is_token, write_manifest
 
-PACK, MANIFEST = "truth.pack", "manifest.json"
+MANIFEST = "manifest.json"
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class TruthSource:
 class BuiltTruth:
     """A ground truth that only wants its row."""
 
-    summary: PackSummary
+    summary: TruthAnswer
     pack: PreparedBlob
     manifest: PreparedBlob
     facts: Mapping[str, Any]
@@ -58,7 +58,8 @@ class BuiltTruth:
 def build_truth(context: EvalStageContext) -> Outcome:
     """Build the ground truth the job is for; the first of a phase is put in force.
 
-    Raises `JobCancelledError` when it was deleted, `LabelsUnfitError`, and what the store raises.
+    Raises `JobCancelledError` when it was deleted, `LabelsUnfitError`, `SandboxCrashedError`,
+    `SandboxInterruptedError`, and what the store raises.
     """
     truth_id = context.attempt.arguments["truth_id"]
     with context.platform.database.reading() as session:
@@ -99,24 +100,31 @@ def _source(session: Session, truth: GroundTruthRow) -> TruthSource:
 
 
 def _built(context: EvalStageContext, source: TruthSource) -> BuiltTruth:
-    stored = stored_files(context.platform.store, source.located)
-    ordinals, manifest = _frames(stored, source.said)
-    labels = partial(_planes, context.platform.store, stored, source.mask)
+    store = context.platform.store
+    inputs = _inputs(store, stored_files(store, source.located), source)
     folder = context.folder / f"truth-{token_hex(8)}"
     folder.mkdir()
-    summary = write_truth_pack(
-        folder / PACK,
-        manifest,
-        lambda token: labels(ordinals[token]),
-        threads=1,
-        progress=context.attempt.progress,
-    )
-    write_manifest(folder / MANIFEST, manifest)
-    pack, listed = (
-        prepare(context.platform.store, context.platform.database, folder / name, adopt=True)
-        for name in (PACK, MANIFEST)
-    )
-    return BuiltTruth(summary, pack, listed, {"sequences": [dict(source.said[name]) for name in manifest.sequences]})
+    sandbox = JobSandbox(folder, tuple(inputs.packs.values()), context.attempt, context.platform.settings, warm)
+    built = TruthAnswer.believed(sandbox.run(partial(write_truth, inputs), "truth", len(inputs.files)))
+    if built.frames != len(inputs.files) or not (folder / PACK).is_file():
+        raise SandboxCrashedError("built something else than what was asked")
+    write_manifest(folder / MANIFEST, inputs.manifest)
+    pack, listed = (prepare(store, context.platform.database, folder / name, adopt=True) for name in (PACK, MANIFEST))
+    facts = {"sequences": [dict(source.said[name]) for name in inputs.manifest.sequences]}
+    return BuiltTruth(built, pack, listed, facts)
+
+
+def _inputs(store: Store, stored: StoredFiles, source: TruthSource) -> TruthInputs:
+    """The label files, and of the packs those in which some lie, on this machine. Raises `LabelsUnfitError`."""
+    ordinals, manifest = _frames(stored, source.said)
+    files = {token: _packed_file(stored.files, ordinal) for token, ordinal in ordinals.items()}
+    packs = {number: store.local(stored.object_keys[number]) for number in sorted({one.pack for one in files.values()})}
+    return TruthInputs(packs, files, manifest, source.mask)
+
+
+def _packed_file(files: PackedFiles, ordinal: int) -> PackedLabelFile:
+    number, offset, size = (int(of[ordinal]) for of in (files.packs, files.offsets_bytes, files.sizes_bytes))
+    return PackedLabelFile(files.names[ordinal], number, offset, size, files.digest(ordinal))
 
 
 def _frames(stored: StoredFiles, said: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, int], Manifest]:
@@ -135,19 +143,6 @@ def _frames(stored: StoredFiles, said: Mapping[str, Mapping[str, Any]]) -> tuple
     if counted != {name: facts["frames"] for name, facts in said.items()} or not 0 < len(ordinals) <= MAX_FRAMES:
         raise LabelsUnfitError("the sequences", f"{len(ordinals)} frames that are not those its rows tell of")
     return ordinals, Manifest({name: tuple(tokens) for name, tokens in sequences.items()})
-
-
-def _planes(store: Store, stored: StoredFiles, mask: Mask, ordinal: int) -> TruthPlanes:
-    """Of one frame. Raises `LabelsUnfitError`, which says nothing of what the file holds."""
-    files = stored.files
-    name, size_bytes = files.names[ordinal], int(files.sizes_bytes[ordinal])
-    npz = b"".join(file_pieces(files, ordinal, (0, size_bytes), stored.reader(store)))
-    if sha256(npz).hexdigest() != files.digest(ordinal):
-        raise LabelsUnfitError(f"file {name}", "its sha256 is another than the index says")
-    try:
-        return truth_in(npz, mask, Path(name))
-    except GroundTruthError as error:
-        raise LabelsUnfitError(f"file {name}", "no label file with the arrays that the phase needs") from error
 
 
 def _write(truth_id: str, built: BuiltTruth, session: Session) -> None:

@@ -1,17 +1,16 @@
-"""What sandboxed children of a labelling run may answer, as strict models of JSON.
+"""What sandboxed children of a labelling run may answer.
 
 **Conventions.** A child may be in the hands of whoever recorded the bag: names lead nowhere else, numbers are whole and
-bounded, kinds are known, and nothing further is taken. What does not fit ends the child's job
-(`SandboxCrashedError`).
+bounded, kinds are known, and nothing further is taken (`services/runtime/sandbox/answers.py`).
 """
 
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError, field_validator, model_validator
+from pydantic import Field, StringConstraints, field_validator, model_validator
 
 from services.labeler.pipeline import PUBLISH, STAGES
 from services.runtime.jobs.specs import JobSpec
-from services.runtime.sandbox import SandboxCrashedError
+from services.runtime.sandbox.answers import Hex256, SandboxAnswer
 
 KINDS = frozenset((*STAGES, PUBLISH))
 MOST_JOBS, MOST_FRAMES = 100_000, 2_000_000
@@ -19,29 +18,10 @@ Count = Annotated[int, Field(ge=0, lt=2**63)]
 Place = Annotated[int, Field(ge=-(2**31), lt=2**31)]
 SEGMENT = r"[A-Za-z0-9_*\-\[][A-Za-z0-9_*.\-\[\]]*"  # no dot first: nothing hidden, and nothing above
 Name = Annotated[str, StringConstraints(pattern=rf"\A{SEGMENT}(/{SEGMENT})*/?\z", max_length=300)]
-Hex256 = Annotated[str, StringConstraints(pattern=r"\A[0-9a-f]{64}\z")]
 Token = Annotated[str, StringConstraints(pattern=r"\A[0-9a-f]{32}\z")]
 Fact = Count | float | bool | Annotated[str, StringConstraints(max_length=200)]
 FACTS = frozenset({"frames", "points", "tiles", "tile", "triangles", "driven", "voxels", "is_floored", "pack_bytes"})
 Range = tuple[Count, Count, Hex256]
-
-
-class SandboxAnswer(BaseModel):
-    """One answer."""
-
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
-    asked: ClassVar[str]
-
-    def packed(self) -> bytes:
-        return self.model_dump_json().encode()
-
-    @classmethod
-    def believed(cls, answer: bytes) -> Self:
-        """Raises `SandboxCrashedError`."""
-        try:
-            return cls.model_validate_json(answer)
-        except (ValidationError, RecursionError) as error:
-            raise SandboxCrashedError(f"answered something else than {cls.asked}") from error
 
 
 class JobAnswer(SandboxAnswer):

@@ -9,12 +9,13 @@ from services.domain.sequences.run_files import SEQUENCE_FILE, SWEEPS_FILE
 from services.domain.sequences.stage_checks import require_sequence
 from services.labeler.errors import require_left
 from services.labeler.kernel_warmup import warm
-from services.labeler.run_answers import FilesAnswer, SandboxAnswer
+from services.labeler.run_answers import FilesAnswer
 from services.labeler.sandboxed_run import RunOpening
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.specs import Attempt
 from services.runtime.orm import Recording
 from services.runtime.platform import Platform
+from services.runtime.sandbox.answers import SandboxAnswer
 from services.runtime.sandbox.job_sandbox import JobSandbox, SandboxedWork, private_folder_in
 from services.runtime.store.workspace import Workspace
 from stone_recordings.bags.fingerprint import bag_paths
@@ -52,8 +53,9 @@ class LabelStageContext:
         """
         bag = opening.recording
         reads = () if bag is None else bag_paths(bag)
-        with private_folder_in(opening.folder) as temporary:
-            sandbox = JobSandbox(opening.folder, reads, self.attempt, self.platform.settings, warm, temporary)
+        settings, folder = self.platform.settings, opening.folder
+        with private_folder_in(folder) as temporary:
+            sandbox = JobSandbox(folder, reads, self.attempt, settings, warm, temporary, shares_run=True)
             return answer.believed(sandbox.run(work, shown, 1))
 
     def pull(self, files: FilesAnswer) -> None:

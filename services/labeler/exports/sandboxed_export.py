@@ -19,8 +19,8 @@ from services.labeler.exports.errors import DamagedLabelsError
 from services.labeler.exports.inputs import write_sensed
 from services.labeler.exports.registry import exporter_of
 from services.labeler.exports.source import MESH, REPORT, TABLE, LabelledSequence
-from services.labeler.run_answers import Hex256, SandboxAnswer
 from services.runtime.sandbox import ProgressCallback
+from services.runtime.sandbox.answers import Hex256, SandboxAnswer
 from stone.sensors.samples import CameraSample, LidarSample, RadarSample, SampleSource
 from stone.sensors.sequence import Sequence
 from stone_recordings.sync.samples import BagSamples

@@ -46,7 +46,7 @@ FORKED_FROM = {
         "services.labeler.exports.sandboxed_export",
         "services.labeler.exports.playback",
     ),
-    "eval": ("services.eval.kernel_warmup:warm", "services.eval.examination"),
+    "eval": ("services.eval.kernel_warmup:warm", "services.eval.examination", "services.eval.sandboxed_truth"),
 }
 
 log = structlog.get_logger(__name__)

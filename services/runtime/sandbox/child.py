@@ -1,4 +1,4 @@
-"""The child's side of the sandbox: confine itself, work, send the answer, end.
+"""The child's side of the sandbox: confine itself, answer each work, end.
 
 **Conventions.** Nothing goes up the stack from here, which is the parent's; nothing of the parent's is finalised, since
 its connections and files are shared.
@@ -10,7 +10,7 @@ import os
 import signal
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import NoReturn
 
@@ -40,16 +40,17 @@ OF_OUR_LIMITS = (errno.EFBIG, errno.EMFILE, errno.ENOMEM, errno.EPERM)
 
 @dataclass(frozen=True)
 class SandboxTask:
-    """The work, its limits, and where its words go."""
+    """The works, one after another, their limits, where its words go, and where its works come from, if from afar."""
 
-    work: Callable[[ProgressCallback], bytes]
+    works: Iterable[Callable[[ProgressCallback], bytes]]
     limits: SandboxLimits
     writing: int
+    reading: int | None = None
 
-    def told(self) -> tuple[int, bytes]:
-        """The last word on the work: its kind and payload."""
+    def told(self, work: Callable[[ProgressCallback], bytes]) -> tuple[int, bytes]:
+        """The last word on a work: its kind and payload."""
         try:
-            payload = self.work(self._tell)
+            payload = work(self._tell)
             return (ANSWER, payload) if len(payload) <= self.limits.answer_bytes else (FLOODED, b"")
         except StoneError as error:
             leaf = type(error)
@@ -72,10 +73,11 @@ def run_child(answer: SandboxTask, parent: int) -> NoReturn:
         die_with(parent)
         _forget_the_parent()
         _keep_nothing_compiled()
-        replace_inherited_descriptors(answer.writing)
+        replace_inherited_descriptors(answer.writing, answer.reading)
         apply_limits(answer.limits)
         send_message(answer.writing, FENCED, texts_of(**enter_sandbox(answer.limits)))
-        send_message(answer.writing, *answer.told())
+        for work in answer.works:
+            send_message(answer.writing, *answer.told(work))
         status = 0
     finally:
         os._exit(status)

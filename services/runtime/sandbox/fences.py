@@ -45,15 +45,15 @@ def enter_sandbox(limits: SandboxLimits) -> SandboxMechanisms:
     return {"network": network, "processes": processes, "writing": writing, "reading": reading}
 
 
-def replace_inherited_descriptors(kept: int) -> None:
-    """Every connection and file of the parent becomes the empty device, but standard output, error and `kept`.
+def replace_inherited_descriptors(*kept: int | None) -> None:
+    """Every connection and file of the parent becomes the empty device, but standard output, error and those `kept`.
 
     They are replaced, not closed: objects that believe to own a number would close what got it next.
     """
     held = [int(name) for name in os.listdir("/proc/self/fd")]
     nothing = os.open(os.devnull, os.O_RDONLY)
     for number in held:
-        if number not in (1, 2, kept, nothing):
+        if number not in (1, 2, nothing, *kept):
             os.dup2(nothing, number, inheritable=False)
 
 

@@ -17,9 +17,9 @@ from dataclasses import dataclass, field
 from threading import Lock
 
 from services.runtime.sandbox.errors import SandboxInterruptedError
-from services.runtime.sandbox.fork_server import CHILD_FORKED, FATE, REQUEST, Work, task_bytes
+from services.runtime.sandbox.fork_server import FATE, FORKED, REQUEST, Work, parcel
 from services.runtime.sandbox.limits import SandboxLimits
-from services.runtime.telemetry.process_usage import note_served
+from services.runtime.telemetry.process_usage import ProcessUsage, note_served, usage_of
 
 PROGRAM = "from services.runtime.sandbox.fork_server import main; main()"
 # What a child needs of its environment; everything else stays behind, whatever it is called.
@@ -41,6 +41,11 @@ class ForkServer:
         with self._lock:
             if self._requests is None:
                 self._process, self._requests = _started(self.warmed_by)
+
+    @property
+    def pid(self) -> int | None:
+        """Of the process; None while there is none."""
+        return None if self._process is None else self._process.pid
 
     def ask(self, descriptors: Sequence[int]) -> None:
         """Send a request; a server that is gone is started again, once. Raises `SandboxInterruptedError`."""
@@ -95,23 +100,30 @@ def warm_unless_served(warm: Callable[[], None]) -> None:
         warm()
 
 
+def single_task(limits: SandboxLimits, work: Work) -> int:
+    """The descriptor of a file with one work."""
+    task = os.memfd_create("task")
+    with os.fdopen(os.dup(task), "wb") as file:
+        file.write(parcel(limits) + parcel(work))
+    os.lseek(task, 0, os.SEEK_SET)
+    return task
+
+
 class ServedChild:
     """A child of the fork server: told of by its socket, ended by closing it."""
 
-    def __init__(self, server: ForkServer, work: Work, limits: SandboxLimits, writing: int) -> None:
+    def __init__(self, server: ForkServer, task: int, writing: int) -> None:
+        """`task` is where its limits and works are read from; the caller closes it, and `writing`."""
         self._told, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self.begun_s: float | None = None
         self._asked_s, self._status = time.monotonic(), None
-        task = os.memfd_create("task")
+        self._pid, self._noted_s = 0, 0.0
         try:
-            with os.fdopen(os.dup(task), "wb") as file:
-                file.write(task_bytes(limits, work))
             server.ask([theirs.fileno(), writing, task])
         except BaseException:
             self._told.close()
             raise
         finally:
-            os.close(task)
             theirs.close()
 
     @property
@@ -146,13 +158,23 @@ class ServedChild:
             message = self._told.recv(FATE.size, flags)
         except ConnectionError:
             message = b""
-        if message == CHILD_FORKED:
-            self.begun_s = time.monotonic()
+        if len(message) == FORKED.size:
+            self.begun_s, self._pid = time.monotonic(), FORKED.unpack(message)[1]
         elif len(message) == FATE.size:
             _, self._status, user_s, system_s, peak_bytes = FATE.unpack(message)
-            note_served(user_s + system_s, peak_bytes)
+            self._note(user_s + system_s, peak_bytes)
         else:
             raise SandboxInterruptedError("was lost with the process that forked it (out of memory?)")
+
+    def note_usage(self) -> ProcessUsage:
+        """Count what it has used by now, while it lives on."""
+        used = usage_of(self._pid)
+        self._note(used.cpu_s, used.peak_bytes)
+        return used
+
+    def _note(self, used_s: float, peak_bytes: int) -> None:
+        note_served(max(used_s - self._noted_s, 0.0), peak_bytes)
+        self._noted_s = max(used_s, self._noted_s)
 
 
 def harmless(environment: Mapping[str, str]) -> dict[str, str]:

@@ -5,8 +5,8 @@ to call (`module:function`). A service holds the keys of the database and of the
 be in every child that it forked. So it asks this process, which was executed afresh with an environment of harmless
 variables (`fork_client.py`). What is loaded first are libraries and compiled kernels, which all children then have. A
 request is a message with three descriptors: where the child is spoken of (`CHILD_*` below), where the child speaks
-itself, and a file with its limits and its work, pickled by the service. Who closes the first ends the child; this
-process ends when nobody is left to ask it.
+itself, and a file or pipe with its limits and its works, pickled by the service; the child answers each, and ends after
+the last. Who closes the first ends the child; this process ends when nobody is left to ask it.
 """
 
 import services.runtime.one_thread  # noqa: F401
@@ -20,17 +20,19 @@ import signal
 import socket
 import struct
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib import import_module
+from typing import BinaryIO
 
 from services.runtime.sandbox.child import ProgressCallback, SandboxTask, run_child
-from services.runtime.sandbox.limits import SandboxLimits
 from services.runtime.sandbox.system_files import system_files
 
 REQUEST, CHILD_FORKED, CHILD_ENDED = b"r", b"f", b"e"
+FORKED = struct.Struct("<ci")  # CHILD_FORKED, its pid
 FATE = struct.Struct("<ciddq")  # CHILD_ENDED, wait status, user and system seconds, most memory in bytes
+LENGTH = struct.Struct("<Q")
 DESCRIPTORS = 3
 Work = Callable[[ProgressCallback], bytes]
 
@@ -88,7 +90,7 @@ def _answer_request(requests: socket.socket, selector: selectors.BaseSelector) -
     else:
         if pid == 0:
             run_child(*_task(task, writing))
-        asker.send(CHILD_FORKED)
+        asker.send(FORKED.pack(CHILD_FORKED, pid))
         child = _Child(pid, os.pidfd_open(pid), asker)
         selector.register(asker, selectors.EVENT_READ, child)
         selector.register(child.ended, selectors.EVENT_READ, child)
@@ -105,11 +107,25 @@ def _forget(selector: selectors.BaseSelector, child: _Child) -> None:
 
 
 def _task(task: int, writing: int) -> tuple[SandboxTask, int]:
-    """In the child: what it is to do. The work itself is unpickled within the fences."""
-    with os.fdopen(os.dup(task), "rb") as file:
-        file.seek(0)
-        limits, work = pickle.load(file)
-    return SandboxTask(_Unpickled(work), limits, writing), os.getppid()
+    """In the child: what it is to do. The works themselves are unpickled within the fences."""
+    tasks = os.fdopen(os.dup(task), "rb")
+    limits = pickle.loads(next(_parcels(tasks)))
+    return SandboxTask(map(_Unpickled, _parcels(tasks)), limits, writing, tasks.fileno()), os.getppid()
+
+
+def _parcels(tasks: BinaryIO) -> Iterator[bytes]:
+    """Bytes behind their length, as they come, until nobody is left to send any."""
+    while head := tasks.read(LENGTH.size):
+        yield tasks.read(*LENGTH.unpack(head))
+
+
+def parcel(content: object) -> bytes:
+    """A part of what a request's third descriptor holds: first the limits, then each work.
+
+    Raises what pickling raises for work that is no plain function.
+    """
+    pickled = pickle.dumps(content)
+    return LENGTH.pack(len(pickled)) + pickled
 
 
 @dataclass(frozen=True)
@@ -121,11 +137,6 @@ class _Unpickled:
     def __call__(self, progress: ProgressCallback) -> bytes:
         work: Work = pickle.loads(self.pickled)
         return work(progress)
-
-
-def task_bytes(limits: SandboxLimits, work: Work) -> bytes:
-    """What a request's third descriptor holds. Raises what pickling raises for work that is no plain function."""
-    return pickle.dumps((limits, pickle.dumps(work)))
 
 
 def _warm(named: Sequence[str]) -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 from services.runtime.jobs.specs import Attempt
 from services.runtime.sandbox.child import ProgressCallback
 from services.runtime.sandbox.fork_client import warm_unless_served
+from services.runtime.sandbox.kept_child import CHILDREN, RunWork, sandboxed_in_run
 from services.runtime.sandbox.limits import SandboxLimits
 from services.runtime.sandbox.parent import SandboxWatch, sandboxed_with_progress
 from services.runtime.settings import Settings
@@ -31,7 +32,8 @@ class JobSandbox:
     """Where a job's work is done, what it reads (files, and whatever is below folders), for whom.
 
     `warm` compiles the kernels that it needs, where no fork server has done so. `temporary`, within the folder unless
-    it is the folder, is where temporary files go.
+    it is the folder, is where temporary files go. With `shares_run` the folder and all that is read are the run's, and
+    its jobs may share a child.
     """
 
     folder: Path
@@ -41,6 +43,7 @@ class JobSandbox:
     warm: Callable[[], None]
     temporary: Path | None = None
     makes_links: bool = False
+    shares_run: bool = False
 
     @property
     def limits(self) -> SandboxLimits:
@@ -63,7 +66,11 @@ class JobSandbox:
         warm_unless_served(self.warm)
         temporary = self.temporary or self.folder
         task = partial(_work, self.folder, str(temporary), work)
-        return sandboxed_with_progress(task, self.limits, sandbox_watch_of(self.attempt, stage, total))
+        watch = sandbox_watch_of(self.attempt, stage, total)
+        if self.shares_run:
+            return sandboxed_in_run(RunWork(self.attempt.root_id, task, self.limits, watch))
+        CHILDREN.close()  # one child at a time
+        return sandboxed_with_progress(task, self.limits, watch)
 
 
 @contextmanager

@@ -48,6 +48,11 @@ class SandboxMessageReader:
         self._kept = bytearray()
         self.is_closed = False
 
+    @property
+    def is_quiet(self) -> bool:
+        """Whether nothing was read that was not told."""
+        return not self.is_closed and not self._kept
+
     def words(self) -> Iterator[SandboxMessage]:
         """What has come by now, in order. Raises `SandboxCrashedError` for what is no word."""
         while not self.is_closed:

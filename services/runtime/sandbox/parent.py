@@ -26,13 +26,14 @@ from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
+from typing import Protocol
 
 import structlog
 
 from services.runtime.sandbox.child import ProgressCallback, SandboxTask, run_child
 from services.runtime.sandbox.errors import SandboxCrashedError, SandboxInterruptedError
 from services.runtime.sandbox.fences import NONE, SandboxMechanisms
-from services.runtime.sandbox.fork_client import ServedChild, fork_server
+from services.runtime.sandbox.fork_client import ForkServer, ServedChild, fork_server, single_task
 from services.runtime.sandbox.limits import SandboxLimits
 from services.runtime.sandbox.messages import (
     ANSWER,
@@ -67,6 +68,22 @@ class SandboxWatch:
 
 
 LIMITS, UNWATCHED = SandboxLimits(), SandboxWatch()
+Pipe = tuple[int, int]
+
+
+class ForkedChild(Protocol):
+    """A forked child, whoever forked it; `ended` is readable when there is something to be said of it."""
+
+    begun_s: float | None
+
+    @property
+    def ended(self) -> int: ...
+
+    def has_ended(self) -> bool: ...
+
+    def reap(self) -> int: ...
+
+    def close(self) -> None: ...
 
 
 def sandboxed(work: Callable[[], bytes], limits: SandboxLimits = LIMITS, watch: SandboxWatch = UNWATCHED) -> bytes:
@@ -82,8 +99,21 @@ def sandboxed_with_progress(
     work: Callable[[ProgressCallback], bytes], limits: SandboxLimits = LIMITS, watch: SandboxWatch = UNWATCHED
 ) -> bytes:
     """As `sandboxed`, for work that reports progress: `work(progress)`."""
-    with closing(_SandboxProcess(work, limits)) as child:
-        return _answered(child.listen(watch), child, limits)
+    server = fork_server()
+    begin = partial(_OwnChild, work, limits) if server is None else partial(_served, server, work, limits)
+    with closing(SandboxProcess(begin, limits)) as child:
+        return child.answer(watch)
+
+
+def _served(
+    server: ForkServer, work: Callable[[ProgressCallback], bytes], limits: SandboxLimits, pipe: Pipe
+) -> ForkedChild:
+    """A child of the fork server for this work alone."""
+    task = single_task(limits, work)
+    try:
+        return ServedChild(server, task, pipe[1])
+    finally:
+        os.close(task)
 
 
 def _without_progress(work: Callable[[], bytes], _progress: ProgressCallback) -> bytes:
@@ -93,7 +123,7 @@ def _without_progress(work: Callable[[], bytes], _progress: ProgressCallback) ->
 class _OwnChild:
     """A child that this process forked from itself."""
 
-    def __init__(self, work: Callable[[ProgressCallback], bytes], limits: SandboxLimits, pipe: tuple[int, int]) -> None:
+    def __init__(self, work: Callable[[ProgressCallback], bytes], limits: SandboxLimits, pipe: Pipe) -> None:
         reading, writing = pipe
         self.begun_s: float | None = time.monotonic()
         self._status: int | None = None
@@ -102,12 +132,17 @@ class _OwnChild:
         self._pid = _forked()
         if self._pid == 0:
             os.close(reading)
-            run_child(SandboxTask(work, limits, writing), parent)
-        self.ended = os.pidfd_open(self._pid)
+            run_child(SandboxTask((work,), limits, writing), parent)
+        self._ended = os.pidfd_open(self._pid)
+
+    @property
+    def ended(self) -> int:
+        """The descriptor that tells its end."""
+        return self._ended
 
     def has_ended(self) -> bool:
         """Whether it has."""
-        return bool(_readable([self.ended], 0))
+        return bool(_readable([self._ended], 0))
 
     def reap(self) -> int:
         """Its wait status, having ended it where it has not ended by itself."""
@@ -119,21 +154,18 @@ class _OwnChild:
     def close(self) -> None:
         """Ended, and nothing of it left."""
         self.reap()
-        os.close(self.ended)
+        os.close(self._ended)
 
 
-class _SandboxProcess:
+class SandboxProcess:
     """A child and the pipe it speaks through, from its first moment to its reaping."""
 
-    def __init__(self, work: Callable[[ProgressCallback], bytes], limits: SandboxLimits) -> None:
+    def __init__(self, begin: Callable[[Pipe], ForkedChild], limits: SandboxLimits) -> None:
+        """`begin` answers with a child that writes into the pipe's second end."""
         reading, writing = os.pipe()
-        self._limits, server = limits, fork_server()
+        self._limits = limits
         try:
-            self._child = (
-                _OwnChild(work, limits, (reading, writing))
-                if server is None
-                else ServedChild(server, work, limits, writing)
-            )
+            self.child = begin((reading, writing))
         except BaseException:
             os.close(reading)
             raise
@@ -141,13 +173,27 @@ class _SandboxProcess:
             os.close(writing)
         self._reading = reading
         os.set_blocking(reading, False)
+        self._reader = SandboxMessageReader(reading, limits.answer_bytes)
+        self._is_sound = False
 
-    def listen(self, watch: SandboxWatch) -> SandboxMessage | None:
+    @property
+    def is_waiting(self) -> bool:
+        """Whether it answered what it was asked, and said nothing since."""
+        return self._is_sound and self._reader.is_quiet and not _readable([self._reading], 0)
+
+    def answer(self, watch: SandboxWatch) -> bytes:
+        """What it says to the work that it was given last. Raises as `sandboxed`."""
+        self._is_sound = False
+        word = self._listen(watch)
+        self._is_sound = word is not None and word.kind in (ANSWER, REFUSAL)
+        return _answered(word, self, self._limits)
+
+    def _listen(self, watch: SandboxWatch) -> SandboxMessage | None:
         """Its last word; None where it ended without one. Raises `SandboxInterruptedError` when time is up."""
-        reader = SandboxMessageReader(self._reading, self._limits.answer_bytes)
+        reader, asked_s = self._reader, time.monotonic()
         while True:
-            _readable([self._child.ended, *([] if reader.is_closed else [self._reading])], GLANCE_MS)
-            is_over = self._child.has_ended()  # what it said before is in the pipe then
+            _readable([self.child.ended, *([] if reader.is_closed else [self._reading])], GLANCE_MS)
+            is_over = self.child.has_ended()  # what it said before is in the pipe then
             for word in reader.words():
                 if word.kind == FENCED:
                     _note(word.texts())
@@ -158,20 +204,20 @@ class _SandboxProcess:
             if is_over:
                 return None
             watch.on_poll()
-            self._stop_when_late()
+            self._stop_when_late(asked_s)
 
     def close(self) -> None:
         """Ended and reaped, its pipe closed."""
         os.close(self._reading)
-        self._child.close()
+        self.child.close()
 
     def reap(self) -> int:
         """Its wait status, having ended it where it has not ended by itself."""
-        return self._child.reap()
+        return self.child.reap()
 
-    def _stop_when_late(self) -> None:
-        begun_s = self._child.begun_s
-        if begun_s is not None and time.monotonic() - begun_s > self._limits.wall_s:
+    def _stop_when_late(self, asked_s: float) -> None:
+        begun_s = self.child.begun_s
+        if begun_s is not None and time.monotonic() - max(begun_s, asked_s) > self._limits.wall_s:
             raise SandboxInterruptedError(f"took longer than {self._limits.wall_s:g} s of wall time")
 
 
@@ -199,7 +245,7 @@ def _note(fences: SandboxMechanisms) -> None:
     log.warning("sandbox is not wholly fenced", **dict(known))
 
 
-def _answered(word: SandboxMessage | None, child: _SandboxProcess, limits: SandboxLimits) -> bytes:
+def _answered(word: SandboxMessage | None, child: SandboxProcess, limits: SandboxLimits) -> bytes:
     if word is None:
         raise _ended(child.reap(), limits)
     if word.kind == ANSWER:

@@ -25,6 +25,15 @@ class Room:
     total_bytes: int | None = None
 
 
+@dataclass(frozen=True)
+class ProcessUsage:
+    """Processor time, user and system; the bytes that a process holds, and the most that it held."""
+
+    cpu_s: float = 0.0
+    held_bytes: int = 0
+    peak_bytes: int = 0
+
+
 @dataclass
 class _ServedUsage:
     """What children of a fork server have used that worked for this process."""
@@ -52,6 +61,18 @@ def used_cpu_s() -> float:
 def peak_bytes() -> int:
     """The most memory that any one of them held."""
     return max(_SERVED.peak_bytes, *(resource.getrusage(who).ru_maxrss * 1024 for who in OURS))
+
+
+def usage_of(pid: int, proc: Path = PROC) -> ProcessUsage:
+    """What another process has used by now; nothing of one that ended."""
+    try:
+        fields = (proc / str(pid) / "stat").read_text().rpartition(")")[2].split()
+        status = (proc / str(pid) / "status").read_text()
+    except OSError:
+        return ProcessUsage()
+    found = {name: int(kib) * 1024 for name, kib in re.findall(r"^(VmHWM|VmRSS):\s+(\d+) kB$", status, re.MULTILINE)}
+    cpu_s = sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK")
+    return ProcessUsage(cpu_s, found.get("VmRSS", 0), found.get("VmHWM", 0))
 
 
 def held_bytes(proc: Path = PROC) -> int | None:

@@ -1,8 +1,12 @@
 """A ground truth is what the labels of a dataset version's part say, to the voxel; nothing of them leaves its job."""
 
 import json
+import mmap
+import os
 import re
-from collections.abc import Iterator
+import signal
+import socket
+from collections.abc import Callable, Iterator
 from collections.abc import Sequence as Listing
 from pathlib import Path
 
@@ -12,7 +16,17 @@ from sqlalchemy import select
 
 from services.domain.benchmarks.phases.ground_truths import start_truth
 from services.domain.benchmarks.phases.phases import NewBenchmark, NewPhase, create_benchmark, create_phase
-from services.eval.ground_truth import find_ground_truth, read_truth, truth_hash, whole_hash
+from services.eval import sandboxed_truth, truth_build
+from services.eval.ground_truth import (
+    MAX_LABELS_BYTES,
+    Mask,
+    find_ground_truth,
+    read_truth,
+    truth_hash,
+    truth_in,
+    whole_hash,
+)
+from services.eval.sandboxed_truth import TruthAnswer, TruthInputs, write_truth
 from services.eval.truth_pack import TruthPack
 from services.runtime.orm import (
     Activation,
@@ -27,12 +41,15 @@ from services.runtime.orm import (
     new_id,
 )
 from services.runtime.platform import Platform
+from services.runtime.sandbox import ProgressCallback, job_sandbox
+from stone.scoring.bitplanes import TruthPlanes
 from stone_files.npz import npz_bytes
 from stone_submissions.manifest import read_manifest
 from testing.api.serving import person
 from testing.worlds import made, published
 from testing.worlds.benchmark_world import Grid, World, ground, labels_npz, new_truth, run_eval
 from testing.worlds.sending import standing_world
+from tests.services.eval.attacks import BOMB_BYTES, FREE, bomb
 
 
 @pytest.fixture(scope="module")
@@ -147,16 +164,21 @@ def beyond(grid: Grid) -> Grid:
     return spoilt
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
-        b"no npz",
-        npz_bytes({"semantics": ground(1)}),  # the phase needs a mask
-        npz_bytes({"semantics": beyond(ground(1)), "mask_lidar": np.ones((256, 256, 32), np.uint8)}),
-        npz_bytes({"semantics": ground(1)[:-1], "mask_lidar": np.ones((256, 256, 32), np.uint8)}),
-    ],
-    ids=["no npz", "no mask", "a label that is none", "another shape"],
-)
+MASKED = {"mask_lidar": np.ones((256, 256, 32), np.uint8)}
+UNFIT = {
+    "no npz": b"no npz",
+    "no mask": npz_bytes({"semantics": ground(1)}),  # which the phase needs
+    "a label that is none": npz_bytes({"semantics": beyond(ground(1)), **MASKED}),
+    "another shape": npz_bytes({"semantics": ground(1)[:-1], **MASKED}),
+    "numbers that are none": npz_bytes({"semantics": np.full((256, 256, 32), np.nan), **MASKED}),
+    "a zip bomb": bomb(BOMB_BYTES),
+    "a zip bomb that says it is small": bomb(FREE.nbytes + 128),
+    "cut off": labels_npz(ground(1))[:-40],
+    "longer than any label file": bytes(MAX_LABELS_BYTES + 1),
+}
+
+
+@pytest.mark.parametrize("content", UNFIT.values(), ids=UNFIT.keys())
 def test_labels_that_are_none_end_the_job_without_a_word_of_what_they_hold(world: World, content: bytes) -> None:
     phase_id, job, lines = unfit(world.platform, content)
     assert (job.state, job.failure_code, job.attempt) == ("failed", "labels_unfit", 1)
@@ -167,6 +189,78 @@ def test_labels_that_are_none_end_the_job_without_a_word_of_what_they_hold(world
     assert [truth.ready_ns for truth in truths(world, phase_id)] == [None]
     with world.platform.database.reading() as session:
         assert session.scalars(select(Activation.id).where(Activation.phase_id == phase_id)).all() == []
+
+
+def killed_at_first() -> Callable[..., bytes]:
+    """The work, whose first process is killed, as by a machine that is short of memory."""
+    has_begun = mmap.mmap(-1, 1)  # what a child writes there, the next one sees
+
+    def work(inputs: TruthInputs, folder: Path, progress: ProgressCallback) -> bytes:
+        if not has_begun[0]:
+            has_begun[0] = 1
+            os.kill(os.getpid(), signal.SIGKILL)
+        return write_truth(inputs, folder, progress)
+
+    return work
+
+
+def begun(world: World) -> str:
+    """The id of the job of another ground truth of the test phase."""
+    with world.platform.database.transaction() as session:
+        phase = session.get_one(Phase, world.test)
+        version = session.get_one(Dataset, phase.dataset_id)
+        return start_truth(session, phase, version, world.administrator.user_id)[1].id
+
+
+def job_of(world: World, job_id: str) -> Job:
+    with world.platform.database.reading() as session:
+        return session.get_one(Job, job_id)
+
+
+def test_no_label_file_is_opened_in_the_worker_itself(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened_here = list[str]()
+
+    def noted(npz: bytes, mask: Mask, path: Path) -> TruthPlanes:
+        opened_here.append(str(path))
+        return truth_in(npz, mask, path)
+
+    monkeypatch.setattr(sandboxed_truth, "truth_in", noted)
+    job_id = begun(world)
+    run_eval(world.platform)
+    assert job_of(world, job_id).state == "succeeded"
+    assert opened_here == []
+
+
+def test_a_child_that_is_killed_costs_one_attempt(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = truths(world, world.test)[0]
+    monkeypatch.setattr(truth_build, "write_truth", killed_at_first())
+    job_id = begun(world)
+    run_eval(world.platform)
+    job = job_of(world, job_id)
+    assert (job.state, job.attempt) == ("succeeded", 2)
+    assert truths(world, world.test)[-1].pack_sha256 == first.pack_sha256
+
+
+ATTACKS: dict[str, tuple[Callable[..., object], str]] = {
+    "a crash": (lambda *_: os.abort(), "was ended by SIGABRT"),
+    "all memory": (lambda *_: bytearray(2 * job_sandbox.MEMORY_BYTES), "needed more than"),
+    "a connection": (lambda *_: socket.create_connection(("127.0.0.1", 9)), "raised PermissionError"),
+    "an answer of its own": (lambda *_: b'{"sha256":"","frames":1}', "answered something else than what was built"),
+    "no file": (lambda *_: TruthAnswer(sha256="0" * 64, frames=4).packed(), "built something else"),
+}
+
+
+@pytest.mark.parametrize("attack", ATTACKS)
+def test_a_child_that_is_taken_over_fails_its_job_with_a_code(
+    world: World, attack: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    work, fate = ATTACKS[attack]
+    monkeypatch.setattr(truth_build, "write_truth", work)
+    job_id = begun(world)
+    run_eval(world.platform)
+    job = job_of(world, job_id)
+    assert (job.state, job.failure_code, job.attempt) == ("failed", "reader_crashed", 1)
+    assert fate in job.failure
 
 
 def test_labels_that_changed_in_the_store_are_not_taken(world: World) -> None:

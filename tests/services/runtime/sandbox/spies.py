@@ -4,9 +4,15 @@ import os
 import re
 import socket
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
+from services.runtime.sandbox import ProgressCallback
+from services.runtime.sandbox.messages import ANSWER, send_message
+from stone_submissions.errors import CorruptError
+
+REMEMBERED = list[int]()
 SECRET = re.compile(rb"stone-secret-[0-9a-f]{32}")  # what it finds is not what it looks like
 PIECE_BYTES, LONGEST_BYTES = 2**20, 45
 
@@ -85,3 +91,54 @@ def sleep(told: Path) -> bytes:
 def parent() -> bytes:
     """The process that it was forked from."""
     return str(os.getppid()).encode()
+
+
+def without_progress(work: Callable[[], bytes], _progress: ProgressCallback) -> bytes:
+    """Work that tells nothing of how far it is."""
+    return work()
+
+
+def answer_of(_given: bytes) -> bytes:
+    return pid()
+
+
+def pid_in(_folder: Path, _progress: ProgressCallback) -> bytes:
+    return pid()
+
+
+def pid() -> bytes:
+    return str(os.getpid()).encode()
+
+
+def remember() -> bytes:
+    """Leave something behind for the next job in this process, and say who did."""
+    REMEMBERED.append(os.getpid())
+    return pid()
+
+
+def end_if_remembered() -> bytes:
+    """Break where another job was before."""
+    if REMEMBERED:
+        os.abort()
+    return pid()
+
+
+def end_by(number: int) -> bytes:
+    os.kill(os.getpid(), number)
+    return b""
+
+
+def refuse() -> bytes:
+    raise CorruptError("sound bytes", "something else")
+
+
+def allocate(count_bytes: int) -> bytes:
+    return str(len(bytearray(count_bytes))).encode()
+
+
+def answer_twice(payload: bytes) -> bytes:
+    """Say this, as an answer, by whatever descriptor can be written to; then answer."""
+    for descriptor in range(3, 64):
+        with suppress(OSError):
+            send_message(descriptor, ANSWER, payload)
+    return b"the answer"

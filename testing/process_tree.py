@@ -13,7 +13,7 @@ def fork_servers_of(worker: int) -> list[int]:
 
 
 def sandboxed_children_of(worker: int) -> list[int]:
-    """Those that are at work now."""
+    """Those that it has now, at work or waiting for their run's next job."""
     return [child for server in fork_servers_of(worker) for child in children_of(server)]
 
 
