@@ -19,7 +19,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtr, stdtrit
 
 from stone.errors import ShapeError
 from stone.scoring.confusion import Counts
@@ -66,6 +65,8 @@ class Estimate:
 
     def interval(self, level: float = LEVEL) -> tuple[float, float]:
         """Central, symmetric around the value."""
+        from scipy.special import stdtrit  # a third of a second, which no process pays at its start
+
         reach = self.error * float(stdtrit(self.degrees, (1 + level) / 2))
         return self.value - reach, self.value + reach
 
@@ -80,6 +81,8 @@ class Estimate:
     @property
     def p(self) -> float:
         """Two-sided, that the true value is 0."""
+        from scipy.special import stdtr
+
         return float(2 * stdtr(self.degrees, -abs(self.value) / self.error))
 
 

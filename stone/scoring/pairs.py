@@ -16,7 +16,6 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaln, ndtr
 
 from stone.errors import ShapeError
 from stone.scoring.intervals import LEAST_SPREAD, LEVEL
@@ -82,6 +81,8 @@ def range_quantile(count: int, degrees: int, level: float = LEVEL) -> float:
 
 def _range_distribution(q: float, count: int, degrees: int) -> float:
     """P(range / s ≤ q) = ∫ f(s) n ∫ φ(z) (Φ(z) − Φ(z − q s))ⁿ⁻¹ dz ds, s² a mean of `degrees` squares."""
+    from scipy.special import gammaln, ndtr  # a third of a second, which no process pays at its start
+
     nodes, weights = _quadrature()
     s, ds = 2.5 * (nodes + 1), 2.5 * weights
     log_f = np.log(2) + degrees / 2 * np.log(degrees / 2) - gammaln(degrees / 2)

@@ -21,7 +21,6 @@ from itertools import accumulate, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import dct
 
 from stone.errors import ShapeError
 
@@ -83,6 +82,8 @@ class SpectrumLayout:
 
 def coefficients(influences: NDArray[np.floating], layout: SpectrumLayout) -> NDArray[np.float64]:
     """The kept coefficients (K, …) of influences (F, …). Raises `ShapeError` where lengths and frames disagree."""
+    from scipy.fft import dct  # not loaded by who only reads coefficients
+
     frames = layout.frames_of_sequence
     if len(influences) != sum(frames) or min(frames, default=0) < 1:
         raise ShapeError("influences", influences.shape, f"({sum(frames)}, …), sequences of a frame or more each")
