@@ -99,4 +99,5 @@ def sums_of_sequences(kept: Coefficients, layout: SpectrumLayout) -> NDArray[np.
 
 
 def layout_of(frames_of_sequence: Sequence[int]) -> SpectrumLayout:
+    """Of sequences with so many frames, in their order."""
     return SpectrumLayout(tuple(int(frames) for frames in frames_of_sequence))
