@@ -14,6 +14,7 @@ from celery.signals import setup_logging, worker_init, worker_process_init, work
 from sqlalchemy.orm import configure_mappers
 
 from services.runtime.jobs.broker_app import make_app
+from services.runtime.jobs.broker_credit import free_room_in_any_case
 from services.runtime.jobs.worker_presence import WorkerHeartbeat
 from services.runtime.platform import platform
 from services.runtime.processes.parent_death import die_with
@@ -21,6 +22,7 @@ from services.runtime.settings import Settings
 from services.runtime.telemetry.log_lines import speak_json
 from services.runtime.telemetry.tracing import close_tracing, setup_tracing
 
+free_room_in_any_case()
 app = make_app(Settings())
 _HERE: list[WorkerHeartbeat] = []
 
