@@ -18,9 +18,9 @@ from rich.table import Table
 from scipy.stats import binom
 
 from stone.scoring.confusion import ratios
-from stone.scoring.intervals import LEVEL, Estimate, RatioSpectra, estimates, ratio_spectra
+from stone.scoring.intervals import LEVEL, Estimate, estimates, ratio_spectra
 from stone.scoring.metric import RATIOS
-from stone.scoring.pairs import BoardSpectra, surely_above
+from stone.scoring.pairs import board_spectra, surely_above
 from stone.scoring.ranking import tie_groups
 from stone.scoring.silences import SCOPES, Scope
 from testing.worlds.correlated_scores import CorrelatedWorld, trial, true_miou
@@ -102,18 +102,10 @@ def boards(world: CorrelatedWorld, entries: int, trials: int, seed: int) -> Boar
         values = np.array([ratios(confusions.sum(axis=0))[MIOU] for confusions in drawn.confusions])
         spectra = [ratio_spectra(confusions, world.frames_of_sequence) for confusions in drawn.confusions]
         order = np.argsort(-values)
-        above = surely_above(values[order], _board([spectra[place] for place in order]))
+        above = surely_above(values[order], board_spectra([spectra[place] for place in order], MIOU))
         said += above is not None
         split += above is not None and int(tie_groups(above).max()) > 1
     return BoardTrials(world, entries, trials, said, split)
-
-
-def _board(spectra: Sequence[RatioSpectra]) -> BoardSpectra:
-    return BoardSpectra(
-        spectra[0].layout,
-        np.stack([one.coefficients[:, MIOU] for one in spectra]),
-        np.array([one.spread[MIOU] for one in spectra]),
-    )
 
 
 def worlds() -> Iterator[CorrelatedWorld]:
@@ -215,7 +207,7 @@ def main() -> None:
 
 
 def _trials(world: CorrelatedWorld, most: int) -> int:
-    return max(200, min(most, MOST_FRAMES // sum(world.frames_of_sequence)))
+    return min(most, max(200, MOST_FRAMES // sum(world.frames_of_sequence)))
 
 
 if __name__ == "__main__":

@@ -86,14 +86,6 @@ class Estimate:
         return float(2 * stdtr(self.degrees, -abs(self.value) / self.error))
 
 
-@dataclass(frozen=True)
-class Differences:
-    """Of a − b: an estimate by ratio and scope, or the silence."""
-
-    these_places: tuple[Estimate | Silence, ...]
-    new_place: tuple[Estimate | Silence, ...]
-
-
 def ratio_spectra(confusions: Counts, frames_of_sequence: Sequence[int], metric: str = METRIC_VERSION) -> RatioSpectra:
     """Of confusions (F, 4, 4) by frame. Raises `ShapeError` where lengths and frames disagree, `UnknownMetricError`."""
     found, layout = frame_influences(confusions, metric), layout_of(frames_of_sequence)

@@ -10,7 +10,7 @@ apart has the stated chance together, and the best of many lucky ones is not tol
 Source: Tukey (1953), Kramer (1956), for unequal variances Games and Howell (1976).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone.errors import ShapeError
-from stone.scoring.intervals import LEAST_SPREAD, LEVEL
+from stone.scoring.intervals import LEAST_SPREAD, LEVEL, RatioSpectra
 from stone.scoring.sampling_variance import Floats, sampling_variances
 from stone.scoring.spectra import Coefficients, SpectrumLayout
 
@@ -33,6 +33,15 @@ class BoardSpectra:
     layout: SpectrumLayout
     coefficients: Coefficients
     spread: Floats
+
+
+def board_spectra(entries: Sequence[RatioSpectra], column: int) -> BoardSpectra:
+    """Of scores by one ground truth, so of the same sequences, one or more: one of the ratios that each has."""
+    return BoardSpectra(
+        entries[0].layout,
+        np.stack([one.coefficients[:, column] for one in entries]),
+        np.array([one.spread[column] for one in entries], np.float64),
+    )
 
 
 def surely_above(values: NDArray[np.floating], spectra: BoardSpectra, level: float = LEVEL) -> Claims | None:

@@ -18,7 +18,7 @@ from services.domain.benchmarks.boards.score_spectra import read_spectra
 from services.runtime.store.protocol import Store
 from stone.scoring.intervals import RatioSpectra
 from stone.scoring.metric import RATIOS
-from stone.scoring.pairs import BoardSpectra, surely_above
+from stone.scoring.pairs import board_spectra, surely_above
 from stone.scoring.ranking import rank_intervals, tie_groups
 from stone.scoring.silences import WITHDRAWN, Silence
 
@@ -61,7 +61,7 @@ def rank_confidence_of(store: Store, ranked: Sequence[RankedScore], key_of: Mapp
         return _silent(ranked, WITHDRAWN)
     if len(ranked) < 2:
         return _silent(ranked, None)
-    claims = surely_above(np.array([one.value for one in compared]), _of_board(known))
+    claims = surely_above(np.array([one.value for one in compared]), board_spectra(known, 0))
     if claims is None:
         return _silent(ranked, "few_frames")
     beneath = (None,) * (len(ranked) - len(compared))
@@ -86,13 +86,4 @@ def _spectra(store: Store, sha256: str, object_key: str) -> RatioSpectra | None:
         np.ascontiguousarray(found.coefficients[:, column]),
         np.ascontiguousarray(found.sequence_weight[:, column]),
         found.spread[column].copy(),
-    )
-
-
-def _of_board(spectra: Sequence[RatioSpectra]) -> BoardSpectra:
-    """All by one ground truth, so of the same sequences."""
-    return BoardSpectra(
-        spectra[0].layout,
-        np.stack([one.coefficients[:, 0] for one in spectra]),
-        np.array([one.spread[0] for one in spectra], np.float64),
     )
