@@ -30,6 +30,7 @@ from stone.scoring.spectra import Coefficients, SpectrumLayout, coefficients, la
 
 LEVEL = 0.95
 LEAST_SPREAD = 0.5
+LEAST_WANDER = 1e-12  # of a ratio: below it is rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,9 +115,9 @@ def _estimate(value: float, variance: float, degrees: float, scope: Scope) -> Es
 
 def _silences(values: NDArray[np.floating], spectra: RatioSpectra, scope: Scope) -> list[Silence | None]:
     """What is known before anything is estimated."""
-    wanders = np.ptp(sums_of_sequences(spectra.coefficients, spectra.layout), axis=0) > 0
+    wanders = np.ptp(sums_of_sequences(spectra.coefficients, spectra.layout), axis=0) > LEAST_WANDER
     if scope == "these_places":
-        wanders = (spectra.coefficients**2).sum(axis=0) > 0
+        wanders = np.sqrt((spectra.coefficients**2).sum(axis=0)) > LEAST_WANDER
     found: list[Silence | None] = []
     for value, has_wander, spread in zip(values, wanders, spectra.spread, strict=True):
         is_few = scope == "new_place" and len(spectra.layout.frames_of_sequence) < FEWEST_SEQUENCES

@@ -119,6 +119,17 @@ def test_undefined_and_the_same_in_every_frame_are_said_to_be_so() -> None:
         assert (found["iou_p"], found["miou"], found["iou_n"]) == ("undefined", "undefined", "no_wander")
 
 
+def test_a_ratio_that_is_the_same_in_every_frame_is_so_whatever_rounding_says() -> None:
+    confusions = np.zeros((1500, 4, 4), np.int64)
+    for of_class in (1, 2, 3):
+        confusions[:, of_class, of_class], confusions[:, of_class, 0] = 1, 48
+    confusions *= np.random.default_rng(0).integers(1, 99, (1500, 1, 1))
+    values, spectra = scored(confusions, (300,) * 5)
+    for scope in SCOPES:
+        assert reasons(spectra, values, scope) == {"no_wander"}
+        assert set(estimates(values, spectra, scope)) == {"no_wander"}
+
+
 def test_an_entry_does_not_wander_from_itself() -> None:
     values, spectra = scored(noise((300,) * 5), (300,) * 5)
     for scope in SCOPES:
