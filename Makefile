@@ -1,10 +1,11 @@
-# make install | demo | serve | test | test-all | test-kernels | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-platform | bench-pages | bench-truth | bench-movers | bench-mounts | bench-real | bench-faults | bench-decisions | season | images
+# make install | baselines | demo | serve | test | test-all | test-kernels | test-baselines | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-platform | bench-pages | bench-truth | bench-movers | bench-mounts | bench-real | bench-faults | bench-decisions | season | images
 # Each installs first, which costs nothing when nothing changed.
-.PHONY: install test-clients demo serve test test-all test-kernels check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-platform bench-pages bench-truth bench-movers bench-mounts bench-real bench-faults bench-decisions season images
+.PHONY: install baselines test-baselines test-clients demo serve test test-all test-kernels check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-platform bench-pages bench-truth bench-movers bench-mounts bench-real bench-faults bench-decisions season images
 .DELETE_ON_ERROR:
 
 BIN := .venv/bin
 INSTALLED := .venv/.installed
+BASELINES := .venv-baselines/.installed
 BUILT := web/built/app.js
 # One more than cores: tests wait for the servers that they start. Whole files, so that what a file makes is made once.
 BESIDE = --numprocesses $(shell n=$$(nproc); echo $$((n < 5 ? n + 1 : 6))) --dist loadfile --no-loadscope-reorder
@@ -30,6 +31,12 @@ test-clients: install
 	deploy/install-browser.sh
 	deploy/install-helm.sh
 
+baselines: $(BASELINES)
+
+$(BASELINES): $(INSTALLED) baselines/requirements-cpu.txt deploy/create-baselines-venv.sh
+	deploy/create-baselines-venv.sh
+	touch $@
+
 demo: install
 	$(BIN)/stone demo
 
@@ -47,13 +54,19 @@ test-all: test-clients
 test-kernels: install
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=$(CURDIR)/build/checked-kernels $(BIN)/pytest $(BESIDE) -m "not whole" $(KERNELS)
 
+# What models need is in an environment of its own: the platform's tests run without torch.
+test-baselines: baselines
+	.venv-baselines/bin/python -m mypy -p baselines
+	.venv-baselines/bin/python -m pytest $(BESIDE) tests/baselines
+
 check: test-clients
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/deptry stone stone_files stone_recordings stone_submissions services simulator stone_client api web
+	$(BIN)/deptry stone stone_files stone_recordings stone_submissions baselines services simulator stone_client api web
 	$(BIN)/deptry --ignore DEP002,DEP004 benchmarks chaos deploy docsite fuzz testing tests
+	$(MAKE) --no-print-directory test-baselines
 	$(MAKE) --no-print-directory test-all
 
 docs: install

@@ -17,7 +17,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = (
     "stone", "stone_files", "stone_recordings", "stone_submissions",
-    "services", "simulator", "stone_client", "api", "web",
+    "baselines", "services", "simulator", "stone_client", "api", "web",
 )  # fmt: skip
 SOURCES = tuple(
     path

@@ -44,7 +44,7 @@ def sources() -> set[str]:
     """Every module of the project, as it was before the wheel was made."""
     folders = (
         *("stone", "stone_files", "stone_recordings", "stone_submissions"),
-        *("services", "simulator", "stone_client", "api", "web"),
+        *("baselines", "services", "simulator", "stone_client", "api", "web"),
     )
     found = [path for folder in folders for path in (ROOT / folder).rglob("*.py")]
     return {path.relative_to(ROOT).as_posix() for path in found if "node_modules" not in path.parts}

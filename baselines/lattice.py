@@ -1,0 +1,67 @@
+"""The voxel lattice that a model predicts on: the benchmark's grid, or a part of it, or a coarser one.
+
+**Conventions.** Axes x, y, z of the ego frame, in that order, C order; a voxel's index is `floor((p − min) / size)`.
+"""
+
+from dataclasses import dataclass
+from math import isclose
+
+import torch
+from torch import Tensor
+
+from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
+from stone.labels.voxels import VOXEL_M
+
+Triple = tuple[float, float, float]
+Shape = tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class VoxelLattice:
+    """Voxels of `voxel_m` metres from the corner `min_m`, `shape` of them along x, y, z."""
+
+    min_m: Triple = GRID_MIN_M
+    voxel_m: Triple = (VOXEL_M, VOXEL_M, VOXEL_M)
+    shape: Shape = GRID_SHAPE
+
+    @property
+    def max_m(self) -> Triple:
+        x, y, z = (low + size * n for low, size, n in zip(self.min_m, self.voxel_m, self.shape, strict=True))
+        return x, y, z
+
+    def coarser(self, ratio: int | Shape) -> "VoxelLattice":
+        """The same volume in voxels `ratio` times as long. Raises `ValueError` where it does not divide the shape."""
+        ratios = (ratio, ratio, ratio) if isinstance(ratio, int) else ratio
+        if any(n % r for n, r in zip(self.shape, ratios, strict=True)):
+            raise ValueError(f"a lattice of {self.shape} voxels cannot be made {ratios} times coarser")
+        sizes = [size * r for size, r in zip(self.voxel_m, ratios, strict=True)]
+        counts = [n // r for n, r in zip(self.shape, ratios, strict=True)]
+        return VoxelLattice(self.min_m, (sizes[0], sizes[1], sizes[2]), (counts[0], counts[1], counts[2]))
+
+    def voxels(self) -> int:
+        x, y, z = self.shape
+        return x * y * z
+
+    def centres_m(self, device: torch.device | None = None) -> Tensor:
+        """Centres of all voxels (X, Y, Z, 3), float32, ego frame."""
+        axes = [
+            low + size * (torch.arange(n, device=device, dtype=torch.float32) + 0.5)
+            for low, size, n in zip(self.min_m, self.voxel_m, self.shape, strict=True)
+        ]
+        return torch.stack(torch.meshgrid(*axes, indexing="ij"), dim=-1)
+
+    def indices_of(self, points_ego: Tensor) -> tuple[Tensor, Tensor]:
+        """Voxel indices (N, 3) int64 of points (N, 3), and which of them (N,) lie in the lattice.
+
+        Indices of points outside, NaN among them, are 0.
+        """
+        low, size = points_ego.new_tensor(self.min_m), points_ego.new_tensor(self.voxel_m)
+        place = torch.floor((points_ego - low) / size)
+        is_inside = ((place >= 0) & (place < place.new_tensor(self.shape))).all(dim=1)
+        return torch.where(is_inside[:, None], place, place.new_zeros(())).long(), is_inside
+
+    def is_benchmark(self) -> bool:
+        """Whether a prediction on it is a submission's grid."""
+        return self.shape == GRID_SHAPE and all(
+            isclose(a, b) for a, b in zip((*self.min_m, *self.voxel_m), (*GRID_MIN_M, *([VOXEL_M] * 3)), strict=True)
+        )
