@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from stone.errors import StoneError
 from stone.geometry.se3 import SE3
-from stone_client.files.export_files import ExportFileSpan, Files, FolderFiles, TarFiles
-from stone_client.files.tar_index import tar_spans_of
+from stone_exports.files import ExportFileSpan, Files, FolderFiles, TarFiles
+from stone_exports.tar_index import tar_spans_of
 
 TABLES = "v1.0-trainval"
 SAMPLE_DATA = f"{TABLES}/sample_data.json"
