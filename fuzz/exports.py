@@ -12,7 +12,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from stone_exports.files import FolderFiles
-from stone_exports.sweeps import TABLES, exports_in, sweeps_in
+from stone_exports.sweeps import sweeps_in
+from stone_exports.tables import TABLES, exports_in
 
 BLOCK_BYTES = 512
 TOKEN = "a" * 32

@@ -16,7 +16,8 @@ from typing import Any, ClassVar, TypeVar
 from stone.errors import StoneError
 from stone.labels.baseline import predict_from_sweep
 from stone_client.progress import Report
-from stone_exports.sweeps import SweepFile, exports_in, sweeps_in
+from stone_exports.sweeps import SweepFile, sweeps_in
+from stone_exports.tables import exports_in
 from stone_submissions.manifest import Manifest, read_manifest
 from stone_submissions.writer import frame_file, write_files
 
