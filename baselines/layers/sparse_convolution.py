@@ -53,7 +53,7 @@ def strided_rules(voxels: SparseVoxels) -> Rulebook:
         there = torch.cat([indices[:, :1], doubled.div(2, rounding_mode="floor")], dim=1)
         is_output = (doubled % 2 == 0).all(dim=1) & is_inside(there, shape)
         joined.append((everyone[is_output], keys_of(there[is_output], shape)))
-    keys = torch.cat([outputs for _, outputs in joined]).unique()
+    keys = torch.unique(torch.cat([outputs for _, outputs in joined]))
     pairs = tuple((inputs, torch.searchsorted(keys, outputs)) for inputs, outputs in joined)
     return Rulebook(pairs, keys, shape)
 
@@ -79,7 +79,7 @@ class SparseConvolution3d(nn.Module):
 
     def dense_weight(self) -> Tensor:
         """(C_out, C_in, 3, 3, 3)."""
-        return self.weight.permute(2, 1, 0).unflatten(2, (3, 3, 3))
+        return self.weight.permute(2, 1, 0).reshape(-1, self.weight.shape[1], 3, 3, 3)
 
 
 def kernel_offsets(device: torch.device) -> Tensor:

@@ -55,7 +55,7 @@ def means_of_points(points: Points, features: Tensor, lattice: VoxelLattice, fra
     """
     place, is_inside = lattice.indices_of(points.features[:, :3])
     keys = keys_of(torch.cat([points.frame[:, None], place], dim=1)[is_inside], lattice.shape)
-    unique, voxel = keys.unique(return_inverse=True)
+    unique, voxel = torch.unique(keys, return_inverse=True)
     sums = features.new_zeros(len(unique), features.shape[1]).index_add(0, voxel, features[is_inside])
     counts = torch.bincount(voxel, minlength=len(unique))
     return SparseVoxels(sums / counts[:, None], unique, lattice.shape, frames)

@@ -60,7 +60,7 @@ def lovasz_softmax(logits: Tensor, labels: Tensor) -> Tensor:
     if len(classes) == 0:
         return logits.sum() * 0.0
     probabilities = scores.softmax(dim=1)
-    terms = [lovasz_extension(probabilities[:, c], classes == c) for c in classes.unique().tolist()]
+    terms = [lovasz_extension(probabilities[:, c], classes == c) for c in torch.unique(classes).tolist()]
     return torch.stack(terms).mean()
 
 

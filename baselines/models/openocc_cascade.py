@@ -64,7 +64,7 @@ class Cascade(nn.Module):
         for frame in range(len(batch)):
             evidence = FrameEvidence(coarse.features[frame], None if images is None else images[frame], batch, frame)
             cells = occupied_cells(coarse.logits[frame], most)
-            for part in children(cells, self.config.coarse_ratio).split(CHUNK):
+            for part in torch.split(children(cells, self.config.coarse_ratio), CHUNK):
                 logits.append(self.mlp(self.samples(part, evidence)))
                 indices.append(functional.pad(part, (1, 0), value=frame))
         return FineVoxels(torch.cat(logits), torch.cat(indices))
@@ -72,7 +72,7 @@ class Cascade(nn.Module):
     def squeezed(self, image_features: Tensor) -> Tensor:
         """The same pictures in fewer channels."""
         squeezed: Tensor = self.squeeze(image_features.flatten(0, 1))
-        return squeezed.unflatten(0, image_features.shape[:2])
+        return squeezed.view(*image_features.shape[:2], *squeezed.shape[1:])
 
     def samples(self, voxels: Tensor, evidence: FrameEvidence) -> Tensor:
         """What is known (N, C) of the fine voxels (N, 3)."""
