@@ -1,8 +1,8 @@
 """Checkpoints: everything that a run needs to go on as if it had never stopped, in one safetensors file.
 
-**Conventions.** Tensors `model.<name>`, `optimizer.<parameter>.<state>`, `rng.cpu`, `rng.cuda`; metadata is JSON: config,
-step, where in the epoch, data hash. Nothing is pickled. A file appears by atomic rename, so a kill leaves the one before.
-Weights alone (`write_weights`) are what `stone predict` reads.
+**Conventions.** Tensors `model.<name>`, `optimizer.<parameter>.<state>`, `rng.cpu`, `rng.cuda`; metadata is JSON:
+config, step, where in the epoch, data hash. Nothing is pickled. A file appears by atomic rename, so a kill leaves the
+one before. Weights alone (`write_weights`) are what `stone predict` reads.
 """
 
 import json
@@ -44,9 +44,7 @@ class Provenance:
     best_miou: float | None = None
 
 
-def write_checkpoint(
-    folder: Path, model: nn.Module, optimizer: torch.optim.Optimizer, provenance: Provenance
-) -> None:
+def write_checkpoint(folder: Path, model: nn.Module, optimizer: torch.optim.Optimizer, provenance: Provenance) -> None:
     """Replace the run's checkpoint."""
     tensors = {f"model.{name}": value for name, value in model.state_dict().items()}
     tensors |= _optimizer_tensors(model, optimizer)
@@ -101,7 +99,8 @@ def provenance_of(path: Path) -> Provenance:
 def load_backbone(backbone: nn.Module, path: Path) -> int:
     """Pretrained weights of the image backbone from a safetensors or torch file, torchvision's keys; how many fit.
 
-    Keys of the classifier are passed over. Raises `BadRunError` where nothing fits or the file holds anything but tensors.
+    Keys of the classifier are passed over. Raises `BadRunError` where nothing fits or the file holds anything but
+    tensors.
     """
     try:
         tensors = load_file(path) if path.suffix == ".safetensors" else torch.load(path, weights_only=True)

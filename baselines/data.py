@@ -28,7 +28,7 @@ from baselines.depth_targets import depth_picture
 from baselines.frame_record import FrameRecord
 from baselines.inputs import InputConfig
 from baselines.lattice import VoxelLattice
-from stone.labels.grid import GRID_MIN_M
+from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
 from stone.labels.voxels import VOXEL_M
 
 Draw = tuple[int, int]
@@ -116,7 +116,7 @@ class FrameDataset(Dataset[Batch]):
     def _labels(self, record: FrameRecord, mirrors: GridMirrors) -> torch.Tensor | None:
         if record.labels is None:
             return None
-        part = mirrors.of_labels(part_of_grid(record.labels, self.request.lattice))
+        part = mirrors.of_labels(record.labels[grid_part(self.request.lattice)])
         return torch.from_numpy(np.ascontiguousarray(part))[None]
 
     def _cameras(self, record: FrameRecord, rng: np.random.Generator) -> CameraViews:
@@ -163,14 +163,15 @@ class EpochSampler(Sampler[Draw]):
         yield from ((self.epoch, int(index)) for index in own[self.begin :])
 
 
-def part_of_grid(labels: NDArray[np.uint8], lattice: VoxelLattice) -> NDArray[np.uint8]:
-    """The part of a benchmark grid (256, 256, 32) that the lattice covers. Raises `ValueError` where it is no part."""
+def grid_part(lattice: VoxelLattice) -> tuple[slice, slice, slice]:
+    """Where in a benchmark grid (256, 256, 32) the lattice lies. Raises `ValueError` where it is no part of it."""
     corner = [round((low - of_grid) / VOXEL_M) for low, of_grid in zip(lattice.min_m, GRID_MIN_M, strict=True)]
     ends = [begin + count for begin, count in zip(corner, lattice.shape, strict=True)]
-    fits = all(begin >= 0 and end <= side for begin, end, side in zip(corner, ends, labels.shape, strict=True))
+    fits = all(begin >= 0 and end <= side for begin, end, side in zip(corner, ends, GRID_SHAPE, strict=True))
     if not fits or any(abs(size - VOXEL_M) > 1e-6 for size in lattice.voxel_m):
         raise ValueError(f"a lattice of {lattice.shape} voxels at {lattice.min_m} is no part of the benchmark's grid")
-    return labels[tuple(slice(begin, end) for begin, end in zip(corner, ends, strict=True))]
+    x, y, z = (slice(begin, end) for begin, end in zip(corner, ends, strict=True))
+    return x, y, z
 
 
 def _placed(now: FrameRecord, then: FrameRecord, rows: NDArray[np.float32], age_s: float) -> NDArray[np.float32]:

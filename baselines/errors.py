@@ -83,15 +83,3 @@ class TooLittleMemoryError(StoneError):
             f"{device} has too little memory for a step of {batch} frames: lower --batch, say "
             "--checkpoint-gradients, or train a smaller row"
         )
-
-
-class NoTorchError(StoneError):
-    """PyTorch is not installed where the command runs."""
-
-    code: ClassVar[str] = "no_torch"
-
-    def __init__(self, missing: str) -> None:
-        super().__init__(
-            f"{missing} is not installed here: run `make baselines`, then .venv-baselines/bin/stone with the same "
-            "words (or pip install 'stone-platform[baselines]')"
-        )

@@ -1,7 +1,7 @@
 """The platform's own metric of predictions while training: confusions add, ratios are read once.
 
-**Conventions.** As `stone.scoring.confusion`: rows ground truth, columns prediction. Voxels that nobody observed are not
-counted here; a benchmark may count them, so a board's figure can differ.
+**Conventions.** As `stone.scoring.confusion`: rows ground truth, columns prediction. Voxels that nobody observed are
+not counted here; a benchmark may count them, so a board's figure can differ.
 """
 
 from math import isnan
@@ -29,4 +29,6 @@ def confusion_of(logits: Tensor, labels: Tensor) -> NDArray[np.int64]:
 
 def scores_of(confusion: NDArray[np.int64]) -> dict[str, float | None]:
     """Ratios by name (`stone.scoring.metric.RATIOS`), None where a class is in neither."""
-    return {name: None if isnan(value) else value for name, value in zip(RATIOS, ratios(confusion).tolist(), strict=True)}
+    return {
+        name: None if isnan(value) else value for name, value in zip(RATIOS, ratios(confusion).tolist(), strict=True)
+    }

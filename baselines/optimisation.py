@@ -1,7 +1,7 @@
 """One training step: losses of a batch, gradients, and AdamW under a warmed-up cosine.
 
-**Conventions.** Only `forward` runs in bfloat16, losses in float32 (`occupancy_model.py`). Source: AdamW, Loshchilov and
-Hutter (2019); the schedule and clipping of OpenOccupancy's configurations.
+**Conventions.** Only `forward` runs in bfloat16, losses in float32 (`occupancy_model.py`). Source: AdamW, Loshchilov
+and Hutter (2019); the schedule and clipping of OpenOccupancy's configurations.
 """
 
 import math
@@ -70,9 +70,7 @@ def build_optimizer(model: nn.Module, config: TrainingConfig) -> torch.optim.Ada
     return torch.optim.AdamW(described, lr=config.learning_rate)
 
 
-def take_step(
-    parameters: list[nn.Parameter], optimizer: torch.optim.Optimizer, rate: float, clip_norm: float
-) -> float:
+def take_step(parameters: list[nn.Parameter], optimizer: torch.optim.Optimizer, rate: float, clip_norm: float) -> float:
     """Clip, step and clear; the gradients' norm before clipping."""
     norm = float(nn.utils.clip_grad_norm_(parameters, clip_norm))
     for group in optimizer.param_groups:

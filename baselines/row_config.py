@@ -27,8 +27,9 @@ MOST_CONFIG_BYTES = 65536
 class TrainingConfig:
     """How a row is trained. A step is `batch` · `accumulate` frames of each process.
 
-    The learning rate rises for `warmup_steps` and falls by a cosine to a thousandth; that of a pretrained image backbone
-    is `backbone_rate_ratio` of it. `stride`: every n-th frame of a sequence is trained on; earlier sweeps are all used.
+    The learning rate rises for `warmup_steps` and falls by a cosine to a thousandth; that of a pretrained image
+    backbone is `backbone_rate_ratio` of it. `stride`: every n-th frame of a sequence is trained on; earlier sweeps are
+    all used.
     """
 
     epochs: int = 24

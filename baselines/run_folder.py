@@ -14,8 +14,8 @@ ROW_FILE = "row.json"
 def opened_run(folder: Path, row: RowConfig, resume: bool, is_first: bool) -> tuple[RowConfig, bool]:
     """The row that the run trains, and whether it has a checkpoint to go on from.
 
-    A run that was killed before its first checkpoint begins again. Raises `RunExistsError` where one is there and is not
-    to be resumed, `BadRunError` where it trains another row.
+    A run that was killed before its first checkpoint begins again. Raises `RunExistsError` where one is there and is
+    not to be resumed, `BadRunError` where it trains another row.
     """
     named = folder / ROW_FILE
     if not named.exists():

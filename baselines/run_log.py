@@ -7,7 +7,6 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from torch.utils.tensorboard.writer import SummaryWriter
@@ -17,7 +16,7 @@ LOG, TENSORBOARD = "log.jsonl", "tensorboard"
 
 @dataclass(frozen=True)
 class TrainingReport:
-    """Where a run is. `losses` by term, `scores` of the platform's metric; `watched` where they are of other sequences."""
+    """Where a run is. `losses` by term, `scores` of the platform's metric; `watched`: of sequences not trained on."""
 
     step: int
     steps: int
@@ -61,6 +60,6 @@ class RunLog:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         self._file.close()
         self._board.close()

@@ -20,7 +20,8 @@ LABELS = "gts"
 def labelled_frames(paths: Sequence[Path]) -> tuple[FrameSource, ...]:
     """Every frame with samples, with its labels where there are some.
 
-    Raises `NotExportedError`, `BadTarError`, `DamagedExportError`, and `NothingToTrainOnError` where no frame has labels.
+    Raises `NotExportedError`, `BadTarError`, `DamagedExportError`, and `NothingToTrainOnError` where no frame has
+    labels.
     """
     exports, stores = list[Files](), list[Files]()
     for path in paths:

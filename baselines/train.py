@@ -43,8 +43,8 @@ Progress = Callable[[str, int, int], None]
 class TrainingPlan:
     """What to train, on what, and where the run is.
 
-    `watch`: exports that are scored after each epoch and never trained on; the weights are then those of the best epoch,
-    else the last. `loaders`: processes that read frames; 0 reads them in the training process.
+    `watch`: exports that are scored after each epoch and never trained on; the weights are then those of the best
+    epoch, else the last. `loaders`: processes that read frames; 0 reads them in the training process.
     """
 
     row: RowConfig
@@ -72,8 +72,8 @@ class TrainedRun:
 def train(plan: TrainingPlan, progress: Progress, reports: Reports) -> TrainedRun:
     """Train to the end of the plan, from the beginning or from the run's checkpoint.
 
-    Raises what reading exports raises, `NothingToTrainOnError`, `RunExistsError`, `BadRunError`, `TrainingDivergedError`,
-    `TooLittleMemoryError`.
+    Raises what reading exports raises, `NothingToTrainOnError`, `RunExistsError`, `BadRunError`,
+    `TrainingDivergedError`, `TooLittleMemoryError`.
     """
     with joined_processes(plan.device) as share:
         row, goes_on = opened_run(plan.run, plan.row, plan.resume, share.is_first)

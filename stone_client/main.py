@@ -31,6 +31,8 @@ from stone_client.commands.local.recover import recover
 from stone_client.commands.local.score import score
 from stone_client.commands.local.simulate import simulate
 from stone_client.commands.local.validate import validate
+from stone_client.commands.models.predict import predict
+from stone_client.commands.models.train import train
 from stone_client.commands.server.download import download
 from stone_client.commands.server.exports import exports
 from stone_client.commands.server.login import login
@@ -53,6 +55,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
     "On this machine": (simulate, inspect, recover, label, export, baseline, validate, score, demo),
     "With a server": (serve, login, upload, process, watch, status, exports, download),
     "The dataset": (statistics, splits, datasets),
+    "Models": (train, predict),
     "A benchmark": (benchmarks, manifest, inputs, submit, results, leaderboard, compare, withdraw),
 }
 for panel, commands in COMMANDS.items():
