@@ -14,6 +14,7 @@ from stone_client.commands.benchmark.compare import compare
 from stone_client.commands.benchmark.inputs import inputs
 from stone_client.commands.benchmark.leaderboard import leaderboard
 from stone_client.commands.benchmark.manifest import manifest
+from stone_client.commands.benchmark.reported import reported
 from stone_client.commands.benchmark.results import results
 from stone_client.commands.benchmark.submit import submit
 from stone_client.commands.benchmark.teams import teams
@@ -53,7 +54,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
     "On this machine": (simulate, inspect, recover, label, export, baseline, validate, score, demo),
     "With a server": (serve, login, upload, process, watch, status, exports, download),
     "The dataset": (statistics, splits, datasets),
-    "A benchmark": (benchmarks, manifest, inputs, submit, results, leaderboard, compare, withdraw),
+    "A benchmark": (benchmarks, manifest, inputs, submit, results, leaderboard, compare, withdraw, reported),
 }
 for panel, commands in COMMANDS.items():
     for command in commands:
