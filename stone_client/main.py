@@ -14,6 +14,7 @@ from stone_client.commands.benchmark.compare import compare
 from stone_client.commands.benchmark.inputs import inputs
 from stone_client.commands.benchmark.leaderboard import leaderboard
 from stone_client.commands.benchmark.manifest import manifest
+from stone_client.commands.benchmark.reported import reported
 from stone_client.commands.benchmark.results import results
 from stone_client.commands.benchmark.submit import submit
 from stone_client.commands.benchmark.teams import teams
@@ -56,7 +57,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
     "With a server": (serve, login, upload, process, watch, status, exports, download),
     "The dataset": (statistics, splits, datasets),
     "Models": (train, predict),
-    "A benchmark": (benchmarks, manifest, inputs, submit, results, leaderboard, compare, withdraw),
+    "A benchmark": (benchmarks, manifest, inputs, submit, results, leaderboard, compare, withdraw, reported),
 }
 for panel, commands in COMMANDS.items():
     for command in commands:
