@@ -21,8 +21,8 @@ from tests.stone_client.participating import Served, answered, joined, refused, 
 
 OTHER = ReportedRow("Another", "L+R", "another paper", miou=0.2)
 NOT_COMPARABLE = (
-    "Published on the paper's own test split, 5 sequences (real recordings, about 7,000 frames); not scored here, not "
-    "comparable with a score on other data."
+    "Published by the paper for its own recordings, of which split it does not say; not scored here, not comparable "
+    "with a score on other data."
 )
 
 
