@@ -1,0 +1,74 @@
+"""Aggregator of TPVFormer: classes of voxels from the sum of what the three planes say of each.
+
+Official: logits = classifier(output(softplus(hidden(top + front + side)))) of each voxel, after planes were scaled up.
+Three identities make the same of far fewer operations: a linear layer of a sum is the sum of its terms', it may be
+taken before the planes are scaled up (bilinear weights add to one), and two linear layers in a row are one.
+Source: Huang et al., CVPR 2023, equation 10; wzzheng/TPVFormer tpvformer10/tpv_aggregator.py.
+"""
+
+from dataclasses import dataclass
+from typing import cast
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+from torch.utils.checkpoint import checkpoint
+
+from baselines.lattice import VoxelLattice
+from baselines.layers.tri_planes import TriPlanes, plane_sizes
+
+SLAB = 8  # along x, so that what is held of voxels at once is 8 · 256 · 32 · 512 numbers at full size
+
+
+@dataclass(frozen=True)
+class TPVAggregatorConfig:
+    """`lattice` is the model's: planes come coarser and are scaled up to it."""
+
+    lattice: VoxelLattice = VoxelLattice()
+    channels: int = 256
+    hidden_channels: int = 512
+    classes: int = 4
+    checkpoint_gradients: bool = False
+
+
+class TPVAggregator(nn.Module):
+    """Planes to logits (B, classes, X, Y, Z), float32."""
+
+    def __init__(self, config: TPVAggregatorConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.hidden = nn.Linear(config.channels, config.hidden_channels)
+        self.output = nn.Linear(config.hidden_channels, config.channels)
+        self.classifier = nn.Linear(config.channels, config.classes)
+
+    def forward(self, planes: TriPlanes) -> Tensor:
+        sizes = plane_sizes(self.config.lattice)
+        top, front, side = (self._hidden(maps, size) for maps, size in zip(planes, sizes, strict=True))
+        last = self._last_two_layers()
+        slabs = [
+            self._through(near_top + self.hidden.bias, front, near_side, last)
+            for near_top, near_side in zip(top.split(SLAB, dim=1), side.split(SLAB, dim=1), strict=True)
+        ]
+        return torch.cat(slabs, dim=1).movedim(-1, 1).float()
+
+    def _hidden(self, maps: Tensor, size: tuple[int, int]) -> Tensor:
+        """What a plane adds to the hidden layer, scaled up: (B, rows, columns, hidden channels)."""
+        added = F.conv2d(maps, self.hidden.weight[:, :, None, None])
+        return F.interpolate(added, size=size, mode="bilinear").movedim(1, -1)
+
+    def _last_two_layers(self) -> tuple[Tensor, Tensor]:
+        """Weight and bias of output and classifier as one linear layer."""
+        with torch.autocast(self.hidden.weight.device.type, enabled=False):
+            weight = self.classifier.weight @ self.output.weight
+            return weight, F.linear(self.output.bias, self.classifier.weight, self.classifier.bias)
+
+    def _through(self, *inputs: object) -> Tensor:
+        if self.config.checkpoint_gradients and self.training:
+            return cast("Tensor", checkpoint(slab_logits, *inputs, use_reentrant=False))
+        return cast("Tensor", slab_logits(*inputs))  # type: ignore[arg-type]
+
+
+def slab_logits(top: Tensor, front: Tensor, side: Tensor, last: tuple[Tensor, Tensor]) -> Tensor:
+    """(B, x, Y, Z, classes) of (B, x, Y, hidden), (B, Y, Z, hidden) and (B, x, Z, hidden)."""
+    hidden = top[:, :, :, None] + front[:, None] + side[:, :, None]
+    return F.linear(F.softplus(hidden), *last)
