@@ -2,7 +2,7 @@
 
 **Conventions.** Points and cameras as in `baselines/batch.py`. A place is (column, row) as a share of a picture's width
 and height; pixel 0's centre is at half a pixel. Source: Li et al., BEVFormer, ECCV 2022, section 3.3; Huang et al.,
-TPVFormer, CVPR 2023; wzzheng/TPVFormer tpvformer04/modules/encoder.py (`point_sampling`), which rounds half a pixel off.
+TPVFormer, CVPR 2023; wzzheng/TPVFormer tpvformer04/modules/encoder.py (`point_sampling`, half a pixel off).
 """
 
 from dataclasses import dataclass
@@ -13,12 +13,12 @@ from torch import Tensor
 from baselines.batch import Batch
 
 NEAREST_M = 1e-5  # a point this little before a camera, or behind it, is not seen by it
-FAR_OUTSIDE = 2.0  # pictures: places further off their picture than this are brought back to there
+FAR_OUTSIDE = 2.0  # widths or heights of a picture: places are held this near to it, where nothing is sampled
 
 
 @dataclass(frozen=True, eq=False)
 class CameraRig:
-    """Projections (B, N, 3, 4) from metres of the grid frame to homogeneous pixels, and rows and columns of pictures."""
+    """Projections (B, N, 3, 4) of the grid frame to homogeneous pixels, and rows and columns of the pictures."""
 
     image_from_grid: Tensor
     size_px: tuple[int, int]
@@ -35,7 +35,7 @@ class CameraRig:
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """The S of Q columns that a camera sees a point of: `columns` (S,) int64, and `places` (S, D, 2) of all D points."""
+    """The S of Q columns that a camera sees a point of: `columns` (S,) int64, `places` (S, D, 2) of their points."""
 
     columns: Tensor
     places: Tensor

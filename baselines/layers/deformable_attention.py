@@ -10,7 +10,7 @@ from math import pi
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional as F
+from torch.nn import functional
 
 
 def deformable_attention(maps: Sequence[Tensor], places: Tensor, weights: Tensor) -> Tensor:
@@ -30,10 +30,10 @@ def _attended(values: Tensor, places: Tensor, weights: Tensor) -> Tensor:
     """One level: (B, heads, c, rows, columns), (B, Q, heads, points, 2), (B, Q, heads, points) → (B, Q, heads · c)."""
     batch, heads = values.shape[:2]
     grid = (2 * places - 1).transpose(1, 2).flatten(0, 1)
-    sampled = F.grid_sample(values.flatten(0, 1), grid, align_corners=False)  # (B · heads, c, Q, points)
+    sampled = functional.grid_sample(values.flatten(0, 1), grid, align_corners=False)  # (B · heads, c, Q, points)
     shares = weights.transpose(1, 2).flatten(0, 1)
     attended = (sampled * shares[:, None]).sum(dim=-1)
-    return attended.unflatten(0, (batch, heads)).permute(0, 3, 1, 2).flatten(2)
+    return torch.unflatten(attended, 0, (batch, heads)).permute(0, 3, 1, 2).flatten(2)
 
 
 class SamplingHead(nn.Module):
@@ -69,4 +69,4 @@ class SamplingHead(nn.Module):
 
 def by_head(values: Tensor, heads: int) -> Tensor:
     """Maps (…, channels, rows, columns) to (…, heads, channels / heads, rows, columns)."""
-    return values.unflatten(-3, (heads, values.shape[-3] // heads))
+    return torch.unflatten(values, -3, (heads, values.shape[-3] // heads))

@@ -56,7 +56,7 @@ class CrossViewHybridAttention(nn.Module):
 
 
 class ImageCrossAttention(nn.Module):
-    """Each cell looks around its anchors in the pictures of the cameras that see one; the cameras' answers are averaged.
+    """Each cell looks around its anchors in the pictures of the cameras that see one; the mean over those cameras.
 
     A cell that no camera sees gets the output layer's bias.
     """
@@ -72,12 +72,10 @@ class ImageCrossAttention(nn.Module):
         self.dropout = nn.Dropout(config.dropout)
 
     def forward(self, cells: Tensor, features: Sequence[Tensor], sights: Sequence[ColumnSights]) -> Tensor:
-        """Cells (B, of the three planes one after another, C), features of a level (B, N, C, rows, columns) to cells."""
+        """Cells (B, of all planes one after another, C), features of a level (B, N, C, rows, columns), to cells."""
         values = [by_head(self.values(level.movedim(2, -1)).movedim(-1, 2), self.heads) for level in features]
-        planes = cells.split([plane.cameras.shape[1] for plane in sights], dim=1)
-        answers = [
-            self._of_plane(*parts, values) for parts in zip(self.sampling, planes, sights, strict=True)
-        ]
+        planes = torch.split(cells, [plane.cameras.shape[1] for plane in sights], dim=1)
+        answers = [self._of_plane(*parts, values) for parts in zip(self.sampling, planes, sights, strict=True)]
         attended: Tensor = self.dropout(self.output(torch.cat(answers, dim=1)))
         return cells + attended
 
@@ -96,9 +94,9 @@ class ImageCrossAttention(nn.Module):
     def _of_camera(self, sampled: tuple[Tensor, Tensor], sight: Sight, maps: Sequence[Tensor]) -> Tensor:
         """What S cells get of one picture, (S, C)."""
         offsets, scores = sampled  # (S, heads, levels · anchors, points, 2)
-        weights = scores.float().flatten(2).softmax(dim=-1).unflatten(2, (self.levels, -1))
+        weights = torch.unflatten(scores.float().flatten(2).softmax(dim=-1), 2, (self.levels, -1))
         sizes = torch.tensor([(level.shape[-1], level.shape[-2]) for level in maps], device=offsets.device)
-        around = offsets.float().unflatten(2, (self.levels, -1)) / sizes[:, None, None]
+        around = torch.unflatten(offsets.float(), 2, (self.levels, -1)) / sizes[:, None, None]
         places = sight.places[:, None, None, :, None] + around
         return deformable_attention(maps, places.flatten(3, 4)[None], weights[None])[0]
 

@@ -7,11 +7,11 @@ Source: Huang et al., CVPR 2023, equation 10; wzzheng/TPVFormer tpvformer10/tpv_
 """
 
 from dataclasses import dataclass
-from typing import cast
+from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional as F
+from torch.nn import functional
 from torch.utils.checkpoint import checkpoint
 
 from baselines.lattice import VoxelLattice
@@ -24,7 +24,7 @@ SLAB = 8  # along x, so that what is held of voxels at once is 8 · 256 · 32 ·
 class TPVAggregatorConfig:
     """`lattice` is the model's: planes come coarser and are scaled up to it."""
 
-    lattice: VoxelLattice = VoxelLattice()
+    lattice: VoxelLattice
     channels: int = 256
     hidden_channels: int = 512
     classes: int = 4
@@ -47,28 +47,28 @@ class TPVAggregator(nn.Module):
         last = self._last_two_layers()
         slabs = [
             self._through(near_top + self.hidden.bias, front, near_side, last)
-            for near_top, near_side in zip(top.split(SLAB, dim=1), side.split(SLAB, dim=1), strict=True)
+            for near_top, near_side in zip(torch.split(top, SLAB, dim=1), torch.split(side, SLAB, dim=1), strict=True)
         ]
         return torch.cat(slabs, dim=1).movedim(-1, 1).float()
 
     def _hidden(self, maps: Tensor, size: tuple[int, int]) -> Tensor:
         """What a plane adds to the hidden layer, scaled up: (B, rows, columns, hidden channels)."""
-        added = F.conv2d(maps, self.hidden.weight[:, :, None, None])
-        return F.interpolate(added, size=size, mode="bilinear").movedim(1, -1)
+        added = functional.conv2d(maps, self.hidden.weight[:, :, None, None])
+        return functional.interpolate(added, size=size, mode="bilinear").movedim(1, -1)
 
     def _last_two_layers(self) -> tuple[Tensor, Tensor]:
         """Weight and bias of output and classifier as one linear layer."""
         with torch.autocast(self.hidden.weight.device.type, enabled=False):
             weight = self.classifier.weight @ self.output.weight
-            return weight, F.linear(self.output.bias, self.classifier.weight, self.classifier.bias)
+            return weight, functional.linear(self.output.bias, self.classifier.weight, self.classifier.bias)
 
-    def _through(self, *inputs: object) -> Tensor:
+    def _through(self, *inputs: Any) -> Tensor:
         if self.config.checkpoint_gradients and self.training:
             return cast("Tensor", checkpoint(slab_logits, *inputs, use_reentrant=False))
-        return cast("Tensor", slab_logits(*inputs))  # type: ignore[arg-type]
+        return slab_logits(*inputs)
 
 
 def slab_logits(top: Tensor, front: Tensor, side: Tensor, last: tuple[Tensor, Tensor]) -> Tensor:
     """(B, x, Y, Z, classes) of (B, x, Y, hidden), (B, Y, Z, hidden) and (B, x, Z, hidden)."""
     hidden = top[:, :, :, None] + front[:, None] + side[:, :, None]
-    return F.linear(F.softplus(hidden), *last)
+    return functional.linear(functional.softplus(hidden), *last)

@@ -23,7 +23,7 @@ class TPVEncoderConfig:
     """`lattice` is of the planes, so coarser than the model's; `cameras` is how many a frame has."""
 
     lattice: VoxelLattice
-    attention: PlaneAttentionConfig = PlaneAttentionConfig()
+    attention: PlaneAttentionConfig
     layers: int = 3
     cameras: int = 6
     feedforward_channels: int = 512
@@ -46,6 +46,9 @@ class TPVEncoderLayer(nn.Module):
             nn.Linear(config.feedforward_channels, channels),
             nn.Dropout(dropout),
         )
+        for module in self.perceptron:
+            if isinstance(module, nn.Linear):
+                nn.init.xavier_uniform_(module.weight)
         self.norms = nn.ModuleList([nn.LayerNorm(channels) for _ in range(3)])
 
     def forward(
@@ -90,9 +93,8 @@ class TPVEncoder(nn.Module):
         self.camera_embeddings = nn.Parameter(torch.randn(config.cameras, channels))
         self.level_embeddings = nn.Parameter(torch.randn(config.attention.levels, channels))
         self.layers = nn.ModuleList([TPVEncoderLayer(config) for _ in range(config.layers)])
-        for weight in [*self.queries, *(p for layer in self.layers for p in layer.perceptron.parameters())]:
-            if weight.dim() > 1:
-                nn.init.xavier_uniform_(weight)
+        for weight in self.queries:
+            nn.init.xavier_uniform_(weight)
 
     def forward(self, features: Sequence[Tensor], rig: CameraRig, size_px: tuple[int, int]) -> TriPlanes:
         """`size_px`: rows and columns of the pictures as padded."""
@@ -111,7 +113,9 @@ class TPVEncoder(nn.Module):
         return as_planes(cells, self.config.lattice)
 
     def _sights(self, rig: CameraRig, size_px: tuple[int, int]) -> list[ColumnSights]:
-        points = [anchor_points_m(self.config.lattice, plane, n) for plane, n in enumerate(self.config.attention.anchors)]
+        points = [
+            anchor_points_m(self.config.lattice, plane, n) for plane, n in enumerate(self.config.attention.anchors)
+        ]
         return [column_sights(of_plane.to(rig.image_from_grid.device), rig, size_px) for of_plane in points]
 
     def _through(self, layer: nn.Module, *inputs: object) -> Tensor:

@@ -1,7 +1,7 @@
 """Three planes through a volume, and the points of it that each cell of a plane stands for.
 
-**Conventions.** The planes are, in this order, top (x, y), front (y, z) and side (x, z), named by the axes of their rows
-and columns; a plane's cells run over its rows, then columns. A cell stands for the column of the volume across its
+**Conventions.** The planes are, in this order, top (x, y), front (y, z) and side (x, z): by the axes of their rows and
+columns; a plane's cells run over its rows, then columns. A cell stands for the column of the volume across its
 plane, and anchors are points spread along that column. Source: Huang et al., TPVFormer, CVPR 2023, section 3.2;
 wzzheng/TPVFormer tpvformer04/modules/encoder.py, whose planes hw, zh and wz these are.
 """
@@ -46,6 +46,6 @@ def anchor_points_m(lattice: VoxelLattice, plane: int, anchors: int) -> Tensor:
 def as_planes(cells: Tensor, lattice: VoxelLattice) -> TriPlanes:
     """Cells (B, of the three planes one after another, channels) as maps."""
     sizes = plane_sizes(lattice)
-    parts = cells.split([rows * columns for rows, columns in sizes], dim=1)
-    top, front, side = (part.transpose(1, 2).unflatten(2, size) for part, size in zip(parts, sizes, strict=True))
+    parts = torch.split(cells, [rows * columns for rows, columns in sizes], dim=1)
+    top, front, side = (torch.unflatten(part.transpose(1, 2), 2, size) for part, size in zip(parts, sizes, strict=True))
     return TriPlanes(top, front, side)
