@@ -26,11 +26,12 @@ class CameraRig:
     @staticmethod
     def of(batch: Batch) -> "CameraRig":
         """Raises `ValueError` without cameras."""
-        camera_from_grid = torch.linalg.inv(batch.grid_from_camera().float())
         if batch.cameras is None:
             raise ValueError("this batch has no cameras")
         height, width = batch.cameras.images.shape[-2:]
-        return CameraRig(batch.cameras.image_from_camera().float() @ camera_from_grid[:, :, :3], (height, width))
+        with torch.autocast(batch.device.type, enabled=False):  # a pixel of a wide picture needs more than 8 bits
+            camera_from_grid = torch.linalg.inv(batch.grid_from_camera())
+            return CameraRig(batch.cameras.image_from_camera() @ camera_from_grid[:, :, :3], (height, width))
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,9 +20,9 @@ def deformable_attention(maps: Sequence[Tensor], places: Tensor, weights: Tensor
     without the last axis. Q may be 0.
     """
     with torch.autocast(places.device.type, enabled=False):
-        kind = torch.promote_types(places.dtype, torch.float32)
-        levels = zip(maps, places.unbind(3), weights.unbind(3), strict=True)
-        sums = [_attended(values.to(kind), where.to(kind), share.to(kind)) for values, where, share in levels]
+        places = at_least_float32(places)
+        levels = zip(maps, places.unbind(3), weights.to(places).unbind(3), strict=True)
+        sums = [_attended(values.to(places), where, share) for values, where, share in levels]
         return torch.stack(sums).sum(dim=0)
 
 
@@ -63,8 +63,13 @@ class SamplingHead(nn.Module):
             nn.init.zeros_(zeroed)
 
     def forward(self, queries: Tensor) -> tuple[Tensor, Tensor]:
-        """Queries (…, channels) to offsets (…, *shape, 2), x first, and scores (…, *shape)."""
-        return self.offsets(queries).unflatten(-1, (*self.shape, 2)), self.scores(queries).unflatten(-1, self.shape)
+        """Queries (…, channels) to offsets (…, *shape, 2), x first, and scores (…, *shape), float32 or wider."""
+        offsets, scores = at_least_float32(self.offsets(queries)), at_least_float32(self.scores(queries))
+        return torch.unflatten(offsets, -1, (*self.shape, 2)), torch.unflatten(scores, -1, self.shape)
+
+
+def at_least_float32(values: Tensor) -> Tensor:
+    return values.to(torch.promote_types(values.dtype, torch.float32))
 
 
 def by_head(values: Tensor, heads: int) -> Tensor:

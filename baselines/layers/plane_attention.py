@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from baselines.layers.camera_sight import ColumnSights, Sight
-from baselines.layers.deformable_attention import SamplingHead, by_head, deformable_attention
+from baselines.layers.deformable_attention import SamplingHead, at_least_float32, by_head, deformable_attention
 
 SETS = 2  # of points: BEVFormer looks into the map before and into this one, TPVFormer twice into this one
 
@@ -46,8 +46,8 @@ class CrossViewHybridAttention(nn.Module):
         values = self.values(cells).transpose(1, 2).unflatten(2, size)
         offsets, scores = self.sampling(torch.cat([cells, cells + positions], dim=-1))
         scale = torch.tensor((size[1], size[0]), device=cells.device)
-        places = cell_centres(size, cells.device)[:, None, None, None] + offsets.float() / scale
-        weights = scores.float().softmax(dim=-1) / SETS
+        places = cell_centres(size, cells.device)[:, None, None, None] + offsets / scale
+        weights = scores.softmax(dim=-1) / SETS
         sampled = deformable_attention(
             [by_head(values, self.heads)], places.flatten(3, 4)[:, :, :, None], weights.flatten(3, 4)[:, :, :, None]
         )
@@ -80,10 +80,10 @@ class ImageCrossAttention(nn.Module):
         return cells + attended
 
     def _of_plane(self, sampling: nn.Module, cells: Tensor, plane: ColumnSights, values: Sequence[Tensor]) -> Tensor:
-        """The mean (B, Q, C) over the cameras that see a cell, float32; 0 where none does."""
+        """The mean (B, Q, C) over the cameras that see a cell, float32 or wider; 0 where none does."""
         frames = []
         for frame, cameras in enumerate(plane.sights):
-            total = torch.zeros_like(cells[frame], dtype=torch.float32)
+            total = torch.zeros_like(at_least_float32(cells[frame]))
             for camera, sight in enumerate(cameras):
                 maps = [level[frame, camera][None] for level in values]
                 seeing = cells[frame, sight.columns]
@@ -94,9 +94,9 @@ class ImageCrossAttention(nn.Module):
     def _of_camera(self, sampled: tuple[Tensor, Tensor], sight: Sight, maps: Sequence[Tensor]) -> Tensor:
         """What S cells get of one picture, (S, C)."""
         offsets, scores = sampled  # (S, heads, levels · anchors, points, 2)
-        weights = torch.unflatten(scores.float().flatten(2).softmax(dim=-1), 2, (self.levels, -1))
+        weights = torch.unflatten(scores.flatten(2).softmax(dim=-1), 2, (self.levels, -1))
         sizes = torch.tensor([(level.shape[-1], level.shape[-2]) for level in maps], device=offsets.device)
-        around = torch.unflatten(offsets.float(), 2, (self.levels, -1)) / sizes[:, None, None]
+        around = torch.unflatten(offsets, 2, (self.levels, -1)) / sizes[:, None, None]
         places = sight.places[:, None, None, :, None] + around
         return deformable_attention(maps, places.flatten(3, 4)[None], weights[None])[0]
 

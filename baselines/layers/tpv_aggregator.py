@@ -15,6 +15,7 @@ from torch.nn import functional
 from torch.utils.checkpoint import checkpoint
 
 from baselines.lattice import VoxelLattice
+from baselines.layers.deformable_attention import at_least_float32
 from baselines.layers.tri_planes import TriPlanes, plane_sizes
 
 SLAB = 8  # along x, so that what is held of voxels at once is 8 · 256 · 32 · 512 numbers at full size
@@ -32,7 +33,7 @@ class TPVAggregatorConfig:
 
 
 class TPVAggregator(nn.Module):
-    """Planes to logits (B, classes, X, Y, Z), float32."""
+    """Planes to logits (B, classes, X, Y, Z), float32 or wider."""
 
     def __init__(self, config: TPVAggregatorConfig) -> None:
         super().__init__()
@@ -49,7 +50,7 @@ class TPVAggregator(nn.Module):
             self._through(near_top + self.hidden.bias, front, near_side, last)
             for near_top, near_side in zip(torch.split(top, SLAB, dim=1), torch.split(side, SLAB, dim=1), strict=True)
         ]
-        return torch.cat(slabs, dim=1).movedim(-1, 1).float()
+        return at_least_float32(torch.cat(slabs, dim=1).movedim(-1, 1))
 
     def _hidden(self, maps: Tensor, size: tuple[int, int]) -> Tensor:
         """What a plane adds to the hidden layer, scaled up: (B, rows, columns, hidden channels)."""

@@ -93,7 +93,9 @@ def test_a_new_head_looks_along_a_ring_with_equal_scores_whatever_it_is_asked() 
     offsets, scores = sampling(torch.randn(5, 16))
     assert not scores.any()
     torch.testing.assert_close(offsets.abs().amax(dim=-1), torch.arange(1.0, 5.0).expand(5, heads, groups, points))
-    torch.testing.assert_close(offsets[:, 2], torch.tensor([0.0, 1.0]) * torch.arange(1.0, 5.0)[:, None].expand(5, 3, 4, 1))
+    torch.testing.assert_close(
+        offsets[:, 2], torch.tensor([0.0, 1.0]) * torch.arange(1.0, 5.0)[:, None].expand(5, 3, 4, 1)
+    )
     torch.testing.assert_close(offsets[0].sum(dim=0), torch.zeros(groups, points, 2), atol=1e-5, rtol=0)
 
 
