@@ -10,6 +10,7 @@ from torch.nn import functional
 
 from baselines.batch import Batch
 from baselines.layers.camera_sight import CameraRig
+from baselines.layers.grid_mask import GridMask
 from baselines.layers.pyramids import FPN
 from baselines.layers.resnet import ResNet
 from baselines.layers.tpv_aggregator import TPVAggregator
@@ -35,6 +36,7 @@ class TPVFormer(OccupancyModel[Tensor]):
     def __init__(self, config: TPVFormerConfig) -> None:
         super().__init__()
         self.config, self.lattice = config, config.lattice
+        self.grid_mask = GridMask(config.grid_mask_probability)
         self.backbone = ResNet(config.backbone())
         self.neck = FPN(config.neck())
         self.encoder = TPVEncoder(config.encoder())
@@ -45,7 +47,7 @@ class TPVFormer(OccupancyModel[Tensor]):
 
     def forward(self, batch: Batch) -> Tensor:
         rig = CameraRig.of(batch)
-        images = padded(pictures_of(batch))
+        images = padded(self.grid_mask(pictures_of(batch)))
         maps = self.neck(self.backbone(images.flatten(0, 1))[1:])
         features = [level.unflatten(0, images.shape[:2]) for level in maps]
         logits: Tensor = self.aggregator(self.encoder(features, rig, (images.shape[-2], images.shape[-1])))

@@ -24,7 +24,8 @@ class TPVFormerConfig:
 
     `anchors` of a cell of the top, front and side plane lie along the column that it stands for, and pictures are
     looked at in `points` places around each; the top plane is in 2 · `self_points` around each of its own cells.
-    Class weights are of the cross entropy. `backbone_…` are the fields of `ResNetConfig`: official with frozen
+    `grid_mask_probability`: how often a training step's pictures are partly blanked. Class weights are of the cross
+    entropy. `backbone_…` are the fields of `ResNetConfig`: official with frozen
     statistics, stem and first stage, for weights that were trained before; without such, −1 and False.
     """
 
@@ -41,6 +42,7 @@ class TPVFormerConfig:
     feedforward_channels: int = 512
     hidden_channels: int = 512
     dropout: float = 0.1
+    grid_mask_probability: float = 0.7
     class_weights: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
     backbone_depth: Literal[14, 26, 50, 101] = 101
     backbone_width: int = 64

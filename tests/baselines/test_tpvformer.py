@@ -8,6 +8,7 @@ import torch
 from baselines.lattice import VoxelLattice
 from baselines.layers.deformable_attention import SamplingHead
 from baselines.layers.deformable_convolution import DeformableConv2d
+from baselines.layers.grid_mask import GridMask, is_kept
 from baselines.models.tpvformer import TPVFormer
 from baselines.models.tpvformer_config import TPVFormerConfig
 from tests.baselines.camera_frames import frames
@@ -22,6 +23,7 @@ SMALL = TPVFormerConfig(
     layers=2,
     feedforward_channels=32,
     hidden_channels=32,
+    grid_mask_probability=0.0,
     backbone_depth=14,
     backbone_width=8,
     backbone_frozen_stages=-1,
@@ -130,3 +132,32 @@ def test_frames_without_cameras_labels_or_of_another_number_of_cameras_are_refus
         model(frames(torch.zeros(1, 2, 3, *SIZE_PX)))
     with pytest.raises(ValueError, match="labels"):
         model.losses(torch.zeros(2, 4, 16, 16, 8), replace(batch, labels=None))
+
+
+def test_a_grid_mask_blanks_a_quarter_of_every_picture_in_squares_and_leaves_the_rest() -> None:
+    torch.manual_seed(3)
+    images = torch.rand(2, 3, 3, 64, 96) + 1
+    blanked = []
+    for _ in range(20):
+        masked = GridMask(1.0)(images)
+        kept = masked != 0
+        assert torch.equal(masked[kept], images[kept])
+        assert torch.equal(kept, kept[0, 0, 0].expand_as(kept))
+        rows, columns = kept[0, 0, 0].all(dim=1), kept[0, 0, 0].all(dim=0)
+        assert torch.equal(kept[0, 0, 0], rows[:, None] | columns)
+        blanked.append(1 - kept.float().mean().item())
+    assert 0.15 < sum(blanked) / len(blanked) < 0.35
+
+
+def test_a_grid_mask_keeps_half_of_each_period() -> None:
+    for period_px in (2, 3, 8):
+        kept = is_kept(5 * period_px, period_px).reshape(5, period_px)
+        assert (kept.sum(dim=1) == round(period_px / 2)).all()
+        assert torch.equal(kept, kept[:1].expand_as(kept))
+
+
+def test_pictures_are_blanked_as_often_as_asked_and_never_when_predicting() -> None:
+    torch.manual_seed(0)
+    images = torch.ones(1, 1, 3, 16, 16)
+    assert sum(bool((GridMask(0.7)(images) == 0).any()) for _ in range(300)) == pytest.approx(210, abs=30)
+    assert all(torch.equal(GridMask(1.0).eval()(images), images) for _ in range(5))
