@@ -87,8 +87,9 @@ class OpenOcc(OccupancyModel[OpenOccOutputs]):
             if outputs.fine is not None:
                 labels = batch.labels[outputs.fine.indices.unbind(dim=1)]
                 terms |= voxel_terms("fine", outputs.fine.logits, labels, None)
-            if self.cameras is not None and batch.cameras is not None and batch.cameras.depth_m is not None:
-                depth = self.cameras.depth_loss(outputs.depth_probabilities, batch.cameras.depth_m)
+            depth_m = None if batch.cameras is None else batch.cameras.depth_m
+            if self.cameras is not None and outputs.depth_probabilities is not None and depth_m is not None:
+                depth = self.cameras.depth_loss(outputs.depth_probabilities, depth_m)
                 terms["depth"] = self.config.depth_loss_weight * depth
             return {name: by_own_value(term) if self.config.normalises_losses else term for name, term in terms.items()}
 

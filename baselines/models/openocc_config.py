@@ -34,11 +34,13 @@ class OpenOccConfig:
     sparse_channels: int = 16  # at the first stage of the sparse encoder
 
     image_shape: tuple[int, int] = (896, 1600)  # height, width
-    resnet_depth: Literal[50, 101] = 50
+    resnet_depth: Literal[14, 26, 50, 101] = 50
     resnet_width: int = 64
+    frozen_stages: int = -1  # of the ResNet; officially 0, its stem, which then needs pretrained weights
     neck_channels: FourInts = (128, 128, 128, 128)
     depth_range_m: tuple[float, float] = (2.0, 58.0)
     depth_step_m: float = 0.5
+    depth_dropout: float = 0.5
 
     residual_channels: FourInts = (80, 160, 320, 640)
     residual_blocks: FourInts = (2, 2, 2, 2)
