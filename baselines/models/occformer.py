@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
+from torch.utils.checkpoint import checkpoint
 
 from baselines.batch import Batch
 from baselines.lattice import Shape
@@ -28,7 +29,8 @@ from baselines.losses.masks import mask_losses
 from baselines.models.occformer_config import SCALES, OccFormerConfig
 from baselines.models.occupancy_model import OccupancyModel
 
-QUERIES_AT_ONCE = 20  # whose masks are resampled together: 84 MB for each frame of the benchmark's grid in 10 of them
+COARSEST_STRIDE = 32  # of the backbone's maps, in pixels
+QUERIES_AT_ONCE = 20  # whose masks are resampled together: 8 MB each on the benchmark's grid
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,11 +76,18 @@ class OccFormer(OccupancyModel[OccFormerOutputs]):
         if batch.cameras is None:
             raise ValueError("OccFormer sees with cameras, and this batch has none")
         images = batch.cameras.images
+        if any(side % COARSEST_STRIDE for side in images.shape[3:]):
+            raise ValueError(
+                f"pictures of {tuple(images.shape[3:])} pixels, whose sides are not multiples of {COARSEST_STRIDE}"
+            )
         features = self.neck(self.backbone(images.flatten(0, 1)))
         logits, context = self.depth_network(features, camera_vectors(batch).flatten(0, 1))
         points = self.frustum.points_of(batch, (features.shape[2], features.shape[3]))
         views = images.shape[:2]
-        return lift(logits.unflatten(0, views), context.unflatten(0, views), points, self.coarse_lattice)
+        seen = (logits.unflatten(0, views), context.unflatten(0, views), points, self.coarse_lattice)
+        if self.config.checkpoint_gradients and self.training:
+            return checkpoint(lift, *seen, use_reentrant=False)  # type: ignore[no-any-return]
+        return lift(*seen)
 
     def losses(self, outputs: OccFormerOutputs, batch: Batch) -> dict[str, Tensor]:
         """`class`, `mask` and `dice` of all predictions, and `depth` where pictures come with it."""

@@ -152,10 +152,13 @@ def test_without_depth_there_is_no_loss_of_it() -> None:
     assert set(model.losses(outputs, blind)) == {"class", "mask", "dice"}
 
 
-def test_a_batch_without_cameras_or_labels_is_refused() -> None:
+def test_pictures_that_are_missing_or_odd_and_missing_labels_are_refused() -> None:
     model, batch = OccFormer(SMALL), frames()
     with pytest.raises(ValueError, match="this batch has none"):
         model(replace(batch, cameras=None))
+    assert batch.cameras is not None
+    with pytest.raises(ValueError, match=r"pictures of \(31, 64\) pixels"):
+        model(replace(batch, cameras=replace(batch.cameras, images=batch.cameras.images[..., :31, :])))
     empty = OccFormerOutputs((), torch.zeros(0))
     with pytest.raises(ValueError, match="losses need labels"):
         model.losses(empty, replace(batch, labels=None))
