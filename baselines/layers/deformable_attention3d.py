@@ -61,8 +61,7 @@ class DeformableAttention3D(nn.Module):
         size = places.new_tensor(shapes).flip(1)
         at = places[:, None, None, None] + at_least_single(offsets) / size[:, None]
         weights = at_least_single(weights).reshape(b, q, s.heads, s.levels, s.points)
-        with torch.autocast(queries.device.type, enabled=False):
-            sampled = sample_volumes(at_least_single(read), shapes, at, weights)
+        sampled = sample_volumes(at_least_single(read), shapes, at, weights)  # autocast leaves these single
         projected: Tensor = self.project(sampled.to(queries.dtype))
         return projected
 
