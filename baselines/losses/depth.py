@@ -1,0 +1,63 @@
+"""What a distribution over depth is trained towards: the nearest LiDAR return in a feature cell.
+
+**Conventions.** Probabilities (B, N, D, h, w) over the bins of a `Frustum`, depth of pictures (B, N, H, W) in metres,
+0 where nothing returned. The mean over cells whose depth lies in the range of the middles of the bins; 0 if none does.
+Source: Li et al., BEVDepth (AAAI 2023); OpenOccupancy's `image2bev/ViewTransformerLSSVoxel.py`.
+"""
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from baselines.layers.lifting import Frustum
+
+DEVIATION_M = 0.5  # of the target about the depth: `constant_std` of OpenOccupancy
+
+
+def nearest_depth(depth_m: Tensor, stride: int) -> Tensor:
+    """The least depth (B, N, H / stride, W / stride) of each cell's pixels, 0 where none has any."""
+    count, cameras, height, width = depth_m.shape
+    cells = depth_m.reshape(count, cameras, height // stride, stride, width // stride, stride)
+    least = torch.where(cells > 0, cells, torch.inf).amin(dim=(3, 5))
+    return torch.where(least.isfinite(), least, 0.0)
+
+
+def depth_divergence(probabilities: Tensor, depth_m: Tensor, frustum: Frustum) -> Tensor:
+    """Kullback-Leibler divergence from a normal distribution about the depth, integrated over each bin.
+
+    Officially the normal distribution is in steps and the bins' edges are in metres, so that steps of 0.5 m put the
+    target at twice the depth; here both are in metres.
+    """
+    with torch.autocast(probabilities.device.type, enabled=False):
+        depth, is_known = targets(depth_m, frustum)
+        edges = frustum.depths_m(depth) - frustum.step_m / 2
+        edges = torch.cat([edges, edges[-1:] + frustum.step_m])[:, None, None]
+        cumulated = torch.special.ndtr((edges - depth[:, :, None]) / DEVIATION_M)
+        target = cumulated.diff(dim=2)
+        terms = torch.xlogy(target, target) - target * torch.log(probabilities.float() + 1e-4)
+        return averaged(terms, is_known)
+
+
+def depth_cross_entropy(probabilities: Tensor, depth_m: Tensor, frustum: Frustum) -> Tensor:
+    """Binary cross entropy of all bins against the one nearest to the depth, summed over bins.
+
+    Officially a depth belongs to the bin one before the nearest; here to the nearest.
+    """
+    with torch.autocast(probabilities.device.type, enabled=False):
+        depth, is_known = targets(depth_m, frustum)
+        nearest = ((depth - frustum.min_m) / frustum.step_m).round().long().clamp(0, frustum.bins - 1)
+        target = functional.one_hot(nearest, frustum.bins).movedim(-1, 2).float()
+        terms = functional.binary_cross_entropy(probabilities.float(), target, reduction="none")
+        return averaged(terms, is_known)
+
+
+def targets(depth_m: Tensor, frustum: Frustum) -> tuple[Tensor, Tensor]:
+    """Depth (B, N, h, w), float32, and where it is in the bins' range."""
+    depth = nearest_depth(depth_m.float(), frustum.stride)
+    return depth, (depth >= frustum.min_m) & (depth <= frustum.max_m - frustum.step_m)
+
+
+def averaged(terms: Tensor, is_known: Tensor) -> Tensor:
+    """The sum over bins of terms (B, N, D, h, w), averaged over known cells."""
+    sums = torch.where(is_known, terms.sum(dim=2), 0.0)
+    return sums.sum() / is_known.sum().clamp(min=1)
