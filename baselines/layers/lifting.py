@@ -50,10 +50,11 @@ class Frustum:
         return rays * depths + grid_from_camera[:, :, None, None, None, :3, 3]
 
     def points_of(self, batch: Batch, shape: tuple[int, int]) -> Tensor:
-        """The same of a batch's cameras."""
+        """The same of a batch's cameras, out of autocast. Raises `ValueError` without cameras."""
         if batch.cameras is None:
             raise ValueError("this batch has no cameras")
-        return self.points(batch.cameras.image_from_camera(), batch.grid_from_camera(), shape)
+        with torch.autocast(batch.device.type, enabled=False):
+            return self.points(batch.cameras.image_from_camera(), batch.grid_from_camera(), shape)
 
 
 def splat(depth: Tensor, context: Tensor, points: Tensor, lattice: VoxelLattice) -> Tensor:

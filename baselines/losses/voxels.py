@@ -1,0 +1,86 @@
+"""Losses over voxels: weighted cross entropy, scene-class affinity (semantic and geometric) and Lovász-softmax.
+
+**Conventions.** `logits` (B, C, ...) and `labels` (B, ...) with `IGNORED` where nothing is counted: voxels of a
+lattice, or single ones, (N, C) and (N,). All compute in float32 at least. Where no label is counted a loss is 0, with a
+gradient of zeros. Sources: Cao and de Charette, MonoScene, CVPR 2022, section 3.3; Berman et al., The Lovász-Softmax
+loss, CVPR 2018; as in OpenOccupancy's `occ_plugin/utils/semkitti.py`.
+"""
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from baselines.batch import IGNORED
+
+FREE = 0
+SMALLEST_RATIO = 1e-30  # its logarithm is finite in float32
+GEOMETRIC_EPSILON = 1e-5  # official
+
+
+def cross_entropy(logits: Tensor, labels: Tensor, class_weights: Tensor | None = None) -> Tensor:
+    """Mean of −w log p over the counted voxels, divided by the mean weight; `class_weights` (C,)."""
+    scores, classes = counted(logits, labels)
+    if len(classes) == 0:
+        return logits.sum() * 0.0
+    return functional.cross_entropy(scores, classes, None if class_weights is None else class_weights.to(scores))
+
+
+def semantic_scale(logits: Tensor, labels: Tensor) -> Tensor:
+    """Mean over classes that occur of −log precision − log recall − log specificity, softly counted."""
+    scores, classes = counted(logits, labels)
+    if len(classes) == 0:
+        return logits.sum() * 0.0
+    probabilities = scores.softmax(dim=1)
+    truth = functional.one_hot(classes, scores.shape[1]).to(scores)
+    hits, predicted, true = (probabilities * truth).sum(0), probabilities.sum(0), truth.sum(0)
+    false = len(classes) - true
+    rejected = ((1 - probabilities) * (1 - truth)).sum(0)
+    terms = surprise(hits / predicted.clamp(min=SMALLEST_RATIO)) + surprise(hits / true.clamp(min=1))
+    terms = terms + torch.where(false > 0, surprise(rejected / false.clamp(min=1)), 0.0)
+    return terms[true > 0].mean()
+
+
+def geometric_scale(logits: Tensor, labels: Tensor) -> Tensor:
+    """The same three terms of occupied against free, summed."""
+    scores, classes = counted(logits, labels)
+    if len(classes) == 0:
+        return logits.sum() * 0.0
+    free = scores.softmax(dim=1)[:, FREE]
+    is_occupied = (classes != FREE).to(scores)
+    hits = (is_occupied * (1 - free)).sum()
+    precision = hits / ((1 - free).sum() + GEOMETRIC_EPSILON)
+    recall = hits / (is_occupied.sum() + GEOMETRIC_EPSILON)
+    specificity = ((1 - is_occupied) * free).sum() / ((1 - is_occupied).sum() + GEOMETRIC_EPSILON)
+    return surprise(precision) + surprise(recall) + surprise(specificity)
+
+
+def lovasz_softmax(logits: Tensor, labels: Tensor) -> Tensor:
+    """Mean over classes that occur of the Lovász extension of 1 − IoU at the errors |truth − p|."""
+    scores, classes = counted(logits, labels)
+    if len(classes) == 0:
+        return logits.sum() * 0.0
+    probabilities = scores.softmax(dim=1)
+    terms = [lovasz_extension(probabilities[:, c], classes == c) for c in torch.unique(classes).tolist()]
+    return torch.stack(terms).mean()
+
+
+def lovasz_extension(probabilities: Tensor, is_class: Tensor) -> Tensor:
+    """The extension of one class's Jaccard loss: errors, largest first, times what each adds to the loss."""
+    truth = is_class.to(probabilities)
+    errors, order = (truth - probabilities).abs().sort(descending=True)
+    truth = truth[order]
+    total = truth.sum()
+    jaccard = 1 - (total - truth.cumsum(0)) / (total + (1 - truth).cumsum(0))
+    return errors @ torch.diff(jaccard, prepend=jaccard.new_zeros(1))
+
+
+def counted(logits: Tensor, labels: Tensor) -> tuple[Tensor, Tensor]:
+    """Logits (M, C), at least float32, and labels (M,) int64 of the voxels that are not `IGNORED`."""
+    scores = logits if logits.dtype == torch.float64 else logits.float()
+    is_counted = labels != IGNORED
+    return scores.movedim(1, -1)[is_counted], labels[is_counted].long()
+
+
+def surprise(ratio: Tensor) -> Tensor:
+    """−log of a ratio in (0, 1]; flat below 1e-30. A ratio that rounding lifts above 1 counts as 1."""
+    return -ratio.clamp(SMALLEST_RATIO, 1.0).log()

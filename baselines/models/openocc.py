@@ -1,0 +1,122 @@
+"""OpenOccupancy's baselines and CoNet: cameras, LiDAR or both to a coarse volume, and with the cascade to a fine one.
+
+Source: Wang et al., OpenOccupancy, ICCV 2023; official code `occ_plugin/occupancy/detectors/occnet.py`. What differs is
+said where it does: norms (`layers/sparse_encoder.py`), places of children (`openocc_cascade.py`), cells with single
+occupied voxels (`losses/coarse_labels.py`).
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from baselines.batch import Batch
+from baselines.layers.fpn3d import FPN3d
+from baselines.layers.residual3d import ResNet3d
+from baselines.layers.visible_fusion import VisibleFusion
+from baselines.losses.coarse_labels import coarse_labels
+from baselines.losses.voxels import cross_entropy, geometric_scale, lovasz_softmax, semantic_scale
+from baselines.models.occupancy_model import CLASSES, OccupancyModel
+from baselines.models.openocc_cameras import CameraVoxelEncoder
+from baselines.models.openocc_cascade import Cascade, FineVoxels
+from baselines.models.openocc_config import OpenOccConfig
+from baselines.models.openocc_head import SoftWeightedHead
+from baselines.models.openocc_lidar import LidarVoxelEncoder
+
+
+@dataclass(frozen=True, eq=False)
+class OpenOccOutputs:
+    """Logits (B, 4, x, y, z) of coarse cells; voxels that were refined; depth as the cameras' encoder gives it."""
+
+    coarse: Tensor
+    fine: FineVoxels | None = None
+    depth_probabilities: Tensor | None = None
+
+
+class OpenOcc(OccupancyModel[OpenOccOutputs]):
+    """One of the six rows. With coarse ratio 4 L-OpenOcc and L-CoNet have the official 65.6 M parameters.
+
+    At the default ratio 2 the sparse encoder is the official one of 4 ×, which has fewer channels.
+    """
+
+    def __init__(self, config: OpenOccConfig) -> None:
+        super().__init__()
+        self.config, self.lattice, self.modality = config, config.lattice, config.modality
+        self.cameras = CameraVoxelEncoder(config) if config.has_cameras else None
+        self.lidar = LidarVoxelEncoder(config) if config.has_lidar else None
+        is_fused = config.has_cameras and config.has_lidar
+        self.fusion = VisibleFusion(config.volume_channels) if is_fused else None
+        self.residual = ResNet3d(config.volume_channels, config.residual_channels, config.residual_blocks)
+        self.pyramid = FPN3d(config.residual_channels, config.pyramid_channels)
+        self.residual.checkpoint_gradients = self.pyramid.checkpoint_gradients = config.checkpoint_gradients
+        self.head = SoftWeightedHead(len(config.residual_channels), config.pyramid_channels, CLASSES)
+        self.cascade = Cascade(config) if config.is_cascade else None
+        weights = 1 / torch.log(torch.tensor(config.class_counts, dtype=torch.float32) + 0.001)
+        self.register_buffer("class_weights", weights, persistent=False)
+        self.class_weights: Tensor
+
+    def forward(self, batch: Batch) -> OpenOccOutputs:
+        seen = None if self.cameras is None else self.cameras(batch)
+        measured = None if self.lidar is None else self.lidar(batch)
+        coarse = self.head(self.pyramid(self.residual(self.fused(None if seen is None else seen.voxels, measured))))
+        fine = None
+        if self.cascade is not None:
+            fine = self.cascade(coarse, batch, None if seen is None else seen.image_features)
+        return OpenOccOutputs(coarse.logits, fine, None if seen is None else seen.depth_probabilities)
+
+    def fused(self, seen: Tensor | None, measured: Tensor | None) -> Tensor:
+        """The one volume of what cameras saw and LiDAR measured."""
+        if self.fusion is not None:
+            return self.fusion(seen, measured)  # type: ignore[no-any-return]
+        volume = measured if seen is None else seen
+        if volume is None:
+            raise ValueError(f"a row of modality {self.modality} has no sensor")
+        return volume
+
+    def losses(self, outputs: OpenOccOutputs, batch: Batch) -> dict[str, Tensor]:
+        """Four terms of coarse cells, four of refined voxels, and depth's where pictures come with it.
+
+        A term has its own value; its gradient is divided by that if the row's `normalises_losses`.
+        """
+        if batch.labels is None:
+            raise ValueError("losses need labels, and this batch has none")
+        with torch.autocast(batch.device.type, enabled=False):
+            cells = coarse_labels(batch.labels, self.config.coarse_ratio)
+            terms = voxel_terms("coarse", outputs.coarse, cells, self.class_weights)
+            if outputs.fine is not None:
+                labels = batch.labels[outputs.fine.indices.unbind(dim=1)]
+                terms |= voxel_terms("fine", outputs.fine.logits, labels, None)
+            depth_m = None if batch.cameras is None else batch.cameras.depth_m
+            if self.cameras is not None and outputs.depth_probabilities is not None and depth_m is not None:
+                depth = self.cameras.depth_loss(outputs.depth_probabilities, depth_m)
+                terms["depth"] = self.config.depth_loss_weight * depth
+            return {name: by_own_value(term) if self.config.normalises_losses else term for name, term in terms.items()}
+
+    def logits(self, outputs: OpenOccOutputs, batch: Batch) -> Tensor:
+        """Trilinear in the coarse logits; with the cascade, refined voxels their own, others their cell's: free."""
+        coarse = outputs.coarse.float()
+        if outputs.fine is None:
+            return functional.interpolate(coarse, size=self.lattice.shape, mode="trilinear", align_corners=False)
+        logits = functional.interpolate(coarse, size=self.lattice.shape, mode="nearest")
+        frame, x, y, z = outputs.fine.indices.unbind(dim=1)
+        logits[frame, :, x, y, z] = outputs.fine.logits.float()
+        return logits
+
+
+def voxel_terms(name: str, logits: Tensor, labels: Tensor, class_weights: Tensor | None) -> dict[str, Tensor]:
+    return {
+        f"{name}_cross_entropy": cross_entropy(logits, labels, class_weights),
+        f"{name}_semantic_scale": semantic_scale(logits, labels),
+        f"{name}_geometric_scale": geometric_scale(logits, labels),
+        f"{name}_lovasz": lovasz_softmax(logits, labels),
+    }
+
+
+def by_own_value(term: Tensor) -> Tensor:
+    """The term, its gradient divided by its value: as if its logarithm were minimised.
+
+    OpenOccupancy's `loss_norm` minimises term / value, of the same gradient, but always 1 in a log.
+    """
+    value = term.detach()
+    return value + (term - value) / (value + 1e-9)
