@@ -36,7 +36,7 @@ class CameraViews:
     depth_m: Tensor | None = None
 
     def image_from_camera(self) -> Tensor:
-        """(B, N, 3, 3): camera rays to homogeneous pixels of `images`. Never of half precision: a pixel would be lost."""
+        """(B, N, 3, 3): camera rays to homogeneous pixels of `images`, never of half precision."""
         with torch.autocast(self.images.device.type, enabled=False):
             return self.augmented_from_image @ self.intrinsics
 
