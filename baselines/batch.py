@@ -36,8 +36,9 @@ class CameraViews:
     depth_m: Tensor | None = None
 
     def image_from_camera(self) -> Tensor:
-        """(B, N, 3, 3): camera rays to homogeneous pixels of `images`."""
-        return self.augmented_from_image @ self.intrinsics
+        """(B, N, 3, 3): camera rays to homogeneous pixels of `images`, never of half precision."""
+        with torch.autocast(self.images.device.type, enabled=False):
+            return self.augmented_from_image @ self.intrinsics
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,10 +76,11 @@ class Batch:
         return self.grid_from_ego.device
 
     def grid_from_camera(self) -> Tensor:
-        """(B, N, 4, 4), augmentation included. Raises `ValueError` without cameras."""
+        """(B, N, 4, 4), augmentation included, never of half precision. Raises `ValueError` without cameras."""
         if self.cameras is None:
             raise ValueError("this batch has no cameras")
-        return self.grid_from_ego[:, None] @ self.cameras.ego_from_camera
+        with torch.autocast(self.device.type, enabled=False):
+            return self.grid_from_ego[:, None] @ self.cameras.ego_from_camera
 
 
 def moved(value: T, device: torch.device) -> T:

@@ -1,0 +1,75 @@
+"""Camera features on a voxel lattice by projection: the mean over the cameras that see a voxel's centre.
+
+**Conventions.** A cell (row, column) of features of h × w over an image of H × W holds the pixels whose area it covers:
+`column = floor((u + ½) w / W)`. Voxels that no camera sees are 0. Computed in float32 outside autocast.
+Source: Ming et al., OccFusion, IEEE T-IV 2024 (view transformation without depth).
+"""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from baselines.batch import CameraViews
+from baselines.lattice import VoxelLattice
+
+NEAREST_M = 0.1  # closer to the camera's plane a projection says nothing
+
+
+class ProjectedFeatures(NamedTuple):
+    """`volume` (B, C, X, Y, Z): mean of the cells that a voxel's centre falls in. `bev` (B, C, X, Y): the same of its
+    column's voxels, each sighting weighing the same."""
+
+    volume: Tensor
+    bev: Tensor
+
+
+def pixels_from_grid(views: CameraViews, grid_from_camera: Tensor) -> Tensor:
+    """(B, N, 3, 4): points of the grid frame to homogeneous pixels of `views.images`, the third number depth in m."""
+    camera_from_grid: Tensor = torch.linalg.inv(grid_from_camera)
+    return views.image_from_camera() @ camera_from_grid[..., :3, :]
+
+
+def seen_cells(
+    points_grid: Tensor, pixels_from_grid: Tensor, image: tuple[int, int], cells: tuple[int, int]
+) -> tuple[Tensor, Tensor]:
+    """Which points (P, 3) one camera sees, (S,) int64 ascending, and the flat cell (S,) of `cells` that each falls in.
+
+    `pixels_from_grid` is (3, 4); `image` and `cells` are heights and widths. NaN is not seen.
+    """
+    rays = points_grid @ pixels_from_grid[:, :3].T + pixels_from_grid[:, 3]
+    depth_m = rays[:, 2]
+    pixels = rays[:, :2] / depth_m[:, None].clamp(min=NEAREST_M)
+    size = pixels.new_tensor([cells[1] / image[1], cells[0] / image[0]])
+    place = torch.floor((pixels + 0.5) * size)
+    is_seen = (depth_m > NEAREST_M) & ((place >= 0) & (place < place.new_tensor([cells[1], cells[0]]))).all(dim=1)
+    seen = is_seen.nonzero()[:, 0]
+    column, row = place[seen].long().unbind(dim=1)
+    return seen, row * cells[1] + column
+
+
+def project_features(
+    features: Tensor, views: CameraViews, grid_from_camera: Tensor, lattice: VoxelLattice
+) -> ProjectedFeatures:
+    """Features (B, N, C, h, w) of the images of `views`, on `lattice` in the grid frame."""
+    with torch.autocast(features.device.type, enabled=False):
+        matrices = pixels_from_grid(views, grid_from_camera).float()
+        centres = lattice.centres_m(features.device).reshape(-1, 3)
+        image = (views.images.shape[-2], views.images.shape[-1])
+        sums = [_sums(frame, of, centres, image) for frame, of in zip(features.float(), matrices, strict=True)]
+        total = torch.stack([total for total, _ in sums]).reshape(len(sums), *lattice.shape, -1)
+        sightings = torch.stack([count for _, count in sums]).reshape(len(sums), *lattice.shape, 1)
+        volume = total / sightings.clamp(min=1)
+        bev = total.sum(dim=3) / sightings.sum(dim=3).clamp(min=1)
+    return ProjectedFeatures(volume.permute(0, 4, 1, 2, 3), bev.permute(0, 3, 1, 2))
+
+
+def _sums(features: Tensor, matrices: Tensor, centres: Tensor, image: tuple[int, int]) -> tuple[Tensor, Tensor]:
+    """Of one frame's features (N, C, h, w): their sums (P, C) at the centres, and how many cameras saw each (P,)."""
+    total = features.new_zeros(len(centres), features.shape[1])
+    count = features.new_zeros(len(centres))
+    for cells, matrix in zip(features, matrices, strict=True):
+        seen, cell = seen_cells(centres, matrix, image, (cells.shape[1], cells.shape[2]))
+        total = total.index_add(0, seen, cells.flatten(1).T[cell])
+        count = count.index_add(0, seen, count.new_ones(len(seen)))
+    return total, count
