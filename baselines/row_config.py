@@ -58,6 +58,14 @@ class RowConfig:
     augment: AugmentConfig = field(default_factory=AugmentConfig)
     training: TrainingConfig = field(default_factory=TrainingConfig)
 
+    def __post_init__(self) -> None:
+        said = getattr(self.model, "modality", self.inputs.modality)
+        if said != self.inputs.modality:
+            raise ValueError(f"inputs are of {self.inputs.modality}, the model of {said}")
+        shape = getattr(self.model, "image_shape", self.inputs.image_size_px)
+        if self.inputs.sees("C") and shape != self.inputs.image_size_px:
+            raise ValueError(f"pictures of {self.inputs.image_size_px} are given, the model is made for {shape}")
+
     def as_json(self) -> str:
         return json.dumps(asdict(self), sort_keys=True)
 

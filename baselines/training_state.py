@@ -12,7 +12,7 @@ from torch.nn.parallel import DistributedDataParallel
 from baselines.cache import CachedFrame, data_hash
 from baselines.checkpoint import Provenance, read_checkpoint, write_checkpoint
 from baselines.errors import BadRunError
-from baselines.models.architectures import build_model
+from baselines.models.architectures import build_model, with_class_counts
 from baselines.models.occupancy_model import OccupancyModel
 from baselines.optimisation import BatchLosses, build_optimizer
 from baselines.processes import ProcessShare
@@ -44,8 +44,8 @@ class TrainingState:
 def begun_state(row: RowConfig, frames: Sequence[CachedFrame], share: ProcessShare) -> TrainingState:
     """The state before the first step: weights by the row's seed, classes weighed by the voxels of `frames`."""
     torch.manual_seed(row.training.seed)
-    counted = [sum(frame.voxels[place] for frame in frames) for place in range(4)]
-    model = build_model(row.model.with_class_counts((counted[0], counted[1], counted[2], counted[3]))).to(share.device)
+    free, t, p, n = (sum(frame.voxels[place] for frame in frames) for place in range(4))
+    model = build_model(with_class_counts(row.model, (free, t, p, n))).to(share.device)
     losses: nn.Module = BatchLosses(model, row.training.precision)
     if share.world > 1:
         losses = DistributedDataParallel(losses, find_unused_parameters=True)

@@ -3,7 +3,7 @@
 Source: Wang et al., OpenOccupancy, ICCV 2023; the official `projects/configs/{baselines,Cascade-Occupancy-Network}`.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 from baselines.lattice import VoxelLattice
@@ -56,10 +56,6 @@ class OpenOccConfig:
     normalises_losses: bool = True  # each by its own value, as officially: only directions of gradients are weighed
     depth_loss_weight: float = 3.0
     checkpoint_gradients: bool = False
-
-    def with_class_counts(self, counts: FourInts) -> "OpenOccConfig":
-        """The same for a training split that has so many voxels of free, T, P, N."""
-        return replace(self, class_counts=counts)
 
     @property
     def has_cameras(self) -> bool:

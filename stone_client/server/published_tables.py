@@ -50,8 +50,8 @@ TABLE2 = PublishedTable(
     title="Table II of the STONE paper",
     source="STONE Dataset (ICRA 2026), Table II",
     note=(
-        "Published by the paper for its own recordings, of which split it does not say; not scored here, not comparable "
-        "with a score on other data."
+        "Published by the paper for its own recordings, of which split it does not say; not scored here, not "
+        "comparable with a score on other data."
     ),
     rows=(
         PublishedRow("C-OpenOcc", "C", ("35.0", "14.5", "23.8", "33.7", "24.0")),
