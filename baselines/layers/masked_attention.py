@@ -40,7 +40,7 @@ class MaskPrediction:
 
 
 @dataclass(frozen=True, eq=False)
-class Memory:
+class MemoryTokens:
     """What is attended to: `tokens` (B, N, C), whose positions `keys` have added."""
 
     tokens: Tensor
@@ -78,9 +78,9 @@ class MaskDecoder(nn.Module):
             predictions.append(self._predicted(queries, features))
         return tuple(predictions)
 
-    def _memory(self, level: int, volume: Tensor) -> Memory:
+    def _memory(self, level: int, volume: Tensor) -> MemoryTokens:
         tokens = volume.flatten(2).transpose(1, 2) + self.level.weight[level]
-        return Memory(tokens, tokens + sine_positions(shape_of(volume), volume.shape[1], volume.device))
+        return MemoryTokens(tokens, tokens + sine_positions(shape_of(volume), volume.shape[1], volume.device))
 
     def _predicted(self, queries: Tensor, features: Tensor) -> MaskPrediction:
         queries = self.norm(queries)
@@ -104,7 +104,7 @@ class MaskDecoderLayer(nn.Module):
             if parameter.dim() > 1:
                 nn.init.xavier_normal_(parameter)
 
-    def forward(self, queries: Tensor, query_position: Tensor, memory: Memory, hidden: Tensor) -> Tensor:
+    def forward(self, queries: Tensor, query_position: Tensor, memory: MemoryTokens, hidden: Tensor) -> Tensor:
         """`queries` (B, Q, C), their positions (Q, C), and `hidden` (B · heads, Q, N), what they do not look at."""
         asked = queries + query_position
         seen, _ = self.across(asked, memory.keys, memory.tokens, attn_mask=hidden, need_weights=False)

@@ -13,7 +13,6 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from baselines.batch import IGNORED
 from baselines.lattice import Shape
 
 
@@ -44,10 +43,13 @@ class FrameMasks:
 
 
 def frame_masks(labels: Tensor, rarity: Tensor) -> FrameMasks:
-    """The classes of `labels` (X, Y, Z), each with all its voxels; `rarity` (C,) says how much each class is drawn."""
+    """The classes of `labels` (X, Y, Z), each with all its voxels; `rarity` (C,) says how much each class is drawn.
+
+    What is none of the C classes, as `IGNORED`, is drawn nowhere.
+    """
     x, y, z = labels.shape
     flat = labels.flatten()
-    is_counted = flat != IGNORED
+    is_counted = flat < len(rarity)
     classes = torch.unique(flat[is_counted]).long()
     drawn = torch.where(is_counted, rarity[torch.where(is_counted, flat, 0).long()], 0.0)
     return FrameMasks(classes, flat == classes[:, None], drawn, (x, y, z))

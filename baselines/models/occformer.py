@@ -100,7 +100,7 @@ class OccFormer(OccupancyModel[OccFormerOutputs]):
         return terms
 
     def logits(self, outputs: OccFormerOutputs, batch: Batch) -> Tensor:
-        """Logarithms of how much the last queries' masks speak for each class, whose sum over classes is any number."""
+        """Logarithms of the shares that the masks of the last queries give each class."""
         return class_logits(outputs.predictions[-1], self.lattice.shape, self.config.align_corners)
 
 

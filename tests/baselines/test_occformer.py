@@ -12,6 +12,7 @@ from baselines.lattice import VoxelLattice
 from baselines.layers.masked_attention import MaskPrediction
 from baselines.models.occformer import OccFormer, OccFormerOutputs, class_logits
 from baselines.models.occformer_config import OccFormerConfig, official_r50
+from tests.baselines.camera_scene import scene_batch
 
 LATTICE = VoxelLattice((-3.2, -3.2, -0.8), (0.2, 0.2, 0.2), (32, 32, 16))
 SMALL = OccFormerConfig(
@@ -82,6 +83,17 @@ def test_the_official_sizes_have_the_official_number_of_parameters(
     assert sum(p.numel() for p in model.parameters() if p.requires_grad) == trained
 
 
+def test_the_official_sizes_fit_together_from_the_lifted_volume_on() -> None:
+    with torch.device("meta"):
+        model = OccFormer(OccFormerConfig()).eval()
+        volumes = model.encoder(torch.zeros(1, 128, 128, 128, 16))
+        predictions = model.mask_decoder(*model.pixel_decoder(volumes))
+    assert [tuple(v.shape[1:]) for v in volumes] == [
+        (128, 128, 128, 16), (256, 64, 64, 8), (512, 32, 32, 4), (1024, 16, 16, 2),
+    ]  # fmt: skip
+    assert [tuple(p.masks.shape) for p in predictions] == [(1, 100, 128, 128, 16)] * 10
+
+
 def test_outputs_are_masks_on_half_the_lattice_and_logits_on_all_of_it() -> None:
     model, batch = OccFormer(SMALL).eval(), frames()
     with torch.no_grad():
@@ -131,6 +143,22 @@ def test_checkpointing_changes_no_gradient() -> None:
         total(model.losses(model(batch), batch)).backward()
         gradients.append([p.grad for p in model.parameters()])
     torch.testing.assert_close(gradients[0], gradients[1], atol=1e-5, rtol=1e-3)
+
+
+def test_twenty_steps_on_one_frame_halve_its_loss() -> None:
+    lattice = VoxelLattice((-8.0, -8.0, -4.0), (0.5, 0.5, 0.5), (32, 32, 16))
+    batch = scene_batch(lattice)
+    config = replace(SMALL, lattice=lattice, depth_range_m=(0.5, 12.5), decoder_channels=24, mask_points=3_000)
+    model = OccFormer(replace(config, stage_channels=(16, 32, 32, 32), backbone_width=8, neck_channels=16)).train()
+    optimiser = torch.optim.AdamW(model.parameters(), lr=3e-3)
+    losses = []
+    for _ in range(20):
+        loss = total(model.losses(model(batch), batch))
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        losses.append(loss.item())
+    assert losses[-1] < losses[0] / 2
 
 
 def test_the_same_seed_gives_the_same_losses() -> None:

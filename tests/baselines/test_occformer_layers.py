@@ -15,7 +15,7 @@ from baselines.layers.deformable_attention3d import (
     voxel_places,
 )
 from baselines.layers.dual_path import DualPathEncoder, DualPathSettings
-from baselines.layers.masked_attention import MaskDecoder, MaskDecoderLayer, Memory, QuerySettings, hidden_voxels
+from baselines.layers.masked_attention import MaskDecoder, MaskDecoderLayer, MemoryTokens, QuerySettings, hidden_voxels
 from baselines.layers.pixel_decoder3d import PixelDecoder3D, PixelDecoderSettings
 from baselines.layers.shifted_windows import ShiftedWindowBlock, WindowAttention, WindowSettings, stochastic_depth
 from baselines.layers.sine_positions import sine_positions
@@ -222,10 +222,10 @@ def test_a_query_sees_only_where_its_mask_is() -> None:
     hidden[:, :, 3:] = True
     changed = tokens.clone()
     changed[:, 3:] += 1.0
-    answers = [layer(queries, position, Memory(t, t), hidden) for t in (tokens, changed)]
+    answers = [layer(queries, position, MemoryTokens(t, t), hidden) for t in (tokens, changed)]
     torch.testing.assert_close(answers[0], answers[1])
     changed[:, :3] += 1.0
-    assert not torch.allclose(answers[0], layer(queries, position, Memory(changed, changed), hidden))
+    assert not torch.allclose(answers[0], layer(queries, position, MemoryTokens(changed, changed), hidden))
 
 
 def test_a_mask_hides_what_it_does_not_cover_and_nothing_where_it_covers_nothing() -> None:
