@@ -11,8 +11,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from stone_client.files.export_files import FolderFiles
-from stone_client.files.exported_sweeps import TABLES, exports_in, sweeps_in
+from stone_exports.files import FolderFiles
+from stone_exports.sweeps import sweeps_in
+from stone_exports.tables import TABLES, exports_in
 
 BLOCK_BYTES = 512
 TOKEN = "a" * 32

@@ -9,7 +9,7 @@ import stone_recordings.messages.point_kernel  # noqa: F401 # numba compiles byt
 
 # isort: split
 
-EXPORTED = ("stone_client.files.export_files", "stone_client.files.tar_index", "stone_client.files.exported_sweeps")
+EXPORTED = ("stone_exports.files", "stone_exports.tar_index", "stone_exports.tables", "stone_exports.sweeps")
 
 with atheris.instrument_imports(
     include=["stone_recordings", "stone_submissions", "services.eval", "services.ingest", *EXPORTED]

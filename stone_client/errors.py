@@ -169,3 +169,15 @@ def _findings(problem: Mapping[str, Any]) -> str:
     found = problem.get("errors") or []
     said = [f"{one.get('where', '')}: {one.get('expected') or one.get('code', '')}" for one in found[:MOST_FINDINGS]]
     return f": {'; '.join(said)}" if said else ""
+
+
+class NoTorchError(StoneError):
+    """PyTorch is not installed where the command runs."""
+
+    code: ClassVar[str] = "no_torch"
+
+    def __init__(self, missing: str) -> None:
+        super().__init__(
+            f"{missing} is not installed here: run `make baselines`, then .venv-baselines/bin/stone with the same "
+            "words (or pip install 'stone-platform[baselines]')"
+        )

@@ -14,6 +14,7 @@ from stone_client.commands.benchmark.compare import compare
 from stone_client.commands.benchmark.inputs import inputs
 from stone_client.commands.benchmark.leaderboard import leaderboard
 from stone_client.commands.benchmark.manifest import manifest
+from stone_client.commands.benchmark.reported import reported
 from stone_client.commands.benchmark.results import results
 from stone_client.commands.benchmark.submit import submit
 from stone_client.commands.benchmark.teams import teams
@@ -31,6 +32,8 @@ from stone_client.commands.local.recover import recover
 from stone_client.commands.local.score import score
 from stone_client.commands.local.simulate import simulate
 from stone_client.commands.local.validate import validate
+from stone_client.commands.models.predict import predict
+from stone_client.commands.models.train import train
 from stone_client.commands.server.download import download
 from stone_client.commands.server.exports import exports
 from stone_client.commands.server.login import login
@@ -53,7 +56,8 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
     "On this machine": (simulate, inspect, recover, label, export, baseline, validate, score, demo),
     "With a server": (serve, login, upload, process, watch, status, exports, download),
     "The dataset": (statistics, splits, datasets),
-    "A benchmark": (benchmarks, manifest, inputs, submit, results, leaderboard, compare, withdraw),
+    "Models": (train, predict),
+    "A benchmark": (benchmarks, manifest, inputs, submit, results, leaderboard, compare, withdraw, reported),
 }
 for panel, commands in COMMANDS.items():
     for command in commands:

@@ -38,6 +38,8 @@ ROW_EXAMPLE: dict[str, Any] = {
     "intervals": None,
     "support": None,
     "source": None,
+    "note": None,
+    "percent_digits": 2,
     "submitted_at": "2026-06-02T09:12:44.120000Z",
 }
 CHANGE_EXAMPLE = {
@@ -137,7 +139,8 @@ class BoardRow(Answer):
     """A line of a board. Null is what is not known, does not apply, or is not shown to the caller.
 
     `standing`: only ranked entries have a rank; a baseline is shown beside them, an undefined entry lacks a ratio, a
-    reported result was published elsewhere (`source`) and not scored here.
+    reported result was published elsewhere (`source`, `note`) and not scored here. In per cent a row has
+    `percent_digits` decimals: a reported one as many as it was printed with.
     """
 
     model_config = example(**ROW_EXAMPLE)
@@ -156,6 +159,8 @@ class BoardRow(Answer):
     intervals: IntervalsItem | None
     support: SupportItem | None
     source: str | None
+    note: str | None
+    percent_digits: int
     submitted_at: datetime | None
 
 

@@ -10,6 +10,7 @@ from api.schemas.jobs import JOB_EXAMPLE, JobItem
 from api.schemas.phase_bodies import Version
 from services.domain.benchmarks.modalities import Modality
 from services.domain.benchmarks.phases.reported_results import MOST_ROWS, ReportedRow
+from services.domain.benchmarks.visibility import PERCENT_DIGITS
 
 Ratio = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 TRUTH_EXAMPLE: dict[str, Any] = {
@@ -36,6 +37,8 @@ REPORTED_EXAMPLE: dict[str, Any] = {
     "iou_p": None,
     "iou_n": None,
     "miou": None,
+    "note": "published on another test split",
+    "percent_digits": 1,
 }
 
 
@@ -80,7 +83,10 @@ class TruthAccepted(Answer):
 
 
 class ReportedItem(Body):
-    """A result as somebody published it: `source` says who and where; ratios, not percentages; null was not given."""
+    """A result as somebody published it: `source` says who and where; ratios, not percentages; null was not given.
+
+    `note` is what a reader of the board must know of it; `percent_digits` are the decimals of its per cent as printed.
+    """
 
     model_config = Body.model_config | example(**REPORTED_EXAMPLE)
 
@@ -92,6 +98,8 @@ class ReportedItem(Body):
     iou_p: Ratio | None = None
     iou_n: Ratio | None = None
     miou: Ratio | None = None
+    note: Annotated[str, StringConstraints(pattern=PLAIN, max_length=600, strip_whitespace=True)] = ""
+    percent_digits: Annotated[int, Field(ge=0, le=4)] = PERCENT_DIGITS
 
     def row(self) -> ReportedRow:
         return ReportedRow(**self.model_dump())

@@ -147,6 +147,8 @@ def _row(row: LeaderboardRow) -> BoardRow:
         intervals=None if row.intervals is None else IntervalsItem(**row.intervals),
         support=None if row.support is None else SupportItem(**row.support),
         source=row.source,
+        note=row.note,
+        percent_digits=row.percent_digits,
         submitted_at=instant_or_none(row.submitted_ns),
     )
 

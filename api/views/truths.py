@@ -1,6 +1,7 @@
 """Ground truths and reported rows as the API shows them."""
 
 from collections.abc import Sequence
+from hashlib import sha256
 from typing import Any, Literal
 
 from sqlalchemy.orm import Session
@@ -20,6 +21,11 @@ def truth_items(session: Session, phase: Phase, rows: Sequence[GroundTruthRow]) 
 
 def reported_item(row: Reported) -> ReportedItem:
     return ReportedItem(**{name: getattr(row, name) for name in ReportedItem.model_fields})
+
+
+def reported_tag(items: Sequence[ReportedItem]) -> str:
+    """The revision of all reported rows of a phase."""
+    return sha256("\n".join(item.model_dump_json() for item in items).encode()).hexdigest()
 
 
 def _item(session: Session, row: GroundTruthRow, is_active: bool) -> TruthItem:

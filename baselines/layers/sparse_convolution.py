@@ -72,7 +72,7 @@ class SparseConvolution3d(nn.Module):
         wide = torch.promote_types(voxels.features.dtype, torch.float32)
         sums = voxels.features.new_zeros(len(rules.keys), self.weight.shape[2], dtype=wide)
         for (inputs, outputs), matrix in zip(rules.pairs, self.weight, strict=True):
-            sums = sums.index_add(0, outputs, (voxels.features[inputs] @ matrix).to(wide))
+            sums.index_add_(0, outputs, (voxels.features[inputs] @ matrix).to(wide))
         if self.bias is not None:
             sums = sums + self.bias
         return SparseVoxels(sums, rules.keys, rules.shape, voxels.frames)

@@ -82,8 +82,7 @@ class OpenOcc(OccupancyModel[OpenOccOutputs]):
         if batch.labels is None:
             raise ValueError("losses need labels, and this batch has none")
         with torch.autocast(batch.device.type, enabled=False):
-            cells = coarse_labels(batch.labels, self.config.coarse_ratio)
-            terms = voxel_terms("coarse", outputs.coarse, cells, self.class_weights)
+            terms = voxel_terms("coarse", *self.supervised(outputs.coarse, batch.labels), self.class_weights)
             if outputs.fine is not None:
                 labels = batch.labels[outputs.fine.indices.unbind(dim=1)]
                 terms |= voxel_terms("fine", outputs.fine.logits, labels, None)
@@ -93,15 +92,24 @@ class OpenOcc(OccupancyModel[OpenOccOutputs]):
                 terms["depth"] = self.config.depth_loss_weight * depth
             return {name: by_own_value(term) if self.config.normalises_losses else term for name, term in terms.items()}
 
+    def supervised(self, coarse: Tensor, labels: Tensor) -> tuple[Tensor, Tensor]:
+        """Logits and labels, both of coarse cells or, if the row `supervises_voxels`, both of voxels."""
+        if self.config.supervises_voxels:
+            return self.interpolated(coarse), labels
+        return coarse, coarse_labels(labels, self.config.coarse_ratio)
+
     def logits(self, outputs: OpenOccOutputs, batch: Batch) -> Tensor:
         """Trilinear in the coarse logits; with the cascade, refined voxels their own, others their cell's: free."""
-        coarse = outputs.coarse.float()
         if outputs.fine is None:
-            return functional.interpolate(coarse, size=self.lattice.shape, mode="trilinear", align_corners=False)
-        logits = functional.interpolate(coarse, size=self.lattice.shape, mode="nearest")
+            return self.interpolated(outputs.coarse)
+        logits = functional.interpolate(outputs.coarse.float(), size=self.lattice.shape, mode="nearest")
         frame, x, y, z = outputs.fine.indices.unbind(dim=1)
         logits[frame, :, x, y, z] = outputs.fine.logits.float()
         return logits
+
+    def interpolated(self, coarse: Tensor) -> Tensor:
+        """Coarse logits, trilinear on the lattice, float32."""
+        return functional.interpolate(coarse.float(), size=self.lattice.shape, mode="trilinear", align_corners=False)
 
 
 def voxel_terms(name: str, logits: Tensor, labels: Tensor, class_weights: Tensor | None) -> dict[str, Tensor]:

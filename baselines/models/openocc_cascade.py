@@ -1,9 +1,8 @@
 """CoNet's cascade: children of coarse cells that are predicted occupied are classified one by one.
 
 Source: Wang et al., OpenOccupancy, section 4.3; `OccHead.forward`, `utils/coordinate_transform.py`. There child i of n
-is sampled at i / (n − 1) of the volume's extent and projected from min + i · extent / (n − 1), up to a coarse cell
-off where it lies; here at its centre, (i + ½) / n. There at most 100,000 random cells are refined when predicting; here
-all are.
+is sampled and projected at i / (n − 1) of the grid's extent, up to half a voxel aside; here at its centre, (i + ½) / n.
+There at most 100,000 cells by chance are refined when predicting; here all are.
 """
 
 from dataclasses import dataclass

@@ -19,8 +19,11 @@ TEN_FRAMES: FourInts = (20_510_000, 2_900, 120_000, 336_000)
 class OpenOccConfig:
     """One row, on a lattice. Defaults are L-OpenOcc's; `official_row` gives each of the six.
 
-    `coarse_ratio` is 4 officially. On 0.2 m voxels that makes cells of 0.8 m, from which not even true labels bring
-    back half of the occupied voxels, so it is 2 here: 0.4 m, as long as the finest voxels of nuScenes-Occupancy's 4.
+    `coarse_ratio` is 4 officially, of 512 × 512 × 40 voxels. On this grid that leaves 64 × 64 × 8 cells, from which not
+    even true labels bring back half of what is occupied; 2 leaves 128 × 128 × 16, about as many as officially.
+
+    `supervises_voxels` compares coarse logits, interpolated, with the labels themselves; officially, and by default,
+    with labels made coarse. A row without the cascade can only then learn surfaces thinner than a cell.
     """
 
     architecture: Literal["openocc"] = "openocc"
@@ -49,6 +52,7 @@ class OpenOccConfig:
     refined_cells: int = 15_000  # at most, of a frame's occupied coarse cells while training; all when predicting
 
     class_counts: FourInts = TEN_FRAMES  # voxels of free, T, P, N: a class weighs 1 / log of its count
+    supervises_voxels: bool = False
     normalises_losses: bool = True  # each by its own value, as officially: only directions of gradients are weighed
     depth_loss_weight: float = 3.0
     checkpoint_gradients: bool = False

@@ -11,30 +11,19 @@ from dataclasses import asdict, dataclass
 from hashlib import file_digest
 from itertools import islice
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, TypeVar
 
-from stone.errors import StoneError
 from stone.labels.baseline import predict_from_sweep
-from stone_client.files.exported_sweeps import SweepFile, exports_in, sweeps_in
 from stone_client.progress import Report
+from stone_exports.errors import refuse_missing
+from stone_exports.sweeps import SweepFile, sweeps_in
+from stone_exports.tables import exports_in
 from stone_submissions.manifest import Manifest, read_manifest
 from stone_submissions.writer import frame_file, write_files
 
 AHEAD = 3
 T = TypeVar("T")
 Frame = tuple[str, bytes]
-
-
-class FramesMissingError(StoneError):
-    """The exports do not have all the frames that are to be predicted."""
-
-    code: ClassVar[str] = "frames_missing"
-
-    def __init__(self, missing: Sequence[str], sequences: Sequence[str]) -> None:
-        super().__init__(
-            f"{len(missing)} frames of the manifest have no sweep in what was given (the first is {missing[0]}); they "
-            f"are of {', '.join(sequences[:5])}{', …' if len(sequences) > 5 else ''}: give the exports of those too"
-        )
 
 
 @dataclass(frozen=True)
@@ -84,10 +73,7 @@ def find_sweeps(sources: Sequence[Path], manifest: Manifest) -> Mapping[str, Swe
     for source in sources:
         for files in exports_in(source):
             found = {**sweeps_in(files, tokens), **found}
-    missing = [token for token in manifest.tokens if token not in found]
-    if missing:
-        without = [name for name, own in manifest.sequences.items() if not set(own) <= found.keys()]
-        raise FramesMissingError(missing, without)
+    refuse_missing(manifest.sequences, found)
     return found
 
 

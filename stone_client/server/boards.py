@@ -1,11 +1,12 @@
 """The board of a phase: as the server's record, as a table for people, or as the file the server makes of it."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from rich.table import Table
 
+from stone.errors import one_line
 from stone_client.api import Api
 from stone_client.server.benchmarks import phase_path
 from stone_client.server.scores import RATIOS, interval, percent
@@ -51,10 +52,19 @@ def board_table(record: Mapping[str, Any]) -> Table:
         column.justify, column.overflow = "left", "fold"
     for row in record["rows"]:
         told = (row["intervals"] or {}).get("miou")
-        miou, *others = (percent(row["ratios"][key]) for key in RATIOS)
+        miou, *others = (percent(row["ratios"][key], row["percent_digits"]) for key in RATIOS)
         whose = f"{safe_text(row['method'])}{_team(row)}\n{safe_text(row['submission_id'] or row['source'] or '')}"
         table.add_row(_rank(row), whose, row["modality"], f"{miou}\n{interval(told) if told else ''}", *others)
     return table
+
+
+def reported_notes(rows: Iterable[Mapping[str, Any]]) -> list[str]:
+    """What is to be known of reported rows, in a line each that names them."""
+    said: dict[str, list[str]] = {}
+    for row in rows:
+        if row["note"]:
+            said.setdefault(row["note"], []).append(f"{row['method']} ({row['modality']})")
+    return [one_line(f"{', '.join(names)}: {note}") for note, names in said.items()]
 
 
 def _team(row: Mapping[str, Any]) -> str:

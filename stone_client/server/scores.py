@@ -124,8 +124,8 @@ def submissions_table(submissions: Sequence[Item]) -> Table:
     return table
 
 
-def percent(ratio: float | None) -> str:
-    return DASH if ratio is None else f"{100 * ratio:.2f}"
+def percent(ratio: float | None, digits: int = 2) -> str:
+    return DASH if ratio is None else f"{100 * ratio:.{digits}f}"
 
 
 def interval(bounds: Sequence[float] | None) -> str:

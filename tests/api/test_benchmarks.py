@@ -167,12 +167,28 @@ def test_reported_rows_are_put_as_a_whole_and_read_as_they_are_put(
     api: httpx.Client, administrator: Person, version: str
 ) -> None:
     path = f"{ADMIN}/phases/{made(api, administrator, version)['test']['id']}/reported"
-    whole = {**PAPER, "iou_occ": None, "iou_t": None, "iou_p": None, "iou_n": None}
+    whole = {**PAPER, "iou_occ": None, "iou_t": None, "iou_p": None, "iou_n": None, "note": "", "percent_digits": 2}
     for _ in range(2):
         put = api.put(path, json={"rows": [PAPER], **WHY}, headers=administrator.headers)
         assert (put.status_code, put.json()) == (200, [whole])
     assert api.get(path, headers=administrator.headers).json() == [whole]
+    noted = whole | {"note": "of another split", "percent_digits": 1}
+    assert api.put(path, json={"rows": [noted], **WHY}, headers=administrator.headers).json() == [noted]
     assert api.put(path, json={"rows": [], **WHY}, headers=administrator.headers).json() == []
+
+
+def test_who_has_read_the_reported_rows_writes_over_nobody_elses(
+    api: httpx.Client, administrator: Person, version: str
+) -> None:
+    path = f"{ADMIN}/phases/{made(api, administrator, version)['test']['id']}/reported"
+    tag = api.get(path, headers=administrator.headers).headers["etag"]
+    read = administrator.headers | {"If-Match": tag}
+    assert api.put(path, json={"rows": [PAPER], **WHY}, headers=read).status_code == 200
+    assert problem(api.put(path, json={"rows": [], **WHY}, headers=read)) == (412, "precondition_failed")
+    again = api.get(path, headers=administrator.headers)
+    assert [row["method"] for row in again.json()] == [PAPER["method"]]
+    read = administrator.headers | {"If-Match": again.headers["etag"]}
+    assert api.put(path, json={"rows": [], **WHY}, headers=read).json() == []
 
 
 NO_ROWS: tuple[tuple[dict[str, Any], str], ...] = (
@@ -182,6 +198,9 @@ NO_ROWS: tuple[tuple[dict[str, Any], str], ...] = (
     ({"method": ""}, "invalid_request"),
     ({"source": "a\u200bb"}, "invalid_request"),
     ({"rank": 1}, "invalid_request"),
+    ({"note": "a\u202eb"}, "invalid_request"),
+    ({"note": "a" * 601}, "invalid_request"),
+    ({"percent_digits": 5}, "invalid_request"),
     ({}, "reported_twice"),
 )
 

@@ -29,6 +29,7 @@ ON_A_SERVER = [
     "leaderboard",
     "compare",
     "withdraw",
+    "reported",
 ]
 COMMANDS = [*LOCAL, *ON_A_SERVER]
 

@@ -110,7 +110,9 @@ def test_reported_rows_are_edited_and_put_back_at_once(
             row.get_by_label("Method").fill(f"Paper {number}")
             row.get_by_label("Senses with").select_option("C+L")
             row.get_by_label("Source").fill("authors, year, table 2")
+            row.get_by_label("Note").fill("of another split")
             row.get_by_label("miou").fill("0.342")
+            row.get_by_label("Decimals of the per cent").fill("1")
         editor.get_by_label("Reason").fill("what the papers report")
         row.get_by_label("Source").fill("a\u200bb")
         editor.get_by_role("button", name="Save").click()
@@ -122,6 +124,7 @@ def test_reported_rows_are_edited_and_put_back_at_once(
     with platform.database.reading() as session:
         rows = reported_in(session, place.phase.id)
     assert [(row.method, row.modality, row.miou, row.iou_t) for row in rows] == [("Paper 0", "C+L", 0.342, None)]
+    assert [(row.note, row.percent_digits) for row in rows] == [("of another split", 1)]
 
 
 def test_rules_that_are_refused_say_why_and_the_benchmark_is_made_public(

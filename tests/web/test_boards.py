@@ -40,6 +40,12 @@ def test_a_visitor_sees_ties_in_a_bracket_and_intervals_on_one_axis(site: Site, 
         values = [box["x"] for box in boxes(page, "tbody[data-standing='ranked'] .whisker-plot .value")]
         assert values == sorted(values, reverse=True)
         expect(page.locator("tbody[data-standing='reported'] .by").first).to_have_text(re.compile("Table II"))
+        printed = page.locator("tbody[data-standing='reported'] tr", has_text="OccFormer")
+        expect(printed.locator(".by")).to_have_text(re.compile("Table II.*note 1"))
+        note = page.locator("tbody[data-standing='reported'] .group-notes")
+        expect(note).to_have_text(re.compile("Note 1.*not comparable with a score on other data"))
+        expect(page.locator("tr", has_text="CONet").locator("sup")).to_have_count(0)
+        expect(printed.locator("td.number")).to_have_text(["24.3", "41.0", "31.0", "20.0", "22.0"])
         assert page.locator("tbody:not([data-standing='ranked']) td.rank strong").count() == 0
         look(page, "board")
 

@@ -43,21 +43,26 @@ class BoardWhisker:
 
 @dataclass(frozen=True)
 class ShownRow:
-    """`tied` is how many rows the bracket that begins here spans, 0 where it began above; `best` names the columns."""
+    """`tied` is how many rows the bracket that begins here spans, 0 where it began above; `best` names the columns.
+
+    `note_number` is that of its note among those of the group, from 1; 0 where it has none.
+    """
 
     row: BoardRow
     whisker: BoardWhisker | None
     tied: int
     best: frozenset[str]
+    note_number: int
 
 
 @dataclass(frozen=True)
 class Group:
-    """Rows of one standing."""
+    """Rows of one standing; `notes` are what must be known of some of them, each once."""
 
     standing: EntryStatus
     title: str
     rows: tuple[ShownRow, ...]
+    notes: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -155,11 +160,16 @@ def _by_status(rows: Iterable[BoardRow]) -> list[tuple[EntryStatus, list[BoardRo
 def _group(standing: EntryStatus, rows: Sequence[BoardRow], scale: _BoardScale) -> Group:
     placed = _sorted(rows, scale.sort)
     brackets = _brackets(placed) if scale.sort == "rank" and standing == "ranked" else [1] * len(placed)
+    notes = tuple(dict.fromkeys(row.note for row in placed if row.note is not None))
     shown = (
-        ShownRow(row, _whisker(row, scale.axis), tied, _best_in(row, scale.bests))
+        ShownRow(row, _whisker(row, scale.axis), tied, _best_in(row, scale.bests), _number_of(row.note, notes))
         for row, tied in zip(placed, brackets, strict=True)
     )
-    return Group(standing, TITLES[standing], tuple(shown))
+    return Group(standing, TITLES[standing], tuple(shown), notes)
+
+
+def _number_of(note: str | None, notes: Sequence[str]) -> int:
+    return 0 if note is None else 1 + notes.index(note)
 
 
 def _sorted(rows: Sequence[BoardRow], sort: Sort) -> list[BoardRow]:

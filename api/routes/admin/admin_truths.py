@@ -5,7 +5,7 @@
 
 from collections.abc import Sequence
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Request, Response
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
@@ -13,13 +13,15 @@ from api import audit
 from api.answers import refusals
 from api.callers import Administrator
 from api.deps import PlatformDep
+from api.etags import etag, require_match
 from api.paging import Page, PageDep, page
 from api.schemas.base import IdPath
 from api.schemas.truths import NewTruthBody, ReportedBody, ReportedItem, TruthAccepted, TruthItem
 from api.views.jobs import job_items
-from api.views.truths import reported_item, truth_items
+from api.views.truths import reported_item, reported_tag, truth_items
 from api.visible import dataset_of, phase_of
 from services.domain.benchmarks.phases.ground_truths import compare_frames, start_truth
+from services.domain.benchmarks.phases.phases import lock_phase
 from services.domain.benchmarks.phases.reported_results import put_reported, reported_in
 from services.runtime.orm import Dataset, GroundTruthRow, Phase
 
@@ -58,19 +60,28 @@ def list_ground_truths(
 
 
 @router.get("/reported", responses=refusals(404))
-def list_reported(phase_id: IdPath, _caller: Administrator, platform: PlatformDep) -> Sequence[ReportedItem]:
+def list_reported(
+    phase_id: IdPath, _caller: Administrator, platform: PlatformDep, response: Response
+) -> Sequence[ReportedItem]:
     """The reported rows of the phase, by method and modality: what is put back is what stands."""
     with platform.database.reading() as session:
-        return [reported_item(row) for row in reported_in(session, phase_of(session, phase_id).id)]
+        items = [reported_item(row) for row in reported_in(session, phase_of(session, phase_id).id)]
+    response.headers["ETag"] = etag(reported_tag(items))
+    return items
 
 
-@router.put("/reported", responses=refusals(404, 409))
+@router.put("/reported", responses=refusals(404, 409, 412))
 def replace_reported(
-    phase_id: IdPath, body: ReportedBody, caller: Administrator, platform: PlatformDep
+    phase_id: IdPath, body: ReportedBody, caller: Administrator, platform: PlatformDep, request: Request
 ) -> Sequence[ReportedItem]:
-    """Put all reported rows of the phase at once; they are marked on the board and never ranked."""
+    """Put all reported rows of the phase at once; they are marked on the board and never ranked.
+
+    With If-Match only where the rows are still those that were read.
+    """
     with platform.database.transaction() as session:
-        phase = phase_of(session, phase_id)
+        phase = lock_phase(session, phase_of(session, phase_id).id)
+        if "if-match" in request.headers:
+            require_match(request, reported_tag([reported_item(row) for row in reported_in(session, phase.id)]))
         rows = put_reported(session, phase, [item.row() for item in body.rows])
         audit.record_admin_act(session, caller, "reported.put", phase.id, body.reason, {"rows": len(rows)})
         return [reported_item(row) for row in rows]

@@ -23,6 +23,7 @@ Field = Literal[
 ]  # fmt: skip
 
 RATIO_DIGITS = 4
+PERCENT_DIGITS = RATIO_DIGITS - 2
 ON_BOARDS = ("entry", "baseline")
 
 _ADMINISTRATOR: tuple[Relation, ...] = ("administrator",)

@@ -4,7 +4,7 @@
 board of a phase shows one evaluation version (a ground truth and a metric) at a time: that of its newest activation.
 """
 
-from sqlalchemy import JSON, ForeignKey, Index, String, Text, false
+from sqlalchemy import JSON, ForeignKey, Index, String, Text, false, text
 from sqlalchemy.orm import Mapped, mapped_column
 
 from services.runtime.orm.base import Base, Bytes, Id, Ns, Record, new_id, now_ns
@@ -111,7 +111,11 @@ class Rescore(Base):
 
 
 class Reported(Base):
-    """A result that somebody else published: on the board, marked as not scored here, and never ranked."""
+    """A result that somebody else published: on the board, marked as not scored here, and never ranked.
+
+    `note` is what a reader must know of it beside its source; `percent_digits` are the decimals of its per cent as
+    printed.
+    """
 
     __tablename__ = "reported"
     id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
@@ -119,6 +123,8 @@ class Reported(Base):
     method: Mapped[str] = mapped_column(String(100))
     modality: Mapped[str] = mapped_column(String(8))
     source: Mapped[str] = mapped_column(String(300))
+    note: Mapped[str] = mapped_column(String(600), default="", server_default=text("''"))
+    percent_digits: Mapped[int] = mapped_column(default=2, server_default=text("2"))
     iou_occ: Mapped[float | None]
     iou_t: Mapped[float | None]
     iou_p: Mapped[float | None]

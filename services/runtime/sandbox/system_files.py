@@ -10,7 +10,10 @@ from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
-PACKAGES = ("stone", "stone_files", "stone_recordings", "stone_submissions", "services", "api", "web", "stone_client")
+PACKAGES = (
+    "stone", "stone_files", "stone_recordings", "stone_submissions", "stone_exports", "services", "api", "web",
+    "stone_client",
+)  # fmt: skip
 SYSTEM = ("/usr", "/lib", "/lib64", "/bin", "/etc/ld.so.cache", "/etc/localtime", "/etc/timezone", "/etc/fonts")
 KERNEL = ("/proc/meminfo", "/proc/cpuinfo", "/proc/stat", "/proc/filesystems", "/proc/sys/vm", "/sys/devices/system")
 GROUPS = ("/sys/fs/cgroup", "/sys/kernel/mm")  # memory limits and the size of pages, which allocators ask for

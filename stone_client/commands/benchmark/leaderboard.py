@@ -45,7 +45,7 @@ def leaderboard(
 ) -> None:
     """Show the board of a phase, or write it as CSV, Parquet, Markdown or LaTeX."""
     from stone_client.connection import connected
-    from stone_client.server.boards import BoardSelection, board_file, board_table, read_board
+    from stone_client.server.boards import BoardSelection, board_file, board_table, read_board, reported_notes
 
     if form is Form.PARQUET and output is None:
         raise typer.BadParameter("parquet is not for a terminal; name a file", param_hint="--output")
@@ -60,6 +60,8 @@ def leaderboard(
         echo_json(record)
         return
     show(board_table(record))
+    for line in reported_notes(record["rows"]):
+        typer.echo(line)
     for note in record["notes"]:
         echo_notice(note)
 

@@ -23,7 +23,7 @@ from services.domain.benchmarks.boards.entries import (
 )
 from services.domain.benchmarks.boards.rank_confidence import RankConfidence, RankedScore, rank_confidence_of
 from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion, in_force
-from services.domain.benchmarks.visibility import Secrecy, Viewer, policy_of, secrecy_of
+from services.domain.benchmarks.visibility import PERCENT_DIGITS, Secrecy, Viewer, policy_of, secrecy_of
 from services.runtime.orm import Benchmark, Blob, GroundTruthRow, Phase, Reported, Score
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
@@ -39,7 +39,10 @@ Ratios = Mapping[str, float | None]
 
 @dataclass(frozen=True)
 class LeaderboardRow:
-    """A line of the board. `intervals` are about these places, by ratio; `support` voxels of the truth by class."""
+    """A line of the board. `intervals` are about these places, by ratio; `support` voxels of the truth by class.
+
+    `source` and `note` are of a reported result, whose per cent have the `percent_digits` that they were printed with.
+    """
 
     standing: EntryStatus
     method: str
@@ -55,6 +58,8 @@ class LeaderboardRow:
     intervals: Mapping[str, Interval | None] | None = None
     support: Mapping[str, int] | None = None
     source: str | None = None
+    note: str | None = None
+    percent_digits: int = PERCENT_DIGITS
     submitted_ns: int | None = None
 
 
@@ -190,7 +195,13 @@ def _reported(session: Session, phase: Phase, query: BoardQuery) -> tuple[Leader
     rows = sorted(session.scalars(found), key=lambda row: (-(-1.0 if row.miou is None else row.miou), row.method))
     return tuple(
         LeaderboardRow(
-            "reported", row.method, row.modality, {name: getattr(row, name) for name in RATIOS}, source=row.source
+            "reported",
+            row.method,
+            row.modality,
+            {name: getattr(row, name) for name in RATIOS},
+            source=row.source,
+            note=row.note or None,
+            percent_digits=row.percent_digits,
         )
         for row in rows
     )

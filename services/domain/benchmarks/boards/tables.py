@@ -1,8 +1,8 @@
 """Leaderboard files: CSV and Parquet for programs, Markdown and LaTeX for papers.
 
-**Conventions.** Ratios are ratios in CSV and Parquet, per cent with two digits in Markdown and LaTeX. What is null is
-an empty cell, or a dash. Each says by which evaluation version its scores were made; the LaTeX table needs `booktabs`.
-Texts of strangers are texts in each (`plain_text.py`).
+**Conventions.** Ratios are ratios in CSV and Parquet, per cent in Markdown and LaTeX: with two digits, of a reported
+row with as many as it was printed with. What is null is an empty cell, or a dash. Each says by which evaluation version
+its scores were made; the LaTeX table needs `booktabs`. Texts of strangers are texts in each (`plain_text.py`).
 """
 
 import csv
@@ -13,7 +13,6 @@ from typing import Any, Literal
 
 from services.domain.benchmarks.boards.board import Board, LeaderboardRow
 from services.domain.benchmarks.boards.plain_text import csv_text, latex_text, markdown_text
-from services.domain.benchmarks.visibility import rounded
 from stone.scoring.silences import FEWEST_SEQUENCES, SILENCES
 
 Form = Literal["csv", "parquet", "md", "tex"]
@@ -25,7 +24,9 @@ MEDIA_TYPES: Mapping[Form, str] = {
 }
 RATIO_NAMES = ("miou", "iou_occ", "iou_t", "iou_p", "iou_n")
 HEADINGS = ("mIoU", "IoU occ", "IoU T", "IoU P", "IoU N")
-TEXTS = ("standing", "team", "method", "modality", "source", "submitted_at", "submission_id", "metric", "signature")
+TEXTS = (
+    "standing", "team", "method", "modality", "source", "note", "submitted_at", "submission_id", "metric", "signature"
+)  # fmt: skip
 NUMBERS = ("rank", "rank_low", "rank_high", "tie_group")
 FEW_SEQUENCES = 10
 
@@ -62,6 +63,7 @@ def cells(board: Board, row: LeaderboardRow) -> dict[str, Cell]:
     of_ours = row.standing != "reported" and board.pair is not None
     return found | {
         "source": row.source,
+        "note": row.note,
         "submitted_at": None if row.submitted_ns is None else _moment(row.submitted_ns),
         "submission_id": row.submission_id,
         "metric": board.pair.metric if of_ours and board.pair else None,
@@ -147,7 +149,17 @@ def _notes(board: Board, plain: Callable[[str], str]) -> str:
     """`plain` makes the texts of others harmless."""
     sources = dict.fromkeys(row.source for row in board.rows if row.source is not None)
     reported = [f"Reported: {'; '.join(map(plain, sources))}."] if sources else []
-    return " ".join(["Per cent. Rank with its 95 % interval.", *notes(board), *reported])
+    said = [f"{plain(', '.join(rows))}: {plain(note)}" for note, rows in _rows_by_note(board).items()]
+    return " ".join(["Per cent. Rank with its 95 % interval.", *notes(board), *reported, *said])
+
+
+def _rows_by_note(board: Board) -> Mapping[str, list[str]]:
+    """What is to be known of reported rows, and of which."""
+    found: dict[str, list[str]] = {}
+    for row in board.rows:
+        if row.note is not None:
+            found.setdefault(row.note, []).append(f"{row.method} ({row.modality})")
+    return found
 
 
 def notes(board: Board) -> Iterator[str]:
@@ -178,8 +190,8 @@ def _rank(row: LeaderboardRow) -> str:
 
 
 def _percents(row: LeaderboardRow) -> list[str]:
-    found = (row.ratios[name] for name in RATIO_NAMES)
-    return ["--" if value is None else f"{100 * rounded(value):.2f}" for value in found]
+    found, digits = (row.ratios[name] for name in RATIO_NAMES), row.percent_digits
+    return ["--" if value is None else f"{100 * round(value, digits + 2):.{digits}f}" for value in found]
 
 
 def _moment(moment_ns: int) -> str:

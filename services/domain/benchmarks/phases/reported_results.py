@@ -11,6 +11,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.phases.phases import lock_phase
+from services.domain.benchmarks.visibility import PERCENT_DIGITS
 from services.runtime.orm import Phase, Reported
 from stone.errors import StoneError
 
@@ -28,7 +29,10 @@ class ReportedTwiceError(StoneError):
 
 @dataclass(frozen=True)
 class ReportedRow:
-    """A published result and its source, as ratios; null is what was not published."""
+    """A published result and its source, as ratios; null is what was not published.
+
+    `note` is what a reader must know of it; `percent_digits` are the decimals of its per cent as printed.
+    """
 
     method: str
     modality: str
@@ -38,6 +42,8 @@ class ReportedRow:
     iou_p: float | None = None
     iou_n: float | None = None
     miou: float | None = None
+    note: str = ""
+    percent_digits: int = PERCENT_DIGITS
 
 
 def reported_in(session: Session, phase_id: str) -> list[Reported]:

@@ -111,12 +111,19 @@ def test_reported_results_stand_last_with_their_source(platform: Platform) -> No
     at.enter(at.team(), Made(0.3))
     with platform.database.transaction() as session:
         for method, miou in (("Old", 0.1), ("Unknown", None), ("New", 0.2)):
-            row = Reported(phase_id=at.phase_id, method=method, modality="C", source="a paper", miou=miou)
+            noted = {"note": "of another split", "percent_digits": 1} if method == "New" else {}
+            row = Reported(phase_id=at.phase_id, method=method, modality="C", source="a paper", miou=miou, **noted)
             session.add(row)
     found = shown(at)
     assert [row.method for row in found.rows[1:]] == ["New", "Old", "Unknown"]
     assert {row.standing for row in found.rows[1:]} == {"reported"}
     assert {(row.rank, row.source, row.submission_id) for row in found.rows[1:]} == {(None, "a paper", None)}
+    assert [(row.note, row.percent_digits) for row in found.rows] == [
+        (None, 2),
+        ("of another split", 1),
+        (None, 2),
+        (None, 2),
+    ]
     assert shown(at, BoardQuery("L", None, "all")).rows == found.rows[:1]
 
 

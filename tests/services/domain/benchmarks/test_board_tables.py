@@ -98,6 +98,26 @@ def test_markdown_is_a_table_for_people() -> None:
     assert "Reported: a paper." in text
 
 
+PRINTED = replace(
+    REPORTED,
+    ratios={"iou_occ": 0.612, "iou_t": 0.211, "iou_p": 0.334, "iou_n": 0.552, "miou": 0.365},
+    note="of another | split",
+    percent_digits=1,
+)
+
+
+def test_a_reported_row_keeps_the_digits_it_was_printed_with_and_its_note() -> None:
+    rows = (ROW, PRINTED, replace(PRINTED, modality="C+L"), REPORTED)
+    for form, cut in (("md", " | "), ("tex", " & ")):
+        text = table(form, *rows)
+        assert cut.join(["36.5", "61.2", "21.1", "33.4", "55.2"]) in text
+        assert cut.join(["43.22", "50.00"]) in text, "ours keep two"
+    assert "Old \\(C\\), Old \\(C\\+L\\): of another \\| split" in table("md", *rows)
+    assert "Old (C), Old (C+L): of another | split" in table("tex", *rows).replace("\\textbar{}", "|")
+    assert [row["note"] for row in csv_rows(table("csv", *rows))] == ["", PRINTED.note, PRINTED.note, ""]
+    assert csv_rows(table("csv", *rows))[1]["iou_occ"] == "0.612"
+
+
 def test_latex_is_a_booktabs_table() -> None:
     text = table("tex", ROW, REPORTED)
     assert "1 [1, 2] & Gang & Net & C+L & 43.22 & 50.00 & 25.00 & 12.50 & -- \\\\" in text

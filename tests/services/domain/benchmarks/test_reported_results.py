@@ -40,10 +40,11 @@ def test_what_is_put_is_what_stands_and_nothing_else(platform_on: Platform, phas
     ]
     again = put(platform_on, phase, A, B)
     assert [row.id for row in again] == [row.id for row in first]
-    changed = put(platform_on, phase, replace(A, miou=None, source="an erratum"), replace(A, modality="L"))
-    assert [(row.modality, row.miou, row.source) for row in changed] == [
-        ("C", None, "an erratum"),
-        ("L", 0.25, A.source),
+    erratum = replace(A, miou=None, source="an erratum", note="of another split", percent_digits=1)
+    changed = put(platform_on, phase, erratum, replace(A, modality="L"))
+    assert [(row.modality, row.miou, row.source, row.note, row.percent_digits) for row in changed] == [
+        ("C", None, "an erratum", "of another split", 1),
+        ("L", 0.25, A.source, "", 2),
     ]
     assert changed[0].id == first[0].id
     assert put(platform_on, phase) == []

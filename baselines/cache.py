@@ -1,0 +1,182 @@
+"""A cache of frames for training: a safetensors file a frame, so that an epoch reads no tables and undistorts nothing.
+
+**Conventions.** A file is named `<token>.<16 hex digits>.safetensors`; the digits are a digest of what it was made of
+(inputs, and sizes and times of the files read), so that what has changed is read anew and what has not is not. Files
+appear by atomic rename: a cache that was cut off goes on, and runs may share one. Its metadata has the sha256 of its
+content and the voxels of each class.
+"""
+
+import json
+import zlib
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from hashlib import sha256
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import safe_open
+from safetensors.numpy import load_file, save_file
+
+from baselines.frame_record import STEP_M, FrameRecord, PictureRecord, read_record
+from baselines.inputs import InputConfig
+from stone.geometry.se3 import SE3
+from stone.labels.grid import GRID_SHAPE
+from stone_exports.files import ExportFileSpan
+from stone_exports.frames import ExportedFrame
+from stone_files.atomic import atomic_file
+
+VERSION = 1
+CLASSES = 4
+SUFFIX = ".safetensors"
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class FrameSource:
+    """A frame of an export, and where its labels are: there, or in a version of the dataset beside it."""
+
+    frame: ExportedFrame
+    labels: ExportFileSpan | None
+
+
+@dataclass(frozen=True)
+class CachedFrame:
+    """A file of the cache. `voxels` of each class that its labels have, `sha256` of its content."""
+
+    path: Path
+    token: str
+    sequence: str
+    stamp_us: int
+    voxels: tuple[int, int, int, int]
+    sha256: str
+
+    def read(self) -> FrameRecord:
+        """The frame."""
+        arrays = load_file(self.path)
+        labels = arrays.get("labels")
+        pictures = tuple(_pictures(arrays))
+        returns = arrays["returns"].astype(np.float32)
+        returns[:, :3] *= STEP_M
+        classes = None if labels is None else _inflated(labels)
+        pose = SE3(arrays["global_from_ego"])
+        return FrameRecord(
+            self.token, self.sequence, self.stamp_us, pose, returns, arrays["detections"], pictures, classes
+        )
+
+
+@dataclass(frozen=True)
+class CachedStore:
+    """Cached frames as a dataset reads them."""
+
+    frames: tuple[CachedFrame, ...]
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def key(self, index: int) -> tuple[str, int]:
+        return self.frames[index].sequence, self.frames[index].stamp_us
+
+    def read(self, index: int) -> FrameRecord:
+        return self.frames[index].read()
+
+
+def cached_frames(
+    sources: Iterable[FrameSource], inputs: InputConfig, folder: Path, progress: Progress, workers: int = 2
+) -> tuple[CachedFrame, ...]:
+    """Every frame in the cache, in order; what is not in it yet is read and put there.
+
+    Raises `DamagedExportError`, `SensorMissingError`.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    wanted = tuple(sources)
+    found = []
+    with ThreadPoolExecutor(workers) as pool:
+        for done, cached in enumerate(pool.map(partial(_cached, inputs=inputs, folder=folder), wanted), start=1):
+            found.append(cached)
+            progress("read frames", done, len(wanted))
+    return tuple(found)
+
+
+def data_hash(frames: Iterable[CachedFrame]) -> str:
+    """sha256 over what a network is given of these frames."""
+    whole = sha256()
+    for line in sorted(f"{frame.token} {frame.sha256}" for frame in frames):
+        whole.update(line.encode())
+    return whole.hexdigest()
+
+
+def _cached(source: FrameSource, inputs: InputConfig, folder: Path) -> CachedFrame:
+    path = folder / f"{source.frame.token}.{_identity(source, inputs)}{SUFFIX}"
+    if not path.exists():
+        write_record(path, read_record(source.frame, source.labels, inputs))
+    return _described(path, source.frame)
+
+
+def _described(path: Path, frame: ExportedFrame) -> CachedFrame:
+    with safe_open(path, "numpy") as file:
+        said = file.metadata()
+    counted = [int(count) for count in json.loads(said["voxels"])]
+    free, t, p, n = counted
+    return CachedFrame(path, frame.token, frame.sequence, frame.stamp_us, (free, t, p, n), said["sha256"])
+
+
+def write_record(path: Path, record: FrameRecord) -> None:
+    """The file of a frame, whole or absent."""
+    arrays = _arrays(record)
+    whole = sha256()
+    for name, array in sorted(arrays.items()):
+        whole.update(name.encode() + array.tobytes())
+    counts = np.zeros(256, np.int64) if record.labels is None else np.bincount(record.labels.reshape(-1), minlength=256)
+    metadata = {"sha256": whole.hexdigest(), "voxels": json.dumps(counts[:CLASSES].tolist())}
+    with atomic_file(path) as staging:
+        save_file(arrays, staging, metadata)
+
+
+def _arrays(record: FrameRecord) -> dict[str, NDArray[np.generic]]:
+    returns = record.returns.copy()
+    returns[:, :3] = np.rint(returns[:, :3] / STEP_M)
+    arrays: dict[str, NDArray[np.generic]] = {
+        "returns": returns.clip(-32767, 32767).astype(np.int16),
+        "detections": np.ascontiguousarray(record.detections, np.float32),
+        "global_from_ego": np.ascontiguousarray(record.global_from_ego.wxyz_xyz),
+    }
+    if record.labels is not None:
+        arrays["labels"] = np.frombuffer(zlib.compress(record.labels.tobytes(), 1), np.uint8)
+    for index, picture in enumerate(record.pictures):
+        arrays[f"picture{index}.jpeg"] = np.frombuffer(picture.jpeg, np.uint8)
+        arrays[f"picture{index}.intrinsics"] = picture.intrinsics
+        arrays[f"picture{index}.ego_from_camera"] = np.ascontiguousarray(picture.ego_from_camera)
+    return arrays
+
+
+def _pictures(arrays: dict[str, NDArray[np.generic]]) -> Iterator[PictureRecord]:
+    index = 0
+    while f"picture{index}.jpeg" in arrays:
+        matrix, mount = arrays[f"picture{index}.intrinsics"], arrays[f"picture{index}.ego_from_camera"]
+        yield PictureRecord(
+            arrays[f"picture{index}.jpeg"].tobytes(), matrix.astype(np.float64), mount.astype(np.float64)
+        )
+        index += 1
+
+
+def _inflated(labels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    return np.frombuffer(zlib.decompress(labels.tobytes()), np.uint8).reshape(GRID_SHAPE)
+
+
+def _identity(source: FrameSource, inputs: InputConfig) -> str:
+    """Digits that change with whatever the frame is made of."""
+    facts: list[object] = [VERSION, inputs.modality, inputs.image_size_px, inputs.channels, inputs.with_depth]
+    spans = [datum.span for _, datum in sorted(source.frame.data.items())]
+    for span in (*spans, *(() if source.labels is None else (source.labels,))):
+        status = span.path.stat()
+        facts.append([span.name, span.offset_bytes, span.size_bytes, status.st_mtime_ns, status.st_size])
+    for _, datum in sorted(source.frame.data.items()):
+        sensor = datum.sensor
+        facts.append(
+            [datum.stamp_us, datum.global_from_ego.wxyz_xyz.tolist(), sensor.ego_from_sensor.wxyz_xyz.tolist()]
+        )
+        facts.append(repr(sensor.intrinsics))
+    return sha256(json.dumps(facts, separators=(",", ":")).encode()).hexdigest()[:16]

@@ -1,0 +1,137 @@
+"""Checkpoints: everything that a run needs to go on as if it had never stopped, in one safetensors file.
+
+**Conventions.** Tensors `model.<name>`, `optimizer.<parameter>.<state>`, `rng.cpu`, `rng.cuda`; metadata is JSON:
+config, step, where in the epoch, data hash. Nothing is pickled. A file appears by atomic rename, so a kill leaves the
+one before. Weights alone (`write_weights`) are what `stone predict` reads.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import load_file, save_file
+from torch import Tensor, nn
+
+from baselines.errors import BadRunError
+from stone_files.atomic import atomic_file
+
+CHECKPOINT, WEIGHTS = "checkpoint.safetensors", "weights.safetensors"
+SAID = "stone"
+
+
+@dataclass(frozen=True)
+class Position:
+    """How far a run is: optimiser steps made, and frames of this epoch drawn by each process."""
+
+    step: int = 0
+    epoch: int = 0
+    drawn: int = 0
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """What weights are of: the row's configuration as JSON, the data's hash, the metric, the best score watched."""
+
+    config: str
+    data_sha256: str
+    metric: str
+    frames: int
+    position: Position = Position()
+    best_miou: float | None = None
+
+
+def write_checkpoint(folder: Path, model: nn.Module, optimizer: torch.optim.Optimizer, provenance: Provenance) -> None:
+    """Replace the run's checkpoint."""
+    tensors = {f"model.{name}": value for name, value in model.state_dict().items()}
+    tensors |= _optimizer_tensors(model, optimizer)
+    tensors["rng.cpu"] = torch.get_rng_state()
+    if torch.cuda.is_available():
+        tensors["rng.cuda"] = torch.cuda.get_rng_state()
+    _write(folder / CHECKPOINT, tensors, provenance)
+
+
+def read_checkpoint(folder: Path, model: nn.Module, optimizer: torch.optim.Optimizer) -> Provenance:
+    """Put model, optimiser and random numbers into the state of the checkpoint. Raises `BadRunError`."""
+    path = folder / CHECKPOINT
+    provenance = provenance_of(path)
+    tensors = load_file(path)
+    _load_model(folder, model, {name[6:]: value for name, value in tensors.items() if name.startswith("model.")})
+    for name, parameter in model.named_parameters():
+        start = f"optimizer.{name}."
+        found = {key[len(start) :]: value for key, value in tensors.items() if key.startswith(start)}
+        if found:
+            moved = {key: value.to(parameter.device) if value.dim() else value for key, value in found.items()}
+            optimizer.state[parameter] = moved
+    torch.set_rng_state(tensors["rng.cpu"])
+    if "rng.cuda" in tensors and torch.cuda.is_available():
+        torch.cuda.set_rng_state(tensors["rng.cuda"])
+    return provenance
+
+
+def write_weights(folder: Path, model: nn.Module, provenance: Provenance) -> None:
+    """Replace the run's weights."""
+    _write(folder / WEIGHTS, model.state_dict(), provenance)
+
+
+def read_weights(folder: Path, model: nn.Module) -> Provenance:
+    """Put the weights into the model. Raises `BadRunError`."""
+    provenance = provenance_of(folder / WEIGHTS)
+    _load_model(folder, model, load_file(folder / WEIGHTS))
+    return provenance
+
+
+def provenance_of(path: Path) -> Provenance:
+    """What the file says of itself. Raises `BadRunError`."""
+    if not path.is_file():
+        raise BadRunError(path.parent, f"there is no {path.name}; did the run end before its first checkpoint?")
+    try:
+        with safe_open(path, "pt") as file:
+            said = json.loads((file.metadata() or {})[SAID])
+        return Provenance(**{**said, "position": Position(**said["position"])})
+    except (SafetensorError, KeyError, TypeError, ValueError) as error:
+        raise BadRunError(path.parent, f"{path.name} is no file of a run") from error
+
+
+def load_backbone(backbone: nn.Module, path: Path) -> int:
+    """Pretrained weights of the image backbone from a safetensors or torch file, torchvision's keys; how many fit.
+
+    Keys of the classifier are passed over. Raises `BadRunError` where nothing fits or the file holds anything but
+    tensors.
+    """
+    try:
+        tensors = load_file(path) if path.suffix == ".safetensors" else torch.load(path, weights_only=True)
+    except (OSError, RuntimeError, SafetensorError, ValueError) as error:
+        raise BadRunError(path.parent, f"{path.name} holds no weights that can be read: {error}") from error
+    own = backbone.state_dict()
+    fitting = {name: value for name, value in tensors.items() if name in own and own[name].shape == value.shape}
+    if not fitting:
+        raise BadRunError(path.parent, f"no tensor of {path.name} fits the backbone; expected are torchvision's names")
+    backbone.load_state_dict(fitting, strict=False)
+    return len(fitting)
+
+
+def _optimizer_tensors(model: nn.Module, optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:
+    return {
+        f"optimizer.{name}.{key}": value
+        for name, parameter in model.named_parameters()
+        for key, value in optimizer.state.get(parameter, {}).items()
+    }
+
+
+def _load_model(folder: Path, model: nn.Module, tensors: Mapping[str, Tensor]) -> None:
+    try:
+        model.load_state_dict(dict(tensors))
+    except RuntimeError as error:
+        why = str(error).splitlines()[1].strip() if "\n" in str(error) else str(error)
+        raise BadRunError(folder, f"its weights are of another model: {why[:200]}") from error
+
+
+def _write(path: Path, tensors: Mapping[str, Tensor], provenance: Provenance) -> None:
+    said: dict[str, Any] = asdict(provenance)
+    whole = {name: value.detach().contiguous().clone() for name, value in tensors.items()}
+    with atomic_file(path) as staging:
+        save_file(whole, staging, {SAID: json.dumps(said, sort_keys=True)})

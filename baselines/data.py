@@ -1,0 +1,199 @@
+"""A torch dataset over cached frames: the frame, earlier sweeps of its sequence, augmented, and batches of these.
+
+**Conventions.** As `baselines/batch.py`. An item is drawn by (epoch, index): what it is depends on these and the seed
+only, whichever worker makes it. Earlier sweeps come in by the poses; a later one never does.
+"""
+
+from collections import OrderedDict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch.utils.data import Dataset, Sampler
+
+from baselines.augment import (
+    NO_AUGMENTATION,
+    AugmentConfig,
+    GridMirrors,
+    changed_picture,
+    draw_mirrors,
+    draw_picture_change,
+    generator_of,
+)
+from baselines.batch import Batch, CameraViews, Points
+from baselines.depth_targets import depth_picture
+from baselines.frame_record import FrameRecord
+from baselines.inputs import InputConfig
+from baselines.lattice import VoxelLattice
+from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
+from stone.labels.voxels import VOXEL_M
+
+Draw = tuple[int, int]
+RECORDS_KEPT = 24
+
+
+class FrameStore(Protocol):
+    """Frames in order of sequence and stamp, each read when it is asked for: of a cache, or of exports themselves."""
+
+    def __len__(self) -> int: ...
+
+    def key(self, index: int) -> tuple[str, int]:
+        """Sequence and stamp in microseconds."""
+        ...
+
+    def read(self, index: int) -> FrameRecord: ...
+
+
+@dataclass(frozen=True, eq=False)
+class FrameRequest:
+    """What is asked of frames: the row's inputs and lattice, and how they are augmented."""
+
+    inputs: InputConfig
+    lattice: VoxelLattice
+    augment: AugmentConfig = NO_AUGMENTATION
+    seed: int = 0
+
+
+class FrameDataset(Dataset[Batch]):
+    """Batches of one frame each, by (epoch, index)."""
+
+    def __init__(self, store: FrameStore, request: FrameRequest) -> None:
+        self.store, self.request = store, request
+        self._records = OrderedDict[int, FrameRecord]()
+
+    def __len__(self) -> int:
+        return len(self.store)
+
+    def __getitem__(self, draw: Draw) -> Batch:
+        epoch, index = draw
+        inputs, rng = self.request.inputs, generator_of(self.request.seed, epoch, index)
+        record = self._record(index)
+        mirrors = draw_mirrors(self.request.augment, rng)
+        return Batch(
+            tokens=(record.token,),
+            grid_from_ego=torch.from_numpy(mirrors.grid_from_ego()).float()[None],
+            cameras=self._cameras(record, rng) if inputs.sees("C") else None,
+            lidar=self._lidar(index, mirrors) if inputs.sees("L") else None,
+            radar=self._radar(index, mirrors) if inputs.sees("R") else None,
+            labels=self._labels(record, mirrors),
+        )
+
+    def _record(self, index: int) -> FrameRecord:
+        """The frame, which stays in memory for those that come after it."""
+        if index not in self._records:
+            self._records[index] = self.store.read(index)
+            if len(self._records) > RECORDS_KEPT:
+                self._records.popitem(last=False)
+        return self._records[index]
+
+    def _earlier(self, index: int, most: int) -> Iterator[tuple[FrameRecord, float]]:
+        """The frame and those before it in its sequence, with their ages in seconds, newest first."""
+        sequence, stamp_us = self.store.key(index)
+        for place in range(index, max(index - most, -1), -1):
+            name, then_us = self.store.key(place)
+            age_s = (stamp_us - then_us) / 1e6
+            if name != sequence or age_s > self.request.inputs.earliest_s:
+                return
+            yield self._record(place), age_s
+
+    def _lidar(self, index: int, mirrors: GridMirrors) -> Points:
+        parts = [
+            _placed(self._record(index), then, then.returns, age_s)
+            for then, age_s in self._earlier(index, self.request.inputs.lidar_sweeps)
+        ]
+        return _points(np.concatenate(parts), mirrors)
+
+    def _radar(self, index: int, mirrors: GridMirrors) -> Points:
+        parts = [
+            _placed(self._record(index), then, then.detections, age_s)
+            for then, age_s in self._earlier(index, self.request.inputs.radar_scans)
+        ]
+        return _points(np.concatenate(parts), mirrors, turns_velocities=True)
+
+    def _labels(self, record: FrameRecord, mirrors: GridMirrors) -> torch.Tensor | None:
+        if record.labels is None:
+            return None
+        part = mirrors.of_labels(record.labels[grid_part(self.request.lattice)])
+        return torch.from_numpy(np.ascontiguousarray(part))[None]
+
+    def _cameras(self, record: FrameRecord, rng: np.random.Generator) -> CameraViews:
+        size_px = self.request.inputs.image_size_px
+        changes = [draw_picture_change(self.request.augment, size_px, rng) for _ in record.pictures]
+        if self.request.augment == NO_AUGMENTATION:
+            changes = [np.eye(3) for _ in record.pictures]
+        images = [changed_picture(one.jpeg, change) for one, change in zip(record.pictures, changes, strict=True)]
+        depths = self._depths(record, changes) if self.request.inputs.with_depth and record.labels is not None else None
+        return CameraViews(
+            torch.from_numpy(np.stack(images))[None],
+            _stacked([one.intrinsics for one in record.pictures]),
+            _stacked(changes),
+            _stacked([one.ego_from_camera for one in record.pictures]),
+            None if depths is None else torch.from_numpy(depths)[None],
+        )
+
+    def _depths(self, record: FrameRecord, changes: Sequence[NDArray[np.float64]]) -> NDArray[np.float32]:
+        views = zip(record.pictures, changes, strict=True)
+        matrices = [(change @ one.intrinsics, np.linalg.inv(one.ego_from_camera)) for one, change in views]
+        return np.stack(
+            [depth_picture(record.returns[:, :3], *pair, self.request.inputs.image_size_px) for pair in matrices]
+        )
+
+
+class EpochSampler(Sampler[Draw]):
+    """(epoch, index) of every one of `indices`, or of this process's share; shuffled by seed and epoch with a seed.
+
+    Shares are equally long: what is over at the end of an epoch is left out of it. `begin` leaves out what was drawn.
+    """
+
+    def __init__(self, indices: Sequence[int], seed: int | None = None, share: tuple[int, int] = (0, 1)) -> None:
+        self._indices, self._seed, self._share = np.array(indices, np.int64), seed, share
+        self.epoch, self.begin = 0, 0
+
+    def __len__(self) -> int:
+        return len(self._indices) // self._share[1]
+
+    def __iter__(self) -> Iterator[Draw]:
+        order = self._indices
+        if self._seed is not None:
+            order = np.random.default_rng((self._seed, self.epoch)).permutation(order)
+        own = order[self._share[0] :: self._share[1]][: len(self)]
+        yield from ((self.epoch, int(index)) for index in own[self.begin :])
+
+
+def grid_part(lattice: VoxelLattice) -> tuple[slice, slice, slice]:
+    """Where in a benchmark grid (256, 256, 32) the lattice lies. Raises `ValueError` where it is no part of it."""
+    corner = [round((low - of_grid) / VOXEL_M) for low, of_grid in zip(lattice.min_m, GRID_MIN_M, strict=True)]
+    ends = [begin + count for begin, count in zip(corner, lattice.shape, strict=True)]
+    fits = all(begin >= 0 and end <= side for begin, end, side in zip(corner, ends, GRID_SHAPE, strict=True))
+    if not fits or any(abs(size - VOXEL_M) > 1e-6 for size in lattice.voxel_m):
+        raise ValueError(f"a lattice of {lattice.shape} voxels at {lattice.min_m} is no part of the benchmark's grid")
+    x, y, z = (slice(begin, end) for begin, end in zip(corner, ends, strict=True))
+    return x, y, z
+
+
+def _placed(now: FrameRecord, then: FrameRecord, rows: NDArray[np.float32], age_s: float) -> NDArray[np.float32]:
+    """Rows (N, F) of an earlier frame in the ego frame of this one, velocities turned, with their age at the end."""
+    placed = np.concatenate([rows, np.full((len(rows), 1), age_s, np.float32)], axis=1)
+    if then is not now:
+        ego_from_then = now.global_from_ego.inverse() @ then.global_from_ego
+        placed[:, :3] = ego_from_then @ rows[:, :3].astype(np.float64)
+        if rows.shape[1] == 6:
+            turned = np.pad(rows[:, 4:].astype(np.float64), ((0, 0), (0, 1))) @ ego_from_then.rotation().T
+            placed[:, 4:6] = turned[:, :2]
+    return placed
+
+
+def _points(rows: NDArray[np.float32], mirrors: GridMirrors, turns_velocities: bool = False) -> Points:
+    signs = mirrors.grid_from_ego().diagonal().astype(np.float32)
+    mirrored = rows.copy()
+    mirrored[:, :3] *= signs[:3]
+    if turns_velocities:
+        mirrored[:, 4:6] *= signs[:2]
+    return Points(torch.from_numpy(mirrored), torch.zeros(len(mirrored), dtype=torch.int64))
+
+
+def _stacked(matrices: Sequence[NDArray[np.float64]]) -> torch.Tensor:
+    return torch.from_numpy(np.stack(matrices)).float()[None]

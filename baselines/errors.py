@@ -1,0 +1,85 @@
+"""What training and predicting refuse."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import ClassVar
+
+from stone.errors import StoneError
+
+
+class BadRowError(StoneError):
+    """The configuration of a row cannot be read, or says something impossible."""
+
+    code: ClassVar[str] = "bad_row"
+
+    def __init__(self, name: str, why: str, known: Sequence[str] = ()) -> None:
+        hint = f"; the rows that are there: {', '.join(known)}, or a path of a YAML file" if known else ""
+        super().__init__(f"row {name!r}: {why}{hint}")
+
+
+class NothingToTrainOnError(StoneError):
+    """The exports have no frame with labels."""
+
+    code: ClassVar[str] = "nothing_to_train_on"
+
+    def __init__(self, exports: Sequence[Path]) -> None:
+        named = ", ".join(str(path) for path in exports[:3])
+        super().__init__(
+            f"{named} hold no frame with labels: expected are exports of `stone export --format nuscenes`, or inputs "
+            "beside the tars of a dataset version (was an export of format inputs given alone?)"
+        )
+
+
+class SensorMissingError(StoneError):
+    """A frame lacks a sensor that the row looks at."""
+
+    code: ClassVar[str] = "sensor_missing"
+
+    def __init__(self, token: str, sequence: str, sensor: str, modality: str) -> None:
+        super().__init__(
+            f"frame {token} of {sequence} has no {sensor}, and the row is of modality {modality}: give a row of the "
+            "sensors that are there, or leave this sequence out"
+        )
+
+
+class RunExistsError(StoneError):
+    """The folder of a new run holds another one."""
+
+    code: ClassVar[str] = "run_exists"
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(f"{folder} holds a run: say --resume to go on with it, or name another folder")
+
+
+class BadRunError(StoneError):
+    """The folder is no run that this code can go on with or predict from."""
+
+    code: ClassVar[str] = "bad_run"
+
+    def __init__(self, folder: Path, why: str) -> None:
+        super().__init__(f"{folder}: {why}")
+
+
+class TrainingDivergedError(StoneError):
+    """A loss is no number any more."""
+
+    code: ClassVar[str] = "training_diverged"
+
+    def __init__(self, step: int, terms: dict[str, float], rate: float) -> None:
+        said = ", ".join(f"{name} {value:.3g}" for name, value in terms.items())
+        super().__init__(
+            f"step {step}: the losses are {said} at a learning rate of {rate:.2e}; lower learning_rate or "
+            "clip_norm, or train in float32 (--precision float32); the last checkpoint is sound"
+        )
+
+
+class TooLittleMemoryError(StoneError):
+    """The device's memory does not hold a step."""
+
+    code: ClassVar[str] = "too_little_memory"
+
+    def __init__(self, device: str, batch: int) -> None:
+        super().__init__(
+            f"{device} has too little memory for a step of {batch} frames: lower --batch, say "
+            "--checkpoint-gradients, or train a smaller row"
+        )

@@ -1,0 +1,28 @@
+"""What a row looks at: which sensors, how many earlier sweeps, and how large pictures are."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+Modality = Literal["C", "L", "R", "C+L", "C+R", "L+R", "C+L+R"]
+
+
+@dataclass(frozen=True)
+class InputConfig:
+    """`image_size_px` is (height, width) of what the network sees; `lidar_sweeps`, `radar_scans` count the frame's own.
+
+    Earlier ones are taken from at most `earliest_s` before the frame, never from after it. `channels` names the cameras
+    in the order that the network sees them; frames without one of them are refused.
+    """
+
+    modality: Modality
+    image_size_px: tuple[int, int] = (896, 1600)
+    channels: tuple[str, ...] = (
+        "CAM_FRONT_LEFT", "CAM_FRONT", "CAM_FRONT_RIGHT", "CAM_BACK_LEFT", "CAM_BACK", "CAM_BACK_RIGHT",
+    )  # fmt: skip
+    lidar_sweeps: int = 10
+    radar_scans: int = 5
+    earliest_s: float = 1.5
+    with_depth: bool = False
+
+    def sees(self, sensor: Literal["C", "L", "R"]) -> bool:
+        return sensor in self.modality.split("+")

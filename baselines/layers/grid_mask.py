@@ -1,0 +1,33 @@
+"""GridMask: while training, squares of a random lattice are blanked in all pictures alike.
+
+Source: Chen et al., GridMask Data Augmentation, arXiv 2001.04086; TPVFormer's `use_grid_mask` with its values: half of
+each period blank along rows and along columns, so a quarter of the picture, without rotation.
+"""
+
+import torch
+from torch import Tensor, nn
+
+KEPT_RATIO = 0.5  # of a period
+SHORTEST_PERIOD_PX = 2
+
+
+class GridMask(nn.Module):
+    """Pictures (…, H, W) to pictures; as they are with probability 1 − `probability`, and when not training."""
+
+    def __init__(self, probability: float) -> None:
+        super().__init__()
+        self.probability = probability
+
+    def forward(self, images: Tensor) -> Tensor:
+        if not self.training or torch.rand(()) >= self.probability:
+            return images
+        height, width = images.shape[-2:]
+        period_px = int(torch.randint(SHORTEST_PERIOD_PX, max(height, SHORTEST_PERIOD_PX + 1), ()))
+        rows, columns = (is_kept(n, period_px) for n in (height, width))
+        return images * (rows[:, None] | columns).to(images)
+
+
+def is_kept(pixels: int, period_px: int) -> Tensor:
+    """Of a row of pixels (pixels,), from a random start, the first `KEPT_RATIO` of every period."""
+    start = torch.randint(period_px, ())
+    return (torch.arange(pixels) + start) % period_px < round(KEPT_RATIO * period_px)

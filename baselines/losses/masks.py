@@ -1,0 +1,123 @@
+"""Loss of masks with classes: each class of a frame is given to one query, which answers for its class and its voxels.
+
+**Conventions.** Q queries, C classes, G classes present in a frame, the "no object" class last. Everything is float32.
+A frame without a labelled voxel asks only that no query claims one.
+
+Source: Cheng et al., MaskFormer, NeurIPS 2021, section 3.2, and Mask2Former, CVPR 2022, section 3.3; weights and class
+balance of zhangyp15/OccFormer, mask2former/mask2former_occ.py and configs/occformer_kitti/occformer_kitti.py.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from math import log
+
+import torch
+from scipy.optimize import linear_sum_assignment
+from torch import Tensor
+from torch.nn import functional
+
+from baselines.layers.masked_attention import MaskPrediction
+from baselines.losses.mask_points import (
+    FrameMasks,
+    PointSettings,
+    contested_voxels,
+    drawn_voxels,
+    frame_masks,
+    read_masks,
+)
+
+
+@dataclass(frozen=True)
+class MaskLossSettings:
+    """`class_counts`: labelled voxels of each class in the training split, each more than one."""
+
+    class_counts: tuple[int, ...]
+    points: PointSettings = field(default_factory=PointSettings)
+    no_object_weight: float = 0.1
+    class_weight: float = 2.0
+    mask_weight: float = 5.0
+    dice_weight: float = 5.0
+
+    def __post_init__(self) -> None:
+        if min(self.class_counts) <= 1:
+            raise ValueError(f"weights are of classes with more than one voxel each, not {self.class_counts}")
+
+    def class_weights(self) -> list[float]:
+        """(C + 1): 1 / ln(voxels), the first class's 1, and the weight of no object."""
+        return [log(self.class_counts[0]) / log(voxels) for voxels in self.class_counts] + [self.no_object_weight]
+
+    def rarity(self) -> list[float]:
+        """(C): how much a voxel of each class is drawn, the commonest class's 1."""
+        return [(max(self.class_counts) / voxels) ** self.points.rarity_exponent for voxels in self.class_counts]
+
+
+def mask_losses(predictions: Sequence[MaskPrediction], labels: Tensor, settings: MaskLossSettings) -> dict[str, Tensor]:
+    """The terms `class`, `mask` and `dice`, weighted, each the sum over all predictions; `labels` (B, X, Y, Z)."""
+    rarity = torch.tensor(settings.rarity(), device=labels.device)
+    frames = [frame_masks(frame, rarity) for frame in labels]
+    with torch.autocast(labels.device.type, enabled=False):
+        terms = torch.stack([losses_of(prediction, frames, settings) for prediction in predictions]).sum(dim=0)
+    return {"class": terms[0], "mask": terms[1], "dice": terms[2]}
+
+
+def losses_of(prediction: MaskPrediction, frames: Sequence[FrameMasks], settings: MaskLossSettings) -> Tensor:
+    """The three terms of one prediction, (3,)."""
+    weights = torch.tensor(settings.class_weights(), device=prediction.classes.device)
+    assigned = torch.full(prediction.classes.shape[:2], len(settings.class_counts), device=weights.device)
+    found = []
+    for number, frame in enumerate(frames):
+        classes, masks = prediction.classes[number].float(), prediction.masks[number].float()
+        queries = matched_queries(classes.detach(), masks.detach(), frame, settings)
+        assigned[number, queries] = frame.classes
+        found.append(losses_of_masks(masks[queries], frame, settings.points))
+    of_class = functional.cross_entropy(prediction.classes.float().flatten(0, 1), assigned.flatten(), weights)
+    weight = weights[torch.cat([frame.classes for frame in frames])]
+    mask, dice = (torch.cat(found, dim=1) * weight).sum(dim=1) / weight.sum().clamp_min(torch.finfo(torch.float32).eps)
+    return torch.stack((settings.class_weight * of_class, settings.mask_weight * mask, settings.dice_weight * dice))
+
+
+def losses_of_masks(masks: Tensor, frame: FrameMasks, settings: PointSettings) -> Tensor:
+    """Cross entropy and dice (2, G) of logits (G, x, y, z), each against the class of its row."""
+    if len(masks) == 0:
+        return masks.sum(dim=(1, 2, 3)).expand(2, -1)  # none, but a function of the masks
+    with torch.no_grad():
+        voxels = contested_voxels(masks, frame, settings)
+        targets = frame.masks.gather(1, voxels).float()
+    logits = read_masks(masks[:, None], voxels, frame.shape, settings.align_corners)[:, 0]
+    cross_entropy = functional.binary_cross_entropy_with_logits(logits, targets, reduction="none").mean(dim=1)
+    covered = logits.sigmoid()
+    shared, either = (covered * targets).sum(dim=1), covered.sum(dim=1) + targets.sum(dim=1)
+    return torch.stack((cross_entropy, dice_loss(shared, either)))
+
+
+@torch.no_grad()
+def matched_queries(classes: Tensor, masks: Tensor, frame: FrameMasks, settings: MaskLossSettings) -> Tensor:
+    """Which query (G,) each class present is given to, at the least cost of all; `classes` (Q, C + 1) and `masks`."""
+    if len(frame.classes) == 0:
+        return frame.classes
+    points = settings.points
+    voxels = drawn_voxels(frame.rarity, 1, points.points)
+    logits = read_masks(masks[None], voxels, frame.shape, points.align_corners)[0]
+    cost = matching_cost(classes, logits, frame.classes, frame.masks[:, voxels[0]].float(), settings)
+    _, queries = linear_sum_assignment(cost.T.cpu().numpy())
+    return torch.as_tensor(queries, device=classes.device)
+
+
+def matching_cost(
+    classes: Tensor, logits: Tensor, present: Tensor, targets: Tensor, settings: MaskLossSettings
+) -> Tensor:
+    """(Q, G): what each query would cost for each class present; `logits` (Q, P), `targets` (G, P)."""
+    unlikely = -classes.softmax(dim=1)[:, present]
+    inside = functional.softplus(-logits) @ targets.T + functional.softplus(logits) @ (1.0 - targets).T
+    covered = logits.sigmoid()
+    apart = dice_loss(covered @ targets.T, covered.sum(dim=1)[:, None] + targets.sum(dim=1)[None, :])
+    return (
+        settings.class_weight * unlikely
+        + settings.mask_weight * inside / logits.shape[1]
+        + settings.dice_weight * apart
+    )
+
+
+def dice_loss(shared: Tensor, either: Tensor) -> Tensor:
+    """1 − (2·|A ∩ B| + 1) / (|A| + |B| + 1)."""
+    return 1.0 - (2.0 * shared + 1.0) / (either + 1.0)

@@ -1,0 +1,34 @@
+"""The platform's own metric of predictions while training: confusions add, ratios are read once.
+
+**Conventions.** As `stone.scoring.confusion`: rows ground truth, columns prediction. Voxels that nobody observed are
+not counted here; a benchmark may count them, so a board's figure can differ.
+"""
+
+from math import isnan
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from baselines.batch import IGNORED
+from stone.scoring.confusion import ratios
+from stone.scoring.metric import RATIOS
+
+CLASSES = 4
+
+
+def confusion_of(logits: Tensor, labels: Tensor) -> NDArray[np.int64]:
+    """(4, 4) counts of logits (B, 4, X, Y, Z) against labels (B, X, Y, Z)."""
+    predicted = logits.detach().argmax(dim=1)
+    counted = labels != IGNORED
+    cells = labels[counted].long() * CLASSES + predicted[counted]
+    counts = torch.bincount(cells, minlength=CLASSES * CLASSES).reshape(CLASSES, CLASSES)
+    return counts.cpu().numpy().astype(np.int64)
+
+
+def scores_of(confusion: NDArray[np.int64]) -> dict[str, float | None]:
+    """Ratios by name (`stone.scoring.metric.RATIOS`), None where a class is in neither."""
+    return {
+        name: None if isnan(value) else value for name, value in zip(RATIOS, ratios(confusion).tolist(), strict=True)
+    }

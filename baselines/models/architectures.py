@@ -1,0 +1,44 @@
+"""The architectures that there are: a configuration says which, and this is where it becomes a module."""
+
+from dataclasses import replace
+from typing import Any, assert_never
+
+from baselines.models.occformer import OccFormer
+from baselines.models.occformer_config import OccFormerConfig
+from baselines.models.occfusion import OccFusion
+from baselines.models.occfusion_config import OccFusionConfig
+from baselines.models.occupancy_model import OccupancyModel
+from baselines.models.openocc import OpenOcc
+from baselines.models.openocc_config import OpenOccConfig
+from baselines.models.tpvformer import TPVFormer
+from baselines.models.tpvformer_config import TPVFormerConfig
+
+ModelConfig = OpenOccConfig | TPVFormerConfig | OccFormerConfig | OccFusionConfig
+ClassCounts = tuple[int, int, int, int]
+LEAST_COUNT = 100  # a class that hardly occurs weighs no more than one of so many voxels
+
+
+def build_model(config: ModelConfig) -> OccupancyModel[Any]:
+    """The model of a configuration, its weights drawn by torch's generator."""
+    match config:
+        case OpenOccConfig():
+            return OpenOcc(config)
+        case TPVFormerConfig():
+            return TPVFormer(config)
+        case OccFormerConfig():
+            return OccFormer(config)
+        case OccFusionConfig():
+            return OccFusion(config)
+        case _:
+            assert_never(config)
+
+
+def with_class_counts(config: ModelConfig, voxels: ClassCounts) -> ModelConfig:
+    """The configuration for a training split of so many voxels of free, T, P and N, where its losses weigh classes.
+
+    TPVFormer and OccFusion weigh them all alike, as published.
+    """
+    free, t, p, n = (max(count, LEAST_COUNT) for count in voxels)
+    if isinstance(config, OpenOccConfig | OccFormerConfig):
+        return replace(config, class_counts=(free, t, p, n))
+    return config

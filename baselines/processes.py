@@ -1,0 +1,37 @@
+"""Training by several processes, as `torchrun` starts them: which one this is, and its device."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import torch
+from torch import distributed
+
+
+@dataclass(frozen=True)
+class ProcessShare:
+    """`rank` of `world` processes; only the first writes."""
+
+    rank: int
+    world: int
+    device: torch.device
+
+    @property
+    def is_first(self) -> bool:
+        return self.rank == 0
+
+
+@contextmanager
+def joined_processes(device: str) -> Iterator[ProcessShare]:
+    """This process among those of its `torchrun`, or alone."""
+    rank, world = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
+    own = torch.device(device, int(os.environ.get("LOCAL_RANK", "0"))) if device == "cuda" else torch.device(device)
+    if world == 1:
+        yield ProcessShare(rank, world, own)
+        return
+    distributed.init_process_group("nccl" if device == "cuda" else "gloo")
+    try:
+        yield ProcessShare(rank, world, own)
+    finally:
+        distributed.destroy_process_group()

@@ -1,0 +1,120 @@
+"""Configurations of rows: what a row looks at, what it is made of, how it is trained. YAML files, `configs/<row>.yaml`.
+
+**Conventions.** A file says what differs from the defaults, which are the official ones. Which model it is of, its
+`architecture` says. Unknown keys are refused: a misspelt one would train something else.
+"""
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, TypeAdapter, ValidationError
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from baselines.augment import AugmentConfig
+from baselines.errors import BadRowError
+from baselines.inputs import InputConfig
+from baselines.models.architectures import ModelConfig
+
+CONFIGS = Path(__file__).with_name("configs")
+MOST_CONFIG_BYTES = 65536
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """How a row is trained. A step is `batch` · `accumulate` frames of each process.
+
+    The learning rate rises for `warmup_steps` and falls by a cosine to a thousandth; that of a pretrained image
+    backbone is `backbone_rate_ratio` of it. `stride`: every n-th frame of a sequence is trained on; earlier sweeps are
+    all used.
+    """
+
+    epochs: int = 24
+    batch: int = 1
+    accumulate: int = 1
+    learning_rate: float = 2e-4
+    weight_decay: float = 0.01
+    warmup_steps: int = 500
+    clip_norm: float = 35.0
+    precision: Literal["float32", "bfloat16"] = "bfloat16"
+    backbone_rate_ratio: float = 1.0
+    stride: int = 1
+    seed: int = 0
+    checkpoint_steps: int = 250
+
+
+@dataclass(frozen=True)
+class RowConfig:
+    """One row. `name` and `method` are what the files and a board call it, `reference` its paper."""
+
+    name: str
+    method: str
+    reference: str
+    inputs: InputConfig
+    model: Annotated[ModelConfig, Field(discriminator="architecture")]
+    augment: AugmentConfig = field(default_factory=AugmentConfig)
+    training: TrainingConfig = field(default_factory=TrainingConfig)
+
+    def __post_init__(self) -> None:
+        said = getattr(self.model, "modality", self.inputs.modality)
+        if said != self.inputs.modality:
+            raise ValueError(f"inputs are of {self.inputs.modality}, the model of {said}")
+        shape = getattr(self.model, "image_shape", self.inputs.image_size_px)
+        if self.inputs.sees("C") and shape != self.inputs.image_size_px:
+            raise ValueError(f"pictures of {self.inputs.image_size_px} are given, the model is made for {shape}")
+
+    def as_json(self) -> str:
+        return json.dumps(asdict(self), sort_keys=True)
+
+
+ROW: TypeAdapter[RowConfig] = TypeAdapter(RowConfig)
+
+
+def known_rows() -> tuple[str, ...]:
+    """Names of the rows that are shipped."""
+    return tuple(sorted(path.stem for path in CONFIGS.glob("*.yaml")))
+
+
+def read_row(name: str, changes: Mapping[str, Any] | None = None) -> RowConfig:
+    """The row of this name, or of this YAML file, with `changes` of its training. Raises `BadRowError`."""
+    path = CONFIGS / f"{name}.yaml" if name in known_rows() else Path(name)
+    if not path.is_file():
+        raise BadRowError(name, "there is no such row", known_rows())
+    if path.stat().st_size > MOST_CONFIG_BYTES:
+        raise BadRowError(name, f"the file is larger than {MOST_CONFIG_BYTES} bytes")
+    try:
+        said = YAML(typ="safe").load(path.read_text("utf-8"))
+    except (YAMLError, UnicodeDecodeError) as error:
+        raise BadRowError(name, f"it is no YAML: {str(error).splitlines()[0]}") from error
+    row = row_of(name, said)
+    kept = {key: value for key, value in (changes or {}).items() if value is not None}
+    return replace(row, training=replace(row.training, **kept))
+
+
+def row_of(name: str, said: object) -> RowConfig:
+    """The row that a mapping describes. Raises `BadRowError`."""
+    try:
+        row = ROW.validate_python(said)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise BadRowError(name, f"{place}: {first['msg']}, found {str(first['input'])[:80]!r}") from error
+    unknown = next(_unknown_keys(said, row, ""), None)
+    if unknown is not None:
+        raise BadRowError(name, f"{unknown} is no field")
+    return row
+
+
+def _unknown_keys(said: object, value: object, path: str) -> Iterator[str]:
+    """Keys of a mapping that the dataclass made of it does not have."""
+    if not isinstance(said, Mapping) or not is_dataclass(value):
+        return
+    known = {one.name for one in fields(value)}
+    for key, part in said.items():
+        if key not in known:
+            yield f"{path}{key}"
+        else:
+            yield from _unknown_keys(part, getattr(value, str(key)), f"{path}{key}.")

@@ -1,0 +1,66 @@
+"""Which frames to train on, watch and predict: those of exports, with labels of theirs or of a dataset version.
+
+**Conventions.** Sources are as `stone baseline` takes them. Of several that have a frame, the first named gives it.
+Labels may come from other files than samples: a version of the dataset has labels and no samples, `inputs` the reverse.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+from baselines.cache import FrameSource
+from baselines.errors import NothingToTrainOnError
+from stone_exports.files import Files, FolderFiles, TarFiles
+from stone_exports.frames import ExportedFrame, frames_in
+from stone_exports.tables import EXPORTED, NotExportedError, exports_in
+from stone_exports.tar_index import tar_spans_of
+
+LABELS = "gts"
+
+
+def labelled_frames(paths: Sequence[Path]) -> tuple[FrameSource, ...]:
+    """Every frame with samples, with its labels where there are some.
+
+    Raises `NotExportedError`, `BadTarError`, `DamagedExportError`, and `NothingToTrainOnError` where no frame has
+    labels.
+    """
+    exports, stores = list[Files](), list[Files]()
+    for path in paths:
+        try:
+            exports += exports_in(path)
+        except NotExportedError:
+            found = tuple(_label_stores(path))
+            if not found:
+                raise
+            stores += found
+    sources = tuple(_with_labels(frame, stores) for frame in frames_of(exports))
+    if all(source.labels is None for source in sources):
+        raise NothingToTrainOnError(paths)
+    return sources
+
+
+def frames_of(exports: Iterable[Files]) -> tuple[ExportedFrame, ...]:
+    """Frames of several exports, each once, by sequence and stamp. Raises `DamagedExportError`."""
+    found = dict[str, ExportedFrame]()
+    for files in exports:
+        for frame in frames_in(files):
+            found.setdefault(frame.token, frame)
+    return tuple(sorted(found.values(), key=lambda frame: (frame.sequence, frame.stamp_us)))
+
+
+def _with_labels(frame: ExportedFrame, stores: Sequence[Files]) -> FrameSource:
+    name = f"{LABELS}/{frame.sequence}/{frame.token}/labels.npz"
+    spans = (store.span(name) for store in stores)
+    return FrameSource(frame, frame.labels or next((span for span in spans if span is not None), None))
+
+
+def _label_stores(path: Path) -> Iterator[Files]:
+    """A folder with `gts/`, a tar with one, or a folder of such tars."""
+    if path.is_dir():
+        if (path / LABELS).is_dir():
+            yield FolderFiles(path)
+        for child in sorted(path.glob("*.tar")):
+            yield from _label_stores(child)
+    elif path.suffix == ".tar":
+        places = tar_spans_of(path, lambda name: EXPORTED.fullmatch(name) is not None)
+        roots = {name[: name.index(f"{LABELS}/")] for name in places if f"{LABELS}/" in name}
+        yield from (TarFiles(path, places, root) for root in sorted(roots))

@@ -1,0 +1,67 @@
+"""What changes while a row is trained: weights, the optimiser, and how far it is; made anew or from a checkpoint."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import nn
+from torch.nn.parallel import DistributedDataParallel
+
+from baselines.cache import CachedFrame, data_hash
+from baselines.checkpoint import Provenance, read_checkpoint, write_checkpoint
+from baselines.errors import BadRunError
+from baselines.models.architectures import build_model, with_class_counts
+from baselines.models.occupancy_model import OccupancyModel
+from baselines.optimisation import BatchLosses, build_optimizer
+from baselines.processes import ProcessShare
+from baselines.row_config import RowConfig
+from stone.scoring.metric import METRIC_VERSION
+
+
+@dataclass
+class TrainingState:
+    """`losses` is the model as the function that is minimised, over all processes."""
+
+    model: OccupancyModel[Any]
+    losses: nn.Module
+    optimizer: torch.optim.Optimizer
+    provenance: Provenance
+
+    def parameters(self) -> list[nn.Parameter]:
+        return [parameter for parameter in self.model.parameters() if parameter.requires_grad]
+
+    def at(self, **position: int) -> None:
+        """Say how far it is."""
+        self.provenance = replace(self.provenance, position=replace(self.provenance.position, **position))
+
+    def keep(self, folder: Path) -> None:
+        """Write the checkpoint."""
+        write_checkpoint(folder, self.model, self.optimizer, self.provenance)
+
+
+def begun_state(row: RowConfig, frames: Sequence[CachedFrame], share: ProcessShare) -> TrainingState:
+    """The state before the first step: weights by the row's seed, classes weighed by the voxels of `frames`."""
+    torch.manual_seed(row.training.seed)
+    free, t, p, n = (sum(frame.voxels[place] for frame in frames) for place in range(4))
+    model = build_model(with_class_counts(row.model, (free, t, p, n))).to(share.device)
+    losses: nn.Module = BatchLosses(model, row.training.precision)
+    if share.world > 1:
+        losses = DistributedDataParallel(losses, find_unused_parameters=True)
+    provenance = Provenance(row.as_json(), data_hash(frames), METRIC_VERSION, len(frames))
+    torch.manual_seed(row.training.seed + 1 + share.rank)
+    return TrainingState(model, losses, build_optimizer(model, row.training), provenance)
+
+
+def resumed_state(folder: Path, state: TrainingState) -> TrainingState:
+    """The state of the run's checkpoint. Raises `BadRunError` where that is of another row or of other data."""
+    read = read_checkpoint(folder, state.model, state.optimizer)
+    same: Mapping[str, tuple[object, object]] = {
+        "row": (read.config, state.provenance.config),
+        "data": (read.data_sha256, state.provenance.data_sha256),
+    }
+    for name, (then, now) in same.items():
+        if then != now:
+            raise BadRunError(folder, f"its {name} is not what it was: {str(then)[:64]} then, {str(now)[:64]} now")
+    return replace(state, provenance=read)

@@ -1,0 +1,47 @@
+"""`stone reported`: the rows that a publication prints, on a board and marked as not scored here."""
+
+from enum import StrEnum
+from typing import Annotated
+
+import typer
+
+from stone_client.options import BenchmarkOption, PhaseOption, ServerOption
+from stone_client.streams import JsonOption, echo_json, echo_notice
+from stone_client.tables import show
+
+
+class PublishedName(StrEnum):
+    """The published tables that are known."""
+
+    TABLE2 = "table2"
+
+
+TableArgument = Annotated[PublishedName, typer.Argument(metavar="TABLE", help="table2: Table II of the STONE paper.")]
+ReasonOption = Annotated[str, typer.Option(metavar="TEXT", help="Why; kept in the audit log.")]
+ReplaceOption = Annotated[bool, typer.Option("--replace", help="Replace rows of these methods that stand otherwise.")]
+
+
+def reported(
+    table: TableArgument,
+    benchmark: BenchmarkOption,
+    phase: PhaseOption,
+    reason: ReasonOption = "as published",
+    replace: ReplaceOption = False,
+    server: ServerOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Put the rows of a published table on a board, unranked; for administrators. Those that stand already stay."""
+    from stone_client.connection import connected
+    from stone_client.server.boards import reported_notes
+    from stone_client.server.published_tables import TABLES
+    from stone_client.server.reported import Putting, put_table, shown_table
+
+    with connected(server) as api:
+        record = put_table(api, TABLES[table.value], Putting(benchmark, phase, reason, replace))
+    if as_json:
+        echo_json(record)
+        return
+    show(shown_table(record))
+    for line in (record["source"], *reported_notes(record["rows"])):
+        typer.echo(line)
+    echo_notice(f"Next: stone leaderboard {benchmark} {phase}")

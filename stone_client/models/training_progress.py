@@ -1,0 +1,88 @@
+"""How training is going: a bar on a terminal, elsewhere a line now and then; always on stderr."""
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from time import monotonic
+from typing import Protocol
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+LINE_EVERY_S = 10.0
+
+
+class Report(Protocol):
+    """What is shown of `baselines.run_log.TrainingReport`."""
+
+    @property
+    def step(self) -> int: ...
+    @property
+    def steps(self) -> int: ...
+    @property
+    def epoch(self) -> int: ...
+    @property
+    def loss(self) -> float: ...
+    @property
+    def losses(self) -> Mapping[str, float]: ...
+    @property
+    def scores(self) -> Mapping[str, float | None]: ...
+    @property
+    def frames_per_s(self) -> float: ...
+    @property
+    def left_s(self) -> float: ...
+    @property
+    def watched(self) -> bool: ...
+
+
+@contextmanager
+def training_shown() -> Iterator[Callable[[Report], None]]:
+    """Yield the function that training calls after each step."""
+    console = Console(stderr=True, highlight=False)
+    if not console.is_terminal:
+        yield _TrainingLines(console)
+        return
+    columns = (TextColumn("train"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"))
+    with Progress(*columns, console=console) as bars:
+        task = bars.add_task("", total=None)
+
+        def show(report: Report) -> None:
+            if report.watched:
+                bars.console.print(watched_line(report))
+            else:
+                bars.update(task, completed=report.step, total=report.steps, description=rate_of(report))
+
+        yield show
+
+
+class _TrainingLines:
+    """A line for what was watched, one in ten seconds for steps, and the last."""
+
+    def __init__(self, console: Console) -> None:
+        self._console, self._said_at = console, float("-inf")
+
+    def __call__(self, report: Report) -> None:
+        if report.watched:
+            self._console.print(watched_line(report))
+        elif monotonic() - self._said_at > LINE_EVERY_S or report.step == report.steps:
+            self._said_at = monotonic()
+            self._console.print(f"step {report.step}/{report.steps} {rate_of(report)}")
+
+
+def rate_of(report: Report) -> str:
+    """Losses, the metric where this step measured it, rate, and time left."""
+    terms = "  ".join(f"{name} {value:.3f}" for name, value in report.losses.items())
+    said = [f"loss {report.loss:.3f}", *([f"({terms})"] if terms else []), *scores_said(report.scores)]
+    if report.frames_per_s:
+        minutes, seconds = divmod(round(report.left_s), 60)
+        said.append(f"{report.frames_per_s:.2f} frames/s, {minutes}:{seconds:02} left")
+    return "  ".join(said)
+
+
+def watched_line(report: Report) -> str:
+    """What the watched sequences scored after an epoch."""
+    return f"epoch {report.epoch + 1}, watched: {'  '.join(scores_said(report.scores))}"
+
+
+def scores_said(scores: Mapping[str, float | None]) -> list[str]:
+    """Ratios in per cent, a dash where there is none."""
+    return [f"{name} {'—' if value is None else f'{100 * value:.1f} %'}" for name, value in scores.items()]

@@ -1,0 +1,74 @@
+"""Tables of results that publications print, as they print them.
+
+**Conventions.** Per cent are the characters of the publication, so that 61.2 stays 61.2. A row is known by its method
+and modality: two rows of Table II are called OccFusion.
+
+Source: STONE Dataset: A Scalable Multi-Modal Surround-View 3D Traversability Dataset for Off-Road Robot Navigation
+(ICRA 2026), Table II.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from decimal import Decimal
+from typing import Any
+
+RATIOS = ("iou_occ", "iou_t", "iou_p", "iou_n", "miou")
+
+
+@dataclass(frozen=True)
+class PublishedRow:
+    """A method's per cent as printed, by the names of their ratios; `remark` is what is to be known of it alone."""
+
+    method: str
+    modality: str
+    percent: tuple[str, str, str, str, str]
+    remark: str = ""
+
+
+@dataclass(frozen=True)
+class PublishedTable:
+    """`note` is what is to be known of every row."""
+
+    title: str
+    source: str
+    note: str
+    rows: tuple[PublishedRow, ...]
+
+    def reported(self) -> list[dict[str, Any]]:
+        """The rows as the API takes them."""
+        return [self._row(row) for row in self.rows]
+
+    def _row(self, row: PublishedRow) -> dict[str, Any]:
+        exact = [Decimal(printed) for printed in row.percent]
+        ratios = {name: float(value.scaleb(-2)) for name, value in zip(RATIOS, exact, strict=True)}
+        digits = max(len(printed.partition(".")[2]) for printed in row.percent)
+        said = {"source": self.source, "note": f"{self.note} {row.remark}".rstrip(), "percent_digits": digits}
+        return {"method": row.method, "modality": row.modality, **said, **ratios}
+
+
+TABLE2 = PublishedTable(
+    title="Table II of the STONE paper",
+    source="STONE Dataset (ICRA 2026), Table II",
+    note=(
+        "Published by the paper for its own recordings, of which split it does not say; not scored here, not "
+        "comparable with a score on other data."
+    ),
+    rows=(
+        PublishedRow("C-OpenOcc", "C", ("35.0", "14.5", "23.8", "33.7", "24.0")),
+        PublishedRow("C-CoNet", "C", ("37.0", "14.8", "24.3", "34.2", "24.4")),
+        PublishedRow("OccFormer", "C", ("37.8", "16.3", "29.0", "34.1", "26.5")),
+        PublishedRow("TPVFormer", "C", ("39.6", "16.9", "29.6", "35.5", "27.3")),
+        PublishedRow("L-OpenOcc", "L", ("61.2", "21.1", "33.4", "55.2", "36.5")),
+        PublishedRow("L-CoNet", "L", ("61.6", "22.5", "34.8", "57.0", "38.1")),
+        PublishedRow("OccFusion", "C+R", ("45.2", "21.5", "36.4", "41.3", "33.1")),
+        PublishedRow("M-OpenOcc", "C+L", ("62.3", "18.1", "35.0", "61.0", "38.0")),
+        PublishedRow("M-CoNet", "C+L", ("62.6", "18.3", "36.0", "62.0", "38.8")),
+        PublishedRow(
+            "OccFusion",
+            "C+L",
+            ("66.1", "19.0", "36.9", "62.8", "39.6"),
+            remark="The paper prints this IoU T of 19.0 in bold although L-CoNet's 22.5 is higher.",
+        ),
+    ),
+)
+TABLES: Mapping[str, PublishedTable] = {"table2": TABLE2}

@@ -1,0 +1,101 @@
+"""The rows of a published table put on a board as reported ones, beside those that stand there already.
+
+**Conventions.** Rows that are not of the table stay as they are. A row of the table that stands already is left; one
+that stands otherwise is an error, unless it is to be replaced: somebody wrote it, and may know better.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from rich.table import Table
+
+from stone.errors import StoneError
+from stone_client.api import Api
+from stone_client.server.benchmarks import read_phase
+from stone_client.server.published_tables import PublishedTable
+from stone_client.server.scores import RATIOS, percent
+from stone_client.server.sequences import Item
+from stone_client.tables import DASH, plain_table, safe_text
+
+TEXTS = {"source": "source", "note": "note", "percent_digits": "number of decimals"}
+DONE = {"put": "put", "left": "stood already", "replaced": "replaced"}
+
+
+class ReportedDiffersError(StoneError):
+    """Rows of the table stand on the board already, but with other numbers or words."""
+
+    code: ClassVar[str] = "reported_differs"
+
+    def __init__(self, pairs: Iterable[tuple[Item, Item]]) -> None:
+        said = "; ".join(f"{_named(new)}: {_difference(old, new)}" for old, new in pairs)
+        super().__init__(
+            f"rows of these methods stand there already and are not as published, so none was put: {said}; see which "
+            "are right, and give --replace to have the published ones"
+        )
+
+
+@dataclass(frozen=True)
+class Putting:
+    """Onto which board rows are put, why, and whether those that differ are replaced."""
+
+    benchmark: str
+    phase: str
+    reason: str
+    replaces: bool = False
+
+
+def put_table(api: Api, table: PublishedTable, how: Putting) -> dict[str, Any]:
+    """Put the rows that do not stand there yet; what became of each. Raises `ReportedDiffersError`."""
+    path = f"/admin/phases/{read_phase(api, how.benchmark, how.phase)['id']}/reported"
+    answer = api.send("GET", path)
+    standing: dict[tuple[str, str], Item] = {_key(row): row for row in answer.json()}
+    rows = table.reported()
+    done = [_done(standing.get(_key(row)), row) for row in rows]
+    differing = [(standing[_key(row)], row) for row, what in zip(rows, done, strict=True) if what == "replaced"]
+    if differing and not how.replaces:
+        raise ReportedDiffersError(differing)
+    if set(done) != {"left"}:
+        whole = standing | {_key(row): row for row in rows}
+        body = {"rows": list(whole.values()), "reason": how.reason}
+        api.send("PUT", path, json=body, headers={"If-Match": answer.headers["ETag"]})
+    told = [row | {"done": what} for row, what in zip(rows, done, strict=True)]
+    return {"benchmark": how.benchmark, "phase": how.phase, "title": table.title, "source": table.source, "rows": told}
+
+
+def shown_table(record: Mapping[str, Any]) -> Table:
+    """The table with what became of each row."""
+    title = safe_text(f"{record['title']} on {record['benchmark']} / {record['phase']}: reported, not ranked, %")
+    table = plain_table(title, "method", "track", *RATIOS.values(), "")
+    for row in record["rows"]:
+        values = (percent(row[name], row["percent_digits"]) for name in RATIOS)
+        table.add_row(safe_text(row["method"]), row["modality"], *values, DONE[row["done"]])
+    return table
+
+
+def _done(standing: Item | None, row: Item) -> str:
+    if standing is None:
+        return "put"
+    return "replaced" if any(standing[name] != value for name, value in row.items()) else "left"
+
+
+def _key(row: Item) -> tuple[str, str]:
+    return row["method"], row["modality"]
+
+
+def _named(row: Item) -> str:
+    return f"{row['method']} ({row['modality']})"
+
+
+def _difference(old: Item, new: Item) -> str:
+    numbers = [
+        f"{name} is {_whole(old[key])}, in the table {percent(new[key], new['percent_digits'])}"
+        for key, name in RATIOS.items()
+        if old[key] != new[key]
+    ]
+    return ", ".join([*numbers, *(f"another {name}" for key, name in TEXTS.items() if old[key] != new[key])])
+
+
+def _whole(ratio: float | None) -> str:
+    """Per cent with every digit that it has."""
+    return DASH if ratio is None else f"{100 * ratio:.10g}"

@@ -1,0 +1,88 @@
+"""Lenses and pictures of an export: intrinsics from `calibrated_sensor`, and a picture as an ideal pinhole took it.
+
+**Conventions.** Optical frame: z forward, x right, y down; pixel (0, 0) is the centre of the first one. A picture is
+undistorted onto a pinhole of the same focal length, by bilinear interpolation (`stone.sensors.projection`).
+"""
+
+from collections.abc import Mapping
+from functools import lru_cache
+from io import BytesIO
+from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, UnidentifiedImageError
+
+from stone.sensors.calibration import CameraIntrinsics, CameraModel
+from stone.sensors.projection import project
+from stone_exports.files import ExportFileSpan, Files
+from stone_exports.tables import table_span
+
+COEFFICIENTS: Mapping[CameraModel, int] = {"pinhole": 0, "plumb_bob": 5, "rational_polynomial": 8, "equidistant": 4}
+MOST_PICTURE_BYTES, MOST_PIXELS = 64 * 2**20, 1 << 26
+Pixels = NDArray[np.uint8]
+
+
+def intrinsics_of(files: Files, row: Mapping[str, Any], size_px: tuple[int, int]) -> CameraIntrinsics:
+    """The lens that a row of `calibrated_sensor` says. Raises `DamagedExportError` where it says none."""
+    model = row.get("camera_model", "pinhole")
+    try:
+        matrix = np.array(row["camera_intrinsic"], np.float64)
+        distortion = np.array(row.get("camera_distortion", []), np.float64)
+    except (KeyError, ValueError, TypeError, OverflowError):
+        matrix, distortion = np.zeros(0), np.zeros(0)
+    is_sound = matrix.shape == (3, 3) and np.isfinite(matrix).all() and matrix[0, 0] > 0 and matrix[1, 1] > 0
+    if not is_sound or model not in get_args(CameraModel) or not np.isfinite(distortion).all():
+        raise table_span(files, "calibrated_sensor").damaged("a camera's matrix or model is none")
+    if distortion.shape != (COEFFICIENTS[model],):
+        raise table_span(files, "calibrated_sensor").damaged(
+            f"a {model} camera has {distortion.size} coefficients of distortion, expected are {COEFFICIENTS[model]}"
+        )
+    (fx, _, cx), (_, fy, cy) = matrix[0], matrix[1]
+    return CameraIntrinsics(model, *size_px, fx, fy, cx, cy, tuple(distortion.tolist()))
+
+
+def undistorted_picture(span: ExportFileSpan, lens: CameraIntrinsics, size_px: tuple[int, int]) -> Pixels:
+    """(height, width, 3) uint8: the picture undistorted, then resized to `size_px` (width, height).
+
+    Raises `DamagedExportError` where it is no JPEG of the size that the tables say.
+    """
+    try:
+        with Image.open(BytesIO(span.read(MOST_PICTURE_BYTES)), formats=("JPEG", "PNG")) as image:
+            if image.size != (lens.width_px, lens.height_px) or image.width * image.height > MOST_PIXELS:
+                raise span.damaged(f"it has {image.width} × {image.height} pixels, the tables say otherwise")
+            if _is_straight(lens):
+                image.draft("RGB", size_px)  # the decoder halves it while it decodes
+            picture = image.convert("RGB")
+    except (OSError, UnidentifiedImageError, Image.DecompressionBombError, SyntaxError, ValueError) as error:
+        raise span.damaged("it is no picture") from error
+    if not _is_straight(lens):
+        picture = Image.fromarray(_remapped(np.asarray(picture), *_sources(lens)))
+    return np.asarray(picture.resize(size_px, Image.Resampling.BILINEAR, reducing_gap=2.0))
+
+
+def _is_straight(lens: CameraIntrinsics) -> bool:
+    return lens.model != "equidistant" and not any(lens.distortion)
+
+
+@lru_cache(maxsize=16)
+def _sources(lens: CameraIntrinsics) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Where each pixel of the pinhole's picture (height · width, 2) lies in the lens's, and whether it lies in it."""
+    v, u = np.mgrid[0 : lens.height_px, 0 : lens.width_px].astype(np.float64)
+    rays = np.stack([(u - lens.cx_px) / lens.fx_px, (v - lens.cy_px) / lens.fy_px, np.ones_like(u)], axis=-1)
+    pixels, is_seen = project(rays.reshape(-1, 3), lens)
+    return pixels.astype(np.float32), is_seen
+
+
+def _remapped(picture: Pixels, sources: NDArray[np.float32], is_seen: NDArray[np.bool_]) -> Pixels:
+    """The picture (H, W, 3) taken at `sources` (H · W, 2), bilinear; black where nothing was seen."""
+    height, width, _ = picture.shape
+    at = np.where(is_seen[:, None], sources, np.float32(0)).clip(0, (width - 1, height - 1))
+    corner = np.minimum(np.floor(at).astype(np.int64), (max(width - 2, 0), max(height - 2, 0)))
+    right, down = np.minimum(corner[:, 0] + 1, width - 1), np.minimum(corner[:, 1] + 1, height - 1)
+    (a, b), pixels = (at - corner).T[:, :, None], picture.astype(np.float32)
+    above = pixels[corner[:, 1], corner[:, 0]] * (1 - a) + pixels[corner[:, 1], right] * a
+    below = pixels[down, corner[:, 0]] * (1 - a) + pixels[down, right] * a
+    mixed = (above * (1 - b) + below * b) * is_seen[:, None]
+    remapped: Pixels = np.rint(mixed).astype(np.uint8).reshape(picture.shape)
+    return remapped

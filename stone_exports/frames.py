@@ -1,0 +1,145 @@
+"""Frames of exports of the nuScenes layout with what every sensor gave: the input of models.
+
+**Conventions.** A scene is a sequence, a sample a frame, its token the frame's. `global_from_ego` is the robot's pose
+when a datum was measured; `ego_from_sensor` its mount. Frames are in the order of their stamps; `earlier` ones of a
+sequence are those that a prediction may see too. Nothing outside is trusted: rows are checked, sizes bounded. Files are
+opened when they are read, not before.
+"""
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from stone.geometry.se3 import SE3
+from stone.sensors.calibration import CameraIntrinsics
+from stone.sensors.sequence import NAME
+from stone_exports.cameras import intrinsics_of
+from stone_exports.files import ExportFileSpan, Files
+from stone_exports.tables import row_pose, table_rows, table_span
+
+FARTHEST_MOUNT_M, FARTHEST_POSE_M = 100.0, 1e7
+TOKEN = re.compile(r"[0-9a-f]{32}")
+LIDAR_CHANNEL = "LIDAR_TOP"
+
+
+@dataclass(frozen=True, eq=False)
+class ExportedSensor:
+    """One sensor of the rig. `intrinsics` of a camera only."""
+
+    channel: str
+    modality: str
+    ego_from_sensor: SE3
+    intrinsics: CameraIntrinsics | None
+
+
+@dataclass(frozen=True, eq=False)
+class ExportedDatum:
+    """What one sensor gave for a frame."""
+
+    sensor: ExportedSensor
+    stamp_us: int
+    global_from_ego: SE3
+    span: ExportFileSpan
+
+
+@dataclass(frozen=True, eq=False)
+class ExportedFrame:
+    """One frame: its data by channel, and its labels where the export has them."""
+
+    token: str
+    sequence: str
+    stamp_us: int
+    data: Mapping[str, ExportedDatum]
+    labels: ExportFileSpan | None
+
+    @property
+    def lidar(self) -> ExportedDatum:
+        return self.data[LIDAR_CHANNEL]
+
+    def of_modality(self, modality: str) -> tuple[ExportedDatum, ...]:
+        """Its data of camera, radar or lidar, by channel."""
+        return tuple(datum for _, datum in sorted(self.data.items()) if datum.sensor.modality == modality)
+
+
+def frames_in(files: Files) -> tuple[ExportedFrame, ...]:
+    """Every frame with a sweep, by sequence and stamp. Raises `DamagedExportError`."""
+    scenes = _scenes(files)
+    data = _data(files)
+    frames = []
+    for row in table_rows(files, "sample"):
+        token, sequence = str(row.get("token")), scenes.get(str(row.get("scene_token")))
+        if sequence is None or TOKEN.fullmatch(token) is None:
+            raise table_span(files, "sample").damaged(f"frame {token[:40]!r} is of no sequence, or no frame token")
+        if LIDAR_CHANNEL in data.get(token, {}):
+            labels = files.span(f"gts/{sequence}/{token}/labels.npz")
+            frames.append(ExportedFrame(token, sequence, _stamp_us(files, "sample", row), data[token], labels))
+    return tuple(sorted(frames, key=lambda frame: (frame.sequence, frame.stamp_us)))
+
+
+def _scenes(files: Files) -> dict[str, str]:
+    """Names of sequences by token. Raises `DamagedExportError` for what could be no sequence's name."""
+    names = {str(row.get("token")): str(row.get("name")) for row in table_rows(files, "scene")}
+    bad = next((name for name in names.values() if NAME.fullmatch(name) is None), None)
+    if bad is not None:
+        raise table_span(files, "scene").damaged(f"{bad[:80]!r} cannot be the name of a sequence")
+    return names
+
+
+def _data(files: Files) -> dict[str, dict[str, ExportedDatum]]:
+    """Key-frame data by frame token, then channel."""
+    sensors, poses = _sensors(files), _poses(files)
+    found = dict[str, dict[str, ExportedDatum]]()
+    for row in table_rows(files, "sample_data"):
+        sensor = sensors.get(str(row.get("calibrated_sensor_token")))
+        pose = poses.get(str(row.get("ego_pose_token")))
+        if sensor is None or row.get("is_key_frame") is not True:
+            continue
+        span = files.span(str(row.get("filename")))
+        if pose is None or span is None:
+            missing = "no pose" if pose is None else "no file"
+            raise table_span(files, "sample_data").damaged(f"there is {missing} of {str(row.get('filename'))[:200]!r}")
+        datum = ExportedDatum(sensor, _stamp_us(files, "sample_data", row), pose, span)
+        found.setdefault(str(row.get("sample_token")), {})[sensor.channel] = datum
+    return found
+
+
+def _poses(files: Files) -> dict[str, SE3]:
+    rows = table_rows(files, "ego_pose")
+    return {str(row.get("token")): row_pose(files, "ego_pose", row, FARTHEST_POSE_M) for row in rows}
+
+
+def _sensors(files: Files) -> dict[str, ExportedSensor]:
+    """Calibrated sensors by token."""
+    kinds = {
+        str(row.get("token")): (str(row.get("channel")), str(row.get("modality")))
+        for row in table_rows(files, "sensor")
+    }
+    sizes = dict(_picture_sizes(files))
+    found = dict[str, ExportedSensor]()
+    for row in table_rows(files, "calibrated_sensor"):
+        token, kind = str(row.get("token")), kinds.get(str(row.get("sensor_token")))
+        if kind is None:
+            raise table_span(files, "calibrated_sensor").damaged("a row is of a sensor that is not there")
+        mount = row_pose(files, "calibrated_sensor", row, FARTHEST_MOUNT_M)
+        size = sizes.get(token)
+        lens = intrinsics_of(files, row, size) if kind[1] == "camera" and size is not None else None
+        found[token] = ExportedSensor(*kind, mount, lens)
+    return found
+
+
+def _picture_sizes(files: Files) -> Iterator[tuple[str, tuple[int, int]]]:
+    """Width and height in pixels by calibrated sensor, of its first picture that says them."""
+    seen = set[str]()
+    for row in table_rows(files, "sample_data"):
+        token, size = str(row.get("calibrated_sensor_token")), (row.get("width"), row.get("height"))
+        if token not in seen and all(isinstance(side, int) and 0 < side <= 1 << 15 for side in size):
+            seen.add(token)
+            yield token, (int(size[0] or 0), int(size[1] or 0))
+
+
+def _stamp_us(files: Files, table: str, row: Mapping[str, Any]) -> int:
+    stamp = row.get("timestamp")
+    if not isinstance(stamp, int) or not 0 <= stamp < 1 << 62:
+        raise table_span(files, table).damaged("a row's timestamp is no number of microseconds")
+    return stamp

@@ -1,0 +1,72 @@
+"""LiDAR sweeps in exports of the nuScenes layout, with labels or without: found by frame token, read one by one.
+
+**Conventions.** `ego_from_lidar` is what `calibrated_sensor` says. Nothing outside is trusted: rows are checked, sizes
+bounded.
+"""
+
+from collections.abc import Mapping
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.geometry.se3 import SE3
+from stone_exports.files import ExportFileSpan, Files
+from stone_exports.tables import row_pose, table_rows, table_span
+
+CHANNEL = "LIDAR_TOP"
+COLUMNS = 5  # x y z intensity ring
+MOST_SWEEP_BYTES = 256 * 2**20
+FARTHEST_M, FARTHEST_RETURN_M = 100.0, 1e5
+
+
+@dataclass(frozen=True, eq=False)
+class SweepFile:
+    """The file of a sweep, and the sensor's mount."""
+
+    span: ExportFileSpan
+    ego_from_lidar: SE3
+
+    def points_ego(self) -> NDArray[np.float32]:
+        """Points (N, 3) in the ego frame; what is no place near a sensor is left out. Raises `DamagedExportError`."""
+        return self.returns_ego()[:, :3]
+
+    def returns_ego(self) -> NDArray[np.float32]:
+        """Rows (N, 4): x y z in the ego frame, metres, and intensity as measured, 0 where that is not finite.
+
+        What is no place near a sensor is left out. Raises `DamagedExportError`.
+        """
+        content = self.span.read(MOST_SWEEP_BYTES)
+        if len(content) % (COLUMNS * 4):
+            raise self.span.damaged(f"its {len(content)} bytes are no rows of {COLUMNS} float32")
+        rows = np.frombuffer(content, "<f4").reshape(-1, COLUMNS)
+        rows = rows[(np.abs(rows[:, :3]) < FARTHEST_RETURN_M).all(axis=1)]
+        returns = np.empty((len(rows), 4), np.float32)
+        returns[:, :3] = self.ego_from_lidar @ rows[:, :3].astype(np.float64)
+        returns[:, 3] = np.where(np.isfinite(rows[:, 3]), rows[:, 3], 0)
+        return returns
+
+
+def sweeps_in(files: Files, tokens: AbstractSet[str]) -> dict[str, SweepFile]:
+    """The sweeps of those frames among `tokens` that the export has. Raises `DamagedExportError`."""
+    mounts = _mounts(files)
+    found = dict[str, SweepFile]()
+    for row in table_rows(files, "sample_data"):
+        mount = mounts.get(str(row.get("calibrated_sensor_token")))
+        token = row.get("sample_token")
+        if mount is None or token not in tokens or row.get("is_key_frame") is not True:
+            continue
+        filename = str(row.get("filename"))
+        span = files.span(filename)
+        if span is None:
+            raise table_span(files, "sample_data").damaged(f"it names {filename[:200]!r}, which is not there")
+        found[str(token)] = SweepFile(span, mount)
+    return found
+
+
+def _mounts(files: Files) -> Mapping[str, SE3]:
+    """`ego_from_lidar` by the token of the calibrated sensor."""
+    sensors = {str(row.get("token")) for row in table_rows(files, "sensor") if row.get("channel") == CHANNEL}
+    rows = (row for row in table_rows(files, "calibrated_sensor") if row.get("sensor_token") in sensors)
+    return {str(row.get("token")): row_pose(files, "calibrated_sensor", row, FARTHEST_M) for row in rows}

@@ -1,0 +1,102 @@
+"""Tables of the nuScenes schema in an export: where exports are, and the rows of a table, one by one.
+
+**Conventions.** Tables are read row by row, a row on each line, as exports write them; of a table only what is wanted
+is held. Nothing outside is trusted: rows are checked, sizes bounded.
+"""
+
+import json
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from stone.errors import StoneError
+from stone.geometry.se3 import SE3
+from stone_exports.files import ExportFileSpan, Files, FolderFiles, TarFiles
+from stone_exports.tar_index import tar_spans_of
+
+TABLES = "v1.0-trainval"
+SAMPLE_DATA = f"{TABLES}/sample_data.json"
+EXPORTED = re.compile(
+    rf"(.*/)?({TABLES}/[a-z_]+\.json|samples/[A-Z0-9_]+/[^/]+\.(jpg|pcd|pcd\.bin)|gts/[^/]+/[0-9a-f]{{32}}/labels\.npz)"
+)
+
+
+class NotExportedError(StoneError):
+    """What was given is no export with LiDAR sweeps."""
+
+    code: ClassVar[str] = "not_an_export"
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(
+            f"{path} holds no nuScenes tables: expected is a folder of `stone export --format nuscenes` or `inputs`, a "
+            "tar that was downloaded, or a folder of these"
+        )
+
+
+def exports_in(path: Path) -> tuple[Files, ...]:
+    """The exports that a path names: a folder, a tar, or a folder of folders and tars.
+
+    Raises `NotExportedError`, `BadTarError`.
+    """
+    if path.is_file():
+        found = tuple(_exports_in_tar(path))
+    elif (path / SAMPLE_DATA).is_file():
+        return (FolderFiles(path),)
+    else:
+        found = tuple(one for child in sorted(path.iterdir()) for one in _exports_at(child))
+    if not found:
+        raise NotExportedError(path)
+    return found
+
+
+def table_rows(files: Files, name: str) -> Iterator[Mapping[str, Any]]:
+    """The rows of a table. Raises `DamagedExportError`."""
+    span = files.span(f"{TABLES}/{name}.json")
+    if span is None:
+        raise table_span(files, name).damaged("it is not there")
+    for line in span.lines():
+        text = line.strip().rstrip(b",")
+        if text in (b"", b"[", b"]", b"[]"):
+            continue
+        try:
+            row = json.loads(text)
+        except (ValueError, RecursionError):
+            row = None
+        if not isinstance(row, dict):
+            raise span.damaged("a line is no row of a table (one row a line, as exports write them)")
+        yield row
+
+
+def table_span(files: Files, name: str) -> ExportFileSpan:
+    """The file of a table; where there is none, one of no bytes, to be named in an error."""
+    return files.span(f"{TABLES}/{name}.json") or ExportFileSpan(files.path, f"{TABLES}/{name}.json", 0, 0)
+
+
+def row_pose(files: Files, table: str, row: Mapping[str, Any], farthest_m: float) -> SE3:
+    """The pose that a row's `rotation` (wxyz) and `translation` say. Raises `DamagedExportError` where it is none."""
+    try:
+        wxyz = np.array(row["rotation"], np.float64)
+        translation_m = np.array(row["translation"], np.float64)
+    except (KeyError, ValueError, TypeError, OverflowError):
+        wxyz, translation_m = np.zeros(0), np.zeros(0)
+    is_sound = wxyz.shape == (4,) and translation_m.shape == (3,)
+    if not is_sound or not abs(np.linalg.norm(wxyz) - 1) < 1e-3 or not (np.abs(translation_m) < farthest_m).all():
+        raise table_span(files, table).damaged("a row's rotation or translation is no pose")
+    return SE3(np.concatenate([wxyz, translation_m]))
+
+
+def _exports_at(child: Path) -> Iterable[Files]:
+    if child.is_dir() and (child / SAMPLE_DATA).is_file():
+        return (FolderFiles(child),)
+    return _exports_in_tar(child) if child.suffix == ".tar" and child.is_file() else ()
+
+
+def _exports_in_tar(path: Path) -> Iterator[Files]:
+    """Exports in the tar: every folder that has tables."""
+    places = tar_spans_of(path, lambda name: EXPORTED.fullmatch(name) is not None)
+    for name in places:
+        if name == SAMPLE_DATA or name.endswith(f"/{SAMPLE_DATA}"):
+            yield TarFiles(path, places, name.removesuffix(SAMPLE_DATA))

@@ -1,0 +1,149 @@
+"""`stone reported`: a published table onto a board, by administrators only, whole or not at all, and never twice."""
+
+from collections.abc import Iterator
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+import pytest
+from structlog.testing import capture_logs
+
+from services.domain.benchmarks.phases.reported_results import ReportedRow, put_reported, reported_in
+from services.runtime.orm import Phase
+from stone_client.api import Api
+from stone_client.connection import connected
+from stone_client.errors import ServerRefusedError
+from stone_client.server.published_tables import TABLE2, TABLES
+from stone_client.server.reported import Putting, put_table
+from testing.api.serving import person
+from testing.worlds.benchmark_world import World
+from tests.stone_client.participating import Served, answered, joined, refused, serving_world, stone
+
+OTHER = ReportedRow("Another", "L+R", "another paper", miou=0.2)
+NOT_COMPARABLE = (
+    "Published by the paper for its own recordings, of which split it does not say; not scored here, not comparable "
+    "with a score on other data."
+)
+
+
+@pytest.fixture(scope="module")
+def _world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[World, str]]:
+    with serving_world(tmp_path_factory.mktemp("world")) as served:
+        yield served
+
+
+@pytest.fixture
+def served(_world: tuple[World, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
+    """As the administrator, with one reported row of another paper on the board of val."""
+    made = joined(*_world)
+    monkeypatch.setenv("STONE_CONFIG_HOME", str(tmp_path / "configuration"))
+    monkeypatch.setenv("STONE_URL", made.url)
+    monkeypatch.setenv("STONE_TOKEN", made.world.administrator.secret)
+    lay(made, OTHER)
+    with capture_logs():
+        yield made
+
+
+def lay(served: Served, *rows: ReportedRow) -> None:
+    with served.platform.database.transaction() as session:
+        put_reported(session, session.get_one(Phase, served.world.val), rows)
+
+
+def standing(served: Served) -> dict[tuple[str, str], tuple[str, float | None]]:
+    with served.platform.database.reading() as session:
+        return {(row.method, row.modality): (row.id, row.miou) for row in reported_in(session, served.world.val)}
+
+
+def put(served: Served, *more: str) -> dict[str, Any]:
+    return answered("reported", "table2", *served.at("val"), *more)
+
+
+def test_who_is_no_administrator_puts_nothing(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("STONE_TOKEN", served.captain.secret)
+    before = standing(served)
+    assert refused(stone("reported", "table2", *served.at("val"))) == "forbidden"
+    assert standing(served) == before
+    unscoped = person(served.platform, "administrator", scopes=("read", "submit"))
+    monkeypatch.setenv("STONE_TOKEN", unscoped.secret)
+    assert refused(stone("reported", "table2", *served.at("val"))) == "forbidden", "a token without the scope"
+    monkeypatch.setenv("STONE_TOKEN", "nobody's")
+    assert refused(stone("reported", "table2", *served.at("val"))) == "unauthenticated"
+
+
+def test_what_does_not_exist_is_refused(served: Served) -> None:
+    assert refused(stone("reported", "table2", *served.at("nothing"))) == "not_found"
+    assert stone("reported", "table9", *served.at("val")).exit_code == 2
+    assert stone("reported", "table2").exit_code == 2
+    assert refused(stone("reported", "table2", *served.at("val"), "--reason", " ")) == "invalid_request"
+
+
+def test_the_ten_rows_stand_as_printed_beside_others_and_are_put_once(served: Served) -> None:
+    first = put(served)
+    assert [row["done"] for row in first["rows"]] == ["put"] * 10
+    before = standing(served)
+    assert len(before) == 11
+    assert before["Another", "L+R"][1] == OTHER.miou
+    assert [row["done"] for row in put(served)["rows"]] == ["left"] * 10
+    assert standing(served) == before, "the very same rows"
+    shown = stone("reported", "table2", *served.at("val"))
+    assert shown.stdout.count("stood already") == 10
+    assert NOT_COMPARABLE in shown.stdout
+
+
+def test_the_board_shows_them_unranked_with_source_note_and_digits(served: Served) -> None:
+    put(served)
+    board = answered("leaderboard", served.world.benchmark, "val")
+    rows = {(row["method"], row["modality"]): row for row in board["rows"] if row["source"] == TABLE2.source}
+    assert len(rows) == 10
+    assert {(row["standing"], row["rank"], row["percent_digits"]) for row in rows.values()} == {("reported", None, 1)}
+    assert all(row["note"].startswith(NOT_COMPARABLE) for row in rows.values())
+    assert "19.0 in bold although L-CoNet's 22.5 is higher" in rows["OccFusion", "C+L"]["note"]
+    assert rows["OccFusion", "C+R"]["note"] == NOT_COMPARABLE
+    shown = stone("leaderboard", served.world.benchmark, "val").stdout
+    lines = [line.split() for line in shown.splitlines()]
+    assert ["reported", "L-OpenOcc", "L", "36.5", "61.2", "21.1", "33.4", "55.2"] in lines
+    assert ["reported", "OccFusion", "C+L", "39.6", "66.1", "19.0", "36.9", "62.8"] in lines
+    assert ["reported", "OccFusion", "C+R", "33.1", "45.2", "21.5", "36.4", "41.3"] in lines
+    assert shown.count("STONE Dataset (ICRA 2026), Table II") == 10
+    others = "M-CoNet (C+L), L-CoNet (L), M-OpenOcc (C+L), L-OpenOcc (L), OccFusion (C+R), TPVFormer (C), OccFormer (C)"
+    assert f"{others}, C-CoNet (C), C-OpenOcc (C): {NOT_COMPARABLE}\n" in shown
+
+
+def test_a_row_that_stands_otherwise_is_named_and_replaced_only_when_asked(served: Served) -> None:
+    typed = ReportedRow("OccFusion", "C+L", TABLE2.source, 0.661, 0.191, 0.369, 0.628, None, NOT_COMPARABLE, 1)
+    lay(served, OTHER, typed)
+    before = standing(served)
+    result = stone("reported", "table2", *served.at("val"))
+    assert refused(result) == "reported_differs"
+    assert (
+        "OccFusion (C+L): mIoU is –, in the table 39.6, IoU T is 19.1, in the table 19.0, another note" in result.stderr
+    )
+    assert standing(served) == before, "none was put"
+    done = {(row["method"], row["modality"]): row["done"] for row in put(served, "--replace")["rows"]}
+    assert done.pop(("OccFusion", "C+L")) == "replaced"
+    assert set(done.values()) == {"put"}
+    after = standing(served)
+    assert after["OccFusion", "C+L"] == (before["OccFusion", "C+L"][0], 0.396)
+    assert after["Another", "L+R"] == before["Another", "L+R"]
+
+
+def test_rows_that_somebody_puts_meanwhile_are_not_lost(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    sent = Api.send
+
+    def overtaken(api: Api, method: str, path: str, **request: Any) -> Any:
+        if method == "PUT":
+            lay(served, OTHER, ReportedRow("Meanwhile", "C", "a third paper"))
+        return sent(api, method, path, **request)
+
+    monkeypatch.setattr(Api, "send", overtaken)
+    with connected(None) as api, pytest.raises(ServerRefusedError, match="read it again"):
+        put_table(api, TABLE2, Putting(served.world.benchmark, "val", "as published"))
+    assert set(standing(served)) == {("Another", "L+R"), ("Meanwhile", "C")}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_a_published_mean_is_that_of_its_classes(name: str) -> None:
+    """What is printed is rounded, so the mean of rounded values is off by less than a tenth: a typing error is not."""
+    for row in TABLES[name].rows:
+        *_, t, p, n, miou = (Decimal(printed) for printed in row.percent)
+        assert abs((t + p + n) / 3 - miou) <= Decimal("0.1"), row
