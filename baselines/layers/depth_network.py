@@ -14,6 +14,7 @@ from baselines.batch import Batch
 from baselines.layers.deformable_convolution import DeformableConv2d
 
 CAMERA_NUMBERS = 27
+KILOPIXELS = 1e-3  # of a pixel
 
 
 @dataclass(frozen=True)
@@ -30,17 +31,19 @@ class DepthNetworkConfig:
 def camera_vectors(batch: Batch) -> Tensor:
     """The 27 numbers (B, N, 27) of each camera: of intrinsics 4, pictures' augmentation 6, the grid's 5, extrinsics 12.
 
-    Raises `ValueError` without cameras.
+    Lengths in pictures are in thousands of pixels. Officially they are in pixels: of a rig whose focal lengths are all
+    the same, running means are then never close enough to them for the norm's ε. Raises `ValueError` without cameras.
     """
     if batch.cameras is None:
         raise ValueError("this batch has no cameras")
-    k, augmentation = batch.cameras.intrinsics, batch.cameras.augmented_from_image
+    scale = batch.cameras.intrinsics.new_tensor([KILOPIXELS, KILOPIXELS, 1.0])[:, None]
+    k, moved = batch.cameras.intrinsics * scale, batch.cameras.augmented_from_image
     grid = batch.grid_from_ego[:, None].expand(-1, k.shape[1], -1, -1)
     picked = torch.stack(
         [
             *(k[..., 0, 0], k[..., 1, 1], k[..., 0, 2], k[..., 1, 2]),
-            *(augmentation[..., 0, 0], augmentation[..., 0, 1], augmentation[..., 0, 2]),
-            *(augmentation[..., 1, 0], augmentation[..., 1, 1], augmentation[..., 1, 2]),
+            *(moved[..., 0, 0], moved[..., 0, 1], moved[..., 0, 2] * KILOPIXELS),
+            *(moved[..., 1, 0], moved[..., 1, 1], moved[..., 1, 2] * KILOPIXELS),
             *(grid[..., 0, 0], grid[..., 0, 1], grid[..., 1, 0], grid[..., 1, 1], grid[..., 2, 2]),
         ],
         dim=-1,

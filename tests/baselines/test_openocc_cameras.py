@@ -94,6 +94,16 @@ def test_the_volume_under_bfloat16_stays_close_to_float32() -> None:
         assert (a - b).norm() < 0.03 * a.norm(), name
 
 
+@pytest.mark.parametrize("modality", ["C", "C+L"])
+def test_a_row_under_bfloat16_answers_what_it_answers_in_float32(modality: Modality) -> None:
+    model = small_row(modality, is_cascade=False).eval()
+    with torch.no_grad():
+        exact = model.logits(model(frame()), frame())
+        with torch.autocast("cpu", torch.bfloat16):
+            near = model.logits(model(frame()), frame())
+    assert (near - exact).norm() < 0.03 * exact.norm()
+
+
 def test_checkpointed_lifting_has_the_same_gradients() -> None:
     gradients = []
     for is_checkpointed in (False, True):
