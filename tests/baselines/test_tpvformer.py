@@ -6,10 +6,10 @@ import pytest
 import torch
 
 from baselines.lattice import VoxelLattice
-from baselines.layers.camera_sight import CameraRig
 from baselines.layers.deformable_attention import SamplingHead
 from baselines.layers.deformable_convolution import DeformableConv2d
 from baselines.layers.grid_mask import GridMask, is_kept
+from baselines.layers.tpv.camera_sight import CameraRig
 from baselines.models.tpvformer import TPVFormer
 from baselines.models.tpvformer_config import TPVFormerConfig
 from tests.baselines.camera_frames import frames
@@ -151,7 +151,7 @@ def test_geometry_is_the_same_under_autocast() -> None:
     batch = batch_of(SMALL)
     with torch.autocast("cpu", torch.bfloat16):
         half = CameraRig.of(batch)
-    assert torch.equal(half.image_from_grid, CameraRig.of(batch).image_from_grid)
+    assert torch.equal(half.pixels_from_grid, CameraRig.of(batch).pixels_from_grid)
 
 
 def test_it_tells_one_picture_from_another() -> None:
