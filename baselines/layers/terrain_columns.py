@@ -108,12 +108,12 @@ def evidence_of(hits: ColumnHits, terrain: Terrain, alignment: ColumnAlignment, 
     return maps.reshape(3, frames, heights, x, y).movedim(0, 1).flatten(1, 2)
 
 
-STATISTICS = 10
+STATISTICS = 11
 
 
 def statistics_of(hits: ColumnHits, terrain: Terrain, lattice: VoxelLattice) -> Tensor:
-    """Maps (B, 10, X, Y): hit or not, log count, lowest, highest, mean and deviation in m above the reference, mean
-    intensity; the reference within its voxel, and its slope along x and y (m / m).
+    """Maps (B, 11, X, Y): hit or not, log count, lowest, highest, mean and deviation in m above the reference, mean
+    intensity; the reference in m and within its voxel, and its slope along x and y (m / m).
     """
     reference = terrain.reference_m.reshape(-1)
     above = hits.features[:, 2] - reference[hits.column]
@@ -135,13 +135,13 @@ def _unflattened(maps: Tensor, terrain: Terrain) -> Tensor:
     return maps.reshape(len(maps), *terrain.base.shape).movedim(0, 1)
 
 
-def _shape_of(terrain: Terrain, lattice: VoxelLattice) -> tuple[Tensor, Tensor, Tensor]:
+def _shape_of(terrain: Terrain, lattice: VoxelLattice) -> tuple[Tensor, ...]:
     size = lattice.voxel_m
     within = (terrain.reference_m - lattice.min_m[2]) / size[2]
     padded = functional.pad(terrain.reference_m, (1, 1, 1, 1), mode="replicate")
     along_x = (padded[:, :, 2:, 1:-1] - padded[:, :, :-2, 1:-1]) / (2 * size[0])
     along_y = (padded[:, :, 1:-1, 2:] - padded[:, :, 1:-1, :-2]) / (2 * size[1])
-    return within - within.floor() - 0.5, along_x, along_y
+    return terrain.reference_m, within - within.floor() - 0.5, along_x, along_y
 
 
 def surface_of(hits: ColumnHits, terrain: Terrain, otherwise_above_m: float) -> Tensor:

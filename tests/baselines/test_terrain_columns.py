@@ -74,9 +74,10 @@ def test_statistics_are_those_of_each_columns_points() -> None:
             [torch.ones(()), count, above.min(), above.max(), above.mean(), above.std(correction=0), rows[:, 3].mean()]
         )
     torch.testing.assert_close(maps[:, :7], slow, atol=1e-3, rtol=1e-4)
-    torch.testing.assert_close(maps[:, 8, 1:-1], torch.full((2, 14, 16), 0.4), atol=1e-4, rtol=0)
-    assert (maps[:, 9].abs() < 1e-5).all()
-    assert (maps[:, 7].abs() <= 0.5).all()
+    torch.testing.assert_close(maps[:, 9, 1:-1], torch.full((2, 14, 16), 0.4), atol=1e-4, rtol=0)
+    assert (maps[:, 10].abs() < 1e-5).all()
+    assert torch.equal(maps[:, 7], terrain.reference_m[:, 0])
+    assert (maps[:, 8].abs() <= 0.5).all()
 
 
 def test_radar_maps_are_means_of_each_columns_points() -> None:
