@@ -16,7 +16,7 @@ from ruamel.yaml.error import YAMLError
 
 from baselines.augment import AugmentConfig
 from baselines.errors import BadRowError
-from baselines.inputs import InputConfig
+from baselines.inputs import CountedVoxels, InputConfig
 from baselines.models.architectures import ModelConfig
 
 CONFIGS = Path(__file__).with_name("configs")
@@ -42,6 +42,7 @@ class TrainingConfig:
     precision: Literal["float32", "bfloat16"] = "bfloat16"
     backbone_rate_ratio: float = 1.0
     stride: int = 1
+    counted: CountedVoxels = "all"
     seed: int = 0
     checkpoint_steps: int = 250
 

@@ -15,7 +15,6 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader
 
-from baselines.augment import NO_AUGMENTATION
 from baselines.batch import Batch, moved
 from baselines.cache import CachedFrame, CachedStore, cached_frames
 from baselines.checkpoint import load_backbone, write_weights
@@ -122,7 +121,9 @@ class _Run:
         self.config = plan.row.training
         indices = targets_of(frames[0], self.config.stride)
         self.sampler = EpochSampler(indices, self.config.seed, (share.rank, share.world))
-        request = FrameRequest(plan.row.inputs, state.model.lattice, plan.row.augment, self.config.seed)
+        request = FrameRequest(
+            plan.row.inputs, state.model.lattice, plan.row.augment, self.config.seed, self.config.counted
+        )
         self.loader: DataLoader[Batch] = DataLoader(
             FrameDataset(CachedStore(frames[0]), request),
             batch_size=self.config.batch,
@@ -186,7 +187,7 @@ class _Run:
         """Score what is watched, keep the best weights, and say that the next epoch begins."""
         scores, best = dict[str, float | None](), self.state.provenance.best_miou
         if self.watched:
-            request = FrameRequest(self.plan.row.inputs, self.state.model.lattice, NO_AUGMENTATION)
+            request = FrameRequest(self.plan.row.inputs, self.state.model.lattice, counted=self.config.counted)
             dataset = FrameDataset(CachedStore(self.watched), request)
             targets = targets_of(self.watched, self.config.stride)
             scores = scores_on(self.state.model, dataset, targets, (self.share.device, self.config.precision))

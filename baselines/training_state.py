@@ -1,5 +1,6 @@
 """What changes while a row is trained: weights, the optimiser, and how far it is; made anew or from a checkpoint."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +18,7 @@ from baselines.models.occupancy_model import OccupancyModel
 from baselines.optimisation import BatchLosses, build_optimizer
 from baselines.processes import ProcessShare
 from baselines.row_config import RowConfig
+from stone.labels.grid import GRID_SHAPE
 from stone.scoring.metric import METRIC_VERSION
 
 
@@ -45,6 +47,8 @@ def begun_state(row: RowConfig, frames: Sequence[CachedFrame], share: ProcessSha
     """The state before the first step: weights by the row's seed, classes weighed by the voxels of `frames`."""
     torch.manual_seed(row.training.seed)
     free, t, p, n = (sum(frame.voxels[place] for frame in frames) for place in range(4))
+    if row.training.counted == "all":
+        free = len(frames) * math.prod(GRID_SHAPE) - t - p - n
     model = build_model(with_class_counts(row.model, (free, t, p, n))).to(share.device)
     losses: nn.Module = BatchLosses(model, row.training.precision)
     if share.world > 1:

@@ -119,5 +119,5 @@ def train(
         return
     typer.echo(f"{output}: {ended.steps:,} steps on {ended.frames:,} frames (sha256 {ended.data_sha256[:16]}…)")
     if ended.best_miou is not None:
-        typer.echo(f"best mIoU of what was watched: {100 * ended.best_miou:.2f} % of observed voxels")
+        typer.echo(f"best mIoU of what was watched: {100 * ended.best_miou:.2f} %")
     typer.echo(f"Next: stone predict {output} INPUTS --manifest M.json -o sub.zip")
