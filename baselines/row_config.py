@@ -29,7 +29,7 @@ class TrainingConfig:
 
     The learning rate rises for `warmup_steps` and falls by a cosine to a thousandth; that of a pretrained image
     backbone is `backbone_rate_ratio` of it. `stride`: every n-th frame of a sequence is trained on; earlier sweeps are
-    all used.
+    all used. `counted`: the voxels that losses and the metric count, as the benchmark's mask has it.
     """
 
     epochs: int = 24

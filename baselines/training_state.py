@@ -48,7 +48,7 @@ def begun_state(row: RowConfig, frames: Sequence[CachedFrame], share: ProcessSha
     torch.manual_seed(row.training.seed)
     free, t, p, n = (sum(frame.voxels[place] for frame in frames) for place in range(4))
     if row.training.counted == "all":
-        free = len(frames) * math.prod(GRID_SHAPE) - t - p - n
+        free = sum(any(frame.voxels) for frame in frames) * math.prod(GRID_SHAPE) - t - p - n
     model = build_model(with_class_counts(row.model, (free, t, p, n))).to(share.device)
     losses: nn.Module = BatchLosses(model, row.training.precision)
     if share.world > 1:
