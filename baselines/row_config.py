@@ -95,6 +95,13 @@ def read_row(name: str, changes: Mapping[str, Any] | None = None) -> RowConfig:
     return replace(row, training=replace(row.training, **kept))
 
 
+def with_checkpointed_gradients(row: RowConfig) -> RowConfig:
+    """The row with less memory for more time: activations are computed anew in backward. Raises `BadRowError`."""
+    if not hasattr(row.model, "checkpoint_gradients"):
+        raise BadRowError(row.name, "it has no blocks large enough for --checkpoint-gradients to be of use")
+    return replace(row, model=replace(row.model, checkpoint_gradients=True))
+
+
 def row_of(name: str, said: object) -> RowConfig:
     """The row that a mapping describes. Raises `BadRowError`."""
     try:

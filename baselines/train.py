@@ -171,7 +171,7 @@ class _Run:
             measures = step % METRIC_EVERY == 0
             losses, logits = self.state.losses(batch, with_logits=measures)
             whole: Tensor = sum(losses.values(), batch.grid_from_ego.new_zeros(()))
-            (whole / len(parts)).backward()  # type: ignore[no-untyped-call]
+            torch.autograd.backward(whole / len(parts))
             terms = {name: terms.get(name, 0.0) + float(value.detach()) / len(parts) for name, value in losses.items()}
             if logits is not None and batch.labels is not None:
                 counts = confusion_of(logits, batch.labels)
