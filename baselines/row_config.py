@@ -18,6 +18,7 @@ from baselines.augment import AugmentConfig
 from baselines.errors import BadRowError
 from baselines.inputs import CountedVoxels, InputConfig
 from baselines.models.architectures import ModelConfig
+from baselines.models.column_net_config import ColumnNetConfig
 
 CONFIGS = Path(__file__).with_name("configs")
 MOST_CONFIG_BYTES = 65536
@@ -97,7 +98,7 @@ def read_row(name: str, changes: Mapping[str, Any] | None = None) -> RowConfig:
 
 def with_checkpointed_gradients(row: RowConfig) -> RowConfig:
     """The row with less memory for more time: activations are computed anew in backward. Raises `BadRowError`."""
-    if not hasattr(row.model, "checkpoint_gradients"):
+    if isinstance(row.model, ColumnNetConfig):
         raise BadRowError(row.name, "it has no blocks large enough for --checkpoint-gradients to be of use")
     return replace(row, model=replace(row.model, checkpoint_gradients=True))
 
