@@ -48,7 +48,7 @@ def build_ground_cover(terrain: Terrain, rng: np.random.Generator) -> GroundCove
     rock = np.where(terrain.lowland, 0.25 * steep, steep)
     soil = np.maximum(_track(terrain, ragged, patches), np.where(terrain.lowland, steep, 0.0)) * (1 - rock)
     loose = np.maximum(_rising(slope, STEEP_RAD[0], STEEP_RAD[1]), 0.8 * _rising(-patches, 1.1, 1.6))
-    gravel = loose * (1 - rock) * (1 - soil)
+    gravel = loose * (1 - rock - soil)
     tall = _rising(patches, 0.3, 0.8) * _rising(terrain.path_distance_m, 2.0, 3.0)
     along_y, along_x = np.gradient(terrain.height_m, terrain.resolution_m)
     layers = (soil, gravel, rock, tall * (1 - rock - soil - gravel), terrain.height_m, along_x, along_y)
