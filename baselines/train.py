@@ -24,7 +24,7 @@ from baselines.errors import TooLittleMemoryError, TrainingDivergedError
 from baselines.evaluation import scores_on
 from baselines.layers.resnet import ResNet
 from baselines.metrics import confusion_of, scores_of
-from baselines.optimisation import Schedule, take_step
+from baselines.optimisation import RateSchedule, take_step
 from baselines.processes import ProcessShare, joined_processes
 from baselines.row_config import RowConfig
 from baselines.run_clock import RunClock
@@ -134,7 +134,7 @@ class _Run:
             generator=torch.Generator(),  # one of its own: that of the model is part of checkpoints
         )
         self.steps_an_epoch = max(len(self.sampler) // (self.config.batch * self.config.accumulate), 1)
-        self.schedule = Schedule(self.config, self.steps_an_epoch * self.config.epochs)
+        self.schedule = RateSchedule(self.config, self.steps_an_epoch * self.config.epochs)
 
     def train(self, reports: Reports) -> None:
         clock = RunClock(self.schedule.steps, self.state.provenance.position.step)

@@ -11,7 +11,7 @@ from torch import nn
 from torch.nn.parallel import DistributedDataParallel
 
 from baselines.cache import CachedFrame, data_hash
-from baselines.checkpoint import Provenance, read_checkpoint, write_checkpoint
+from baselines.checkpoint import WeightsProvenance, read_checkpoint, write_checkpoint
 from baselines.errors import BadRunError
 from baselines.models.architectures import build_model, with_class_counts
 from baselines.models.occupancy_model import OccupancyModel
@@ -29,7 +29,7 @@ class TrainingState:
     model: OccupancyModel[Any]
     losses: nn.Module
     optimizer: torch.optim.Optimizer
-    provenance: Provenance
+    provenance: WeightsProvenance
 
     def parameters(self) -> list[nn.Parameter]:
         return [parameter for parameter in self.model.parameters() if parameter.requires_grad]
@@ -53,7 +53,7 @@ def begun_state(row: RowConfig, frames: Sequence[CachedFrame], share: ProcessSha
     losses: nn.Module = BatchLosses(model, row.training.precision)
     if share.world > 1:
         losses = DistributedDataParallel(losses, find_unused_parameters=True)
-    provenance = Provenance(row.as_json(), data_hash(frames), METRIC_VERSION, len(frames))
+    provenance = WeightsProvenance(row.as_json(), data_hash(frames), METRIC_VERSION, len(frames))
     torch.manual_seed(row.training.seed + 1 + share.rank)
     return TrainingState(model, losses, build_optimizer(model, row.training), provenance)
 
