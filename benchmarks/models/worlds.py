@@ -41,7 +41,7 @@ def made_world(folder: Path, seed: int, seconds: float, every: int) -> ModelWorl
         shutil.rmtree(world.folder, ignore_errors=True)
         world.folder.mkdir(parents=True)
         bag, labels = world.folder / f"world{seed}.mcap", world.folder / LABELS
-        stone("simulate", bag, "--seconds", seconds, "--seed", seed)
+        stone("simulate", bag, "--seconds", seconds, "--seed", seed, "--camera-detail", "full")
         stone("label", bag, "--calibration", bag.with_suffix(".calibration.yaml"), "-o", labels)
         stone("export", labels, "--format", "nuscenes", "-o", world.export)
         _choose_frames(world, every)
