@@ -14,15 +14,9 @@ import numpy as np
 import pytest
 from sqlalchemy import select
 
-from services.domain.benchmarks.phases.inputs import (
-    RUN,
-    InputsImpossibleError,
-    InputsStandError,
-    inputs_of,
-    locate_input,
-    start_inputs,
-)
+from services.domain.benchmarks.phases.inputs import RUN, inputs_of, locate_input, start_inputs
 from services.domain.benchmarks.phases.phases import NewBenchmark, NewPhase, create_benchmark, create_phase
+from services.domain.datasets.input_jobs import InputsImpossibleError, InputsStandError
 from services.domain.datasets.queries import dataset_named
 from services.domain.sequences.processing import delete_sequence
 from services.domain.sequences.recordings import remove_recording
