@@ -50,7 +50,8 @@ def create_dataset(
 ) -> PublishedDataset:
     """Publish the splits as they stand, as a version that never changes; train and val may then be downloaded.
 
-    Their inputs are made by jobs that begin now. What the rules warn of is in the answer, and by its codes in the audit log.
+    Their inputs are made by jobs that begin now. What the rules warn of is in the answer, and by its codes in the audit
+    log.
     """
     asked = NewDataset(body.name, body.licence, caller.user_id)
     platform.settings.root.mkdir(parents=True, exist_ok=True)
