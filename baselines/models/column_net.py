@@ -23,7 +23,7 @@ from baselines.layers.terrain_columns import (
     STATISTICS,
     ColumnAlignment,
     ColumnHits,
-    Terrain,
+    TerrainColumns,
     column_hits,
     evidence_of,
     radar_maps,
@@ -136,7 +136,7 @@ class ColumnNet(OccupancyModel[ColumnOutputs]):
     def logits(self, outputs: ColumnOutputs, batch: Batch) -> Tensor:
         return outputs.calibrated()
 
-    def _columns_hit(self, batch: Batch) -> tuple[ColumnHits, Terrain]:
+    def _columns_hit(self, batch: Batch) -> tuple[ColumnHits, TerrainColumns]:
         """Points of the LiDAR and the terrain under them; without a LiDAR the radar's, or none, over a plane."""
         if self.has_lidar:
             hits = column_hits(points_of(batch, "lidar"), self.lattice)
