@@ -1,6 +1,6 @@
-# make install | baselines | demo | serve | test | test-all | test-kernels | test-baselines | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-platform | bench-pages | bench-truth | bench-movers | bench-mounts | bench-real | bench-faults | bench-decisions | season | images
+# make install | baselines | demo | serve | test | test-all | test-kernels | test-baselines | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-platform | bench-pages | bench-truth | bench-movers | bench-mounts | bench-real | bench-faults | bench-decisions | bench-models | season | images
 # Each installs first, which costs nothing when nothing changed.
-.PHONY: install baselines test-baselines test-clients demo serve test test-all test-kernels check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-platform bench-pages bench-truth bench-movers bench-mounts bench-real bench-faults bench-decisions season images
+.PHONY: install baselines test-baselines test-clients demo serve test test-all test-kernels check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-platform bench-pages bench-truth bench-movers bench-mounts bench-real bench-faults bench-decisions bench-models season images
 .DELETE_ON_ERROR:
 
 BIN := .venv/bin
@@ -125,6 +125,10 @@ bench-faults: install
 
 bench-mounts: install
 	$(BIN)/python -m benchmarks.mounts
+
+bench-models: baselines
+	.venv-baselines/bin/python -m benchmarks.models.overfit
+	.venv-baselines/bin/python -m benchmarks.models.unseen
 
 bench-decisions: install
 	$(BIN)/python -m benchmarks.decisions

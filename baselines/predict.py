@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 
 from baselines.batch import moved
-from baselines.checkpoint import Provenance, read_weights
+from baselines.checkpoint import WeightsProvenance, read_weights
 from baselines.data import FrameDataset, FrameRequest, grid_part
 from baselines.frame_record import FrameRecord, read_record
 from baselines.inputs import InputConfig
@@ -117,7 +117,7 @@ class Predictor:
         return grid
 
 
-def loaded_predictor(run: Path, row: RowConfig, device: str) -> tuple[Predictor, Provenance]:
+def loaded_predictor(run: Path, row: RowConfig, device: str) -> tuple[Predictor, WeightsProvenance]:
     """The run's model with its weights. Raises `BadRunError`."""
     model = build_model(row.model).to(device)
     provenance = read_weights(run, model)

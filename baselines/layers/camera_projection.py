@@ -48,20 +48,36 @@ def seen_cells(
     return seen, row * cells[1] + column
 
 
+class Sightings(NamedTuple):
+    """Of points: `total` (B, P, C) of the cells that each falls in, `cameras` (B, P, 1): how many see it."""
+
+    total: Tensor
+    cameras: Tensor
+
+    def means(self) -> Tensor:
+        return self.total / self.cameras.clamp(min=1)
+
+
+def sightings_of(points_grid: Tensor, features: Tensor, views: CameraViews, grid_from_camera: Tensor) -> Sightings:
+    """Points (B, P, 3) of the grid frame, seen in features (B, N, C, h, w) of the images of `views`."""
+    image = (views.images.shape[-2], views.images.shape[-1])
+    with torch.autocast(features.device.type, enabled=False):
+        matrices = pixels_from_grid(views, grid_from_camera).float()
+        frames = zip(points_grid, features.float(), matrices, strict=True)
+        sums = [_sums(cells, of, points, image) for points, cells, of in frames]
+    return Sightings(torch.stack([total for total, _ in sums]), torch.stack([count for _, count in sums])[..., None])
+
+
 def project_features(
     features: Tensor, views: CameraViews, grid_from_camera: Tensor, lattice: VoxelLattice
 ) -> ProjectedFeatures:
     """Features (B, N, C, h, w) of the images of `views`, on `lattice` in the grid frame."""
-    with torch.autocast(features.device.type, enabled=False):
-        matrices = pixels_from_grid(views, grid_from_camera).float()
-        centres = lattice.centres_m(features.device).reshape(-1, 3)
-        image = (views.images.shape[-2], views.images.shape[-1])
-        sums = [_sums(frame, of, centres, image) for frame, of in zip(features.float(), matrices, strict=True)]
-        total = torch.stack([total for total, _ in sums]).reshape(len(sums), *lattice.shape, -1)
-        sightings = torch.stack([count for _, count in sums]).reshape(len(sums), *lattice.shape, 1)
-        volume = total / sightings.clamp(min=1)
-        bev = total.sum(dim=3) / sightings.sum(dim=3).clamp(min=1)
-    return ProjectedFeatures(volume.permute(0, 4, 1, 2, 3), bev.permute(0, 3, 1, 2))
+    centres = lattice.centres_m(features.device).reshape(1, -1, 3).expand(len(features), -1, -1)
+    seen = sightings_of(centres, features, views, grid_from_camera)
+    shape = (len(features), *lattice.shape, -1)
+    volume = seen.means().reshape(shape)
+    columns = Sightings(seen.total.reshape(shape).sum(dim=3), seen.cameras.reshape(shape).sum(dim=3))
+    return ProjectedFeatures(volume.permute(0, 4, 1, 2, 3), columns.means().permute(0, 3, 1, 2))
 
 
 def _sums(features: Tensor, matrices: Tensor, centres: Tensor, image: tuple[int, int]) -> tuple[Tensor, Tensor]:

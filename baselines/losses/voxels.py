@@ -19,10 +19,11 @@ GEOMETRIC_EPSILON = 1e-5  # official
 
 def cross_entropy(logits: Tensor, labels: Tensor, class_weights: Tensor | None = None) -> Tensor:
     """Mean of −w log p over the counted voxels, divided by the mean weight; `class_weights` (C,)."""
-    scores, classes = counted(logits, labels)
-    if len(classes) == 0:
+    if not bool((labels != IGNORED).any()):
         return logits.sum() * 0.0
-    return functional.cross_entropy(scores, classes, None if class_weights is None else class_weights.to(scores))
+    scores = logits if logits.dtype == torch.float64 else logits.float()
+    weights = None if class_weights is None else class_weights.to(scores)
+    return functional.cross_entropy(scores, labels.long(), weights, ignore_index=IGNORED)
 
 
 def semantic_scale(logits: Tensor, labels: Tensor) -> Tensor:

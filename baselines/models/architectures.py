@@ -3,6 +3,8 @@
 from dataclasses import replace
 from typing import Any, assert_never
 
+from baselines.models.column_net import ColumnNet
+from baselines.models.column_net_config import ColumnNetConfig
 from baselines.models.occformer import OccFormer
 from baselines.models.occformer_config import OccFormerConfig
 from baselines.models.occfusion import OccFusion
@@ -13,7 +15,7 @@ from baselines.models.openocc_config import OpenOccConfig
 from baselines.models.tpvformer import TPVFormer
 from baselines.models.tpvformer_config import TPVFormerConfig
 
-ModelConfig = OpenOccConfig | TPVFormerConfig | OccFormerConfig | OccFusionConfig
+ModelConfig = OpenOccConfig | TPVFormerConfig | OccFormerConfig | OccFusionConfig | ColumnNetConfig
 ClassCounts = tuple[int, int, int, int]
 LEAST_COUNT = 100  # a class that hardly occurs weighs no more than one of so many voxels
 
@@ -29,6 +31,8 @@ def build_model(config: ModelConfig) -> OccupancyModel[Any]:
             return OccFormer(config)
         case OccFusionConfig():
             return OccFusion(config)
+        case ColumnNetConfig():
+            return ColumnNet(config)
         case _:
             assert_never(config)
 
@@ -36,7 +40,7 @@ def build_model(config: ModelConfig) -> OccupancyModel[Any]:
 def with_class_counts(config: ModelConfig, voxels: ClassCounts) -> ModelConfig:
     """The configuration for a training split of so many voxels of free, T, P and N, where its losses weigh classes.
 
-    TPVFormer and OccFusion weigh them all alike, as published.
+    TPVFormer and OccFusion weigh them all alike, as published; ColumnNet by what its configuration says.
     """
     free, t, p, n = (max(count, LEAST_COUNT) for count in voxels)
     if isinstance(config, OpenOccConfig | OccFormerConfig):

@@ -23,11 +23,14 @@ COARSEST_STRIDE = 32
 
 @dataclass(frozen=True, eq=False)
 class CameraVolume:
-    """Voxels (B, C, x, y, z), features of pictures (B, N, C', h, w), probabilities of their depth (B, N, D, h, w)."""
+    """Voxels (B, C, x, y, z), features of pictures (B, N, C', h, w), probabilities of their depth (B, N, D, h, w).
 
-    voxels: Tensor
-    image_features: Tensor
-    depth_probabilities: Tensor
+    All None of a row without cameras.
+    """
+
+    voxels: Tensor | None = None
+    image_features: Tensor | None = None
+    depth_probabilities: Tensor | None = None
 
 
 class CameraVoxelEncoder(nn.Module):

@@ -54,7 +54,7 @@ class OpenOccConfig:
     class_counts: FourInts = TEN_FRAMES  # voxels of free, T, P, N: a class weighs 1 / log of its count
     supervises_voxels: bool = False
     normalises_losses: bool = True  # each by its own value, as officially: only directions of gradients are weighed
-    depth_loss_weight: float = 3.0
+    depth_loss_weight: float = 3.0  # of no effect where losses are normalised, as officially
     checkpoint_gradients: bool = False
 
     @property

@@ -9,12 +9,12 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from baselines.batch import Batch
-from baselines.layers.camera_sight import CameraRig
 from baselines.layers.grid_mask import GridMask
 from baselines.layers.pyramids import FPN
 from baselines.layers.resnet import ResNet
-from baselines.layers.tpv_aggregator import TPVAggregator
-from baselines.layers.tpv_encoder import TPVEncoder
+from baselines.layers.tpv.aggregator import TPVAggregator
+from baselines.layers.tpv.camera_sight import CameraRig
+from baselines.layers.tpv.encoder import TPVEncoder
 from baselines.losses.voxels import cross_entropy, lovasz_softmax
 from baselines.models.occupancy_model import OccupancyModel
 from baselines.models.tpvformer_config import TPVFormerConfig

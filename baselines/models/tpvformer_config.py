@@ -9,11 +9,11 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from baselines.lattice import VoxelLattice
-from baselines.layers.plane_attention import PlaneAttentionConfig
 from baselines.layers.pyramids import FPNConfig
 from baselines.layers.resnet import ResNetConfig
-from baselines.layers.tpv_aggregator import TPVAggregatorConfig
-from baselines.layers.tpv_encoder import TPVEncoderConfig
+from baselines.layers.tpv.aggregator import TPVAggregatorConfig
+from baselines.layers.tpv.attention import PlaneAttentionConfig
+from baselines.layers.tpv.encoder import TPVEncoderConfig
 
 LEVELS = 4  # of features that the pictures are looked at in
 

@@ -7,16 +7,16 @@ import torch
 from torch.nn import functional
 
 from baselines.lattice import VoxelLattice
-from baselines.layers.camera_sight import CameraRig, ColumnSights, column_sights, projected
 from baselines.layers.deformable_attention import SamplingHead
-from baselines.layers.plane_attention import (
+from baselines.layers.tpv.aggregator import TPVAggregator, TPVAggregatorConfig
+from baselines.layers.tpv.attention import (
     CrossViewHybridAttention,
     ImageCrossAttention,
     PlaneAttentionConfig,
     cell_centres,
 )
-from baselines.layers.tpv_aggregator import TPVAggregator, TPVAggregatorConfig
-from baselines.layers.tri_planes import TriPlanes, anchor_points_m, as_planes, plane_sizes
+from baselines.layers.tpv.camera_sight import CameraRig, ColumnSights, column_sights, projected
+from baselines.layers.tpv.planes import TriPlanes, anchor_points_m, as_planes, plane_sizes
 from tests.baselines.camera_frames import frames
 from tests.baselines.camera_scene import CAMERA_M
 from tests.baselines.test_deformable_attention import slow_attention

@@ -13,9 +13,9 @@ from torch import Tensor, nn
 from torch.utils.checkpoint import checkpoint
 
 from baselines.lattice import VoxelLattice
-from baselines.layers.camera_sight import CameraRig, ColumnSights, column_sights
-from baselines.layers.plane_attention import CrossViewHybridAttention, ImageCrossAttention, PlaneAttentionConfig
-from baselines.layers.tri_planes import TriPlanes, anchor_points_m, as_planes, plane_sizes
+from baselines.layers.tpv.attention import CrossViewHybridAttention, ImageCrossAttention, PlaneAttentionConfig
+from baselines.layers.tpv.camera_sight import CameraRig, ColumnSights, column_sights
+from baselines.layers.tpv.planes import TriPlanes, anchor_points_m, as_planes, plane_sizes
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ class TPVEncoder(nn.Module):
         points = [
             anchor_points_m(self.config.lattice, plane, n) for plane, n in enumerate(self.config.attention.anchors)
         ]
-        return [column_sights(of_plane.to(rig.image_from_grid.device), rig, size_px) for of_plane in points]
+        return [column_sights(of_plane.to(rig.pixels_from_grid.device), rig, size_px) for of_plane in points]
 
     def _through(self, layer: nn.Module, *inputs: object) -> Tensor:
         if self.config.checkpoint_gradients and self.training:

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from baselines.batch import Batch
+from baselines.layers.camera_projection import pixels_from_grid
 
 NEAREST_M = 1e-5  # a point this little before a camera, or behind it, is not seen by it
 FAR_OUTSIDE = 2.0  # widths or heights of a picture: places are held this near to it, where nothing is sampled
@@ -20,7 +21,7 @@ FAR_OUTSIDE = 2.0  # widths or heights of a picture: places are held this near t
 class CameraRig:
     """Projections (B, N, 3, 4) of the grid frame to homogeneous pixels, and rows and columns of the pictures."""
 
-    image_from_grid: Tensor
+    pixels_from_grid: Tensor
     size_px: tuple[int, int]
 
     @staticmethod
@@ -30,8 +31,7 @@ class CameraRig:
             raise ValueError("this batch has no cameras")
         height, width = batch.cameras.images.shape[-2:]
         with torch.autocast(batch.device.type, enabled=False):  # a pixel of a wide picture needs more than 8 bits
-            camera_from_grid = torch.linalg.inv(batch.grid_from_camera())
-            return CameraRig(batch.cameras.image_from_camera() @ camera_from_grid[:, :, :3], (height, width))
+            return CameraRig(pixels_from_grid(batch.cameras, batch.grid_from_camera()), (height, width))
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +74,7 @@ def projected(points_grid: Tensor, rig: CameraRig) -> tuple[Tensor, Tensor]:
 
     Pixels of points that do not lie before a camera mean nothing.
     """
-    rotated = torch.einsum("bnij,qdj->bnqdi", rig.image_from_grid[..., :3], points_grid)
-    rays = rotated + rig.image_from_grid[:, :, None, None, :, 3]
+    rotated = torch.einsum("bnij,qdj->bnqdi", rig.pixels_from_grid[..., :3], points_grid)
+    rays = rotated + rig.pixels_from_grid[:, :, None, None, :, 3]
     depth_m = rays[..., 2]
     return rays[..., :2] / depth_m.clamp(min=NEAREST_M)[..., None], depth_m > NEAREST_M

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from baselines.layers.camera_sight import ColumnSights, Sight
 from baselines.layers.deformable_attention import SamplingHead, at_least_float32, by_head, deformable_attention
+from baselines.layers.tpv.camera_sight import ColumnSights, Sight
 
 SETS = 2  # of points: BEVFormer looks into the map before and into this one, TPVFormer twice into this one
 

@@ -1,0 +1,53 @@
+"""What cameras see at columns: features of a light network, looked up where heights of each column project to."""
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from baselines.batch import CameraViews
+from baselines.lattice import VoxelLattice
+from baselines.layers.camera_projection import sightings_of
+from baselines.layers.sensor_fusion import unit2d
+
+
+class LightImageEncoder(nn.Module):
+    """Images (M, 3, H, W), pooled by `pool`, to `channels` features at 1 / (4 `pool`) of their size."""
+
+    def __init__(self, channels: int, pool: int) -> None:
+        super().__init__()
+        self.pool = pool
+        self.layers = nn.Sequential(
+            *halving(3, channels),
+            *halving(channels, 2 * channels),
+            *unit2d(2 * channels, 2 * channels, 3),
+            *unit2d(2 * channels, channels, 3),
+        )
+
+    def forward(self, images: Tensor) -> Tensor:
+        features: Tensor = self.layers(functional.avg_pool2d(images, self.pool) if self.pool > 1 else images)
+        return features
+
+
+class ColumnCameras(nn.Module):
+    """Features (B, A · C, X, Y) of `lattice`'s columns at A heights each, the mean over the cameras that see them."""
+
+    def __init__(self, channels: int, pool: int, lattice: VoxelLattice) -> None:
+        super().__init__()
+        self.lattice = lattice
+        self.encoder = LightImageEncoder(channels, pool)
+
+    def forward(self, views: CameraViews, grid_from_camera: Tensor, heights_m: Tensor) -> Tensor:
+        """`heights_m` (B, A, X, Y), grid frame."""
+        frames, cameras = views.images.shape[:2]
+        features: Tensor = self.encoder(views.images.flatten(0, 1))
+        features = features.reshape(frames, cameras, *features.shape[1:])
+        ground = self.lattice.centres_m(heights_m.device)[:, :, 0, :2].expand(*heights_m.shape, 2)
+        points = torch.cat([ground, heights_m[..., None]], dim=-1)
+        means = sightings_of(points.flatten(1, 3), features, views, grid_from_camera).means()
+        return means.reshape(*heights_m.shape, -1).movedim(-1, 2).flatten(1, 2)
+
+
+def halving(inputs: int, outputs: int) -> nn.Sequential:
+    """3 × 3 convolution of stride 2, batch norm, ReLU."""
+    convolution = nn.Conv2d(inputs, outputs, 3, stride=2, padding=1, bias=False)
+    return nn.Sequential(convolution, nn.BatchNorm2d(outputs), nn.ReLU(inplace=True))

@@ -1,0 +1,30 @@
+"""Sizes of ColumnNet; the defaults are for the benchmark's grid."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from baselines.lattice import VoxelLattice
+
+
+@dataclass(frozen=True)
+class ColumnNetConfig:
+    """`heights` of a column follow the terrain, `heights_below` of them under it; `widths` are a U-Net's, finest first.
+
+    X and Y of the lattice are multiples of 4 and of 2 ** (scales − 1).
+    """
+
+    architecture: Literal["column_net"] = "column_net"
+    modality: Literal["C", "L", "R", "C+L", "C+R", "L+R", "C+L+R"] = "C+L+R"
+    lattice: VoxelLattice = field(default_factory=VoxelLattice)
+    heights: int = 40
+    heights_below: int = 8
+    newest_s: float = 0.05  # points as young as that are of the frame's own sweep
+    widths: tuple[int, ...] = (48, 64, 96, 128)
+    depths: tuple[int, ...] = (1, 2, 2, 3)
+    head_channels: int = 16  # of an attention's head
+    image_channels: int = 16
+    image_pool: int = 2
+    camera_heights_m: float = 0.8  # above the ground, where a column without points is looked up a second time
+    class_weights: tuple[float, float, float, float] = (1.0, 4.0, 2.0, 2.0)  # free, T, P, N
+    lovasz_weight: float = 1.0
+    temperature_weight: float = 0.1
