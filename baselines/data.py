@@ -118,10 +118,11 @@ class FrameDataset(Dataset[Batch]):
     def _labels(self, record: FrameRecord, mirrors: GridMirrors) -> torch.Tensor | None:
         if record.labels is None:
             return None
-        part = mirrors.of_labels(record.labels[grid_part(self.request.lattice)])
+        # All of the grid is mirrored, then cut: a part of it need not be symmetric about the robot.
+        part = mirrors.of_labels(record.labels)[grid_part(self.request.lattice)]
         if self.request.counted == "all":
             part = np.where(part == NOT_OBSERVED, np.uint8(0), part)
-        return torch.from_numpy(np.ascontiguousarray(part))[None]
+        return torch.from_numpy(part.copy())[None]
 
     def _cameras(self, record: FrameRecord, rng: np.random.Generator) -> CameraViews:
         size_px = self.request.inputs.image_size_px

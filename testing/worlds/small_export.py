@@ -91,13 +91,13 @@ def surface_points(pose: SE3, seed: int, count: int = 1200) -> Points:
     spread = random.uniform(-REACH_M, REACH_M, (count, 2))
     ground = np.column_stack([spread, np.full(count, GROUND_M)])
     tops = [
-        np.column_stack([random.uniform(-half, half, (60, 2)) + (x, y), np.full(60, GROUND_M + high - 0.05)])
+        np.column_stack([np.add(random.uniform(-half, half, (60, 2)), (x, y)), np.full(60, GROUND_M + high - 0.05)])
         for x, y, half, high in BOXES
     ]
-    return np.concatenate([ground, pose.inverse() @ (np.concatenate(tops) + (800, 600, 50))])
+    return np.concatenate([ground, pose.inverse() @ np.add(np.concatenate(tops), (800, 600, 50))])
 
 
-def write_small_export(folder: Path, export: SmallExport = SmallExport()) -> Path:  # noqa: B008 # frozen
+def write_small_export(folder: Path, export: SmallExport) -> Path:
     """The folder, filled."""
     tables: dict[str, list[dict[str, Any]]] = {name: [] for name in ("sample", "ego_pose", "sample_data")}
     tables["scene"] = [{"token": "scene", "name": export.sequence}]

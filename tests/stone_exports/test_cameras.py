@@ -87,7 +87,10 @@ def test_resizing_keeps_places(model: str, size_px: tuple[int, int], tmp_path: P
     rows, columns = np.mgrid[height // 4 : 3 * height // 4, width // 4 : 3 * width // 4]
     back_u, back_v = (columns + 0.5) * WIDTH / width - 0.5, (rows + 0.5) * HEIGHT / height - 0.5
     for channel in (0, 1):
-        wanted = [[colour_at(whole, u, v)[channel] for u, v in zip(*line, strict=True)] for line in zip(back_u, back_v, strict=True)]
+        wanted = [
+            [colour_at(whole, u, v)[channel] for u, v in zip(*line, strict=True)]
+            for line in zip(back_u, back_v, strict=True)
+        ]
         assert np.abs(found[rows, columns, channel] - wanted).mean() < 1.5
 
 

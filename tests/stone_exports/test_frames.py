@@ -98,8 +98,8 @@ def of(rows: Rows, channel: str) -> dict[str, Any]:
 ATTACKS: dict[str, tuple[str, Callable[[Rows], object], str]] = {
     "no pose": ("sample_data", lambda rows: of(rows, "LIDAR_TOP").update(ego_pose_token="x"), "no pose of 'samples/L"),
     "no file": ("sample_data", lambda rows: of(rows, "CAM_FRONT").update(filename="samples/a.jpg"), "no file of"),
-    "a file elsewhere": ("sample_data", lambda rows: of(rows, "CAM_FRONT").update(filename="../../etc/passwd"), "no file"),
-    "a stamp of text": ("sample_data", lambda rows: of(rows, "LIDAR_TOP").update(timestamp="now"), "no number of micro"),
+    "a file elsewhere": ("sample_data", lambda rows: of(rows, "CAM_FRONT").update(filename="../../etc/x"), "no file"),
+    "a stamp of text": ("sample_data", lambda rows: of(rows, "LIDAR_TOP").update(timestamp="now"), "no number of"),
     "a stamp before 1970": ("sample", lambda rows: rows[0].update(timestamp=-1), "no number of microseconds"),
     "a stamp of 2^62": ("sample", lambda rows: rows[0].update(timestamp=1 << 62), "no number of microseconds"),
     "a stamp in seconds": ("sample", lambda rows: rows[0].update(timestamp=1.7e9), "no number of microseconds"),

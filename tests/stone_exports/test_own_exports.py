@@ -3,8 +3,6 @@
 Catches alone an exporter and a reader that no longer agree.
 """
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 

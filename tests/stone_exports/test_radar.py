@@ -36,7 +36,9 @@ def test_detections_read_back_are_those_written(
     tmp_path_factory: pytest.TempPathFactory, seen: list[tuple[float, ...]]
 ) -> None:
     r, azimuth, elevation, rate, rcs_db = np.array(seen, np.float64).T
-    towards = np.column_stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+    towards = np.column_stack(
+        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
+    )
     points = r[:, None] * towards
     path = tmp_path_factory.getbasetemp() / "scan.pcd"
     found = detections_ego(datum_of(path, scan(points, rate, rcs_db)))
@@ -75,7 +77,9 @@ def test_rows_that_are_no_place_are_left_out(tmp_path: Path) -> None:
 
 
 def test_fields_are_found_by_name_whatever_their_order(tmp_path: Path) -> None:
-    record = np.dtype([("rcs", "<f8"), ("vx_comp", "<f4"), ("z", "<f4"), ("y", "<f4"), ("x", "<f4"), ("vy_comp", "<f4")])
+    record = np.dtype(
+        [("rcs", "<f8"), ("vx_comp", "<f4"), ("z", "<f4"), ("y", "<f4"), ("x", "<f4"), ("vy_comp", "<f4")]
+    )
     rows = np.array([(9, 1, 0.5, 2, 3, -1)], record)
     head = "FIELDS rcs vx_comp z y x vy_comp\nSIZE 8 4 4 4 4 4\nTYPE F F F F F F\nPOINTS 1\nDATA binary\n"
     found = detections_ego(datum_of(tmp_path / "a.pcd", head.encode() + rows.tobytes(), SE3.identity()))
