@@ -61,6 +61,8 @@ SCAN_HEAD = "FIELDS x y z rcs vx_comp vy_comp\nSIZE 4 4 4 4 4 4\nTYPE F F F F F 
 
 def read_frames(content: bytes) -> None:
     """Every frame, and the picture of it where its lens is small."""
+    if not content:
+        return
     with TemporaryDirectory() as folder:
         for name, table in zip(ROWS, content.split(b"\0\0", len(ROWS) - 1), strict=False):
             _write(Path(folder) / TABLES / f"{name}.json", table)
@@ -74,12 +76,15 @@ def read_frames(content: bytes) -> None:
 
 
 def read_labels(content: bytes) -> None:
-    with TemporaryDirectory() as folder:
-        observed_classes(_file(folder, content))
+    if content:
+        with TemporaryDirectory() as folder:
+            observed_classes(_file(folder, content))
 
 
 def read_scan(content: bytes) -> None:
     """Its detections, which are numbers."""
+    if not content:
+        return
     sensor = ExportedSensor("RADAR_FRONT", "radar", SE3.identity(), None)
     with TemporaryDirectory() as folder:
         rows = detections_ego(ExportedDatum(sensor, 0, SE3.identity(), _file(folder, content)))

@@ -37,13 +37,17 @@ Points = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SmallExport:
-    """What to write. `lens` is of all cameras: its model, and coefficients of distortion."""
+    """What to write. `lens` is of all cameras: its model, and coefficients of distortion.
+
+    Tokens are those of the sequence's name and stamps, unless they are `named`.
+    """
 
     sequence: str = "meadow"
     frames: int = 6
     cameras: Sequence[str] = ()
     radars: Sequence[str] = ()
     is_labelled: bool = True
+    named: Sequence[str] = ()
     lens: tuple[str, tuple[float, ...]] = ("plumb_bob", (-0.05, 0.01, 0.0, 0.0, 0.0))
 
     def stamp_us(self, index: int) -> int:
@@ -51,7 +55,8 @@ class SmallExport:
 
     @property
     def tokens(self) -> tuple[str, ...]:
-        return tuple(frame_token(self.sequence, self.stamp_us(index) * 1000) for index in range(self.frames))
+        stamps_ns = (self.stamp_us(index) * 1000 for index in range(self.frames))
+        return tuple(self.named) or tuple(frame_token(self.sequence, stamp_ns) for stamp_ns in stamps_ns)
 
 
 def global_from_ego(stamp_us: int) -> SE3:

@@ -1,7 +1,6 @@
 """Training: a run that goes on is one that never stopped; what cannot be trained is refused and says why."""
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from torch import Tensor, nn
 from baselines import train as training
 from baselines import training_state
 from baselines.batch import Batch
+from baselines.cache import cached_frames
 from baselines.checkpoint import CHECKPOINT, provenance_of
 from baselines.errors import (
     BadRunError,
@@ -26,6 +26,7 @@ from baselines.models.occupancy_model import OccupancyModel
 from baselines.optimisation import RateSchedule, take_step
 from baselines.row_config import RowConfig, TrainingConfig
 from baselines.run_log import LOG, TENSORBOARD
+from baselines.sources import labelled_frames
 from baselines.train import TrainingPlan
 from testing.worlds.small_export import SmallExport, write_small_export
 from tests.baselines.small_training import (
@@ -60,7 +61,12 @@ def plan(meadow: Path, cache: Path, tmp_path: Path) -> TrainingPlan:
     return TrainingPlan(small_row(), (meadow,), tmp_path / "run", watch=(meadow,), cache=cache)
 
 
-@pytest.mark.parametrize("step", [1, 3, 4, 6, 8])
+def told(run: Path) -> list[dict[str, Any]]:
+    """The log, without what depends on the machine's speed."""
+    return [{key: line[key] for key in line if key not in ("frames_per_s", "left_s")} for line in logged(run)]
+
+
+@pytest.mark.parametrize("step", [1, 3, 8])
 def test_a_run_that_goes_on_is_one_that_never_stopped(plan: TrainingPlan, whole: Path, step: int) -> None:
     """Bit for bit, wherever it stopped: before the first checkpoint, within an epoch, at its end.
 
@@ -134,7 +140,7 @@ def test_a_run_goes_on_with_its_own_row_only(plan: TrainingPlan) -> None:
 
 
 def test_a_run_goes_on_with_its_own_data_only(plan: TrainingPlan, tmp_path: Path) -> None:
-    stopped_after(plan, 2)
+    stopped_after(plan, 3)
     other = write_small_export(tmp_path / "other", SmallExport("other", 9))
     with pytest.raises(BadRunError, match="its data is not what it was"):
         trained(replace(plan, resume=True, exports=(other,)))
@@ -194,10 +200,10 @@ class SmallNet(OccupancyModel[Tensor]):
 
 
 @pytest.fixture
-def small_net(monkeypatch: pytest.MonkeyPatch) -> Iterator[pytest.MonkeyPatch]:
+def small_net(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
     """Rows are this network, whatever they say."""
     monkeypatch.setattr(training_state, "build_model", SmallNet)
-    yield monkeypatch
+    return monkeypatch
 
 
 def test_accumulated_batches_are_one_larger_batch(plan: TrainingPlan, tmp_path: Path, small_net: object) -> None:
@@ -252,9 +258,6 @@ def test_other_errors_of_torch_are_not_taken_for_it(plan: TrainingPlan, small_ne
 
 
 def test_every_nth_frame_of_each_sequence_is_trained_on(meadow: Path, tmp_path: Path, cache: Path) -> None:
-    from baselines.cache import cached_frames
-    from baselines.sources import labelled_frames
-
     other = write_small_export(tmp_path / "other", SmallExport("quarry", 4))
     row: RowConfig = small_row()
     frames = cached_frames(labelled_frames((other, meadow)), row.inputs, cache, lambda *_: None)
