@@ -116,7 +116,8 @@ def load_backbone(model: nn.Module, path: Path) -> None:
         tensors = load_file(path) if path.suffix == ".safetensors" else torch.load(path, weights_only=True)
         backbone.load_pretrained({name: value for name, value in tensors.items() if isinstance(value, Tensor)})
     except UNREADABLE as error:
-        raise BadRunError(path.parent, f"{path.name} has not the weights: {str(error).splitlines()[0]}") from error
+        why = (str(error).splitlines() or [type(error).__name__])[0]
+        raise BadRunError(path.parent, f"{path.name} has not the weights: {why}") from error
 
 
 def _optimizer_tensors(model: nn.Module, optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:

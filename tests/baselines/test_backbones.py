@@ -84,7 +84,7 @@ class Hostile:
 
 
 @pytest.mark.parametrize("name", ["a.pth", "a.safetensors"])
-@pytest.mark.parametrize("content", [b"", b"weights", b"PK\3\4 no zip", b"\x80\x04]."])
+@pytest.mark.parametrize("content", [b"", b"weights", b"PK\3\4 no zip", b"\x80\x02]."])
 def test_files_that_hold_no_weights_are_refused_in_one_line(tmp_path: Path, name: str, content: bytes) -> None:
     (tmp_path / name).write_bytes(content)
     with pytest.raises(BadRunError, match=f"{name} has not the weights") as refused:
