@@ -12,7 +12,8 @@ BESIDE = --numprocesses $(shell n=$$(nproc); echo $$((n < 5 ? n + 1 : 6))) --dis
 # Tests that run kernels, and with every index checked: from a cache of their own, for numba takes what it finds there.
 KERNELS := tests/stone/geometry tests/stone/labels tests/stone/scoring tests/stone/sensors tests/stone/surface \
 	tests/stone/test_kernels.py tests/stone_recordings/bags/test_messages_pointcloud2.py \
-	tests/services/labeler/previews/test_render.py tests/services/labeler/test_hostile_values.py
+	tests/services/labeler/previews/test_render.py tests/services/labeler/test_hostile_values.py \
+	tests/simulator/test_noise.py
 MODULES := $(shell find web/modules web/libraries -name '*.ts' -o -name '*.js')
 
 install: $(INSTALLED) $(BUILT)

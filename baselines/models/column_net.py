@@ -116,7 +116,7 @@ class ColumnNet(OccupancyModel[ColumnOutputs]):
             if self.has_radar:
                 maps.append(radar_maps(column_hits(points_of(batch, "radar"), self.lattice), terrain))
         if self.cameras is not None:
-            surface_m = surface_of(hits, terrain, self.config.camera_heights_m)
+            surface_m = surface_of(hits, terrain, self.config.unhit_top_m)
             maps.append(self._camera_maps(self.cameras, batch, surface_m))
         return torch.cat(maps, dim=1), terrain.base
 

@@ -20,7 +20,6 @@ from stone.geometry.se3 import Array
 
 PIECE_RAYS = 1 << 17
 CLEARANCE_M = 0.02
-MOVER_TOP_M = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,15 +85,15 @@ class Renderer:
         points += CLEARANCE_M * (hits.normal[met] * turn[:, None] + towards)
         is_shaded[met] = self._scene.is_hidden(points, towards)
         for mover in self.world.movers:
-            near = met[_may_shade(mover, self._light, view.stamp_ns, points)]
-            starts = points[np.searchsorted(met, near)]
+            near = _may_shade(mover, self._light, view.stamp_ns, points)
             ways = np.repeat(towards[None], len(near), axis=0)
-            is_shaded[near] |= np.isfinite(mover.ranges_m(view.stamp_ns, starts, ways))
+            is_shaded[met[near]] |= np.isfinite(mover.ranges_m(view.stamp_ns, points[near], ways))
         return is_shaded
 
 
 def _may_shade(mover: Mover, light: Light, stamp_ns: int, points: Rays) -> NDArray[np.int64]:
-    """Indices of the points no farther from a mover than its shade is long."""
-    length_m = mover.reach_m + MOVER_TOP_M / np.tan(np.deg2rad(light.elevation_deg))
-    offset = points[:, :2] - mover.route.at(stamp_ns)[0][:2].astype(np.float32)
-    return np.flatnonzero(np.einsum("ni,ni->n", offset, offset) < length_m**2)
+    """Indices of the points from which the way to the light passes near a mover, in plan."""
+    ahead = light.towards[:2] / np.linalg.norm(light.towards[:2])
+    offset = mover.route.at(stamp_ns)[0][:2].astype(np.float32) - points[:, :2]
+    along, across = (offset @ way.astype(np.float32) for way in (ahead, np.array([-ahead[1], ahead[0]])))
+    return np.flatnonzero((along > -mover.reach_m) & (np.abs(across) < mover.reach_m))

@@ -83,7 +83,7 @@ def test_what_moves_casts_shade(movers) -> None:
 def test_normals_of_movers_point_outwards() -> None:
     trajectory = stage().trajectory
     (walker,), (vehicle,) = walker_beside(trajectory), vehicle_beside(trajectory)
-    foot = np.add(CENTRE_M, (0, 3, 0))
+    foot = CENTRE_M + np.array([0, 3, 0])
     np.testing.assert_allclose(walker.normals(foot[None] + (0.25, 0, 1.0), START_NS), [[1, 0, 0]], atol=1e-6)
     faces = np.array([[2.1, 0.3, 1.0], [-2.1, 0.3, 1.0], [0.5, 0.9, 1.0], [0.5, -0.9, 1.0], [0.5, 0.3, 1.6]])
     expected = [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1]]
@@ -101,9 +101,9 @@ def test_every_word_for_the_light_has_one_and_nights_are_darker_than_days() -> N
 
 
 def test_at_night_the_lamps_light_what_is_near() -> None:
-    lamps = np.array([[*np.add(CENTRE_M, (0, 0, 1.0)), 1.0, 0, 0, LIGHTS["night"].lamp]])
+    lamps = np.array([[*(CENTRE_M + np.array([0, 0, 1.0])), 1.0, 0, 0, LIGHTS["night"].lamp]])
     rows = [ground_points((x, x + 0.5), (-0.5, 0.5), 100) for x in (1.5, 3, 5.0, -4.0)]
-    from_robot = [looking_at(row, np.tile(np.add(CENTRE_M, (0, 0, 1.0)), (100, 1))) for row in rows]
+    from_robot = [looking_at(row, np.tile(CENTRE_M + np.array([0, 0, 1.0]), (100, 1))) for row in rows]
     seen = renderer(stage(), "night")
     two, three, five, behind = (seen.pixels(replace(view, lamps=lamps)).mean() for view in from_robot)
     assert two > three > five > 2 * behind
@@ -130,7 +130,7 @@ def _peak_bytes(run) -> int:
 def test_the_sky_is_above_the_horizon_only_and_brightest_round_the_sun() -> None:
     sun = LIGHTS["sunny"].towards
     ways = np.array([sun, sun * (-1, -1, 1), [0.6, 0.6, 0.05], [0.6, 0.6, -0.2]])
-    eyes = np.tile(np.add(CENTRE_M, (0, 0, 1.5)), (4, 1))
+    eyes = np.tile(CENTRE_M + np.array([0, 0, 1.5]), (4, 1))
     at_sun, away, low, ground = renderer(stage(), "sunny").pixels(looking_at(eyes + ways, eyes)).astype(int)
     assert at_sun.min() > 250
     assert away[2] > away[0] + 20  # blue
