@@ -30,6 +30,18 @@ class NothingToTrainOnError(StoneError):
         )
 
 
+class TooFewFramesError(StoneError):
+    """An epoch has not the frames of one step."""
+
+    code: ClassVar[str] = "too_few_frames"
+
+    def __init__(self, frames: int, a_step: int) -> None:
+        super().__init__(
+            f"each process has {frames} frames to train on, a step takes {a_step}: lower --batch, --accumulate or "
+            "--stride, or give more exports"
+        )
+
+
 class SensorMissingError(StoneError):
     """A frame lacks a sensor that the row looks at."""
 

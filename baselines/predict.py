@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from baselines.batch import moved
 from baselines.checkpoint import WeightsProvenance, read_weights
-from baselines.data import FrameDataset, FrameRequest, grid_part
+from baselines.data import FrameDataset, FrameRequest
 from baselines.frame_record import FrameRecord, read_record
 from baselines.inputs import InputConfig
+from baselines.lattice import grid_part
 from baselines.models.architectures import build_model
 from baselines.models.occupancy_model import OccupancyModel
 from baselines.row_config import RowConfig

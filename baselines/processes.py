@@ -21,6 +21,11 @@ class ProcessShare:
     def is_first(self) -> bool:
         return self.rank == 0
 
+    def wait(self) -> None:
+        """Until all processes have come here."""
+        if self.world > 1:
+            distributed.barrier()
+
 
 @contextmanager
 def joined_processes(device: str) -> Iterator[ProcessShare]:

@@ -26,8 +26,7 @@ from rich.table import Table
 from scipy.stats import t
 
 from baselines.cache import cached_frames
-from baselines.data import grid_part
-from baselines.lattice import VoxelLattice
+from baselines.lattice import VoxelLattice, grid_part
 from baselines.metrics import scores_of
 from baselines.predict import PredictionPlan, predict
 from baselines.row_config import read_row
