@@ -1,6 +1,6 @@
-# make install | baselines | demo | serve | test | test-all | test-kernels | test-baselines | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-platform | bench-pages | bench-truth | bench-movers | bench-mounts | bench-real | bench-faults | bench-decisions | season | images
+# make install | baselines | demo | serve | test | test-all | test-kernels | test-baselines | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-platform | bench-pages | bench-truth | bench-movers | bench-mounts | bench-real | bench-faults | bench-decisions | bench-models | season | images
 # Each installs first, which costs nothing when nothing changed.
-.PHONY: install baselines test-baselines test-clients demo serve test test-all test-kernels check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-platform bench-pages bench-truth bench-movers bench-mounts bench-real bench-faults bench-decisions season images
+.PHONY: install baselines test-baselines test-clients demo serve test test-all test-kernels check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-platform bench-pages bench-truth bench-movers bench-mounts bench-real bench-faults bench-decisions bench-models season images
 .DELETE_ON_ERROR:
 
 BIN := .venv/bin
@@ -12,7 +12,8 @@ BESIDE = --numprocesses $(shell n=$$(nproc); echo $$((n < 5 ? n + 1 : 6))) --dis
 # Tests that run kernels, and with every index checked: from a cache of their own, for numba takes what it finds there.
 KERNELS := tests/stone/geometry tests/stone/labels tests/stone/scoring tests/stone/sensors tests/stone/surface \
 	tests/stone/test_kernels.py tests/stone_recordings/bags/test_messages_pointcloud2.py \
-	tests/services/labeler/previews/test_render.py tests/services/labeler/test_hostile_values.py
+	tests/services/labeler/previews/test_render.py tests/services/labeler/test_hostile_values.py \
+	tests/simulator/test_noise.py
 MODULES := $(shell find web/modules web/libraries -name '*.ts' -o -name '*.js')
 
 install: $(INSTALLED) $(BUILT)
@@ -125,6 +126,10 @@ bench-faults: install
 
 bench-mounts: install
 	$(BIN)/python -m benchmarks.mounts
+
+bench-models: baselines
+	.venv-baselines/bin/python -m benchmarks.models.overfit
+	.venv-baselines/bin/python -m benchmarks.models.unseen
 
 bench-decisions: install
 	$(BIN)/python -m benchmarks.decisions

@@ -11,13 +11,14 @@ from api import file_errors as files
 from api import split_errors as splits
 from api.tus import errors as tus
 from services.domain.benchmarks.phases import errors as phases
-from services.domain.benchmarks.phases import inputs, reported_results
+from services.domain.benchmarks.phases import reported_results
 from services.domain.benchmarks.rescores import errors as rescores
 from services.domain.benchmarks.submissions import errors as submissions
 from services.domain.benchmarks.submissions import result_errors as results
 from services.domain.benchmarks.teams import errors as teams
 from services.domain.benchmarks.teams import names as team_names
 from services.domain.datasets import errors as datasets
+from services.domain.datasets import input_jobs as inputs
 from services.domain.exports import requests
 from services.domain.sequences import label_choices as choices
 from services.domain.sequences import processing_errors as processing

@@ -33,7 +33,7 @@ class Position:
 
 
 @dataclass(frozen=True)
-class Provenance:
+class WeightsProvenance:
     """What weights are of: the row's configuration as JSON, the data's hash, the metric, the best score watched."""
 
     config: str
@@ -44,7 +44,9 @@ class Provenance:
     best_miou: float | None = None
 
 
-def write_checkpoint(folder: Path, model: nn.Module, optimizer: torch.optim.Optimizer, provenance: Provenance) -> None:
+def write_checkpoint(
+    folder: Path, model: nn.Module, optimizer: torch.optim.Optimizer, provenance: WeightsProvenance
+) -> None:
     """Replace the run's checkpoint."""
     tensors = {f"model.{name}": value for name, value in model.state_dict().items()}
     tensors |= _optimizer_tensors(model, optimizer)
@@ -54,7 +56,7 @@ def write_checkpoint(folder: Path, model: nn.Module, optimizer: torch.optim.Opti
     _write(folder / CHECKPOINT, tensors, provenance)
 
 
-def read_checkpoint(folder: Path, model: nn.Module, optimizer: torch.optim.Optimizer) -> Provenance:
+def read_checkpoint(folder: Path, model: nn.Module, optimizer: torch.optim.Optimizer) -> WeightsProvenance:
     """Put model, optimiser and random numbers into the state of the checkpoint. Raises `BadRunError`."""
     path = folder / CHECKPOINT
     provenance = provenance_of(path)
@@ -72,26 +74,26 @@ def read_checkpoint(folder: Path, model: nn.Module, optimizer: torch.optim.Optim
     return provenance
 
 
-def write_weights(folder: Path, model: nn.Module, provenance: Provenance) -> None:
+def write_weights(folder: Path, model: nn.Module, provenance: WeightsProvenance) -> None:
     """Replace the run's weights."""
     _write(folder / WEIGHTS, model.state_dict(), provenance)
 
 
-def read_weights(folder: Path, model: nn.Module) -> Provenance:
+def read_weights(folder: Path, model: nn.Module) -> WeightsProvenance:
     """Put the weights into the model. Raises `BadRunError`."""
     provenance = provenance_of(folder / WEIGHTS)
     _load_model(folder, model, load_file(folder / WEIGHTS))
     return provenance
 
 
-def provenance_of(path: Path) -> Provenance:
+def provenance_of(path: Path) -> WeightsProvenance:
     """What the file says of itself. Raises `BadRunError`."""
     if not path.is_file():
         raise BadRunError(path.parent, f"there is no {path.name}; did the run end before its first checkpoint?")
     try:
         with safe_open(path, "pt") as file:
             said = json.loads((file.metadata() or {})[SAID])
-        return Provenance(**{**said, "position": Position(**said["position"])})
+        return WeightsProvenance(**{**said, "position": Position(**said["position"])})
     except (SafetensorError, KeyError, TypeError, ValueError) as error:
         raise BadRunError(path.parent, f"{path.name} is no file of a run") from error
 
@@ -130,7 +132,7 @@ def _load_model(folder: Path, model: nn.Module, tensors: Mapping[str, Tensor]) -
         raise BadRunError(folder, f"its weights are of another model: {why[:200]}") from error
 
 
-def _write(path: Path, tensors: Mapping[str, Tensor], provenance: Provenance) -> None:
+def _write(path: Path, tensors: Mapping[str, Tensor], provenance: WeightsProvenance) -> None:
     said: dict[str, Any] = asdict(provenance)
     whole = {name: value.detach().contiguous().clone() for name, value in tensors.items()}
     with atomic_file(path) as staging:

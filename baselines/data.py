@@ -26,10 +26,11 @@ from baselines.augment import (
 from baselines.batch import Batch, CameraViews, Points
 from baselines.depth_targets import depth_picture
 from baselines.frame_record import FrameRecord
-from baselines.inputs import InputConfig
+from baselines.inputs import CountedVoxels, InputConfig
 from baselines.lattice import VoxelLattice
 from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
 from stone.labels.voxels import VOXEL_M
+from stone_exports.labels import NOT_OBSERVED
 
 Draw = tuple[int, int]
 RECORDS_KEPT = 24
@@ -49,12 +50,13 @@ class FrameStore(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class FrameRequest:
-    """What is asked of frames: the row's inputs and lattice, and how they are augmented."""
+    """What is asked of frames: the row's inputs and lattice, how they are augmented, and which voxels count."""
 
     inputs: InputConfig
     lattice: VoxelLattice
     augment: AugmentConfig = NO_AUGMENTATION
     seed: int = 0
+    counted: CountedVoxels = "all"
 
 
 class FrameDataset(Dataset[Batch]):
@@ -117,6 +119,8 @@ class FrameDataset(Dataset[Batch]):
         if record.labels is None:
             return None
         part = mirrors.of_labels(record.labels[grid_part(self.request.lattice)])
+        if self.request.counted == "all":
+            part = np.where(part == NOT_OBSERVED, np.uint8(0), part)
         return torch.from_numpy(np.ascontiguousarray(part))[None]
 
     def _cameras(self, record: FrameRecord, rng: np.random.Generator) -> CameraViews:

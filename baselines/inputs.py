@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal
 
+# Of a benchmark: all voxels, where what nobody observed is free; or those that a ray of the run reached or passed.
+CountedVoxels = Literal["all", "observed"]
 Modality = Literal["C", "L", "R", "C+L", "C+R", "L+R", "C+L+R"]
 
 

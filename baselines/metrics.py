@@ -1,7 +1,7 @@
 """The platform's own metric of predictions while training: confusions add, ratios are read once.
 
-**Conventions.** As `stone.scoring.confusion`: rows ground truth, columns prediction. Voxels that nobody observed are
-not counted here; a benchmark may count them, so a board's figure can differ.
+**Conventions.** As `stone.scoring.confusion`: rows ground truth, columns prediction. Which voxels count is the row's
+`counted`, as a benchmark's mask has it.
 """
 
 from math import isnan

@@ -38,7 +38,7 @@ class BatchLosses(nn.Module):
 
 
 @dataclass(frozen=True)
-class Schedule:
+class RateSchedule:
     """The learning rate of a run of `steps` steps."""
 
     config: TrainingConfig

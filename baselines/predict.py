@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 
 from baselines.batch import moved
-from baselines.checkpoint import Provenance, read_weights
+from baselines.checkpoint import WeightsProvenance, read_weights
 from baselines.data import FrameDataset, FrameRequest, FrameStore, grid_part
 from baselines.frame_record import FrameRecord, read_record
 from baselines.inputs import InputConfig
@@ -121,7 +121,7 @@ class LoadedRun:
 
     row: RowConfig
     predictor: Predictor
-    provenance: Provenance
+    provenance: WeightsProvenance
 
     def predicted(self, store: FrameStore, indices: Iterable[int]) -> Iterator[tuple[int, NDArray[np.uint8]]]:
         """Index and classes (256, 256, 32) of frames of the store; cheapest in the order of time, as they share sweeps.

@@ -16,8 +16,9 @@ from ruamel.yaml.error import YAMLError
 
 from baselines.augment import AugmentConfig
 from baselines.errors import BadRowError
-from baselines.inputs import InputConfig
+from baselines.inputs import CountedVoxels, InputConfig
 from baselines.models.architectures import ModelConfig
+from baselines.models.column_net_config import ColumnNetConfig
 
 CONFIGS = Path(__file__).with_name("configs")
 MOST_CONFIG_BYTES = 65536
@@ -29,7 +30,7 @@ class TrainingConfig:
 
     The learning rate rises for `warmup_steps` and falls by a cosine to a thousandth; that of a pretrained image
     backbone is `backbone_rate_ratio` of it. `stride`: every n-th frame of a sequence is trained on; earlier sweeps are
-    all used.
+    all used. `counted`: the voxels that losses and the metric count, as the benchmark's mask has it.
     """
 
     epochs: int = 24
@@ -42,6 +43,7 @@ class TrainingConfig:
     precision: Literal["float32", "bfloat16"] = "bfloat16"
     backbone_rate_ratio: float = 1.0
     stride: int = 1
+    counted: CountedVoxels = "all"
     seed: int = 0
     checkpoint_steps: int = 250
 
@@ -92,6 +94,13 @@ def read_row(name: str, changes: Mapping[str, Any] | None = None) -> RowConfig:
     row = row_of(name, said)
     kept = {key: value for key, value in (changes or {}).items() if value is not None}
     return replace(row, training=replace(row.training, **kept))
+
+
+def with_checkpointed_gradients(row: RowConfig) -> RowConfig:
+    """The row with less memory for more time: activations are computed anew in backward. Raises `BadRowError`."""
+    if isinstance(row.model, ColumnNetConfig):
+        raise BadRowError(row.name, "it has no blocks large enough for --checkpoint-gradients to be of use")
+    return replace(row, model=replace(row.model, checkpoint_gradients=True))
 
 
 def row_of(name: str, said: object) -> RowConfig:

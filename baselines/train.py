@@ -15,7 +15,6 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader
 
-from baselines.augment import NO_AUGMENTATION
 from baselines.batch import Batch, moved
 from baselines.cache import CachedFrame, CachedStore, cached_frames
 from baselines.checkpoint import load_backbone, write_weights
@@ -25,7 +24,7 @@ from baselines.errors import TooLittleMemoryError, TrainingDivergedError
 from baselines.evaluation import scores_on
 from baselines.layers.resnet import ResNet
 from baselines.metrics import confusion_of, scores_of
-from baselines.optimisation import Schedule, take_step
+from baselines.optimisation import RateSchedule, take_step
 from baselines.processes import ProcessShare, joined_processes
 from baselines.row_config import RowConfig
 from baselines.run_clock import RunClock
@@ -122,7 +121,9 @@ class _Run:
         self.config = plan.row.training
         indices = targets_of(frames[0], self.config.stride)
         self.sampler = EpochSampler(indices, self.config.seed, (share.rank, share.world))
-        request = FrameRequest(plan.row.inputs, state.model.lattice, plan.row.augment, self.config.seed)
+        request = FrameRequest(
+            plan.row.inputs, state.model.lattice, plan.row.augment, self.config.seed, self.config.counted
+        )
         self.loader: DataLoader[Batch] = DataLoader(
             FrameDataset(CachedStore(frames[0]), request),
             batch_size=self.config.batch,
@@ -133,7 +134,7 @@ class _Run:
             generator=torch.Generator(),  # one of its own: that of the model is part of checkpoints
         )
         self.steps_an_epoch = max(len(self.sampler) // (self.config.batch * self.config.accumulate), 1)
-        self.schedule = Schedule(self.config, self.steps_an_epoch * self.config.epochs)
+        self.schedule = RateSchedule(self.config, self.steps_an_epoch * self.config.epochs)
 
     def train(self, reports: Reports) -> None:
         clock = RunClock(self.schedule.steps, self.state.provenance.position.step)
@@ -170,7 +171,7 @@ class _Run:
             measures = step % METRIC_EVERY == 0
             losses, logits = self.state.losses(batch, with_logits=measures)
             whole: Tensor = sum(losses.values(), batch.grid_from_ego.new_zeros(()))
-            (whole / len(parts)).backward()  # type: ignore[no-untyped-call]
+            torch.autograd.backward(whole / len(parts))
             terms = {name: terms.get(name, 0.0) + float(value.detach()) / len(parts) for name, value in losses.items()}
             if logits is not None and batch.labels is not None:
                 counts = confusion_of(logits, batch.labels)
@@ -186,7 +187,7 @@ class _Run:
         """Score what is watched, keep the best weights, and say that the next epoch begins."""
         scores, best = dict[str, float | None](), self.state.provenance.best_miou
         if self.watched:
-            request = FrameRequest(self.plan.row.inputs, self.state.model.lattice, NO_AUGMENTATION)
+            request = FrameRequest(self.plan.row.inputs, self.state.model.lattice, counted=self.config.counted)
             dataset = FrameDataset(CachedStore(self.watched), request)
             targets = targets_of(self.watched, self.config.stride)
             scores = scores_on(self.state.model, dataset, targets, (self.share.device, self.config.precision))

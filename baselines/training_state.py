@@ -1,5 +1,6 @@
 """What changes while a row is trained: weights, the optimiser, and how far it is; made anew or from a checkpoint."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,13 +11,14 @@ from torch import nn
 from torch.nn.parallel import DistributedDataParallel
 
 from baselines.cache import CachedFrame, data_hash
-from baselines.checkpoint import Provenance, read_checkpoint, write_checkpoint
+from baselines.checkpoint import WeightsProvenance, read_checkpoint, write_checkpoint
 from baselines.errors import BadRunError
 from baselines.models.architectures import build_model, with_class_counts
 from baselines.models.occupancy_model import OccupancyModel
 from baselines.optimisation import BatchLosses, build_optimizer
 from baselines.processes import ProcessShare
 from baselines.row_config import RowConfig
+from stone.labels.grid import GRID_SHAPE
 from stone.scoring.metric import METRIC_VERSION
 
 
@@ -27,7 +29,7 @@ class TrainingState:
     model: OccupancyModel[Any]
     losses: nn.Module
     optimizer: torch.optim.Optimizer
-    provenance: Provenance
+    provenance: WeightsProvenance
 
     def parameters(self) -> list[nn.Parameter]:
         return [parameter for parameter in self.model.parameters() if parameter.requires_grad]
@@ -45,11 +47,13 @@ def begun_state(row: RowConfig, frames: Sequence[CachedFrame], share: ProcessSha
     """The state before the first step: weights by the row's seed, classes weighed by the voxels of `frames`."""
     torch.manual_seed(row.training.seed)
     free, t, p, n = (sum(frame.voxels[place] for frame in frames) for place in range(4))
+    if row.training.counted == "all":
+        free = sum(any(frame.voxels) for frame in frames) * math.prod(GRID_SHAPE) - t - p - n
     model = build_model(with_class_counts(row.model, (free, t, p, n))).to(share.device)
     losses: nn.Module = BatchLosses(model, row.training.precision)
     if share.world > 1:
         losses = DistributedDataParallel(losses, find_unused_parameters=True)
-    provenance = Provenance(row.as_json(), data_hash(frames), METRIC_VERSION, len(frames))
+    provenance = WeightsProvenance(row.as_json(), data_hash(frames), METRIC_VERSION, len(frames))
     torch.manual_seed(row.training.seed + 1 + share.rank)
     return TrainingState(model, losses, build_optimizer(model, row.training), provenance)
 

@@ -8,9 +8,11 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from stone.errors import StoneError
+from stone.splits.surroundings import ILLUMINATIONS
 
 Compression = Literal["none", "lz4", "zstd"]
 Traffic = Literal["none", "walker", "busy"]
+CameraDetail = Literal["coarse", "full"]
 FaultName = Literal[
     "gnss_jitter",
     "clock_18s",
@@ -31,6 +33,7 @@ USUAL_SWEEP_NS = 100_000_000
 MAX_CHANNELS = 512
 MAX_COLUMNS = 7200
 MAX_SECONDS = 3600.0
+MIN_CAMERA_WIDTH_PX, MAX_CAMERA_WIDTH_PX = 32, 4096
 MAX_TRANSPORT_JITTER_NS = 4_000_000  # less than the IMU's period: no message overtakes another of its topic
 
 
@@ -53,6 +56,9 @@ class SimulateOptions:
     lz4 by default: packet stamps, rings and missing returns repeat, so it nearly halves the bag at no time that can be
     measured; zstd is smaller still, but costs more to write and twice as much to read.
 
+    `camera_detail` is `coarse`, 80 × 50 rays a picture, enlarged, or `full`, a ray for each pixel and the noise of a
+    sensor: pictures worth learning from, at a cost (docs/benchmarks.md). `illumination` is a word of the platform's.
+
     `noise_ratio` scales what the sensors add to the truth: 0 measures exactly, 1 is the paper's rig. `range_noise` adds
     to the LiDAR's ranges what a real one suffers besides (`simulator/sensors/range_noise.py`). The receiver's
     driver stamps up to `host_delay_max_ns` late (0: when the solution was valid, as a disciplined host would);
@@ -65,6 +71,8 @@ class SimulateOptions:
     columns: int = 900
     cameras: bool = True
     camera_width_px: int = 480
+    camera_detail: CameraDetail = "coarse"
+    illumination: str = "day"
     compression: Compression = "lz4"
     world_width_m: float = 110.0
     noise_ratio: float = 1.0
@@ -80,7 +88,7 @@ class SimulateOptions:
         _within("seed", self.seed, 0, 2**31)
         _within("channels", self.channels, 2, MAX_CHANNELS)
         _within("columns", self.columns, 12, MAX_COLUMNS)
-        _within("camera_width_px", self.camera_width_px, 32, 4096)
+        _within("camera_width_px", self.camera_width_px, MIN_CAMERA_WIDTH_PX, MAX_CAMERA_WIDTH_PX)
         _within("world_width_m", self.world_width_m, 30.0, 400.0)
         if self.lidar_hz not in LIDAR_HZ:
             raise SimulationOptionError("lidar_hz", self.lidar_hz, f"one of {', '.join(map(str, LIDAR_HZ))}")
@@ -91,6 +99,12 @@ class SimulateOptions:
         _within("transport_jitter_ns", self.transport_jitter_ns, 0, MAX_TRANSPORT_JITTER_NS)
         if self.traffic not in get_args(Traffic):
             raise SimulationOptionError("traffic", self.traffic, f"one of {', '.join(get_args(Traffic))}")
+        if self.camera_detail not in get_args(CameraDetail):
+            raise SimulationOptionError(
+                "camera_detail", self.camera_detail, f"one of {', '.join(get_args(CameraDetail))}"
+            )
+        if self.illumination not in ILLUMINATIONS:
+            raise SimulationOptionError("illumination", self.illumination, f"one of {', '.join(ILLUMINATIONS)}")
         for fault in self.faults:
             if fault not in FAULT_NAMES:
                 raise SimulationOptionError("faults", fault, f"of {', '.join(FAULT_NAMES)}")

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from simulator.appearance.renderer import Renderer
 from simulator.bag_writer import open_bag_writer
 from simulator.calibration_yaml import write_calibration
 from simulator.faults import all_of
@@ -69,6 +70,7 @@ def simulate(out: Path, options: SimulateOptions, truth_dir: Path | None = None,
 
 def _record(path: Path, options: SimulateOptions, world: SimulatedWorld, progress: Progress) -> None:
     scene, lidar, ring, fault = RayScene(world), build_lidar(options), build_ring(options), all_of(options.faults)
+    renderer = Renderer(scene, options) if options.cameras else None
     ring = replace(ring, cameras=tuple(map(fault.triggers, ring.cameras)))
     draws = {part: generator(options.seed, part) for part in ("lidar", "camera", "radar", "fixes", "imu", "stale")}
     ticks, sweeps = tick_stamps_ns(options), np.array(sweep_stamps_ns(options), np.int64)
@@ -87,7 +89,7 @@ def _record(path: Path, options: SimulateOptions, world: SimulatedWorld, progres
                 recorder.sweep(sweep_ns, sweep_points(scene, lidar, sweep_ns, draws["lidar"]))
             for lists in scan(scene, scan_stamps_ns(stamp_ns), radars, draws["radar"]):
                 recorder.radar_lists(lists)
-            pictures = take_pictures(scene, ring, stamp_ns, draws["camera"]) if options.cameras else []
+            pictures = take_pictures(renderer, ring, stamp_ns, draws["camera"]) if renderer else []
             for picture in fault.pictures(pictures, index):
                 recorder.picture(picture)
             written_until = stamp_ns

@@ -29,6 +29,7 @@ from api.schemas.datasets import (
 from api.views.datasets import dataset_detail, dataset_item
 from api.views.splits import rule_items
 from api.visible import dataset_of
+from services.domain.datasets.inputs import follow_publication
 from services.domain.datasets.manifest import NewDataset
 from services.domain.datasets.queries import locate_part
 from services.domain.datasets.versions import prepare_dataset, write_dataset
@@ -49,7 +50,8 @@ def create_dataset(
 ) -> PublishedDataset:
     """Publish the splits as they stand, as a version that never changes; train and val may then be downloaded.
 
-    What the rules warn of is in the answer, and by its codes in the audit log.
+    Their inputs are made by jobs that begin now. What the rules warn of is in the answer, and by its codes in the audit
+    log.
     """
     asked = NewDataset(body.name, body.licence, caller.user_id)
     platform.settings.root.mkdir(parents=True, exist_ok=True)
@@ -57,6 +59,7 @@ def create_dataset(
         prepared = prepare_dataset(platform, asked, FilePath(folder))
         with platform.database.transaction() as session:
             dataset = write_dataset(session, prepared)
+            follow_publication(session, dataset, caller.user_id)
             warned = sorted({finding.code for finding in prepared.warnings})
             facts = {"name": dataset.name, "manifest_sha256": dataset.manifest_sha256, "warnings": warned}
             audit.record_admin_act(session, caller, "dataset.create", dataset.id, body.reason, facts)

@@ -20,7 +20,7 @@ BLOCK = 4  # columns a side of which the lowest point is taken for ground
 FULL_VOXEL = 3.0  # log(1 + points) of a voxel that counts as well hit
 
 
-class Terrain(NamedTuple):
+class TerrainColumns(NamedTuple):
     """`reference_m` (B, 1, X, Y), grid frame; `base` (B, X, Y) int64, the voxel index of aligned height 0."""
 
     reference_m: Tensor
@@ -35,9 +35,9 @@ class ColumnAlignment:
     heights: int
     below: int
 
-    def terrain(self, reference_m: Tensor) -> Terrain:
+    def terrain(self, reference_m: Tensor) -> TerrainColumns:
         low, size = self.lattice.min_m[2], self.lattice.voxel_m[2]
-        return Terrain(reference_m, torch.floor((reference_m[:, 0] - low) / size).long() - self.below)
+        return TerrainColumns(reference_m, torch.floor((reference_m[:, 0] - low) / size).long() - self.below)
 
 
 class ColumnHits(NamedTuple):
@@ -88,7 +88,7 @@ def filled(values: Tensor, weights: Tensor) -> Tensor:
     return weights * values + (1 - weights) * coarse
 
 
-def evidence_of(hits: ColumnHits, terrain: Terrain, alignment: ColumnAlignment, newest_s: float) -> Tensor:
+def evidence_of(hits: ColumnHits, terrain: TerrainColumns, alignment: ColumnAlignment, newest_s: float) -> Tensor:
     """Maps (B, 3 K, X, Y) of aligned heights: how well hit, hit in the last `newest_s`, mean place within the voxel.
 
     The first is `log(1 + points) / 3`, the second 0 or 1, the third −½ … ½. `features` end with the age.
@@ -111,7 +111,7 @@ def evidence_of(hits: ColumnHits, terrain: Terrain, alignment: ColumnAlignment, 
 STATISTICS = 11
 
 
-def statistics_of(hits: ColumnHits, terrain: Terrain, lattice: VoxelLattice) -> Tensor:
+def statistics_of(hits: ColumnHits, terrain: TerrainColumns, lattice: VoxelLattice) -> Tensor:
     """Maps (B, 11, X, Y): hit or not, log count, lowest, highest, mean and deviation in m above the reference, mean
     intensity; the reference in m and within its voxel, and its slope along x and y (m / m).
     """
@@ -130,12 +130,12 @@ def statistics_of(hits: ColumnHits, terrain: Terrain, lattice: VoxelLattice) -> 
     return torch.cat([_unflattened(maps, terrain), *_shape_of(terrain, lattice)], dim=1)
 
 
-def _unflattened(maps: Tensor, terrain: Terrain) -> Tensor:
+def _unflattened(maps: Tensor, terrain: TerrainColumns) -> Tensor:
     """Maps (S, B · X · Y) as (B, S, X, Y)."""
     return maps.reshape(len(maps), *terrain.base.shape).movedim(0, 1)
 
 
-def _shape_of(terrain: Terrain, lattice: VoxelLattice) -> tuple[Tensor, ...]:
+def _shape_of(terrain: TerrainColumns, lattice: VoxelLattice) -> tuple[Tensor, ...]:
     size = lattice.voxel_m
     within = (terrain.reference_m - lattice.min_m[2]) / size[2]
     padded = functional.pad(terrain.reference_m, (1, 1, 1, 1), mode="replicate")
@@ -144,7 +144,7 @@ def _shape_of(terrain: Terrain, lattice: VoxelLattice) -> tuple[Tensor, ...]:
     return terrain.reference_m, within - within.floor() - 0.5, along_x, along_y
 
 
-def surface_of(hits: ColumnHits, terrain: Terrain, otherwise_above_m: float) -> Tensor:
+def surface_of(hits: ColumnHits, terrain: TerrainColumns, otherwise_above_m: float) -> Tensor:
     """Heights (B, 2, X, Y) in metres, grid frame: of the lowest and the highest point of each column.
 
     Where it has none, the reference and `otherwise_above_m` above it.
@@ -159,7 +159,7 @@ def surface_of(hits: ColumnHits, terrain: Terrain, otherwise_above_m: float) -> 
 RADAR_STATISTICS = 5
 
 
-def radar_maps(hits: ColumnHits, terrain: Terrain) -> Tensor:
+def radar_maps(hits: ColumnHits, terrain: TerrainColumns) -> Tensor:
     """Maps (B, 5, X, Y) of `RADAR_FEATURES`: log count, and means of height above the reference, strength, velocity."""
     reference = terrain.reference_m.reshape(-1)
     above = hits.features[:, 2] - reference[hits.column]

@@ -23,7 +23,7 @@ from baselines.layers.terrain_columns import (
     STATISTICS,
     ColumnAlignment,
     ColumnHits,
-    Terrain,
+    TerrainColumns,
     column_hits,
     evidence_of,
     radar_maps,
@@ -116,7 +116,7 @@ class ColumnNet(OccupancyModel[ColumnOutputs]):
             if self.has_radar:
                 maps.append(radar_maps(column_hits(points_of(batch, "radar"), self.lattice), terrain))
         if self.cameras is not None:
-            surface_m = surface_of(hits, terrain, self.config.camera_heights_m)
+            surface_m = surface_of(hits, terrain, self.config.unhit_top_m)
             maps.append(self._camera_maps(self.cameras, batch, surface_m))
         return torch.cat(maps, dim=1), terrain.base
 
@@ -136,7 +136,7 @@ class ColumnNet(OccupancyModel[ColumnOutputs]):
     def logits(self, outputs: ColumnOutputs, batch: Batch) -> Tensor:
         return outputs.calibrated()
 
-    def _columns_hit(self, batch: Batch) -> tuple[ColumnHits, Terrain]:
+    def _columns_hit(self, batch: Batch) -> tuple[ColumnHits, TerrainColumns]:
         """Points of the LiDAR and the terrain under them; without a LiDAR the radar's, or none, over a plane."""
         if self.has_lidar:
             hits = column_hits(points_of(batch, "lidar"), self.lattice)

@@ -24,7 +24,7 @@ class ColumnNetConfig:
     head_channels: int = 16  # of an attention's head
     image_channels: int = 16
     image_pool: int = 2
-    camera_heights_m: float = 0.8  # above the ground, where a column without points is looked up a second time
+    unhit_top_m: float = 0.8  # above the ground: where cameras look for the top of a column without points
     class_weights: tuple[float, float, float, float] = (1.0, 4.0, 2.0, 2.0)  # free, T, P, N
     lovasz_weight: float = 1.0
     temperature_weight: float = 0.1

@@ -10,15 +10,15 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from services.domain.benchmarks.phases.inputs import INPUTS
+from services.domain.datasets.input_jobs import INPUTS
 from services.domain.exports.requests import EXPORT
 from services.domain.sequences.processing import LABEL
 from services.labeler.export_stage import export
-from services.labeler.phase_inputs import make_input
 from services.labeler.pipeline import PUBLISH, STAGES
 from services.labeler.publication import publish
 from services.labeler.run_answers import FilesAnswer, GraphAnswer, WorkAnswer
 from services.labeler.sandboxed_run import StageTask, planned, stage_files, worked
+from services.labeler.sensor_inputs import make_input
 from services.labeler.stage import Stage
 from services.labeler.stage_context import LabelStageContext, stage_context_of
 from services.runtime.jobs.specs import Attempt, Handlers, Outcome

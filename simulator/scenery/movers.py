@@ -42,6 +42,9 @@ class Mover(Protocol):
     def ranges_m(self, stamp_ns: int, origins: Rays, directions: Rays) -> Rays:
         """Distance along unit rays (N, 3) from origins (N, 3) to it at that time, inf where they miss."""
 
+    def normals(self, points_map: Array, stamp_ns: int) -> Array:
+        """Of its surface, outwards (N, 3), at points on it (N, 3) at that time, map frame."""
+
     def is_inside(self, points_map: Array, stamp_ns: int, margin_m: float) -> NDArray[np.bool_]:
         """Which of the points (N, 3) are inside it, or nearer than `margin_m` to it along an axis, at that time."""
 
@@ -56,6 +59,9 @@ class Walker:
 
     def ranges_m(self, stamp_ns: int, origins: Rays, directions: Rays) -> Rays:
         return cylinder_range(self.route.at(stamp_ns)[0], origins, directions)
+
+    def normals(self, points_map: Array, stamp_ns: int) -> Array:
+        return (points_map - self.route.at(stamp_ns)[0]) * (1 / WALKER_RADIUS_M, 1 / WALKER_RADIUS_M, 0.0)
 
     def is_inside(self, points_map: Array, stamp_ns: int, margin_m: float) -> NDArray[np.bool_]:
         offset = points_map - self.route.at(stamp_ns)[0]
@@ -78,6 +84,14 @@ class Vehicle:
         near = np.minimum(low * inverse, high * inverse).max(axis=1)
         far = np.maximum(low * inverse, high * inverse).min(axis=1)
         return np.where((near < far) & (near > 0), near, np.inf).astype(np.float32)
+
+    def normals(self, points_map: Array, stamp_ns: int) -> Array:
+        low, high = _vehicle_corners(0.0)
+        aside = (self._own(points_map, stamp_ns) - (low + high) / 2) / ((high - low) / 2)  # ±1 on the face it is on
+        face = np.argmax(np.abs(aside), axis=1)
+        own = np.zeros_like(points_map)
+        own[np.arange(len(own)), face] = np.sign(np.take_along_axis(aside, face[:, None], axis=1))[:, 0]
+        return np.asarray(own @ self._turn(stamp_ns).T)
 
     def is_inside(self, points_map: Array, stamp_ns: int, margin_m: float) -> NDArray[np.bool_]:
         own = self._own(points_map, stamp_ns)

@@ -15,8 +15,10 @@ from simulator.scenery.movers import Mover
 from simulator.scenery.objects import Surface
 from simulator.scenery.terrain import Terrain
 from simulator.scenery.world import SimulatedWorld
+from stone.geometry.se3 import Array
 
 Rays = NDArray[np.float32]
+MOVER_MARGIN_RAD = 0.03
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +53,12 @@ class RayScene:
         surface[is_object] = self._object_surface[answer["primitive_ids"].numpy()[is_object]]
         return Hits(range_m, surface, answer["primitive_normals"].numpy())
 
+    def is_hidden(self, points: Rays, towards: Rays) -> NDArray[np.bool_]:
+        """Whether something that stands still lies between each point (N, 3) and what is infinitely far `towards`."""
+        rays = np.concatenate([points, np.broadcast_to(towards, points.shape)], axis=1, dtype=np.float32)
+        hidden: NDArray[np.bool_] = self._scene.test_occlusions(_tensor(rays)).numpy()
+        return hidden
+
 
 def _tensor(array: NDArray[Any]) -> Any:
     """An Open3D tensor of the array's own type; Open3D's stubs lack this form."""
@@ -58,16 +66,29 @@ def _tensor(array: NDArray[Any]) -> Any:
 
 
 def put_mover(
-    hits: Hits, mover: Mover, stamp_ns: int, rays: tuple[Rays, Rays], where: NDArray[np.int64] | slice
-) -> None:
-    """Let what moves hide what is behind it at this time, for the rays `where`; changes `hits` in place."""
+    hits: Hits, mover: Mover, stamp_ns: int, rays: tuple[Rays, Rays], where: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Let what moves hide what is behind it at this time, for the rays `where`; changes `hits` in place.
+
+    Returns the rays that met it.
+    """
     origins, directions = rays[0][where], rays[1][where]
     reach = mover.ranges_m(stamp_ns, origins, directions)
     is_nearer = reach < hits.range_m[where]
-    index = np.arange(len(hits.range_m))[where][is_nearer]
+    index = where[is_nearer]
     hits.range_m[index] = reach[is_nearer]
     hits.surface[index] = mover.surface
     hits.normal[index] = -directions[is_nearer]
+    return index
+
+
+def rays_towards(place_m: Array, reach_m: float, origins: Rays, directions: Rays) -> NDArray[np.int64]:
+    """Rays whose bearing comes near what is at a place, and reaches so far about it: those worth the closed form."""
+    offset = place_m[:2].astype(np.float32) - origins[0, :2]
+    distance = max(float(np.hypot(*offset)), 0.3)
+    along = directions[:, 0] * (offset[0] / distance) + directions[:, 1] * (offset[1] / distance)
+    flat = float(np.cos(min(np.arctan2(reach_m, distance) + MOVER_MARGIN_RAD, np.pi / 2)))
+    return np.flatnonzero(along > 0.8 * flat)
 
 
 def ground_mesh(terrain: Terrain) -> tuple[Rays, NDArray[np.uint32]]:

@@ -1,7 +1,8 @@
 """Six JPEG pictures a sweep, each taken when the LiDAR looks the camera's way.
 
-**Conventions.** Pictures are cast at `RAY_COLUMNS` × `RAY_ROWS` and enlarged: what matters is that edges, colours and
-times agree with the LiDAR, not the detail. Optical frames: z forward, x right, y down.
+**Conventions.** A coarse picture is cast at `COARSE_RAYS` and enlarged: edges, colours and times agree with the LiDAR,
+detail is not there. A full one has a ray through the centre of each pixel, and a sensor's noise. Optical frames: z
+forward, x right, y down.
 """
 
 from dataclasses import dataclass
@@ -11,35 +12,32 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from simulator.appearance.lights import LIGHTS, Light
+from simulator.appearance.renderer import Renderer, View
 from simulator.options import SimulateOptions
-from simulator.scenery.objects import Surface
-from simulator.scenery.scene import Hits, RayScene, put_mover
+from simulator.scenery.path import DriveTrajectory
+from simulator.scenery.world import generator
 from simulator.sensors import rig
+from stone.geometry.se3 import SE3, Array
+from stone.sensors.calibration import CameraIntrinsics
 
-RAY_COLUMNS, RAY_ROWS = 80, 50
+COARSE_RAYS = (80, 50)
 JPEG_QUALITY = 80
 TRIGGER_JITTER_NS = 50_000
-SUN = np.array([0.35, -0.45, 0.82], np.float32)
-HAZE_M = 90.0
-SKY_LOW, SKY_HIGH = np.array([205, 215, 225], np.float32), np.array([110, 155, 215], np.float32)
-COLOURS = {
-    Surface.SKY: (0, 0, 0), Surface.GROUND: (136, 112, 78), Surface.ROCK: (128, 128, 124),
-    Surface.BUSH: (62, 96, 44), Surface.TRUNK: (84, 62, 44), Surface.CROWN: (48, 88, 40),
-    Surface.WALL: (172, 160, 146), Surface.GRASS: (128, 148, 66), Surface.WALKER: (210, 60, 40),
-    Surface.VEHICLE: (52, 78, 140),
-    Surface.ROBOT: (40, 40, 44),
-}  # fmt: skip
+LAMP_ABOVE_M = 0.25  # over its camera
+FRONT_LAMP = 3.0  # times as strong as the others
 
 
 @dataclass(frozen=True, eq=False)
 class CameraRing:
-    """The rays of one camera in its optical frame (rays, 3), and where each camera sits."""
+    """Where each camera sits, the rays of one in its optical frame (rows, columns, 3), and how pictures are made."""
 
     cameras: tuple[rig.CameraSpec, ...]
     directions: NDArray[np.float32]
+    pixel_rad: float
     size_px: tuple[int, int]
-    palette: NDArray[np.float32]
-    noise_ratio: float
+    light: Light
+    options: SimulateOptions
 
 
 @dataclass(frozen=True)
@@ -52,58 +50,85 @@ class SimulatedPicture:
 
 
 def build_ring(options: SimulateOptions) -> CameraRing:
-    """Rays through the centres of the low-resolution pixels of the full-size pinhole."""
+    """The pinholes of these options: rays of equal parts of the picture."""
     lens = rig.intrinsics(options.camera_width_px)
-    u = (np.arange(RAY_COLUMNS) + 0.5) * lens.width_px / RAY_COLUMNS - 0.5
-    v = (np.arange(RAY_ROWS) + 0.5) * lens.height_px / RAY_ROWS - 0.5
-    x, y = np.meshgrid((u - lens.cx_px) / lens.fx_px, (v - lens.cy_px) / lens.fy_px)
-    rays = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    palette = np.array([COLOURS[surface] for surface in Surface], np.float32)
+    columns, rows = (lens.width_px, lens.height_px) if options.camera_detail == "full" else COARSE_RAYS
+    pixel_rad = lens.width_px / columns / lens.fx_px
     size_px = (lens.width_px, lens.height_px)
-    return CameraRing(rig.cameras(), rays.astype(np.float32), size_px, palette, options.noise_ratio)
+    return CameraRing(
+        rig.cameras(), _rays(lens, columns, rows), pixel_rad, size_px, LIGHTS[options.illumination], options
+    )
 
 
-def take_pictures(scene: RayScene, ring: CameraRing, stamp_ns: int, rng: np.random.Generator) -> list[SimulatedPicture]:
+def _rays(lens: CameraIntrinsics, columns: int, rows: int) -> NDArray[np.float32]:
+    """Unit rays through the centres of `columns` × `rows` equal parts of the picture (rows, columns, 3)."""
+    u = (np.arange(columns) + 0.5) * lens.width_px / columns - 0.5
+    v = (np.arange(rows) + 0.5) * lens.height_px / rows - 0.5
+    x, y = np.meshgrid((u - lens.cx_px) / lens.fx_px, (v - lens.cy_px) / lens.fy_px)
+    rays: Array = np.stack([x, y, np.ones_like(x)], axis=-1)
+    return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True), np.float32)
+
+
+def take_pictures(
+    renderer: Renderer, ring: CameraRing, stamp_ns: int, rng: np.random.Generator
+) -> list[SimulatedPicture]:
     """The six exposures of the sweep at `stamp_ns`, in the order of `ring.cameras`."""
     jitter = rng.integers(-TRIGGER_JITTER_NS, TRIGGER_JITTER_NS, len(ring.cameras))
-    jitter = np.rint(jitter * ring.noise_ratio).astype(np.int64)
+    jitter = np.rint(jitter * ring.options.noise_ratio).astype(np.int64)
     stamps = stamp_ns + np.array([camera.phase_ns for camera in ring.cameras]) + jitter
-    poses = scene.world.trajectory.at(stamps)
-    turns, places = [], []
-    for index, camera in enumerate(ring.cameras):
-        map_from_camera = poses[index] @ rig.ego_from_camera(camera)
-        turns.append(map_from_camera.rotation().astype(np.float32))
-        places.append(map_from_camera.translation_m.astype(np.float32))
-    directions = (ring.directions @ np.swapaxes(np.array(turns), -1, -2)).reshape(-1, 3)
-    origins = np.repeat(np.array(places), len(ring.directions), axis=0)
-    hits = scene.cast(origins, directions)
-    for mover in scene.world.movers:
-        put_mover(hits, mover, stamp_ns + rig.SWEEP_NS // 2, (origins, directions), slice(None))
-    pixels = shade(hits, origins, directions, ring.palette).reshape(len(ring.cameras), RAY_ROWS, RAY_COLUMNS, 3)
-    return [
-        SimulatedPicture(camera, int(stamps[index]), _jpeg(pixels[index], ring.size_px))
-        for index, camera in enumerate(ring.cameras)
-    ]
+    view = _view(renderer.world.trajectory, ring, stamps, stamp_ns + rig.SWEEP_NS // 2)
+    seen = renderer.pixels(view).reshape(len(ring.cameras), *ring.directions.shape)
+    pictures = []
+    for camera, exposed_ns, rays in zip(ring.cameras, stamps.tolist(), seen, strict=True):
+        pixels = _enlarged(rays, ring.size_px)
+        if ring.options.camera_detail == "full":
+            pixels = _with_noise(pixels, ring, generator(ring.options.seed, f"{camera.channel} {stamp_ns}"))
+        pictures.append(SimulatedPicture(camera, exposed_ns, _jpeg(pixels)))
+    return pictures
 
 
-def shade(
-    hits: Hits, origins: NDArray[np.float32], directions: NDArray[np.float32], palette: NDArray[np.float32]
-) -> NDArray[np.uint8]:
-    """Colours (N, 3): the surface's, lit by a fixed sun, mottled by place, fading into haze."""
-    is_hit = np.isfinite(hits.range_m)
-    reach = np.where(is_hit, hits.range_m, np.float32(0))
-    light = 0.45 + 0.55 * np.abs(hits.normal @ SUN)
-    points = origins[:, :2] + reach[:, None] * directions[:, :2]
-    mottle = 1 + 0.10 * np.sin(points[:, 0] * 5.1) * np.sin(points[:, 1] * 4.3 + points[:, 0])
-    haze = (1 - np.exp(-reach / HAZE_M))[:, None]
-    up = np.clip(directions[:, 2:3] * 2, 0, 1)
-    colour = palette[hits.surface] * (light * mottle)[:, None] * (1 - haze) + SKY_LOW * haze
-    sky = SKY_LOW * (1 - up) + SKY_HIGH * up
-    return np.where(is_hit[:, None], np.clip(colour, 0, 255), sky).astype(np.uint8)
+def _view(trajectory: DriveTrajectory, ring: CameraRing, stamps_ns: NDArray[np.int64], middle_ns: int) -> View:
+    """The rays of all cameras, each from where it is at its own stamp; movers and lamps are where they are in the
+    middle of the sweep."""
+    poses = trajectory.at(stamps_ns)
+    mounts = [poses[index] @ rig.ego_from_camera(camera) for index, camera in enumerate(ring.cameras)]
+    turns = np.array([mount.rotation() for mount in mounts], np.float32)
+    places = np.array([mount.translation_m for mount in mounts], np.float32)
+    rays = ring.directions.reshape(-1, 3)
+    directions = (rays @ np.swapaxes(turns, -1, -2)).reshape(-1, 3)
+    origins = np.repeat(places, len(rays), axis=0)
+    lamps = _lamps(trajectory.at(np.array([middle_ns], np.int64))[0], ring.light.lamp)
+    return View(origins, directions, ring.pixel_rad, middle_ns, lamps)
 
 
-def _jpeg(pixels: NDArray[np.uint8], size_px: tuple[int, int]) -> bytes:
+def _lamps(map_from_ego: SE3, strength: float) -> Array:
+    """One lamp above each camera that looks the same way (L, 7): place, axis, strength; none by day."""
+    if strength == 0.0:
+        return np.zeros((0, 7))
+    mounts = [map_from_ego @ rig.ego_from_camera(camera) for camera in rig.cameras()]
+    rotations = np.array([mount.rotation() for mount in mounts])
+    places = np.array([mount.translation_m for mount in mounts]) - LAMP_ABOVE_M * rotations[:, :, 1]
+    strengths = [strength * (FRONT_LAMP if camera.channel == "CAM_FRONT" else 1.0) for camera in rig.cameras()]
+    return np.concatenate([places, rotations[:, :, 2], np.array(strengths)[:, None]], axis=1)
+
+
+def _enlarged(pixels: NDArray[np.uint8], size_px: tuple[int, int]) -> NDArray[np.uint8]:
+    if pixels.shape[1::-1] == size_px:
+        return pixels
+    return np.asarray(Image.fromarray(pixels).resize(size_px, Image.Resampling.BILINEAR))
+
+
+def _with_noise(pixels: NDArray[np.uint8], ring: CameraRing, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Grain of brightness and, half as much, of colour; less of both where it is bright."""
+    deviation = ring.options.noise_ratio * ring.light.noise_8bit * np.linspace(1.0, 0.5, 256, dtype=np.float32)
+    grain = 0.5 * rng.standard_normal(pixels.shape, np.float32)
+    grain += rng.standard_normal((*pixels.shape[:2], 1), np.float32)
+    grain *= deviation[pixels]
+    grain += pixels
+    return np.clip(np.rint(grain, out=grain), 0, 255, out=grain).astype(np.uint8)
+
+
+def _jpeg(pixels: NDArray[np.uint8]) -> bytes:
     buffer = BytesIO()
-    Image.fromarray(pixels).resize(size_px, Image.Resampling.BILINEAR).save(buffer, "JPEG", quality=JPEG_QUALITY)
+    Image.fromarray(pixels).save(buffer, "JPEG", quality=JPEG_QUALITY)
     return buffer.getvalue()

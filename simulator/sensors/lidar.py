@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from simulator.options import SimulateOptions
 from simulator.ros_messages import HESAI_POINT
 from simulator.scenery.objects import Surface
-from simulator.scenery.scene import Hits, Rays, RayScene, put_mover
+from simulator.scenery.scene import Hits, Rays, RayScene, put_mover, rays_towards
 from simulator.sensors import rig
 from simulator.sensors.range_noise import RangeNoise, Returns, disturbed
 from stone.geometry.se3 import Array
@@ -23,7 +23,6 @@ REFLECTIVITY = {
     Surface.CROWN: 65.0, Surface.WALL: 90.0, Surface.GRASS: 70.0, Surface.WALKER: 80.0, Surface.ROBOT: 20.0,
     Surface.VEHICLE: 70.0,
 }  # fmt: skip
-MOVER_MARGIN_RAD = 0.03
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +76,9 @@ def sweep_points(scene: RayScene, lidar: Lidar, stamp_ns: int, rng: np.random.Ge
     middle_ns = stamp_ns + lidar.sweep_ns // 2
     for mover in world.movers:
         place = mover.route.at(middle_ns)[0]
-        put_mover(hits, mover, middle_ns, (origins, directions), _towards(place, mover.reach_m, origins, directions))
+        put_mover(
+            hits, mover, middle_ns, (origins, directions), rays_towards(place, mover.reach_m, origins, directions)
+        )
     surface = np.where(lidar.self_range_m < hits.range_m, np.uint8(Surface.ROBOT), hits.surface)
     range_m = np.minimum(lidar.self_range_m, hits.range_m)
     if lidar.range_noise is not None:
@@ -108,15 +109,6 @@ def _records(
     records["ring"] = lidar.ring
     records["timestamp"] = np.repeat(packets_ns / 1e9, lidar.directions.shape[1])
     return records
-
-
-def _towards(place_m: Array, reach_m: float, origins: Rays, directions: Rays) -> NDArray[np.int64]:
-    """Rays whose bearing comes near what is at a place, and reaches so far about it: those worth the closed form."""
-    offset = place_m[:2].astype(np.float32) - origins[0, :2]
-    distance = max(float(np.hypot(*offset)), 0.3)
-    along = directions[:, 0] * (offset[0] / distance) + directions[:, 1] * (offset[1] / distance)
-    flat = float(np.cos(min(np.arctan2(reach_m, distance) + MOVER_MARGIN_RAD, np.pi / 2)))
-    return np.flatnonzero(along > 0.8 * flat)
 
 
 def robot_range(directions: Array) -> NDArray[np.float32]:

@@ -19,7 +19,7 @@ class RecordingFiles:
 def refuse_contradictions(
     inputs: list[Path] | None, manifest: Path | None, bag: Path | None, of_recordings: Mapping[str, object]
 ) -> None:
-    """Raises `typer.BadParameter`. `of_recordings` are options by name that need --bag, None or empty where not said."""
+    """Raises `typer.BadParameter`. `of_recordings` are options by name that need --bag, empty where not said."""
     if inputs and bag is not None:
         raise typer.BadParameter("frames come from INPUTS or from a recording, not from both", param_hint="--bag")
     if not inputs and bag is None:

@@ -1,4 +1,4 @@
-"""How fast frames of a recording are predicted: a bar on a terminal, elsewhere a line now and then; always on stderr."""
+"""How fast a recording is predicted: a bar on a terminal, elsewhere a line now and then; always on stderr."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

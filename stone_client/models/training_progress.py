@@ -11,7 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 LINE_EVERY_S = 10.0
 
 
-class Report(Protocol):
+class StepReport(Protocol):
     """What is shown of `baselines.run_log.TrainingReport`."""
 
     @property
@@ -35,7 +35,7 @@ class Report(Protocol):
 
 
 @contextmanager
-def training_shown() -> Iterator[Callable[[Report], None]]:
+def training_shown() -> Iterator[Callable[[StepReport], None]]:
     """Yield the function that training calls after each step."""
     console = Console(stderr=True, highlight=False)
     if not console.is_terminal:
@@ -45,7 +45,7 @@ def training_shown() -> Iterator[Callable[[Report], None]]:
     with Progress(*columns, console=console) as bars:
         task = bars.add_task("", total=None)
 
-        def show(report: Report) -> None:
+        def show(report: StepReport) -> None:
             if report.watched:
                 bars.console.print(watched_line(report))
             else:
@@ -60,7 +60,7 @@ class _TrainingLines:
     def __init__(self, console: Console) -> None:
         self._console, self._said_at = console, float("-inf")
 
-    def __call__(self, report: Report) -> None:
+    def __call__(self, report: StepReport) -> None:
         if report.watched:
             self._console.print(watched_line(report))
         elif monotonic() - self._said_at > LINE_EVERY_S or report.step == report.steps:
@@ -68,7 +68,7 @@ class _TrainingLines:
             self._console.print(f"step {report.step}/{report.steps} {rate_of(report)}")
 
 
-def rate_of(report: Report) -> str:
+def rate_of(report: StepReport) -> str:
     """Losses, the metric where this step measured it, rate, and time left."""
     terms = "  ".join(f"{name} {value:.3f}" for name, value in report.losses.items())
     said = [f"loss {report.loss:.3f}", *([f"({terms})"] if terms else []), *scores_said(report.scores)]
@@ -78,7 +78,7 @@ def rate_of(report: Report) -> str:
     return "  ".join(said)
 
 
-def watched_line(report: Report) -> str:
+def watched_line(report: StepReport) -> str:
     """What the watched sequences scored after an epoch."""
     return f"epoch {report.epoch + 1}, watched: {'  '.join(scores_said(report.scores))}"
 

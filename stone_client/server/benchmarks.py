@@ -1,6 +1,6 @@
 """Benchmarks on a server, for participants: phases by name, their manifests, their inputs."""
 
-from hashlib import file_digest, sha256
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -9,7 +9,7 @@ from rich.table import Table
 
 from stone_client.api import Api
 from stone_client.progress import Report
-from stone_client.server.exports import download_file
+from stone_client.server.exports import complete_file
 from stone_client.server.sequences import Item
 from stone_client.tables import DASH, plain_table, safe_text
 from stone_files.atomic import atomic_file
@@ -55,12 +55,9 @@ def download_inputs(api: Api, of: tuple[str, str], folder: Path, progress: Repor
     own = f"/phases/{read_phase(api, *of)['id']}/inputs"
     made = []
     for one in list(api.pages(own)):
-        promised = {"size_bytes": one["tar_bytes"], "sha256": one["tar_sha256"]}
-        output = folder / f"{one['name']}.tar"
-        is_there = output.is_file() and _sha256(output) == promised["sha256"]
-        path = f"{own}/{quote(one['name'], safe='')}.tar"
-        begun_bytes = promised["size_bytes"] if is_there else download_file(api, path, promised, output, progress)
-        made.append({"name": one["name"], **promised, "output": str(output), "resumed_at_bytes": begun_bytes})
+        wanted = {"size_bytes": one["tar_bytes"], "sha256": one["tar_sha256"]}
+        path, output = f"{own}/{quote(one['name'], safe='')}.tar", folder / f"{one['name']}.tar"
+        made.append({"name": one["name"], **complete_file(api, path, wanted, output, progress)})
     return made
 
 
@@ -75,8 +72,3 @@ def phases_table(benchmark: Item) -> Table:
         closes = (phase["closes_at"] or DASH)[:16]
         table.add_row(safe_text(phase["name"]), phase["standing"], truth, frames, allowed, closes)
     return table
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return file_digest(file, "sha256").hexdigest()

@@ -1,7 +1,6 @@
 """Versions of the dataset on a server: listed, published, downloaded so that nothing is fetched twice."""
 
-from collections.abc import Mapping
-from hashlib import file_digest
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -10,7 +9,7 @@ import typer
 
 from stone_client.api import Api
 from stone_client.progress import Report
-from stone_client.server.exports import download_file
+from stone_client.server.exports import complete_file
 from stone_client.server.sequences import Item
 from stone_client.tables import plain_table, safe_text, show
 
@@ -42,12 +41,24 @@ def download_dataset(api: Api, dataset: Item, folder: Path, progress: Report) ->
     for part in dataset["parts"]:
         tar = {"size_bytes": part["tar_bytes"], "sha256": part["tar_sha256"]}
         wanted.append((f"{own}/archives/{part['part']}", f"{name}-{part['part']}.tar", tar))
+    return [complete_file(api, path, promised, folder / called, progress) for path, called, promised in wanted]
+
+
+def download_dataset_inputs(api: Api, dataset: Item, folder: Path, progress: Report) -> list[dict[str, Any]]:
+    """Fetch the tar of each sequence of train and val, to `<folder>/inputs/<split>/`, as far as it is made; each with
+    its state, and with what is there now where it is ready.
+
+    Raises what `download_dataset` raises.
+    """
+    own = f"/datasets/{dataset['name']}/inputs"
     made = []
-    for path, called, promised in wanted:
-        output = folder / called
-        is_there = output.is_file() and _sha256(output) == promised["sha256"]
-        begun_bytes = promised["size_bytes"] if is_there else download_file(api, path, promised, output, progress)
-        made.append({**promised, "output": str(output), "resumed_at_bytes": begun_bytes})
+    for one in list(api.pages(own)):
+        said = {"name": one["name"], "split": one["split"], "state": one["state"]}
+        if one["state"] == "ready":
+            wanted = {"size_bytes": one["tar_bytes"], "sha256": one["tar_sha256"]}
+            output = folder / "inputs" / one["split"] / f"{one['name']}.tar"
+            said |= complete_file(api, f"{own}/{quote(one['name'], safe='')}.tar", wanted, output, progress)
+        made.append(said)
     return made
 
 
@@ -64,13 +75,21 @@ def show_datasets(record: Mapping[str, Any]) -> None:
     show(table)
     for finding in record.get("findings", ()):
         typer.echo(f"{finding['severity']} {safe_text(finding['code'])}: {safe_text(finding['message'])}", err=True)
-    for file in record.get("files", ()):
-        typer.echo(f"{file['output']} ({file['size_bytes']:,} bytes, sha256 {file['sha256']})")
+    for file in (*record.get("files", ()), *record.get("inputs", ())):
+        if "output" in file:
+            typer.echo(f"{file['output']} ({file['size_bytes']:,} bytes, sha256 {file['sha256']})")
+    _show_missing(record.get("inputs", ()))
 
 
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return file_digest(file, "sha256").hexdigest()
+def _show_missing(inputs: Iterable[Mapping[str, Any]]) -> None:
+    """Which inputs are not there yet, and which never will be."""
+    words = {
+        "missing": "not made yet; run this again later",
+        "lost": "lost: what they are made of was deleted",
+    }
+    for state, why in words.items():
+        if names := [safe_text(one["name"]) for one in inputs if one["state"] == state]:
+            typer.echo(f"inputs of {len(names)} sequences are {why}: {', '.join(names)}", err=True)
 
 
 def _show_versions(datasets: list[Item] | list[Mapping[str, Any]]) -> None:

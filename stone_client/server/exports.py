@@ -9,6 +9,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from glob import escape
+from hashlib import file_digest
 from pathlib import Path
 from typing import Any
 
@@ -83,6 +84,17 @@ def download_file(api: Api, path: str, wanted: Item, output: Path, progress: Rep
     return begun_bytes
 
 
+def complete_file(api: Api, path: str, wanted: Item, output: Path, progress: Report) -> dict[str, Any]:
+    """Fetch what is at `path` unless `output` is that already, by its sha256; what is there now.
+
+    Raises what `download_file` raises.
+    """
+    promised = {"size_bytes": wanted["size_bytes"], "sha256": wanted["sha256"]}
+    is_there = output.is_file() and _sha256(output) == promised["sha256"]
+    begun_bytes = promised["size_bytes"] if is_there else download_file(api, path, promised, output, progress)
+    return {**promised, "output": str(output), "resumed_at_bytes": begun_bytes}
+
+
 def exports_table(name: str, exports: list[Item]) -> Table:
     """One row each."""
     table = plain_table(f"exports of {name}", "format", "state", "files", "bytes", "made")
@@ -91,6 +103,11 @@ def exports_table(name: str, exports: list[Item]) -> Table:
         counts = (f"{one['files']:,}", f"{one['size_bytes']:,}") if one["finished_at"] else (DASH, DASH)
         table.add_row(one["format"], state, *counts, (one["finished_at"] or one["created_at"])[:19])
     return table
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return file_digest(file, "sha256").hexdigest()
 
 
 @contextmanager

@@ -6,7 +6,7 @@ import torch
 from torch import nn
 
 from baselines.augment import NO_AUGMENTATION
-from baselines.checkpoint import Position, Provenance, write_weights
+from baselines.checkpoint import Position, WeightsProvenance, write_weights
 from baselines.inputs import InputConfig
 from baselines.lattice import VoxelLattice
 from baselines.models.column_net import ColumnNet
@@ -33,5 +33,5 @@ def made_run(folder: Path, row: RowConfig = ROW) -> Path:
     nn.init.normal_(model.net.classify.weight)
     nn.init.zeros_(model.net.classify.bias)  # type: ignore[arg-type] # it has one
     nn.init.normal_(model.net.warm.weight, std=0.1)
-    write_weights(folder, model, Provenance(row.as_json(), "0" * 64, "observed", 8, Position(step=7)))
+    write_weights(folder, model, WeightsProvenance(row.as_json(), "0" * 64, "observed", 8, Position(step=7)))
     return folder

@@ -8,7 +8,7 @@ from baselines.batch import Points
 from baselines.lattice import VoxelLattice
 from baselines.layers.terrain_columns import (
     ColumnAlignment,
-    Terrain,
+    TerrainColumns,
     column_hits,
     evidence_of,
     filled,
@@ -30,7 +30,7 @@ def scattered(points: int = 400, frames: int = 2, features: int = 5) -> Points:
     return Points(rows, (torch.arange(points) * frames) // points)
 
 
-def tilted(frames: int = 2) -> Terrain:
+def tilted(frames: int = 2) -> TerrainColumns:
     slope = LATTICE.centres_m()[:, :, 0, 0] * 0.4 + 0.03
     return ALIGNMENT.terrain(slope.expand(frames, 1, -1, -1))
 

@@ -16,6 +16,7 @@ from structlog.testing import capture_logs
 from services.domain.benchmarks.phases.ground_truths import start_truth
 from services.domain.benchmarks.phases.inputs import start_inputs
 from services.domain.benchmarks.phases.phases import NewBenchmark, NewPhase, create_benchmark, create_phase
+from services.domain.datasets.inputs import start_version_inputs
 from services.domain.datasets.queries import dataset_named
 from services.eval.stages import handlers as eval_handlers
 from services.ingest import stages as ingest
@@ -124,6 +125,8 @@ def check_what_was_printed(shell: Shell) -> None:
     ranked = answered("leaderboard", "stone", "val", "--all")["rows"]
     assert [row["method"] for row in ranked] == ["Sweep", "Flat"], "geometry beats a plane"
     assert json.loads(Path("val.json").read_text())["sequences"].keys() == {"n-val"}
+    fetched = sorted(Path("dataset/inputs").rglob("*.tar"))
+    assert [path.as_posix() for path in fetched] == ["dataset/inputs/train/n-train.tar", "dataset/inputs/val/n-val.tar"]
 
 
 @contextmanager
@@ -175,6 +178,7 @@ def _benchmark(platform: Platform) -> None:
             row = create_phase(session, benchmark, version, phase)
             start_truth(session, row, version, user_id)
             start_inputs(session, row, user_id)
+        start_version_inputs(session, version, user_id)
     run_eval(platform)
     run_all(platform)
     ada = person(platform, "participant", "ada")

@@ -13,10 +13,12 @@ from PIL import Image
 from structlog.testing import capture_logs
 from typer.testing import CliRunner, Result
 
+from services.domain.datasets.queries import dataset_named
 from services.runtime.platform import Platform
 from stone_client.main import app
 from testing.api.serving import Person, person, serving
 from testing.worlds.published import published_sequence
+from tests.api.inputs_made import made_version_input
 
 
 def stone(*arguments: str | Path) -> Result:
@@ -176,6 +178,38 @@ def test_a_version_is_published_and_downloaded_by_a_participant(
             assert hashlib.sha256(tar.extractfile(name).read()).hexdigest() == digest  # type: ignore[union-attr]
     again = answered("datasets", "stone-1.0", "--download", folder)["files"]
     assert [file["resumed_at_bytes"] for file in again] == [file["size_bytes"] for file in again]
+
+
+def test_inputs_of_a_version_are_downloaded_beside_its_labels_and_go_on_where_they_broke_off(
+    tmp_path: Path, platform: Platform, names: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert put(tmp_path, train=names[:1], val=names[1:2], test=names[2:]).exit_code == 0
+    assert stone("datasets", "stone-1.0", "--create").exit_code == 0
+    with platform.database.reading() as session:
+        version = dataset_named(session, "stone-1.0")
+        assert version is not None
+    for name in (names[0], names[2]):
+        made_version_input(platform, version.id, name, {"samples/LIDAR_TOP/sweep.pcd.bin": bytes(200_000)})
+    monkeypatch.setenv("STONE_TOKEN", person(platform, "participant").secret)
+    folder = tmp_path / "dataset"
+    found = {one["name"]: one for one in answered("datasets", "stone-1.0", "--download", folder, "--inputs")["inputs"]}
+    assert {name: one["state"] for name, one in found.items()} == {names[0]: "ready", names[1]: "lost"}
+    (output,) = (folder / "inputs").rglob("*.tar")
+    assert output == folder / "inputs" / "train" / f"{names[0]}.tar"
+    content = output.read_bytes()
+    assert hashlib.sha256(content).hexdigest() == found[names[0]]["sha256"]
+    partial = output.with_name(f".{output.name}.{found[names[0]]['sha256'][:32]}.partial")
+    output.unlink()
+    partial.write_bytes(content[:100_000])
+    again = answered("datasets", "stone-1.0", "--download", folder, "--inputs")["inputs"]
+    assert [one["resumed_at_bytes"] for one in again if one["state"] == "ready"] == [100_000]
+    assert output.read_bytes() == content
+    said = stone("datasets", "stone-1.0", "--download", folder, "--inputs")
+    assert (str(output) in said.stdout, names[1] in said.stderr) == (True, True)
+
+
+def test_inputs_are_only_downloaded_with_the_version() -> None:
+    assert stone("datasets", "stone-1.0", "--inputs").exit_code == 2
 
 
 def test_a_participant_publishes_nothing(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,16 @@ from services.runtime.orm.benchmarks import (
     Reported,
     Rescore,
 )
-from services.runtime.orm.datasets import Dataset, DatasetMember, DatasetPack, DatasetPart, SplitMember, Splits
+from services.runtime.orm.datasets import (
+    Dataset,
+    DatasetInput,
+    DatasetInputPack,
+    DatasetMember,
+    DatasetPack,
+    DatasetPart,
+    SplitMember,
+    Splits,
+)
 from services.runtime.orm.exports import Export, ExportPack
 from services.runtime.orm.gc_holds import GcHoldRow
 from services.runtime.orm.jobs import Job, JobAttempt, JobLine, JobNeed, Queue, Worker
@@ -46,6 +55,8 @@ __all__ = [
     "ChoreRow",
     "CounterRow",
     "Dataset",
+    "DatasetInput",
+    "DatasetInputPack",
     "DatasetMember",
     "DatasetPack",
     "DatasetPart",

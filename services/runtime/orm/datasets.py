@@ -2,7 +2,7 @@
 
 **Conventions.** A version keeps by itself whatever it is made of: what is said of its sequences stands in its own rows,
 and its bytes are held by foreign keys to blobs; so it stays as it is when sequences are renamed, labelled anew or
-deleted. The database refuses to change its rows.
+deleted. The database refuses to change its rows; inputs are added to it.
 """
 
 from sqlalchemy import ForeignKey, String
@@ -88,5 +88,29 @@ class DatasetPack(Base):
     __tablename__ = "dataset_packs"
     dataset_id: Mapped[Id] = mapped_column(ForeignKey("datasets.id", ondelete="CASCADE"), primary_key=True)
     part: Mapped[str] = mapped_column(String(8), primary_key=True)
+    ordinal: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    blob_sha256: Mapped[str] = mapped_column(ForeignKey("blobs.sha256"), index=True)
+
+
+class DatasetInput(Base):
+    """The sensor data of a sequence of train or val, without any label; `name` is the sequence's."""
+
+    __tablename__ = "dataset_inputs"
+    dataset_id: Mapped[Id] = mapped_column(ForeignKey("datasets.id", ondelete="CASCADE"), primary_key=True)
+    name: Mapped[str] = mapped_column(String(100), primary_key=True)
+    index_sha256: Mapped[str] = mapped_column(ForeignKey("blobs.sha256"), index=True)
+    files: Mapped[int]
+    size_bytes: Mapped[Bytes]
+    tar_bytes: Mapped[Bytes]
+    tar_sha256: Mapped[str] = mapped_column(String(64))
+    created_ns: Mapped[Ns] = mapped_column(default=now_ns)
+
+
+class DatasetInputPack(Base):
+    """A blob in which files of an input lie, as its index numbers them."""
+
+    __tablename__ = "dataset_input_packs"
+    dataset_id: Mapped[Id] = mapped_column(ForeignKey("datasets.id", ondelete="CASCADE"), primary_key=True)
+    name: Mapped[str] = mapped_column(String(100), primary_key=True)
     ordinal: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
     blob_sha256: Mapped[str] = mapped_column(ForeignKey("blobs.sha256"), index=True)

@@ -16,6 +16,9 @@ DownloadOption = Annotated[
     Path | None,
     typer.Option("--download", metavar="DIR", file_okay=False, help="Fetch manifest, train and val; goes on if begun."),
 ]
+InputsOption = Annotated[
+    bool, typer.Option("--inputs", help="With --download: what the sensors gave, too, a tar for each sequence.")
+]
 
 
 def datasets(
@@ -24,6 +27,7 @@ def datasets(
     licence: LicenceOption = "",
     reason: ReasonOption = "published by the stone command",
     download: DownloadOption = None,
+    inputs: InputsOption = False,
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -32,6 +36,7 @@ def datasets(
     from stone_client.progress import transferred
     from stone_client.server.datasets import (
         download_dataset,
+        download_dataset_inputs,
         publish_dataset,
         read_dataset,
         read_datasets,
@@ -40,6 +45,8 @@ def datasets(
 
     if version is None and (create or download is not None):
         raise typer.BadParameter("which version?", param_hint="VERSION")
+    if inputs and download is None:
+        raise typer.BadParameter("it also needs --download", param_hint="--inputs")
     with connected(server) as api:
         if version is None:
             record: dict[str, Any] = {"datasets": read_datasets(api)}
@@ -48,6 +55,8 @@ def datasets(
             if download is not None:
                 with transferred() as progress:
                     record["files"] = download_dataset(api, record, download, progress)
+                    if inputs:
+                        record["inputs"] = download_dataset_inputs(api, record, download, progress)
     if as_json:
         echo_json(record)
     else:

@@ -8,13 +8,17 @@ import typer
 from simulator.options import (
     FAULT_NAMES,
     LIDAR_HZ,
+    MAX_CAMERA_WIDTH_PX,
     MAX_CHANNELS,
     MAX_COLUMNS,
     MAX_SECONDS,
+    MIN_CAMERA_WIDTH_PX,
+    CameraDetail,
     FaultName,
     SimulateOptions,
     Traffic,
 )
+from stone.splits.surroundings import ILLUMINATIONS
 from stone_client.progress import reported
 
 DEFAULT = SimulateOptions()
@@ -28,6 +32,22 @@ TruthOption = Annotated[
 ChannelsOption = Annotated[int, typer.Option(min=2, max=MAX_CHANNELS, help="Beams of the LiDAR.")]
 ColumnsOption = Annotated[int, typer.Option(min=12, max=MAX_COLUMNS, help="Firings in one LiDAR revolution.")]
 CamerasOption = Annotated[bool, typer.Option(help="Also draw the six cameras; they take most of the bytes.")]
+CameraWidthOption = Annotated[
+    int,
+    typer.Option(
+        metavar="PX", min=MIN_CAMERA_WIDTH_PX, max=MAX_CAMERA_WIDTH_PX, help="Of a picture; its height is 5/8 of that."
+    ),
+]
+CameraDetailOption = Annotated[
+    str,
+    typer.Option(
+        metavar="DETAIL",
+        help="coarse: 80 × 50 rays a picture, enlarged; full: a ray for each pixel, to learn from, and slow to draw.",
+    ),
+]
+IlluminationOption = Annotated[
+    str, typer.Option(metavar="WORD", help=f"The light that cameras have: {', '.join(ILLUMINATIONS)}.")
+]
 RangeNoiseOption = Annotated[
     bool,
     typer.Option("--range-noise", help="LiDAR ranges as real ones: dropouts at grazing angles, mixed pixels, rain."),
@@ -53,6 +73,9 @@ def simulate(
     channels: ChannelsOption = DEFAULT.channels,
     columns: ColumnsOption = DEFAULT.columns,
     cameras: CamerasOption = DEFAULT.cameras,
+    camera_width: CameraWidthOption = DEFAULT.camera_width_px,
+    camera_detail: CameraDetailOption = DEFAULT.camera_detail,
+    illumination: IlluminationOption = DEFAULT.illumination,
     range_noise: RangeNoiseOption = DEFAULT.range_noise,
     traffic: TrafficOption = DEFAULT.traffic,
     lidar_hz: LidarHzOption = DEFAULT.lidar_hz,
@@ -68,6 +91,9 @@ def simulate(
         channels=channels,
         columns=columns,
         cameras=cameras,
+        camera_width_px=camera_width,
+        camera_detail=cast(CameraDetail, camera_detail),
+        illumination=illumination,
         range_noise=range_noise,
         traffic=cast(Traffic, traffic),
         lidar_hz=lidar_hz,

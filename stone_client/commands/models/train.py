@@ -80,6 +80,10 @@ CheckpointOption = Annotated[
     int | None, typer.Option("--checkpoint-steps", min=1, show_default=THE_ROWS, help="Steps between checkpoints.")
 ]
 
+GradientsOption = Annotated[
+    bool, typer.Option("--checkpoint-gradients", help="Less memory for more time: activations are computed twice.")
+]
+
 
 def train(
     row: RowArgument,
@@ -98,20 +102,24 @@ def train(
     backbone: BackboneOption = None,
     cache: CacheOption = None,
     loaders: LoadersOption = 0,
+    checkpoint_gradients: GradientsOption = False,
     checkpoint_steps: CheckpointOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Train a row on exported frames; killed at any moment it goes on with --resume. Needs torch: `make baselines`."""
     with torch_needed():
-        from baselines.row_config import read_row
+        from baselines.row_config import read_row, with_checkpointed_gradients
         from baselines.train import TrainingPlan
         from baselines.train import train as trained
     changes: dict[str, Any] = {
         "epochs": epochs, "batch": batch, "accumulate": accumulate, "learning_rate": learning_rate, "stride": stride,
         "seed": seed, "precision": None if precision is None else precision.value, "checkpoint_steps": checkpoint_steps,
     }  # fmt: skip
+    config = read_row(row, changes)
+    if checkpoint_gradients:
+        config = with_checkpointed_gradients(config)
     sources = tuple(exports), output, tuple(watch or ()), resume
-    plan = TrainingPlan(read_row(row, changes), *sources, device.value, cache, backbone, loaders)
+    plan = TrainingPlan(config, *sources, device.value, cache, backbone, loaders)
     with reported() as progress, training_shown() as reports:
         ended = trained(plan, progress, reports)
     if as_json:
@@ -119,5 +127,5 @@ def train(
         return
     typer.echo(f"{output}: {ended.steps:,} steps on {ended.frames:,} frames (sha256 {ended.data_sha256[:16]}…)")
     if ended.best_miou is not None:
-        typer.echo(f"best mIoU of what was watched: {100 * ended.best_miou:.2f} % of observed voxels")
+        typer.echo(f"best mIoU of what was watched: {100 * ended.best_miou:.2f} %")
     typer.echo(f"Next: stone predict {output} INPUTS --manifest M.json -o sub.zip")

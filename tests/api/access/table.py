@@ -118,6 +118,10 @@ GET    /api/v1/datasets                                       401  200  200   20
 GET    /api/v1/datasets/{dataset_name}                        401  200  200   200   200  200 403  401  401  200 200
 GET    /api/v1/datasets/{dataset_name}/manifest               401  200  200   200   200  200 403  401  401  200 200
 GET    /api/v1/datasets/{dataset_name}/archives/{part}        401  200  200   200   200  200 403  401  401  200 200
+POST   /api/v1/admin/datasets/{dataset_name}/inputs           401  403  403   403   202  403 403  401  401  403 403
+GET    /api/v1/datasets/{dataset_name}/inputs                 401  200  200   200   200  200 403  401  401  200 200
+GET    /api/v1/datasets/{dataset_name}/inputs/{sequence_name}.tar 401 200 200 200  200  200 403  401  401  200 200
+HEAD   /api/v1/datasets/{dataset_name}/inputs/{sequence_name}.tar 401 200 200 200  200  200 403  401  401  200 200
 POST   /api/v1/admin/phases/{phase_id}/inputs                 401  403  403   403   202  403 403  401  401  403 403
 GET    /api/v1/phases/{phase_id}/inputs                       401  200  200   200   200  200 403  401  401  200 200
 GET    /api/v1/phases/{phase_id}/inputs/{sequence_name}.tar   401  200  200   200   200  200 403  401  401  200 200

@@ -38,7 +38,7 @@ from testing.worlds.rows import recording_of
 from tests.api.access.rescored import rescored
 from tests.api.access.scored_entry import scored_entry
 from tests.api.access.submitted import submitted
-from tests.api.inputs_made import made_input
+from tests.api.inputs_made import made_input, made_version_input
 
 CALIBRATION_FILE = Path(__file__).resolve().parents[3] / "examples" / "kitti0005.calibration.yaml"
 IDS = (
@@ -129,10 +129,21 @@ def make_world(platform: Platform, user: User, published: str = "") -> World:
 
 
 def _dataset(platform: Platform, owner: Person) -> str:
-    """A version of sequences that nothing else names: who publishes them tells of them. Test's has a recording."""
-    train, test = (published_sequence(platform, owner.user_id) for _ in range(2))
-    _recording(platform, owner, test)
-    return dataset(platform, owner.user_id, {"train": [train], "test": [test]})
+    """A version of sequences that nothing else names: who publishes them tells of them.
+
+    Train's has inputs; of val's and test's they can be made, since they have a recording.
+    """
+    train, val, test = (published_sequence(platform, owner.user_id) for _ in range(3))
+    for recorded in (val, test):
+        _recording(platform, owner, recorded)
+    with platform.database.transaction() as session:
+        session.get_one(SequenceRow, train).name = WORDS["sequence_name"]
+    name = dataset(platform, owner.user_id, {"train": [train], "val": [val], "test": [test]})
+    with platform.database.reading() as session:
+        version = dataset_named(session, name)
+        assert version is not None
+    made_version_input(platform, version.id, WORDS["sequence_name"], {"samples/LIDAR_TOP/sweep.pcd.bin": b"points"})
+    return name
 
 
 def _phase(platform: Platform, owner_id: str, dataset_name: str, name: str) -> str:

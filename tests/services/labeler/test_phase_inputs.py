@@ -1,4 +1,4 @@
-"""Inputs of a phase made by the queue from a labelled sequence: once, without a byte of a label, there for good.
+"""Inputs of a phase or a version made by the queue from a labelled sequence: once, without a byte of a label, for good.
 
 Catches alone inputs of a phase that hold labels, or go with their sequence.
 """
@@ -14,21 +14,16 @@ import numpy as np
 import pytest
 from sqlalchemy import select
 
-from services.domain.benchmarks.phases.inputs import (
-    RUN,
-    InputsImpossibleError,
-    InputsStandError,
-    inputs_of,
-    locate_input,
-    start_inputs,
-)
+from services.domain.benchmarks.phases.inputs import RUN, inputs_of, locate_input, start_inputs
 from services.domain.benchmarks.phases.phases import NewBenchmark, NewPhase, create_benchmark, create_phase
+from services.domain.datasets.input_jobs import InputsImpossibleError, InputsStandError
+from services.domain.datasets.inputs import start_version_inputs
 from services.domain.datasets.queries import dataset_named
 from services.domain.sequences.processing import delete_sequence
 from services.domain.sequences.recordings import remove_recording
 from services.runtime.database.migrate import upgrade
 from services.runtime.jobs.control import cancel
-from services.runtime.orm import Artefact, Blob, Job, LabelledFrameRow, Phase, PhaseInput
+from services.runtime.orm import Artefact, Blob, DatasetInput, Job, LabelledFrameRow, Phase, PhaseInput
 from services.runtime.platform import Platform
 from services.runtime.settings import StoreSettings
 from services.runtime.store.garbage_collection import collect_garbage
@@ -124,6 +119,22 @@ def label_bytes(asked: Asked) -> dict[str, bytes]:
 
 def table(files: Mapping[str, bytes], name: str) -> Any:
     return json.loads(files[f"v1.0-trainval/{name}.json"])
+
+
+def test_inputs_of_a_version_are_byte_for_byte_those_of_a_phase(asked: Asked) -> None:
+    """The same stage makes both, so whatever is said of a phase's below is so of a version's."""
+    name = dataset(asked.platform, asked.brought.owner_id, {"train": [asked.brought.sequence_id]})
+    asked.start()
+    with asked.platform.database.transaction() as session:
+        version = dataset_named(session, name)
+        assert version is not None
+        run_id = start_version_inputs(session, version, asked.brought.owner_id).id
+    assert run_all(asked.platform) == 2
+    assert asked.job(run_id).state == "succeeded"
+    with asked.platform.database.reading() as session:
+        (of_version,) = session.scalars(select(DatasetInput))
+    (of_phase,) = asked.rows()
+    assert (of_version.name, of_version.tar_sha256) == (of_phase.name, of_phase.tar_sha256)
 
 
 def test_inputs_hold_the_frames_of_the_labels_and_no_label(asked: Asked) -> None:

@@ -1,73 +1,31 @@
 """Phase inputs: the sensor data of a phase's sequences, made by jobs and served for download.
 
-**Conventions.** An input is made of the synchronised sequence and the recording that the dataset version was made of,
-once per sequence and phase, and never changes; its bytes are held by foreign keys to blobs, so it stays when the
-sequence is deleted. Nothing of it comes from a label, so it may be read by whoever may read. Whoever adds to a phase
-locks its row.
+**Conventions.** An input is made once per sequence and phase (`services/domain/datasets/input_jobs.py` says of what),
+and never changes; its bytes are held by foreign keys to blobs, so it stays when the sequence is deleted. Whoever adds
+to a phase locks its row.
 """
-
-from collections.abc import Sequence as Listing
-from dataclasses import dataclass
 
 from sqlalchemy import Select, select
 from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.phases.phases import lock_phase
-from services.domain.sequences.run_files import SEQUENCE_FILE
+from services.domain.datasets.input_jobs import (
+    InputResult,
+    InputsImpossibleError,
+    InputsStandError,
+    input_spec,
+    is_possible,
+    members_of,
+    run_under_way,
+)
 from services.runtime.jobs.enqueue import enqueue_run
 from services.runtime.jobs.errors import JobCancelledError
-from services.runtime.jobs.specs import TERMINAL, Attempt, Context, JobSpec
-from services.runtime.orm import (
-    Artefact,
-    Blob,
-    DatasetMember,
-    Job,
-    Phase,
-    PhaseInput,
-    PhaseInputPack,
-    Recording,
-    SequenceRow,
-)
-from services.runtime.store.blobs import PreparedBlob, link_all
+from services.runtime.jobs.specs import Attempt, Context
+from services.runtime.orm import Blob, Job, Phase, PhaseInput, PhaseInputPack
+from services.runtime.store.blobs import link_all
 from services.runtime.store.pack_archive import ExportLocation
-from services.runtime.store.packs import PackedFiles
-from stone.errors import StoneError
 
-INPUTS = "labeler.inputs"
 RUN = "phase.inputs"
-
-
-class InputsStandError(StoneError):
-    """Every sequence of the phase has its inputs already."""
-
-    code = "inputs_stand"
-
-    def __init__(self, phase: str, count: int) -> None:
-        super().__init__(f"the inputs of all {count} sequences of phase {phase!r} are there; they never change")
-
-
-class InputsImpossibleError(StoneError):
-    """A sequence is gone, or what its inputs are made of."""
-
-    code = "inputs_impossible"
-
-    def __init__(self, names: Listing[str]) -> None:
-        shown = ", ".join(names[:5]) + (", …" if len(names) > 5 else "")
-        super().__init__(
-            f"{len(names)} sequences have lost their recording or were deleted: {shown}; upload them again, or "
-            "publish a dataset version without them"
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class PhaseInputResult:
-    """The product of an input job for sequence `name`: stored blobs, and size and sha256 of the tar of the files."""
-
-    name: str
-    files: PackedFiles
-    index: PreparedBlob
-    packs: Listing[PreparedBlob]
-    tar: tuple[int, str]
 
 
 def start_inputs(session: Session, phase: Phase, user_id: str) -> Job:
@@ -76,23 +34,22 @@ def start_inputs(session: Session, phase: Phase, user_id: str) -> Job:
     Raises `InputsStandError`, `InputsImpossibleError`, `QueueDrainingError`.
     """
     phase = lock_phase(session, phase.id)
-    runs = select(Job).where(Job.kind == RUN, Job.state.not_in(TERMINAL))
-    for run in session.scalars(runs.execution_options(populate_existing=True)):
-        if run.arguments["phase_id"] == phase.id and not run.cancel_reason:
-            return run
-    members = session.scalars(_members(phase)).all()
+    holder = {"phase_id": phase.id}
+    if run := run_under_way(session, RUN, holder):
+        return run
+    members = session.scalars(members_of(phase.dataset_id, [phase.part])).all()
     there = set(session.scalars(select(PhaseInput.name).where(PhaseInput.phase_id == phase.id)))
     missing = [member for member in members if member.name not in there]
     if not missing:
-        raise InputsStandError(phase.name, len(members))
-    if lost := [member.name for member in missing if not _is_possible(session, member)]:
+        raise InputsStandError(f"phase {phase.name!r}", len(members))
+    if lost := [member.name for member in missing if not is_possible(session, member)]:
         raise InputsImpossibleError(lost)
-    run = enqueue_run(session, RUN, [_spec(phase, member) for member in missing], Context(user_id))
-    run.arguments = {"phase_id": phase.id}
+    run = enqueue_run(session, RUN, [input_spec(holder, member) for member in missing], Context(user_id))
+    run.arguments = holder
     return run
 
 
-def write_input(session: Session, attempt: Attempt, made: PhaseInputResult) -> None:
+def write_input(session: Session, attempt: Attempt, made: InputResult) -> None:
     """Write down what a job has made, in the transaction of its success; what stands already stays.
 
     Raises `JobCancelledError` when the phase was deleted.
@@ -119,15 +76,6 @@ def phase_of_attempt(session: Session, attempt: Attempt) -> Phase:
     return phase
 
 
-def sequence_key(session: Session, attempt: Attempt) -> str:
-    """The object that holds the synchronised sequence the attempt works for. Raises `InputsImpossibleError`."""
-    found = _artefact(attempt.arguments["label_set_id"])
-    key = session.scalar(select(Blob.object_key).where(Blob.sha256.in_(found.with_only_columns(Artefact.blob_sha256))))
-    if key is None:
-        raise InputsImpossibleError([attempt.arguments["name"]])
-    return key
-
-
 def inputs_of(phase_id: str) -> Select[PhaseInput]:
     return select(PhaseInput).where(PhaseInput.phase_id == phase_id)
 
@@ -138,25 +86,3 @@ def locate_input(session: Session, row: PhaseInput) -> ExportLocation:
     own = packs.where(PhaseInputPack.phase_id == row.phase_id, PhaseInputPack.name == row.name)
     index = session.get_one(Blob, row.index_sha256)
     return ExportLocation(index.object_key, tuple(session.scalars(own.order_by(PhaseInputPack.ordinal))))
-
-
-def _members(phase: Phase) -> Select[DatasetMember]:
-    in_version = select(DatasetMember).where(DatasetMember.dataset_id == phase.dataset_id)
-    return in_version.where(DatasetMember.part == phase.part).order_by(DatasetMember.name)
-
-
-def _spec(phase: Phase, member: DatasetMember) -> JobSpec:
-    at = {"phase_id": phase.id, "name": member.name}
-    return JobSpec(INPUTS, {**at, "sequence_id": member.sequence_id, "label_set_id": member.label_set_id})
-
-
-def _is_possible(session: Session, member: DatasetMember) -> bool:
-    """Whether sequence, synchronised frames and a recording are still there."""
-    sequence = session.get(SequenceRow, member.sequence_id)
-    recorded = select(Recording.id).where(Recording.sequence_id == member.sequence_id, Recording.state == "registered")
-    parts = (session.scalar(_artefact(member.label_set_id)), session.scalar(recorded.limit(1)))
-    return sequence is not None and sequence.deleted_ns is None and None not in parts
-
-
-def _artefact(label_set_id: str) -> Select[str]:
-    return select(Artefact.id).where(Artefact.label_set_id == label_set_id, Artefact.name == SEQUENCE_FILE)

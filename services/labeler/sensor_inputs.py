@@ -1,4 +1,5 @@
-"""The stage that makes an input of a phase: a synchronised sequence and its recording → files → packs in the store.
+"""The stage that makes an input of a phase or of a dataset version: a synchronised sequence and its recording → files
+→ packs in the store.
 
 **Conventions.** As `services/labeler/export_stage.py`, but that labels, mesh and report are not even located: what is
 not opened cannot get into what participants are given. Log lines and results say no more than names, files and bytes.
@@ -7,7 +8,9 @@ not opened cannot get into what participants are given. Log lines and results sa
 from functools import partial
 from pathlib import Path
 
-from services.domain.benchmarks.phases.inputs import PhaseInputResult, phase_of_attempt, sequence_key, write_input
+from services.domain.benchmarks.phases.inputs import phase_of_attempt, write_input
+from services.domain.datasets.input_jobs import InputResult, sequence_key
+from services.domain.datasets.inputs import version_of_attempt, write_version_input
 from services.domain.sequences.run_files import SEQUENCE_FILE
 from services.labeler.export_stage import (
     INPUTS,
@@ -26,21 +29,22 @@ from services.runtime.store.pack_reading import archive_sha256, local_reader
 def make_input(platform: Platform, attempt: Attempt) -> Outcome:
     """Write the input that the job is for.
 
-    Raises `JobCancelledError` when the phase was deleted, `InputsImpossibleError`, `RecordingDeletedError`, and what
-    the exporter raises.
+    Raises `JobCancelledError` when its phase or version was deleted, `InputsImpossibleError`, `RecordingDeletedError`,
+    and what the exporter raises.
     """
-    name = str(attempt.arguments["name"])
+    name, is_of_version = str(attempt.arguments["name"]), "dataset_id" in attempt.arguments
     with platform.database.transaction() as session:
-        phase_of_attempt(session, attempt)
+        version_of_attempt(session, attempt) if is_of_version else phase_of_attempt(session, attempt)
         key = sequence_key(session, attempt)
     with attempt_folder(platform, attempt) as folder:
         made = _made(platform, attempt, (name, key), folder)
     attempt.log("made", name=name, files=len(made.files), tar_bytes=made.tar[0])
     result = {"name": name, "files": len(made.files), "tar_bytes": made.tar[0]}
-    return Outcome(result, commit=lambda session: write_input(session, attempt, made))
+    write = write_version_input if is_of_version else write_input
+    return Outcome(result, commit=lambda session: write(session, attempt, made))
 
 
-def _made(platform: Platform, attempt: Attempt, of: tuple[str, str], folder: Path) -> PhaseInputResult:
+def _made(platform: Platform, attempt: Attempt, of: tuple[str, str], folder: Path) -> InputResult:
     """The files of the sequence called so that lies under this key, in the store."""
     name, key = of
     (folder / INPUTS).mkdir()
@@ -52,4 +56,4 @@ def _made(platform: Platform, attempt: Attempt, of: tuple[str, str], folder: Pat
     files = pack_files(attempt, folder)
     tar = archive_sha256(files, "tar", local_reader(folder / "packs"), partial(attempt.progress, "tar"))
     index, *packs = stored_packs(platform, attempt, folder, files)
-    return PhaseInputResult(name, files, index, packs, tar)
+    return InputResult(name, files, index, packs, tar)

@@ -1,0 +1,101 @@
+"""Routes of a version's inputs: create (administrators), list and download (everybody signed in).
+
+**Conventions.** An input is the nuScenes layout of one sequence of train or val without anything that was made from
+labels, and never changes. Its tar is laid out, never built: any range of it is served, so that a download goes on where
+it broke off. Of test there is none, whoever asks.
+"""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Request, Response
+
+from api import audit
+from api.answers import refusals
+from api.callers import Administrator, Reader
+from api.deps import PlatformDep
+from api.errors import NotFoundError
+from api.files import answer_bytes, file_responses
+from api.paging import Page, PageDep, page
+from api.schemas.admin import ReasonBody
+from api.schemas.base import instant
+from api.schemas.dataset_inputs import DatasetInputItem
+from api.schemas.datasets import VERSION_PATTERN, OpenPart
+from api.schemas.jobs import JobDetail
+from api.views.exports import served_archive
+from api.views.jobs import job_detail
+from api.visible import dataset_of
+from services.domain.datasets.exposure import OPEN
+from services.domain.datasets.input_jobs import members_of
+from services.domain.datasets.inputs import MemberInput, inputs_of_members, located_input, start_version_inputs
+from services.runtime.orm import DatasetMember
+from services.runtime.store.pack_archive import stored_files
+from stone.sensors.sequence import NAME
+from stone_files.virtual_archive import MEDIA_TYPES
+
+router = APIRouter(tags=["dataset"])
+DatasetName = Annotated[str, Path(pattern=VERSION_PATTERN, examples=["stone-1.0"])]
+SequenceName = Annotated[str, Path(pattern=f"^{NAME.pattern}$", examples=["n-forest-07"])]
+TAR = file_responses(MEDIA_TYPES["tar"])
+
+
+@router.post("/admin/datasets/{dataset_name}/inputs", status_code=202, responses=refusals(404, 409))
+def create_dataset_inputs(
+    dataset_name: DatasetName, body: ReasonBody, caller: Administrator, platform: PlatformDep, response: Response
+) -> JobDetail:
+    """Have the inputs made that are missing, of every sequence that has its recording yet; publishing does it once."""
+    with platform.database.transaction() as session:
+        dataset = dataset_of(session, dataset_name)
+        run = start_version_inputs(session, dataset, caller.user_id)
+        audit.record_admin_act(session, caller, "dataset.inputs", dataset.id, body.reason, {"job_id": run.id})
+        shown = job_detail(session, run)
+    response.headers["Location"] = f"/api/v1/jobs/{shown.id}"
+    return shown
+
+
+@router.get("/datasets/{dataset_name}/inputs", responses=refusals(404))
+def list_dataset_inputs(
+    dataset_name: DatasetName, _caller: Reader, platform: PlatformDep, query: PageDep
+) -> Page[DatasetInputItem]:
+    """The sequences of train and val, by name, and which inputs are there to download."""
+    with platform.database.reading() as session:
+        members = members_of(dataset_of(session, dataset_name).id, OPEN)
+        found = page(session, members, DatasetMember.name, query)
+        items = [_item(one) for one in inputs_of_members(session, found.rows)]
+        return Page[DatasetInputItem](items=items, next=found.next)
+
+
+@router.get("/datasets/{dataset_name}/inputs/{sequence_name}.tar", response_class=Response, responses=TAR)
+def download_dataset_input(
+    dataset_name: DatasetName, sequence_name: SequenceName, _caller: Reader, platform: PlatformDep, request: Request
+) -> Response:
+    """The inputs of a sequence as a tar, whole or a range of it; `sha256sum.txt` in it checks every other file."""
+    with platform.database.reading() as session:
+        found = located_input(session, dataset_of(session, dataset_name), sequence_name)
+        if found is None:
+            raise NotFoundError("input of this version", sequence_name)
+    row, located = found
+    stored = stored_files(platform.store, located)
+    return answer_bytes(request, served_archive(platform.store, stored, "tar", (row.name, row.tar_sha256)))
+
+
+@router.head("/datasets/{dataset_name}/inputs/{sequence_name}.tar", response_class=Response, responses=TAR)
+def describe_dataset_input(
+    dataset_name: DatasetName, sequence_name: SequenceName, caller: Reader, platform: PlatformDep, request: Request
+) -> Response:
+    """Size and checksum of the tar."""
+    return download_dataset_input(dataset_name, sequence_name, caller, platform, request)
+
+
+def _item(one: MemberInput) -> DatasetInputItem:
+    split: OpenPart = "train" if one.member.part == "train" else "val"
+    made = one.made
+    return DatasetInputItem(
+        name=one.member.name,
+        split=split,
+        state=one.state,
+        files=made.files if made else 0,
+        size_bytes=made.size_bytes if made else 0,
+        tar_bytes=made.tar_bytes if made else 0,
+        tar_sha256=made.tar_sha256 if made else "",
+        created_at=instant(made.created_ns) if made else None,
+    )

@@ -1,0 +1,137 @@
+"""Every row, scaled down, learns one simulated frame by heart: `python -m benchmarks.models.overfit [--rows ROW ...]`.
+
+A row that cannot is wrong somewhere between its inputs and its losses. The frame is the middle one of simulated world
+1, all sensors as simulated, on the 64 × 64 × 32 voxels around the robot; nothing is augmented. mIoU over T, P and N is
+of the network in evaluation. One thread; a row ends at `--enough` or after `--most` CPU-seconds.
+"""
+
+import argparse
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from rich.console import Console
+from rich.table import Table
+
+from baselines.batch import Batch
+from baselines.cache import CachedStore, cached_frames
+from baselines.data import FrameDataset, FrameRequest
+from baselines.lattice import VoxelLattice
+from baselines.metrics import confusion_of, scores_of
+from baselines.models.architectures import ModelConfig, build_model
+from baselines.models.occupancy_model import OccupancyModel
+from baselines.row_config import RowConfig, known_rows, read_row
+from baselines.sources import labelled_frames
+from benchmarks.models.unseen import EVERY, SECONDS
+from benchmarks.models.worlds import made_world
+
+PART = VoxelLattice((-6.4, -6.4, -2.0), (0.2, 0.2, 0.2), (64, 64, 32))
+PICTURES_PX = (160, 256)
+LOOK_EVERY = 20
+RATE, CLIP_NORM = 3e-3, 10.0
+BACKBONE = {"backbone_depth": 14, "backbone_width": 16, "backbone_deformable_stages": (False,) * 4}
+SCALED_DOWN: Mapping[str, Mapping[str, Any]] = {
+    "openocc": {
+        "volume_channels": 32, "sparse_channels": 8, "residual_channels": (32, 48, 64, 96),
+        "residual_blocks": (1, 1, 1, 1), "pyramid_channels": 48, "fine_channels": 32, "resnet_depth": 14,
+        "resnet_width": 16, "neck_channels": (16, 16, 16, 16), "image_shape": PICTURES_PX, "depth_dropout": 0.0,
+        "depth_range_m": (0.5, 12.5),
+    },
+    "tpvformer": {
+        **BACKBONE, "channels": 48, "heads": 4, "layers": 2, "feedforward_channels": 96, "hidden_channels": 96,
+        "dropout": 0.0, "anchors": (4, 8, 8),
+    },
+    "occformer": {
+        **BACKBONE, "neck_channels": 16, "depth_range_m": (0.5, 12.5), "depth_dropout": 0.0, "drop_path": 0.0,
+        "context_dropout": 0.0, "stage_channels": (32, 32, 64, 64), "stage_blocks": (1, 1, 1, 1), "head_channels": 16,
+        "decoder_channels": 48, "pixel_layers": 2, "pixel_heads": 4, "queries": 16, "query_layers": 3,
+        "query_heads": 4, "mask_points": 4096,
+    },
+    "occfusion": {
+        "resnet_depth": 14, "resnet_width": 16, "deformable_stages": (False,) * 4, "pyramid_channels": 32,
+        "level_channels": (8, 16, 24, 32), "point_widths": (8, 8), "head_channels": 8,
+    },
+    "column_net": {"widths": (24, 32, 48, 64), "depths": (1, 1, 1, 1)},
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class OverfitLook:
+    """How a row does after some steps. `cpu_s` is of training alone."""
+
+    step: int
+    cpu_s: float
+    miou: float
+
+
+def main() -> None:
+    arguments = argparse.ArgumentParser(description=__doc__)
+    arguments.add_argument("--folder", type=Path, default=Path("build/models"))
+    arguments.add_argument("--rows", nargs="+", default=[row for row in known_rows() if not row.endswith("-small")])
+    arguments.add_argument("--most", type=float, default=240.0, help="CPU-seconds of a row")
+    arguments.add_argument("--enough", type=float, default=0.95, help="mIoU at which a row ends")
+    options = arguments.parse_args()
+    torch.set_num_threads(1)
+    world, console = made_world(options.folder, 1, SECONDS, EVERY), Console()
+    table = Table("row", "parameters", "mIoU % (step, CPU-s)", title="one frame of world 1, 64 × 64 × 32 voxels")
+    for name in options.rows:
+        row = scaled_down(read_row(name))
+        torch.manual_seed(0)
+        model = build_model(row.model)
+        size = f"{sum(parameter.numel() for parameter in model.parameters()):,}"
+        said = []
+        for look in overfit(model, one_frame(row, world.export, options.folder / "overfit")):
+            said.append(f"{100 * look.miou:.1f} ({look.step}, {look.cpu_s:.0f})")
+            if look.miou >= options.enough or look.cpu_s >= options.most:
+                break
+        table.add_row(name, size, "  ".join(said))
+        console.print(f"{name}: {size} parameters, {said[-1]}")
+    console.print(table)
+
+
+def scaled_down(row: RowConfig) -> RowConfig:
+    """The row on a part of the grid, a tenth as wide, of small pictures and five sweeps."""
+    sizes = {"lattice": PART, **SCALED_DOWN[row.model.architecture]}
+    model: ModelConfig = replace(row.model, **sizes)
+    return replace(row, model=model, inputs=replace(row.inputs, image_size_px=PICTURES_PX, lidar_sweeps=5))
+
+
+def one_frame(row: RowConfig, export: Path, cache: Path) -> Batch:
+    """The world's middle frame."""
+    frames = cached_frames(labelled_frames([export]), row.inputs, cache, lambda *_: None)
+    dataset = FrameDataset(CachedStore(frames), FrameRequest(row.inputs, row.model.lattice))
+    return dataset[0, len(frames) // 2]
+
+
+def overfit(model: OccupancyModel[Any], batch: Batch) -> Iterator[OverfitLook]:
+    """Train on the one frame without end, and look now and then."""
+    optimizer = torch.optim.AdamW(model.parameters(), RATE, weight_decay=0.0)
+    step, cpu_s = 0, 0.0
+    while True:
+        begun = time.process_time()
+        for _ in range(LOOK_EVERY):
+            optimizer.zero_grad()
+            terms = model.losses(model(batch), batch)
+            torch.autograd.backward(sum(terms.values(), batch.grid_from_ego.new_zeros(())))
+            torch.nn.utils.clip_grad_norm_(model.parameters(), CLIP_NORM)
+            optimizer.step()
+        step, cpu_s = step + LOOK_EVERY, cpu_s + time.process_time() - begun
+        yield OverfitLook(step, cpu_s, miou_of(model, batch))
+
+
+def miou_of(model: OccupancyModel[Any], batch: Batch) -> float:
+    """Over T, P and N, of the network in evaluation."""
+    if batch.labels is None:
+        raise ValueError("the frame has no labels")
+    model.eval()
+    with torch.inference_mode():
+        confusion = confusion_of(model.logits(model(batch), batch), batch.labels)
+    model.train()
+    return scores_of(confusion)["miou"] or 0.0
+
+
+if __name__ == "__main__":
+    main()
