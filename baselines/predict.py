@@ -21,6 +21,7 @@ from baselines.inputs import InputConfig
 from baselines.lattice import grid_part
 from baselines.models.architectures import build_model
 from baselines.models.occupancy_model import OccupancyModel
+from baselines.processes import usable_device
 from baselines.row_config import RowConfig
 from baselines.run_folder import read_run_row
 from baselines.sources import frames_of
@@ -119,7 +120,8 @@ class Predictor:
 
 
 def loaded_predictor(run: Path, row: RowConfig, device: str) -> tuple[Predictor, WeightsProvenance]:
-    """The run's model with its weights. Raises `BadRunError`."""
-    model = build_model(row.model).to(device)
+    """The run's model with its weights. Raises `BadRunError`, `NoAcceleratorError`."""
+    own = usable_device(device)
+    model = build_model(row.model).to(own)
     provenance = read_weights(run, model)
-    return Predictor(model.eval(), torch.device(device), row.training.precision), provenance
+    return Predictor(model.eval(), own, row.training.precision), provenance
