@@ -85,6 +85,18 @@ class TrainingDivergedError(StoneError):
         )
 
 
+class NoAcceleratorError(StoneError):
+    """The device that was asked for is not there."""
+
+    code: ClassVar[str] = "no_accelerator"
+
+    def __init__(self, device: str, version: str) -> None:
+        super().__init__(
+            f"{device} cannot be used here by torch {version}: say --device cpu, or install the torch that the "
+            "machine's driver wants"
+        )
+
+
 class TooLittleMemoryError(StoneError):
     """The device's memory does not hold a step."""
 

@@ -74,7 +74,7 @@ def train(plan: TrainingPlan, progress: Progress, reports: Reports) -> TrainedRu
     """Train to the end of the plan, from the beginning or from the run's checkpoint.
 
     Raises what reading exports raises, `NothingToTrainOnError`, `RunExistsError`, `BadRunError`,
-    `TooFewFramesError`, `TrainingDivergedError`, `TooLittleMemoryError`.
+    `TooFewFramesError`, `TrainingDivergedError`, `TooLittleMemoryError`, `NoAcceleratorError`.
     """
     with joined_processes(plan.device) as share:
         row, goes_on = opened_run(plan.run, plan.row, plan.resume)

@@ -1,6 +1,7 @@
 """The cache of frames: what has changed is read anew and nothing else is; what is read is what was written."""
 
 import os
+import tarfile
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +18,7 @@ from baselines.inputs import InputConfig
 from baselines.sources import labelled_frames
 from stone.geometry.se3 import SE3
 from stone_exports.files import DamagedExportError
+from stone_exports.tables import NotExportedError
 from testing.worlds.small_export import CAMERAS, SmallExport, write_small_export
 
 INPUTS = InputConfig("C+L+R", image_size_px=(24, 32), with_depth=True)
@@ -183,6 +185,22 @@ def test_labels_may_lie_beside_samples(rig: Path, copied: Path, tmp_path: Path) 
     (copied / "gts").rename(tmp_path / "version" / "gts")
     apart = cached((bare, tmp_path / "version"), tmp_path / "a")
     assert data_hash(apart) == data_hash(cached(rig, tmp_path / "a"))
+
+
+@pytest.mark.parametrize("root", ["", "stone-1.0/"])
+def test_labels_may_lie_in_tars_of_a_version_in_the_same_folder(rig: Path, tmp_path: Path, root: str) -> None:
+    folder = tmp_path / "all"
+    write_small_export(folder / "field", replace(RIG, is_labelled=False))
+    for name, files in (("train", "gts"), ("notes", "v1.0-trainval/scene.json")):
+        with tarfile.open(folder / f"{name}.tar", "w") as tar:
+            tar.add(rig / files, f"{root}{files}")
+    assert data_hash(cached(folder, tmp_path / "a")) == data_hash(cached(rig, tmp_path / "a"))
+
+
+def test_what_is_neither_export_nor_version_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "home").mkdir()
+    with pytest.raises(NotExportedError, match="holds no nuScenes tables"):
+        labelled_frames((tmp_path / "home",))
 
 
 def test_a_frame_of_two_exports_is_one(rig: Path, copied: Path) -> None:

@@ -16,6 +16,7 @@ from baselines.cache import cached_frames
 from baselines.checkpoint import CHECKPOINT, provenance_of
 from baselines.errors import (
     BadRunError,
+    NoAcceleratorError,
     NothingToTrainOnError,
     RunExistsError,
     TooFewFramesError,
@@ -163,6 +164,13 @@ def test_exports_without_labels_are_refused(plan: TrainingPlan, tmp_path: Path) 
 def test_fewer_frames_than_a_step_takes_are_refused(plan: TrainingPlan) -> None:
     with pytest.raises(TooFewFramesError, match="has 9 frames to train on, a step takes 12"):
         trained(replace(plan, row=small_row(batch=4, accumulate=3)))
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU here")
+def test_a_gpu_that_is_not_there_is_refused(plan: TrainingPlan) -> None:
+    with pytest.raises(NoAcceleratorError, match=r"cuda:0 cannot be used here by torch .*: say --device cpu"):
+        trained(replace(plan, device="cuda"))
+    assert not plan.run.exists()
 
 
 class SmallNet(OccupancyModel[Tensor]):
