@@ -169,9 +169,7 @@ def _identity(source: FrameSource, inputs: InputConfig) -> str:
     """Digits that change with whatever the frame is made of."""
     facts: list[object] = [VERSION, inputs.modality, inputs.image_size_px, inputs.channels, inputs.with_depth]
     spans = [datum.span for _, datum in sorted(source.frame.data.items())]
-    for span in (*spans, *(() if source.labels is None else (source.labels,))):
-        status = span.path.stat()
-        facts.append([span.name, span.offset_bytes, span.size_bytes, status.st_mtime_ns, status.st_size])
+    facts += [span.identity() for span in (*spans, *(() if source.labels is None else (source.labels,)))]
     for _, datum in sorted(source.frame.data.items()):
         sensor = datum.sensor
         facts.append(

@@ -72,6 +72,18 @@ class BadRunError(StoneError):
         super().__init__(f"{folder}: {why}")
 
 
+class NotDeployableError(StoneError):
+    """A row cannot be written as an ONNX file."""
+
+    code: ClassVar[str] = "not_deployable"
+
+    def __init__(self, method: str, architecture: str, able: Sequence[str]) -> None:
+        super().__init__(
+            f"{method} is of architecture {architecture}, whose shapes follow each frame, and cannot be written as "
+            f"ONNX; of those that there are, this one can: {', '.join(able)}"
+        )
+
+
 class TrainingDivergedError(StoneError):
     """A loss is no number any more."""
 

@@ -4,7 +4,7 @@
 row's lattice is a part of the benchmark's grid, all outside of it is free. Memory holds a few frames.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from baselines.batch import moved
 from baselines.checkpoint import WeightsProvenance, read_weights
-from baselines.data import FrameDataset, FrameRequest
+from baselines.data import FrameDataset, FrameRequest, FrameStore
 from baselines.frame_record import FrameRecord, read_record
 from baselines.inputs import InputConfig
 from baselines.lattice import grid_part
@@ -80,23 +80,21 @@ def predict(plan: PredictionPlan, progress: Progress) -> WrittenPrediction:
 
     Raises `BadRunError`, `BadRowError`, `ManifestError`, what reading exports raises, `FramesMissingError`.
     """
-    row = read_run_row(plan.run)
+    loaded = loaded_run(plan.run, plan.device)
     manifest = read_manifest(plan.manifest)
     frames = frames_of([files for path in plan.exports for files in exports_in(path)])
     places = {frame.token: index for index, frame in enumerate(frames)}
     refuse_missing(manifest.sequences, places)
-    predictor, provenance = loaded_predictor(plan.run, row, plan.device)
-    dataset = FrameDataset(ExportedStore(frames, row.inputs), FrameRequest(row.inputs, predictor.model.lattice))
+    in_order = sorted(places[token] for token in manifest.tokens)
+    grids = loaded.predicted(ExportedStore(frames, loaded.row.inputs), in_order)
 
     def predicted() -> Iterator[tuple[str, bytes]]:
-        # In the order of time: frames share their earlier sweeps.
-        for done, token in enumerate(sorted(manifest.tokens, key=places.__getitem__), start=1):
-            yield token, frame_file(predictor.classes(dataset, places[token]))
-            progress("predict", done, len(manifest.tokens))
+        for done, (index, grid) in enumerate(grids, start=1):
+            yield frames[index].token, frame_file(grid)
+            progress("predict", done, len(in_order))
 
     write_files(plan.output, predicted())
-    said = (provenance.position.step, provenance.data_sha256)
-    return WrittenPrediction(str(plan.output), len(manifest.tokens), row.method, row.inputs.modality, *said)
+    return loaded.written(plan.output, len(in_order))
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,9 +117,30 @@ class Predictor:
         return grid
 
 
-def loaded_predictor(run: Path, row: RowConfig, device: str) -> tuple[Predictor, WeightsProvenance]:
-    """The run's model with its weights. Raises `BadRunError`, `NoAcceleratorError`."""
-    own = usable_device(device)
+@dataclass(frozen=True, eq=False)
+class LoadedRun:
+    """A run that predicts: its row, its model with weights, and what these have seen."""
+
+    row: RowConfig
+    predictor: Predictor
+    provenance: WeightsProvenance
+
+    def predicted(self, store: FrameStore, indices: Iterable[int]) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+        """Index and classes (256, 256, 32) of frames of the store; cheapest in the order of time, as they share sweeps.
+
+        Raises what reading the store raises.
+        """
+        dataset = FrameDataset(store, FrameRequest(self.row.inputs, self.predictor.model.lattice))
+        return ((index, self.predictor.classes(dataset, index)) for index in indices)
+
+    def written(self, output: Path, frames: int) -> WrittenPrediction:
+        said = (self.provenance.position.step, self.provenance.data_sha256)
+        return WrittenPrediction(str(output), frames, self.row.method, self.row.inputs.modality, *said)
+
+
+def loaded_run(run: Path, device: str) -> LoadedRun:
+    """The run's row and model. Raises `BadRunError`, `BadRowError`, `NoAcceleratorError`."""
+    row, own = read_run_row(run), usable_device(device)
     model = build_model(row.model).to(own)
     provenance = read_weights(run, model)
-    return Predictor(model.eval(), own, row.training.precision), provenance
+    return LoadedRun(row, Predictor(model.eval(), own, row.training.precision), provenance)

@@ -32,6 +32,7 @@ from stone_client.commands.local.recover import recover
 from stone_client.commands.local.score import score
 from stone_client.commands.local.simulate import simulate
 from stone_client.commands.local.validate import validate
+from stone_client.commands.models.onnx import onnx
 from stone_client.commands.models.predict import predict
 from stone_client.commands.models.train import train
 from stone_client.commands.server.download import download
@@ -56,7 +57,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
     "On this machine": (simulate, inspect, recover, label, export, baseline, validate, score, demo),
     "With a server": (serve, login, upload, process, watch, status, exports, download),
     "The dataset": (statistics, splits, datasets),
-    "Models": (train, predict),
+    "Models": (train, predict, onnx),
     "A benchmark": (benchmarks, manifest, inputs, submit, results, leaderboard, compare, withdraw, reported),
 }
 for panel, commands in COMMANDS.items():

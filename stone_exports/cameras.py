@@ -15,7 +15,7 @@ from PIL import Image, UnidentifiedImageError
 
 from stone.sensors.calibration import CameraIntrinsics, CameraModel
 from stone.sensors.projection import project
-from stone_exports.files import ExportFileSpan, Files
+from stone_exports.files import ExportContent, Files
 from stone_exports.tables import table_span
 
 COEFFICIENTS: Mapping[CameraModel, int] = {"pinhole": 0, "plumb_bob": 5, "rational_polynomial": 8, "equidistant": 4}
@@ -42,7 +42,7 @@ def intrinsics_of(files: Files, row: Mapping[str, Any], size_px: tuple[int, int]
     return CameraIntrinsics(model, *size_px, fx, fy, cx, cy, tuple(distortion.tolist()))
 
 
-def undistorted_picture(span: ExportFileSpan, lens: CameraIntrinsics, size_px: tuple[int, int]) -> Pixels:
+def undistorted_picture(span: ExportContent, lens: CameraIntrinsics, size_px: tuple[int, int]) -> Pixels:
     """(height, width, 3) uint8: the picture undistorted, then resized to `size_px` (width, height).
 
     Raises `DamagedExportError` where it is no JPEG of the size that the tables say.

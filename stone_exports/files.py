@@ -27,6 +27,22 @@ class DamagedExportError(StoneError):
         super().__init__(f"{path}: {name[:200]!r} cannot be read: {why}; make the export again, or download it again")
 
 
+class ExportContent(Protocol):
+    """The bytes of one file of an export: on the disk, or made of a recording when they are read."""
+
+    def read(self, most_bytes: int) -> bytes:
+        """All of them. Raises what `damaged` gives where they are more than that, or cannot be read."""
+        ...
+
+    def damaged(self, why: str) -> StoneError:
+        """The refusal of what they hold."""
+        ...
+
+    def identity(self) -> list[str | int]:
+        """Facts that change when the bytes do."""
+        ...
+
+
 @dataclass(frozen=True)
 class ExportFileSpan:
     """The bytes [offset, offset + size) of the file at `path`, which are the file `name` of an export."""
@@ -55,6 +71,10 @@ class ExportFileSpan:
 
     def damaged(self, why: str) -> DamagedExportError:
         return DamagedExportError(self.path, self.name, why)
+
+    def identity(self) -> list[str | int]:
+        status = self.path.stat()
+        return [self.name, self.offset_bytes, self.size_bytes, status.st_mtime_ns, status.st_size]
 
     def _pieces(self) -> Iterator[bytes]:
         place, end = self.offset_bytes, self.offset_bytes + self.size_bytes

@@ -15,7 +15,7 @@ from stone.geometry.se3 import SE3
 from stone.sensors.calibration import CameraIntrinsics
 from stone.sensors.sequence import NAME
 from stone_exports.cameras import intrinsics_of
-from stone_exports.files import ExportFileSpan, Files
+from stone_exports.files import ExportContent, ExportFileSpan, Files
 from stone_exports.tables import row_pose, table_rows, table_span
 
 FARTHEST_MOUNT_M, FARTHEST_POSE_M = 100.0, 1e7
@@ -40,7 +40,7 @@ class ExportedDatum:
     sensor: ExportedSensor
     stamp_us: int
     global_from_ego: SE3
-    span: ExportFileSpan
+    span: ExportContent
 
 
 @dataclass(frozen=True, eq=False)

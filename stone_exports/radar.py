@@ -11,7 +11,7 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
-from stone_exports.files import ExportFileSpan
+from stone_exports.files import ExportContent
 from stone_exports.frames import ExportedDatum
 
 MOST_SCAN_BYTES, MOST_HEAD_BYTES = 16 * 2**20, 4096
@@ -41,7 +41,7 @@ def detections_ego(datum: ExportedDatum) -> NDArray[np.float32]:
     return np.concatenate([ego_from_radar @ rows[:, :3], rows[:, 3:4], velocities[:, :2]], axis=1).astype(np.float32)
 
 
-def _records(span: ExportFileSpan) -> NDArray[np.void]:
+def _records(span: ExportContent) -> NDArray[np.void]:
     """The records of a binary PCD. Raises `DamagedExportError`."""
     content = span.read(MOST_SCAN_BYTES)
     head, mark, body = content[:MOST_HEAD_BYTES].partition(b"DATA binary\n")

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone.geometry.se3 import SE3
-from stone_exports.files import ExportFileSpan, Files
+from stone_exports.files import ExportContent, Files
 from stone_exports.tables import row_pose, table_rows, table_span
 
 CHANNEL = "LIDAR_TOP"
@@ -25,7 +25,7 @@ FARTHEST_M, FARTHEST_RETURN_M = 100.0, 1e5
 class SweepFile:
     """The file of a sweep, and the sensor's mount."""
 
-    span: ExportFileSpan
+    span: ExportContent
     ego_from_lidar: SE3
 
     def points_ego(self) -> NDArray[np.float32]:

@@ -23,6 +23,11 @@ class LightImageEncoder(nn.Module):
             *unit2d(2 * channels, channels, 3),
         )
 
+    def cells_of(self, image: tuple[int, int]) -> tuple[int, int]:
+        """Height and width of the features of images of such a height and width."""
+        height, width = (-(-(side // self.pool) // 4) for side in image)
+        return height, width
+
     def forward(self, images: Tensor) -> Tensor:
         features: Tensor = self.layers(functional.avg_pool2d(images, self.pool) if self.pool > 1 else images)
         return features

@@ -18,7 +18,8 @@ def relu_attention(queries: Tensor, keys: Tensor, values: Tensor) -> Tensor:
         queries, keys, values = queries.float().relu(), keys.float().relu(), values.float()
         summary = values @ keys.transpose(-1, -2)
         weight = keys.sum(dim=-1, keepdim=True).transpose(-1, -2) @ queries
-        return summary @ queries / (weight + EPSILON)
+        # Not `+ EPSILON`: what optimises exported graphs takes that for 0, and divides 0 by 0.
+        return summary @ queries / weight.clamp(min=EPSILON)
 
 
 class MultiScaleLinearAttention(nn.Module):

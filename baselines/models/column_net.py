@@ -57,6 +57,15 @@ class ColumnOutputs(NamedTuple):
         return -(logarithms.exp() * logarithms).sum(dim=1) / log(CLASSES)
 
 
+class ColumnGeometry(NamedTuple):
+    """What points alone say of columns: `maps` (B, C, X, Y), `base` (B, X, Y) int64 of their aligned heights, and
+    `surface_m` (B, 2, X, Y), grid frame, the heights where cameras look."""
+
+    maps: Tensor
+    base: Tensor
+    surface_m: Tensor
+
+
 class TraversabilityNet(nn.Module):
     """Maps of aligned columns (B, C, X, Y) and their bases (B, X, Y) to classes and temperatures of the lattice.
 
@@ -109,16 +118,21 @@ class ColumnNet(OccupancyModel[ColumnOutputs]):
 
     def columns(self, batch: Batch) -> tuple[Tensor, Tensor]:
         """What `TraversabilityNet` is given: maps (B, C, X, Y) and bases (B, X, Y)."""
+        maps, base, surface_m = self.geometry(batch)
+        if self.cameras is not None:
+            maps = torch.cat([maps, self._camera_maps(self.cameras, batch, surface_m)], dim=1)
+        return maps, base
+
+    def geometry(self, batch: Batch) -> ColumnGeometry:
+        """All of it that is not learned."""
         with torch.autocast(batch.device.type, enabled=False):
             hits, terrain = self._columns_hit(batch)
             evidence = evidence_of(hits, terrain, self.alignment, self.config.newest_s)
             maps = [evidence, statistics_of(hits, terrain, self.lattice)]
             if self.has_radar:
                 maps.append(radar_maps(column_hits(points_of(batch, "radar"), self.lattice), terrain))
-        if self.cameras is not None:
             surface_m = surface_of(hits, terrain, self.config.unhit_top_m)
-            maps.append(self._camera_maps(self.cameras, batch, surface_m))
-        return torch.cat(maps, dim=1), terrain.base
+            return ColumnGeometry(torch.cat(maps, dim=1), terrain.base, surface_m)
 
     def losses(self, outputs: ColumnOutputs, batch: Batch) -> dict[str, Tensor]:
         if batch.labels is None:

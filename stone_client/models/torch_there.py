@@ -5,7 +5,7 @@ from contextlib import contextmanager
 
 from stone_client.errors import NoTorchError
 
-NEEDED = ("torch", "safetensors", "tensorboard")
+NEEDED = ("torch", "safetensors", "tensorboard", "onnx", "onnxscript")
 
 
 @contextmanager

@@ -45,6 +45,26 @@ def write_samples(samples: SampleSource, plan: NuscenesPlan, out: Path, written:
     write_splits(out / VERSION / SPLITS, {"all": [plan.sequence.name]})
 
 
+def sample_file(samples: SampleSource, channel: NuscenesChannel, place: int) -> tuple[bytes, tuple[int, int]]:
+    """The file of the `place`-th datum of a channel, and a picture's size (width, height), (0, 0) of anything else.
+
+    Raises `SampleGoneError`, and what reading samples raises (BAG-*, MSG-*).
+    """
+    index, size_px = int(channel.frames[place]), (0, 0)
+    if channel.modality == "lidar":
+        return lidar_bytes(samples.lidar(index)), size_px
+    if channel.modality == "radar":
+        scan = samples.radar(channel.name, index)
+        content = b"" if scan is None else radar_bytes(scan)
+    else:
+        picture = samples.camera(channel.name, index)
+        content = b"" if picture is None else picture.content
+        size_px = (0, 0) if picture is None else (picture.width_px, picture.height_px)
+    if not content:
+        raise SampleGoneError(channel.name, index)
+    return content, size_px
+
+
 def _write_frame(
     samples: SampleSource, plan: NuscenesPlan, index: int, to: tuple[Path, Mapping[str, NuscenesTableWriter]]
 ) -> None:
@@ -63,30 +83,10 @@ def _write_frame(
     for channel in plan.channels:
         place = channel.place(index)
         if place is not None:
-            size_px = _write_sample(samples, plan, (channel, place), out)
+            content, size_px = sample_file(samples, channel, place)
+            (out / plan.filename(channel, place)).write_bytes(content)
             tables["ego_pose"].add(pose_row(plan, channel, place))
             tables["sample_data"].add(_datum_row(plan, channel, place, size_px))
-
-
-def _write_sample(
-    samples: SampleSource, plan: NuscenesPlan, datum: tuple[NuscenesChannel, int], out: Path
-) -> tuple[int, int]:
-    """Write one file; gives the size of a picture, (0, 0) of anything else."""
-    channel, place = datum
-    index, size_px = int(channel.frames[place]), (0, 0)
-    if channel.modality == "lidar":
-        content = lidar_bytes(samples.lidar(index))
-    elif channel.modality == "radar":
-        scan = samples.radar(channel.name, index)
-        content = b"" if scan is None else radar_bytes(scan)
-    else:
-        picture = samples.camera(channel.name, index)
-        content = b"" if picture is None else picture.content
-        size_px = (0, 0) if picture is None else (picture.width_px, picture.height_px)
-    if not content and channel.modality != "lidar":
-        raise SampleGoneError(channel.name, index)
-    (out / plan.filename(channel, place)).write_bytes(content)
-    return size_px
 
 
 def _datum_row(

@@ -1,0 +1,36 @@
+"""What `stone predict` looks at: exports and a manifest, or a recording and its calibration, never both."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import typer
+
+
+@dataclass(frozen=True)
+class RecordingFiles:
+    """A recording, its calibration, and what its sequence is called."""
+
+    bag: Path
+    calibration: Path
+    name: str
+
+
+def refuse_contradictions(
+    inputs: list[Path] | None, manifest: Path | None, bag: Path | None, of_recordings: Mapping[str, object]
+) -> None:
+    """Raises `typer.BadParameter`. `of_recordings` are options by name that need --bag, empty where not said."""
+    if inputs and bag is not None:
+        raise typer.BadParameter("frames come from INPUTS or from a recording, not from both", param_hint="--bag")
+    if not inputs and bag is None:
+        raise typer.BadParameter("give exports to predict, or a recording by --bag", param_hint="INPUTS...")
+    if bag is None:
+        said = next((name for name, value in of_recordings.items() if value), None)
+        if said is not None:
+            raise typer.BadParameter("it is of recordings, and needs --bag", param_hint=said)
+        if manifest is None:
+            raise typer.BadParameter(
+                "INPUTS need it: it says which of their frames to predict", param_hint="--manifest"
+            )
+    elif of_recordings["--calibration"] is None:
+        raise typer.BadParameter("a recording needs it: where its sensors sit", param_hint="--calibration")
