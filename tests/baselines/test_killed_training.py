@@ -18,7 +18,7 @@ from baselines.train import TrainingPlan
 from tests.baselines.small_training import is_same_run, logged, logged_steps, row_record, small_row, trained
 
 ROOT = Path(__file__).resolve().parents[2]
-KILLS, EPOCHS = 4, 3
+KILLS, EPOCHS = 3, 2
 STEPS = 4 * EPOCHS
 
 
