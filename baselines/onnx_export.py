@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from hashlib import file_digest
 from pathlib import Path
+from typing import cast
 
 import torch
 from torch import Tensor
@@ -64,17 +65,18 @@ def write_onnx(run: Path, output: Path) -> WrittenOnnx:
 
 
 def _export(model: ColumnNet, inputs: Mapping[str, Tensor], metadata: Mapping[str, str], path: Path) -> None:
-    with _quiet_exporter(), torch.inference_mode(False):
-        program = torch.onnx.export(
-            ColumnNetProgram(model).eval(),
-            tuple(inputs.values()),
-            input_names=list(inputs),
-            output_names=list(OUTPUTS),
-            dynamo=True,
-            verbose=False,
+    with _quiet_exporter():
+        program = cast(
+            "torch.onnx.ONNXProgram",  # as the exporter of torch's graphs always gives it
+            torch.onnx.export(
+                ColumnNetProgram(model).eval(),
+                tuple(inputs.values()),
+                input_names=list(inputs),
+                output_names=list(OUTPUTS),
+                dynamo=True,
+                verbose=False,
+            ),
         )
-    if program is None:
-        raise AssertionError("the exporter of torch's graphs always gives a program")
     program.model.metadata_props.update(metadata)
     program.save(str(path), external_data=False)
 

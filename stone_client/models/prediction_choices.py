@@ -16,9 +16,7 @@ class RecordingFiles:
     name: str
 
 
-def refuse_contradictions(
-    inputs: list[Path] | None, manifest: Path | None, bag: Path | None, of_recordings: Mapping[str, object]
-) -> None:
+def refuse_contradictions(inputs: list[Path] | None, bag: Path | None, of_recordings: Mapping[str, object]) -> None:
     """Raises `typer.BadParameter`. `of_recordings` are options by name that need --bag, empty where not said."""
     if inputs and bag is not None:
         raise typer.BadParameter("frames come from INPUTS or from a recording, not from both", param_hint="--bag")
@@ -28,9 +26,5 @@ def refuse_contradictions(
         said = next((name for name, value in of_recordings.items() if value), None)
         if said is not None:
             raise typer.BadParameter("it is of recordings, and needs --bag", param_hint=said)
-        if manifest is None:
-            raise typer.BadParameter(
-                "INPUTS need it: it says which of their frames to predict", param_hint="--manifest"
-            )
     elif of_recordings["--calibration"] is None:
         raise typer.BadParameter("a recording needs it: where its sensors sit", param_hint="--calibration")

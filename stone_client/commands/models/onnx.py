@@ -21,7 +21,8 @@ def onnx(run: RunArgument, output: OutputOption, as_json: JsonOption = False) ->
     """
     with torch_needed():
         from baselines.onnx_export import write_onnx
-    written = write_onnx(run, output)
+
+        written = write_onnx(run, output)  # the exporter looks for its libraries when it runs
     if as_json:
         echo_json(asdict(written))
         return

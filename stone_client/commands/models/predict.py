@@ -86,7 +86,7 @@ def predict(
         "--calibration": calibration, "--sequence": sequence, "--odometry": odometry, "--lidar": lidar,
         "--topics": topics, "--topic": topic, "--ground": ground is not Ground.GIVEN, "--time-offset": time_offset,
     }  # fmt: skip
-    refuse_contradictions(inputs, manifest, bag, of_bags)
+    refuse_contradictions(inputs, bag, of_bags)
     if submit and (benchmark is None or phase is None or team is None or manifest is None):
         raise typer.BadParameter("it also needs --manifest, --benchmark, --phase and --team", param_hint="--submit")
     if bag is None or calibration is None:
@@ -110,12 +110,12 @@ def predict(
 
 
 def _of_exports(run: Path, inputs: list[Path], files: tuple[Path | None, Path], device: Device) -> dict[str, Any]:
+    manifest, output = files
+    if manifest is None:
+        raise typer.BadParameter("INPUTS need it: it says which of their frames to predict", param_hint="--manifest")
     with torch_needed():
         from baselines.predict import PredictionPlan
         from baselines.predict import predict as predicted
-    manifest, output = files
-    if manifest is None:
-        raise typer.BadParameter("INPUTS need it", param_hint="--manifest")
     with reported() as progress:
         return asdict(predicted(PredictionPlan(run, tuple(inputs), manifest, output, device.value), progress))
 
