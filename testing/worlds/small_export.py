@@ -85,7 +85,7 @@ def labels_of(pose: SE3) -> bytes:
     columns = np.arange(low, high)
     voxels = np.stack(np.meshgrid(columns, columns, np.arange(GRID_SHAPE[2]), indexing="ij"), axis=-1).reshape(-1, 3)
     places = tuple(voxels.T)
-    semantics[places] = classes_of((voxels + 0.5) * VOXEL_M + GRID_MIN_M, pose)
+    semantics[places] = classes_of(((voxels + 0.5) * VOXEL_M + GRID_MIN_M).astype(np.float64), pose)
     seen[places] = voxels[:, 2] >= 10
     return npz_bytes({"semantics": semantics, "mask_lidar": seen, "mask_camera": seen})
 
@@ -170,9 +170,9 @@ def _content(stamp_us: int, channel: str) -> bytes:
         return picture_of(stamp_us, channel)
     points = (surface_points(global_from_ego(stamp_us), stamp_us % 1000_003) - LIDAR_M).astype(np.float32)
     if _modality(channel) == "radar":
-        points = points[::40]
-        rates = np.linspace(-2, 2, len(points))
-        return radar_bytes(RadarSample(0, points, points, rates, rates + 1, np.full(len(points), 5, np.float32)))
+        sparse = points[::40].astype(np.float64)
+        rates = np.linspace(-2, 2, len(sparse))
+        return radar_bytes(RadarSample(0, sparse, sparse, rates, rates + 1, np.full(len(sparse), 5, np.float32)))
     rings = np.zeros(len(points), np.uint16)
     return lidar_bytes(LidarSample(points, np.arange(len(points), dtype=np.float32) % 200, rings))
 
