@@ -23,7 +23,7 @@ from baselines.models.column_net_program import ColumnNetProgram, column_cells, 
 from baselines.models.occfusion_config import OccFusionConfig
 from baselines.predict import loaded_run
 from baselines.row_config import RowConfig
-from baselines.run_folder import opened_run
+from baselines.run_folder import say_row
 from stone_client.main import app
 from tests.baselines.boxes_frame import IMAGE, SMALL, boxes_frame
 from tests.baselines.recorded_run import ROW, made_run
@@ -132,7 +132,7 @@ def test_other_architectures_are_refused_in_a_line(tmp_path: Path) -> None:
         level_channels=(8, 8, 8, 8),
     )
     row = RowConfig("other", "OccFusion", "a test", replace(ROW.inputs, modality="C+L"), other)
-    opened_run(tmp_path, row, resume=False, is_first=True)
+    say_row(tmp_path, row)
     write_weights(tmp_path, build_model(other), WeightsProvenance(row.as_json(), "0" * 64, "all", 1))
     result = CliRunner().invoke(app, ["onnx", str(tmp_path), "-o", str(tmp_path / "model.onnx")])
     assert (result.exit_code, len(result.stderr.splitlines())) == (1, 1)

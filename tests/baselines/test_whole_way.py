@@ -61,7 +61,7 @@ def test_submitting_needs_to_know_where(meadow: Path, tmp_path: Path) -> None:
     (tmp_path / "M.json").write_text("{}")
     result = stone("predict", tmp_path / "run", meadow, "--manifest", tmp_path / "M.json", "-o", "a.zip", "--submit")
     assert result.exit_code == 2
-    assert "--benchmark, --phase and --team" in result.stderr
+    assert all(option in result.stderr for option in ("--submit", "--benchmark", "--phase", "--team"))
 
 
 @pytest.mark.parametrize(
