@@ -57,7 +57,7 @@ test-kernels: install
 
 # What models need is in an environment of its own: the platform's tests run without torch.
 test-baselines: baselines
-	.venv-baselines/bin/python -m mypy -p baselines
+	.venv-baselines/bin/python -m mypy -p baselines -p benchmarks.models -p stone_client.models -p stone_client.commands.models
 	.venv-baselines/bin/python -m pytest $(BESIDE) tests/baselines
 
 check: test-clients

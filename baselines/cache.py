@@ -103,7 +103,7 @@ def cached_frames(
 def data_hash(frames: Iterable[CachedFrame]) -> str:
     """sha256 over what a network is given of these frames."""
     whole = sha256()
-    for line in sorted(f"{frame.token} {frame.sha256}" for frame in frames):
+    for line in sorted(f"{frame.token} {frame.sequence} {frame.stamp_us} {frame.sha256}" for frame in frames):
         whole.update(line.encode())
     return whole.hexdigest()
 
@@ -136,8 +136,7 @@ def write_record(path: Path, record: FrameRecord) -> None:
 
 
 def _arrays(record: FrameRecord) -> dict[str, NDArray[np.generic]]:
-    returns = record.returns.copy()
-    returns[:, :3] = np.rint(returns[:, :3] / STEP_M)
+    returns = np.rint(record.returns / (STEP_M, STEP_M, STEP_M, 1.0))
     arrays: dict[str, NDArray[np.generic]] = {
         "returns": returns.clip(-32767, 32767).astype(np.int16),
         "detections": np.ascontiguousarray(record.detections, np.float32),

@@ -9,6 +9,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
 
 import torch
@@ -17,8 +18,11 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
 from baselines.errors import BadRunError
+from baselines.layers.resnet import ResNet
 from stone_files.atomic import atomic_file
 
+# What torch and safetensors raise for files that are none, `AttributeError` for one that holds no dictionary.
+UNREADABLE = (OSError, RuntimeError, SafetensorError, ValueError, EOFError, AttributeError, UnpicklingError)
 CHECKPOINT, WEIGHTS = "checkpoint.safetensors", "weights.safetensors"
 SAID = "stone"
 
@@ -40,6 +44,7 @@ class WeightsProvenance:
     data_sha256: str
     metric: str
     frames: int
+    processes: int = 1
     position: Position = Position()
     best_miou: float | None = None
 
@@ -98,22 +103,21 @@ def provenance_of(path: Path) -> WeightsProvenance:
         raise BadRunError(path.parent, f"{path.name} is no file of a run") from error
 
 
-def load_backbone(backbone: nn.Module, path: Path) -> int:
-    """Pretrained weights of the image backbone from a safetensors or torch file, torchvision's keys; how many fit.
+def load_backbone(model: nn.Module, path: Path) -> None:
+    """Pretrained weights of the model's image backbone, from a safetensors or torch file with torchvision's keys.
 
-    Keys of the classifier are passed over. Raises `BadRunError` where nothing fits or the file holds anything but
-    tensors.
+    A classifier in it is passed over. Raises `BadRunError` where a weight of the backbone is not in it, or of another
+    shape, where the file holds anything but tensors, and where the model has no such backbone.
     """
+    backbone = next((part for part in model.modules() if isinstance(part, ResNet)), None)
+    if backbone is None:
+        raise BadRunError(path.parent, f"{path.name} is of an image backbone, and this row has none")
     try:
         tensors = load_file(path) if path.suffix == ".safetensors" else torch.load(path, weights_only=True)
-    except (OSError, RuntimeError, SafetensorError, ValueError) as error:
-        raise BadRunError(path.parent, f"{path.name} holds no weights that can be read: {error}") from error
-    own = backbone.state_dict()
-    fitting = {name: value for name, value in tensors.items() if name in own and own[name].shape == value.shape}
-    if not fitting:
-        raise BadRunError(path.parent, f"no tensor of {path.name} fits the backbone; expected are torchvision's names")
-    backbone.load_state_dict(fitting, strict=False)
-    return len(fitting)
+        backbone.load_pretrained({name: value for name, value in tensors.items() if isinstance(value, Tensor)})
+    except UNREADABLE as error:
+        why = (str(error).splitlines() or [type(error).__name__])[0]
+        raise BadRunError(path.parent, f"{path.name} has not the weights: {why}") from error
 
 
 def _optimizer_tensors(model: nn.Module, optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:

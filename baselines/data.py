@@ -27,9 +27,7 @@ from baselines.batch import Batch, CameraViews, Points
 from baselines.depth_targets import depth_picture
 from baselines.frame_record import FrameRecord
 from baselines.inputs import CountedVoxels, InputConfig
-from baselines.lattice import VoxelLattice
-from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
-from stone.labels.voxels import VOXEL_M
+from baselines.lattice import VoxelLattice, grid_part
 from stone_exports.labels import NOT_OBSERVED
 
 Draw = tuple[int, int]
@@ -118,10 +116,11 @@ class FrameDataset(Dataset[Batch]):
     def _labels(self, record: FrameRecord, mirrors: GridMirrors) -> torch.Tensor | None:
         if record.labels is None:
             return None
-        part = mirrors.of_labels(record.labels[grid_part(self.request.lattice)])
+        # All of the grid is mirrored, then cut: a part of it need not be symmetric about the robot.
+        part = mirrors.of_labels(record.labels)[grid_part(self.request.lattice)]
         if self.request.counted == "all":
             part = np.where(part == NOT_OBSERVED, np.uint8(0), part)
-        return torch.from_numpy(np.ascontiguousarray(part))[None]
+        return torch.from_numpy(part.copy())[None]
 
     def _cameras(self, record: FrameRecord, rng: np.random.Generator) -> CameraViews:
         size_px = self.request.inputs.image_size_px
@@ -165,17 +164,6 @@ class EpochSampler(Sampler[Draw]):
             order = np.random.default_rng((self._seed, self.epoch)).permutation(order)
         own = order[self._share[0] :: self._share[1]][: len(self)]
         yield from ((self.epoch, int(index)) for index in own[self.begin :])
-
-
-def grid_part(lattice: VoxelLattice) -> tuple[slice, slice, slice]:
-    """Where in a benchmark grid (256, 256, 32) the lattice lies. Raises `ValueError` where it is no part of it."""
-    corner = [round((low - of_grid) / VOXEL_M) for low, of_grid in zip(lattice.min_m, GRID_MIN_M, strict=True)]
-    ends = [begin + count for begin, count in zip(corner, lattice.shape, strict=True)]
-    fits = all(begin >= 0 and end <= side for begin, end, side in zip(corner, ends, GRID_SHAPE, strict=True))
-    if not fits or any(abs(size - VOXEL_M) > 1e-6 for size in lattice.voxel_m):
-        raise ValueError(f"a lattice of {lattice.shape} voxels at {lattice.min_m} is no part of the benchmark's grid")
-    x, y, z = (slice(begin, end) for begin, end in zip(corner, ends, strict=True))
-    return x, y, z
 
 
 def _placed(now: FrameRecord, then: FrameRecord, rows: NDArray[np.float32], age_s: float) -> NDArray[np.float32]:

@@ -30,6 +30,18 @@ class NothingToTrainOnError(StoneError):
         )
 
 
+class TooFewFramesError(StoneError):
+    """An epoch has not the frames of one step."""
+
+    code: ClassVar[str] = "too_few_frames"
+
+    def __init__(self, frames: int, a_step: int) -> None:
+        super().__init__(
+            f"each process has {frames} frames to train on, a step takes {a_step}: lower --batch, --accumulate or "
+            "--stride, or give more exports"
+        )
+
+
 class SensorMissingError(StoneError):
     """A frame lacks a sensor that the row looks at."""
 
@@ -82,6 +94,18 @@ class TrainingDivergedError(StoneError):
         super().__init__(
             f"step {step}: the losses are {said} at a learning rate of {rate:.2e}; lower learning_rate or "
             "clip_norm, or train in float32 (--precision float32); the last checkpoint is sound"
+        )
+
+
+class NoAcceleratorError(StoneError):
+    """The device that was asked for is not there."""
+
+    code: ClassVar[str] = "no_accelerator"
+
+    def __init__(self, device: str, version: str) -> None:
+        super().__init__(
+            f"{device} cannot be used here by torch {version}: say --device cpu, or install the torch that the "
+            "machine's driver wants"
         )
 
 

@@ -26,5 +26,15 @@ class InputConfig:
     earliest_s: float = 1.5
     with_depth: bool = False
 
+    def __post_init__(self) -> None:
+        refuse_below_one(self, "lidar_sweeps", "radar_scans")
+
     def sees(self, sensor: Literal["C", "L", "R"]) -> bool:
         return sensor in self.modality.split("+")
+
+
+def refuse_below_one(config: object, *names: str) -> None:
+    """Raises `ValueError` where one of these fields is less than 1."""
+    low = next((name for name in names if getattr(config, name) < 1), None)
+    if low is not None:
+        raise ValueError(f"{low} is {getattr(config, low)}, the least is 1")

@@ -65,3 +65,14 @@ class VoxelLattice:
         return self.shape == GRID_SHAPE and all(
             isclose(a, b) for a, b in zip((*self.min_m, *self.voxel_m), (*GRID_MIN_M, *([VOXEL_M] * 3)), strict=True)
         )
+
+
+def grid_part(lattice: VoxelLattice) -> tuple[slice, slice, slice]:
+    """Where in a benchmark grid (256, 256, 32) the lattice lies. Raises `ValueError` where it is no part of it."""
+    corner = [round((low - of_grid) / VOXEL_M) for low, of_grid in zip(lattice.min_m, GRID_MIN_M, strict=True)]
+    ends = [begin + count for begin, count in zip(corner, lattice.shape, strict=True)]
+    fits = all(begin >= 0 and end <= side for begin, end, side in zip(corner, ends, GRID_SHAPE, strict=True))
+    if not fits or any(abs(size - VOXEL_M) > 1e-6 for size in lattice.voxel_m):
+        raise ValueError(f"a lattice of {lattice.shape} voxels at {lattice.min_m} is no part of the benchmark's grid")
+    x, y, z = (slice(begin, end) for begin, end in zip(corner, ends, strict=True))
+    return x, y, z

@@ -71,8 +71,10 @@ def build_optimizer(model: nn.Module, config: TrainingConfig) -> torch.optim.Ada
 
 
 def take_step(parameters: list[nn.Parameter], optimizer: torch.optim.Optimizer, rate: float, clip_norm: float) -> float:
-    """Clip, step and clear; the gradients' norm before clipping."""
+    """Clip, step and clear; the gradients' norm before clipping. Where that is not finite, no step is made."""
     norm = float(nn.utils.clip_grad_norm_(parameters, clip_norm))
+    if not math.isfinite(norm):
+        return norm
     for group in optimizer.param_groups:
         group["lr"] = rate * group["scale"]
     optimizer.step()

@@ -15,11 +15,13 @@ from numpy.typing import NDArray
 
 from baselines.batch import moved
 from baselines.checkpoint import WeightsProvenance, read_weights
-from baselines.data import FrameDataset, FrameRequest, FrameStore, grid_part
+from baselines.data import FrameDataset, FrameRequest, FrameStore
 from baselines.frame_record import FrameRecord, read_record
 from baselines.inputs import InputConfig
+from baselines.lattice import grid_part
 from baselines.models.architectures import build_model
 from baselines.models.occupancy_model import OccupancyModel
+from baselines.processes import usable_device
 from baselines.row_config import RowConfig
 from baselines.run_folder import read_run_row
 from baselines.sources import frames_of
@@ -137,8 +139,8 @@ class LoadedRun:
 
 
 def loaded_run(run: Path, device: str) -> LoadedRun:
-    """The run's row and model. Raises `BadRunError`, `BadRowError`."""
-    row = read_run_row(run)
-    model = build_model(row.model).to(device)
+    """The run's row and model. Raises `BadRunError`, `BadRowError`, `NoAcceleratorError`."""
+    row, own = read_run_row(run), usable_device(device)
+    model = build_model(row.model).to(own)
     provenance = read_weights(run, model)
-    return LoadedRun(row, Predictor(model.eval(), torch.device(device), row.training.precision), provenance)
+    return LoadedRun(row, Predictor(model.eval(), own, row.training.precision), provenance)

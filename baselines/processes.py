@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import torch
 from torch import distributed
 
+from baselines.errors import NoAcceleratorError
+
 
 @dataclass(frozen=True)
 class ProcessShare:
@@ -21,12 +23,17 @@ class ProcessShare:
     def is_first(self) -> bool:
         return self.rank == 0
 
+    def wait(self) -> None:
+        """Until all processes have come here."""
+        if self.world > 1:
+            distributed.barrier()
+
 
 @contextmanager
 def joined_processes(device: str) -> Iterator[ProcessShare]:
-    """This process among those of its `torchrun`, or alone."""
+    """This process among those of its `torchrun`, or alone. Raises `NoAcceleratorError`."""
     rank, world = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
-    own = torch.device(device, int(os.environ.get("LOCAL_RANK", "0"))) if device == "cuda" else torch.device(device)
+    own = usable_device(device, int(os.environ.get("LOCAL_RANK", "0")))
     if world == 1:
         yield ProcessShare(rank, world, own)
         return
@@ -35,3 +42,12 @@ def joined_processes(device: str) -> Iterator[ProcessShare]:
         yield ProcessShare(rank, world, own)
     finally:
         distributed.destroy_process_group()
+
+
+def usable_device(name: str, place: int = 0) -> torch.device:
+    """The CPU, or of the GPUs the one at `place`. Raises `NoAcceleratorError`."""
+    if name != "cuda":
+        return torch.device(name)
+    if place >= torch.cuda.device_count():
+        raise NoAcceleratorError(f"cuda:{place}", torch.__version__)
+    return torch.device(name, place)

@@ -16,7 +16,8 @@ from ruamel.yaml.error import YAMLError
 
 from baselines.augment import AugmentConfig
 from baselines.errors import BadRowError
-from baselines.inputs import CountedVoxels, InputConfig
+from baselines.inputs import CountedVoxels, InputConfig, refuse_below_one
+from baselines.lattice import grid_part
 from baselines.models.architectures import ModelConfig
 from baselines.models.column_net_config import ColumnNetConfig
 
@@ -47,6 +48,11 @@ class TrainingConfig:
     seed: int = 0
     checkpoint_steps: int = 250
 
+    def __post_init__(self) -> None:
+        refuse_below_one(self, "epochs", "batch", "accumulate", "stride", "checkpoint_steps")
+        if self.learning_rate < 0:
+            raise ValueError(f"a learning_rate of {self.learning_rate} is none")
+
 
 @dataclass(frozen=True)
 class RowConfig:
@@ -67,6 +73,7 @@ class RowConfig:
         shape = getattr(self.model, "image_shape", self.inputs.image_size_px)
         if self.inputs.sees("C") and shape != self.inputs.image_size_px:
             raise ValueError(f"pictures of {self.inputs.image_size_px} are given, the model is made for {shape}")
+        grid_part(self.model.lattice)
 
     def as_json(self) -> str:
         return json.dumps(asdict(self), sort_keys=True)

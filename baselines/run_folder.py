@@ -11,8 +11,8 @@ from stone_files.atomic import atomic_file
 ROW_FILE = "row.json"
 
 
-def opened_run(folder: Path, row: RowConfig, resume: bool, is_first: bool) -> tuple[RowConfig, bool]:
-    """The row that the run trains, and whether it has a checkpoint to go on from.
+def opened_run(folder: Path, row: RowConfig, resume: bool) -> tuple[RowConfig, bool]:
+    """The row that the run trains, and whether it has a checkpoint to go on from; nothing is written yet.
 
     A run that was killed before its first checkpoint begins again. Raises `RunExistsError` where one is there and is
     not to be resumed, `BadRunError` where it trains another row.
@@ -21,10 +21,6 @@ def opened_run(folder: Path, row: RowConfig, resume: bool, is_first: bool) -> tu
     if not named.exists():
         if resume:
             raise BadRunError(folder, f"there is no {ROW_FILE}, so there is no run to resume; leave --resume away")
-        if is_first:
-            folder.mkdir(parents=True, exist_ok=True)
-            with atomic_file(named) as staging:
-                staging.write_text(row.as_json() + "\n", "utf-8")
         return row, False
     if not resume:
         raise RunExistsError(folder)
@@ -32,6 +28,13 @@ def opened_run(folder: Path, row: RowConfig, resume: bool, is_first: bool) -> tu
     if begun.as_json() != row.as_json():
         raise BadRunError(folder, f"it trains {differences(begun, row)}; resume it with the same row and options")
     return begun, (folder / CHECKPOINT).exists()
+
+
+def say_row(folder: Path, row: RowConfig) -> None:
+    """Make the folder a run of this row."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with atomic_file(folder / ROW_FILE) as staging:
+        staging.write_text(row.as_json() + "\n", "utf-8")
 
 
 def read_run_row(folder: Path) -> RowConfig:

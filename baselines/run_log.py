@@ -4,12 +4,15 @@
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 from torch.utils.tensorboard.writer import SummaryWriter
+
+from stone_files.atomic import atomic_file
 
 LOG, TENSORBOARD = "log.jsonl", "tensorboard"
 
@@ -38,8 +41,9 @@ class RunLog:
 
     def __init__(self, folder: Path, step: int) -> None:
         self._path = folder / LOG
-        kept = [line for line in self._lines() if json.loads(line)["step"] <= step]
-        self._path.write_text("".join(f"{line}\n" for line in kept), "utf-8")
+        kept = [line for said, line in self._lines() if said["step"] <= step]
+        with atomic_file(self._path) as staging:
+            staging.write_text("".join(f"{line}\n" for line in kept), "utf-8")
         self._file = self._path.open("a", encoding="utf-8")
         self._board = SummaryWriter(str(folder / TENSORBOARD), purge_step=step + 1)
 
@@ -51,11 +55,12 @@ class RunLog:
             if value is not None:
                 self._board.add_scalar(f"{part}/{name}", value, report.step)
 
-    def _lines(self) -> list[str]:
+    def _lines(self) -> Iterator[tuple[Mapping[str, Any], str]]:
         """Whole lines of an earlier part of the run; a kill may have cut the last one."""
-        if not self._path.exists():
-            return []
-        return [line for line in self._path.read_text("utf-8").splitlines() if line.endswith("}")]
+        if self._path.exists():
+            for line in self._path.read_text("utf-8").splitlines():
+                with suppress(ValueError):
+                    yield json.loads(line), line
 
     def __enter__(self) -> Self:
         return self

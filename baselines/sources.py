@@ -25,13 +25,13 @@ def labelled_frames(paths: Sequence[Path]) -> tuple[FrameSource, ...]:
     """
     exports, stores = list[Files](), list[Files]()
     for path in paths:
+        found = tuple(_label_stores(path))
         try:
             exports += exports_in(path)
         except NotExportedError:
-            found = tuple(_label_stores(path))
             if not found:
                 raise
-            stores += found
+        stores += found
     sources = tuple(_with_labels(frame, stores) for frame in frames_of(exports))
     if all(source.labels is None for source in sources):
         raise NothingToTrainOnError(paths)

@@ -7,7 +7,9 @@
 on a CPU the result is that of a run that never stopped, bit for bit.
 """
 
+import math
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,20 +22,20 @@ from baselines.cache import CachedFrame, CachedStore, cached_frames
 from baselines.checkpoint import load_backbone, write_weights
 from baselines.collate import joined
 from baselines.data import EpochSampler, FrameDataset, FrameRequest
-from baselines.errors import TooLittleMemoryError, TrainingDivergedError
+from baselines.errors import TooFewFramesError, TooLittleMemoryError, TrainingDivergedError
 from baselines.evaluation import scores_on
-from baselines.layers.resnet import ResNet
 from baselines.metrics import confusion_of, scores_of
 from baselines.optimisation import RateSchedule, take_step
 from baselines.processes import ProcessShare, joined_processes
 from baselines.row_config import RowConfig
 from baselines.run_clock import RunClock
-from baselines.run_folder import opened_run
+from baselines.run_folder import opened_run, say_row
 from baselines.run_log import RunLog, TrainingReport
 from baselines.sources import labelled_frames
 from baselines.training_state import TrainingState, begun_state, resumed_state
 
 METRIC_EVERY = 10  # steps
+CPU_IS_FULL = "DefaultCPUAllocator: can't allocate memory"  # only of a GPU torch has an error of its own
 Reports = Callable[[TrainingReport], None]
 Progress = Callable[[str, int, int], None]
 
@@ -72,20 +74,25 @@ def train(plan: TrainingPlan, progress: Progress, reports: Reports) -> TrainedRu
     """Train to the end of the plan, from the beginning or from the run's checkpoint.
 
     Raises what reading exports raises, `NothingToTrainOnError`, `RunExistsError`, `BadRunError`,
-    `TrainingDivergedError`, `TooLittleMemoryError`.
+    `TooFewFramesError`, `TrainingDivergedError`, `TooLittleMemoryError`, `NoAcceleratorError`.
     """
     with joined_processes(plan.device) as share:
-        row, goes_on = opened_run(plan.run, plan.row, plan.resume, share.is_first)
+        row, goes_on = opened_run(plan.run, plan.row, plan.resume)
+        share.wait()  # each has looked before one writes, or others would find a run that exists
+        if share.is_first:
+            say_row(plan.run, row)
         frames = _frames(plan, plan.exports, progress)
         watched = _frames(plan, plan.watch, progress) if plan.watch else ()
         state = begun_state(row, frames, share)
         if goes_on:
             state = resumed_state(plan.run, state)
         elif plan.backbone is not None:
-            load_backbone(next(part for part in state.model.modules() if isinstance(part, ResNet)), plan.backbone)
+            load_backbone(state.model, plan.backbone)
         try:
             _Run(plan, share, state, (frames, watched)).train(reports)
-        except torch.OutOfMemoryError as error:
+        except RuntimeError as error:
+            if not isinstance(error, torch.OutOfMemoryError) and CPU_IS_FULL not in str(error):
+                raise
             raise TooLittleMemoryError(str(share.device), row.training.batch) from error
     said = state.provenance
     return TrainedRun(str(plan.run), said.position.step, said.frames, said.data_sha256, said.best_miou)
@@ -133,24 +140,36 @@ class _Run:
             drop_last=True,
             generator=torch.Generator(),  # one of its own: that of the model is part of checkpoints
         )
-        self.steps_an_epoch = max(len(self.sampler) // (self.config.batch * self.config.accumulate), 1)
+        a_step = self.config.batch * self.config.accumulate
+        if len(self.sampler) < a_step:
+            raise TooFewFramesError(len(self.sampler), a_step)
+        self.steps_an_epoch = len(self.sampler) // a_step
         self.schedule = RateSchedule(self.config, self.steps_an_epoch * self.config.epochs)
 
     def train(self, reports: Reports) -> None:
         clock = RunClock(self.schedule.steps, self.state.provenance.position.step)
-        with RunLog(self.plan.run, self.state.provenance.position.step) as log:
-            write = log.write if self.share.is_first else lambda report: None
+        with self._log() as write:
+
+            def say(report: TrainingReport) -> None:
+                write(report)
+                reports(report)
+
             for epoch in range(self.state.provenance.position.epoch, self.config.epochs):
                 for report in self._epoch(epoch, clock):
-                    write(report)
-                    reports(report)
-                watched = self._end_of(epoch)
-                if watched is not None:
-                    write(watched)
-                    reports(watched)
+                    say(report)
+                self._end_of(epoch, say)
+
+    @contextmanager
+    def _log(self) -> Iterator[Reports]:
+        """Where reports go: of the first process only."""
+        if not self.share.is_first:
+            yield lambda report: None
+            return
+        with RunLog(self.plan.run, self.state.provenance.position.step) as log:
+            yield log.write
 
     def _epoch(self, epoch: int, clock: RunClock) -> Iterator[TrainingReport]:
-        """Steps of what is left of the epoch, a report for each."""
+        """Steps of what is left of the epoch, a report for each, said before a checkpoint has the step."""
         position = self.state.provenance.position
         self.sampler.epoch, self.sampler.begin = epoch, position.drawn
         self.state.model.train()
@@ -160,9 +179,9 @@ class _Run:
             parts = [next(batches) for _ in range(self.config.accumulate)]
             report = self._step(step, parts)
             self.state.at(step=step + 1, epoch=epoch, drawn=self.sampler.begin + (step + 1 - position.step) * a_step)
+            yield clock.stamped(replace(report, epoch=epoch), a_step * self.share.world)
             if (step + 1) % self.config.checkpoint_steps == 0:
                 self._keep()
-            yield clock.stamped(replace(report, epoch=epoch), a_step * self.share.world)
 
     def _step(self, step: int, parts: Sequence[Batch]) -> TrainingReport:
         terms, confusion = dict[str, float](), None
@@ -179,12 +198,14 @@ class _Run:
         rate = self.config.learning_rate * self.schedule.ratio(step)
         if not all(abs(value) < float("inf") for value in terms.values()):
             raise TrainingDivergedError(step, terms, rate)
-        take_step(self.state.parameters(), self.state.optimizer, rate, self.config.clip_norm)
+        norm = take_step(self.state.parameters(), self.state.optimizer, rate, self.config.clip_norm)
+        if not math.isfinite(norm):
+            raise TrainingDivergedError(step, {**terms, "norm of gradients": norm}, rate)
         scores = {} if confusion is None else scores_of(confusion)
         return TrainingReport(step + 1, self.schedule.steps, 0, terms, scores, rate)
 
-    def _end_of(self, epoch: int) -> TrainingReport | None:
-        """Score what is watched, keep the best weights, and say that the next epoch begins."""
+    def _end_of(self, epoch: int, say: Reports) -> None:
+        """Score what is watched, keep the best weights, say so, and begin the next epoch."""
         scores, best = dict[str, float | None](), self.state.provenance.best_miou
         if self.watched:
             request = FrameRequest(self.plan.row.inputs, self.state.model.lattice, counted=self.config.counted)
@@ -196,12 +217,11 @@ class _Run:
             self.state.provenance = replace(self.state.provenance, best_miou=best if reached is None else reached)
             if self.share.is_first:
                 write_weights(self.plan.run, self.state.model, self.state.provenance)
+        if self.watched:
+            step = self.state.provenance.position.step
+            say(TrainingReport(step, self.schedule.steps, epoch, scores=scores, watched=True))
         self.state.at(epoch=epoch + 1, drawn=0)
         self._keep()
-        step = self.state.provenance.position.step
-        if not self.watched:
-            return None
-        return TrainingReport(step, self.schedule.steps, epoch, scores=scores, watched=True)
 
     def _keep(self) -> None:
         if self.share.is_first:

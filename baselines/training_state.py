@@ -53,17 +53,18 @@ def begun_state(row: RowConfig, frames: Sequence[CachedFrame], share: ProcessSha
     losses: nn.Module = BatchLosses(model, row.training.precision)
     if share.world > 1:
         losses = DistributedDataParallel(losses, find_unused_parameters=True)
-    provenance = WeightsProvenance(row.as_json(), data_hash(frames), METRIC_VERSION, len(frames))
+    provenance = WeightsProvenance(row.as_json(), data_hash(frames), METRIC_VERSION, len(frames), share.world)
     torch.manual_seed(row.training.seed + 1 + share.rank)
     return TrainingState(model, losses, build_optimizer(model, row.training), provenance)
 
 
 def resumed_state(folder: Path, state: TrainingState) -> TrainingState:
-    """The state of the run's checkpoint. Raises `BadRunError` where that is of another row or of other data."""
+    """The state of the run's checkpoint. Raises `BadRunError` where that is of another row or other data."""
     read = read_checkpoint(folder, state.model, state.optimizer)
     same: Mapping[str, tuple[object, object]] = {
         "row": (read.config, state.provenance.config),
         "data": (read.data_sha256, state.provenance.data_sha256),
+        "number of processes": (read.processes, state.provenance.processes),
     }
     for name, (then, now) in same.items():
         if then != now:

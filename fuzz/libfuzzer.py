@@ -9,7 +9,10 @@ import stone_recordings.messages.point_kernel  # noqa: F401 # numba compiles byt
 
 # isort: split
 
-EXPORTED = ("stone_exports.files", "stone_exports.tar_index", "stone_exports.tables", "stone_exports.sweeps")
+EXPORTED = (
+    "stone_exports.files", "stone_exports.tar_index", "stone_exports.tables", "stone_exports.sweeps",
+    "stone_exports.frames", "stone_exports.labels", "stone_exports.radar", "stone_exports.cameras",
+)  # fmt: skip
 
 with atheris.instrument_imports(
     include=["stone_recordings", "stone_submissions", "services.eval", "services.ingest", *EXPORTED]

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from fuzz.exported_frames import read_frames, read_labels, read_picture, read_scan
 from fuzz.exports import read_tables, read_tar
 from fuzz.labels import read_and_label
 from fuzz.limits import OF_LABELLING, OF_PARSERS, FuzzLimits, Target
@@ -91,6 +92,10 @@ TARGETS: Mapping[str, Target] = {
     "manifest": read_manifest_file,
     "tar": read_tar,
     "tables": read_tables,
+    "exported-frames": read_frames,
+    "exported-labels": read_labels,
+    "exported-scan": read_scan,
+    "exported-picture": read_picture,
     "labels": read_and_label,
 }
 

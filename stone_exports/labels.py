@@ -4,7 +4,9 @@
 """
 
 import zipfile
+import zlib
 from io import BytesIO
+from math import prod
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +16,8 @@ from stone_exports.files import ExportFileSpan
 
 MOST_LABEL_BYTES, MOST_ARRAY_BYTES = 64 * 2**20, 16 * 2**20
 HIGHEST_CLASS, NOT_OBSERVED = 3, 255
+# What zipfile and numpy raise for bytes that are no archive or no array; `RuntimeError` for one that is encrypted.
+UNREADABLE = (zipfile.BadZipFile, zlib.error, KeyError, ValueError, EOFError, OSError, RuntimeError)
 Classes = NDArray[np.uint8]
 
 
@@ -30,19 +34,30 @@ def observed_classes(span: ExportFileSpan) -> Classes:
 
 
 def _arrays(span: ExportFileSpan, keys: tuple[str, ...]) -> dict[str, Classes]:
-    """Arrays of a labels.npz, bounded before they are inflated."""
+    """Arrays of a labels.npz, bounded while they are inflated: what its directory says of sizes may be a lie."""
     content = span.read(MOST_LABEL_BYTES)
     try:
         with zipfile.ZipFile(BytesIO(content)) as members:
-            sizes = {member.filename: member.file_size for member in members.infolist()}
-            if any(sizes.get(f"{key}.npy", 0) > MOST_ARRAY_BYTES for key in keys):
-                raise span.damaged(f"an array is larger than {MOST_ARRAY_BYTES} bytes")
-            found = {
-                key: np.lib.format.read_array(BytesIO(members.read(f"{key}.npy")), allow_pickle=False) for key in keys
-            }
-    except (zipfile.BadZipFile, KeyError, ValueError, EOFError, OSError, NotImplementedError) as error:
+            return {key: _array(span, key, _member(span, members, f"{key}.npy")) for key in keys}
+    except UNREADABLE as error:
         raise span.damaged(f"it is no npz of {', '.join(keys)}") from error
-    for key, array in found.items():
-        if array.shape != GRID_SHAPE or array.dtype != np.uint8:
-            raise span.damaged(f"{key} is {array.dtype} {array.shape}, expected is uint8 {GRID_SHAPE}")
-    return found
+
+
+def _member(span: ExportFileSpan, members: zipfile.ZipFile, name: str) -> bytes:
+    if members.getinfo(name).compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise span.damaged(f"{name} is packed as no npz is")  # and such unpacking has no bound
+    with members.open(name) as member:
+        content = member.read(MOST_ARRAY_BYTES + 1)
+    if len(content) > MOST_ARRAY_BYTES:
+        raise span.damaged(f"{name} is larger than {MOST_ARRAY_BYTES} bytes")
+    return content
+
+
+def _array(span: ExportFileSpan, key: str, npy: bytes) -> Classes:
+    """The grid that a npy file holds; what its header says is compared before anything of that size is made."""
+    file = BytesIO(npy)
+    reads = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    shape, is_fortran, dtype = reads[np.lib.format.read_magic(file)](file)
+    if shape != GRID_SHAPE or dtype != np.uint8 or is_fortran:
+        raise span.damaged(f"{key} is {dtype} {str(shape)[:80]}, expected is uint8 {GRID_SHAPE}")
+    return np.frombuffer(npy, np.uint8, prod(GRID_SHAPE), file.tell()).reshape(GRID_SHAPE)

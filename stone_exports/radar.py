@@ -49,12 +49,14 @@ def _records(span: ExportContent) -> NDArray[np.void]:
         raise span.damaged("it is no binary PCD")
     said = dict(re.findall(r"^([A-Z]+) (.*)$", head.decode("ascii", "replace"), re.MULTILINE))
     try:
-        points = int(said["POINTS"])
+        points, counts = int(said["POINTS"]), set(said.get("COUNT", "1").split())
         parts = zip(said["FIELDS"].split(), said["TYPE"].split(), said["SIZE"].split(), strict=True)
         record = np.dtype([(name, KINDS[kind, int(size)]) for name, kind, size in parts])
     except (KeyError, ValueError) as error:
         raise span.damaged("the head of the PCD is none") from error
     body = content[len(head) + len(mark) :]
+    if counts != {"1"}:
+        raise span.damaged("a field of it has several values")
     if missing := [name for name in WANTED if name not in (record.names or ())]:
         raise span.damaged(f"it has no field {missing[0]!r}")
     if not 0 <= points <= len(body) // record.itemsize:

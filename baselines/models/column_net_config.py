@@ -16,8 +16,8 @@ class ColumnNetConfig:
     architecture: Literal["column_net"] = "column_net"
     modality: Literal["C", "L", "R", "C+L", "C+R", "L+R", "C+L+R"] = "C+L+R"
     lattice: VoxelLattice = field(default_factory=VoxelLattice)
-    heights: int = 40
-    heights_below: int = 8
+    heights: int = 48  # with `heights_below`, all but a fiftieth of what is occupied in simulated hills
+    heights_below: int = 16
     newest_s: float = 0.05  # points as young as that are of the frame's own sweep
     widths: tuple[int, ...] = (48, 64, 96, 128)
     depths: tuple[int, ...] = (1, 2, 2, 3)

@@ -31,7 +31,7 @@ from baselines.models.column_net_program import ColumnNetProgram, inputs_of
 from baselines.onnx_export import write_onnx
 from baselines.predict import LoadedRun, loaded_run
 from baselines.row_config import read_row
-from baselines.run_folder import opened_run
+from baselines.run_folder import say_row
 from services.ingest.pipeline import SynchroniseOptions
 from services.ingest.sequence import open_sequence
 from stone_client.models.recorded_frames import RecordedStore
@@ -82,7 +82,7 @@ def main() -> None:
 def untrained_run(row: str, folder: Path) -> Path:
     """A run of this shipped row with the weights that training would begin with."""
     config = read_row(row)
-    opened_run(folder, config, resume=False, is_first=True)
+    say_row(folder, config)
     torch.manual_seed(0)
     write_weights(folder, build_model(config.model), WeightsProvenance(config.as_json(), "untrained", "none", 0))
     return folder

@@ -26,8 +26,7 @@ from rich.table import Table
 from scipy.stats import t
 
 from baselines.cache import cached_frames
-from baselines.data import grid_part
-from baselines.lattice import VoxelLattice
+from baselines.lattice import VoxelLattice, grid_part
 from baselines.metrics import scores_of
 from baselines.predict import PredictionPlan, predict
 from baselines.row_config import read_row
@@ -110,7 +109,8 @@ def ratios_of(submission: Path, world: ModelWorld, lattice: VoxelLattice) -> Map
         truth, predicted = classes_of(labels, "semantics"), _submitted(submission, labels.parent.name)
         cells = truth[part].astype(np.int64) * 4 + predicted[part]
         whole += np.bincount(cells.reshape(-1), minlength=16).reshape(4, 4)
-    return scores_of(whole)
+    scores: Mapping[str, float | None] = scores_of(whole)
+    return scores
 
 
 def classes_of(file: Path | BytesIO, key: str) -> NDArray[np.uint8]:

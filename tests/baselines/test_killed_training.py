@@ -1,0 +1,69 @@
+"""`stone train` is killed at any moment, again and again, and ends as if it never was.
+
+Catches alone what a kill leaves half written: a checkpoint, a log, a cached frame.
+"""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from baselines.checkpoint import CHECKPOINT, provenance_of
+from baselines.run_log import LOG
+from baselines.train import TrainingPlan
+from tests.baselines.small_training import is_same_run, logged, logged_steps, row_record, small_row, trained
+
+ROOT = Path(__file__).resolve().parents[2]
+KILLS, EPOCHS = 3, 2
+STEPS = 4 * EPOCHS
+
+
+def start(row: Path, meadow: Path, run: Path, *more: str) -> "subprocess.Popen[bytes]":
+    command = [sys.executable, "-m", "stone_client.main", "train", str(row), str(meadow), "-o", str(run), *more]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    return subprocess.Popen(command, cwd=ROOT, env=environment, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+
+
+def steps_said(run: Path) -> int:
+    return (run / LOG).read_bytes().count(b"\n") if (run / LOG).exists() else 0
+
+
+def kill_at(process: "subprocess.Popen[bytes]", run: Path, step: int, delay_s: float) -> None:
+    """So long after this step was logged, wherever the process is then."""
+    while process.poll() is None and steps_said(run) < step:
+        time.sleep(0.002)
+    time.sleep(delay_s)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+
+
+def kept_step(run: Path) -> int:
+    return provenance_of(run / CHECKPOINT).position.step if (run / CHECKPOINT).exists() else 0
+
+
+def test_a_run_that_is_killed_again_and_again_ends_as_one_that_never_was(meadow: Path, tmp_path: Path) -> None:
+    """Each kill costs the steps since the last checkpoint, at most."""
+    draws = random.Random(int(os.environ.get("STONE_KILL_SEED", "7")))
+    (tmp_path / "row.yaml").write_text(json.dumps(row_record(epochs=EPOCHS)))
+    run, whole = tmp_path / "run", tmp_path / "whole"
+    trained(TrainingPlan(small_row(epochs=EPOCHS), (meadow,), whole, cache=tmp_path / "cache"))
+    reached = 0
+    for _ in range(KILLS):
+        more = ("--resume",) if (run / "row.json").exists() else ()
+        process = start(tmp_path / "row.yaml", meadow, run, *more)
+        kill_at(process, run, min(reached + draws.randint(0, 3), STEPS), draws.uniform(0, 0.1))
+        kept = kept_step(run)
+        assert kept >= reached // 2 * 2
+        said = [line["step"] for line in logged(run)] if steps_said(run) else []
+        assert said == list(range(1, len(said) + 1))
+        assert len(said) - 3 <= kept <= len(said)
+        reached = kept
+    more = ("--resume",) if (run / "row.json").exists() else ()
+    assert start(tmp_path / "row.yaml", meadow, run, *more).wait(600) == 0
+    assert is_same_run(run, whole)
+    assert logged_steps(run) == logged_steps(whole)
+    assert not list(run.glob(".*.partial"))
