@@ -76,7 +76,7 @@ def main() -> None:
     arguments.add_argument("--enough", type=float, default=0.95, help="mIoU at which a row ends")
     options = arguments.parse_args()
     torch.set_num_threads(1)
-    world, console = made_world(options.folder, 1, SECONDS, EVERY), Console()
+    world, console = made_world(options.folder, 1, SECONDS, EVERY), Console(width=140)
     table = Table("row", "parameters", "mIoU % (step, CPU-s)", title="one frame of world 1, 48 × 48 × 16 voxels")
     for name in options.rows:
         row = scaled_down(read_row(name))

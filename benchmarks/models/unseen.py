@@ -66,7 +66,7 @@ def main() -> None:
     runs = [
         kept(options.folder / f"{row}-{seed}.json", row, seed, worlds) for row in options.rows for seed in options.seeds
     ]
-    Console().print(table_of(geometric, runs))
+    Console(width=140).print(table_of(geometric, runs))
 
 
 def kept(path: Path, row: str, seed: int, worlds: Mapping[int, ModelWorld]) -> UnseenScores:

@@ -47,7 +47,7 @@ def kept_step(run: Path) -> int:
 
 def test_a_run_that_is_killed_again_and_again_ends_as_one_that_never_was(meadow: Path, tmp_path: Path) -> None:
     """Each kill costs the steps since the last checkpoint, at most."""
-    draws = random.Random(int(os.environ.get("STONE_KILL_SEED", "7")))
+    draws = random.Random(int(os.environ.get("KILL_SEED", "7")))
     (tmp_path / "row.yaml").write_text(json.dumps(row_record(epochs=EPOCHS)))
     run, whole = tmp_path / "run", tmp_path / "whole"
     trained(TrainingPlan(small_row(epochs=EPOCHS), (meadow,), whole, cache=tmp_path / "cache"))
