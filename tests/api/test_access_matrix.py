@@ -179,8 +179,7 @@ def test_an_id_of_somebody_else_in_a_body_opens_nothing(
     scene: Scene, method: str, path: str, named: str, caller: str
 ) -> None:
     """One's own sequence, and the calibration or upload of somebody else: as if there were none."""
-    version = scene.world.named["dataset_name"]
-    mine = make_world(scene.platform, scene.cast.users[caller], version).named
+    mine = make_world(scene.platform, scene.cast.users[caller]).named
     before = ledger_of(scene.platform)
     answers = []
     for foreign in (scene.world.named[named], UNKNOWN[named]):

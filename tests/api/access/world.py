@@ -8,6 +8,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
 from services.domain.benchmarks.phases.ground_truths import first_activation
 from services.domain.benchmarks.phases.phases import NewBenchmark, NewPhase, create_benchmark, create_phase
 from services.domain.benchmarks.teams import teams
@@ -137,13 +140,22 @@ def _dataset(platform: Platform, owner: Person) -> str:
     for recorded in (val, test):
         _recording(platform, owner, recorded)
     with platform.database.transaction() as session:
-        session.get_one(SequenceRow, train).name = WORDS["sequence_name"]
+        _take_name(session, owner.user_id, train)
     name = dataset(platform, owner.user_id, {"train": [train], "val": [val], "test": [test]})
     with platform.database.reading() as session:
         version = dataset_named(session, name)
         assert version is not None
     made_version_input(platform, version.id, WORDS["sequence_name"], {"samples/LIDAR_TOP/sweep.pcd.bin": b"points"})
     return name
+
+
+def _take_name(session: Session, owner_id: str, sequence_id: str) -> None:
+    """Call the sequence what paths say, and that of an earlier world of this owner something else."""
+    named = select(SequenceRow).where(SequenceRow.owner_id == owner_id, SequenceRow.name == WORDS["sequence_name"])
+    for earlier in session.scalars(named):
+        earlier.name = f"n-{earlier.id}"
+    session.flush()
+    session.get_one(SequenceRow, sequence_id).name = WORDS["sequence_name"]
 
 
 def _phase(platform: Platform, owner_id: str, dataset_name: str, name: str) -> str:
