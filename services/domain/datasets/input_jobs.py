@@ -14,8 +14,19 @@ from sqlalchemy.orm import Session
 
 from services.domain.sequences.run_files import SEQUENCE_FILE
 from services.runtime.jobs.specs import TERMINAL, Attempt, JobSpec
-from services.runtime.orm import Artefact, Blob, DatasetMember, Job, Recording, SequenceRow
-from services.runtime.store.blobs import PreparedBlob
+from services.runtime.orm import (
+    Artefact,
+    Blob,
+    DatasetInput,
+    DatasetInputPack,
+    DatasetMember,
+    Job,
+    PhaseInput,
+    PhaseInputPack,
+    Recording,
+    SequenceRow,
+)
+from services.runtime.store.blobs import PreparedBlob, link_all
 from services.runtime.store.packs import PackedFiles
 from stone.errors import StoneError
 
@@ -53,6 +64,22 @@ class InputResult:
     index: PreparedBlob
     packs: Listing[PreparedBlob]
     tar: tuple[int, str]
+
+
+def add_input(
+    session: Session,
+    made: InputResult,
+    row: DatasetInput | PhaseInput,
+    packs: Listing[DatasetInputPack] | Listing[PhaseInputPack],
+) -> None:
+    """Write down what a job has made as this row and its packs', which name the holder; blobs are linked."""
+    link_all(session, (made.index, *made.packs))
+    row.index_sha256, row.files = made.index.sha256, len(made.files)
+    row.size_bytes = int(made.files.sizes_bytes.sum())
+    row.tar_bytes, row.tar_sha256 = made.tar
+    session.add(row)
+    session.flush()
+    session.add_all(packs)
 
 
 def members_of(dataset_id: str, parts: Listing[str]) -> Select[DatasetMember]:

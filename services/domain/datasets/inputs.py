@@ -18,6 +18,7 @@ from services.domain.datasets.input_jobs import (
     InputResult,
     InputsImpossibleError,
     InputsStandError,
+    add_input,
     input_spec,
     is_possible,
     members_of,
@@ -28,7 +29,6 @@ from services.runtime.jobs.enqueue import enqueue_run
 from services.runtime.jobs.errors import JobCancelledError, QueueDrainingError
 from services.runtime.jobs.specs import Attempt, Context
 from services.runtime.orm import Blob, Dataset, DatasetInput, DatasetInputPack, DatasetMember, Job
-from services.runtime.store.blobs import link_all
 from services.runtime.store.pack_archive import ExportLocation
 
 RUN = "dataset.inputs"
@@ -101,14 +101,12 @@ def write_version_input(session: Session, attempt: Attempt, made: InputResult) -
     dataset = version_of_attempt(session, attempt)
     if session.get(DatasetInput, (dataset.id, made.name)) is not None:
         return
-    link_all(session, (made.index, *made.packs))
-    row = DatasetInput(dataset_id=dataset.id, name=made.name, index_sha256=made.index.sha256, files=len(made.files))
-    row.size_bytes = int(made.files.sizes_bytes.sum())
-    row.tar_bytes, row.tar_sha256 = made.tar
-    session.add(row)
-    session.flush()
-    for ordinal, pack in enumerate(made.packs):
-        session.add(DatasetInputPack(dataset_id=dataset.id, name=made.name, ordinal=ordinal, blob_sha256=pack.sha256))
+    row = DatasetInput(dataset_id=dataset.id, name=made.name)
+    packs = [
+        DatasetInputPack(dataset_id=dataset.id, name=made.name, ordinal=ordinal, blob_sha256=pack.sha256)
+        for ordinal, pack in enumerate(made.packs)
+    ]
+    add_input(session, made, row, packs)
 
 
 def version_of_attempt(session: Session, attempt: Attempt) -> Dataset:

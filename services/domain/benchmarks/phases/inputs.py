@@ -13,6 +13,7 @@ from services.domain.datasets.input_jobs import (
     InputResult,
     InputsImpossibleError,
     InputsStandError,
+    add_input,
     input_spec,
     is_possible,
     members_of,
@@ -22,7 +23,6 @@ from services.runtime.jobs.enqueue import enqueue_run
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.specs import Attempt, Context
 from services.runtime.orm import Blob, Job, Phase, PhaseInput, PhaseInputPack
-from services.runtime.store.blobs import link_all
 from services.runtime.store.pack_archive import ExportLocation
 
 RUN = "phase.inputs"
@@ -57,14 +57,12 @@ def write_input(session: Session, attempt: Attempt, made: InputResult) -> None:
     phase = phase_of_attempt(session, attempt)
     if session.get(PhaseInput, (phase.id, made.name)) is not None:
         return
-    link_all(session, (made.index, *made.packs))
-    row = PhaseInput(phase_id=phase.id, name=made.name, index_sha256=made.index.sha256, files=len(made.files))
-    row.size_bytes = int(made.files.sizes_bytes.sum())
-    row.tar_bytes, row.tar_sha256 = made.tar
-    session.add(row)
-    session.flush()
-    for ordinal, pack in enumerate(made.packs):
-        session.add(PhaseInputPack(phase_id=phase.id, name=made.name, ordinal=ordinal, blob_sha256=pack.sha256))
+    row = PhaseInput(phase_id=phase.id, name=made.name)
+    packs = [
+        PhaseInputPack(phase_id=phase.id, name=made.name, ordinal=ordinal, blob_sha256=pack.sha256)
+        for ordinal, pack in enumerate(made.packs)
+    ]
+    add_input(session, made, row, packs)
 
 
 def phase_of_attempt(session: Session, attempt: Attempt) -> Phase:
