@@ -24,12 +24,12 @@ from baselines.frame_record import STEP_M, FrameRecord, PictureRecord, read_reco
 from baselines.inputs import InputConfig
 from stone.geometry.se3 import SE3
 from stone.labels.grid import GRID_SHAPE
+from stone.scoring.metric import CLASSES
 from stone_exports.files import ExportFileSpan
 from stone_exports.frames import ExportedFrame
 from stone_files.atomic import atomic_file
 
 VERSION = 1
-CLASSES = 4
 SUFFIX = ".safetensors"
 Progress = Callable[[str, int, int], None]
 

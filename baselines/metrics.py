@@ -13,9 +13,7 @@ from torch import Tensor
 
 from baselines.batch import IGNORED
 from stone.scoring.confusion import ratios
-from stone.scoring.metric import RATIOS
-
-CLASSES = 4
+from stone.scoring.metric import CLASSES, RATIOS
 
 
 def confusion_of(logits: Tensor, labels: Tensor) -> NDArray[np.int64]:

@@ -11,9 +11,10 @@ from torch import Tensor, nn
 
 from baselines.batch import Batch
 from baselines.lattice import VoxelLattice
+from stone.scoring import metric
 
 Outputs = TypeVar("Outputs")
-CLASSES = 4  # free, T, P, N
+CLASSES = metric.CLASSES  # free, T, P, N
 
 
 class OccupancyModel(nn.Module, ABC, Generic[Outputs]):
