@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from baselines.batch import IGNORED
+from baselines.models.occupancy_model import likeliest
 from stone.scoring.confusion import ratios
 from stone.scoring.metric import CLASSES, RATIOS
 
 
 def confusion_of(logits: Tensor, labels: Tensor) -> NDArray[np.int64]:
     """(4, 4) counts of logits (B, 4, X, Y, Z) against labels (B, X, Y, Z)."""
-    predicted = logits.detach().argmax(dim=1)
     counted = labels != IGNORED
-    cells = labels[counted].long() * CLASSES + predicted[counted]
+    cells = labels[counted].long() * CLASSES + likeliest(logits.detach())[counted]
     counts = torch.bincount(cells, minlength=CLASSES * CLASSES).reshape(CLASSES, CLASSES)
     return counts.cpu().numpy().astype(np.int64)
 

@@ -111,7 +111,7 @@ class Predictor:
         with torch.inference_mode():
             with torch.autocast(self.device.type, torch.bfloat16, enabled=self.precision == "bfloat16"):
                 outputs = self.model(batch)
-            classes = self.model.logits(outputs, batch).argmax(dim=1)[0].to(torch.uint8)
+            classes = self.model.classes(outputs, batch)[0]
         grid = np.zeros(GRID_SHAPE, np.uint8)
         grid[grid_part(self.model.lattice)] = classes.cpu().numpy()
         return grid

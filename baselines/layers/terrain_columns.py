@@ -51,9 +51,10 @@ class ColumnHits(NamedTuple):
 
 def column_hits(points: Points, lattice: VoxelLattice) -> ColumnHits:
     index, is_inside = lattice.indices_of(points.features[:, :3])
-    index, frame = index[is_inside], points.frame[is_inside]
+    inside = is_inside.nonzero()[:, 0]
+    index, frame = index[inside], points.frame[inside]
     column = (frame * lattice.shape[0] + index[:, 0]) * lattice.shape[1] + index[:, 1]
-    return ColumnHits(points.features[is_inside], index, frame, column)
+    return ColumnHits(points.features[inside], index, frame, column)
 
 
 def reference_of(hits: ColumnHits, frames: int, lattice: VoxelLattice) -> Tensor:
@@ -96,11 +97,11 @@ def evidence_of(hits: ColumnHits, terrain: TerrainColumns, alignment: ColumnAlig
     x, y, _ = alignment.lattice.shape
     frames, heights = len(terrain.base), alignment.heights
     height = hits.voxel[:, 2] - terrain.base.reshape(-1)[hits.column]
-    is_in = (height >= 0) & (height < heights)
-    points, column, frame, height = hits.features[is_in], hits.column[is_in], hits.frame[is_in], height[is_in]
-    voxel = column + (frame * (heights - 1) + height) * x * y  # of (B, K, X, Y)
+    aligned = ((height >= 0) & (height < heights)).nonzero()[:, 0]
+    points, column, frame = hits.features[aligned], hits.column[aligned], hits.frame[aligned]
+    voxel = column + (frame * (heights - 1) + height[aligned]) * x * y  # of (B, K, X, Y)
     low, size = alignment.lattice.min_m[2], alignment.lattice.voxel_m[2]
-    within = (points[:, 2] - low) / size - hits.voxel[is_in, 2] - 0.5
+    within = (points[:, 2] - low) / size - hits.voxel[aligned, 2] - 0.5
     sums = points.new_zeros(3, frames * heights * x * y)
     terms = torch.stack([torch.ones_like(within), (points[:, -1] <= newest_s).float(), within])
     count, newest, offset = sums.index_add(1, voxel, terms)

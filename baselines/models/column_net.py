@@ -34,7 +34,7 @@ from baselines.layers.terrain_columns import (
 from baselines.losses.voxels import FREE, cross_entropy, lovasz_softmax
 from baselines.models.column_net_config import ColumnNetConfig
 from baselines.models.occfusion import points_of
-from baselines.models.occupancy_model import CLASSES, OccupancyModel
+from baselines.models.occupancy_model import CLASSES, OccupancyModel, likeliest
 
 EASY = 0.02  # free voxels called occupied with less are left out of the Lovász loss, which they change by less
 PRIOR = 0.01  # of a voxel to be occupied, before anything is learned (Lin et al., ICCV 2017, section 4.1)
@@ -149,6 +149,9 @@ class ColumnNet(OccupancyModel[ColumnOutputs]):
 
     def logits(self, outputs: ColumnOutputs, batch: Batch) -> Tensor:
         return outputs.calibrated()
+
+    def classes(self, outputs: ColumnOutputs, batch: Batch) -> Tensor:
+        return likeliest(outputs.logits)  # no temperature changes which is the largest
 
     def _columns_hit(self, batch: Batch) -> tuple[ColumnHits, TerrainColumns]:
         """Points of the LiDAR and the terrain under them; without a LiDAR the radar's, or none, over a plane."""

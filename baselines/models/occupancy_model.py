@@ -7,6 +7,7 @@ indices) and losses leave autocast and compute in float32 (`torch.autocast(..., 
 from abc import ABC, abstractmethod
 from typing import Generic, TypeVar
 
+import torch
 from torch import Tensor, nn
 
 from baselines.batch import Batch
@@ -34,3 +35,20 @@ class OccupancyModel(nn.Module, ABC, Generic[Outputs]):
     @abstractmethod
     def logits(self, outputs: Outputs, batch: Batch) -> Tensor:
         """(B, 4, X, Y, Z) float32 on `self.lattice` in the grid frame; their argmax is the prediction."""
+
+    def classes(self, outputs: Outputs, batch: Batch) -> Tensor:
+        """The prediction, (B, X, Y, Z) uint8."""
+        return likeliest(self.logits(outputs, batch))
+
+
+def likeliest(logits: Tensor) -> Tensor:
+    """Classes (B, ...) uint8 of the largest of logits (B, C, ...), the first of equal ones.
+
+    What `argmax` over dimension 1 answers of numbers, in a tenth of its time on a CPU.
+    """
+    most = logits[:, 0]
+    classes = torch.zeros_like(most, dtype=torch.uint8)
+    for number in range(1, logits.shape[1]):
+        classes = torch.where(logits[:, number] > most, number, classes)
+        most = torch.maximum(most, logits[:, number])
+    return classes

@@ -2,8 +2,8 @@
 
 A row that cannot is wrong somewhere between its inputs and its losses. The frame is the middle one of simulated world
 1, all sensors as simulated, on 48 × 48 × 16 voxels around the robot, pictures of 96 × 160; nothing is augmented. What
-nobody observed is not counted. mIoU over T, P and N is of the network in evaluation. One thread; a row ends at
-`--enough` or after `--most` CPU-seconds.
+nobody observed is not counted. mIoU over T, P and N is of the network in evaluation. The learning rate falls by a
+cosine over `--steps`. One thread; a row ends there, or before at `--enough` or after `--most` CPU-seconds.
 """
 
 import argparse
@@ -24,7 +24,8 @@ from baselines.lattice import VoxelLattice
 from baselines.metrics import confusion_of, scores_of
 from baselines.models.architectures import ModelConfig, build_model
 from baselines.models.occupancy_model import OccupancyModel
-from baselines.row_config import RowConfig, known_rows, read_row
+from baselines.optimisation import BatchLosses, RateSchedule, build_optimizer, take_step
+from baselines.row_config import RowConfig, TrainingConfig, known_rows, read_row
 from baselines.sources import labelled_frames
 from benchmarks.models.unseen import EVERY, SECONDS
 from benchmarks.models.worlds import made_world
@@ -32,7 +33,7 @@ from benchmarks.models.worlds import made_world
 PART = VoxelLattice((-4.8, -4.8, -1.2), (0.2, 0.2, 0.2), (48, 48, 16))
 PICTURES_PX = (96, 160)
 LOOK_EVERY = 20
-RATE, CLIP_NORM = 3e-3, 10.0
+TRAINING = TrainingConfig(learning_rate=3e-3, weight_decay=0.0, warmup_steps=10, clip_norm=10.0, precision="float32")
 BACKBONE = {"backbone_depth": 14, "backbone_width": 16, "backbone_deformable_stages": (False,) * 4}
 SCALED_DOWN: Mapping[str, Mapping[str, Any]] = {
     "openocc": {
@@ -72,6 +73,7 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("--folder", type=Path, default=Path("build/models"))
     arguments.add_argument("--rows", nargs="+", default=[row for row in known_rows() if not row.endswith("-small")])
+    arguments.add_argument("--steps", type=int, default=280)
     arguments.add_argument("--most", type=float, default=240.0, help="CPU-seconds of a row")
     arguments.add_argument("--enough", type=float, default=0.95, help="mIoU at which a row ends")
     options = arguments.parse_args()
@@ -84,7 +86,7 @@ def main() -> None:
         model = build_model(row.model)
         size = f"{sum(parameter.numel() for parameter in model.parameters()):,}"
         said = []
-        for look in overfit(model, one_frame(row, world.export, options.folder / "overfit")):
+        for look in overfit(model, one_frame(row, world.export, options.folder / "overfit"), options.steps):
             said.append(f"{100 * look.miou:.1f} ({look.step}, {look.cpu_s:.0f})")
             if look.miou >= options.enough or look.cpu_s >= options.most:
                 break
@@ -107,20 +109,18 @@ def one_frame(row: RowConfig, export: Path, cache: Path) -> Batch:
     return dataset[0, len(frames) // 2]
 
 
-def overfit(model: OccupancyModel[Any], batch: Batch) -> Iterator[OverfitLook]:
-    """Train on the one frame without end, and look now and then."""
-    optimizer = torch.optim.AdamW(model.parameters(), RATE, weight_decay=0.0)
-    step, cpu_s = 0, 0.0
-    while True:
+def overfit(model: OccupancyModel[Any], batch: Batch, steps: int) -> Iterator[OverfitLook]:
+    """Train on the one frame, and look now and then."""
+    optimizer, schedule = build_optimizer(model, TRAINING), RateSchedule(TRAINING, steps)
+    parameters, losses, cpu_s = list(model.parameters()), BatchLosses(model, TRAINING.precision), 0.0
+    for begin in range(0, steps, LOOK_EVERY):
         begun = time.process_time()
-        for _ in range(LOOK_EVERY):
-            optimizer.zero_grad()
-            terms = model.losses(model(batch), batch)
+        for step in range(begin, begin + LOOK_EVERY):
+            terms, _ = losses(batch)
             torch.autograd.backward(sum(terms.values(), batch.grid_from_ego.new_zeros(())))
-            torch.nn.utils.clip_grad_norm_(model.parameters(), CLIP_NORM)
-            optimizer.step()
-        step, cpu_s = step + LOOK_EVERY, cpu_s + time.process_time() - begun
-        yield OverfitLook(step, cpu_s, miou_of(model, batch))
+            take_step(parameters, optimizer, TRAINING.learning_rate * schedule.ratio(step), TRAINING.clip_norm)
+        cpu_s += time.process_time() - begun
+        yield OverfitLook(begin + LOOK_EVERY, cpu_s, miou_of(model, batch))
 
 
 def miou_of(model: OccupancyModel[Any], batch: Batch) -> float:

@@ -5,7 +5,7 @@
 A row is a run, or one that is shipped, untrained: ColumnNet costs the same whatever it learned, CoNet by how many
 voxels it calls occupied. One thread; CPU-seconds, so that other work on the machine changes little; the median of all
 frames but the first, which reads earlier ones too. `read` is from the recording to the batch, `whole` the model and its
-argmax in torch. Of ColumnNet, `geometry` is what comes before its network, `network` that in torch, `onnx` the same in
+classes in torch. Of ColumnNet, `geometry` is what comes before its network, `network` that in torch, `onnx` the same in
 onnxruntime.
 """
 
@@ -114,7 +114,7 @@ def frame_costs(
             with costs.of("read"):
                 batch = dataset[0, index]
             with costs.of("whole"):
-                model.logits(model(batch), batch).argmax(dim=1)
+                model.classes(model(batch), batch)
             if isinstance(model, ColumnNet) and onnx is not None:
                 _add_parts(model, batch, onnx, costs)
     return costs
