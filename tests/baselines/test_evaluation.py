@@ -14,7 +14,7 @@ from baselines.evaluation import scores_on
 from baselines.inputs import InputConfig
 from baselines.lattice import VoxelLattice
 from baselines.metrics import confusion_of, scores_of
-from baselines.models.occupancy_model import OccupancyModel
+from baselines.models.occupancy_model import OccupancyModel, likeliest
 from stone.scoring.metric import RATIOS
 from tests.baselines.test_data import RECORDS, SMALL, Frames
 
@@ -57,6 +57,14 @@ def test_a_confusion_is_a_loop_over_voxels() -> None:
         if labels[frame, x, y, z] != 255:
             wanted[labels[frame, x, y, z], int(logits[frame, :, x, y, z].argmax())] += 1
     assert np.array_equal(confusion_of(logits, torch.from_numpy(labels)), wanted)
+
+
+def test_of_equal_logits_the_first_class_is_taken() -> None:
+    logits = torch.from_numpy(np.random.default_rng(2).integers(0, 3, (2, 4, 5, 6, 7))).float()
+    logits[0, :, 0, 0] = -torch.inf
+    classes = likeliest(logits)
+    assert classes.dtype == torch.uint8
+    assert np.array_equal(classes.numpy(), logits.numpy().argmax(axis=1))
 
 
 def test_true_predictions_score_one_and_free_ones_nothing() -> None:
