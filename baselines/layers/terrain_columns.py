@@ -89,6 +89,9 @@ def filled(values: Tensor, weights: Tensor) -> Tensor:
     return weights * values + (1 - weights) * coarse
 
 
+EVIDENCE = 3
+
+
 def evidence_of(hits: ColumnHits, terrain: TerrainColumns, alignment: ColumnAlignment, newest_s: float) -> Tensor:
     """Maps (B, 3 K, X, Y) of aligned heights: how well hit, hit in the last `newest_s`, mean place within the voxel.
 

@@ -19,6 +19,7 @@ from baselines.layers.column_cameras import ColumnCameras
 from baselines.layers.column_unet import ColumnUNet
 from baselines.layers.sensor_fusion import unit2d
 from baselines.layers.terrain_columns import (
+    EVIDENCE,
     RADAR_STATISTICS,
     STATISTICS,
     ColumnAlignment,
@@ -31,12 +32,12 @@ from baselines.layers.terrain_columns import (
     statistics_of,
     surface_of,
 )
-from baselines.losses.voxels import FREE, cross_entropy, lovasz_softmax
+from baselines.losses.voxels import FREE, cross_entropy, lovasz_softmax, semantic_scale
 from baselines.models.column_net_config import ColumnNetConfig
 from baselines.models.occfusion import points_of
 from baselines.models.occupancy_model import CLASSES, OccupancyModel, likeliest
 
-EASY = 0.02  # free voxels called occupied with less are left out of the Lovász loss, which they change by less
+EASY = 0.02  # free voxels called occupied with less are left out of what sorts or sums, which they change by little
 PRIOR = 0.01  # of a voxel to be occupied, before anything is learned (Lin et al., ICCV 2017, section 4.1)
 WARMEST = 3.0  # |log temperature| stays below
 
@@ -69,23 +70,27 @@ class ColumnGeometry(NamedTuple):
 class TraversabilityNet(nn.Module):
     """Maps of aligned columns (B, C, X, Y) and their bases (B, X, Y) to classes and temperatures of the lattice.
 
-    The first `heights` of the maps are what was hit: each voxel's classes see its own column's directly.
+    The first 3 K maps are what was hit at each of the `heights`: a column's answer sees its own directly, beside what
+    the U-Net says of its surroundings.
     """
 
     def __init__(self, config: ColumnNetConfig, channels: int) -> None:
         super().__init__()
         self.heights, self.lattice_heights = config.heights, config.lattice.shape[2]
+        self.evidence_maps = EVIDENCE * config.heights
         width = config.widths[0]
         self.stem = nn.Sequential(nn.BatchNorm2d(channels), *unit2d(channels, width, 1))
         self.unet = ColumnUNet(config.widths, config.depths, config.head_channels)
-        self.classify = nn.Conv2d(width + config.heights, CLASSES * config.heights, 1)
-        self.warm = nn.Conv2d(width + config.heights, config.heights, 1)
+        self.mix = unit2d(width + self.evidence_maps, config.mixed_channels, 1)
+        self.classify = nn.Conv2d(config.mixed_channels + config.heights, CLASSES * config.heights, 1)
+        self.warm = nn.Conv2d(config.mixed_channels + config.heights, config.heights, 1)
         nn.init.zeros_(self.warm.weight)
         nn.init.normal_(self.classify.weight, std=0.01)
         nn.init.constant_(cast("Tensor", self.classify.bias)[: config.heights], log(3 * (1 - PRIOR) / PRIOR))
 
     def forward(self, maps: Tensor, base: Tensor) -> tuple[Tensor, Tensor]:
-        features = torch.cat([self.unet(self.stem(maps)), maps[:, : self.heights]], dim=1)
+        mixed = self.mix(torch.cat([self.unet(self.stem(maps)), maps[:, : self.evidence_maps]], dim=1))
+        features = torch.cat([mixed, maps[:, : self.heights]], dim=1)
         log_temperature = WARMEST * torch.tanh(self.warm(features.detach()))
         aligned = torch.cat([self.classify(features), log_temperature], dim=1)
         voxels = self._voxels(aligned.reshape(len(aligned), CLASSES + 1, self.heights, *aligned.shape[2:]), base)
@@ -109,7 +114,7 @@ class ColumnNet(OccupancyModel[ColumnOutputs]):
         parts = config.modality.split("+")
         self.has_lidar, self.has_radar = "L" in parts, "R" in parts
         self.cameras = ColumnCameras(config.image_channels, config.image_pool, config.lattice) if "C" in parts else None
-        channels = 3 * config.heights + STATISTICS + self.has_radar * RADAR_STATISTICS
+        channels = EVIDENCE * config.heights + STATISTICS + self.has_radar * RADAR_STATISTICS
         self.net = TraversabilityNet(config, channels + (self.cameras is not None) * 2 * config.image_channels)
 
     def forward(self, batch: Batch) -> ColumnOutputs:
@@ -141,9 +146,11 @@ class ColumnNet(OccupancyModel[ColumnOutputs]):
             logits = outputs.logits.float()
             cooled = ColumnOutputs(logits.detach(), outputs.log_temperature).calibrated()
             weights = logits.new_tensor(self.config.class_weights)
+            hard = hard_voxels(logits, batch.labels)
             return {
                 "cross_entropy": cross_entropy(logits, batch.labels, weights),
-                "lovasz": self.config.lovasz_weight * lovasz_softmax(*hard_voxels(logits, batch.labels)),
+                "lovasz": self.config.lovasz_weight * lovasz_softmax(*hard),
+                "semantic": self.config.semantic_weight * semantic_scale(*hard),
                 "temperature": self.config.temperature_weight * cross_entropy(cooled, batch.labels),
             }
 

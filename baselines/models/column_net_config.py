@@ -22,9 +22,11 @@ class ColumnNetConfig:
     widths: tuple[int, ...] = (48, 64, 96, 128)
     depths: tuple[int, ...] = (1, 2, 2, 3)
     head_channels: int = 16  # of an attention's head
+    mixed_channels: int = 96  # of a column's surroundings and its own hits together, from which its heights are read
     image_channels: int = 16
     image_pool: int = 2
     unhit_top_m: float = 0.8  # above the ground: where cameras look for the top of a column without points
     class_weights: tuple[float, float, float, float] = (1.0, 4.0, 2.0, 2.0)  # free, T, P, N
     lovasz_weight: float = 1.0
+    semantic_weight: float = 1.0
     temperature_weight: float = 0.1
