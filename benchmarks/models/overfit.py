@@ -1,9 +1,9 @@
 """Every row, scaled down, learns one simulated frame by heart: `python -m benchmarks.models.overfit [--rows ROW ...]`.
 
 A row that cannot is wrong somewhere between its inputs and its losses. The frame is the middle one of simulated world
-1, all sensors as simulated, on 48 × 48 × 16 voxels around the robot, pictures of 96 × 160; nothing is augmented. What
-nobody observed is not counted. mIoU over T, P and N is of the network in evaluation. The learning rate falls by a
-cosine. One thread; a row ends there, or before at `--enough` or after `--most` CPU-seconds.
+1, all sensors as simulated, on 32 × 32 × 16 or 48 × 48 × 16 voxels around the robot, pictures of 96 × 160; nothing is
+augmented. What nobody observed is not counted. mIoU over T, P and N is of the network in evaluation. The learning rate
+falls by a cosine. One thread; a row ends there, or before at `--enough` or after `--most` CPU-seconds.
 """
 
 import argparse
@@ -31,19 +31,20 @@ from benchmarks.models.unseen import EVERY, SECONDS
 from benchmarks.models.worlds import made_world
 
 PART = VoxelLattice((-4.8, -4.8, -1.2), (0.2, 0.2, 0.2), (48, 48, 16))
+SMALLER_PART = VoxelLattice((-3.2, -3.2, -1.2), (0.2, 0.2, 0.2), (32, 32, 16))
 PICTURES_PX = (96, 160)
 LOOK_EVERY = 20
 STEPS = {  # what four CPU-minutes take
-    "c-conet": 640, "c-openocc": 900, "column-net": 280, "l-conet": 500, "l-openocc": 540, "m-conet": 420,
-    "m-openocc": 560, "occformer": 700, "occfusion-cl": 360, "occfusion-cr": 400, "tpvformer": 700,
+    "c-conet": 1200, "c-openocc": 1400, "column-net": 280, "l-conet": 800, "l-openocc": 800, "m-conet": 700,
+    "m-openocc": 700, "occformer": 700, "occfusion-cl": 360, "occfusion-cr": 400, "tpvformer": 700,
 }  # fmt: skip
 TRAINING = TrainingConfig(learning_rate=3e-3, weight_decay=0.0, warmup_steps=10, clip_norm=10.0, precision="float32")
 BACKBONE = {"backbone_depth": 14, "backbone_width": 16, "backbone_deformable_stages": (False,) * 4}
 SCALED_DOWN: Mapping[str, Mapping[str, Any]] = {
     "openocc": {
-        "volume_channels": 32, "sparse_channels": 8, "residual_channels": (32, 48, 64, 96),
+        "lattice": SMALLER_PART, "volume_channels": 16, "sparse_channels": 8, "residual_channels": (32, 48, 64, 96),
         "residual_blocks": (1, 1, 1, 1), "pyramid_channels": 48, "fine_channels": 32, "resnet_depth": 14,
-        "resnet_width": 16, "neck_channels": (16, 16, 16, 16), "image_shape": PICTURES_PX, "depth_dropout": 0.0,
+        "resnet_width": 16, "neck_channels": (8, 8, 8, 8), "image_shape": PICTURES_PX, "depth_dropout": 0.0,
         "depth_range_m": (0.5, 12.5),
     },
     "tpvformer": {
@@ -82,7 +83,7 @@ def main() -> None:
     options = arguments.parse_args()
     torch.set_num_threads(1)
     world, console = made_world(options.folder, 1, SECONDS, EVERY), Console(width=140)
-    table = Table("row", "parameters", "mIoU % (step, CPU-s)", title="one frame of world 1, 48 × 48 × 16 voxels")
+    table = Table("row", "voxels", "parameters", "mIoU % (step, CPU-s)", title="one frame of world 1")
     for name in options.rows:
         row = scaled_down(read_row(name))
         torch.manual_seed(0)
@@ -93,7 +94,7 @@ def main() -> None:
             said.append(f"{100 * look.miou:.1f} ({look.step}, {look.cpu_s:.0f})")
             if look.miou >= options.enough or look.cpu_s >= options.most:
                 break
-        table.add_row(name, size, "  ".join(said))
+        table.add_row(name, " × ".join(map(str, row.model.lattice.shape)), size, "  ".join(said))
         console.print(f"{name}: {size} parameters, {said[-1]}")
     console.print(table)
 
@@ -101,10 +102,10 @@ def main() -> None:
 def scaled_down(row: RowConfig) -> RowConfig:
     """The row on a part of the grid, a tenth as wide, of small pictures and five sweeps.
 
-    M of one, since its steps cost twice as much. OccFusion's finest level stays 24 wide: its heads have no norms, and
-    of eight hidden numbers most die.
+    M of one, since its steps cost twice as much; OpenOccupancy's rows on less than half of the part, for many steps.
+    OccFusion's finest level stays 24 wide: its heads have no norms, and of eight hidden numbers most die.
     """
-    model: ModelConfig = replace(row.model, lattice=PART, **SCALED_DOWN[row.model.architecture])
+    model: ModelConfig = replace(row.model, **{"lattice": PART, **SCALED_DOWN[row.model.architecture]})
     sweeps = 1 if row.name.startswith("m-") else 5
     return replace(row, model=model, inputs=replace(row.inputs, image_size_px=PICTURES_PX, lidar_sweeps=sweeps))
 
