@@ -19,8 +19,13 @@ from stone.scoring.metric import CLASSES, RATIOS
 
 def confusion_of(logits: Tensor, labels: Tensor) -> NDArray[np.int64]:
     """(4, 4) counts of logits (B, 4, X, Y, Z) against labels (B, X, Y, Z)."""
+    return class_confusion(likeliest(logits.detach()), labels)
+
+
+def class_confusion(predicted: Tensor, labels: Tensor) -> NDArray[np.int64]:
+    """(4, 4) counts of classes (...) against labels (...), uint8."""
     counted = labels != IGNORED
-    cells = labels[counted].long() * CLASSES + likeliest(logits.detach())[counted]
+    cells = labels[counted].long() * CLASSES + predicted[counted]
     counts = torch.bincount(cells, minlength=CLASSES * CLASSES).reshape(CLASSES, CLASSES)
     return counts.cpu().numpy().astype(np.int64)
 

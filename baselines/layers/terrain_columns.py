@@ -105,11 +105,11 @@ def evidence_of(hits: ColumnHits, terrain: TerrainColumns, alignment: ColumnAlig
     voxel = column + (frame * (heights - 1) + height[aligned]) * x * y  # of (B, K, X, Y)
     low, size = alignment.lattice.min_m[2], alignment.lattice.voxel_m[2]
     within = (points[:, 2] - low) / size - hits.voxel[aligned, 2] - 0.5
-    sums = points.new_zeros(3, frames * heights * x * y)
+    sums = points.new_zeros(EVIDENCE, frames * heights * x * y)
     terms = torch.stack([torch.ones_like(within), (points[:, -1] <= newest_s).float(), within])
     count, newest, offset = sums.index_add(1, voxel, terms)
     maps = torch.stack([count.log1p() / FULL_VOXEL, newest.clamp(max=1), offset / count.clamp(min=1)])
-    return maps.reshape(3, frames, heights, x, y).movedim(0, 1).flatten(1, 2)
+    return maps.reshape(EVIDENCE, frames, heights, x, y).movedim(0, 1).flatten(1, 2)
 
 
 STATISTICS = 11

@@ -77,11 +77,10 @@ class TraversabilityNet(nn.Module):
     def __init__(self, config: ColumnNetConfig, channels: int) -> None:
         super().__init__()
         self.heights, self.lattice_heights = config.heights, config.lattice.shape[2]
-        self.evidence_maps = EVIDENCE * config.heights
         width = config.widths[0]
         self.stem = nn.Sequential(nn.BatchNorm2d(channels), *unit2d(channels, width, 1))
         self.unet = ColumnUNet(config.widths, config.depths, config.head_channels)
-        self.mix = unit2d(width + self.evidence_maps, config.mixed_channels, 1)
+        self.mix = unit2d(width + EVIDENCE * config.heights, config.mixed_channels, 1)
         self.classify = nn.Conv2d(config.mixed_channels + config.heights, CLASSES * config.heights, 1)
         self.warm = nn.Conv2d(config.mixed_channels + config.heights, config.heights, 1)
         nn.init.zeros_(self.warm.weight)
@@ -89,7 +88,7 @@ class TraversabilityNet(nn.Module):
         nn.init.constant_(cast("Tensor", self.classify.bias)[: config.heights], log(3 * (1 - PRIOR) / PRIOR))
 
     def forward(self, maps: Tensor, base: Tensor) -> tuple[Tensor, Tensor]:
-        mixed = self.mix(torch.cat([self.unet(self.stem(maps)), maps[:, : self.evidence_maps]], dim=1))
+        mixed = self.mix(torch.cat([self.unet(self.stem(maps)), maps[:, : EVIDENCE * self.heights]], dim=1))
         features = torch.cat([mixed, maps[:, : self.heights]], dim=1)
         log_temperature = WARMEST * torch.tanh(self.warm(features.detach()))
         aligned = torch.cat([self.classify(features), log_temperature], dim=1)
@@ -114,8 +113,8 @@ class ColumnNet(OccupancyModel[ColumnOutputs]):
         parts = config.modality.split("+")
         self.has_lidar, self.has_radar = "L" in parts, "R" in parts
         self.cameras = ColumnCameras(config.image_channels, config.image_pool, config.lattice) if "C" in parts else None
-        channels = EVIDENCE * config.heights + STATISTICS + self.has_radar * RADAR_STATISTICS
-        self.net = TraversabilityNet(config, channels + (self.cameras is not None) * 2 * config.image_channels)
+        channels = self.geometry_channels() + (self.cameras is not None) * 2 * config.image_channels
+        self.net = TraversabilityNet(config, channels)
 
     def forward(self, batch: Batch) -> ColumnOutputs:
         logits, log_temperature = self.net(*self.columns(batch))
@@ -127,6 +126,10 @@ class ColumnNet(OccupancyModel[ColumnOutputs]):
         if self.cameras is not None:
             maps = torch.cat([maps, self._camera_maps(self.cameras, batch, surface_m)], dim=1)
         return maps, base
+
+    def geometry_channels(self) -> int:
+        """Of the maps of `geometry`."""
+        return EVIDENCE * self.config.heights + STATISTICS + self.has_radar * RADAR_STATISTICS
 
     def geometry(self, batch: Batch) -> ColumnGeometry:
         """All of it that is not learned."""

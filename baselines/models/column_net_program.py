@@ -13,7 +13,6 @@ from torch import Tensor, nn
 from baselines.batch import Batch
 from baselines.layers.camera_projection import pixels_from_grid, seen_cells
 from baselines.layers.column_cameras import LightImageEncoder
-from baselines.layers.terrain_columns import EVIDENCE, RADAR_STATISTICS, STATISTICS
 from baselines.models.column_net import ColumnNet
 
 
@@ -62,8 +61,8 @@ def column_cells(model: ColumnNet, batch: Batch, surface_m: Tensor) -> Tensor:
 def program_inputs(model: ColumnNet, cameras: int, image: tuple[int, int]) -> dict[str, Tensor]:
     """Inputs of the program by name, all 0, for so many cameras with images of (height, width)."""
     x, y, _ = model.lattice.shape
-    channels = EVIDENCE * model.config.heights + STATISTICS + model.has_radar * RADAR_STATISTICS
-    inputs = {"maps": torch.zeros(1, channels, x, y), "base": torch.zeros(1, x, y, dtype=torch.int64)}
+    maps, base = torch.zeros(1, model.geometry_channels(), x, y), torch.zeros(1, x, y, dtype=torch.int64)
+    inputs = {"maps": maps, "base": base}
     if model.cameras is not None:
         inputs["images"] = torch.zeros(cameras, 3, *image)
         inputs["cells"] = torch.zeros(cameras, 2, x, y, dtype=torch.int64)

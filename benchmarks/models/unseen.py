@@ -15,7 +15,7 @@ import shutil
 import statistics
 import time
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from io import BytesIO
 from pathlib import Path
@@ -29,12 +29,13 @@ from scipy.stats import t
 
 from baselines.cache import cached_frames
 from baselines.lattice import VoxelLattice, grid_part
-from baselines.metrics import scores_of
+from baselines.metrics import class_confusion, scores_of
 from baselines.predict import PredictionPlan, predict
 from baselines.row_config import read_row
 from baselines.sources import labelled_frames
 from baselines.train import TrainingPlan, train
 from benchmarks.models.worlds import ModelWorld, made_world
+from stone.scoring.metric import CLASSES
 from stone_client.server.baseline import BaselinePlan, write_baseline
 
 ROWS = ("l-conet-small", "occfusion-cl-small", "column-net-small")
@@ -93,44 +94,48 @@ def trained_scores(run: Path, row: str, seed: int, worlds: Mapping[int, ModelWor
     shutil.rmtree(run, ignore_errors=True)
     ended = train(TrainingPlan(config, exports, run, cache=cache), _silent, lambda report: None)
     training_s = time.process_time() - begun
+
+    def write(world: ModelWorld, zipped: Path) -> int:
+        return predict(PredictionPlan(run, (world.export,), world.manifest, zipped), _silent).frames
+
     unseen = [worlds[world] for world in UNSEEN]
-    begun, frames = time.process_time(), 0
-    for world in unseen:
-        frames += predict(
-            PredictionPlan(run, (world.export,), world.manifest, submission_of(run, world)), _silent
-        ).frames
-    frame_s = (time.process_time() - begun) / frames
-    return UnseenScores(row, seed, confusions_of(run, unseen, config.model.lattice), training_s, ended.steps, frame_s)
+    confusions, frame_s = judged(run, unseen, config.model.lattice, write)
+    return UnseenScores(row, seed, confusions, training_s, ended.steps, frame_s)
 
 
 def baseline_scores(worlds: Sequence[ModelWorld]) -> UnseenScores:
     """`stone baseline` on the same frames."""
     run = worlds[0].folder.parent / "baseline"
     run.mkdir(exist_ok=True)
-    begun, frames = time.process_time(), 0
-    for world in worlds:
-        plan = BaselinePlan(world.manifest, submission_of(run, world), 1)
-        frames += write_baseline([world.export], plan, _silent).frames
+
+    def write(world: ModelWorld, zipped: Path) -> int:
+        return write_baseline([world.export], BaselinePlan(world.manifest, zipped, 1), _silent).frames
+
+    confusions, frame_s = judged(run, worlds, PART, write)
+    return UnseenScores("baseline", 0, confusions, frame_s=frame_s)
+
+
+def judged(
+    run: Path, worlds: Sequence[ModelWorld], lattice: VoxelLattice, write: Callable[[ModelWorld, Path], int]
+) -> tuple[dict[str, list[list[int]]], float]:
+    """Confusions by world of the submissions that `write` writes, which answers its frames; CPU-seconds a frame."""
+    submissions = [run / f"{world.folder.name}.zip" for world in worlds]
+    begun = time.process_time()
+    frames = sum(map(write, worlds, submissions))
     frame_s = (time.process_time() - begun) / frames
-    return UnseenScores("baseline", 0, confusions_of(run, worlds, PART), frame_s=frame_s)
-
-
-def submission_of(run: Path, world: ModelWorld) -> Path:
-    return run / f"{world.folder.name}.zip"
-
-
-def confusions_of(run: Path, worlds: Sequence[ModelWorld], lattice: VoxelLattice) -> dict[str, list[list[int]]]:
-    """Of the run's submissions, by world."""
-    return {world.folder.name: confusion_in(submission_of(run, world), world, lattice).tolist() for world in worlds}
+    confusions = {
+        world.folder.name: confusion_in(zipped, world, lattice).tolist()
+        for world, zipped in zip(worlds, submissions, strict=True)
+    }
+    return confusions, frame_s
 
 
 def confusion_in(submission: Path, world: ModelWorld, lattice: VoxelLattice) -> NDArray[np.int64]:
     """Of the frames of a submission, over the part of their grids that the lattice covers."""
-    part, whole = grid_part(lattice), np.zeros((4, 4), np.int64)
+    part, whole = grid_part(lattice), np.zeros((CLASSES, CLASSES), np.int64)
     for labels in sorted(world.ground_truth.rglob("labels.npz")):
         truth, predicted = classes_of(labels, "semantics"), _submitted(submission, labels.parent.name)
-        cells = truth[part].astype(np.int64) * 4 + predicted[part]
-        whole += np.bincount(cells.reshape(-1), minlength=16).reshape(4, 4)
+        whole += class_confusion(torch.from_numpy(predicted[part]), torch.from_numpy(truth[part]))
     return whole
 
 
