@@ -96,7 +96,8 @@ def trained_scores(run: Path, row: str, seed: int, worlds: Mapping[int, ModelWor
     training_s = time.process_time() - begun
 
     def write(world: ModelWorld, zipped: Path) -> int:
-        return predict(PredictionPlan(run, (world.export,), world.manifest, zipped), _silent).frames
+        frames: int = predict(PredictionPlan(run, (world.export,), world.manifest, zipped), _silent).frames
+        return frames
 
     unseen = [worlds[world] for world in UNSEEN]
     confusions, frame_s = judged(run, unseen, config.model.lattice, write)
