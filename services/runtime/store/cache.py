@@ -58,9 +58,8 @@ class Cache:
         """Remove what dead downloads left, and mirrors of runs unused for a day; the number removed."""
         removed = 0
         for partial in self._partial.iterdir() if self._partial.is_dir() else ():
-            with suppress(FileNotFoundError, BlockingIOError), _lock(partial, fcntl.LOCK_EX | fcntl.LOCK_NB):
-                partial.unlink()
-                removed += 1
+            with suppress(BlockingIOError), _lock(partial, fcntl.LOCK_EX | fcntl.LOCK_NB) as descriptor:
+                removed += _removed(partial, descriptor)
         for mirror in self.work.iterdir() if self.work.is_dir() else ():
             if _unused_s(mirror) > MIRROR_S:
                 shutil.rmtree(mirror, ignore_errors=True)
@@ -125,10 +124,18 @@ def _shared(path: Path) -> Iterator[int | None]:
 
 def _remove_unless_borrowed(path: Path, descriptor: int) -> bool:
     with suppress(BlockingIOError):
+        # Changing a lock's kind gives it up for a moment, in which another may remove the file and a third replace it.
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        path.unlink(missing_ok=True)
-        return True
+        return _removed(path, descriptor)
     return False
+
+
+def _removed(path: Path, descriptor: int) -> bool:
+    """Remove `path`, unless it is another file than the one that `descriptor` holds alone."""
+    if not _is_file_of(descriptor, path):
+        return False
+    path.unlink()
+    return True
 
 
 def _evicted(path: Path) -> bool:
@@ -146,7 +153,7 @@ def _own(partial: Path) -> Iterator[Path]:
             try:
                 yield partial
             finally:
-                partial.unlink(missing_ok=True)
+                _removed(partial, descriptor)  # renamed, its name is the next downloader's
             return
 
 

@@ -181,3 +181,17 @@ def test_borrowers_that_come_and_go_never_see_half_a_file(tmp_path: Path) -> Non
     with ThreadPoolExecutor(8) as pool:
         assert set(pool.map(borrow, range(400))) == {b"a" * 10}
     assert files_in(tmp_path) == []
+
+
+def test_a_downloader_that_is_done_leaves_the_partial_file_of_the_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = os.replace
+
+    def overtaken(partial: Path, path: Path) -> None:
+        whole(partial, path)
+        partial.write_bytes(b"the next downloader's")
+
+    monkeypatch.setattr(os, "replace", overtaken)
+    Cache(tmp_path, 100).file("uploads/a", Source())
+    assert [path.read_bytes() for path in (tmp_path / "partial").iterdir()] == [b"the next downloader's"]
