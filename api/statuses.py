@@ -21,6 +21,7 @@ from services.domain.datasets import errors as datasets
 from services.domain.datasets import input_jobs as inputs
 from services.domain.exports import requests
 from services.domain.sequences import label_choices as choices
+from services.domain.sequences import label_comparisons as comparisons
 from services.domain.sequences import processing_errors as processing
 from services.domain.sequences import recordings
 from services.domain.viewer import errors as views
@@ -64,6 +65,8 @@ STATUS_OF: dict[type[StoneError], int] = {
     virtual_archive.BadMemberError: 409,
     file_sets.BadBagFilesError: 422,
     choices.ChoiceError: 422,
+    comparisons.SameLabelSetError: 422,
+    comparisons.UnknownLabelSetError: 422,
     sandbox.SandboxCrashedError: 422,
     sandbox.SandboxInterruptedError: 503,
     datasets.BrokenSplitsError: 409,

@@ -23,6 +23,7 @@ from services.runtime.orm import (
     DatasetMember,
     Export,
     Job,
+    LabelComparison,
     LabelledFrameRow,
     LabelSet,
     Phase,
@@ -109,6 +110,14 @@ def export_of(session: Session, caller: Caller, sequence_id: str, export_id: str
     sequence = sequence_of(session, caller, sequence_id)
     of_sequence = select(Export).where(Export.sequence_id == sequence.id, Export.id == export_id)
     return _known(session.scalars(of_sequence).one_or_none(), "export", export_id)
+
+
+def label_comparison_of(session: Session, caller: Caller, sequence_id: str, comparison_id: str) -> LabelComparison:
+    """Raises `NotFoundError`."""
+    sequence = sequence_of(session, caller, sequence_id)
+    of_sequence = select(LabelComparison).where(LabelComparison.sequence_id == sequence.id)
+    found = session.scalars(of_sequence.where(LabelComparison.id == comparison_id)).one_or_none()
+    return _known(found, "label comparison", comparison_id)
 
 
 def job_of(session: Session, caller: Caller, job_id: str) -> Job:

@@ -28,6 +28,7 @@ from stone_client.commands.local.demo import demo
 from stone_client.commands.local.export import export
 from stone_client.commands.local.inspect import inspect
 from stone_client.commands.local.label import label
+from stone_client.commands.local.label_sets import label_sets
 from stone_client.commands.local.recover import recover
 from stone_client.commands.local.score import score
 from stone_client.commands.local.simulate import simulate
@@ -65,6 +66,7 @@ for panel, commands in COMMANDS.items():
         app.command(rich_help_panel=panel)(command)
 GROUPS: dict[str, tuple[str, typer.Typer]] = {
     "calibration": ("On this machine", calibration),
+    "label-sets": ("On this machine", label_sets),
     "teams": ("A benchmark", teams),
 }
 for name, (panel, group) in GROUPS.items():

@@ -7,18 +7,17 @@ writes one file in its folder, and answers with what the row is to say. The mani
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from hashlib import sha256
 from pathlib import Path
 from typing import Annotated, ClassVar
 
 from pydantic import Field
 
-from services.eval.ground_truth import MAX_LABELS_BYTES, Mask, truth_in
+from services.eval.ground_truth import Mask, truth_in
+from services.eval.packed_label_file import PackedLabelFile
 from services.eval.scoring_errors import LabelsUnfitError
 from services.eval.truth_pack import write_truth_pack
 from services.runtime.sandbox import ProgressCallback
 from services.runtime.sandbox.answers import Hex256, SandboxAnswer
-from services.runtime.store.pack_reading import ShortPackError
 from stone.scoring.bitplanes import TruthPlanes
 from stone_submissions.errors import GroundTruthError
 from stone_submissions.manifest import MAX_FRAMES, Manifest
@@ -35,17 +34,6 @@ class TruthAnswer(SandboxAnswer):
 
 
 @dataclass(frozen=True)
-class PackedLabelFile:
-    """Where the label file of a frame lies: a range of the pack of this number, and what it hashes to."""
-
-    name: str
-    pack: int
-    offset_bytes: int
-    length_bytes: int
-    sha256: str
-
-
-@dataclass(frozen=True)
 class TruthInputs:
     """What a ground truth is built of: packs by number, the label file of each frame by token; a plain value."""
 
@@ -58,21 +46,9 @@ class TruthInputs:
         """Of one frame. Raises `LabelsUnfitError`, which says nothing of what the file holds, and `ShortPackError`."""
         file = self.files[token]
         try:
-            return truth_in(self._content(file), self.mask, Path(file.name))
+            return truth_in(file.read(self.packs), self.mask, Path(file.name))
         except GroundTruthError as error:
             raise LabelsUnfitError(f"file {file.name}", "no label file with the arrays that the phase needs") from error
-
-    def _content(self, file: PackedLabelFile) -> bytes:
-        if file.length_bytes > MAX_LABELS_BYTES:
-            raise LabelsUnfitError(f"file {file.name}", f"longer than {MAX_LABELS_BYTES} bytes")
-        with self.packs[file.pack].open("rb") as pack:
-            pack.seek(file.offset_bytes)
-            npz = pack.read(file.length_bytes)
-        if len(npz) < file.length_bytes:
-            raise ShortPackError(file.pack, file.offset_bytes + len(npz))
-        if sha256(npz).hexdigest() != file.sha256:
-            raise LabelsUnfitError(f"file {file.name}", "its sha256 is another than the index says")
-        return npz
 
 
 def write_truth(inputs: TruthInputs, folder: Path, progress: ProgressCallback) -> bytes:

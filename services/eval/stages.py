@@ -1,6 +1,6 @@
 """What `eval` does in the queue, stage by stage; counting and scores are those that `pipeline.score` calls.
 
-    open → part (each range of frames) → join (each evaluation version); truth
+    open → part (each range of frames) → join (each evaluation version); truth; compare
 
 **Conventions.** A stage may run twice, at once or after being killed anywhere: what it writes is one row each time, in
 the transaction of its success. A submission that is refused is no failed job: the job succeeds, the submission has
@@ -15,7 +15,9 @@ from services.domain.benchmarks.phases.evaluation_versions import active
 from services.domain.benchmarks.submissions.scores import CountedPart, write_part
 from services.domain.benchmarks.submissions.scoring_jobs import JOIN, OPEN, PART, TRUTH, scoring_specs
 from services.domain.benchmarks.submissions.submissions import mark_scoring
+from services.domain.sequences.label_comparisons import COMPARE
 from services.eval.cases import live_submission
+from services.eval.comparison.stage import compare_label_sets
 from services.eval.file_keeping import keep_file
 from services.eval.join import concluded, join
 from services.eval.scoring_errors import TruthUnreadyError
@@ -34,6 +36,7 @@ def handlers(platform: Platform) -> Handlers:
         PART: partial(settling, count_part),
         JOIN: partial(settling, join),
         TRUTH: build_truth,
+        COMPARE: compare_label_sets,
     }
     return {kind: partial(_with_context, platform, stage) for kind, stage in stages.items()}
 

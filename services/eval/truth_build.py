@@ -17,7 +17,8 @@ from sqlalchemy.orm import Session
 from services.domain.benchmarks.phases.ground_truths import LABELS, first_activation
 from services.eval.ground_truth import Mask
 from services.eval.kernel_warmup import warm
-from services.eval.sandboxed_truth import PACK, PackedLabelFile, TruthAnswer, TruthInputs, write_truth
+from services.eval.packed_label_file import PackedLabelFile
+from services.eval.sandboxed_truth import PACK, TruthAnswer, TruthInputs, write_truth
 from services.eval.scoring_errors import LabelsUnfitError
 from services.eval.stage_context import EvalStageContext
 from services.runtime.jobs.errors import JobCancelledError

@@ -19,6 +19,7 @@ import numpy as np
 from sqlalchemy import select
 
 from services.domain.exports.requests import ExportResult, start_export, write_export
+from services.domain.sequences.label_comparisons import start_comparison
 from services.domain.viewer.playback import INDEX, PLAYBACK, PlaybackChannels, camera_file, cloud_file, index_record
 from services.runtime.jobs.enqueue import enqueue, enqueue_run
 from services.runtime.jobs.specs import Context, JobSpec
@@ -188,6 +189,13 @@ def export(platform: Platform, sequence_id: str, files: Mapping[str, bytes], for
         write_export(session, ended, ExportResult(packed, index, packs, tar, zipped), 2**40)
         session.get_one(Job, job.id).state = "succeeded"
     return row.id
+
+
+def label_comparison(platform: Platform, sequence_id: str, pair: tuple[str, str]) -> str:
+    """The id of a comparison of these label sets A and B that was asked for."""
+    with platform.database.transaction() as session:
+        comparison, _ = start_comparison(session, session.get_one(SequenceRow, sequence_id), *pair)
+        return comparison.id
 
 
 def run(platform: Platform, owner: Person, *kinds: str, sequence_id: str | None = None) -> str:

@@ -1,4 +1,4 @@
-"""Sections of a sequence's page for its owner and administrators: recordings, runs, exports.
+"""Sections of a sequence's page for its owner and administrators: recordings, runs, label sets, exports.
 
 **Conventions.** Somebody else is answered as if the sequence were not there, be it public.
 """
@@ -12,10 +12,12 @@ from api.callers import Reader
 from api.deps import Caller
 from api.views.exports import export_items
 from api.views.jobs import job_items
+from api.views.label_sets import comparison_items, label_set_items
 from api.views.recordings import recording_detail
 from api.visible import sequence_of
 from services.runtime.jobs.specs import TERMINAL
-from services.runtime.orm import Export, Job, Recording
+from services.runtime.orm import Export, Job, LabelComparison, LabelSet, Recording
+from web.boards.results import CLASS_NAMES, matrix
 from web.sequence.export_formats import TITLES, offers_beside
 from web.sequence.recording import recording_view
 from web.sequence.sections import AtSequence, shown_section
@@ -43,6 +45,28 @@ def processing(at: AtSequence, caller: Reader) -> HTMLResponse:
     with at.platform.database.reading() as session:
         status = _own(session, caller, at.sequence_id)
     return shown_section(at, (caller, status), "processing")
+
+
+@router.get("/label-sets")
+def label_sets(at: AtSequence, caller: Reader) -> HTMLResponse:
+    """What was labelled, now and before, and how alike two of these are."""
+    of_sequence, compared = LabelSet.sequence_id == at.sequence_id, LabelComparison.sequence_id == at.sequence_id
+    with at.platform.database.reading() as session:
+        status = _own(session, caller, at.sequence_id)
+        rows = session.scalars(select(LabelSet).where(of_sequence).order_by(LabelSet.id.desc()).limit(MOST_SHOWN))
+        sets = label_set_items(session, at.sequence_id, rows.all())
+        newest = select(LabelComparison).where(compared).order_by(LabelComparison.id.desc())
+        comparisons = comparison_items(session, session.scalars(newest.limit(MOST_SHOWN)).all())
+    matrices = {one.id: matrix(one.record.all_voxels.confusion) for one in comparisons if one.record}
+    return shown_section(
+        at,
+        (caller, status),
+        "label-sets",
+        label_sets={one.id: one for one in sets},
+        comparisons=comparisons,
+        matrices=matrices,
+        class_names=CLASS_NAMES,
+    )
 
 
 @router.get("/exports")

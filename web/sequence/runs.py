@@ -21,6 +21,7 @@ TITLES: Mapping[str, str] = {
     "labeler.frames": "Label frames",
     "labeler.publish": "Publish",
     "labeler.export": "Write the export",
+    "eval.compare": "Compare label sets",
     "sequence.process": "Labelling",
 }
 LABELLING = tuple(kind for kind in TITLES if kind.startswith("labeler.") and kind != "labeler.export")

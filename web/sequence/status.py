@@ -41,6 +41,7 @@ SECTIONS = (
     Section("/recordings", "Recordings", is_own=True),
     Section("/calibration", "Calibration"),
     Section("/processing", "Processing", is_own=True),
+    Section("/label-sets", "Label sets", is_own=True),
     Section("/exports", "Exports", is_own=True),
 )
 

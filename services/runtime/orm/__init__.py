@@ -25,6 +25,7 @@ from services.runtime.orm.datasets import (
 from services.runtime.orm.exports import Export, ExportPack
 from services.runtime.orm.gc_holds import GcHoldRow
 from services.runtime.orm.jobs import Job, JobAttempt, JobLine, JobNeed, Queue, Worker
+from services.runtime.orm.label_comparisons import LabelComparison
 from services.runtime.orm.ledgers import AuditAnchor, AuditEntry, IdempotentReply, QuotaEntry
 from services.runtime.orm.people import (
     FailedSignInRow,
@@ -71,6 +72,7 @@ __all__ = [
     "JobAttempt",
     "JobLine",
     "JobNeed",
+    "LabelComparison",
     "LabelSet",
     "LabelledFrameRow",
     "LooseObject",

@@ -111,6 +111,6 @@ def _filled(example: Mapping[str, Any], named: Mapping[str, str], user_name: str
         return dict.fromkeys(example, PASSWORD)
     real: dict[str, Any] = {"upload_id": named["complete_upload"], "calibration_id": named["calibration_id"]}
     real |= {"train": [named["sequence_id"]], "dataset": named["dataset_name"], "member": named["member"]}
-    real |= {name: named[name] for name in ("phase_id", "truth_id", "team_id")}
+    real |= {name: named[name] for name in ("phase_id", "truth_id", "team_id", "a_id", "b_id")}
     filled = {key: real.get(key, value) for key, value in example.items()}
     return filled | ({"name": f"{example['name']}-{next(NUMBERS)}"} if "name" in example else {})

@@ -54,6 +54,9 @@ IDS = (
     "user_id",
     "token",
     "export_id",
+    "comparison_id",
+    "a_id",
+    "b_id",
     "phase_id",
     "team_id",
     "invitation_id",
@@ -104,6 +107,7 @@ def make_world(platform: Platform, user: User, published: str = "") -> World:
     sequence_id = _sequence(platform, user.id, calibration_id)
     _profile(platform, user.id)
     named_so = {"id": sequence_id, "name": _name(platform, sequence_id), "owner_id": user.id}
+    earlier = made.labels(platform, named_so, seed=b"earlier", contents=[made.frame_labels(2)] * 3)
     labels = made.labels(platform, named_so, contents=[made.frame_labels()] * 3)
     named = {
         "sequence_id": sequence_id,
@@ -119,6 +123,9 @@ def make_world(platform: Platform, user: User, published: str = "") -> World:
         "benchmark_name": (benchmark_name := f"stone-{new_id()[-8:]}"),
         "phase_id": _phase(platform, user.id, dataset_name, benchmark_name),
         "export_id": made.export(platform, sequence_id, {"mesh.ply": b"ply\n"}),
+        "comparison_id": made.label_comparison(platform, sequence_id, (labels.id, earlier.id)),
+        "a_id": labels.id,
+        "b_id": earlier.id,
         **_team(platform, user),
         **WORDS,
         "member": user.name,

@@ -1,0 +1,107 @@
+"""Routes of a sequence's label sets: all of them, and comparisons of two.
+
+**Conventions.** Label sets that do not count any more are their owner's alone, and so are comparisons. Equal requests
+are one comparison.
+"""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Request, Response
+from sqlalchemy import select
+
+from api import audit
+from api.answers import refusals
+from api.callers import Curator, Reader
+from api.deps import PlatformDep
+from api.errors import NotFoundError
+from api.files import GeneratedFile, answer_made, file_responses
+from api.paging import Page, PageDep, page
+from api.routes.frames import TokenPath
+from api.schemas.base import IdPath
+from api.schemas.label_sets import (
+    LabelComparisonAccepted,
+    LabelComparisonItem,
+    LabelSetItem,
+    NewLabelComparisonBody,
+)
+from api.views.jobs import job_items
+from api.views.label_sets import comparison_items, label_set_items, pair_picture
+from api.visible import label_comparison_of, sequence_of
+from services.domain.sequences.label_comparisons import start_comparison, stored_pair
+from services.runtime.orm import LabelComparison, LabelSet
+
+router = APIRouter(prefix="/sequences/{sequence_id}", tags=["label sets"])
+PNG = "image/png"
+
+
+@dataclass(frozen=True)
+class ComparisonPath:
+    """Which comparison of which sequence."""
+
+    sequence_id: IdPath
+    comparison_id: IdPath
+
+
+AtComparison = Annotated[ComparisonPath, Depends(ComparisonPath)]
+
+
+@router.get("/label-sets", responses=refusals(404))
+def list_label_sets(sequence_id: IdPath, caller: Reader, platform: PlatformDep, query: PageDep) -> Page[LabelSetItem]:
+    """The label sets of a sequence, newest first; which counts is said of each."""
+    with platform.database.reading() as session:
+        sequence = sequence_of(session, caller, sequence_id)
+        of_sequence = select(LabelSet).where(LabelSet.sequence_id == sequence.id)
+        found = page(session, of_sequence, LabelSet.id.desc(), query)
+        return Page[LabelSetItem](items=label_set_items(session, sequence.id, found.rows), next=found.next)
+
+
+@router.post("/label-comparisons", status_code=202, responses=refusals(403, 404, 409))
+def create_label_comparison(
+    sequence_id: IdPath, body: NewLabelComparisonBody, caller: Curator, platform: PlatformDep, response: Response
+) -> LabelComparisonAccepted:
+    """Have two label sets compared; a comparison that failed is tried again."""
+    with platform.database.transaction() as session:
+        sequence = sequence_of(session, caller, sequence_id)
+        comparison, job = start_comparison(session, sequence, body.a_id, body.b_id)
+        facts = {"sequence_id": sequence.id, "a_id": body.a_id, "b_id": body.b_id, "job_id": job.id}
+        audit.record(session, caller, "label_comparison.create", comparison.id, facts=facts)
+        item = comparison_items(session, [comparison])[0]
+        shown = LabelComparisonAccepted(comparison=item, job=job_items(session, [job])[0])
+    response.headers["Location"] = f"/api/v1/sequences/{sequence_id}/label-comparisons/{comparison.id}"
+    return shown
+
+
+@router.get("/label-comparisons", responses=refusals(404))
+def list_label_comparisons(
+    sequence_id: IdPath, caller: Reader, platform: PlatformDep, query: PageDep
+) -> Page[LabelComparisonItem]:
+    """The comparisons of a sequence's label sets, newest first."""
+    with platform.database.reading() as session:
+        sequence = sequence_of(session, caller, sequence_id)
+        of_sequence = select(LabelComparison).where(LabelComparison.sequence_id == sequence.id)
+        found = page(session, of_sequence, LabelComparison.id.desc(), query)
+        return Page[LabelComparisonItem](items=comparison_items(session, found.rows), next=found.next)
+
+
+@router.get("/label-comparisons/{comparison_id}", responses=refusals(404))
+def show_label_comparison(at: AtComparison, caller: Reader, platform: PlatformDep) -> LabelComparisonItem:
+    """A comparison: how far it is, and how alike the two are."""
+    with platform.database.reading() as session:
+        row = label_comparison_of(session, caller, at.sequence_id, at.comparison_id)
+        return comparison_items(session, [row])[0]
+
+
+@router.get(
+    "/label-comparisons/{comparison_id}/frames/{token}.png", response_class=Response, responses=file_responses(PNG)
+)
+def download_label_difference(
+    at: AtComparison, token: TokenPath, caller: Reader, platform: PlatformDep, request: Request
+) -> Response:
+    """The labels of a frame from above: A, B, and where they differ."""
+    with platform.database.reading() as session:
+        row = label_comparison_of(session, caller, at.sequence_id, at.comparison_id)
+        pair = stored_pair(session, row, token)
+    if pair is None:
+        raise NotFoundError("frame of this comparison", token)
+    return answer_made(request, pair_picture(platform.store, pair), GeneratedFile(PNG, f"{token}-difference.png"))

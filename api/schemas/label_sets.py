@@ -1,0 +1,160 @@
+"""Label sets over the wire, and comparisons of two of them."""
+
+from datetime import datetime
+from typing import Any
+
+from api.schemas.base import ID_EXAMPLE, Answer, Body, IdText, example
+from api.schemas.jobs import JOB_EXAMPLE, FailureItem, JobItem
+
+OTHER_EXAMPLE = "019aa5b0c1d24f6e8a7b3c5d9e0f1a2c"
+RATIOS_EXAMPLE = {"iou_occ": 0.971, "iou_t": 0.94, "iou_p": 0.88, "iou_n": 0.96, "miou": 0.927}
+CONFUSION_EXAMPLE = [[2040000, 900, 300, 1200], [700, 21000, 400, 10], [350, 380, 9000, 200], [900, 15, 260, 21537]]
+FIGURES_EXAMPLE: dict[str, Any] = {
+    "confusion": CONFUSION_EXAMPLE,
+    "agreement_ratio": 0.902,
+    "ratios": RATIOS_EXAMPLE,
+}
+BLOCK_EXAMPLE: dict[str, Any] = {
+    **FIGURES_EXAMPLE,
+    "rings": [{"from_m": 0.0, "to_m": 10.0, **FIGURES_EXAMPLE}],
+}
+RECORD_EXAMPLE: dict[str, Any] = {
+    "frames": 1,
+    "only_in_a": 0,
+    "only_in_b": 0,
+    "has_equal_classes": False,
+    "all_voxels": BLOCK_EXAMPLE,
+    "seen_in_both": BLOCK_EXAMPLE,
+    "seen_voxels": {"both": 512000, "only_a": 1200, "only_b": 800},
+    "least_alike": [{"token": ID_EXAMPLE, "agreement_ratio": 0.902}],
+}
+COMPARISON_EXAMPLE: dict[str, Any] = {
+    "id": ID_EXAMPLE,
+    "sequence_id": ID_EXAMPLE,
+    "a_id": ID_EXAMPLE,
+    "b_id": OTHER_EXAMPLE,
+    "job_id": ID_EXAMPLE,
+    "state": "succeeded",
+    "code_version": "0.1.0+71299b6a455d",
+    "record": RECORD_EXAMPLE,
+    "failure": None,
+    "created_at": "2026-05-03T10:31:02.250000Z",
+    "finished_at": "2026-05-03T10:31:08Z",
+}
+
+
+class LabelSetItem(Answer):
+    """A label set of a sequence; one of them counts, the one that was asked for last."""
+
+    model_config = example(
+        id=ID_EXAMPLE,
+        profile="paper",
+        frames=1200,
+        code_version="0.1.0+71299b6a455d",
+        is_counting=True,
+        created_at="2026-05-03T10:31:02.250000Z",
+    )
+
+    id: str
+    profile: str
+    frames: int
+    code_version: str
+    is_counting: bool
+    created_at: datetime
+
+
+class NewLabelComparisonBody(Body):
+    """Which two label sets of the sequence are to be compared; neither is the truth."""
+
+    model_config = example(a_id=ID_EXAMPLE, b_id=OTHER_EXAMPLE)
+
+    a_id: IdText
+    b_id: IdText
+
+
+class AgreementFigures(Answer):
+    """Voxels by class in A (rows) and B (columns), and what is read from them; null where undefined."""
+
+    model_config = example(**FIGURES_EXAMPLE)
+
+    confusion: list[list[int]]
+    agreement_ratio: float | None
+    ratios: dict[str, float | None]
+
+
+class AgreementRing(AgreementFigures):
+    """The same of voxels whose columns are so far from the robot; the last ring has no end."""
+
+    model_config = example(from_m=0.0, to_m=10.0, **FIGURES_EXAMPLE)
+
+    from_m: float
+    to_m: float | None
+
+
+class AgreementBlock(AgreementFigures):
+    """The figures of all rings together, and of each."""
+
+    model_config = example(**BLOCK_EXAMPLE)
+
+    rings: list[AgreementRing]
+
+
+class SeenVoxels(Answer):
+    """Voxels that a ray reached or passed: in both label sets, in A only, in B only."""
+
+    model_config = example(both=512000, only_a=1200, only_b=800)
+
+    both: int
+    only_a: int
+    only_b: int
+
+
+class FrameAgreement(Answer):
+    """How alike the labels of a frame are; its token is that in A."""
+
+    model_config = example(token=ID_EXAMPLE, agreement_ratio=0.902)
+
+    token: str
+    agreement_ratio: float
+
+
+class AgreementRecord(Answer):
+    """How alike two label sets are; `seen_in_both` is null where one of them does not say what was seen."""
+
+    model_config = example(**RECORD_EXAMPLE)
+
+    frames: int
+    only_in_a: int
+    only_in_b: int
+    has_equal_classes: bool
+    all_voxels: AgreementBlock
+    seen_in_both: AgreementBlock | None
+    seen_voxels: SeenVoxels | None
+    least_alike: list[FrameAgreement]
+
+
+class LabelComparisonItem(Answer):
+    """A comparison of two label sets; its record is there once its state is `succeeded`."""
+
+    model_config = example(**COMPARISON_EXAMPLE)
+
+    id: str
+    sequence_id: str
+    a_id: str
+    b_id: str
+    job_id: str
+    state: str
+    code_version: str
+    record: AgreementRecord | None
+    failure: FailureItem | None
+    created_at: datetime
+    finished_at: datetime | None
+
+
+class LabelComparisonAccepted(Answer):
+    """The comparison that was asked for, and the job that makes it or has made it."""
+
+    model_config = example(comparison=COMPARISON_EXAMPLE, job={**JOB_EXAMPLE, "kind": "eval.compare"})
+
+    comparison: LabelComparisonItem
+    job: JobItem

@@ -1,0 +1,75 @@
+"""Label sets and their comparisons as response bodies, and pictures of where two of them differ."""
+
+from collections.abc import Sequence as Listing
+from functools import lru_cache
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from api.schemas.base import instant, instant_or_none
+from api.schemas.jobs import FailureItem
+from api.schemas.label_sets import AgreementRecord, LabelComparisonItem, LabelSetItem
+from services.domain.exports.requests import counting_labels
+from services.domain.sequences.label_comparisons import StoredLabelFile, StoredPair
+from services.domain.viewer.difference_picture import SeenGrid, comparison_picture
+from services.domain.viewer.frame_grids import read_grids
+from services.runtime.orm import Job, LabelComparison, LabelSet
+from services.runtime.store.protocol import Store
+
+HELD_PICTURES = 64
+SHOWN_GRIDS = ("semantics", "mask_lidar")
+
+
+def label_set_items(session: Session, sequence_id: str, rows: Listing[LabelSet]) -> list[LabelSetItem]:
+    """Label sets of one sequence as a list shows them."""
+    counting = counting_labels(session, sequence_id)
+    return [
+        LabelSetItem(
+            id=row.id,
+            profile=str(row.parameters.get("profile", "")),
+            frames=row.frames,
+            code_version=row.code_version,
+            is_counting=counting is not None and row.id == counting.id,
+            created_at=instant(row.created_ns),
+        )
+        for row in rows
+    ]
+
+
+def comparison_items(session: Session, rows: Listing[LabelComparison]) -> list[LabelComparisonItem]:
+    """Comparisons as a list shows them."""
+    jobs = {job.id: job for job in session.scalars(select(Job).where(Job.id.in_([row.job_id for row in rows])))}
+    return [_item(row, jobs[row.job_id]) for row in rows]
+
+
+def pair_picture(store: Store, pair: StoredPair) -> bytes:
+    """A, B and the difference from above, a PNG. Raises `GridUnreadableError`."""
+    return _picture(store, pair)  # type: ignore[arg-type]  # by identity
+
+
+@lru_cache(maxsize=HELD_PICTURES)
+def _picture(store: Store, pair: StoredPair) -> bytes:
+    return comparison_picture(_grids(store, pair.a), _grids(store, pair.b))
+
+
+def _grids(store: Store, file: StoredLabelFile) -> SeenGrid:
+    begin = file.offset_bytes
+    payload = b"".join(store.read(file.object_key, begin, begin + file.length_bytes))
+    semantics, seen = read_grids(payload, SHOWN_GRIDS)
+    return semantics, seen
+
+
+def _item(row: LabelComparison, job: Job) -> LabelComparisonItem:
+    return LabelComparisonItem(
+        id=row.id,
+        sequence_id=row.sequence_id,
+        a_id=row.a_id,
+        b_id=row.b_id,
+        job_id=row.job_id,
+        state="succeeded" if row.finished_ns is not None else job.state,
+        code_version=row.code_version,
+        record=None if row.record is None else AgreementRecord.model_validate(row.record),
+        failure=FailureItem(code=job.failure_code, sentence=job.failure) if job.failure_code else None,
+        created_at=instant(row.created_ns),
+        finished_at=instant_or_none(row.finished_ns),
+    )

@@ -1,0 +1,160 @@
+"""Comparisons of two label sets of a sequence: asked for, made by a job, written down once.
+
+**Conventions.** Frames are those of equal stamps. Equal requests are one comparison, for label sets never change; one
+whose job failed or was cancelled is tried again. Each function is part of the caller's transaction.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session, aliased
+
+from services.domain.sequences.processing import lock_sequence
+from services.runtime.code_version import code_version
+from services.runtime.jobs.enqueue import enqueue
+from services.runtime.jobs.errors import JobCancelledError
+from services.runtime.jobs.specs import TERMINAL, Attempt, Context, JobSpec
+from services.runtime.orm import (
+    Artefact,
+    Blob,
+    Job,
+    LabelComparison,
+    LabelledFrameRow,
+    LabelSet,
+    SequenceRow,
+    new_id,
+)
+from services.runtime.orm.base import now_ns
+from stone.errors import StoneError
+
+COMPARE = "eval.compare"
+
+
+class UnknownLabelSetError(StoneError):
+    """The sequence has no such label set."""
+
+    code = "unknown_label_set"
+
+    def __init__(self, label_set_id: str, sequence_id: str) -> None:
+        super().__init__(
+            f"{label_set_id[:80]!r} is no label set of sequence {sequence_id}; was it of another sequence?"
+        )
+
+
+class SameLabelSetError(StoneError):
+    """A label set is not compared with itself."""
+
+    code = "same_label_set"
+
+    def __init__(self, label_set_id: str) -> None:
+        super().__init__(f"A and B are both label set {label_set_id}; name two different ones")
+
+
+@dataclass(frozen=True)
+class StoredLabelFile:
+    """A frame's label file: a range of an object, and what it hashes to."""
+
+    token: str
+    object_key: str
+    offset_bytes: int
+    length_bytes: int
+    sha256: str
+
+
+@dataclass(frozen=True)
+class StoredPair:
+    """The label files of a frame in A and in B."""
+
+    a: StoredLabelFile
+    b: StoredLabelFile
+
+
+def start_comparison(session: Session, sequence: SequenceRow, a_id: str, b_id: str) -> tuple[LabelComparison, Job]:
+    """The comparison of A and B and its job: those that stand already, or new ones.
+
+    Raises `UnknownLabelSetError`, `SameLabelSetError`, `SequenceDeletedError`, `QueueDrainingError`.
+    """
+    sequence = lock_sequence(session, sequence.id)
+    for label_set_id in (a_id, b_id):
+        _require_label_set(session, sequence, label_set_id)
+    if a_id == b_id:
+        raise SameLabelSetError(a_id)
+    comparison = _existing_comparison(session, a_id, b_id)
+    if comparison is not None:
+        job = session.get_one(Job, comparison.job_id, populate_existing=True)
+        if comparison.finished_ns is not None or (job.state not in TERMINAL and not job.cancel_reason):
+            return comparison, job
+    else:
+        facts = {"sequence_id": sequence.id, "a_id": a_id, "b_id": b_id, "code_version": code_version("scores")}
+        comparison = LabelComparison(id=new_id(), **facts)
+    job = enqueue(session, JobSpec(COMPARE, {"comparison_id": comparison.id}), Context(sequence.owner_id, sequence.id))
+    comparison.job_id = job.id
+    session.add(comparison)
+    session.flush()
+    return comparison, job
+
+
+def compared_by(session: Session, attempt: Attempt) -> LabelComparison:
+    """The comparison that the attempt makes. Raises `JobCancelledError`."""
+    found = session.get(LabelComparison, attempt.arguments["comparison_id"], populate_existing=True)
+    if found is None or found.job_id != attempt.job_id:
+        raise JobCancelledError("its comparison was deleted, or is made by another job")
+    return found
+
+
+def write_comparison(session: Session, attempt: Attempt, record: Mapping[str, Any]) -> None:
+    """Write down what the job has counted, in the transaction of its success. Raises `JobCancelledError`."""
+    comparison = compared_by(session, attempt)
+    comparison.record, comparison.finished_ns = dict(record), now_ns()
+
+
+def stored_pairs(session: Session, comparison: LabelComparison) -> list[StoredPair]:
+    """The frames that both label sets have, in the order of A."""
+    a, b = aliased(LabelledFrameRow), aliased(LabelledFrameRow)
+    pack_a, pack_b, blob_a, blob_b = aliased(Artefact), aliased(Artefact), aliased(Blob), aliased(Blob)
+    pairs = (
+        select(a, blob_a.object_key, b, blob_b.object_key)
+        .join(b, a.stamp_ns == b.stamp_ns)
+        .join(pack_a, pack_a.id == a.pack_id)
+        .join(blob_a, blob_a.sha256 == pack_a.blob_sha256)
+        .join(pack_b, pack_b.id == b.pack_id)
+        .join(blob_b, blob_b.sha256 == pack_b.blob_sha256)
+        .where(a.label_set_id == comparison.a_id, b.label_set_id == comparison.b_id)
+        .order_by(a.ordinal)
+    )
+    found = session.execute(pairs).all()
+    return [StoredPair(_stored(of_a, key_a), _stored(of_b, key_b)) for of_a, key_a, of_b, key_b in found]
+
+
+def stored_pair(session: Session, comparison: LabelComparison, token: str) -> StoredPair | None:
+    """The pair of one frame, named by its token in A; None where A has none of it, or B none of its stamp."""
+    at = select(LabelledFrameRow).where(LabelledFrameRow.token == token)
+    a = session.scalars(at.where(LabelledFrameRow.label_set_id == comparison.a_id).limit(1)).one_or_none()
+    if a is None:
+        return None
+    same = select(LabelledFrameRow).where(LabelledFrameRow.stamp_ns == a.stamp_ns)
+    b = session.scalars(same.where(LabelledFrameRow.label_set_id == comparison.b_id).limit(1)).one_or_none()
+    return None if b is None else StoredPair(*(_stored(row, _object_key(session, row)) for row in (a, b)))
+
+
+def _object_key(session: Session, row: LabelledFrameRow) -> str:
+    return session.get_one(Blob, session.get_one(Artefact, row.pack_id).blob_sha256).object_key
+
+
+def _stored(row: LabelledFrameRow, object_key: str) -> StoredLabelFile:
+    return StoredLabelFile(row.token, object_key, row.offset_bytes, row.length_bytes, row.sha256)
+
+
+def _existing_comparison(session: Session, a_id: str, b_id: str) -> LabelComparison | None:
+    same = select(LabelComparison).where(LabelComparison.a_id == a_id, LabelComparison.b_id == b_id)
+    same = same.where(LabelComparison.code_version == code_version("scores"))
+    return session.scalars(same.execution_options(populate_existing=True)).one_or_none()
+
+
+def _require_label_set(session: Session, sequence: SequenceRow, label_set_id: str) -> None:
+    """Raises `UnknownLabelSetError`."""
+    found = session.get(LabelSet, label_set_id)
+    if found is None or found.sequence_id != sequence.id:
+        raise UnknownLabelSetError(label_set_id, sequence.id)

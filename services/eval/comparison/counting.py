@@ -1,0 +1,100 @@
+"""Counts of two label sets, frame by frame: over all voxels, and over those that were seen in both.
+
+**Conventions.** Confusions are [ring, A, B] (`stone/scoring/agreement.py`). A voxel was *seen* where `mask_lidar` is
+not 0. One frame of both sets is in memory at a time.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.eval.counting import Progress, silent
+from services.eval.ground_truth import KEYS
+from stone.labels.grid import GRID_SHAPE, Grid
+from stone.scoring.agreement import agreement_ratios
+from stone.scoring.bitplanes import RINGS, LabelRangeError, frame_counts, truth_planes
+from stone.scoring.metric import CLASSES
+from stone_submissions.errors import GroundTruthError, SubmissionError
+from stone_submissions.npz_frame import npz_members, read_grid
+
+SEMANTICS, SEEN = "semantics", "mask_lidar"
+Counted = NDArray[np.int64]
+EVERYWHERE = np.ones(GRID_SHAPE, np.bool_)
+
+
+@dataclass(frozen=True, eq=False)
+class LabelGrids:
+    """The labels of a frame, (256, 256, 32) uint8; `seen` is None where the file does not say what was seen."""
+
+    semantics: Grid
+    seen: Grid | None
+
+
+FrameGrids = Callable[[], tuple[LabelGrids, LabelGrids]]
+
+
+@dataclass(frozen=True, eq=False)
+class SeenCounts:
+    """Counts where both saw: `confusion` (3, 4, 4), and voxels `seen` in both, in A only and in B only."""
+
+    confusion: Counted
+    voxels: tuple[int, int, int]
+
+
+@dataclass(frozen=True, eq=False)
+class LabelSetCounts:
+    """Sums over F frames: `confusion` (3, 4, 4) of all voxels; `agreements` (F,), NaN where nothing is occupied.
+
+    `seen` is None where a frame of either set does not say what was seen.
+    """
+
+    confusion: Counted
+    seen: SeenCounts | None
+    agreements: NDArray[np.float64]
+
+
+def label_grids(npz: bytes, path: Path) -> LabelGrids:
+    """The grids of a label file, read as strictly as a submission. Raises `GroundTruthError`."""
+    try:
+        members = npz_members(npz)
+        if SEMANTICS not in members or not members.keys() <= KEYS:
+            raise GroundTruthError(path, f"its arrays are {', '.join(sorted(members))[:200]}, not semantics and masks")
+        seen = read_grid(npz, members[SEEN]) if SEEN in members else None
+        semantics = read_grid(npz, members[SEMANTICS])
+        if (highest := int(semantics.max())) >= CLASSES:
+            raise LabelRangeError(highest)
+        return LabelGrids(semantics, seen)
+    except (SubmissionError, LabelRangeError) as error:
+        raise GroundTruthError(path, str(error)) from error
+
+
+def counted_pairs(frames: Iterable[FrameGrids], total: int, progress: Progress = silent) -> LabelSetCounts:
+    """The counts of `total` frames, one after another. Raises what a frame raises."""
+    everywhere, where_seen = (np.zeros((RINGS, CLASSES, CLASSES), np.int64) for _ in range(2))
+    voxels, agreements, says_seen = np.zeros(3, np.int64), np.full(total, np.nan), True
+    for index, grids in enumerate(frames):
+        a, b = grids()
+        of_frame = _confusion(a, b, EVERYWHERE)
+        everywhere += of_frame
+        agreements[index] = agreement_ratios(of_frame.sum(axis=0))
+        if a.seen is None or b.seen is None:
+            says_seen = False
+        elif says_seen:
+            where_seen += _confusion(a, b, (a.seen != 0) & (b.seen != 0))
+            voxels += _seen_voxels(a.seen, b.seen)
+        progress("compare", index + 1, total)
+    both, in_a, in_b = voxels.tolist()
+    seen = SeenCounts(where_seen, (both, in_a - both, in_b - both)) if says_seen else None
+    return LabelSetCounts(everywhere, seen, agreements)
+
+
+def _confusion(a: LabelGrids, b: LabelGrids, is_evaluated: NDArray[np.bool_]) -> Counted:
+    return frame_counts(b.semantics, truth_planes(a.semantics, is_evaluated)).confusion.astype(np.int64)
+
+
+def _seen_voxels(a: Grid, b: Grid) -> Counted:
+    """Voxels seen in both, in A and in B."""
+    return np.array([np.count_nonzero((a != 0) & (b != 0)), np.count_nonzero(a), np.count_nonzero(b)], np.int64)

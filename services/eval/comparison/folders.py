@@ -1,0 +1,71 @@
+"""Comparison of two folders of labels on this machine, frame tokens held against each other."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from services.domain.viewer.difference_picture import comparison_picture
+from services.eval.comparison.counting import FrameGrids, LabelGrids, counted_pairs, label_grids
+from services.eval.comparison.errors import NothingInCommonError
+from services.eval.comparison.record import ComparedFrames, comparison_record
+from services.eval.counting import Progress, silent
+from services.eval.ground_truth import MAX_LABELS_BYTES, find_ground_truth
+from stone_files.atomic import atomic_file
+from stone_submissions.bounded_file import read_bounded
+from stone_submissions.errors import GroundTruthError
+
+
+@dataclass(frozen=True)
+class LabelFolders:
+    """The label files of A and of B by frame token, of the frames in both and in the order of A."""
+
+    a: dict[str, Path]
+    b: dict[str, Path]
+    frames: ComparedFrames
+
+    def grids(self, token: str) -> tuple[LabelGrids, LabelGrids]:
+        """Raises `UnreadableInputError`, `GroundTruthError`."""
+        return _read(self.a[token]), _read(self.b[token])
+
+    def pairs(self) -> Iterator[FrameGrids]:
+        return (partial(self.grids, token) for token in self.frames.tokens)
+
+
+def open_folders(a: Path, b: Path) -> LabelFolders:
+    """Two folders that hold `gts/<sequence>/<frame_token>/labels.npz`.
+
+    Raises `UnreadableInputError`, `GroundTruthError`, `NothingInCommonError`.
+    """
+    of_a, of_b = (find_ground_truth(folder).paths() for folder in (a, b))
+    shared = [token for token in of_a if token in of_b]
+    if not shared:
+        raise NothingInCommonError(str(a), str(b), (len(of_a), len(of_b)))
+    return LabelFolders(of_a, of_b, ComparedFrames(shared, len(of_a) - len(shared), len(of_b) - len(shared)))
+
+
+def compare_folders(folders: LabelFolders, progress: Progress = silent) -> dict[str, Any]:
+    """The record of the comparison. Raises what `LabelFolders.grids` raises."""
+    counts = counted_pairs(folders.pairs(), len(folders.frames.tokens), progress)
+    return comparison_record(folders.frames, counts)
+
+
+def write_pictures(folders: LabelFolders, record: dict[str, Any], folder: Path) -> list[Path]:
+    """`<frame_token>.png` of the frames that are least alike: A, B and the difference from above.
+
+    Raises as `LabelFolders.grids`.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    for frame in record["least_alike"]:
+        a, b = folders.grids(frame["token"])
+        path = folder / f"{frame['token']}.png"
+        with atomic_file(path) as staging:
+            staging.write_bytes(comparison_picture((a.semantics, a.seen), (b.semantics, b.seen)))
+        written.append(path)
+    return written
+
+
+def _read(path: Path) -> LabelGrids:
+    return label_grids(read_bounded(path, MAX_LABELS_BYTES, GroundTruthError), path)

@@ -1,0 +1,153 @@
+"""The stage that compares two label sets of a sequence: packs of the store → counts in a sandbox → the record.
+
+**Conventions.** Label files are opened by a sandboxed child only, each held against its digest. The counts that it
+answers are measured before they are believed: every frame, and all its voxels.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from math import nan
+from pathlib import Path
+from secrets import token_hex
+from typing import Annotated, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from services.domain.sequences.label_comparisons import (
+    StoredLabelFile,
+    StoredPair,
+    compared_by,
+    stored_pairs,
+    write_comparison,
+)
+from services.domain.sequences.stage_checks import require_sequence
+from services.eval.comparison.counting import (
+    Counted,
+    FrameGrids,
+    LabelGrids,
+    LabelSetCounts,
+    SeenCounts,
+    counted_pairs,
+    label_grids,
+)
+from services.eval.comparison.errors import NothingInCommonError
+from services.eval.comparison.record import ComparedFrames, comparison_record
+from services.eval.kernel_warmup import warm
+from services.eval.packed_label_file import PackedLabelFile
+from services.eval.stage_context import EvalStageContext
+from services.runtime.jobs.specs import Outcome
+from services.runtime.orm import LabelSet
+from services.runtime.sandbox import ProgressCallback, SandboxCrashedError
+from services.runtime.sandbox.answers import SandboxAnswer
+from services.runtime.sandbox.job_sandbox import JobSandbox
+from stone.scoring.bitplanes import RINGS, VOXELS
+from stone.scoring.metric import CLASSES
+
+Voxels = Annotated[int, Field(ge=0, lt=2**62)]
+Cells = Annotated[list[Voxels], Field(min_length=RINGS * CLASSES**2, max_length=RINGS * CLASSES**2)]
+Agreement = Annotated[float, Field(ge=0, le=1)] | None
+
+
+class CountsAnswer(SandboxAnswer):
+    """What was counted: confusions flat, [ring, A, B]; `seen_voxels` in both, in A only, in B only."""
+
+    asked: ClassVar[str] = "the counts of two label sets"
+    confusion: Cells
+    seen_confusion: Cells | None
+    seen_voxels: tuple[Voxels, Voxels, Voxels]
+    agreements: list[Agreement]
+
+    @classmethod
+    def of(cls, counts: LabelSetCounts) -> "CountsAnswer":
+        seen = counts.seen
+        return cls(
+            confusion=counts.confusion.ravel().tolist(),
+            seen_confusion=None if seen is None else seen.confusion.ravel().tolist(),
+            seen_voxels=(0, 0, 0) if seen is None else seen.voxels,
+            agreements=[None if np.isnan(one) else float(one) for one in counts.agreements],
+        )
+
+    def counts(self, frames: int) -> LabelSetCounts:
+        """Raises `SandboxCrashedError` where they are not those of this many frames."""
+        if len(self.agreements) != frames or sum(self.confusion) != frames * VOXELS:
+            raise SandboxCrashedError(f"counted something else than {frames} frames")
+        agreements = np.array([nan if one is None else one for one in self.agreements])
+        if self.seen_confusion is None:
+            return LabelSetCounts(_by_ring(self.confusion), None, agreements)
+        seen = SeenCounts(_by_ring(self.seen_confusion), self.seen_voxels)
+        return LabelSetCounts(_by_ring(self.confusion), seen, agreements)
+
+
+@dataclass(frozen=True)
+class PackedPairs:
+    """The label files of all frames in A and in B, and the packs by number in which they lie; a plain value."""
+
+    packs: Mapping[int, Path]
+    pairs: tuple[tuple[PackedLabelFile, PackedLabelFile], ...]
+
+    def grids(self, index: int) -> tuple[LabelGrids, LabelGrids]:
+        """Raises `LabelsUnfitError`, `ShortPackError`, `GroundTruthError`."""
+        a, b = (label_grids(file.read(self.packs), Path(file.name)) for file in self.pairs[index])
+        return a, b
+
+    def frames(self) -> Iterator[FrameGrids]:
+        return (partial(self.grids, index) for index in range(len(self.pairs)))
+
+
+def compare_label_sets(context: EvalStageContext) -> Outcome:
+    """Count the comparison the job is for.
+
+    Raises `JobCancelledError`, `NothingInCommonError`, `SandboxCrashedError`, and what the store raises.
+    """
+    attempt = context.attempt
+    with context.platform.database.reading() as session:
+        require_sequence(session, attempt)
+        comparison = compared_by(session, attempt)
+        if comparison.finished_ns is not None:
+            return Outcome({"comparison_id": comparison.id})
+        pairs = stored_pairs(session, comparison)
+        a, b = (session.get_one(LabelSet, label_set_id) for label_set_id in (comparison.a_id, comparison.b_id))
+        totals = (a.frames, b.frames)
+    if not pairs:
+        raise NothingInCommonError(comparison.a_id, comparison.b_id, totals)
+    counts = _counted(context, pairs)
+    frames = ComparedFrames([pair.a.token for pair in pairs], totals[0] - len(pairs), totals[1] - len(pairs))
+    record = comparison_record(frames, counts)
+    attempt.log("compared", frames=len(pairs))
+    result = {"comparison_id": comparison.id, "frames": len(pairs)}
+    return Outcome(result, commit=lambda session: write_comparison(session, attempt, record))
+
+
+def count_pairs(packed: PackedPairs, _folder: Path, progress: ProgressCallback) -> bytes:
+    """The child's part. Raises as `PackedPairs.grids`."""
+    return CountsAnswer.of(counted_pairs(packed.frames(), len(packed.pairs), progress)).packed()
+
+
+def _counted(context: EvalStageContext, pairs: list[StoredPair]) -> LabelSetCounts:
+    packed = _packed(context, pairs)
+    folder = context.folder / f"comparison-{token_hex(8)}"
+    folder.mkdir()
+    reads = tuple(packed.packs.values())
+    sandbox = JobSandbox(folder, reads, context.attempt, context.platform.settings, warm)
+    answer = sandbox.run(partial(count_pairs, packed), "compare", len(pairs))
+    return CountsAnswer.believed(answer).counts(len(pairs))
+
+
+def _packed(context: EvalStageContext, pairs: list[StoredPair]) -> PackedPairs:
+    """The packs on this machine, and where each file lies in them."""
+    keys = sorted({file.object_key for pair in pairs for file in (pair.a, pair.b)})
+    numbers = {key: number for number, key in enumerate(keys)}
+
+    def packed(file: StoredLabelFile) -> PackedLabelFile:
+        place = (numbers[file.object_key], file.offset_bytes, file.length_bytes)
+        return PackedLabelFile(f"{file.token}/labels.npz", *place, file.sha256)
+
+    store = context.platform.store
+    packs = {number: store.local(key) for key, number in numbers.items()}
+    return PackedPairs(packs, tuple((packed(pair.a), packed(pair.b)) for pair in pairs))
+
+
+def _by_ring(cells: list[int]) -> Counted:
+    return np.array(cells, np.int64).reshape(RINGS, CLASSES, CLASSES)

@@ -1,0 +1,86 @@
+"""Label sets of a sequence on a server: listed, compared by a job there."""
+
+import re
+from pathlib import Path
+from typing import ClassVar
+
+from rich.table import Table
+
+from stone.errors import StoneError
+from stone_client.api import Api
+from stone_client.progress import Report
+from stone_client.server.job_following import follow
+from stone_client.server.sequences import Item
+from stone_client.tables import plain_table, safe_text
+from stone_files.atomic import atomic_file
+
+ID, LATEST = re.compile("[0-9a-f]{32}"), re.compile(r"latest(?:~(\d{1,4}))?")
+
+
+class NoLabelSetError(StoneError):
+    """The sequence has no such label set."""
+
+    code: ClassVar[str] = "no_label_set"
+
+    def __init__(self, named: str, count: int) -> None:
+        super().__init__(
+            f"{named[:80]!r} is no label set: expected is an id, or latest, latest~1, … of the {count} of this sequence"
+            " (`stone label-sets list` shows them)"
+        )
+
+
+def label_sets_of(api: Api, sequence_id: str) -> list[Item]:
+    """All of them; the one that counts first, then those that were chosen later first."""
+    return list(api.pages(f"/sequences/{sequence_id}/label-sets"))
+
+
+def compare_label_sets(api: Api, sequence: Item, named: tuple[str, str], progress: Report) -> Item:
+    """The finished comparison of A and B; one that stands already is not made again.
+
+    Raises `NoLabelSetError`, `JobFailedError`, and what `Api.send` raises.
+    """
+    a_id, b_id = _ids(api, sequence, named)
+    asked = api.create(f"/sequences/{sequence['id']}/label-comparisons", {"a_id": a_id, "b_id": b_id})
+    follow(api, asked["job"]["id"], progress)
+    made: Item = api.read(f"/sequences/{sequence['id']}/label-comparisons/{asked['comparison']['id']}")
+    return made
+
+
+def fetch_pictures(api: Api, comparison: Item, folder: Path) -> list[Path]:
+    """`<frame_token>.png` of the frames that are least alike: A, B and the difference from above."""
+    folder.mkdir(parents=True, exist_ok=True)
+    own = f"/sequences/{comparison['sequence_id']}/label-comparisons/{comparison['id']}"
+    written = []
+    for frame in comparison["record"]["least_alike"]:
+        path = folder / f"{frame['token']}.png"
+        content = api.send("GET", f"{own}/frames/{frame['token']}.png").content
+        with atomic_file(path) as staging:
+            staging.write_bytes(content)
+        written.append(path)
+    return written
+
+
+def label_set_table(name: str, sets: list[Item]) -> Table:
+    """One row for each label set."""
+    table = plain_table(f"label sets of {safe_text(name)}", "id", "profile", "frames", "made", "by", "counts")
+    for one in sets:
+        counts = "yes" if one["is_counting"] else ""
+        facts = (one["profile"], f"{one['frames']:,}", one["created_at"][:19], one["code_version"], counts)
+        table.add_row(one["id"], *map(safe_text, facts))
+    return table
+
+
+def _ids(api: Api, sequence: Item, named: tuple[str, str]) -> list[str]:
+    sets: list[Item] | None = None
+    ids = []
+    for name in named:
+        found = LATEST.fullmatch(name)
+        if found is None and not ID.fullmatch(name):
+            raise NoLabelSetError(name, len(label_sets_of(api, sequence["id"])))
+        if found is not None:
+            sets = label_sets_of(api, sequence["id"]) if sets is None else sets
+            if (before := int(found[1] or 0)) >= len(sets):
+                raise NoLabelSetError(name, len(sets))
+            name = str(sets[before]["id"])
+        ids.append(name)
+    return ids
