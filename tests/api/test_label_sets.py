@@ -1,0 +1,164 @@
+"""Label sets and their comparisons over HTTP: counted once by a job, shown to their owner alone."""
+
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from PIL import Image
+from sqlalchemy import select
+
+from services.runtime.jobs.control import cancel
+from services.runtime.orm import AuditEntry, Job, LabelComparison, LabelSet
+from services.runtime.platform import Platform
+from stone_files.npz import npz_bytes
+from testing.api.serving import Person
+from testing.worlds.benchmark_world import run_eval
+from testing.worlds.made import NOBODY, labels, sequence
+
+URL = "/api/v1/sequences"
+SHAPE = (256, 256, 32)
+T, N = 1, 3
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A sequence with two label sets of three frames, in the first of which one voxel differs."""
+
+    sequence: Mapping[str, Any]
+    a_id: str
+    b_id: str
+    tokens: tuple[str, ...]
+
+    @property
+    def url(self) -> str:
+        return f"{URL}/{self.sequence['id']}/label-comparisons"
+
+    def ids(self) -> dict[str, str]:
+        return {"a_id": self.a_id, "b_id": self.b_id}
+
+
+def label_file(kind: int) -> bytes:
+    """Two voxels of class T near the robot, and one of this class farther than 20 m."""
+    grid, seen = (np.zeros(SHAPE, np.uint8) for _ in range(2))
+    grid[128, 128, 9:11], grid[250, 128, 9], seen[128, 128] = T, kind, 1
+    return npz_bytes({"semantics": grid, "mask_lidar": seen, "mask_camera": seen})
+
+
+@pytest.fixture
+def forest(api: httpx.Client, platform: Platform, curator: Person) -> Compared:
+    made = sequence(api, curator)
+    b = labels(platform, made, contents=[label_file(N), label_file(T), label_file(T)], seed=b"b")
+    a = labels(platform, made, contents=[label_file(T)] * 3, seed=b"a")
+    return Compared(made, a.id, b.id, tuple(a.frames))
+
+
+def ask(api: httpx.Client, caller: Person, forest: Compared, **ids: str) -> httpx.Response:
+    return api.post(forest.url, json=forest.ids() | ids, headers=caller.headers)
+
+
+def test_the_label_sets_of_a_sequence_are_listed_newest_first_and_one_counts(
+    api: httpx.Client, curator: Person, forest: Compared
+) -> None:
+    listed = api.get(f"{URL}/{forest.sequence['id']}/label-sets", headers=curator.headers).json()
+    assert [(one["id"], one["is_counting"], one["profile"], one["frames"]) for one in listed["items"]] == [
+        (forest.a_id, True, "paper", 3),
+        (forest.b_id, False, "paper", 3),
+    ]
+
+
+def test_a_comparison_is_counted_once_and_says_what_differs(
+    api: httpx.Client, platform: Platform, curator: Person, forest: Compared
+) -> None:
+    first, second = (ask(api, curator, forest) for _ in range(2))
+    assert (first.status_code, first.json()) == (202, second.json())
+    assert first.json()["job"]["kind"] == "eval.compare"
+    assert api.get(first.headers["Location"], headers=curator.headers).json()["record"] is None
+    run_eval(platform)
+    shown = api.get(first.headers["Location"], headers=curator.headers).json()
+    assert (shown["state"], shown["failure"]) == ("succeeded", None)
+    record = shown["record"]
+    assert (record["frames"], record["only_in_a"], record["has_equal_classes"]) == (3, 0, False)
+    assert record["all_voxels"]["agreement_ratio"] == pytest.approx(8 / 9)
+    assert record["all_voxels"]["confusion"][T] == [0, 8, 0, 1]
+    assert [ring["agreement_ratio"] for ring in record["all_voxels"]["rings"]] == [1.0, None, pytest.approx(2 / 3)]
+    assert record["seen_in_both"]["ratios"]["iou_t"] == 1.0
+    assert record["seen_voxels"] == {"both": 96, "only_a": 0, "only_b": 0}
+    assert record["least_alike"] == [{"token": forest.tokens[0], "agreement_ratio": pytest.approx(2 / 3)}]
+    assert ask(api, curator, forest).json()["comparison"] == shown
+    assert api.get(forest.url, headers=curator.headers).json()["items"] == [shown]
+
+
+def test_exchanged_label_sets_are_another_comparison_with_the_same_ratios(
+    api: httpx.Client, platform: Platform, curator: Person, forest: Compared
+) -> None:
+    forth = ask(api, curator, forest).json()["comparison"]["id"]
+    back = ask(api, curator, forest, a_id=forest.b_id, b_id=forest.a_id).json()["comparison"]["id"]
+    run_eval(platform)
+    one, other = (api.get(f"{forest.url}/{found}", headers=curator.headers).json()["record"] for found in (forth, back))
+    assert forth != back
+    assert one["all_voxels"]["ratios"] == other["all_voxels"]["ratios"]
+    assert np.array_equal(one["all_voxels"]["confusion"], np.transpose(other["all_voxels"]["confusion"]))
+
+
+def test_a_comparison_whose_job_was_cancelled_is_tried_again(
+    api: httpx.Client, platform: Platform, curator: Person, forest: Compared
+) -> None:
+    first = ask(api, curator, forest).json()
+    with platform.database.transaction() as session:
+        cancel(session, first["job"]["id"], "changed my mind")
+    second = ask(api, curator, forest).json()
+    assert (second["comparison"]["id"], second["comparison"]["state"]) == (first["comparison"]["id"], "queued")
+    assert second["job"]["id"] != first["job"]["id"]
+
+
+def test_the_picture_of_a_frame_shows_both_and_the_difference(
+    api: httpx.Client, curator: Person, forest: Compared
+) -> None:
+    made = ask(api, curator, forest).json()["comparison"]["id"]
+    answer = api.get(f"{forest.url}/{made}/frames/{forest.tokens[0]}.png", headers=curator.headers)
+    assert (answer.status_code, answer.headers["content-type"]) == (200, "image/png")
+    with Image.open(io.BytesIO(answer.content)) as picture:
+        assert picture.size == (1568, 540)
+    gone = api.get(f"{forest.url}/{made}/frames/{NOBODY}.png", headers=curator.headers)
+    assert (gone.status_code, gone.json()["code"]) == (404, "not_found")
+
+
+def test_what_cannot_be_compared_is_refused_with_its_reason(
+    api: httpx.Client, platform: Platform, curator: Person, forest: Compared
+) -> None:
+    same = ask(api, curator, forest, b_id=forest.a_id)
+    assert (same.status_code, same.json()["code"]) == (422, "same_label_set")
+    foreign = labels(platform, sequence(api, curator, "another"), contents=[label_file(T)])
+    for unknown in (foreign.id, NOBODY):
+        refused = ask(api, curator, forest, b_id=unknown)
+        assert (refused.status_code, refused.json()["code"]) == (422, "unknown_label_set")
+
+
+def test_a_label_file_that_was_changed_in_the_store_is_not_counted(
+    api: httpx.Client, platform: Platform, curator: Person, forest: Compared
+) -> None:
+    broken = labels(platform, forest.sequence, contents=[label_file(T)[:-9]] * 3, seed=b"c")
+    asked = ask(api, curator, forest, b_id=broken.id).json()
+    run_eval(platform)
+    shown = api.get(f"{forest.url}/{asked['comparison']['id']}", headers=curator.headers).json()
+    assert (shown["state"], shown["record"]) == ("failed", None)
+    assert shown["failure"]["code"] == "bad_ground_truth"
+
+
+def test_comparisons_go_with_their_label_sets_and_are_in_the_audit_log(
+    api: httpx.Client, platform: Platform, curator: Person, forest: Compared
+) -> None:
+    made = ask(api, curator, forest).json()["comparison"]["id"]
+    with platform.database.transaction() as session:
+        entry = session.scalars(select(AuditEntry).where(AuditEntry.act == "label_comparison.create")).one()
+        assert entry.subject_id == made
+        session.delete(session.get_one(LabelSet, forest.b_id))
+        session.flush()
+        assert session.get(LabelComparison, made, populate_existing=True) is None
+    run_eval(platform)
+    with platform.database.reading() as session:
+        assert [job.state for job in session.scalars(select(Job).where(Job.kind == "eval.compare"))] == ["cancelled"]
