@@ -57,7 +57,7 @@ test-kernels: install
 
 # What models need is in an environment of its own: the platform's tests run without torch.
 test-baselines: baselines
-	.venv-baselines/bin/python -m mypy -p baselines -p benchmarks.models -p stone_client.models -p stone_client.commands.models
+	.venv-baselines/bin/python -m mypy -p baselines -p benchmarks.models -p stone_local.models -p stone_local.commands.models
 	.venv-baselines/bin/python -m pytest $(BESIDE) tests/baselines
 
 check: test-clients
@@ -65,7 +65,7 @@ check: test-clients
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/deptry stone stone_files stone_recordings stone_submissions stone_exports baselines services simulator stone_client api web
+	$(BIN)/deptry stone stone_base stone_files stone_recordings stone_submissions stone_exports baselines services simulator stone_client stone_local api web
 	$(BIN)/deptry --ignore DEP002,DEP004 benchmarks chaos deploy docsite fuzz testing tests
 	$(MAKE) --no-print-directory test-baselines
 	$(MAKE) --no-print-directory test-all

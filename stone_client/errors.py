@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
-from stone.errors import StoneError
+from stone_base.errors import StoneError
 
 MOST_FINDINGS = 5
 
@@ -171,13 +171,13 @@ def _findings(problem: Mapping[str, Any]) -> str:
     return f": {'; '.join(said)}" if said else ""
 
 
-class NoTorchError(StoneError):
-    """PyTorch is not installed where the command runs."""
+class PlatformNotInstalledError(StoneError):
+    """The command works on recordings, labels or models, which the client alone cannot."""
 
-    code: ClassVar[str] = "no_torch"
+    code: ClassVar[str] = "platform_not_installed"
 
-    def __init__(self, missing: str) -> None:
+    def __init__(self, command: str) -> None:
         super().__init__(
-            f"{missing} is not installed here: run `make baselines`, then .venv-baselines/bin/stone with the same "
-            "words (or pip install 'stone-platform[baselines]')"
+            f"`stone {command}` needs the platform, and here is only its client: install the distribution "
+            "stone-platform beside it, or run the command in a checkout of the platform (`make install`)"
         )

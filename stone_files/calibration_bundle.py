@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import IO
 from zipfile import ZIP_DEFLATED, ZIP_STORED, BadZipFile, ZipFile, ZipInfo
 
-from stone_recordings.calibrations.errors import CalibrationBundleError, CalibrationSizeError
+from stone_files.errors import CalibrationBundleError, CalibrationSizeError
 
 SIZE_LIMIT_BYTES = 1_000_000
 BUNDLE_LIMIT_BYTES = 4_000_000

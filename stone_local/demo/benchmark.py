@@ -12,7 +12,6 @@ from urllib.parse import quote
 
 from stone.splits.splits import PARTS
 from stone_client.api import Api
-from stone_client.demo.server import DemoServer
 from stone_client.errors import ServerRefusedError
 from stone_client.progress import Report
 from stone_client.server.benchmarks import phase_path
@@ -22,6 +21,7 @@ from stone_client.server.job_following import follow
 from stone_client.server.sequences import Item
 from stone_client.server.splits import current
 from stone_client.server.submission import SubmissionDescription, settled, submit
+from stone_local.demo.server import DemoServer
 
 PHASE, TEAM, METHOD = "val", "demo", "single sweep, no training"
 LICENCE, REASON = "CC0-1.0", "demo"

@@ -6,9 +6,9 @@ from typing import Annotated
 
 import typer
 
-from stone_client.commands.models.predict import RunArgument
-from stone_client.models.torch_there import torch_needed
 from stone_client.streams import JsonOption, echo_json
+from stone_local.commands.models.predict import RunArgument
+from stone_local.models.torch_there import torch_needed
 
 OutputOption = Annotated[
     Path, typer.Option("-o", "--output", metavar="MODEL.onnx", dir_okay=False, help="The file to write.")

@@ -20,7 +20,7 @@ def serve(
     as_json: JsonOption = False,
 ) -> None:
     """Run API, workers and sweeper with a database and a store of their own, until Ctrl-C; a second start resumes."""
-    from stone_client.embedded_platform import Address, served, settings_for, wait_for_ctrl_c
+    from stone_local.embedded_platform import Address, served, settings_for, wait_for_ctrl_c
 
     with served(settings_for(data, Address(host, port), workers)) as running:
         folder = running.platform.settings.root

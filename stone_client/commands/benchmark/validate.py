@@ -30,7 +30,7 @@ def validate(
     as_json: JsonOption = False,
 ) -> None:
     """Check a submission against a manifest, by the same code as the server, without ground truth or extracting it."""
-    from services.eval.pipeline import validate as validate_submission
+    from stone_submissions.validation import validate as validate_submission
 
     if (manifest is None) != bool(benchmark and phase) or bool(benchmark) != bool(phase):
         raise typer.BadParameter("either --manifest, or --benchmark and --phase", param_hint="--manifest")

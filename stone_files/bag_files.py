@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable, Sequence
 from hashlib import sha256
 
-from stone.errors import StoneError
+from stone_base.errors import StoneError
 
 METADATA = "metadata.yaml"
 MOST_FILES = 512

@@ -6,10 +6,10 @@ from typing import Annotated, Any
 
 import typer
 
-from stone_client.models.torch_there import torch_needed
-from stone_client.models.training_progress import training_shown
 from stone_client.progress import reported
 from stone_client.streams import JsonOption, echo_json
+from stone_local.models.torch_there import torch_needed
+from stone_local.models.training_progress import training_shown
 
 
 class Device(StrEnum):

@@ -7,16 +7,16 @@ from typing import Annotated, Any
 import typer
 
 from stone_client.commands.benchmark.submit import submit as send_submission
-from stone_client.commands.models.train import Device, DeviceOption
 from stone_client.files.bags import called
-from stone_client.models.prediction_choices import RecordingFiles, refuse_contradictions
-from stone_client.models.prediction_pace import prediction_shown
-from stone_client.models.torch_there import torch_needed
 from stone_client.options import Ground, GroundOption, LidarOption, Modality, OdometryOption, ServerOption
 from stone_client.progress import reported
 from stone_client.streams import JsonOption, echo_json
-from stone_client.time_offsets import TimeOffsetOption, chosen_offsets
-from stone_client.topic_choices import TopicOption, TopicsOption, chosen_topics
+from stone_local.commands.models.train import Device, DeviceOption
+from stone_local.models.prediction_choices import RecordingFiles, refuse_contradictions
+from stone_local.models.prediction_pace import prediction_shown
+from stone_local.models.torch_there import torch_needed
+from stone_local.time_offsets import TimeOffsetOption, chosen_offsets
+from stone_local.topic_choices import TopicOption, TopicsOption, chosen_topics
 
 RunArgument = Annotated[
     Path, typer.Argument(metavar="RUN", exists=True, file_okay=False, help="The folder of a run of `stone train`.")
@@ -127,7 +127,7 @@ def _of_recording(
         from baselines.predict import loaded_run
     from services.ingest.pipeline import SynchroniseOptions
     from services.ingest.sequence import open_sequence
-    from stone_client.models.recording_prediction import RecordingPlan, predict_recording
+    from stone_local.models.recording_prediction import RecordingPlan, predict_recording
 
     (manifest, output), (sources, device) = files, how
     loaded = loaded_run(run, device.value)

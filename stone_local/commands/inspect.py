@@ -6,11 +6,11 @@ from typing import Annotated, Any
 import typer
 
 from stone_client.options import BagArgument
-from stone_client.quality_file import HtmlOption, deduction_table, write_quality_page
 from stone_client.refusals import REFUSED
 from stone_client.streams import JsonOption, echo_findings, echo_json
 from stone_client.tables import clock_table, inspection_table, show
-from stone_client.topic_choices import SaveTopicsOption, TopicOption, TopicsOption, chosen_topics
+from stone_local.quality_file import HtmlOption, deduction_table, write_quality_page
+from stone_local.topic_choices import SaveTopicsOption, TopicOption, TopicsOption, chosen_topics
 
 RigOption = Annotated[
     Path | None,

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from stone_client.errors import NoTorchError
+from stone_local.errors import NoTorchError
 
 NEEDED = ("torch", "safetensors", "tensorboard", "onnx", "onnxscript")
 

@@ -23,8 +23,8 @@ from stone_client.options import (
 from stone_client.progress import reported
 from stone_client.streams import JsonOption, echo_findings, echo_json
 from stone_client.tables import class_table, show
-from stone_client.time_offsets import TimeOffsetOption, chosen_offsets
-from stone_client.topic_choices import TopicOption, TopicsOption, chosen_topics
+from stone_local.time_offsets import TimeOffsetOption, chosen_offsets
+from stone_local.topic_choices import TopicOption, TopicsOption, chosen_topics
 
 OutputOption = Annotated[
     Path, typer.Option("-o", "--output", metavar="DIR", help="New or empty, or an earlier label set to replace.")

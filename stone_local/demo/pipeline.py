@@ -11,18 +11,15 @@ from pathlib import Path
 from typing import Any
 
 from services.eval.ground_truth import find_ground_truth
-from services.eval.pipeline import score, validate
+from services.eval.pipeline import score
 from services.runtime.embedded.supervisor import RunningPlatform
 from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate
 from stone_client.api import Api
 from stone_client.credentials import Server
-from stone_client.demo.benchmark import enter_benchmark
-from stone_client.demo.server import demo_server_of
 from stone_client.files.bags import LocalBag, hashed_bag
 from stone_client.files.label_download import download_labels
 from stone_client.progress import Report
-from stone_client.server.baseline import BaselinePlan, write_baseline
 from stone_client.server.exports import download_archive, make_export
 from stone_client.server.job_following import follow
 from stone_client.server.sequences import (
@@ -34,7 +31,11 @@ from stone_client.server.sequences import (
     pin_calibration,
     start_run,
 )
+from stone_local.baseline import BaselinePlan, write_baseline
+from stone_local.demo.benchmark import enter_benchmark
+from stone_local.demo.server import demo_server_of
 from stone_submissions.manifest import write_manifest
+from stone_submissions.validation import validate
 from stone_submissions.verdict import SubmissionRefusedError
 
 MARK = "demo.json"

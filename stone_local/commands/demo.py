@@ -53,8 +53,8 @@ def demo(
 
 def _at_server(url: str, simulation: SimulateOptions, output: Path, as_json: bool) -> None:
     from stone_client.credentials import choose_server
-    from stone_client.demo.pipeline import MARK, DemoPlan, run_demo
     from stone_files.atomic import atomic_directory
+    from stone_local.demo.pipeline import MARK, DemoPlan, run_demo
 
     chosen = choose_server(url)
     with atomic_directory(output, replaces=MARK) as folder, reported() as progress:
@@ -70,9 +70,9 @@ def _here(
     platform_options: tuple[Path | None, int | None, bool | None],
     as_json: bool,
 ) -> None:
-    from stone_client.demo.pipeline import MARK, DemoPlan, run_demo
-    from stone_client.embedded_platform import demo_settings, hangups_interrupt, served, wait_for_ctrl_c
     from stone_files.atomic import atomic_directory
+    from stone_local.demo.pipeline import MARK, DemoPlan, run_demo
+    from stone_local.embedded_platform import demo_settings, hangups_interrupt, served, wait_for_ctrl_c
 
     data, workers, keep_serving = platform_options
     with hangups_interrupt(), ExitStack() as platform:

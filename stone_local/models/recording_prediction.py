@@ -17,9 +17,9 @@ from typing import ClassVar
 from baselines.predict import LoadedRun
 from stone.errors import StoneError
 from stone.sensors.sequence import Sequence
-from stone_client.models.prediction_pace import PredictionPace
-from stone_client.models.recorded_frames import RecordedStore, recorded_hz
 from stone_files.atomic import atomic_directory
+from stone_local.models.prediction_pace import PredictionPace
+from stone_local.models.recorded_frames import RecordedStore, recorded_hz
 from stone_recordings.sync.samples import BagSamples
 from stone_submissions.manifest import read_manifest
 from stone_submissions.writer import frame_file, write_files

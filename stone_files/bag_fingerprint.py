@@ -7,7 +7,7 @@ from hashlib import sha256
 from pathlib import Path
 from threading import Event
 
-from stone_recordings.bags.file_sets import LEFT_BESIDE, is_bag_part, whole_sha256
+from stone_files.bag_files import LEFT_BESIDE, is_bag_part, whole_sha256
 
 HASH_BLOCK_BYTES = 1 << 20
 

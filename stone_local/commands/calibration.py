@@ -13,7 +13,7 @@ from stone.findings import Finding
 from stone_client.options import LidarOption, OdometryOption
 from stone_client.refusals import REFUSED
 from stone_client.streams import JsonOption, echo_findings, echo_json
-from stone_client.topic_choices import TopicOption, TopicsOption, chosen_topics
+from stone_local.topic_choices import TopicOption, TopicsOption, chosen_topics
 
 calibration = typer.Typer(help="Check a calibration before labelling, and draw the rig.", no_args_is_help=True)
 
@@ -48,8 +48,8 @@ def check(
     LiDAR's points fit the cameras' pictures, and where the ground lies. Exit code 1 where it cannot be used for labels.
     """
     from services.ingest.pipeline import SynchroniseOptions
-    from stone_client.calibration_check import BagChoice, check_calibration_file
     from stone_client.progress import reported
+    from stone_local.calibration_check import BagChoice, check_calibration_file
 
     profile = chosen_topics(topics, topic)
     with _refused_with_what_was_found(file, as_json), reported() as progress:
@@ -70,8 +70,8 @@ def show_rig(file: FileArgument, output: PictureOption = None, as_json: JsonOpti
 
     The drawing has the robot from above and from the right, its footprint, and what each sensor sees.
     """
-    from stone_client.calibration_check import check_calibration_file
     from stone_files.atomic import atomic_file
+    from stone_local.calibration_check import check_calibration_file
     from stone_recordings.report.rig.figure import rig_figure
     from stone_recordings.report.rig.record import is_footprint_given
 
@@ -95,8 +95,8 @@ def _refused_with_what_was_found(file: Path, as_json: bool) -> Iterator[None]:
 
     What is refused of the recording is refused as by every command.
     """
-    from stone_client.calibration_tables import file_table
     from stone_client.tables import show
+    from stone_local.calibration_tables import file_table
     from stone_recordings.report.rig.record import files_found
 
     try:
@@ -115,8 +115,8 @@ def _refused_with_what_was_found(file: Path, as_json: bool) -> Iterator[None]:
 
 
 def _say(file: Path, record: Mapping[str, Any], as_json: bool) -> None:
-    from stone_client.calibration_tables import channel_table, lens_table, notes, sensor_table
     from stone_client.tables import show
+    from stone_local.calibration_tables import channel_table, lens_table, notes, sensor_table
 
     if as_json:
         echo_json(record)
