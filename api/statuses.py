@@ -42,6 +42,7 @@ STATUS_OF: dict[type[StoneError], int] = {
     api.BadCursorError: 422,
     api.BadIdempotencyKeyError: 422,
     api.BodyTooLargeError: 413,
+    api.ClientTooOldError: 426,
     api.ConflictError: 409,
     api.ForbiddenError: 403,
     api.KeyReusedError: 422,

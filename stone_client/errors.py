@@ -55,6 +55,18 @@ class NoServerError(StoneError):
         super().__init__("no server is known; run `stone serve` here, `stone login URL`, or set STONE_URL")
 
 
+class ServerTooOldError(StoneError):
+    """The server is of a release that this client does not understand any more."""
+
+    code: ClassVar[str] = "server_too_old"
+
+    def __init__(self, url: str, release: str, oldest: str) -> None:
+        super().__init__(
+            f"{url} is of release {release[:40]}, this client understands {oldest} and newer; its administrator may "
+            f"update it, or install the client that it offers at {url}/downloads/"
+        )
+
+
 class NotSignedInError(StoneError):
     """There is no token for the server."""
 

@@ -7,6 +7,7 @@ else to stderr. The commands that need the platform are in `stone_local` and app
 """
 
 from collections.abc import Callable
+from typing import Annotated
 
 import typer
 
@@ -53,6 +54,25 @@ OWN_GROUPS: dict[str, tuple[str, typer.Typer]] = {"teams": ("A benchmark", teams
 PLATFORM_COMMANDS, PLATFORM_GROUPS = platform_commands()
 COMMANDS = {panel: (*PLATFORM_COMMANDS.get(panel, ()), *own) for panel, own in OWN_COMMANDS.items()}
 GROUPS = {**PLATFORM_GROUPS, **OWN_GROUPS}
+
+
+def _say_version(is_asked: bool) -> None:
+    if is_asked:
+        from stone_client.release import own_release
+
+        typer.echo(f"stone {own_release()}")
+        raise typer.Exit
+
+
+@app.callback()
+def stone(
+    _version: Annotated[
+        bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Print the release.")
+    ] = False,
+) -> None:
+    """Surround-view 3D traversability labels from a field robot's own recordings."""
+
+
 for panel, commands in COMMANDS.items():
     for command in commands:
         app.command(rich_help_panel=panel)(command)
