@@ -1,12 +1,15 @@
-# make install | baselines | demo | serve | test | test-all | test-kernels | test-baselines | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-platform | bench-pages | bench-truth | bench-movers | bench-mounts | bench-real | bench-faults | bench-decisions | bench-models | season | images
+# make install | baselines | demo | serve | test | test-all | test-kernels | test-baselines | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-platform | bench-pages | bench-truth | bench-movers | bench-mounts | bench-real | bench-faults | bench-decisions | bench-models | season | wheels | images
 # Each installs first, which costs nothing when nothing changed.
-.PHONY: install baselines test-baselines test-clients demo serve test test-all test-kernels check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-platform bench-pages bench-truth bench-movers bench-mounts bench-real bench-faults bench-decisions bench-models season images
+.PHONY: install baselines test-baselines test-clients demo serve test test-all test-kernels check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-platform bench-pages bench-truth bench-movers bench-mounts bench-real bench-faults bench-decisions bench-models season wheels images
 .DELETE_ON_ERROR:
 
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 BASELINES := .venv-baselines/.installed
 BUILT := web/built/app.js
+# The client's wheel, from where the platform serves it.
+DOWNLOAD := api/downloads/.built
+CLIENT := $(shell find stone_base stone_files stone_submissions stone_client deploy/client -name '*.py' -o -name '*.toml')
 # One more than cores: tests wait for the servers that they start. Whole files, so that what a file makes is made once.
 BESIDE = --numprocesses $(shell n=$$(nproc); echo $$((n < 5 ? n + 1 : 6))) --dist loadfile --no-loadscope-reorder
 # Tests that run kernels, and with every index checked: from a cache of their own, for numba takes what it finds there.
@@ -18,12 +21,16 @@ MODULES := $(shell find web/modules web/libraries -name '*.ts' -o -name '*.js')
 
 install: $(INSTALLED) $(BUILT)
 
-$(INSTALLED): requirements.lock pyproject.toml deploy/create-venv.sh deploy/install-system-libraries.sh
+$(INSTALLED): requirements.lock pyproject.toml deploy/client/pyproject.toml deploy/create-venv.sh deploy/install-system-libraries.sh
 	deploy/create-venv.sh
 	touch $@
 
 $(BUILT): $(INSTALLED) $(MODULES) web/package-lock.json web/tsconfig.json deploy/build-pages.sh
 	deploy/build-pages.sh
+	touch $@
+
+$(DOWNLOAD): $(CLIENT) deploy/build-wheels.sh
+	deploy/build-wheels.sh client
 	touch $@
 
 test-clients: install
@@ -39,9 +46,11 @@ $(BASELINES): $(INSTALLED) baselines/requirements-cpu.txt deploy/create-baseline
 	touch $@
 
 demo: install
+	$(MAKE) --no-print-directory $(DOWNLOAD)
 	$(BIN)/stone demo
 
 serve: install
+	$(MAKE) --no-print-directory $(DOWNLOAD)
 	$(BIN)/stone serve
 
 test: install
@@ -57,7 +66,7 @@ test-kernels: install
 
 # What models need is in an environment of its own: the platform's tests run without torch.
 test-baselines: baselines
-	.venv-baselines/bin/python -m mypy -p baselines -p benchmarks.models -p stone_client.models -p stone_client.commands.models
+	.venv-baselines/bin/python -m mypy -p baselines -p benchmarks.models -p stone_local.models -p stone_local.commands.models
 	.venv-baselines/bin/python -m pytest $(BESIDE) tests/baselines
 
 check: test-clients
@@ -65,7 +74,7 @@ check: test-clients
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/deptry stone stone_files stone_recordings stone_submissions stone_exports baselines services simulator stone_client api web
+	$(BIN)/deptry stone stone_base stone_files stone_recordings stone_submissions stone_exports baselines services simulator stone_client stone_local api web
 	$(BIN)/deptry --ignore DEP002,DEP004 benchmarks chaos deploy docsite fuzz testing tests
 	$(MAKE) --no-print-directory test-baselines
 	$(MAKE) --no-print-directory test-all
@@ -136,6 +145,9 @@ bench-decisions: install
 
 season: install
 	$(BIN)/python -m benchmarks.season
+
+wheels: install
+	deploy/build-wheels.sh
 
 images:
 	deploy/images/build.sh

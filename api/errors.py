@@ -213,6 +213,18 @@ class RequestInFlightError(ApiError):
         return {"Retry-After": "1"}
 
 
+class ClientTooOldError(ApiError):
+    """The client is of a release that this server does not understand any more."""
+
+    code = "client_too_old"
+
+    def __init__(self, release: str, oldest: str, install: str) -> None:
+        super().__init__(
+            f"this client is of release {release}, this server understands {oldest} and newer; update the client: "
+            f"{install}"
+        )
+
+
 class ReplyNotKeptError(ApiError):
     """The first request with this Idempotency-Key took effect, but its answer was not kept."""
 

@@ -1,7 +1,7 @@
 """The FastAPI application: its middleware and routes.
 
 **Conventions.** A request passes, from outside in: `https` where the platform is reached so, `entry` (id, log, metrics,
-security headers, faults), `limits` (rate), `bodies` (size), `idempotency`, then the router. Routes live under
+security headers, faults), `limits` (rate), `releases` (of clients), `bodies` (size), `idempotency`, then the router. Routes live under
 `/api/v1`, a module per noun; probes at the root.
 """
 
@@ -12,18 +12,21 @@ from fastapi.telemetry import TelemetryConfig
 from starlette.routing import BaseRoute
 
 from api import problems
+from api.client_wheel import client_wheel, install_line
 from api.metrics import RequestMetrics
 from api.middleware.bodies import BodyLimit
 from api.middleware.entry import RequestMiddleware
 from api.middleware.https import Https
 from api.middleware.idempotency import Idempotency
 from api.middleware.limits import RateLimit, RequestLimits
+from api.middleware.releases import Releases
 from api.openapi import PREFIX, documented, operation_id
 from api.probes import Probes
 from api.routes import (
     audit,
     benchmarks,
     calibrations,
+    client,
     dataset_inputs,
     datasets,
     docs,
@@ -62,6 +65,7 @@ from services.runtime.telemetry.tracing import setup_tracing
 ROUTERS: tuple[APIRouter, ...] = (
     docs.router,
     problem_routes.router,
+    client.router,
     sessions.router,
     tokens.router,
     users.router,
@@ -114,10 +118,12 @@ def make_api(platform: Platform, shown: problems.Shown = problems.as_it_is) -> F
     api.openapi = documented(api)  # type: ignore[method-assign]  # as FastAPI's own pages say to
     api.state.platform, api.state.limits = platform, RequestLimits(platform.settings)
     api.state.meters, api.state.probes = RequestMetrics(platform), Probes(platform)
+    api.state.client_wheel = client_wheel()
     problems.install(api, shown)
     # What is added last is met first.
     api.add_middleware(Idempotency)
     api.add_middleware(BodyLimit, settings=platform.settings)
+    api.add_middleware(Releases, install=install_line(platform.settings.api.url, api.state.client_wheel))
     api.add_middleware(RateLimit, limits=api.state.limits)
     trusts = platform.settings.api.trusts_traceparent
     api.add_middleware(RequestMiddleware, meters=api.state.meters, shown=shown, trusts_traceparent=trusts)

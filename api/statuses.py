@@ -35,8 +35,7 @@ from services.runtime.uploads import errors as uploads
 from stone.errors import StoneError
 from stone.scoring import metric
 from stone.splits import splits as splitting
-from stone_files import virtual_archive
-from stone_recordings.bags import file_sets
+from stone_files import bag_files, virtual_archive
 from stone_recordings.topics import profile_errors as profiles
 
 STATUS_OF: dict[type[StoneError], int] = {
@@ -44,6 +43,7 @@ STATUS_OF: dict[type[StoneError], int] = {
     api.BadCursorError: 422,
     api.BadIdempotencyKeyError: 422,
     api.BodyTooLargeError: 413,
+    api.ClientTooOldError: 426,
     api.ConflictError: 409,
     api.ForbiddenError: 403,
     api.KeyReusedError: 422,
@@ -63,7 +63,7 @@ STATUS_OF: dict[type[StoneError], int] = {
     access.UnknownRoleError: 422,
     access.WeakPasswordError: 422,
     virtual_archive.BadMemberError: 409,
-    file_sets.BadBagFilesError: 422,
+    bag_files.BadBagFilesError: 422,
     choices.ChoiceError: 422,
     comparisons.SameLabelSetError: 422,
     comparisons.UnknownLabelSetError: 422,

@@ -25,7 +25,7 @@ from services.runtime.embedded.first_start import PASSWORD_FILE
 from services.runtime.embedded.supervisor import running_platform
 from services.runtime.settings import ApiSettings, Settings
 from simulator.options import SimulateOptions
-from stone_client.demo.pipeline import DemoPlan, run_demo
+from stone_local.demo.pipeline import DemoPlan, run_demo
 from testing.web.browsing import DESKTOP
 from testing.web.crawling import crawled
 

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Make .venv with the locked dependencies and the project itself: create-venv.sh, from the project's root.
+# Make .venv with the locked dependencies the project itself and its client: create-venv.sh, from the project's root.
 #
 # uv where it is on PATH (seconds), pip otherwise. Every file is checked against the hashes of requirements.lock.
 set -eu
@@ -29,8 +29,10 @@ if command -v uv >/dev/null; then
     [ -x .venv/bin/python ] || uv venv --quiet --python "$python" .venv
     uv pip install --quiet --python .venv/bin/python --require-hashes -r requirements.lock
     uv pip install --quiet --python .venv/bin/python --no-deps -e .
+    uv pip install --quiet --python .venv/bin/python --no-deps -e deploy/client
 else
     [ -x .venv/bin/pip ] || "$python" -m venv --clear .venv
     .venv/bin/pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
     .venv/bin/pip install --quiet --disable-pip-version-check --no-deps -e .
+    .venv/bin/pip install --quiet --disable-pip-version-check --no-deps -e deploy/client
 fi

@@ -14,8 +14,10 @@ from uuid import uuid4
 
 import httpx
 
+from stone_base.releases import HEADER, is_older
 from stone_client.credentials import Server, is_local
-from stone_client.errors import ServerFaultError, ServerRefusedError, ServerUnreachableError
+from stone_client.errors import ServerFaultError, ServerRefusedError, ServerTooOldError, ServerUnreachableError
+from stone_client.release import OLDEST_SERVER, own_release
 
 PREFIX = "/api/v1"
 REPLY_S = 60.0
@@ -33,7 +35,7 @@ class Api:
     def __init__(self, server: Server, patience_s: float = 60.0, transport: httpx.BaseTransport | None = None) -> None:
         self.url = server.url
         self._patience_s = patience_s
-        headers = {"User-Agent": "stone-client/0.1"}
+        headers = {"User-Agent": f"stone-client/{own_release()}", HEADER: own_release()}
         if server.token:
             headers["Authorization"] = f"Bearer {server.token}"
         self._http = httpx.Client(
@@ -73,7 +75,7 @@ class Api:
     def send(self, method: str, path: str, **request: Any) -> httpx.Response:
         """Send a request until it is answered. `path` is below `/api/v1`, or a whole URL of this server.
 
-        Raises `ServerRefusedError`, `ServerFaultError`, `ServerUnreachableError`.
+        Raises `ServerRefusedError`, `ServerFaultError`, `ServerUnreachableError`, `ServerTooOldError`.
         """
         is_repeatable = method in SAFE or "Idempotency-Key" in request.get("headers", {})
         patience = Patience(self._patience_s)
@@ -83,6 +85,7 @@ class Api:
             except httpx.TransportError as error:
                 self._wait_after(error, patience, is_repeatable)
                 continue
+            self._check_release(answer)
             if answer.is_success:
                 return answer
             if not (is_repeatable and _is_busy(answer) and patience.wait(_retry_after_s(answer))):
@@ -95,6 +98,7 @@ class Api:
         """A GET whose body is read as it comes; not sent again. Raises as `send` does, and httpx's own errors."""
         timeout = httpx.Timeout(read_s, connect=CONNECT_S)
         with self._http.stream("GET", self._path(path), headers=dict(headers or {}), timeout=timeout) as answer:
+            self._check_release(answer)
             if not answer.is_success:
                 answer.read()
                 raise refusal(answer)
@@ -105,6 +109,12 @@ class Api:
         if "://" in path:
             path = httpx.URL(path).raw_path.decode("ascii")
         return path if path.startswith(PREFIX) else PREFIX + path
+
+    def _check_release(self, answer: httpx.Response) -> None:
+        """A server that says none is of a release before it was said, and understood. Raises `ServerTooOldError`."""
+        release = answer.headers.get(HEADER, "")
+        if is_older(release, OLDEST_SERVER):
+            raise ServerTooOldError(self.url, release, OLDEST_SERVER)
 
     def _wait_after(self, error: httpx.TransportError, patience: "Patience", is_repeatable: bool) -> None:
         was_sent = not isinstance(error, httpx.ConnectError | httpx.ConnectTimeout)

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
-from stone.errors import StoneError
+from stone_base.errors import StoneError
 
 MOST_FINDINGS = 5
 
@@ -53,6 +53,18 @@ class NoServerError(StoneError):
 
     def __init__(self) -> None:
         super().__init__("no server is known; run `stone serve` here, `stone login URL`, or set STONE_URL")
+
+
+class ServerTooOldError(StoneError):
+    """The server is of a release that this client does not understand any more."""
+
+    code: ClassVar[str] = "server_too_old"
+
+    def __init__(self, url: str, release: str, oldest: str) -> None:
+        super().__init__(
+            f"{url} is of release {release[:40]}, this client understands {oldest} and newer; its administrator may "
+            f"update it, or install the client that it offers at {url}/downloads/"
+        )
 
 
 class NotSignedInError(StoneError):
@@ -171,13 +183,13 @@ def _findings(problem: Mapping[str, Any]) -> str:
     return f": {'; '.join(said)}" if said else ""
 
 
-class NoTorchError(StoneError):
-    """PyTorch is not installed where the command runs."""
+class PlatformNotInstalledError(StoneError):
+    """The command works on recordings, labels or models, which the client alone cannot."""
 
-    code: ClassVar[str] = "no_torch"
+    code: ClassVar[str] = "platform_not_installed"
 
-    def __init__(self, missing: str) -> None:
+    def __init__(self, command: str) -> None:
         super().__init__(
-            f"{missing} is not installed here: run `make baselines`, then .venv-baselines/bin/stone with the same "
-            "words (or pip install 'stone-platform[baselines]')"
+            f"`stone {command}` needs the platform, and here is only its client: install the distribution "
+            "stone-platform beside it, or run the command in a checkout of the platform (`make install`)"
         )

@@ -12,8 +12,8 @@ from typing import Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
-from stone.errors import StoneError, one_line
-from stone.findings import Finding
+from stone_base.errors import StoneError, one_line
+from stone_base.findings import Finding
 from stone_client.streams import echo_findings, echo_json, wants_json
 from stone_submissions.verdict import Validation
 

@@ -10,8 +10,8 @@ from typing import Annotated, Any
 
 import typer
 
-from stone.errors import one_line
-from stone.findings import Finding
+from stone_base.errors import one_line
+from stone_base.findings import Finding
 
 WANTS_JSON = "stone.wants_json"
 

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from stone.errors import one_line
+from stone_base.errors import one_line
 
 CLASSES = ("free", "T", "P", "N")
 DASH = "–"

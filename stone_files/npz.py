@@ -15,7 +15,7 @@ import numpy as np
 from isal import igzip_lib, isal_zlib
 from numpy.typing import NDArray
 
-from stone.errors import StoneError
+from stone_base.errors import StoneError
 
 # ISA-L's level 1 takes a fifth of the time of libdeflate's best on label grids, for 1.4 times the bytes.
 LEVEL = 1

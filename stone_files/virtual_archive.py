@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from stone.errors import StoneError
+from stone_base.errors import StoneError
 from stone_files.tar_headers import END_BYTES, RECORD_BYTES, padding_bytes, tar_head, tar_head_bytes
 from stone_files.zip_headers import ZipEntry, central_bytes, end_bytes, local_bytes, zip_central, zip_end, zip_local
 

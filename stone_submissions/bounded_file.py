@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from stone.errors import StoneError
+from stone_base.errors import StoneError
 from stone_submissions.errors import UnreadableInputError
 
 

@@ -8,7 +8,7 @@ those fits.
 from pathlib import Path
 from typing import ClassVar
 
-from stone.errors import PlatformFaultError, StoneError
+from stone_base.errors import PlatformFaultError, StoneError
 
 
 class SubmissionError(StoneError):

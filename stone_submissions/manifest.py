@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from stone.sensors.sequence import NAME
+from stone_base.names import NAME
 from stone_files.atomic import atomic_file
 from stone_submissions.bounded_file import read_bounded
 from stone_submissions.errors import ManifestError

@@ -18,8 +18,7 @@ import deflate
 import numpy as np
 from numpy.typing import NDArray
 
-from stone.labels.grid import GRID_SHAPE
-from stone.scoring.bitplanes import VOXELS
+from stone_base.label_grid import GRID_SHAPE, VOXELS
 from stone_submissions.errors import (
     BadDtypeError,
     BadShapeError,

@@ -7,7 +7,7 @@ is not printable in them (commands to a terminal, marks that turn the writing ro
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 
-from stone.errors import StoneError, one_line
+from stone_base.errors import StoneError, one_line
 from stone_submissions.errors import SubmissionError
 
 SHOWN = 100

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stone.labels.grid import GRID_SHAPE
+from stone_base.label_grid import GRID_SHAPE
 from stone_files.atomic import atomic_file
 from stone_files.npz import npz_bytes
 from stone_submissions.errors import BadDtypeError, BadShapeError

@@ -16,8 +16,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = (
-    "stone", "stone_files", "stone_recordings", "stone_submissions", "stone_exports",
-    "baselines", "services", "simulator", "stone_client", "api", "web",
+    "stone", "stone_base", "stone_files", "stone_recordings", "stone_submissions", "stone_exports",
+    "baselines", "services", "simulator", "stone_client", "stone_local", "api", "web",
 )  # fmt: skip
 SOURCES = tuple(
     path
@@ -32,7 +32,7 @@ EMPTY_WORDS = {"util", "utils", "helper", "helpers", "manager", "common", "misc"
 EMPTY_VERBS = ("get_", "do_", "handle_")
 OF_THE_STANDARD_LIBRARY = {"do_GET", "do_POST"}  # as http.server calls them
 # llvmlite is the half of numba that emits instructions; an intrinsic (popcount) needs its types.
-STONE_MAY_IMPORT = {"stone", "numpy", "scipy", "numba", "llvmlite"} | {
+STONE_MAY_IMPORT = {"stone", "stone_base", "numpy", "scipy", "numba", "llvmlite"} | {
     "dataclasses", "typing", "enum", "math", "hashlib", "collections", "functools", "itertools", "abc", "re",
 }  # fmt: skip
 # Character classes keep each pattern from finding itself.
@@ -115,6 +115,8 @@ def test_the_import_contracts_are_kept() -> None:
         ("services/runtime/__init__.py", "import services.domain"),
         ("stone_recordings/__init__.py", "import services.runtime"),
         ("stone_client/main.py", "import open3d"),
+        ("stone_client/main.py", "import stone_local.registry"),
+        ("stone_submissions/archive.py", "import stone.scoring"),
     ],
 )
 def test_a_broken_import_contract_is_noticed(tmp_path: Path, module: str, line: str) -> None:
@@ -213,7 +215,8 @@ def test_the_lock_covers_what_the_project_asks_for() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
     asked = project["project"]["dependencies"] + project["dependency-groups"]["dev"]
     pinned = set(re.findall(r"(?m)^([a-z0-9-]+)==", (ROOT / "requirements.lock").read_text("utf-8")))
-    assert {re.split(r"[<>=!~\[]", name)[0].replace(".", "-") for name in asked} <= pinned
+    ours = {"stone-client"}  # of the same checkout
+    assert {re.split(r"[<>=!~\[]", name)[0].replace(".", "-") for name in asked} <= pinned | ours
 
 
 def test_make_check_runs_every_guard_and_ci_runs_make_check() -> None:
@@ -243,7 +246,8 @@ def test_the_pages_point_at_what_exists(page: Path) -> None:
 @pytest.mark.parametrize("page", sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]), ids=lambda p: p.name)
 def test_the_pages_name_only_commands_and_targets_that_exist(page: Path) -> None:
     text = page.read_text("utf-8")
-    commands = {path.stem for path in (ROOT / "stone_client" / "commands").rglob("*.py")}
+    folders = [ROOT / package / "commands" for package in ("stone_client", "stone_local")]
+    commands = {path.stem for folder in folders for path in folder.rglob("*.py")}
     targets = set(re.findall(r"(?m)^([\w-]+):", (ROOT / "Makefile").read_text("utf-8")))
     assert set(re.findall(r"bin/stone (\w+)", text)) <= commands
     assert set(re.findall(r"(?m)(?:`|^)make ([\w-]+)", text)) <= targets

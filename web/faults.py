@@ -17,6 +17,7 @@ NEXT = {
     404: "It may have been deleted, or belong to somebody else. The lists above show what you can see.",
     409: "Go back, look at how it stands now, and decide again.",
     422: "Go back and correct the address or the form.",
+    426: "Install the client anew; the page /downloads/ says the line.",
     429: "Wait a moment, then load the page again.",
     503: "The platform is busy or a part of it is away. Try again in a minute.",
     507: "The platform's disk is full; its administrator has to make room.",

@@ -19,6 +19,7 @@ from web.pages import (
     calibrations,
     comparison,
     dataset,
+    downloads,
     home,
     methods,
     people,
@@ -39,6 +40,7 @@ ROUTERS: tuple[APIRouter, ...] = (
     assets.router,
     home.router,
     sign_in.router,
+    downloads.router,
     administration.router,
     calibrations.router,
     sequences.router,  # before a sequence's own page, which would take `new` for an id

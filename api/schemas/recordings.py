@@ -12,7 +12,7 @@ from api.schemas.previews import PREVIEW_EXAMPLE, PreviewItem
 from services.domain.sequences.recordings import NewRecording
 from services.runtime.uploads.declaration import LONGEST_NAME_BYTES, check_filename
 from services.runtime.uploads.errors import BadMetadataError
-from stone_recordings.bags.file_sets import MOST_FILES
+from stone_files.bag_files import MOST_FILES
 
 FILE_EXAMPLE: dict[str, Any] = {
     "upload_id": ID_EXAMPLE,

@@ -36,7 +36,7 @@ from baselines.sources import labelled_frames
 from baselines.train import TrainingPlan, train
 from benchmarks.models.worlds import ModelWorld, made_world
 from stone.scoring.metric import CLASSES
-from stone_client.server.baseline import BaselinePlan, write_baseline
+from stone_local.baseline import BaselinePlan, write_baseline
 
 ROWS = ("l-conet-small", "occfusion-cl-small", "column-net-small")
 TRAINED, UNSEEN = (1, 2, 3), (4, 6, 7, 8)

@@ -36,7 +36,9 @@ COPY web/libraries web/libraries
 COPY web/modules web/modules
 RUN python3 -m venv .venv && deploy/build-pages.sh
 COPY . .
-RUN /srv/tools/bin/python -m hatchling build -t wheel -d /wheel
+RUN (cd deploy/client && /srv/tools/bin/python -m hatchling build -t wheel -d /wheel) \
+    && install -D --target-directory=api/downloads /wheel/stone_client-*.whl \
+    && /srv/tools/bin/python -m hatchling build -t wheel -d /wheel
 
 FROM scratch AS wheel
 COPY --from=wheel-build /wheel /

@@ -16,28 +16,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from services.domain.benchmarks.submissions.scoring_ranges import ranges_of
-from services.eval.counting import THREADS, Progress, TruthOf, silent
+from services.eval.counting import TruthOf
 from services.eval.ground_truth import Mask, find_ground_truth, read_truth, truth_hash, whole_hash
 from services.eval.ranges import Counts, ExaminedRange, examined, joined
 from services.eval.scores import Scores, SequenceFacts, SubmissionCounts
 from stone.scoring.bitplanes import TruthPlanes
 from stone.scoring.signature import Signature
 from stone_submissions.archive import SubmissionZip, open_submission
-from stone_submissions.manifest import read_manifest
-from stone_submissions.verdict import SubmissionRefusedError, Validation, verdict
-from stone_submissions.verdict_record import merged
-
-
-def validate(zip_path: Path, manifest_path: Path, *, threads: int = THREADS, progress: Progress = silent) -> Validation:
-    """Everything that is wrong with a submission, short of what only the ground truth knows.
-
-    Raises `UnreadableInputError` for a path that cannot be opened and `ManifestError` for a broken manifest.
-    """
-    manifest = read_manifest(manifest_path)
-    with open_submission(zip_path, manifest.tokens) as submission:
-        here = sum(token in submission.frames for token in manifest.tokens)
-        found = _examined(submission, manifest.tokens, None, _Onward(threads, progress, here))
-        return merged([verdict(submission.problems), found.validation])
+from stone_submissions.validation import THREADS, Progress, silent
+from stone_submissions.verdict import SubmissionRefusedError, verdict
 
 
 def score(

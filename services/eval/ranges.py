@@ -10,8 +10,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from services.eval.counting import THREADS, Progress, TruthOf, check_range, count_range, silent
+from services.eval.counting import TruthOf, count_range
 from stone_submissions.archive import SubmissionZip
+from stone_submissions.validation import THREADS, Progress, check_range, silent
 from stone_submissions.verdict import Validation, verdict
 from stone_submissions.verdict_record import merged
 

@@ -23,7 +23,6 @@ import deflate
 import numpy as np
 from numpy.typing import NDArray
 
-from services.eval.counting import THREADS, Progress, silent
 from services.eval.ground_truth import truth_hash, whole_hash
 from stone.errors import StoneError
 from stone.scoring.bitplanes import RINGS, TruthPlanes
@@ -32,6 +31,7 @@ from stone_files.atomic import atomic_file
 from stone_files.npz import npz_bytes
 from stone_submissions.errors import UnreadableInputError
 from stone_submissions.manifest import Manifest
+from stone_submissions.validation import THREADS, Progress, silent
 
 MAGIC = b"STONEGT1"
 TRAILER = struct.Struct("<Q8s")

@@ -17,8 +17,8 @@ from stone.geometry.trajectory import DEFAULT_MAX_GAP_NS
 from stone.sensors.calibration import Calibration
 from stone.sensors.deskew import SweepMount
 from stone.sensors.sequence import Sequence
+from stone_files.bag_fingerprint import hashed_meanwhile
 from stone_recordings.bags.bag import Bag, open_bag
-from stone_recordings.bags.fingerprint import hashed_meanwhile
 from stone_recordings.clocks.lidar_clock import lidar_clock
 from stone_recordings.clocks.triggers import trigger_findings
 from stone_recordings.poses.ego_track import PoseInputs, ego_track, recorded_rig

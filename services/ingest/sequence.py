@@ -7,8 +7,8 @@ from pathlib import Path
 
 from services.ingest.pipeline import SynchroniseOptions, synchronise_in
 from stone.sensors.sequence import Sequence
+from stone_files.bag_fingerprint import hashed_meanwhile
 from stone_recordings.bags.bag import Bag, open_bag
-from stone_recordings.bags.fingerprint import hashed_meanwhile
 from stone_recordings.calibrations.file import calibration_sha256, read_calibration
 from stone_recordings.sync.sweeps import BagSweeps
 

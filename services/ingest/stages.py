@@ -27,7 +27,7 @@ from services.runtime.sandbox.job_sandbox import JobSandbox, private_folder_in
 from services.runtime.store.blobs import link_all
 from services.runtime.store.workspace import Workspace
 from stone_files.atomic import flush
-from stone_recordings.bags.fingerprint import bag_paths
+from stone_files.bag_fingerprint import bag_paths
 from stone_recordings.sync.stored_recording import StoredRecording, StoredRecordingFile
 
 

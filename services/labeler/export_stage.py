@@ -41,7 +41,7 @@ from services.runtime.store.folder import refusing_full
 from services.runtime.store.pack_reading import archive_sha256, local_reader
 from services.runtime.store.packs import PackedFiles, index_bytes, pack_count, pack_folder, pack_path
 from services.runtime.store.workspace import Workspace
-from stone_recordings.bags.fingerprint import bag_paths
+from stone_files.bag_fingerprint import bag_paths
 
 INDEX = "index.npz"
 INPUTS = "inputs"

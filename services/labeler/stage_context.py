@@ -18,7 +18,7 @@ from services.runtime.platform import Platform
 from services.runtime.sandbox.answers import SandboxAnswer
 from services.runtime.sandbox.job_sandbox import JobSandbox, SandboxedWork, private_folder_in
 from services.runtime.store.workspace import Workspace
-from stone_recordings.bags.fingerprint import bag_paths
+from stone_files.bag_fingerprint import bag_paths
 
 A = TypeVar("A", bound=SandboxAnswer)
 

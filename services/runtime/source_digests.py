@@ -12,20 +12,21 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Literal
 
-from stone.errors import StoneError
+from stone_base.errors import StoneError
 
 ResultKind = Literal["labels", "scores"]
 SOURCES: Mapping[ResultKind, tuple[str, ...]] = MappingProxyType(
     {
         "labels": (
             "stone",
+            "stone_base",
             "stone_files",
             "stone_recordings",
             "services.domain.viewer",
             "services.ingest",
             "services.labeler",
         ),
-        "scores": ("stone", "stone_files", "stone_submissions", "services.eval"),
+        "scores": ("stone", "stone_base", "stone_files", "stone_submissions", "services.eval"),
     }
 )
 """The packages, or single modules, whose code decides the bytes of each kind of result.

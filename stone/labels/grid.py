@@ -14,10 +14,9 @@ from stone.geometry.lattice import Keys, indices_of
 from stone.geometry.se3 import SE3
 from stone.labels.observed_voxels import BRICK, Observed
 from stone.labels.voxels import VOXEL_M
-
-GRID_MIN_M = (-25.6, -25.6, -2.0)
-GRID_MAX_M = (25.6, 25.6, 4.4)
-GRID_SHAPE = (256, 256, 32)
+from stone_base.label_grid import GRID_MAX_M as GRID_MAX_M
+from stone_base.label_grid import GRID_MIN_M as GRID_MIN_M
+from stone_base.label_grid import GRID_SHAPE as GRID_SHAPE
 
 LOW, HIGH, OCCUPIED, OBSERVED = range(4)  # the planes of a window
 BELOW = 32  # bits of a column under the window's lowest voxel, always 0

@@ -25,10 +25,10 @@ from stone.kernels.lanes import popcount, prefetch
 from stone.labels.grid import GRID_SHAPE, Grid
 from stone.labels.voxels import VOXEL_M
 from stone.scoring.metric import CLASSES
+from stone_base.label_grid import VOXELS as VOXELS
 
 RING_EDGES_M = (10.0, 20.0)
 RINGS = len(RING_EDGES_M) + 1
-VOXELS = GRID_SHAPE[0] * GRID_SHAPE[1] * GRID_SHAPE[2]
 COLUMNS = VOXELS // 32
 WORDS = VOXELS // 64
 

@@ -4,7 +4,6 @@
 `frame_token(sequence name, stamp)`. Poses are `map_from_ego` at the stamp.
 """
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from hashlib import sha256
@@ -21,8 +20,7 @@ from stone.sensors.calibration import Calibration
 from stone.sensors.ground_plane import GroundFit
 from stone.sensors.height_drift import HeightDrift
 from stone.sensors.pose_quality import PoseQuality
-
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+from stone_base.names import NAME as NAME
 
 
 class SequenceNameError(StoneError):

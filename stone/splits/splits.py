@@ -16,11 +16,11 @@ from typing import Literal
 from stone.errors import StoneError
 from stone.splits.composition import CatalogueEntry
 from stone.splits.surroundings import ENVIRONMENTS, HALVES
+from stone_base.names import PARTS as PARTS
+from stone_base.names import Part as Part
 
-Part = Literal["train", "val", "test"]
 Severity = Literal["error", "warning"]
 
-PARTS: tuple[Part, ...] = ("train", "val", "test")
 SHORTEST_S = 20.0
 MOST_SEQUENCES = 2000
 

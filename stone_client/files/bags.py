@@ -1,7 +1,7 @@
 """Local recordings to upload: one file or the files of a bag, with their hashes.
 
 **Conventions.** A bag of several files is called after its folder. What lies beside it and is no part of it is not
-sent. `sha256` of the whole is the one that the server says (`stone_recordings/bags/file_sets.py`).
+sent. `sha256` of the whole is the one that the server says (`stone_files/bag_files.py`).
 """
 
 from dataclasses import dataclass
@@ -9,8 +9,8 @@ from pathlib import Path
 
 from stone_client.files.tus import LocalFile, hashed
 from stone_client.progress import Report
-from stone_recordings.bags.file_sets import BadBagFilesError, check_bag_files, whole_sha256
-from stone_recordings.bags.fingerprint import bag_parts
+from stone_files.bag_files import BadBagFilesError, check_bag_files, whole_sha256
+from stone_files.bag_fingerprint import bag_parts
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from typing import Any
 
 from rich.table import Table
 
-from stone.errors import one_line
+from stone_base.errors import one_line
 from stone_client.api import Api
 from stone_client.server.benchmarks import phase_path
 from stone_client.server.scores import RATIOS, interval, percent

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 from rich.table import Table
 
-from stone.errors import StoneError
+from stone_base.errors import StoneError
 from stone_client.api import Api
 from stone_client.server.benchmarks import phase_path
 from stone_client.server.sequences import Item

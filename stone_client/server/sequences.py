@@ -15,7 +15,7 @@ from stone_client.files.bags import LocalBag, part_of
 from stone_client.files.tus import Purpose, upload_file
 from stone_client.progress import Report
 from stone_client.server.job_following import AWAY_S, POLL_S, follow
-from stone_recordings.calibrations.bundle import read_bundle, zipped
+from stone_files.calibration_bundle import read_bundle, zipped
 
 Item = Mapping[str, Any]
 ID = re.compile(r"[0-9a-f]{32}")

@@ -9,9 +9,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
-from stone.errors import StoneError
-from stone.findings import Finding
-from stone.splits.splits import PARTS
+from stone_base.errors import StoneError
+from stone_base.findings import Finding
+from stone_base.names import PARTS
 from stone_client.api import Api
 from stone_client.errors import UnknownSubjectError
 from stone_client.server.sequences import Item

@@ -10,7 +10,7 @@ from pathlib import Path
 from time import sleep
 from typing import Any, ClassVar
 
-from stone.errors import StoneError
+from stone_base.errors import StoneError
 from stone_client.api import Api
 from stone_client.errors import JobFailedError, ServerRefusedError
 from stone_client.files.tus import LocalFile, Purpose, hashed, upload_file

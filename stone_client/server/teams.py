@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
-from stone.errors import StoneError
+from stone_base.errors import StoneError
 from stone_client.api import Api
 from stone_client.server.sequences import Item
 

@@ -8,15 +8,6 @@ from collections.abc import Iterable
 from stone.errors import StoneError
 
 
-class CalibrationSizeError(StoneError):
-    """The file is larger than any calibration."""
-
-    code = "CAL-420"
-
-    def __init__(self, name: str, limit_bytes: int) -> None:
-        super().__init__(f"{name} is larger than {limit_bytes} bytes; a calibration is a few kilobytes (another file?)")
-
-
 class CalibrationYamlError(StoneError):
     """The file is not the plain YAML that calibrations are written in."""
 
@@ -78,15 +69,6 @@ class LensModelError(StoneError):
             f"{name}: {sensor} has the lens model {model[:40]!r}; read are pinhole cameras with none, plumb_bob, "
             "radtan, rational_polynomial or equidistant distortion (calibrate again with one of them)"
         )
-
-
-class CalibrationBundleError(StoneError):
-    """A zip or folder is not a bundle of calibration files."""
-
-    code = "CAL-428"
-
-    def __init__(self, name: str, problem: str) -> None:
-        super().__init__(f"{name} is not a bundle of calibration files: {problem}")
 
 
 class ConflictingFilesError(StoneError):

@@ -18,9 +18,9 @@ from stone.findings import Finding
 from stone.sensors.calibration import Calibration, Footprint
 from stone.sensors.calibration_checks import Findings, check_calibration
 from stone.sensors.camera_views import name_findings
+from stone_files.calibration_bundle import Bundle, read_bundle
 from stone_recordings.bags.bag import Bag, open_bag
 from stone_recordings.calibrations.assembly import assembled
-from stone_recordings.calibrations.bundle import Bundle, read_bundle
 from stone_recordings.calibrations.document import RigDocument
 from stone_recordings.calibrations.draft import draft_of
 from stone_recordings.calibrations.native import native

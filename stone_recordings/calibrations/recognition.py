@@ -8,8 +8,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import PurePath
 
+from stone_files.calibration_bundle import Bundle
 from stone_recordings.calibrations import autoware, kalibr, kitti, nuscenes, opencalib, opencv, rellis, rig, ros
-from stone_recordings.calibrations.bundle import Bundle
 from stone_recordings.calibrations.document import RigDocument
 from stone_recordings.calibrations.errors import CalibrationFormatError, ConflictingFilesError
 from stone_recordings.calibrations.native import is_native

@@ -18,7 +18,7 @@ from stone.errors import StoneError
 from stone.sensors.deskew import BIN_NS, SweepMount, deskew, sweep_motion
 from stone.sensors.samples import CameraSample, LidarSample, RadarSample
 from stone.sensors.sequence import Association, Sequence
-from stone_recordings.bags.fingerprint import recording_sha256
+from stone_files.bag_fingerprint import recording_sha256
 from stone_recordings.messages.camera import CameraPicture, decode_image
 from stone_recordings.messages.lidar import LidarPoints
 from stone_recordings.messages.pointcloud2 import decode_cloud, lidar_points

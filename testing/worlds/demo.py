@@ -7,7 +7,7 @@ import pytest
 from services.runtime.embedded.supervisor import running_platform
 from services.runtime.settings import ApiSettings, Settings, ViewingSettings
 from simulator.options import SimulateOptions
-from stone_client.demo.pipeline import DemoPlan, run_demo
+from stone_local.demo.pipeline import DemoPlan, run_demo
 from testing.once import made_once
 from testing.servers.fixtures import make_settings
 

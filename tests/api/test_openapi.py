@@ -19,6 +19,7 @@ PUBLIC = {
     ("/api/v1/problems", "get"),
     ("/api/v1/problems/{code}", "get"),
     ("/api/v1/docs", "get"),
+    ("/api/v1/client", "get"),
     ("/api/v1/sessions", "post"),
     ("/api/v1/uploads", "options"),
 }

@@ -11,7 +11,7 @@ import pytest
 from services.runtime.access import storage_quota
 from services.runtime.orm import Job, Recording, Upload
 from services.runtime.platform import Platform
-from stone_recordings.bags.file_sets import MOST_FILES
+from stone_files.bag_files import MOST_FILES
 from testing.api.serving import Person, client_of, person
 from testing.worlds.made import NOBODY, row_of, sequence, upload
 

@@ -22,11 +22,11 @@ from simulator.pipeline import simulate
 from stone.sensors.samples import CameraSample, LidarSample, RadarSample
 from stone.sensors.sequence import Sequence
 from stone_client.main import app
-from stone_client.models.prediction_pace import PredictionPace
-from stone_client.models.recorded_frames import DamagedSampleError, RecordedStore
-from stone_client.models.recording_prediction import PREDICTION, RecordingPlan, predict_recording
 from stone_exports.frames import frames_in
 from stone_exports.tables import exports_in
+from stone_local.models.prediction_pace import PredictionPace
+from stone_local.models.recorded_frames import DamagedSampleError, RecordedStore
+from stone_local.models.recording_prediction import PREDICTION, RecordingPlan, predict_recording
 from stone_recordings.sync.samples import BagSamples
 from stone_submissions.manifest import Manifest, write_manifest
 from tests.baselines.recorded_run import DRIVE, ROW, made_run

@@ -8,7 +8,7 @@ import typer
 from typer.testing import CliRunner
 
 from stone_client.main import app
-from stone_client.time_offsets import chosen_offsets
+from stone_local.time_offsets import chosen_offsets
 from stone_recordings.sync.errors import NoPosedFramesError
 from tests.stone_recordings.writing import Recorded, write_mcap
 

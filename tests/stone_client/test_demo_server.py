@@ -4,7 +4,7 @@ import pytest
 
 from services.runtime.platform import Platform
 from stone_client.credentials import Server
-from stone_client.demo.server import demo_server_of
+from stone_local.demo.server import demo_server_of
 from testing.api.serving import person, serving
 
 

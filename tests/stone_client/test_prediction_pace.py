@@ -2,7 +2,7 @@
 
 import pytest
 
-from stone_client.models.prediction_pace import PredictionPace, prediction_shown
+from stone_local.models.prediction_pace import PredictionPace, prediction_shown
 
 
 def test_it_keeps_up_where_frames_are_predicted_as_fast_as_they_were_recorded() -> None:

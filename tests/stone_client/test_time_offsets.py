@@ -3,7 +3,7 @@
 import pytest
 import typer
 
-from stone_client.time_offsets import chosen_offsets
+from stone_local.time_offsets import chosen_offsets
 
 
 def test_offsets_are_read_to_the_nanosecond_in_every_unit() -> None:

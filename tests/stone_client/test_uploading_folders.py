@@ -22,8 +22,8 @@ from stone_client.credentials import Server
 from stone_client.errors import ServerRefusedError
 from stone_client.files.bags import LocalBag, called, hashed_bag
 from stone_client.server.sequences import add_recording, ensure_sequence, has_other_recording
-from stone_recordings.bags.file_sets import BadBagFilesError
-from stone_recordings.bags.fingerprint import recording_sha256
+from stone_files.bag_files import BadBagFilesError
+from stone_files.bag_fingerprint import recording_sha256
 from testing.api.serving import Person, person, serving
 from tests.stone_client.test_server_commands import ingesting, refused, stone
 from tests.stone_recordings.splitting import split_into

@@ -17,6 +17,7 @@ ROLES = ("visitor", "participant", "curator", "administrator")
 PAGES = """
 /                     200 200 200 200
 /sign-in              200 200 200 200
+/downloads/           200 200 200 200
 /benchmarks           200 200 200 200
 /benchmarks/none      401 404 404 404
 /benchmarks/none/val  401 404 404 404

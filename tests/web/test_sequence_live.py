@@ -14,7 +14,7 @@ from tests.web.looking import look
 from tests.web.test_pages_access import cookie
 from web.main import make_site
 
-OPEN, OWN = ("", "/frames", "/track", "/calibration"), ("/recordings", "/processing", "/exports")
+OPEN, OWN = ("", "/frames", "/track", "/calibration"), ("/recordings", "/processing", "/label-sets", "/exports")
 
 
 def new_sequence(platform: Platform, owner: Person, name: str = "forest") -> dict[str, str]:

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page
 
-from stone_recordings.bags.file_sets import BadBagFilesError, check_bag_files, is_bag_part
+from stone_files.bag_files import BadBagFilesError, check_bag_files, is_bag_part
 from testing.api.serving import Person
 from testing.web.browsing import Site
 

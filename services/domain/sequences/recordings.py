@@ -21,7 +21,7 @@ from services.runtime.orm import Job, Recording, RecordingFile, SequenceRow, Upl
 from services.runtime.telemetry.trace_links import link_uploads_of
 from services.runtime.uploads import consume
 from stone.errors import StoneError
-from stone_recordings.bags.file_sets import BadBagFilesError, check_bag_files, whole_sha256
+from stone_files.bag_files import BadBagFilesError, check_bag_files, whole_sha256
 
 PURPOSE = "recording"
 

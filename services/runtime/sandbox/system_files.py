@@ -11,8 +11,8 @@ from importlib.util import find_spec
 from pathlib import Path
 
 PACKAGES = (
-    "stone", "stone_files", "stone_recordings", "stone_submissions", "stone_exports", "services", "api", "web",
-    "stone_client",
+    "stone", "stone_base", "stone_files", "stone_recordings", "stone_submissions", "stone_exports", "services", "api",
+    "web", "stone_client", "stone_local",
 )  # fmt: skip
 SYSTEM = ("/usr", "/lib", "/lib64", "/bin", "/etc/ld.so.cache", "/etc/localtime", "/etc/timezone", "/etc/fonts")
 KERNEL = ("/proc/meminfo", "/proc/cpuinfo", "/proc/stat", "/proc/filesystems", "/proc/sys/vm", "/sys/devices/system")

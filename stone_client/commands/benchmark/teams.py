@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from stone.errors import one_line
+from stone_base.errors import one_line
 from stone_client.options import ServerOption
 from stone_client.streams import JsonOption, echo_json
 from stone_client.tables import plain_table, safe_text, show

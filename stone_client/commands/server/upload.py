@@ -4,7 +4,7 @@ from typing import Annotated, Any
 
 import typer
 
-from stone.findings import Finding
+from stone_base.findings import Finding
 from stone_client.options import BagArgument, CalibrationOption, ServerOption
 from stone_client.progress import transferred
 from stone_client.streams import JsonOption, echo_findings, echo_json

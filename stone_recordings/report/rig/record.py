@@ -10,7 +10,7 @@ from typing import Any
 
 from stone.errors import StoneError
 from stone.sensors.calibration import Calibration
-from stone_recordings.calibrations.bundle import read_bundle
+from stone_files.calibration_bundle import read_bundle
 from stone_recordings.calibrations.file import DEFAULT_FOOTPRINT, CalibrationRead
 from stone_recordings.calibrations.recognition import recognised
 from stone_recordings.calibrations.recording_rig import is_recording

@@ -18,8 +18,8 @@ from packaging.utils import canonicalize_name
 
 locked = set(sys.argv[1].split(","))
 ours = {
-    "stone", "stone_files", "stone_recordings", "stone_submissions", "services", "simulator", "stone_client",
-    "api", "web",
+    "stone", "stone_base", "stone_files", "stone_recordings", "stone_submissions", "services", "simulator",
+    "stone_client", "stone_local", "api", "web",
 }
 known = packages_distributions()
 absent = {

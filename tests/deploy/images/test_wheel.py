@@ -43,8 +43,8 @@ print(json.dumps({
 def sources() -> set[str]:
     """Every module of the project, as it was before the wheel was made."""
     folders = (
-        *("stone", "stone_files", "stone_recordings", "stone_submissions", "stone_exports"),
-        *("baselines", "services", "simulator", "stone_client", "api", "web"),
+        *("stone", "stone_base", "stone_files", "stone_recordings", "stone_submissions", "stone_exports"),
+        *("baselines", "services", "simulator", "stone_client", "stone_local", "api", "web"),
     )
     found = [path for folder in folders for path in (ROOT / folder).rglob("*.py")]
     return {path.relative_to(ROOT).as_posix() for path in found if "node_modules" not in path.parts}

@@ -12,10 +12,10 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from services.eval.pipeline import validate
 from services.runtime.sandbox import SandboxLimits, sandboxed
 from services.runtime.telemetry.log_lines import speak_json
 from stone.errors import StoneError
+from stone_submissions.validation import validate
 
 LIMITS = SandboxLimits(memory_bytes=64 * 2**20, cpu_s=1)
 CLEAR_REFS, RESET_PEAK, STATUS = Path("/proc/self/clear_refs"), "5", Path("/proc/self/status")  # man 5 proc

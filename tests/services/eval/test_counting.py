@@ -5,11 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.eval.counting import check_range, count_range
+from services.eval.counting import count_range
 from services.eval.ground_truth import read_truth
 from stone.scoring.bitplanes import TruthPlanes
 from stone_submissions.archive import open_submission
 from stone_submissions.errors import GroundTruthError
+from stone_submissions.validation import check_range
 from testing.worlds.submission_files import write_submission
 from tests.services.eval.conftest import World
 
@@ -39,7 +40,7 @@ def test_every_problem_of_a_range_is_found_and_its_frames_count_nothing(world: W
     with open_submission(tmp_path / "sub.zip", tokens) as submission:
         counted = count_range(submission, tokens, lambda token: truth_in(world, token))
         assert [problem.code for problem in submission.problems] == ["missing_frame"]
-        assert check_range(submission, tokens) == counted.problems
+        assert tuple(check_range(submission, tokens)) == counted.problems
     assert [(problem.code, problem.frame) for problem in counted.problems] == [
         ("label_out_of_range", token) for token in tokens[:2]
     ]

@@ -14,8 +14,8 @@ from typing import Any
 
 import pytest
 
-from services.eval.pipeline import validate
 from stone_submissions.manifest import Manifest, write_manifest
+from stone_submissions.validation import validate
 from tests.services.eval.attacks import HOSTILE_CASES, TOKENS, frame, grid, saved
 from tests.services.eval.attacks_npy import NPY_CASES
 from tests.services.eval.attacks_zip import ZIP_CASES

@@ -9,11 +9,12 @@ import pytest
 
 from services.domain.benchmarks.submissions import scoring_ranges
 from services.eval.ground_truth import Mask
-from services.eval.pipeline import score, validate
+from services.eval.pipeline import score
 from stone.labels.grid import GRID_SHAPE
 from stone.scoring.confusion import named_ratios
 from stone_files.npz import npz_bytes
 from stone_submissions.errors import BadDtypeError, BadShapeError, GroundTruthError, UnreadableInputError
+from stone_submissions.validation import validate
 from stone_submissions.verdict import SubmissionRefusedError
 from testing.worlds.submission_files import write_submission
 from tests.plain_confusion import confusion_matrix

@@ -73,7 +73,7 @@ class Tree:
 @pytest.fixture
 def tree(tmp_path: Path) -> Tree:
     folder = tmp_path / "another" / "place"
-    for package in ("stone", "stone_files", "stone_recordings", "stone_submissions", "services"):
+    for package in ("stone", "stone_base", "stone_files", "stone_recordings", "stone_submissions", "services"):
         shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
     return Tree(folder)
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from stone_recordings.bags.file_sets import MOST_FILES, BadBagFilesError, check_bag_files, whole_sha256
-from stone_recordings.bags.fingerprint import bag_parts, recording_sha256
+from stone_files.bag_files import MOST_FILES, BadBagFilesError, check_bag_files, whole_sha256
+from stone_files.bag_fingerprint import bag_parts, recording_sha256
 
 SPLIT = [f"run_{number}.mcap" for number in range(3)]
 

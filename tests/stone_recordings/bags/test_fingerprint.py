@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from stone_recordings.bags.fingerprint import HASH_BLOCK_BYTES, hashed_meanwhile, recording_sha256
+from stone_files.bag_fingerprint import HASH_BLOCK_BYTES, hashed_meanwhile, recording_sha256
 
 
 @pytest.mark.parametrize("size", [0, 1, HASH_BLOCK_BYTES, 2 * HASH_BLOCK_BYTES + 7])

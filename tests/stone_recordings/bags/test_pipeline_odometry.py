@@ -9,8 +9,8 @@ import pytest
 from services.ingest.pipeline import SynchroniseOptions, synchronise
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Calibration, Mount
+from stone_files.bag_fingerprint import recording_sha256
 from stone_recordings.bags.errors import CloudLayoutError, NotABagError
-from stone_recordings.bags.fingerprint import recording_sha256
 from stone_recordings.calibrations.file import read_calibration
 from stone_recordings.poses.extrinsics import static_tree
 from stone_recordings.poses.sources import RigMounts, track_from_odometry

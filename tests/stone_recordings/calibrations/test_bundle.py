@@ -10,8 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stone.errors import StoneError
-from stone_recordings.calibrations.bundle import SIZE_LIMIT_BYTES, read_bundle
-from stone_recordings.calibrations.errors import CalibrationBundleError, CalibrationSizeError, CalibrationYamlError
+from stone_files.calibration_bundle import SIZE_LIMIT_BYTES, read_bundle
+from stone_files.errors import CalibrationBundleError, CalibrationSizeError
+from stone_recordings.calibrations.errors import CalibrationYamlError
 from stone_recordings.calibrations.file import read_any_calibration
 from tests.stone_recordings.calibrations import robots
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from stone.sensors.calibration import CameraIntrinsics
-from stone_recordings.calibrations.bundle import read_bundle, zipped
+from stone_files.calibration_bundle import read_bundle, zipped
 from stone_recordings.calibrations.file import CalibrationRead, calibration_sha256, read_any_calibration
 from tests.stone_recordings.calibrations import robots
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stone.errors import StoneError
-from stone_recordings.calibrations.bundle import Bundle
+from stone_files.calibration_bundle import Bundle
 from stone_recordings.calibrations.file import read_files
 from tests.stone_recordings.calibrations import robots
 

@@ -11,7 +11,8 @@ from stone.errors import StoneError
 from stone.sensors.calibration import Calibration, CameraIntrinsics
 from stone.sensors.calibration_errors import MirrorError, NotARotationError, NotFiniteError, TranslationError
 from stone.sensors.projection import project
-from stone_recordings.calibrations.errors import CalibrationKeyError, CalibrationSizeError, HalfRigError
+from stone_files.errors import CalibrationSizeError
+from stone_recordings.calibrations.errors import CalibrationKeyError, HalfRigError
 from stone_recordings.calibrations.file import read_any_calibration
 from tests.stone_recordings.calibrations import robots
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from stone.errors import StoneError
 from stone.sensors.calibration import CameraIntrinsics
 from stone.sensors.calibration_errors import DistortionLengthError, MirrorError, NotFiniteError
-from stone_recordings.calibrations.bundle import Bundle
+from stone_files.calibration_bundle import Bundle
 from stone_recordings.calibrations.errors import CalibrationKeyError, CalibrationYamlError, HalfRigError, LensModelError
 from stone_recordings.calibrations.file import CalibrationRead, read_any_calibration, read_files
 from tests.stone_recordings.calibrations import robots

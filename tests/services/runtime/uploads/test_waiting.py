@@ -21,7 +21,7 @@ from services.runtime.uploads.errors import (
     UploadTargetMissingError,
 )
 from services.runtime.uploads.rows import is_waiting
-from stone_recordings.bags.file_sets import MOST_FILES
+from stone_files.bag_files import MOST_FILES
 from tests.services.domain.benchmarks.drafts import Entrant, another_entrant, drafted, entrant_on
 from tests.services.runtime.uploads.living import complete, used
 from tests.services.runtime.uploads.sending import BAG, made, make_owner

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from stone_files.bag_files import BadBagFilesError, check_bag_files
 from stone_recordings.bags.bag import Bag, open_bag
-from stone_recordings.bags.file_sets import BadBagFilesError, check_bag_files
 from stone_recordings.messages.types.registry import MessageText, registry, resolved
 from stone_recordings.messages.types.table import decode_table
 from stone_recordings.report.inspection import inspect

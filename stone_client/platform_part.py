@@ -1,0 +1,55 @@
+"""The platform beside the client: its commands where it is installed, and a refusal that says what to install.
+
+**Conventions.** Nothing of the platform is imported by name, for the client is installed without it; `stone_local`
+is looked up when it is asked for. An installation that is there and broken keeps its own traceback.
+"""
+
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any, NoReturn
+
+import typer
+
+from stone_client.errors import PlatformNotInstalledError
+
+PACKAGE = "stone_local"
+PLATFORM_COMMANDS = (
+    "simulate", "inspect", "recover", "label", "export", "calibration", "label-sets", "baseline", "score", "demo", "serve",
+    "train", "predict", "onnx",
+)  # fmt: skip
+Commands = Mapping[str, tuple[Callable[..., None], ...]]
+Groups = Mapping[str, tuple[str, typer.Typer]]
+
+
+def is_platform_installed() -> bool:
+    return find_spec(PACKAGE) is not None
+
+
+def platform_commands() -> tuple[Commands, Groups]:
+    """The platform's commands and groups by panel and by name; none where it is not installed."""
+    if not is_platform_installed():
+        return {}, {}
+    registry = import_module(f"{PACKAGE}.registry")
+    return registry.COMMANDS, registry.GROUPS
+
+
+def platform_module(name: str, command: str) -> Any:
+    """A module of the platform that `command` needs. Raises `PlatformNotInstalledError`."""
+    if not is_platform_installed():
+        raise PlatformNotInstalledError(command)
+    return import_module(f"{PACKAGE}.{name}")
+
+
+def add_refusals(app: typer.Typer) -> None:
+    """Commands of the platform's names that refuse whatever they are asked, and that no help lists."""
+    for name in PLATFORM_COMMANDS:
+        words = {"ignore_unknown_options": True, "allow_extra_args": True, "help_option_names": []}
+        app.command(name, hidden=True, context_settings=words)(_refusal_of(name))
+
+
+def _refusal_of(name: str) -> Callable[[], NoReturn]:
+    def refuse_it() -> NoReturn:
+        raise PlatformNotInstalledError(name)
+
+    return refuse_it

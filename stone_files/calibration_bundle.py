@@ -1,0 +1,153 @@
+"""The documents of a calibration: one file, a folder of files, or a zip of them; read whole, bounded, never unpacked.
+
+**Conventions.** Documents come by name in order. What is neither YAML nor JSON is left aside and named (a Kalibr run
+writes reports and text results beside its YAML); of text files those that begin as KITTI's or RELLIS-3D's do are read.
+Nothing is written, so that no name in a zip can lead anywhere; names
+that try are refused all the same. A zip is stored or deflated: other methods may ask for gigabytes before one byte.
+"""
+
+import re
+import zlib
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from io import BytesIO
+from itertools import islice
+from pathlib import Path
+from typing import IO
+from zipfile import ZIP_DEFLATED, ZIP_STORED, BadZipFile, ZipFile, ZipInfo
+
+from stone_files.errors import CalibrationBundleError, CalibrationSizeError
+
+SIZE_LIMIT_BYTES = 1_000_000
+BUNDLE_LIMIT_BYTES = 4_000_000
+MOST_FILES = 64
+MOST_ENTRIES = 1000
+SUFFIXES = (".yaml", ".yml", ".json")
+TEXT_SUFFIX = ".txt"
+# How calibrations in text files begin: KITTI's with a date or a projection, RELLIS-3D's are four numbers and no more.
+TEXT_HEAD = re.compile(rb"\s*(?:calib_time: |P\d: |(?:\d[\d.eE+-]*\s+){3}\d[\d.eE+-]*\s*\Z)")
+TEXT_HEAD_BYTES = 200
+NO_DOCUMENT = "it holds no .yaml, .yml or .json file, and no .txt of KITTI's or RELLIS-3D's"
+ZIP_MAGIC = b"PK\x03\x04"
+ENCRYPTED = 0x1
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """`documents`: (name, bytes) of what may be a calibration; `aside`: names of what was not looked at."""
+
+    documents: tuple[tuple[str, bytes], ...]
+    aside: tuple[str, ...] = ()
+
+
+def read_bundle(path: Path) -> Bundle:
+    """Raises OSError, CalibrationSizeError, CalibrationBundleError (no document, too many, a zip that is not one)."""
+    if path.is_dir():
+        return _folder(path)
+    with path.open("rb") as file:
+        content = file.read(SIZE_LIMIT_BYTES + 1)
+    if len(content) > SIZE_LIMIT_BYTES:
+        raise CalibrationSizeError(path.name, SIZE_LIMIT_BYTES)
+    return _zip(path.name, content) if content.startswith(ZIP_MAGIC) else Bundle(((path.name, content),))
+
+
+def _folder(path: Path) -> Bundle:
+    entries = list(islice(path.rglob("*"), MOST_ENTRIES + 1))
+    if len(entries) > MOST_ENTRIES:
+        raise CalibrationBundleError(path.name, f"it holds more than {MOST_ENTRIES} entries")
+    files = sorted(file for file in entries if file.is_file() and not file.is_symlink())
+    names = [file.relative_to(path).as_posix() for file in files]
+    wanted = _wanted(path.name, names)
+    found = ((name, _content(file)) for name, file in zip(names, files, strict=True) if name in wanted)
+    return _bundle(path.name, names, found)
+
+
+def _bundle(name: str, names: list[str], found: Iterable[tuple[str, bytes | None]]) -> Bundle:
+    """Raises CalibrationBundleError for files that are too large together, and for none that is a document."""
+    documents, total_bytes = list[tuple[str, bytes]](), 0
+    for file, content in found:
+        if content is not None:
+            documents.append((file, content))
+            total_bytes += len(content)
+        _check_total(name, total_bytes)
+    if not documents:
+        raise CalibrationBundleError(name, NO_DOCUMENT)
+    read = {file for file, _ in documents}
+    return Bundle(tuple(documents), tuple(file for file in names if file not in read))
+
+
+def _content(file: Path) -> bytes | None:
+    with file.open("rb") as stream:
+        return _read(file.name, stream)
+
+
+def _read(name: str, stream: IO[bytes]) -> bytes | None:
+    """The whole file, None for a text that is no calibration. Raises CalibrationSizeError."""
+    head = stream.read(TEXT_HEAD_BYTES)
+    if name.lower().endswith(TEXT_SUFFIX) and not TEXT_HEAD.match(head):
+        return None
+    content = head + stream.read(SIZE_LIMIT_BYTES + 1 - len(head))
+    if len(content) > SIZE_LIMIT_BYTES:
+        raise CalibrationSizeError(name[:80], SIZE_LIMIT_BYTES)
+    return content
+
+
+def _zip(name: str, content: bytes) -> Bundle:
+    try:
+        with ZipFile(BytesIO(content)) as archive:
+            members = [member for member in archive.infolist() if not member.is_dir()]
+            for member in members:
+                _check_member(name, member)
+            names = [member.filename for member in members]
+            wanted = _wanted(name, names)
+            return _bundle(name, names, _unpacked(archive, [one for one in members if one.filename in wanted]))
+    except (BadZipFile, NotImplementedError, RuntimeError, EOFError, OSError, ValueError, zlib.error) as error:
+        raise CalibrationBundleError(name, f"the zip is damaged ({str(error)[:80]})") from None
+
+
+def _unpacked(archive: ZipFile, members: list[ZipInfo]) -> Iterator[tuple[str, bytes | None]]:
+    """The sizes in a zip are claims: what is read is what counts."""
+    for member in sorted(members, key=lambda member: member.filename):
+        with archive.open(member) as stream:
+            yield member.filename, _read(member.filename, stream)
+
+
+def _check_member(name: str, member: ZipInfo) -> None:
+    shown = repr(member.filename[:60])
+    parts = member.filename.split("/")
+    if member.filename.startswith("/") or ".." in parts or "\\" in member.filename or not member.filename.isprintable():
+        raise CalibrationBundleError(name, f"the zip holds a file called {shown}, which leads out of it")
+    if member.flag_bits & ENCRYPTED:
+        raise CalibrationBundleError(name, f"{shown} in the zip is encrypted")
+    if member.compress_type not in (ZIP_STORED, ZIP_DEFLATED):
+        raise CalibrationBundleError(
+            name, f"{shown} in the zip is packed by method {member.compress_type}, not deflate"
+        )
+
+
+def _wanted(name: str, names: list[str]) -> frozenset[str]:
+    """Raises CalibrationBundleError for none, too many, or two of one name."""
+    if len(names) > MOST_FILES:
+        raise CalibrationBundleError(name, f"it holds {len(names)} files, the limit is {MOST_FILES}")
+    if len(set(names)) < len(names):
+        raise CalibrationBundleError(name, "two files in it have the same name")
+    hidden = [file for file in names if file.rsplit("/", 1)[-1].startswith(".") or file.startswith("__MACOSX/")]
+    suffixes = (*SUFFIXES, TEXT_SUFFIX)
+    wanted = frozenset(file for file in names if file.lower().endswith(suffixes) and file not in hidden)
+    if not wanted:
+        raise CalibrationBundleError(name, NO_DOCUMENT)
+    return wanted
+
+
+def _check_total(name: str, total_bytes: int) -> None:
+    if total_bytes > BUNDLE_LIMIT_BYTES:
+        raise CalibrationBundleError(name, f"its files together are larger than {BUNDLE_LIMIT_BYTES} bytes")
+
+
+def zipped(bundle: Bundle) -> bytes:
+    """The documents as a zip that `read_bundle` reads; equal bundles give equal bytes, whenever they are packed."""
+    packed = BytesIO()
+    with ZipFile(packed, "w") as archive:
+        for name, content in bundle.documents:
+            archive.writestr(ZipInfo(name), content, ZIP_DEFLATED)
+    return packed.getvalue()

@@ -1,0 +1,44 @@
+"""`stone baseline`: a submission by geometry alone, from exported data."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from stone_client.options import ManifestOption, WorkersOption, cores
+from stone_client.progress import reported
+from stone_client.streams import JsonOption, echo_json
+
+SourceArgument = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="SOURCE...",
+        exists=True,
+        help="Folders of `stone export --format nuscenes` or `inputs`, downloaded tars, or a folder of these.",
+    ),
+]
+OutputOption = Annotated[
+    Path, typer.Option("-o", "--output", metavar="SUB.zip", dir_okay=False, help="The submission.")
+]
+
+
+def baseline(
+    sources: SourceArgument,
+    manifest: ManifestOption,
+    output: OutputOption,
+    workers: WorkersOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Predict every frame of a manifest from its own LiDAR sweep, without training: the row every method should beat.
+
+    Ground is the lowest point of each column; steep or uneven is non-traversable, the corridor ahead traversable.
+    """
+    from stone_local.baseline import BaselinePlan, write_baseline
+
+    with reported() as progress:
+        written = write_baseline(sources, BaselinePlan(manifest, output, workers or cores()), progress)
+    if as_json:
+        echo_json(written.as_record())
+    else:
+        typer.echo(f"{output}: {written.frames:,} frames, {written.size_bytes:,} bytes, sha256 {written.sha256}")
+        typer.echo(f"Next: stone validate {output} --manifest {manifest}")

@@ -1,0 +1,131 @@
+"""`stone calibration`: a calibration file checked, and drawn."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from stone.errors import StoneError
+from stone.findings import Finding
+from stone_client.options import LidarOption, OdometryOption
+from stone_client.refusals import REFUSED
+from stone_client.streams import JsonOption, echo_findings, echo_json
+from stone_local.topic_choices import TopicOption, TopicsOption, chosen_topics
+
+calibration = typer.Typer(help="Check a calibration before labelling, and draw the rig.", no_args_is_help=True)
+
+FileArgument = Annotated[
+    Path,
+    typer.Argument(metavar="FILE", exists=True, readable=True, help="A calibration: file, folder, zip or recording."),
+]
+BagOption = Annotated[
+    Path | None,
+    typer.Option("--bag", metavar="BAG", exists=True, help="A recording of the same robot to check against."),
+]
+PictureOption = Annotated[
+    Path | None,
+    typer.Option("-o", "--output", metavar="RIG.svg", dir_okay=False, help="Draw the rig, as .svg or .png."),
+]
+PICTURES: dict[str, Literal["svg", "png"]] = {".svg": "svg", ".png": "png"}
+
+
+@calibration.command()
+def check(
+    file: FileArgument,
+    bag: BagOption = None,
+    odometry: OdometryOption = None,
+    lidar: LidarOption = None,
+    topics: TopicsOption = None,
+    topic: TopicOption = [],  # noqa: B006
+    as_json: JsonOption = False,
+) -> None:
+    """Say what a calibration was read as, where its sensors sit, and what is wrong with it.
+
+    With --bag also which topics of the recording it does not place, which of its sensors have no topic, whether the
+    LiDAR's points fit the cameras' pictures, and where the ground lies. Exit code 1 where it cannot be used for labels.
+    """
+    from services.ingest.pipeline import SynchroniseOptions
+    from stone_client.progress import reported
+    from stone_local.calibration_check import BagChoice, check_calibration_file
+
+    profile = chosen_topics(topics, topic)
+    with _refused_with_what_was_found(file, as_json), reported() as progress:
+        options = SynchroniseOptions(odometry, lidar, topics=profile.topics, progress=progress)
+        choice = None if bag is None else BagChoice(bag, profile, replace(options, is_hashed=False))
+        found = check_calibration_file(file, choice)
+    _say(file, found.as_record(), as_json)
+    if not as_json:
+        typer.echo(f"verdict: {'can' if found.is_usable else 'cannot'} be used for labels")
+    echo_findings(found.findings)
+    if not found.is_usable:
+        raise typer.Exit(REFUSED)
+
+
+@calibration.command("show")
+def show_rig(file: FileArgument, output: PictureOption = None, as_json: JsonOption = False) -> None:
+    """Show where each sensor sits on the robot and what the calibration lacks; with -o draw it.
+
+    The drawing has the robot from above and from the right, its footprint, and what each sensor sees.
+    """
+    from stone_files.atomic import atomic_file
+    from stone_local.calibration_check import check_calibration_file
+    from stone_recordings.report.rig.figure import rig_figure
+    from stone_recordings.report.rig.record import is_footprint_given
+
+    if output is not None and output.suffix.lower() not in PICTURES:
+        raise typer.BadParameter(f"{output.name!r} is neither .svg nor .png", param_hint="--output")
+    with _refused_with_what_was_found(file, as_json):
+        found = check_calibration_file(file)
+    if output is not None:
+        picture = PICTURES[output.suffix.lower()]
+        with atomic_file(output) as staging:
+            staging.write_bytes(rig_figure(found.read.calibration, is_footprint_given(found.read), picture))
+    _say(file, found.as_record(), as_json)
+    if output is not None and not as_json:
+        typer.echo(f"Drawing: {output}")
+    echo_findings(found.findings)
+
+
+@contextmanager
+def _refused_with_what_was_found(file: Path, as_json: bool) -> Iterator[None]:
+    """Where the file is no whole calibration: what each of its files says, before the refusal.
+
+    What is refused of the recording is refused as by every command.
+    """
+    from stone_client.tables import show
+    from stone_local.calibration_tables import file_table
+    from stone_recordings.report.rig.record import files_found
+
+    try:
+        yield
+    except StoneError as error:
+        if not error.code.startswith("CAL-"):
+            raise
+        files = files_found(file)
+        refusal = Finding(error.code, "error", "", str(error))
+        if as_json:
+            echo_json({"is_usable": False, "files": files, "findings": [refusal.as_record()]})
+        elif files:
+            show(file_table(files))
+        echo_findings((refusal,))
+        raise typer.Exit(REFUSED) from None
+
+
+def _say(file: Path, record: Mapping[str, Any], as_json: bool) -> None:
+    from stone_client.tables import show
+    from stone_local.calibration_tables import channel_table, lens_table, notes, sensor_table
+
+    if as_json:
+        echo_json(record)
+        return
+    show(sensor_table(record, file.name))
+    lenses = lens_table(record)
+    if lenses is not None:
+        show(lenses)
+    if record["channels"] is not None:
+        show(channel_table(record["channels"]))
+    for line in notes(record):
+        typer.echo(line)

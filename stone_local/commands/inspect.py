@@ -1,0 +1,62 @@
+"""`stone inspect`: what is in a recording, and what is wrong with it."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from stone_client.options import BagArgument
+from stone_client.refusals import REFUSED
+from stone_client.streams import JsonOption, echo_findings, echo_json
+from stone_client.tables import clock_table, inspection_table, show
+from stone_local.quality_file import HtmlOption, deduction_table, write_quality_page
+from stone_local.topic_choices import SaveTopicsOption, TopicOption, TopicsOption, chosen_topics
+
+RigOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--calibration", metavar="FILE", exists=True, help="Check with this calibration what labelling would say."
+    ),
+]
+
+
+def inspect(
+    bag: BagArgument,
+    topics: TopicsOption = None,
+    topic: TopicOption = [],  # noqa: B006
+    save_topics: SaveTopicsOption = None,
+    html: HtmlOption = None,
+    calibration: RigOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Show a recording's topics with their roles, rates and gaps, and what is noticed about them.
+
+    Where several topics fit one role, choose with --topic and save the choice for the robot's next recording.
+    What labelling would refuse or leave out is said too; with --calibration also what it would say of the mounts.
+    With --html its quality is measured too: a page with plots, and under --json one more key.
+    Exit code 1 where something in it cannot be used, named by an error line.
+    """
+    from services.ingest.outlook import inspected_in
+    from stone_recordings.bags.bag import open_bag
+    from stone_recordings.topics.profile_file import write_profile
+
+    profile = chosen_topics(topics, topic)
+    with open_bag(bag) as opened:
+        inspection = inspected_in(opened, profile, calibration)
+        record: dict[str, Any] = inspection.as_record()
+        findings = inspection.findings
+        if html is not None:
+            quality = write_quality_page(opened, inspection, html)
+            record["quality"], findings = quality.as_record(), (*findings, *quality.left_out)
+    if as_json:
+        echo_json(record)
+    else:
+        show(inspection_table(record))
+        show(clock_table(inspection.clocks.as_record()))
+        if "quality" in record:
+            show(deduction_table(record["quality"]))
+    if save_topics is not None:
+        write_profile(save_topics, inspection.assignment.as_profile(profile.platform))
+    echo_findings(findings)
+    if any(finding.severity == "error" for finding in findings):
+        raise typer.Exit(REFUSED)

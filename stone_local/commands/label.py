@@ -1,0 +1,103 @@
+"""`stone label`: from a recording and a calibration to 3D traversability labels."""
+
+from dataclasses import replace
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from stone.findings import Finding
+from stone_client.options import (
+    BagArgument,
+    CalibrationOption,
+    Ground,
+    GroundOption,
+    LabelProfile,
+    LidarOption,
+    OdometryOption,
+    ProfileOption,
+    WorkersOption,
+    cores,
+)
+from stone_client.progress import reported
+from stone_client.streams import JsonOption, echo_findings, echo_json
+from stone_client.tables import class_table, show
+from stone_local.time_offsets import TimeOffsetOption, chosen_offsets
+from stone_local.topic_choices import TopicOption, TopicsOption, chosen_topics
+
+OutputOption = Annotated[
+    Path, typer.Option("-o", "--output", metavar="DIR", help="New or empty, or an earlier label set to replace.")
+]
+ConfidenceOption = Annotated[
+    bool, typer.Option("--confidence", help="Add how far each voxel is from driven ground (array distance_squared).")
+]
+
+
+class Solver(StrEnum):
+    """How the surface is reconstructed: near the data, or over whole cubes by Open3D."""
+
+    LATTICE = "lattice"
+    OCTREE = "octree"
+
+
+SolverOption = Annotated[
+    Solver, typer.Option(help="Of the screened Poisson equation; octree is Open3D's, several times as slow.")
+]
+
+
+class Refine(StrEnum):
+    """How poses are refined before anything is labelled."""
+
+    SMALL_GICP = "small_gicp"
+
+
+RefineOption = Annotated[
+    Refine | None, typer.Option(help="Align each sweep with the map of those before it; what that did is reported.")
+]
+
+
+def label(
+    bag: BagArgument,
+    calibration: CalibrationOption,
+    output: OutputOption,
+    profile: ProfileOption = LabelProfile.PAPER,
+    odometry: OdometryOption = None,
+    lidar: LidarOption = None,
+    topics: TopicsOption = None,
+    topic: TopicOption = [],  # noqa: B006
+    workers: WorkersOption = None,
+    solver: SolverOption = Solver.LATTICE,
+    refine: RefineOption = None,
+    ground: GroundOption = Ground.GIVEN,
+    time_offset: TimeOffsetOption = [],  # noqa: B006
+    confidence: ConfidenceOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Label every frame of a recording: free, traversable, potentially traversable or not, in 0.2 m voxels."""
+    from services.ingest.pipeline import SynchroniseOptions
+    from services.ingest.sequence import opened_sequence
+    from services.labeler.local_run import LabelOptions
+    from services.labeler.local_run import label as label_sequence
+    from services.labeler.parameters import RefinementParameters, parameters_for
+    from services.labeler.workers import begin_loading
+
+    begin_loading()
+    with reported() as progress:
+        chosen = chosen_topics(topics, topic).topics
+        sources = SynchroniseOptions(odometry, lidar, topics=chosen, ground=ground.value, progress=progress)
+        sources = replace(sources, time_offsets_ns=chosen_offsets(time_offset))
+        source = {"recording": str(bag.resolve()), "calibration": str(calibration.resolve())}
+        refinement = RefinementParameters(refine.value) if refine else None
+        parameters = replace(parameters_for(profile.value), confidence=confidence, refinement=refinement)
+        parameters = replace(parameters, surface=replace(parameters.surface, solver=solver.value))
+        with opened_sequence(bag, calibration, bag.stem, sources) as opened:
+            options = LabelOptions(parameters, workers or cores(), source, opened.recording_inputs)
+            record = label_sequence(opened.sequence, opened.sweeps, output, options, progress).as_record()
+    if as_json:
+        echo_json(record)
+    else:
+        title = f"{record['frames']} frames labelled, {len(record['excluded'])} excluded"
+        show(class_table(title, record["class_share_of_occupied"]))
+        typer.echo(f"Labels: {output}\nPicture: {output / 'bev.png'}")
+    echo_findings(Finding(**finding) for finding in record["findings"])

@@ -1,0 +1,102 @@
+"""`stone label-sets`: the label sets of a sequence, and two of them held against each other."""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from stone_client.options import SequenceArgument, ServerOption
+from stone_client.progress import reported
+from stone_client.streams import JsonOption, echo_json
+from stone_client.tables import show
+
+label_sets = typer.Typer(help="List the label sets of a sequence, compare two of them.", no_args_is_help=True)
+
+FirstArgument = Annotated[
+    str, typer.Argument(metavar="A", help="A folder that holds gts/; with --sequence an id, or latest, latest~1, …")
+]
+SecondArgument = Annotated[str, typer.Argument(metavar="B", help="Another of the same run.")]
+SequenceOption = Annotated[
+    str | None, typer.Option("--sequence", metavar="NAME", help="A sequence of the server, whose label sets are meant.")
+]
+PicturesOption = Annotated[
+    Path | None,
+    typer.Option("--pictures", metavar="DIR", file_okay=False, help="Pictures of the frames that are least alike."),
+]
+
+
+@label_sets.command("list")
+def listed(sequence: SequenceArgument, server: ServerOption = None, as_json: JsonOption = False) -> None:
+    """Show all label sets of a sequence of the server, the one that counts first."""
+    from stone_client.connection import connected
+    from stone_client.server.label_sets import label_set_table, label_sets_of
+    from stone_client.server.sequences import find_sequence
+
+    with connected(server) as api:
+        found = find_sequence(api, sequence)
+        sets = label_sets_of(api, found["id"])
+    if as_json:
+        echo_json({"sequence": found["name"], "label_sets": sets})
+        return
+    show(label_set_table(found["name"], sets))
+
+
+@label_sets.command()
+def compare(
+    a: FirstArgument,
+    b: SecondArgument,
+    sequence: SequenceOption = None,
+    pictures: PicturesOption = None,
+    server: ServerOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Show how alike two label sets of one run are: IoU, confusion, by distance; neither is the truth."""
+    if sequence is None and server is not None:
+        raise typer.BadParameter(
+            "it names a server, where --sequence says which sequence is meant", param_hint="--server"
+        )
+    with reported() as progress:
+        if sequence is None:
+            record = _of_folders((Path(a), Path(b)), pictures, progress)
+        else:
+            record = _of_server((a, b), sequence, server, pictures, progress)
+    if as_json:
+        echo_json(record)
+        return
+    _show(record)
+
+
+def _of_folders(folders: tuple[Path, Path], pictures: Path | None, progress: Any) -> dict[str, Any]:
+    from services.eval.comparison.folders import compare_folders, open_folders, write_pictures
+
+    opened = open_folders(*folders)
+    record = compare_folders(opened, progress)
+    written = write_pictures(opened, record, pictures) if pictures else []
+    return {**record, "pictures": [os.fspath(path) for path in written]}
+
+
+def _of_server(
+    named: tuple[str, str], sequence: str, server: str | None, pictures: Path | None, progress: Any
+) -> dict[str, Any]:
+    from stone_client.connection import connected
+    from stone_client.server.label_sets import compare_label_sets, fetch_pictures
+    from stone_client.server.sequences import find_sequence
+
+    with connected(server) as api:
+        made = compare_label_sets(api, find_sequence(api, sequence), named, progress)
+        written = fetch_pictures(api, made, pictures) if pictures else []
+    return {**made["record"], "pictures": [os.fspath(path) for path in written]}
+
+
+def _show(record: Mapping[str, Any]) -> None:
+    from stone_local.agreement_tables import agreement_table, least_alike_table, pair_confusion_table, ring_table
+
+    show(agreement_table(record))
+    show(pair_confusion_table(record["all_voxels"]["confusion"]))
+    show(ring_table(record["all_voxels"]["rings"]))
+    if record["least_alike"]:
+        show(least_alike_table(record["least_alike"]))
+    for path in record["pictures"]:
+        typer.echo(path)

@@ -1,0 +1,131 @@
+"""`stone train`: a row of the benchmark, trained on exported data."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from stone_client.progress import reported
+from stone_client.streams import JsonOption, echo_json
+from stone_local.models.torch_there import torch_needed
+from stone_local.models.training_progress import training_shown
+
+
+class Device(StrEnum):
+    """Where a network is computed."""
+
+    CPU = "cpu"
+    CUDA = "cuda"
+
+
+class Precision(StrEnum):
+    """Of the network; geometry and losses are float32 always."""
+
+    FLOAT32 = "float32"
+    BFLOAT16 = "bfloat16"
+
+
+THE_ROWS = "the row's"
+
+RowArgument = Annotated[
+    str, typer.Argument(metavar="ROW", help="A row's name (docs/models.md), or a YAML file of one.")
+]
+ExportsArgument = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="EXPORTS...",
+        exists=True,
+        help="Exports of format nuscenes, or inputs beside the tars of a dataset version; folders or tars.",
+    ),
+]
+RunOption = Annotated[
+    Path, typer.Option("-o", "--output", metavar="RUN", file_okay=False, help="The folder of the run.")
+]
+WatchOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--watch", metavar="EXPORTS", exists=True, help="Scored after each epoch, never trained on; repeatable."
+    ),
+]
+ResumeOption = Annotated[bool, typer.Option("--resume", help="Go on from the run's checkpoint.")]
+DeviceOption = Annotated[Device, typer.Option(help="Where to compute.")]
+EpochsOption = Annotated[
+    int | None, typer.Option(min=1, max=10_000, show_default=THE_ROWS, help="Times over all frames.")
+]
+BatchOption = Annotated[int | None, typer.Option(min=1, max=256, show_default=THE_ROWS, help="Frames at once.")]
+AccumulateOption = Annotated[
+    int | None, typer.Option(min=1, max=1024, show_default=THE_ROWS, help="Batches whose gradients make one step.")
+]
+RateOption = Annotated[
+    float | None, typer.Option("--learning-rate", min=0.0, show_default=THE_ROWS, help="The highest of the schedule.")
+]
+StrideOption = Annotated[
+    int | None, typer.Option(min=1, show_default=THE_ROWS, help="Train on every n-th frame of a sequence.")
+]
+SeedOption = Annotated[
+    int | None, typer.Option(min=0, show_default=THE_ROWS, help="Of weights, order and augmentation.")
+]
+PrecisionOption = Annotated[Precision | None, typer.Option(show_default=THE_ROWS, help="Of the network.")]
+BackboneOption = Annotated[
+    Path | None,
+    typer.Option("--backbone", metavar="FILE", exists=True, dir_okay=False, help="Image weights, torchvision's names."),
+]
+CacheOption = Annotated[
+    Path | None,
+    typer.Option("--cache", metavar="DIR", file_okay=False, help="Where read frames are kept, for several runs."),
+]
+LoadersOption = Annotated[int, typer.Option(min=0, max=64, help="Processes that read frames beside the training.")]
+CheckpointOption = Annotated[
+    int | None, typer.Option("--checkpoint-steps", min=1, show_default=THE_ROWS, help="Steps between checkpoints.")
+]
+
+GradientsOption = Annotated[
+    bool, typer.Option("--checkpoint-gradients", help="Less memory for more time: activations are computed twice.")
+]
+
+
+def train(
+    row: RowArgument,
+    exports: ExportsArgument,
+    output: RunOption,
+    watch: WatchOption = None,
+    resume: ResumeOption = False,
+    device: DeviceOption = Device.CPU,
+    epochs: EpochsOption = None,
+    batch: BatchOption = None,
+    accumulate: AccumulateOption = None,
+    learning_rate: RateOption = None,
+    stride: StrideOption = None,
+    seed: SeedOption = None,
+    precision: PrecisionOption = None,
+    backbone: BackboneOption = None,
+    cache: CacheOption = None,
+    loaders: LoadersOption = 0,
+    checkpoint_gradients: GradientsOption = False,
+    checkpoint_steps: CheckpointOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Train a row on exported frames; killed at any moment it goes on with --resume. Needs torch: `make baselines`."""
+    with torch_needed():
+        from baselines.row_config import read_row, with_checkpointed_gradients
+        from baselines.train import TrainingPlan
+        from baselines.train import train as trained
+    changes: dict[str, Any] = {
+        "epochs": epochs, "batch": batch, "accumulate": accumulate, "learning_rate": learning_rate, "stride": stride,
+        "seed": seed, "precision": None if precision is None else precision.value, "checkpoint_steps": checkpoint_steps,
+    }  # fmt: skip
+    config = read_row(row, changes)
+    if checkpoint_gradients:
+        config = with_checkpointed_gradients(config)
+    sources = tuple(exports), output, tuple(watch or ()), resume
+    plan = TrainingPlan(config, *sources, device.value, cache, backbone, loaders)
+    with reported() as progress, training_shown() as reports:
+        ended = trained(plan, progress, reports)
+    if as_json:
+        echo_json(ended.__dict__)
+        return
+    typer.echo(f"{output}: {ended.steps:,} steps on {ended.frames:,} frames (sha256 {ended.data_sha256[:16]}…)")
+    if ended.best_miou is not None:
+        typer.echo(f"best mIoU of what was watched: {100 * ended.best_miou:.2f} %")
+    typer.echo(f"Next: stone predict {output} INPUTS --manifest M.json -o sub.zip")

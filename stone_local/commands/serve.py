@@ -1,0 +1,36 @@
+"""`stone serve`: the whole platform on this machine."""
+
+import os
+from typing import Annotated
+
+import typer
+
+from stone_client.options import DataOption, WorkersOption
+from stone_client.streams import JsonOption, echo_json, echo_notice
+
+HostOption = Annotated[str | None, typer.Option(help="The address to listen on.", show_default="127.0.0.1")]
+PortOption = Annotated[int | None, typer.Option(min=0, max=65535, help="0: any that is free.", show_default="8080")]
+
+
+def serve(
+    data: DataOption = None,
+    host: HostOption = None,
+    port: PortOption = None,
+    workers: WorkersOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run API, workers and sweeper with a database and a store of their own, until Ctrl-C; a second start resumes."""
+    from stone_local.embedded_platform import Address, served, settings_for, wait_for_ctrl_c
+
+    with served(settings_for(data, Address(host, port), workers)) as running:
+        folder = running.platform.settings.root
+        if running.keys.password:
+            echo_notice(f"administrator: {running.keys.name}, password: {running.keys.password}")
+            echo_notice(f"  (also in {folder / 'admin-password'}; change it after the first sign-in)")
+        echo_notice(f"{', '.join(child.program.name for child in running.children)} run; logs: {running.logs}")
+        if as_json:
+            echo_json({"url": running.url, "pid": os.getpid(), "data": str(folder)})
+        else:
+            typer.echo(running.url)
+        wait_for_ctrl_c()
+        echo_notice("stopping: what is running may finish, Ctrl-C again ends it at once")
