@@ -15,8 +15,8 @@ from stone_client.errors import PlatformNotInstalledError
 
 PACKAGE = "stone_local"
 PLATFORM_COMMANDS = (
-    "simulate", "inspect", "recover", "label", "export", "calibration", "label-sets", "baseline", "score", "demo", "serve",
-    "train", "predict", "onnx",
+    "simulate", "inspect", "recover", "label", "export", "calibration", "label-sets", "baseline", "score", "demo",
+    "serve", "train", "predict", "onnx",
 )  # fmt: skip
 Commands = Mapping[str, tuple[Callable[..., None], ...]]
 Groups = Mapping[str, tuple[str, typer.Typer]]

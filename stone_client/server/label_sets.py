@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from rich.table import Table
 
-from stone.errors import StoneError
+from stone_base.errors import StoneError
 from stone_client.api import Api
 from stone_client.progress import Report
 from stone_client.server.job_following import follow

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from services.eval.counting import Progress, silent
 from services.eval.ground_truth import KEYS
 from stone.labels.grid import GRID_SHAPE, Grid
 from stone.scoring.agreement import agreement_ratios
@@ -19,6 +18,7 @@ from stone.scoring.bitplanes import RINGS, LabelRangeError, frame_counts, truth_
 from stone.scoring.metric import CLASSES
 from stone_submissions.errors import GroundTruthError, SubmissionError
 from stone_submissions.npz_frame import npz_members, read_grid
+from stone_submissions.validation import Progress, silent
 
 SEMANTICS, SEEN = "semantics", "mask_lidar"
 Counted = NDArray[np.int64]
