@@ -25,26 +25,16 @@ from api.probes import Probes
 from api.routes import (
     audit,
     benchmarks,
-    calibrations,
     client,
     dataset_inputs,
     datasets,
     docs,
     events,
-    exports,
-    frame_views,
-    frames,
     health,
     jobs,
-    label_sets,
     leaderboard,
     phase_inputs,
-    processing,
-    profiles,
-    recordings,
     results,
-    scenes,
-    sequences,
     sessions,
     splits,
     statistics,
@@ -56,6 +46,18 @@ from api.routes import (
 )
 from api.routes import problems as problem_routes
 from api.routes.admin import admin_alarms, admin_benchmarks, admin_jobs, admin_rescores, admin_truths
+from api.routes.sequences import (
+    calibrations,
+    exports,
+    frame_views,
+    frames,
+    label_sets,
+    processing,
+    profiles,
+    recordings,
+    scenes,
+    sequences,
+)
 from services.runtime.platform import Platform, open_platform
 from services.runtime.sandbox.fork_client import use_fork_server
 from services.runtime.settings import Settings

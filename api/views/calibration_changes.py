@@ -6,7 +6,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from api.deps import Caller
-from api.schemas.calibrations import CalibrationDiffItem
+from api.schemas.sequences.calibrations import CalibrationDiffItem
 from api.views import calibration_reading
 from api.visible import calibration_of
 from services.runtime.orm import Blob, CalibrationRow

@@ -1,7 +1,7 @@
 """Calibrations as the API and the pages show them: rows become bodies."""
 
 from api.schemas.base import instant, instant_or_none
-from api.schemas.calibrations import CalibrationItem, FindingItem, SensorItem
+from api.schemas.sequences.calibrations import CalibrationItem, FindingItem, SensorItem
 from services.runtime.orm import CalibrationRow
 
 

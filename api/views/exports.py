@@ -8,8 +8,8 @@ from sqlalchemy.orm import Session
 from api.errors import NotFoundError
 from api.files import ServedFile
 from api.schemas.base import instant, instant_or_none
-from api.schemas.exports import ArchiveItem, ArchiveKind, ExportItem
 from api.schemas.jobs import FailureItem
+from api.schemas.sequences.exports import ArchiveItem, ArchiveKind, ExportItem
 from services.domain.exports.requests import counting_labels
 from services.runtime.orm import Export, Job
 from services.runtime.store.pack_archive import archive_of

@@ -8,7 +8,7 @@ from sqlalchemy.orm import Session
 
 from api.schemas.base import instant, instant_or_none
 from api.schemas.jobs import FailureItem
-from api.schemas.label_sets import AgreementRecord, LabelComparisonItem, LabelSetItem
+from api.schemas.sequences.label_sets import AgreementRecord, LabelComparisonItem, LabelSetItem
 from services.domain.exports.requests import counting_labels
 from services.domain.sequences.label_comparisons import StoredLabelFile, StoredPair
 from services.domain.viewer.difference_picture import SeenGrid, comparison_picture

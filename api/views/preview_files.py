@@ -9,7 +9,7 @@ from sqlalchemy.orm import Session
 
 from api.errors import NotFoundError
 from api.files import StoredFile
-from api.schemas.previews import PreviewItem
+from api.schemas.sequences.previews import PreviewItem
 from services.runtime.orm import Blob, LabelSet, Preview, Recording, SequenceRow
 
 PreviewName = Annotated[

@@ -3,8 +3,8 @@
 from sqlalchemy.orm import Session
 
 from api.schemas.base import instant
-from api.schemas.calibrations import FindingItem
-from api.schemas.recordings import RecordingDetail, RecordingFileItem, RecordingItem
+from api.schemas.sequences.calibrations import FindingItem
+from api.schemas.sequences.recordings import RecordingDetail, RecordingFileItem, RecordingItem
 from api.views.preview_files import previews_of_recording
 from services.runtime.orm import Recording, RecordingFile
 

@@ -12,7 +12,14 @@ from sqlalchemy.orm import Session
 
 from api.deps import VISITOR, Caller
 from api.schemas.base import instant
-from api.schemas.sequences import ArtefactItem, ClassVoxels, JobGlance, LabelGlance, SequenceDetail, SequenceItem
+from api.schemas.sequences.sequences import (
+    ArtefactItem,
+    ClassVoxels,
+    JobGlance,
+    LabelGlance,
+    SequenceDetail,
+    SequenceItem,
+)
 from api.views.preview_files import previews_of_sequence
 from api.visible import labels_of
 from services.domain.exports.requests import EXPORT

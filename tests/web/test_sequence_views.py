@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from api.schemas.exports import EXPORT_EXAMPLE, ExportItem
 from api.schemas.jobs import JOB_EXAMPLE, JobDetail, StageItem
+from api.schemas.sequences.exports import EXPORT_EXAMPLE, ExportItem
 from services.labeler.tables import CLASS_COLUMNS, POSE_COLUMNS, STDEV_COLUMNS
 from stone_recordings.clocks import findings
 from stone_recordings.clocks.report import TopicClock

@@ -15,7 +15,7 @@ from api.deps import PlatformDep
 from api.file_errors import CalibrationRefusedError
 from api.paging import PageQuery
 from api.paging import page as paged
-from api.routes.calibrations import AgainstQuery, NameQuery
+from api.routes.sequences.calibrations import AgainstQuery, NameQuery
 from api.schemas.base import IdPath
 from api.views import calibration_reading
 from api.views.calibration_changes import changes, version_before

@@ -9,7 +9,7 @@ from sqlalchemy.orm import Session
 
 from api.callers import Looker
 from api.deps import Caller, PlatformDep
-from api.schemas.sequences import SequenceItem
+from api.schemas.sequences.sequences import SequenceItem
 from api.views.results import viewer_for
 from api.views.sequences import sequence_items
 from api.visible import benchmarks_of, sequences_shown_to

@@ -14,9 +14,9 @@ from api.callers import Curator, Looker
 from api.deps import Caller, PlatformDep
 from api.paging import PageQuery
 from api.paging import page as paged
-from api.routes.sequences import Prefix, SequenceFilters
+from api.routes.sequences.sequences import Prefix, SequenceFilters
 from api.schemas.base import LineQuery
-from api.schemas.sequences import SequenceItem
+from api.schemas.sequences.sequences import SequenceItem
 from api.views.calibrations import calibration_item
 from api.views.sequences import sequence_items
 from api.visible import sequences_shown_to, theirs

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from api.schemas.exports import ExportItem
+from api.schemas.sequences.exports import ExportItem
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from sqlalchemy.orm import Session
 
 from api.deps import Caller, PlatformDep
 from api.schemas.base import IdPath
-from api.schemas.calibrations import CalibrationItem
+from api.schemas.sequences.calibrations import CalibrationItem
 from api.views.calibrations import calibration_item
 from api.visible import theirs
 from services.runtime.orm import CalibrationRow

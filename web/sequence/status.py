@@ -13,7 +13,7 @@ from sqlalchemy.orm import Session
 from api.deps import Caller
 from api.etags import etag
 from api.schemas.jobs import JobDetail, JobItem
-from api.schemas.sequences import SequenceDetail
+from api.schemas.sequences.sequences import SequenceDetail
 from api.views.jobs import job_detail, job_items
 from api.views.sequences import sequence_detail
 from api.visible import shown_sequence

@@ -13,7 +13,7 @@ from api.callers import Looker
 from api.deps import PlatformDep
 from api.files import answer_file, file_responses
 from api.schemas.base import ID_EXAMPLE, ID_PATTERN
-from api.schemas.processing import FrameDetail
+from api.schemas.sequences.processing import FrameDetail
 from api.views.scenes import NPZ, labels_file
 from api.visible import frame_of
 

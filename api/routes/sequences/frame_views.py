@@ -13,7 +13,7 @@ from fastapi import APIRouter, Path, Request, Response
 from api.callers import Looker
 from api.deps import PlatformDep
 from api.files import GeneratedFile, answer_bytes, answer_made, file_responses
-from api.routes.frames import TokenPath
+from api.routes.sequences.frames import TokenPath
 from api.views.scenes import VersionQuery, frame_picture, frame_voxels, labels_file, played_file
 from services.domain.viewer.formats import MEDIA_TYPES
 from services.domain.viewer.playback import camera_file, cloud_file

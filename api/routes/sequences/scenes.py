@@ -13,7 +13,7 @@ from api.callers import Looker
 from api.deps import PlatformDep
 from api.files import GeneratedFile, answer_file, answer_made, file_responses
 from api.schemas.base import IdPath
-from api.schemas.scenes import SceneDetail
+from api.schemas.sequences.scenes import SceneDetail
 from api.views.scenes import VersionQuery, scene_bytes, scene_file, scene_of
 
 router = APIRouter(prefix="/sequences/{sequence_id}/scene", tags=["viewer"])

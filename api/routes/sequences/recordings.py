@@ -13,7 +13,7 @@ from api.deps import PlatformDep
 from api.files import answer_file, file_responses
 from api.paging import Page, PageDep, page
 from api.schemas.base import IdPath
-from api.schemas.recordings import (
+from api.schemas.sequences.recordings import (
     NewRecordingBody,
     RecordingAccepted,
     RecordingDetail,

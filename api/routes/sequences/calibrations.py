@@ -15,7 +15,7 @@ from api.etags import etag
 from api.files import StoredFile, answer_file, file_responses
 from api.paging import Page, PageDep, page
 from api.schemas.base import ID_PATTERN, PLAIN, IdPath
-from api.schemas.calibrations import CalibrationDiffItem, CalibrationItem
+from api.schemas.sequences.calibrations import CalibrationDiffItem, CalibrationItem
 from api.tus.errors import UnsupportedMediaTypeError
 from api.views import calibration_reading
 from api.views.calibration_changes import changes

@@ -17,9 +17,9 @@ from api.deps import PlatformDep
 from api.errors import NotFoundError
 from api.files import GeneratedFile, answer_made, file_responses
 from api.paging import Page, PageDep, page
-from api.routes.frames import TokenPath
+from api.routes.sequences.frames import TokenPath
 from api.schemas.base import IdPath
-from api.schemas.label_sets import (
+from api.schemas.sequences.label_sets import (
     LabelComparisonAccepted,
     LabelComparisonItem,
     LabelSetItem,

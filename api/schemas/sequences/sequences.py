@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, Field
 
 from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Body, IdText, Line, coded, example
-from api.schemas.previews import PREVIEW_EXAMPLE, PreviewItem
+from api.schemas.sequences.previews import PREVIEW_EXAMPLE, PreviewItem
 from stone.sensors.sequence import NAME, SequenceNameError
 from stone.splits.surroundings import (
     ENVIRONMENTS,

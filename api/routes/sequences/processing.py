@@ -17,7 +17,7 @@ from api.files import StoredFile, answer_file, file_responses
 from api.paging import Page, PageDep, page
 from api.schemas.base import IdPath
 from api.schemas.jobs import JobDetail
-from api.schemas.processing import FrameItem, ProcessBody
+from api.schemas.sequences.processing import FrameItem, ProcessBody
 from api.views.artefact_files import artefact_file
 from api.views.jobs import job_detail
 from api.views.preview_files import PICTURE_TYPES, PictureName, sequence_preview

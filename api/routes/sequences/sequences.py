@@ -21,7 +21,7 @@ from api.errors import ConflictError, HiddenTruthError
 from api.etags import etag, require_match
 from api.paging import Page, PageDep, page
 from api.schemas.base import PLAIN, IdPath, IdQuery, LineQuery
-from api.schemas.sequences import (
+from api.schemas.sequences.sequences import (
     NewSequenceBody,
     PinCalibrationBody,
     SequenceChangesBody,

@@ -18,8 +18,8 @@ from api.errors import ConflictError, NotFoundError
 from api.etags import etag, require_match
 from api.paging import Page, PageDep, page
 from api.schemas.base import PLAIN, IdPath, instant
-from api.schemas.calibrations import FindingItem
-from api.schemas.profiles import ProfileBody, ProfileItem, RolesAnswer
+from api.schemas.sequences.calibrations import FindingItem
+from api.schemas.sequences.profiles import ProfileBody, ProfileItem, RolesAnswer
 from api.visible import recording_of, sequence_of
 from services.domain.sequences.profiles import keep_profile, lock_profile, profile_of, topics_of
 from services.runtime.orm import CalibrationRow, ProfileRow, SequenceRow

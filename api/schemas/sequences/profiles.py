@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from pydantic import Field, StringConstraints
 
 from api.schemas.base import PLAIN, Answer, Body, example
-from api.schemas.calibrations import FindingItem
+from api.schemas.sequences.calibrations import FindingItem
 from stone_recordings.topics.profiles import LONGEST_TOPIC, MOST_TOPICS
 
 TOPICS_EXAMPLE = {"lidar": "/lidar_points", "pose": "/novatel/oem7/inspvax", "CAM_FRONT": "/camera/front/image_raw"}

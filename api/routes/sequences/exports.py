@@ -18,7 +18,7 @@ from api.deps import Caller, PlatformDep
 from api.files import answer_bytes, file_responses
 from api.paging import Page, PageDep, page, place_of_page
 from api.schemas.base import IdPath
-from api.schemas.exports import ArchiveKind, ExportAccepted, ExportFileItem, ExportItem, NewExportBody
+from api.schemas.sequences.exports import ArchiveKind, ExportAccepted, ExportFileItem, ExportItem, NewExportBody
 from api.views.exports import (
     ARCHIVE_TYPES,
     FILE_TYPE,
