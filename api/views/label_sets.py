@@ -12,9 +12,11 @@ from api.schemas.sequences.label_sets import AgreementRecord, LabelComparisonIte
 from services.domain.exports.requests import counting_labels
 from services.domain.sequences.label_comparisons import StoredLabelFile, StoredPair
 from services.domain.viewer.difference_picture import SeenGrid, comparison_picture
+from services.domain.viewer.formats import difference_bytes
 from services.domain.viewer.frame_grids import read_grids
 from services.runtime.orm import Job, LabelComparison, LabelSet
 from services.runtime.store.protocol import Store
+from stone.scoring.agreement import differences
 
 HELD_PICTURES = 64
 SHOWN_GRIDS = ("semantics", "mask_lidar")
@@ -45,6 +47,16 @@ def comparison_items(session: Session, rows: Listing[LabelComparison]) -> list[L
 def pair_picture(store: Store, pair: StoredPair) -> bytes:
     """A, B and the difference from above, a PNG. Raises `GridUnreadableError`."""
     return _picture(store, pair)  # type: ignore[arg-type]  # by identity
+
+
+def pair_differences(store: Store, pair: StoredPair) -> bytes:
+    """`STD1` of where A and B differ. Raises `GridUnreadableError`."""
+    return _differences(store, pair)  # type: ignore[arg-type]  # by identity
+
+
+@lru_cache(maxsize=HELD_PICTURES)
+def _differences(store: Store, pair: StoredPair) -> bytes:
+    return difference_bytes(differences(_grids(store, pair.a)[0], _grids(store, pair.b)[0]))
 
 
 @lru_cache(maxsize=HELD_PICTURES)

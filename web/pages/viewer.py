@@ -1,7 +1,8 @@
-"""The 3D viewer of a sequence: `/sequences/{id}/view?frame=<token>`, a page around `modules/viewer/mount.js`.
+"""The 3D viewer of a sequence, a page around `modules/viewer/mount.js`: `/sequences/{id}/view?frame=…&compare=…`.
 
 **Conventions.** The page decides who may look and what is said while there is nothing to see; what is seen comes from
-the API's routes of the scene. `frame` names where the timeline begins; the module keeps it in the address.
+the API's routes of the scene. `frame` names where the timeline begins; the module keeps it in the address. `compare`
+names a comparison of two label sets whose differences can be shown.
 """
 
 from typing import Annotated
@@ -28,11 +29,13 @@ def view(
     caller: Looker,
     platform: PlatformDep,
     frame: Annotated[str | None, Query(pattern=ID_PATTERN)] = None,
+    compare: Annotated[str | None, Query(pattern=ID_PATTERN)] = None,
 ) -> HTMLResponse:
     with platform.database.reading() as session:
         sequence = sequence_items(session, [shown_sequence(session, caller, sequence_id)])[0]
+    start, modules = frame or "first", _modules(request)
     return page(
-        request, caller, "viewer/view.html", sequence=sequence, start=frame or "first", modules=_modules(request)
+        request, caller, "viewer/view.html", sequence=sequence, start=start, comparison=compare, modules=modules
     )
 
 

@@ -13,7 +13,7 @@ from sqlalchemy import select
 from api import audit
 from api.answers import refusals
 from api.callers import Curator, Reader
-from api.deps import PlatformDep
+from api.deps import Caller, PlatformDep
 from api.errors import NotFoundError
 from api.files import GeneratedFile, answer_made, file_responses
 from api.paging import Page, PageDep, page
@@ -26,13 +26,15 @@ from api.schemas.sequences.label_sets import (
     NewLabelComparisonBody,
 )
 from api.views.jobs import job_items
-from api.views.label_sets import comparison_items, label_set_items, pair_picture
+from api.views.label_sets import comparison_items, label_set_items, pair_differences, pair_picture
 from api.visible import label_comparison_of, sequence_of
-from services.domain.sequences.label_comparisons import start_comparison, stored_pair
+from services.domain.sequences.label_comparisons import StoredPair, start_comparison, stored_pair
+from services.domain.viewer.formats import MEDIA_TYPES
 from services.runtime.orm import LabelComparison, LabelSet
+from services.runtime.platform import Platform
 
 router = APIRouter(prefix="/sequences/{sequence_id}", tags=["label sets"])
-PNG = "image/png"
+PNG, DIFFERENCES = "image/png", MEDIA_TYPES["STD1"]
 
 
 @dataclass(frozen=True)
@@ -99,9 +101,28 @@ def download_label_difference(
     at: AtComparison, token: TokenPath, caller: Reader, platform: PlatformDep, request: Request
 ) -> Response:
     """The labels of a frame from above: A, B, and where they differ."""
+    picture = pair_picture(platform.store, _pair(platform, caller, at, token))
+    return answer_made(request, picture, GeneratedFile(PNG, f"{token}-difference.png"))
+
+
+@router.get(
+    "/label-comparisons/{comparison_id}/frames/{token}/voxels",
+    response_class=Response,
+    responses=file_responses(DIFFERENCES),
+)
+def download_difference_voxels(
+    at: AtComparison, token: TokenPath, caller: Reader, platform: PlatformDep, request: Request
+) -> Response:
+    """How each voxel of a frame differs between A and B, three bits each (`STD1`)."""
+    content = pair_differences(platform.store, _pair(platform, caller, at, token))
+    return answer_made(request, content, GeneratedFile(DIFFERENCES, f"{token}-differences.bin"))
+
+
+def _pair(platform: Platform, caller: Caller, at: ComparisonPath, token: str) -> StoredPair:
+    """The label files of a frame in A and B. Raises `NotFoundError`."""
     with platform.database.reading() as session:
         row = label_comparison_of(session, caller, at.sequence_id, at.comparison_id)
         pair = stored_pair(session, row, token)
     if pair is None:
         raise NotFoundError("frame of this comparison", token)
-    return answer_made(request, pair_picture(platform.store, pair), GeneratedFile(PNG, f"{token}-difference.png"))
+    return pair

@@ -1,8 +1,9 @@
-"""The viewer's binary formats: four zstd-compressed layouts, written here and read in the browser.
+"""The viewer's binary formats: five zstd-compressed layouts, written here and read in the browser.
 
 | magic | holds | after the magic |
 |---|---|---|
 | `STV1` | a frame's voxels | u32 planes (3); low class bit, high class bit, seen by LiDAR |
+| `STD1` | how a frame's voxels differ between two label sets | u32 planes (3); the bits of the code, lowest first |
 | `STT1` | the labelled voxels of a tile | u32 n; i32 i, j, k; u8 class; f32 elevation, slope, roughness, D² |
 | `STM1` | the tile's surface | u32 v, u32 t; f32 x y z a vertex; u8 class a vertex; u32 corners, three a triangle |
 | `STC1` | one sweep | u32 n; i16 x y z a point, centimetres in the ego frame; u8 intensity a point |
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 
 MEDIA_TYPES = {
     "STV1": "application/vnd.stone.voxels",
+    "STD1": "application/vnd.stone.differences",
     "STT1": "application/vnd.stone.tile",
     "STM1": "application/vnd.stone.mesh",
     "STC1": "application/vnd.stone.cloud",
@@ -57,6 +59,12 @@ def voxels_bytes(semantics: NDArray[np.uint8], observed: NDArray[np.uint8]) -> b
     planes = (semantics & 1, semantics >> 1, observed)
     packed = [np.packbits(plane.reshape(-1), bitorder="little").tobytes() for plane in planes]
     return _frame(b"STV1", (PLANES,), packed)
+
+
+def difference_bytes(codes: NDArray[np.uint8]) -> bytes:
+    """`STD1` of the codes of `stone/scoring/agreement.py`, 0 to 7, C-ordered."""
+    packed = [np.packbits((codes >> bit & 1).reshape(-1), bitorder="little").tobytes() for bit in range(PLANES)]
+    return _frame(b"STD1", (PLANES,), packed)
 
 
 def tile_bytes(voxels: TileVoxels) -> bytes:

@@ -103,6 +103,7 @@ POST   /api/v1/sequences/{sequence_id}/label-comparisons              401 403 20
 GET    /api/v1/sequences/{sequence_id}/label-comparisons              401 404 200 404 200 404 403 401 401 200 200
 GET    /api/v1/sequences/{sequence_id}/label-comparisons/{comparison_id} 401 404 200 404 200 404 403 401 401 200 200
 GET    /api/v1/sequences/{sequence_id}/label-comparisons/{comparison_id}/frames/{token}.png 401 404 200 404 200 404 403 401 401 200 200
+GET    /api/v1/sequences/{sequence_id}/label-comparisons/{comparison_id}/frames/{token}/voxels 401 404 200 404 200 404 403 401 401 200 200
 GET    /api/v1/sequences/{sequence_id}/sequence.npz           401  404  200   404   200  404 403  401  401  200 200
 GET    /api/v1/frames/{token}                                 401  404  200   404   200  404 403  401  401  200 200
 GET    /api/v1/frames/{token}/labels.npz                      401  404  200   404   200  404 403  401  401  200 200

@@ -2,7 +2,7 @@
 
 import type { SceneFacts } from "./scene.js";
 
-export type Mode = "class" | "d2" | "elevation" | "slope" | "roughness";
+export type Mode = "class" | "difference" | "d2" | "elevation" | "slope" | "roughness";
 /** What happens to labels that the frame's LiDAR did not see. */
 export type Unseen = "show" | "fade" | "hide";
 
@@ -20,6 +20,8 @@ export interface Values {
   d2: number;
 }
 
+/** How a voxel differs between two label sets, by code (`stone/scoring/agreement.py`); 0 is free in both. */
+export const DIFFERENCES = ["", "The same class", "Only in A", "Only in B", "Easier to drive in B", "Harder to drive in B"] as const;
 export const FADED = 3;
 export const RAMP_FIRST = 10;
 export const RAMP_LAST = 250;
@@ -64,6 +66,7 @@ export function ticksOf(mode: Mode, scene: SceneFacts): [string, string, string]
 /** The palette's index of a voxel; 0 where it is not shown. */
 export function colourOf(look: Look, kind: number, seen: boolean, values: Values | null, scene: SceneFacts): number {
   if (!((look.classes >> kind) & 1) || (!seen && look.unseen === "hide")) return 0;
+  if (look.mode === "difference") return 0; // the map has none
   if (look.mode === "class") return seen || look.unseen !== "fade" ? kind : kind + FADED;
   if (values === null) return NO_VALUE;
   return RAMP_FIRST + Math.round(shareOf(look.mode, values, scene) * (RAMP_LAST - RAMP_FIRST));

@@ -1,4 +1,5 @@
-// Viewers of a page: `<div data-viewer data-sequence="ID" data-start="first|middle|TOKEN" data-compact data-address>`.
+// Viewers of a page: `<div data-viewer data-sequence="ID" data-start="first|middle|TOKEN" data-compact data-address
+// data-comparison="ID">`.
 //
 // What the element holds (a picture, say) is shown until the labels are. The viewer is fetched when the element comes
 // near the window. `data-state` says how it stands: loading, ready, empty, picture (no WebGL2), error. It tells the
@@ -36,6 +37,7 @@ export async function mount(host: HTMLElement): Promise<void> {
   if (hasWebGl2()) void import("./viewer.js"); // on its way beside the scene
   try {
     const scene = await call<SceneFacts>("GET", `/api/v1/sequences/${host.dataset["sequence"]}/scene`);
+    if (host.dataset["comparison"]) scene.comparison_id = host.dataset["comparison"];
     await (scene.frames.tokens.length ? open(host, scene) : say(host, "empty", "This run has no labelled frame."));
   } catch (error) {
     sayRefusal(host, error);

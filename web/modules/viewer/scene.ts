@@ -16,6 +16,8 @@ export interface SceneFacts {
   sequence_id: string;
   name: string;
   label_set_id: string;
+  /** A comparison of two label sets, whose differences can be shown; the page says which. */
+  comparison_id?: string;
   profile: string;
   footprint_m: [number, number];
   reference: { mean: Vector; covariance: [Vector, Vector, Vector]; d2_limit: number } | null;

@@ -4,7 +4,7 @@ import { Aiming } from "./controls/pointer.js";
 import { type Choices, choicesPanel, firstChoices } from "./controls/choices.js";
 import { button, make } from "./controls/elements.js";
 import { keysPanel } from "./controls/keys.js";
-import { classLegend, rampLegend } from "./controls/legend.js";
+import { classLegend, differenceLegend, rampLegend } from "./controls/legend.js";
 import type { Ray } from "./data/model.js";
 import { Readout } from "./controls/readout.js";
 import type { SceneFacts } from "./scene.js";
@@ -29,7 +29,7 @@ export class Viewer {
   readonly stage: Stage;
   readonly timeline: Timeline;
   private readonly world: World;
-  private readonly choices: Choices = firstChoices();
+  private readonly choices: Choices;
   private readonly readout: Readout;
   private readonly aiming: Aiming;
   private readonly legend = make("div", { class: "viewer-corner" });
@@ -43,6 +43,7 @@ export class Viewer {
       "aria-label": `Labels of ${scene.name} in 3D. Arrows turn, plus and minus near, comma and full stop step, space plays, c aims.`,
     });
     this.frameIn(canvas);
+    this.choices = firstChoices(scene);
     this.stage = new Stage(canvas);
     this.stage.orbit.isShy = options.isCompact;
     this.world = new World(scene, this.stage, this.choices);
@@ -119,7 +120,8 @@ export class Viewer {
   private drawLegend(): void {
     const { look: { mode }, scope } = this.choices;
     const counts = scope === "frame" ? this.counts : [];
-    this.legend.replaceChildren(mode === "class" ? classLegend(counts) : rampLegend(mode, this.scene));
+    if (mode === "difference") this.legend.replaceChildren(differenceLegend(counts));
+    else this.legend.replaceChildren(mode === "class" ? classLegend(counts) : rampLegend(mode, this.scene));
   }
 
   private async pick(ray: Ray): Promise<void> {

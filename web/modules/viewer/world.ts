@@ -41,7 +41,8 @@ export class World {
     this.robot = new Robot(scene.footprint_m);
     this.track = new Track(scene.frames.map_from_ego, scene.footprint_m[1], this.origin);
     this.cloud = new CloudLayer(this.paint, () => stage.canvas.clientHeight);
-    this.store = new FrameStore(this.asking, scene.frames.tokens, scene.label_set_id, { ...choices.look });
+    this.paint.paint(choices.look.mode);
+    this.store = new FrameStore(this.asking, scene, { ...choices.look });
     for (const prop of [this.paint, surfaces, this.frame, this.map, this.ground, this.robot, this.track, this.marker, this.cloud]) {
       stage.add(prop);
     }
@@ -59,7 +60,7 @@ export class World {
     const round = ++this.round;
     const before = this.pose(this.index);
     const pose = this.pose(index);
-    if (this.choices.look.mode !== "class") await this.map.know(place(pose), KNOWN_M);
+    if (!["class", "difference"].includes(this.choices.look.mode)) await this.map.know(place(pose), KNOWN_M);
     const drawn = await this.store.take(index);
     if (round !== this.round) return null;
     const forwards = index >= this.index ? 1 : -1;

@@ -12,10 +12,11 @@ export interface Choices {
   follows: boolean;
 }
 
-export function firstChoices(): Choices {
+/** Differences where the scene is looked at for them, else classes. */
+export function firstChoices(scene: SceneFacts): Choices {
   return {
     scope: "frame",
-    look: { mode: "class", classes: 0b1110, unseen: "fade" },
+    look: { mode: scene.comparison_id ? "difference" : "class", classes: 0b1110, unseen: "fade" },
     layers: { labels: true, mesh: false, points: false, track: true, robot: true, grid: true },
     follows: true,
   };
@@ -25,6 +26,7 @@ const SCOPES: [Choices["scope"], string][] = [["frame", "Around the robot"], ["m
 const MODES: [Mode, string][] = [
   ["class", "Class"], ["d2", "D², distance to driven"], ["elevation", "Elevation"], ["slope", "Slope"], ["roughness", "Roughness"],
 ];
+const DIFFERENCE: [Mode, string] = ["difference", "Difference of A and B"];
 const UNSEEN: [Unseen, string][] = [["fade", "Pale"], ["show", "Like the others"], ["hide", "Not at all"]];
 const CLASSES: [number, string, string][] = [[1, "Traversable", "fill-t"], [2, "Potentially", "fill-p"], [3, "Non-traversable", "fill-n"]];
 
@@ -53,17 +55,32 @@ export function choicesPanel(scene: SceneFacts, choices: Choices, changed: () =>
     return row;
   });
   const hasValues = scene.tiles.length > 0;
+  const modes = scene.comparison_id ? [...MODES, DIFFERENCE] : MODES;
+  const scopes = pick("Show", SCOPES, choices.scope, (value) => {
+    choices.scope = value;
+    if (value === "map" && look.mode === "difference") choose(colours, (look.mode = "class")); // they are of frames
+    changed();
+  }, hasValues);
+  const colours = pick("Colour by", modes, look.mode, (value) => {
+    look.mode = value;
+    if (value === "difference") choose(scopes, (choices.scope = "frame"));
+    changed();
+  }, hasValues || modes !== MODES);
   const notes = (["mesh", "points"] as const).flatMap((name) => missing(name, scene) ?? []);
   return make(
     "div", { class: "viewer-choices" },
-    group("Labels", pick("Show", SCOPES, choices.scope, (value) => ((choices.scope = value), changed()), hasValues),
+    group("Labels", scopes,
       ...classes,
-      pick("Colour by", MODES, look.mode, (value) => ((look.mode = value), changed()), hasValues),
+      colours,
       pick("What this frame did not see", UNSEEN, look.unseen, (value) => ((look.unseen = value), changed()), true)),
     group("Layers", layer("labels", "Labels"), layer("mesh", "Surface"), layer("points", "Point cloud"), layer("track", "Track"),
       layer("robot", "Robot"), layer("grid", "Ground grid"), ...notes.map((note) => make("p", { class: "hint" }, note)),
       ...(hasValues ? [] : [make("p", { class: "hint" }, "Labelled before the viewer kept terrain values: label the sequence again to see D² and slopes.")])),
   );
+}
+
+function choose(picker: HTMLElement, value: string): void {
+  picker.querySelector("select")!.value = value;
 }
 
 function group(title: string, ...children: HTMLElement[]): HTMLElement {

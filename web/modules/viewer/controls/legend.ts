@@ -2,19 +2,29 @@
 
 import { swatch } from "./choices.js";
 import { make } from "./elements.js";
-import { type Mode, ticksOf } from "../looks.js";
+import { DIFFERENCES, type Mode, ticksOf } from "../looks.js";
 import { ramp } from "../ramps.js";
 import type { SceneFacts } from "../scene.js";
 import { rampOf } from "../drawing/theme.js";
 
 const CLASSES = [["Traversable", "fill-t"], ["Potentially", "fill-p"], ["Non-traversable", "fill-n"]] as const;
-const TITLES: Record<Mode, string> = { class: "", d2: "D²", elevation: "Elevation", slope: "Slope", roughness: "Roughness" };
+const FILLS = ["fill-same", "fill-only-a", "fill-only-b", "fill-easier", "fill-harder"] as const;
+const TITLES: Record<Mode, string> = { class: "", difference: "", d2: "D²", elevation: "Elevation", slope: "Slope", roughness: "Roughness" };
 const WIDTH_PX = 180;
 
 /** With each class's share where there are counts. */
 export function classLegend(counts: readonly number[]): HTMLElement {
+  return shareLegend(CLASSES, counts);
+}
+
+/** How two label sets differ, with the share of each of the voxels that are labelled in either. */
+export function differenceLegend(counts: readonly number[]): HTMLElement {
+  return shareLegend(FILLS.map((fill, number) => [DIFFERENCES[number + 1]!, fill] as const), counts);
+}
+
+function shareLegend(entries: readonly (readonly [string, string])[], counts: readonly number[]): HTMLElement {
   const total = counts.reduce((sum, count) => sum + count, 0);
-  const items = CLASSES.map(([name, fill], number) => {
+  const items = entries.map(([name, fill], number) => {
     const share = total ? `${((100 * counts[number]!) / total).toFixed(0)} %` : "";
     return make("li", {}, swatch(fill), make("span", {}, name), make("span", { class: "viewer-share" }, share));
   });

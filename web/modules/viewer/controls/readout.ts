@@ -3,9 +3,11 @@
 import { swatch } from "./choices.js";
 import { make } from "./elements.js";
 import { CLASS_NAMES, reason, valuesOf } from "./explanation.js";
+import { DIFFERENCES } from "../looks.js";
 import type { Picked } from "../data/model.js";
 import type { SceneFacts } from "../scene.js";
 
+const DIFFERENCE_FILLS = ["", "fill-same", "fill-only-a", "fill-only-b", "fill-easier", "fill-harder"] as const;
 const FILLS = ["fill-unseen", "fill-t", "fill-p", "fill-n"] as const;
 
 export class Readout {
@@ -18,10 +20,10 @@ export class Readout {
     if (picked === null) return void this.element.replaceChildren();
     const close = make("button", { type: "button", class: "quiet small", "aria-label": "Close" }, "×");
     close.addEventListener("click", this.closed);
-    const title = make("h3", {}, swatch(FILLS[picked.kind]!), CLASS_NAMES[picked.kind]!);
+    const title = titleOf(picked);
     this.element.replaceChildren(
       make("div", { class: "row between" }, title, close),
-      make("p", {}, reason(picked, this.scene)),
+      ...(picked.difference === null ? [make("p", {}, reason(picked, this.scene))] : []),
       make("dl", { class: "facts" }, ...this.rows(picked).flatMap(([name, value]) => [make("dt", {}, name), make("dd", {}, value)])),
     );
   }
@@ -30,4 +32,9 @@ export class Readout {
     const place = picked.centre_m.map((value) => value.toFixed(1)).join(", ");
     return [...(picked.found ? valuesOf(picked.found, this.scene) : []), ["Place in the map", `${place} m`]];
   }
+}
+
+function titleOf({ kind, difference }: Picked): HTMLElement {
+  if (difference !== null) return make("h3", {}, swatch(DIFFERENCE_FILLS[difference] ?? "fill-unseen"), DIFFERENCES[difference] ?? "");
+  return make("h3", {}, swatch(FILLS[kind]!), CLASS_NAMES[kind]!);
 }

@@ -67,8 +67,9 @@ class Reader {
   }
 }
 
-export function planesOf(content: Uint8Array): Planes {
-  const reader = new Reader(content, "STV1");
+/** `STV1`, or `STD1`, whose planes are the bits of a code. */
+export function planesOf(content: Uint8Array, magic: "STV1" | "STD1" = "STV1"): Planes {
+  const reader = new Reader(content, magic);
   const planes = reader.count();
   if (planes !== 3) throw new FormatError(`The frame has ${planes} planes, not 3.`);
   const [low, high, observed] = [0, 1, 2].map(() => new Uint8Array(reader.take(PLANE_BYTES)));
@@ -125,11 +126,25 @@ export function isObserved(planes: Planes, index: number): boolean {
   return ((planes.observed[index >> 3]! >> (index & 7)) & 1) === 1;
 }
 
+/** The code of the voxel, 0–7, of planes of `STD1`. */
+export function codeAt(planes: Planes, index: number): number {
+  return classAt(planes, index) | (isObserved(planes, index) ? 4 : 0);
+}
+
 /** The indices of all voxels that have a class, ascending. */
 export function labelled(planes: Planes): Uint32Array {
+  return listed((byte) => planes.low[byte]! | planes.high[byte]!);
+}
+
+/** The indices of all voxels that have a code, ascending. */
+export function coded(planes: Planes): Uint32Array {
+  return listed((byte) => planes.low[byte]! | planes.high[byte]! | planes.observed[byte]!);
+}
+
+function listed(bitsOf: (byte: number) => number): Uint32Array {
   const found: number[] = [];
   for (let byte = 0; byte < PLANE_BYTES; byte++) {
-    let bits = planes.low[byte]! | planes.high[byte]!;
+    let bits = bitsOf(byte);
     while (bits) {
       found.push(byte * 8 + 31 - Math.clz32(bits & -bits));
       bits &= bits - 1;

@@ -4,6 +4,7 @@ import { bytes } from "../../api.js";
 import type { Asking } from "./worker_client.js";
 import type { Look } from "../looks.js";
 import type { Drawn } from "./model.js";
+import type { SceneFacts } from "../scene.js";
 
 const AHEAD = 4;
 const KEPT = 12;
@@ -11,11 +12,11 @@ const KEPT = 12;
 export class FrameStore {
   private readonly kept = new Map<number, Promise<Drawn>>();
   private readonly fetching = new Map<number, AbortController>();
-  private readonly decoded = new Set<number>();
+  private readonly decoded = new Set<string>();
   private look: Look;
   private course = 0;
 
-  constructor(private readonly asking: Asking, private readonly tokens: string[], private readonly version: string, look: Look) {
+  constructor(private readonly asking: Asking, private readonly scene: SceneFacts, look: Look) {
     this.look = look;
   }
 
@@ -38,7 +39,7 @@ export class FrameStore {
     const course = ++this.course;
     for (let n = 1; n <= AHEAD && course === this.course; n++) {
       const next = index + n * step;
-      if (next < 0 || next >= this.tokens.length) return;
+      if (next < 0 || next >= this.scene.frames.tokens.length) return;
       if (!this.kept.has(next)) await this.make(next).catch(() => undefined);
     }
   }
@@ -52,26 +53,34 @@ export class FrameStore {
   }
 
   private async drawn(index: number): Promise<Drawn> {
-    const token = this.tokens[index]!;
+    const token = this.scene.frames.tokens[index]!;
     const look = this.look;
-    if (this.decoded.has(index)) {
+    const address = this.address(token, look);
+    if (this.decoded.has(address)) {
       try {
         return await this.asking.ask({ kind: "frame", token, content: null, look });
       } catch {
-        this.decoded.delete(index); // the worker keeps only some
+        this.decoded.delete(address); // the worker keeps only some
       }
     }
-    const content = await this.fetched(index);
+    const content = await this.fetched(index, address);
     const drawn = await this.asking.ask({ kind: "frame", token, content, look });
-    this.decoded.add(index);
+    this.decoded.add(address);
     return drawn;
   }
 
-  private async fetched(index: number): Promise<Uint8Array> {
+  /** Of the labels, or of where they differ from others. */
+  private address(token: string, look: Look): string {
+    const { sequence_id, comparison_id, label_set_id } = this.scene;
+    if (look.mode !== "difference") return `/api/v1/frames/${token}/voxels?v=${label_set_id}`;
+    return `/api/v1/sequences/${sequence_id}/label-comparisons/${comparison_id}/frames/${token}/voxels`;
+  }
+
+  private async fetched(index: number, address: string): Promise<Uint8Array> {
     const controller = new AbortController();
     this.fetching.set(index, controller);
     try {
-      return await bytes(`/api/v1/frames/${this.tokens[index]}/voxels?v=${this.version}`, controller.signal);
+      return await bytes(address, controller.signal);
     } finally {
       if (this.fetching.get(index) === controller) this.fetching.delete(index);
     }

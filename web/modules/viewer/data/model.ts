@@ -1,9 +1,9 @@
 // The scene in numbers, in the worker: planes of frames, tiles of the map, and what is drawn or picked of them.
 
 import { type Faces, facesOf } from "./faces.js";
-import { type Planes, type Tile, GRID_MIN_M, SHAPE, VOXEL_M, classAt, isObserved, labelled } from "./formats.js";
+import { type Planes, type Tile, GRID_MIN_M, SHAPE, VOXEL_M, classAt, codeAt, coded, isObserved, labelled } from "./formats.js";
 import { type Found, Tiles } from "./lookup.js";
-import { type Look, colourOf } from "../looks.js";
+import { DIFFERENCES, type Look, type Mode, colourOf } from "../looks.js";
 import { type Piece, type Pose, type SceneFacts, type Vector, toEgo, toMap, turnedToEgo } from "../scene.js";
 import { type Size, Solid } from "./solid.js";
 import { firstVoxel } from "./ray_walk.js";
@@ -18,12 +18,14 @@ export interface Picked {
   seen: boolean;
   scope: "frame" | "map";
   found: Found | null;
+  /** How it differs, where differences are shown. */
+  difference: number | null;
 }
 
-/** Faces, how many voxels of each class they stand for, and the place of voxel (0, 0, 0)'s lowest corner on its lattice. */
+/** Faces, how many voxels of each class (or difference) they stand for, and the place of voxel (0, 0, 0)'s lowest corner on its lattice. */
 export interface Drawn {
   faces: Faces;
-  counts: [number, number, number];
+  counts: number[];
   origin: Vector;
   voxel: number;
 }
@@ -39,21 +41,19 @@ export class Model {
 
   constructor(private readonly scene: SceneFacts) {}
 
-  keepFrame(token: string, planes: Planes): void {
-    this.frames.delete(token);
-    this.frames.set(token, planes);
+  keepFrame(token: string, mode: Mode, planes: Planes): void {
+    const key = keyOf(token, mode);
+    this.frames.delete(key);
+    this.frames.set(key, planes);
     for (const oldest of this.frames.keys()) {
       if (this.frames.size <= KEPT_FRAMES) break;
       this.frames.delete(oldest);
     }
   }
 
-  has(token: string): boolean {
-    return this.frames.has(token);
-  }
-
   drawFrame(token: string, look: Look): Drawn {
-    const planes = this.planes(token);
+    const planes = this.planes(token, look.mode);
+    if (look.mode === "difference") return drawnDifferences(planes);
     const pose = this.pose(token);
     const solid = new Solid(SHAPE);
     const counts: [number, number, number] = [0, 0, 0];
@@ -89,19 +89,22 @@ export class Model {
   }
 
   private pickFrame(ray: Ray, token: string, look: Look): Picked | null {
-    const [planes, pose] = [this.planes(token), this.pose(token)];
+    const [planes, pose] = [this.planes(token, look.mode), this.pose(token)];
+    const isDifference = look.mode === "difference";
     const from = toEgo(pose, ray.from_m).map((value, axis) => (value - GRID_MIN_M[axis]!) / VOXEL_M) as Vector;
     const sight = { from, direction: turnedToEgo(pose, ray.direction), low: [0, 0, 0] as Vector, high: [...SHAPE] as Vector };
     const index = firstVoxel(sight, (i, j, k) => {
       const at = (i * SHAPE[1] + j) * SHAPE[2] + k;
+      if (isDifference) return codeAt(planes, at) > 0;
       const kind = classAt(planes, at);
       return kind > 0 && ((look.classes >> kind) & 1) === 1 && (look.unseen !== "hide" || isObserved(planes, at));
     });
     if (!index) return null;
     const at = (index[0] * SHAPE[1] + index[1]) * SHAPE[2] + index[2];
     const centre_m = toMap(pose, centre(...index));
+    if (isDifference) return { index, centre_m, kind: 0, seen: true, scope: "frame", found: null, difference: codeAt(planes, at) };
     const kind = classAt(planes, at);
-    return { index, centre_m, kind, seen: isObserved(planes, at), scope: "frame", found: this.tiles.near(centre_m) };
+    return { index, centre_m, kind, seen: isObserved(planes, at), scope: "frame", found: this.tiles.near(centre_m), difference: null };
   }
 
   private pickMap(ray: Ray, look: Look): Picked | null {
@@ -114,11 +117,11 @@ export class Model {
     const found = index && this.tiles.at(...index);
     if (!index || !found) return null;
     const centre_m = index.map((value) => (value + 0.5) * VOXEL_M) as Vector;
-    return { index, centre_m, kind: found.kind, seen: true, scope: "map", found };
+    return { index, centre_m, kind: found.kind, seen: true, scope: "map", found, difference: null };
   }
 
-  private planes(token: string): Planes {
-    const planes = this.frames.get(token);
+  private planes(token: string, mode: Mode): Planes {
+    const planes = this.frames.get(keyOf(token, mode));
     if (!planes) throw new Error(`The frame ${token} is not here.`);
     return planes;
   }
@@ -128,6 +131,21 @@ export class Model {
     if (!pose) throw new Error(`The scene has no frame ${token}.`);
     return pose;
   }
+}
+
+function keyOf(token: string, mode: Mode): string {
+  return mode === "difference" ? `${token} difference` : token;
+}
+
+function drawnDifferences(planes: Planes): Drawn {
+  const solid = new Solid(SHAPE);
+  const counts = DIFFERENCES.slice(1).map(() => 0);
+  for (const index of coded(planes)) {
+    const code = codeAt(planes, index);
+    counts[code - 1]!++;
+    solid.paint(...place(index), code);
+  }
+  return { faces: facesOf(solid), counts, origin: [0, 0, 0], voxel: 1 };
 }
 
 function place(index: number): Vector {

@@ -48,7 +48,7 @@ function answerTo(asked: Asked): Answers[Asked["kind"]] {
   if (!model) throw new Error("The scene was not opened.");
   switch (asked.kind) {
     case "frame":
-      if (asked.content) model.keepFrame(asked.token, planesOf(decompress(asked.content)));
+      if (asked.content) model.keepFrame(asked.token, asked.look.mode, planesOf(decompress(asked.content), magicOf(asked.look)));
       return model.drawFrame(asked.token, asked.look);
     case "tile":
       if (asked.content) model.tiles.keep(asked.piece, tileOf(decompress(asked.content)));
@@ -62,6 +62,10 @@ function answerTo(asked: Asked): Answers[Asked["kind"]] {
     case "pick":
       return model.pick(asked.ray, asked.scope, asked.token, asked.look);
   }
+}
+
+function magicOf(look: Look): "STV1" | "STD1" {
+  return look.mode === "difference" ? "STD1" : "STV1";
 }
 
 function buffersOf(value: Answers[Asked["kind"]]): Transferable[] {

@@ -16,6 +16,8 @@ export interface Theme {
   unseen: Rgb;
   /** T, P, N. */
   classes: [Rgb, Rgb, Rgb];
+  /** By code of `DIFFERENCES`, from 1. */
+  differences: Rgb[];
 }
 
 export function themeOf(element: Element): Theme {
@@ -30,6 +32,7 @@ export function themeOf(element: Element): Theme {
     accent: token("--accent"),
     unseen: token("--unseen"),
     classes: [token("--t"), token("--p"), token("--n")],
+    differences: ["--same", "--only-a", "--only-b", "--easier", "--harder"].map(token),
   };
 }
 
@@ -53,6 +56,7 @@ export function paletteOf(theme: Theme, mode: Mode): Uint8Array {
     put(number + 1, colour);
     put(number + 1 + FADED, mixed(colour, mixed(theme.unseen, theme.paper, 0.45), 0.72));
   });
+  if (mode === "difference") theme.differences.forEach((colour, number) => put(number + 1, colour));
   for (let index = RAMP_FIRST; index <= RAMP_LAST; index++) {
     put(index, ramp(rampOf(mode), (index - RAMP_FIRST) / (RAMP_LAST - RAMP_FIRST)));
   }
