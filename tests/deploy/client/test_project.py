@@ -6,6 +6,8 @@ from typing import Any
 
 from packaging.requirements import Requirement
 
+from api.client_wheel import FILENAME, ClientWheel, install_line
+
 ROOT = Path(__file__).resolve().parents[3]
 ALLOWED = {"httpx", "numpy", "rich", "typer", "deflate", "isal"}
 
@@ -36,6 +38,12 @@ def test_the_client_asks_for_no_more_than_it_needs() -> None:
 def test_every_package_is_in_one_of_the_two_wheels() -> None:
     of_platform = project(ROOT)["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]
     assert sorted([*of_platform, *packages()]) == sorted(project(ROOT)["tool"]["importlinter"]["root_packages"])
+
+
+def test_the_participants_guide_begins_with_the_line_that_the_page_shows() -> None:
+    line = install_line("http://127.0.0.1:8080", ClientWheel(FILENAME, b""))
+    first = (ROOT / "docs" / "participant.md").read_text("utf-8").split("```")[1]
+    assert first.strip().endswith(f".venv/bin/{line}")
 
 
 def test_versions_that_the_client_takes_are_those_of_the_platform() -> None:
