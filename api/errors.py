@@ -223,6 +223,11 @@ class ClientTooOldError(ApiError):
             f"this client is of release {release}, this server understands {oldest} and newer; update the client: "
             f"{install}"
         )
+        self._oldest = oldest
+
+    @property
+    def headers(self) -> dict[str, str]:
+        return {"Upgrade": f"stone-client/{self._oldest}"}  # which RFC 9110 asks of a 426
 
 
 class ReplyNotKeptError(ApiError):

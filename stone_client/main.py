@@ -37,7 +37,6 @@ from stone_client.refusals import RefusingGroup
 
 app = typer.Typer(
     name="stone",
-    help="Surround-view 3D traversability labels from a field robot's own recordings.",
     cls=RefusingGroup,
     no_args_is_help=True,
     add_completion=False,

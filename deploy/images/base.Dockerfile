@@ -1,4 +1,4 @@
-# Three targets: `base`, on which every image stands; `tools`, with which they are built; `wheel`, the project itself.
+# Three targets: `base`, on which every image stands; `tools`, with which they are built; `wheel`, the project itself and its client.
 # deploy/images/build.sh builds them first. The wheel is an image of its own so that a release with the same locks
 # leaves every layer of packages as it is.
 ARG PYTHON_IMAGE=python:3.11.14-slim-bookworm
@@ -36,8 +36,11 @@ COPY web/libraries web/libraries
 COPY web/modules web/modules
 RUN python3 -m venv .venv && deploy/build-pages.sh
 COPY . .
-RUN (cd deploy/client && /srv/tools/bin/python -m hatchling build -t wheel -d /wheel) \
-    && install -D --target-directory=api/downloads /wheel/stone_client-*.whl \
+WORKDIR /build/project/deploy/client
+RUN /srv/tools/bin/python -m hatchling build -t wheel -d /wheel
+# The platform serves its client's wheel, so that comes first.
+WORKDIR /build/project
+RUN install -D --target-directory=api/downloads /wheel/stone_client-*.whl \
     && /srv/tools/bin/python -m hatchling build -t wheel -d /wheel
 
 FROM scratch AS wheel

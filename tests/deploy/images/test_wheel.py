@@ -12,6 +12,7 @@ import pytest
 
 from services.runtime.code_version import FIXED
 from services.runtime.source_digests import source_digests
+from tests.deploy.wheels import built_wheel
 from web.assets import LIBRARIES
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -52,22 +53,22 @@ def sources() -> set[str]:
 
 @pytest.fixture(scope="module")
 def wheel(sources: set[str], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Built of all `sources` as the images build it; without a network there is no backend for it."""
-    folder = tmp_path_factory.mktemp("wheel")
-    command = [sys.executable, "-m", "pip", "wheel", "--no-deps", "--wheel-dir", str(folder), str(ROOT)]
-    outcome = subprocess.run(command, check=False, capture_output=True, text=True, timeout=300, cwd=folder)
-    if "hatchling" in outcome.stderr and "No matching distribution" in outcome.stderr:
-        pytest.skip("hatchling cannot be fetched here, which builds the wheel")
-    assert outcome.returncode == 0, outcome.stderr
-    (built,) = folder.glob("*.whl")
-    return built
+    """Built of all `sources` but the client's, as the images build it."""
+    return built_wheel(ROOT, tmp_path_factory.mktemp("wheel"))
+
+
+@pytest.fixture(scope="module")
+def client(sources: set[str], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel that the platform's stands on."""
+    return built_wheel(ROOT / "deploy" / "client", tmp_path_factory.mktemp("client"))
 
 
 @pytest.mark.whole
-def test_the_wheel_serves_the_first_page_where_there_is_no_checkout(wheel: Path, tmp_path: Path) -> None:
+def test_the_wheel_serves_the_first_page_where_there_is_no_checkout(wheel: Path, client: Path, tmp_path: Path) -> None:
     """Catches alone a file that the pages need and the wheel leaves out."""
     site = tmp_path / "site"
-    zipfile.ZipFile(wheel).extractall(site)  # which is all that installing it would do
+    for one in (wheel, client):
+        zipfile.ZipFile(one).extractall(site)  # which is all that installing it would do
     environment = {**os.environ, "PYTHONPATH": str(site), "STONE_DATA_FOLDER": str(tmp_path / "data")}
     outcome = subprocess.run(
         [sys.executable, "-P", "-c", ASKED], check=False, capture_output=True, text=True, env=environment, cwd=tmp_path
@@ -81,13 +82,17 @@ def test_the_wheel_serves_the_first_page_where_there_is_no_checkout(wheel: Path,
 
 
 @pytest.mark.whole
-def test_the_wheel_holds_what_runs_and_nothing_it_was_made_of(wheel: Path, sources: set[str]) -> None:
+def test_the_wheels_hold_what_runs_once_and_not_what_it_is_made_of(
+    wheel: Path, client: Path, sources: set[str]
+) -> None:
     """Catches alone a source, or a module, that the wheel holds too much or too little of."""
     names = set(zipfile.ZipFile(wheel).namelist())
     assert {f"web/node_modules/{place}" for place in LIBRARIES.values()} == {
         name for name in names if name.startswith("web/node_modules/")
     }
-    assert sources <= names, "every module, every migration"
+    of_client = set(zipfile.ZipFile(client).namelist())
+    assert sources <= names | of_client, "every module, every migration"
+    assert not names & of_client
     assert not [name for name in names if name.endswith((".ts", ".pyc")) or "tests/" in name]
     assert any(name.startswith("web/templates/") for name in names)
     assert any(name.startswith("web/styles/") for name in names)
@@ -106,3 +111,13 @@ def test_the_wheel_is_told_which_files_of_others_browsers_load() -> None:
     artifacts = project["tool"]["hatch"]["build"]["targets"]["wheel"]["artifacts"]
     named = {name for name in artifacts if name.startswith("/web/node_modules/")}
     assert named == {f"/web/node_modules/{place}" for place in LIBRARIES.values()}
+
+
+def test_the_platforms_wheel_brings_the_clients_which_the_images_build_first() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+    assert "/api/downloads/*.whl" in project["tool"]["hatch"]["build"]["targets"]["wheel"]["artifacts"]
+    built = (ROOT / "deploy" / "images" / "base.Dockerfile").read_text("utf-8")
+    steps = ("WORKDIR /build/project/deploy/client", "--target-directory=api/downloads", "hatchling build -t wheel")
+    places = [built.rindex(step) for step in steps]
+    assert places == sorted(places)
+    assert "!deploy/client\n" in (ROOT / ".dockerignore").read_text("utf-8")

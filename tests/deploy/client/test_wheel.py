@@ -1,0 +1,118 @@
+"""The client's wheel in an empty environment: small, with few packages, and all that a participant needs.
+
+Catches alone a module or a distribution that the client needs and its wheel does not bring.
+"""
+
+import re
+import subprocess
+import sys
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+
+from stone_base.releases import HEADER
+from stone_client.release import own_release
+from testing.stone_serve import environment
+from testing.stone_serve import serving as serving_process
+from tests.deploy.wheels import built_wheel
+from tests.stone_client.participating import Served, joined, scoring, serving_world, zipped
+
+pytestmark = pytest.mark.whole
+
+ROOT = Path(__file__).resolve().parents[3]
+MOST_BYTES = 2_000_000
+MOST_PACKAGES = 25
+BARRED = {"open3d", "open3d-cpu", "numba", "scipy", "sqlalchemy", "celery", "fastapi", "stone-platform"}
+UNREACHABLE = ("No matching distribution", "Could not find a version", "Connection")
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return built_wheel(ROOT / "deploy" / "client", tmp_path_factory.mktemp("wheel"))
+
+
+@pytest.fixture(scope="module")
+def empty(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An environment that held nothing, and the wheel installed into it as the page says to."""
+    folder = tmp_path_factory.mktemp("empty") / "venv"
+    subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True)
+    installing = [folder / "bin" / "pip", "install", "--quiet", "--disable-pip-version-check", str(wheel)]
+    outcome = subprocess.run(installing, check=False, capture_output=True, text=True, timeout=600)
+    if outcome.returncode and any(words in outcome.stderr for words in UNREACHABLE):
+        pytest.skip("no index of packages can be reached here, from which the client's requirements come")
+    assert outcome.returncode == 0, outcome.stderr
+    return folder
+
+
+@pytest.fixture
+def served(tmp_path: Path) -> Iterator[Served]:
+    with serving_world(tmp_path) as (world, url):
+        yield joined(world, url)
+
+
+def stone(
+    empty: Path, folder: Path, *arguments: str | Path, token: str = "", url: str = ""
+) -> subprocess.CompletedProcess[str]:
+    known = environment(folder / "data", STONE_URL=url, STONE_TOKEN=token, PYTHONSAFEPATH="1")
+    command = [str(empty / "bin" / "stone"), *map(str, arguments)]
+    return subprocess.run(command, check=False, capture_output=True, text=True, timeout=300, cwd=folder, env=known)
+
+
+def packages_of(empty: Path) -> set[str]:
+    listing = [empty / "bin" / "python", "-m", "pip", "list", "--format", "freeze", "--disable-pip-version-check"]
+    said = subprocess.run(listing, check=True, capture_output=True, text=True).stdout
+    return {line.partition("==")[0].lower() for line in said.splitlines()} - {"pip", "setuptools"}
+
+
+def test_the_wheel_is_small_and_holds_the_clients_packages_and_the_licence(wheel: Path) -> None:
+    names = zipfile.ZipFile(wheel).namelist()
+    assert wheel.stat().st_size <= MOST_BYTES
+    folders = {name.partition("/")[0] for name in names}
+    dist_info = f"stone_client-{own_release()}.dist-info"
+    assert folders == {"stone_base", "stone_files", "stone_submissions", "stone_client", dist_info}
+    assert "stone_client/LICENSE" in names
+    assert not [name for name in names if "__pycache__" in name]
+
+
+def test_few_packages_come_along_and_none_of_the_platforms(empty: Path) -> None:
+    found = packages_of(empty)
+    assert len(found) <= MOST_PACKAGES, found
+    assert not found & BARRED
+
+
+def test_a_submission_is_validated_and_scored_by_a_running_platform(
+    empty: Path, served: Served, tmp_path: Path
+) -> None:
+    known = {"token": served.captain.secret, "url": served.url}
+    predictions = zipped(served, tmp_path / "run.zip")
+    checked = stone(empty, tmp_path, "validate", predictions, *served.at("val"), **known)
+    assert (checked.returncode, checked.stdout) == (0, "valid\n"), checked.stderr
+    words = ("submit", predictions, *served.at("val"), "--team", served.team, "--method", "Alone", "--modality", "L")
+    with scoring(served.platform):
+        submitted = stone(empty, tmp_path, *words, **known)
+    assert submitted.returncode == 0, submitted.stderr
+    assert "mIoU" in submitted.stdout
+
+
+def test_a_client_of_another_release_is_understood_or_told_what_to_install(empty: Path, tmp_path: Path) -> None:
+    """A real process of the server; the client's release is what pip wrote down when it installed it."""
+    (metadata,) = empty.glob(f"lib/python*/site-packages/stone_client-{own_release()}.dist-info/METADATA")
+    ours = metadata.read_text("utf-8")
+    with serving_process(tmp_path / "data") as running:
+        known = {"token": running.token, "url": running.url}
+        understood = stone(empty, tmp_path, "benchmarks", **known)
+        before = httpx.get(f"{running.url}/api/v1/me", headers={"Authorization": f"Bearer {running.token}"})
+        try:
+            metadata.write_text(re.sub(r"(?m)^Version: .*$", "Version: 0.0.9", ours), "utf-8")
+            refused = stone(empty, tmp_path, "benchmarks", **known)
+        finally:
+            metadata.write_text(ours, "utf-8")
+    assert understood.returncode == 0, understood.stderr
+    assert before.status_code == 200
+    assert HEADER not in before.headers, "the release before says none, and need not know ours"
+    assert refused.returncode == 1
+    assert refused.stderr.startswith("client_too_old: this client is of release 0.0.9")
+    assert f"{running.url}/downloads/" in refused.stderr
