@@ -26,6 +26,7 @@ from api.routes import (
     calibrations,
     dataset_inputs,
     datasets,
+    device_grants,
     docs,
     events,
     exports,
@@ -42,6 +43,7 @@ from api.routes import (
     scenes,
     sequences,
     sessions,
+    sign_in,
     splits,
     statistics,
     submissions,
@@ -52,6 +54,7 @@ from api.routes import (
 )
 from api.routes import problems as problem_routes
 from api.routes.admin import admin_alarms, admin_benchmarks, admin_jobs, admin_rescores, admin_truths
+from services.runtime.oidc.provider import Provider
 from services.runtime.platform import Platform, open_platform
 from services.runtime.sandbox.fork_client import use_fork_server
 from services.runtime.settings import Settings
@@ -62,6 +65,8 @@ ROUTERS: tuple[APIRouter, ...] = (
     docs.router,
     problem_routes.router,
     sessions.router,
+    sign_in.router,
+    device_grants.router,
     tokens.router,
     users.router,
     teams.router,
@@ -111,6 +116,7 @@ def make_api(platform: Platform, shown: problems.Shown = problems.as_it_is) -> F
     )
     api.openapi = documented(api)  # type: ignore[method-assign]  # as FastAPI's own pages say to
     api.state.platform, api.state.limits = platform, RequestLimits(platform.settings)
+    api.state.provider = Provider(platform.settings.oidc, platform.settings.api.url)
     api.state.meters, api.state.probes = RequestMetrics(platform), Probes(platform)
     problems.install(api, shown)
     # What is added last is met first.

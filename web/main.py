@@ -19,6 +19,7 @@ from web.pages import (
     calibrations,
     comparison,
     dataset,
+    device,
     home,
     methods,
     people,
@@ -39,6 +40,7 @@ ROUTERS: tuple[APIRouter, ...] = (
     assets.router,
     home.router,
     sign_in.router,
+    device.router,
     administration.router,
     calibrations.router,
     sequences.router,  # before a sequence's own page, which would take `new` for an id
