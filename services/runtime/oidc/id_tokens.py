@@ -17,7 +17,7 @@ from joserfc.jwk import KeySet
 
 from services.runtime.oidc.errors import IdTokenRefusedError
 
-ALGORITHMS = ("RS256", "RS384", "RS512", "PS256", "PS384", "PS512", "ES256", "ES384", "ES512", "Ed25519", "EdDSA")
+ALGORITHMS = ("RS256", "RS384", "RS512", "PS256", "PS384", "PS512", "ES256", "ES384", "ES512")
 LEEWAY_S = 60.0
 OLDEST_S = 600.0
 LONGEST_TOKEN = 64 * 2**10
