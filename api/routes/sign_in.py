@@ -51,7 +51,7 @@ def to_provider(request: Request, platform: PlatformDep, back: Back = "/") -> Re
     request.app.state.limits.admit_from(request, "sign-in by provider")
     begun, address = _provider(request).begin()
     answer = RedirectResponse(address, 302, headers={"Cache-Control": "no-store"})
-    kept = f"{begun.secret}.{urlsafe_b64encode(own_page(back).encode()).decode()}"
+    kept = f"{begun.secret}.{_url64(own_page(back))}"
     secure = is_https(platform.settings)
     answer.set_cookie(COOKIE, kept, LASTS_S, path=COOKIE_PATH, secure=secure, httponly=True, samesite="lax")
     return answer
@@ -92,9 +92,14 @@ def _begun(kept: str) -> tuple[CodeRequest | None, str]:
     if not secret or len(kept) > LONGEST_COOKIE:
         return None, "/"
     try:
-        return CodeRequest(secret), own_page(urlsafe_b64decode(page.encode()).decode())
+        return CodeRequest(secret), own_page(urlsafe_b64decode(page + "=" * (-len(page) % 4)).decode())
     except ValueError:
         return None, "/"
+
+
+def _url64(text: str) -> str:
+    """Letters that a cookie's value may hold as they are."""
+    return urlsafe_b64encode(text.encode()).rstrip(b"=").decode()
 
 
 def _record(session: Session, admitted: AdmittedUser, issuer: str) -> None:

@@ -10,11 +10,13 @@ from typing import Any
 from urllib.parse import quote
 
 import httpx
+from pydantic import SecretStr
 
 from services.runtime.oidc.settings import OidcSettings
 from testing.servers.process import ServerProcess, answers, free_port
 
 CLIENT_ID = "stone"
+SECRET = SecretStr("any secret will do")
 
 
 @dataclass
@@ -33,7 +35,15 @@ class OidcServer(ServerProcess):
         answer.raise_for_status()
 
     def settings(self, **more: Any) -> OidcSettings:
-        return OidcSettings(**{"issuer": self.issuer, "client_id": CLIENT_ID, "title": "Field Robotics Lab", **more})
+        return OidcSettings(
+            **{
+                "issuer": self.issuer,
+                "client_id": CLIENT_ID,
+                "client_secret": SECRET,
+                "title": "Field Robotics Lab",
+                **more,
+            }
+        )
 
     def approve(self, address: str, subject: str) -> str:
         """Sign in at `address` as this subject; where the browser is sent then."""

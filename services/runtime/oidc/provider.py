@@ -117,7 +117,7 @@ class Provider:
         proof, headers = self._credentials(metadata)
         status, said = send_form(metadata.token_url, form | proof, headers, self._settings.timeout_s)
         if status != 200:
-            raise ProviderRefusedError(_word(said.get("error")) or f"status {status}")
+            raise _refusal(status, _word(said.get("error")))
         token = said.get("id_token")
         if not isinstance(token, str):
             raise ProviderAnswerError("token endpoint", "gave no id_token")
@@ -157,6 +157,14 @@ def _refuse_strange(request: CodeRequest | None, answer: CodeAnswer, issuer: str
         raise ProviderRefusedError(_word(answer.error))
     if not 0 < len(answer.code) <= LONGEST_CODE:
         raise SignInStateError("the answer brings no code")
+
+
+def _refusal(status: int, error: str) -> ProviderRefusedError | ProviderAnswerError:
+    """A code that is none of this sign-in is its owner's mistake; anything else is ours, in the settings."""
+    if error == "invalid_grant":
+        return ProviderRefusedError(error)
+    reason = f"refused us with status {status} {error!r}; are client id and secret right"
+    return ProviderAnswerError("token endpoint", reason)
 
 
 def _word(error: Any) -> str:

@@ -87,6 +87,12 @@ def test_a_secret_of_the_client_is_shown_as_the_provider_wants_it(forger: Forgin
     assert shown[1]["authorization"] == ""
 
 
+def test_a_client_that_the_provider_does_not_know_is_a_matter_of_the_settings(forger: ForgingProvider) -> None:
+    forger.answers["/token"] = says(as_json({"error": "invalid_client"}, 401))
+    with pytest.raises(ProviderAnswerError, match="status 401 'invalid_client'; are client id and secret right"):
+        signed_in(forger)
+
+
 def test_without_an_issuer_there_is_no_provider() -> None:
     provider = Provider(OidcSettings(), OWN)
     with pytest.raises(NoProviderError):
