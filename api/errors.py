@@ -180,6 +180,43 @@ class TooManyFailedSignInsError(RateLimitedError):
         self.retry_after_s = retry_after_s
 
 
+class DevicePendingError(ApiError):
+    """Nobody has approved the program yet."""
+
+    code = "authorization_pending"
+
+    def __init__(self) -> None:
+        super().__init__("nobody has approved this program yet; ask again after interval_s")
+
+
+class DeviceSlowDownError(RateLimitedError):
+    """A program asks for its token more often than it was told to."""
+
+    code = "slow_down"
+
+    def __init__(self, interval_s: int) -> None:
+        StoneError.__init__(self, f"this program asked less than {interval_s} s ago; ask again in {interval_s} s")
+        self.retry_after_s = interval_s
+
+
+class DeviceDeniedError(ApiError):
+    """Somebody said no to the program, or was shut out since they said yes."""
+
+    code = "access_denied"
+
+    def __init__(self) -> None:
+        super().__init__("this program was denied its token; begin again if that was a mistake")
+
+
+class DeviceCodeError(ApiError):
+    """The device code is unknown, has expired or was used."""
+
+    code = "expired_token"
+
+    def __init__(self) -> None:
+        super().__init__("this device code is unknown, older than ten minutes, or its token was given out; begin again")
+
+
 class BadIdempotencyKeyError(ApiError):
     """The Idempotency-Key cannot be one."""
 

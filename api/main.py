@@ -28,6 +28,7 @@ from api.routes import (
     client,
     dataset_inputs,
     datasets,
+    device_grants,
     docs,
     events,
     health,
@@ -36,6 +37,7 @@ from api.routes import (
     phase_inputs,
     results,
     sessions,
+    sign_in,
     splits,
     statistics,
     submissions,
@@ -58,6 +60,7 @@ from api.routes.sequences import (
     scenes,
     sequences,
 )
+from services.runtime.oidc.provider import Provider
 from services.runtime.platform import Platform, open_platform
 from services.runtime.sandbox.fork_client import use_fork_server
 from services.runtime.settings import Settings
@@ -69,6 +72,8 @@ ROUTERS: tuple[APIRouter, ...] = (
     problem_routes.router,
     client.router,
     sessions.router,
+    sign_in.router,
+    device_grants.router,
     tokens.router,
     users.router,
     teams.router,
@@ -119,6 +124,7 @@ def make_api(platform: Platform, shown: problems.Shown = problems.as_it_is) -> F
     )
     api.openapi = documented(api)  # type: ignore[method-assign]  # as FastAPI's own pages say to
     api.state.platform, api.state.limits = platform, RequestLimits(platform.settings)
+    api.state.provider = Provider(platform.settings.oidc, platform.settings.api.url)
     api.state.meters, api.state.probes = RequestMetrics(platform), Probes(platform)
     api.state.client_wheel = client_wheel()
     problems.install(api, shown)

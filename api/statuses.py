@@ -28,6 +28,7 @@ from services.domain.viewer import errors as views
 from services.runtime.access import errors as access
 from services.runtime.access import storage_quota
 from services.runtime.jobs import errors as jobs
+from services.runtime.oidc import errors as oidc
 from services.runtime.sandbox import errors as sandbox
 from services.runtime.store import keys as store_keys
 from services.runtime.store import pack_archive
@@ -55,11 +56,15 @@ STATUS_OF: dict[type[StoneError], int] = {
     api.ReplyNotKeptError: 409,
     api.RequestInFlightError: 409,
     api.UnauthenticatedError: 401,
+    api.DevicePendingError: 400,
+    api.DeviceDeniedError: 403,
+    api.DeviceCodeError: 400,
     access.BadNameError: 422,
     access.BusyError: 503,
     access.GuessablePasswordError: 422,
     access.LastAdministratorError: 409,
     access.NameTakenError: 409,
+    access.PasswordsOffError: 403,
     access.UnknownRoleError: 422,
     access.WeakPasswordError: 422,
     virtual_archive.BadMemberError: 409,
@@ -80,6 +85,14 @@ STATUS_OF: dict[type[StoneError], int] = {
     files.RangeError: 416,
     inputs.InputsImpossibleError: 409,
     inputs.InputsStandError: 409,
+    oidc.IdTokenRefusedError: 502,
+    oidc.NoProviderError: 404,
+    oidc.NotAdmittedError: 403,
+    oidc.ProviderAnswerError: 502,
+    oidc.ProviderAwayError: 503,
+    oidc.ProviderRefusedError: 403,
+    oidc.ShutOutError: 403,
+    oidc.SignInStateError: 400,
     jobs.JobStateError: 409,
     jobs.QueueDrainingError: 409,
     phases.BadPhaseError: 422,

@@ -27,9 +27,15 @@ class TokenIdentity:
 
 def sign_in_by_token(url: str, token: str) -> TokenIdentity:
     """Keep a token that the server knows. Raises what `Api.send` raises."""
+    identity = identity_of(url, token)
+    remember(url, token, as_default=True)
+    return identity
+
+
+def identity_of(url: str, token: str) -> TokenIdentity:
+    """Whose the token is. Raises what `Api.send` raises."""
     with Api(Server(url, token)) as api:
         me = api.read("/me")
-    remember(url, token, as_default=True)
     return TokenIdentity(url, me["name"], me["role"], tuple(me["scopes"]))
 
 

@@ -19,6 +19,7 @@ from web.pages import (
     calibrations,
     comparison,
     dataset,
+    device,
     downloads,
     home,
     methods,
@@ -41,6 +42,7 @@ ROUTERS: tuple[APIRouter, ...] = (
     home.router,
     sign_in.router,
     downloads.router,
+    device.router,
     administration.router,
     calibrations.router,
     sequences.router,  # before a sequence's own page, which would take `new` for an id

@@ -77,6 +77,14 @@ class RequestLimits:
         self._take(f"sign-in {address_of(request)}", self._api.sign_ins_per_minute)
         self._take(f"sign-in as {tried.name}", self._api.sign_ins_per_minute * NAME_SHARE)
 
+    def admit_from(self, request: Request, what: str) -> None:
+        """Count `what` a stranger begins, by address, as many as sign-ins with one name. Raises `RateLimitedError`."""
+        self._take(f"{what} {address_of(request)}", self._api.sign_ins_per_minute * NAME_SHARE)
+
+    def admit_guess(self, user_id: str) -> None:
+        """Count a code that a user typed, right or wrong. Raises `RateLimitedError`."""
+        self._take(f"code by {user_id}", self._api.sign_ins_per_minute * NAME_SHARE)
+
     def know(self, request: Request, user_id: str) -> None:
         """Count requests with this credential as this user's from now on."""
         with self._lock:

@@ -22,6 +22,7 @@ from api.schemas.base import instant
 from api.schemas.people import BrowserItem, MeItem, PasswordBody, SessionItem, SignInBody
 from api.views.people import browsers_of
 from services.runtime.access import login_throttle, passwords, sessions, users
+from services.runtime.access.errors import PasswordsOffError
 from services.runtime.access.login_throttle import SignInTry
 from services.runtime.access.sessions import SessionSecrets
 from services.runtime.orm import User
@@ -32,8 +33,10 @@ router = APIRouter(tags=["people"])
 log = structlog.get_logger(__name__)
 
 
-@router.post("/sessions", status_code=201, summary="Sign a browser in", responses=refusals(401))
+@router.post("/sessions", status_code=201, summary="Sign a browser in", responses=refusals(401, 403))
 def sign_in(body: SignInBody, request: Request, response: Response, platform: PlatformDep) -> SessionItem:
+    if not platform.settings.api.passwords:
+        raise PasswordsOffError()
     tried = _counted_try(request, platform, body.name)
     with platform.database.reading() as session:
         user = users.find_user(session, body.name)
@@ -46,8 +49,8 @@ def sign_in(body: SignInBody, request: Request, response: Response, platform: Pl
             raise WrongPasswordError()
         login_throttle.take_back(session, tried, user.id)
         opened = sessions.open_session(session, user, platform.settings.api.session_s)
-        audit.record(session, _as_caller(user), "session.open", user.id)
-    _give_cookie(response, opened, platform.settings)
+        audit.record(session, as_caller(user), "session.open", user.id)
+    give_cookie(response, opened, platform.settings)
     return SessionItem(
         user_id=user.id,
         name=user.name,
@@ -64,7 +67,7 @@ def sign_out(caller: Anybody, response: Response, platform: PlatformDep) -> None
     with platform.database.transaction() as session:
         sessions.close_session(session, caller.credential_id)
         audit.record(session, caller, "session.close", caller.user_id)
-    response.delete_cookie(COOKIE, path="/", httponly=True, samesite="lax", secure=_is_https(platform.settings))
+    response.delete_cookie(COOKIE, path="/", httponly=True, samesite="lax", secure=is_https(platform.settings))
 
 
 @router.get("/sessions", summary="The browsers one is signed in with, newest first")
@@ -121,16 +124,19 @@ def _counted_try(request: Request, platform: Platform, name: str) -> SignInTry:
     return tried
 
 
-def _give_cookie(response: Response, opened: SessionSecrets, settings: Settings) -> None:
+def give_cookie(response: Response, opened: SessionSecrets, settings: Settings) -> None:
+    """Hand a browser the secret of its session."""
     lasts_s = int(settings.api.session_s)
-    secure = _is_https(settings)
+    secure = is_https(settings)
     response.set_cookie(COOKIE, opened.secret, lasts_s, path="/", secure=secure, httponly=True, samesite="lax")
     response.headers["Cache-Control"] = "no-store"
 
 
-def _is_https(settings: Settings) -> bool:
+def is_https(settings: Settings) -> bool:
+    """Whether browsers reach us by https, so that cookies are for that alone."""
     return settings.api.url.startswith("https://")
 
 
-def _as_caller(user: User) -> Caller:
+def as_caller(user: User) -> Caller:
+    """Somebody who signs in at this moment, as who does so."""
     return Caller(user.id, user.name, user.role, frozenset(), is_session=True)

@@ -9,12 +9,17 @@ from api.errors import NotFoundError
 from api.paging import Page, PageQuery, page
 from api.schemas.base import instant, instant_or_none
 from api.schemas.people import BrowserItem, TokenItem, UserItem
+from api.schemas.sign_in import ProviderItem, SignInWays
 from services.runtime.access.storage_quota import balance
 from services.runtime.orm import Token, User, WebSession
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
+from services.runtime.settings import Settings
 from services.runtime.uploads.creation import owner_limit_bytes
 from services.runtime.uploads.rows import UploadOwner
+
+TO_PROVIDER = "/api/v1/sign-in/oidc"
+"""Where a browser goes to sign in with the provider."""
 
 
 @dataclass(frozen=True)
@@ -23,6 +28,13 @@ class StorageUsage:
 
     used_bytes: int
     limit_bytes: int
+
+
+def sign_in_ways(settings: Settings) -> SignInWays:
+    """How one may sign in here."""
+    title = settings.oidc.shown_title
+    provider = ProviderItem(title=title, path=TO_PROVIDER) if settings.oidc.issuer else None
+    return SignInWays(passwords=settings.api.passwords, provider=provider)
 
 
 def user_item(row: User) -> UserItem:

@@ -27,6 +27,7 @@ from pydantic_settings import (
     SettingsConfigDict,
 )
 
+from services.runtime.oidc.settings import OidcSettings
 from services.runtime.settings_checks import RENAMED, refuse_impossible, refuse_unknown
 
 GIB = 2**30
@@ -149,6 +150,9 @@ class ApiSettings:
 
     `first_password` is the password of the administrator whom `prepare` adds where there is none.
 
+    With `passwords` off nobody signs in by name and password; then there must be a provider (`oidc`), and a group of it
+    whose members administer.
+
     With `trusts_traceparent` a request's span continues the trace that the request names: only behind a proxy of ours
     that sets the header itself.
 
@@ -171,6 +175,7 @@ class ApiSettings:
     trusts_traceparent: bool = False
     trusted_proxies: str = "127.0.0.1"
     first_password: SecretStr = field(default=SecretStr(""))
+    passwords: bool = True
 
     @property
     def proxies(self) -> list[str]:
@@ -232,6 +237,7 @@ class Settings(BaseSettings):
     uploads: UploadSettings = UploadSettings()
     submissions: SubmissionSettings = SubmissionSettings()
     api: ApiSettings = ApiSettings()
+    oidc: OidcSettings = OidcSettings()
     viewing: ViewingSettings = ViewingSettings()
     retention: RetentionSettings = RetentionSettings()
 

@@ -13,6 +13,7 @@ from operator import attrgetter
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
+from services.runtime.oidc.settings_checks import provider_contradictions
 from stone.errors import StoneError
 
 if TYPE_CHECKING:
@@ -118,6 +119,7 @@ BOUNDS = (
     Bound("api.session_s", 0, "whoever signs in is signed out", is_above=True),
     Bound("api.session_idle_s", 0, "whoever signs in is signed out", is_above=True),
     Bound("api.token_s", 0, "every token has expired as it is made", is_above=True),
+    Bound("oidc.timeout_s", 0, "the provider is never waited for", is_above=True),
 )
 
 
@@ -183,6 +185,7 @@ def _contradictions(settings: "Settings") -> Iterator[str]:
     if not 0 <= port <= 65535:
         yield f"STONE_API__PORT is {port} and must lie from 0 to 65535"
     yield from _untrustworthy(settings.api.proxies)
+    yield from provider_contradictions(settings.oidc, settings.api.passwords)
     if not _is_address(settings.api.url):
         yield "STONE_API__URL must begin with http:// or https:// and name a host: it decides if cookies are Secure"
 

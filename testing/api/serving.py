@@ -49,9 +49,9 @@ def person(platform: Platform, role: str, name: str = "", **token: Any) -> Perso
 
 
 @contextmanager
-def serving(platform: Platform, application: Any = None) -> Iterator[str]:
-    """The base URL of the application of `platform`, served until the end of the block."""
-    with socket.create_server(("127.0.0.1", 0)) as listening:
+def serving(platform: Platform, application: Any = None, port: int = 0) -> Iterator[str]:
+    """The base URL of the application of `platform`, served until the end of the block; port 0 is any free one."""
+    with socket.create_server(("127.0.0.1", port)) as listening:
         app = make_api(platform) if application is None else application
         config = uvicorn.Config(
             app, http=BoundedHeads, log_config=None, ws="none", lifespan="off", timeout_graceful_shutdown=2

@@ -17,6 +17,7 @@ from services.runtime.database.transactions import Database
 from services.runtime.platform import Platform
 from services.runtime.settings import DatabaseSettings, JobSettings, Settings, StoreSettings, ViewingSettings
 from services.runtime.store.factory import open_store
+from testing.servers.oidc import OidcServer, running_oidc
 from testing.servers.postgres import PostgresServer, running_postgres
 from testing.servers.redis import RedisServer, running_redis
 from testing.servers.s3 import S3Server, running_s3
@@ -60,6 +61,13 @@ def redis_url(redis_server: RedisServer) -> str:
 @pytest.fixture(scope="session")
 def s3_server() -> Iterator[S3Server]:
     with running_s3() as server:
+        yield server
+
+
+@pytest.fixture(scope="session")
+def oidc_server() -> Iterator[OidcServer]:
+    """A provider of OpenID Connect; who it is to know, a test says."""
+    with running_oidc() as server:
         yield server
 
 

@@ -3,7 +3,7 @@
 **Conventions.** The row stays, since ledgers refer to it by id; its name becomes `erased-` and random letters. Lines of
 the audit log keep the name under which somebody acted, for as long as the log is kept (`audit_retention`): they are
 there to be held against whoever would rather be forgotten. Sequences, calibrations and submissions are deleted by
-themselves, before or after.
+themselves, before or after. The provider by which somebody signed in knows them still: coming back, they are another.
 """
 
 from secrets import token_hex
@@ -13,7 +13,16 @@ from sqlalchemy.orm import Session
 
 from services.runtime.access.login_throttle import forgive_name
 from services.runtime.access.users import change_user
-from services.runtime.orm import IdempotentReply, SignInAddress, TeamInvitation, Token, User, WebSession
+from services.runtime.orm import (
+    DeviceGrant,
+    ExternalIdentity,
+    IdempotentReply,
+    SignInAddress,
+    TeamInvitation,
+    Token,
+    User,
+    WebSession,
+)
 
 ERASED = "erased-"
 
@@ -22,7 +31,7 @@ def erase_user(session: Session, user: User) -> None:
     """Shut out at once, for good. Raises `LastAdministratorError`."""
     change_user(session, user, None, is_active=False)
     forgive_name(session, user.name)
-    for held in (Token, WebSession, SignInAddress, IdempotentReply):
+    for held in (Token, WebSession, SignInAddress, IdempotentReply, ExternalIdentity, DeviceGrant):
         session.execute(delete(held).where(held.user_id == user.id))
     unused = (TeamInvitation.created_by == user.id, TeamInvitation.used_by.is_(None))
     session.execute(delete(TeamInvitation).where(*unused))

@@ -60,9 +60,18 @@ class LastAdministratorError(StoneError):
 
 
 class BusyError(StoneError):
-    """Too many passwords are being checked at this moment."""
+    """Too many passwords are being checked at this moment, or too many programs wait."""
 
     code = "busy"
 
-    def __init__(self, most: int) -> None:
-        super().__init__(f"{most} passwords are being checked at this moment; try again in a second")
+    def __init__(self, most: int, what: str = "passwords are being checked at this moment") -> None:
+        super().__init__(f"{most} {what}; try again in a moment")
+
+
+class PasswordsOffError(StoneError):
+    """Nobody signs in by name and password here."""
+
+    code = "passwords_off"
+
+    def __init__(self) -> None:
+        super().__init__("passwords are switched off here (STONE_API__PASSWORDS); sign in with the provider")

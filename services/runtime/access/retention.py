@@ -1,4 +1,4 @@
-"""Deletes expired sessions, tokens and invitations, failed sign-in counts, old addresses and idempotent replies.
+"""Deletes expired sessions, tokens, invitations and device grants, failed sign-ins, old addresses, idempotent replies.
 
 **Conventions.** Done by the sweeper. What ended is refused from its last second on, whether its row is gone or not. A
 token stays listed for `TOKENS_SHOWN_NS` after its end, so that its owner sees why a program is refused.
@@ -9,7 +9,15 @@ from sqlalchemy.orm import InstrumentedAttribute
 
 from services.runtime.access.login_throttle import ADDRESSES_KEPT_NS, FORGOTTEN_NS
 from services.runtime.jobs.changes import rows_changed
-from services.runtime.orm import FailedSignInRow, IdempotentReply, SignInAddress, TeamInvitation, Token, WebSession
+from services.runtime.orm import (
+    DeviceGrant,
+    FailedSignInRow,
+    IdempotentReply,
+    SignInAddress,
+    TeamInvitation,
+    Token,
+    WebSession,
+)
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 
@@ -30,6 +38,7 @@ def forget_ended(platform: Platform) -> int:
         (TeamInvitation.id, TeamInvitation.expires_ns <= now - INVITATIONS_SHOWN_NS),
         (FailedSignInRow.key, FailedSignInRow.failed_ns <= now - FORGOTTEN_NS),
         (SignInAddress.key, SignInAddress.used_ns <= now - ADDRESSES_KEPT_NS),
+        (DeviceGrant.id, DeviceGrant.expires_ns <= now),
         (IdempotentReply.id, IdempotentReply.created_ns <= now - REPLIES_KEPT_NS),
     )
     return sum(_deleted(platform, key, is_over) for key, is_over in ended)

@@ -39,6 +39,7 @@ from services.runtime.orm.people import (
 )
 from services.runtime.orm.recordings import Preview, Recording, RecordingFile
 from services.runtime.orm.sequences import CalibrationRow, ProfileRow, SequenceRow, Upload
+from services.runtime.orm.sign_in import DeviceGrant, ExternalIdentity
 from services.runtime.orm.submissions import Alarm, PhaseTeam, Score, ScorePart, ScoringEntry, SubmissionRow
 from services.runtime.orm.telemetry import ChoreRow, CounterRow, FigureRow
 from services.runtime.orm.upload_parts import UploadPartRow
@@ -61,8 +62,10 @@ __all__ = [
     "DatasetMember",
     "DatasetPack",
     "DatasetPart",
+    "DeviceGrant",
     "Export",
     "ExportPack",
+    "ExternalIdentity",
     "FailedSignInRow",
     "FigureRow",
     "GcHoldRow",

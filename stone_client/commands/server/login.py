@@ -1,17 +1,23 @@
 """`stone login`: a token for a server."""
 
 import sys
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from stone_client.streams import JsonOption, echo_json
+
+if TYPE_CHECKING:
+    from stone_client.browser_sign_in import ShownCode
 
 UrlArgument = Annotated[str, typer.Argument(metavar="[URL]", help="The server; http where no scheme is named.")]
 NameOption = Annotated[str | None, typer.Option(help="Who you are there; asked for otherwise.")]
 PasswordOption = Annotated[bool, typer.Option("--password-stdin", help="Read the password from stdin.")]
 TokenOption = Annotated[
     bool, typer.Option("--token-stdin", help="Read a token from stdin, instead of name and password.")
+]
+BrowserOption = Annotated[
+    bool, typer.Option("--browser", help="Show a code to approve in a browser, instead of name and password.")
 ]
 AdminOption = Annotated[bool, typer.Option("--admin", help="A token that may also administrate.")]
 
@@ -21,18 +27,27 @@ def login(
     name: NameOption = None,
     password_stdin: PasswordOption = False,
     token_stdin: TokenOption = False,
+    browser: BrowserOption = False,
     admin: AdminOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Sign in to a server; its token is kept in ~/.config/stone/credentials.json and used by the other commands."""
+    """Sign in to a server; its token is kept in ~/.config/stone/credentials.json and used by the other commands.
+
+    Where people sign in with a provider, or with --browser, a code is shown to approve in a browser.
+    """
+    from stone_client.browser_sign_in import asks_for_browser, sign_in_by_browser
     from stone_client.credentials import plain_url
     from stone_client.sign_in import sign_in_by_password, sign_in_by_token
 
     if token_stdin and (password_stdin or name or admin):
         raise typer.BadParameter("a token says who you are and what you may", param_hint="--token-stdin")
+    if browser and (token_stdin or password_stdin or name):
+        raise typer.BadParameter("who you are is said in the browser", param_hint="--browser")
     server = plain_url(url)
     if token_stdin:
         signed_in = sign_in_by_token(server, sys.stdin.readline().strip())
+    elif browser or (not name and not password_stdin and asks_for_browser(server)):
+        signed_in = sign_in_by_browser(server, _show, as_administrator=admin)
     else:
         name = name or typer.prompt("Name", err=True)
         password = _line() if password_stdin else typer.prompt("Password", hide_input=True, err=True)
@@ -41,6 +56,10 @@ def login(
         echo_json(signed_in.as_record())
     else:
         typer.echo(f"{signed_in.name} ({signed_in.role}) at {signed_in.url}; may {', '.join(signed_in.scopes)}")
+
+
+def _show(code: "ShownCode") -> None:
+    typer.echo(f"Open {code.url_with_code}\nand approve the code {code.user_code}; waiting …", err=True)
 
 
 def _line() -> str:

@@ -1,0 +1,12 @@
+"""Addresses of our own pages, to which a browser may be sent back."""
+
+import re
+
+OURS = re.compile(r"/(?![/\\])[^\\\s\x00-\x1f\x7f]*")
+"""A path of this site: never another host's address, which `//host` and `/\\host` are to a browser."""
+LONGEST = 2000
+
+
+def own_page(path: str) -> str:
+    """The path, or `/` where it would lead elsewhere."""
+    return path if len(path) <= LONGEST and OURS.fullmatch(path) else "/"

@@ -1,0 +1,97 @@
+"""Routes by which a program signs in with a browser's help (RFC 8628): ask for codes, approve, take the token.
+
+**Conventions.** A program that is nobody yet asks for two codes, shows one to a person, and asks with the other until
+they decided at `/device`. To approve needs the scope `account`, as to issue a token does; what the token may is bounded
+by what the approver may.
+"""
+
+from fastapi import APIRouter, Request, Response
+
+from api import audit
+from api.answers import refusals
+from api.callers import AccountHolder
+from api.deps import Caller, PlatformDep
+from api.errors import (
+    ConflictError,
+    DeviceCodeError,
+    DeviceDeniedError,
+    DevicePendingError,
+    DeviceSlowDownError,
+    NotFoundError,
+)
+from api.middleware.limits import address_of
+from api.routes.tokens import MOST_TOKENS
+from api.schemas.base import instant
+from api.schemas.people import IssuedToken
+from api.schemas.sign_in import DeviceBody, DeviceCodesItem, DeviceDecision, DeviceTokenBody
+from api.views.people import token_item
+from services.runtime.access import device_grants, tokens
+from services.runtime.access.device_grants import DevicePoll, DeviceRequest
+from services.runtime.orm import User
+
+router = APIRouter(prefix="/device-grants", tags=["people"])
+
+REFUSALS = {"pending": DevicePendingError, "denied": DeviceDeniedError, "unknown": DeviceCodeError}
+
+
+@router.post("", status_code=201, summary="Ask for the codes by which a program signs in", responses=refusals(400))
+def begin(body: DeviceBody, request: Request, response: Response, platform: PlatformDep) -> DeviceCodesItem:
+    """`user_code` is for a person, who types it at `url`; `device_code` is the program's secret."""
+    request.app.state.limits.admit_from(request, "device grant")
+    asked = DeviceRequest(body.name, address_of(request).removeprefix("address "), tuple(body.scopes))
+    with platform.database.transaction() as session:
+        codes = device_grants.begin_grant(session, asked)
+    response.headers["Cache-Control"] = "no-store"
+    url = f"{platform.settings.api.url.rstrip('/')}/device"
+    return DeviceCodesItem(
+        device_code=codes.device_code,
+        user_code=codes.user_code,
+        url=url,
+        url_with_code=f"{url}?code={codes.user_code}",
+        expires_at=instant(codes.expires_ns),
+        interval_s=device_grants.INTERVAL_S,
+    )
+
+
+@router.post("/decision", status_code=204, summary="Approve or deny a program", responses=refusals(404, 409))
+def decide(body: DeviceDecision, caller: AccountHolder, request: Request, platform: PlatformDep) -> None:
+    """Approved, it gets a token of the caller's, of those of its scopes that they hold."""
+    request.app.state.limits.admit_guess(caller.user_id)
+    with platform.database.transaction() as session:
+        grant = device_grants.find_waiting(session, body.user_code, is_locked=True)
+        if grant is None:
+            raise NotFoundError("waiting program with the code", body.user_code)
+        facts = {"name": grant.name, "address": grant.address, "scopes": device_grants.scopes_for(grant, caller.scopes)}
+        if not body.approves:
+            grant.is_denied = True
+        elif tokens.token_count(session, caller.user_id) >= MOST_TOKENS:
+            raise ConflictError(f"you have {MOST_TOKENS} tokens already; revoke those that are not used")
+        else:
+            grant.user_id, grant.scopes = caller.user_id, device_grants.scopes_for(grant, caller.scopes)
+        audit.record(session, caller, "device.approve" if body.approves else "device.deny", grant.id, facts=facts)
+
+
+@router.post("/token", status_code=201, summary="Take the token of an approved program", responses=refusals(403))
+def take(body: DeviceTokenBody, response: Response, platform: PlatformDep) -> IssuedToken:
+    """400 `authorization_pending` until somebody decides; 429 `slow_down` to who asks too often. Given out once."""
+    with platform.database.transaction() as session:
+        told = device_grants.poll(session, body.device_code.get_secret_value(), platform.settings.api.token_s)
+        if told.token is not None:
+            facts = {"scopes": told.token.scopes, "name": told.token.name}
+            owner = session.get_one(User, told.token.user_id)
+            audit.record(session, _as_holder(owner), "token.issue", told.token.id, facts=facts)
+    response.headers["Cache-Control"] = "no-store"
+    return _issued(told)
+
+
+def _issued(told: DevicePoll) -> IssuedToken:
+    """Raises `DevicePendingError`, `DeviceSlowDownError`, `DeviceDeniedError`, `DeviceCodeError`."""
+    if told.state == "slow_down":
+        raise DeviceSlowDownError(device_grants.INTERVAL_S)
+    if told.token is None:
+        raise REFUSALS[told.state]()
+    return IssuedToken(**token_item(told.token).model_dump(), secret=told.secret)
+
+
+def _as_holder(user: User) -> Caller:
+    return Caller(user.id, user.name, user.role, frozenset(), is_session=False)

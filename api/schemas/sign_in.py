@@ -1,0 +1,76 @@
+"""Signing in over the wire: the ways there are, and programs that wait for somebody to approve them."""
+
+from datetime import datetime
+from typing import Annotated, Literal
+
+from pydantic import Field, SecretStr, StringConstraints
+
+from api.schemas.base import PLAIN, Answer, Body, example
+from api.schemas.people import MADE, Title
+
+USER_CODE = "BCDF-GHJK"
+
+
+class ProviderItem(Answer):
+    """The provider to sign in with: what it is called, and where a browser goes for it."""
+
+    model_config = example(title="Field Robotics Lab", path="/api/v1/sign-in/oidc")
+
+    title: str
+    path: str
+
+
+class SignInWays(Answer):
+    """How one may sign in: by name and password, with a provider, or either."""
+
+    model_config = example(passwords=True, provider={"title": "Field Robotics Lab", "path": "/api/v1/sign-in/oidc"})
+
+    passwords: bool
+    provider: ProviderItem | None
+
+
+class DeviceBody(Body):
+    """A program that wants a token, and what it wants to do with it."""
+
+    model_config = Body.model_config | example(name="stone on laptop", scopes=["read", "submit"])
+
+    name: Title
+    scopes: Annotated[list[Literal["read", "upload", "submit", "admin"]], Field(min_length=1, max_length=4)]
+
+
+class DeviceCodesItem(Answer):
+    """The program's secret, and the code that a person types at `url`; asked for sooner than after `interval_s`, a
+    token is refused."""
+
+    model_config = example(
+        device_code="x" * 43,
+        user_code=USER_CODE,
+        url="http://127.0.0.1:8080/device",
+        url_with_code=f"http://127.0.0.1:8080/device?code={USER_CODE}",
+        expires_at=MADE,
+        interval_s=5,
+    )
+
+    device_code: str
+    user_code: str
+    url: str
+    url_with_code: str
+    expires_at: datetime
+    interval_s: int
+
+
+class DeviceTokenBody(Body):
+    """The program's secret."""
+
+    model_config = Body.model_config | example(device_code="x" * 43)
+
+    device_code: Annotated[SecretStr, Field(min_length=1, max_length=64)]
+
+
+class DeviceDecision(Body):
+    """The code that a program showed, and whether it may have its token."""
+
+    model_config = Body.model_config | example(user_code=USER_CODE, approves=True)
+
+    user_code: Annotated[str, StringConstraints(pattern=PLAIN, min_length=1, max_length=32)]
+    approves: bool

@@ -1,0 +1,130 @@
+"""The account of somebody who signed in by a provider: found by issuer and subject, made at the first sign-in.
+
+**Conventions.** A name or an e-mail address is no proof of who somebody is: an account of the same name is another's,
+and a newcomer is given a free name. Only where `links_verified_email` says so is an account whose name is the e-mail
+address that the provider verified given to its owner; never an administrator's, never one that is somebody's already.
+"""
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from hashlib import sha256
+from itertools import count
+from typing import Any
+
+from sqlalchemy import exists, select, text
+from sqlalchemy.orm import Session
+
+from services.runtime.access.roles import Role
+from services.runtime.access.users import NAME, change_user, create_user, find_user
+from services.runtime.oidc.errors import NotAdmittedError, ShutOutError
+from services.runtime.oidc.id_tokens import VerifiedIdentity
+from services.runtime.oidc.settings import OidcSettings
+from services.runtime.oidc.settings_checks import groups_in
+from services.runtime.orm import ExternalIdentity, User
+from services.runtime.orm.base import now_ns
+
+LOCK = 0x4F494443  # "OIDC": the advisory lock's number; first sign-ins are made one after another
+LONGEST_BASE = 56  # of a name, so that a number has room
+
+
+@dataclass(frozen=True)
+class AdmittedUser:
+    """The user, and what this sign-in changed: `is_new`, and the role before where it is another now."""
+
+    user: User
+    is_new: bool
+    role_before: str
+
+
+def admit(session: Session, identity: VerifiedIdentity, settings: OidcSettings) -> AdmittedUser:
+    """The active user of this identity, in the role of their groups.
+
+    Raises `NotAdmittedError`, `ShutOutError`, `LastAdministratorError`.
+    """
+    role = role_of(identity.claims, settings)
+    _one_at_a_time(session)
+    known = session.get(ExternalIdentity, _key(identity))
+    if known is not None:
+        known.used_ns = now_ns()
+        return _in_role(session, known.user, role)
+    if (owned := _by_email(session, identity.claims, settings)) is not None:
+        _remember(session, identity, owned)
+        return _in_role(session, owned, role)
+    name = free_name(session, identity, settings.name_claim)
+    user = create_user(session, name, role or "participant")
+    _remember(session, identity, user)
+    return AdmittedUser(user, is_new=True, role_before=user.role)
+
+
+def role_of(claims: Mapping[str, Any], settings: OidcSettings) -> Role | None:
+    """The highest role of somebody's groups; None where roles are given on the platform alone.
+
+    Raises `NotAdmittedError` for who is in no group, where not everybody is let in.
+    """
+    groups = _groups(claims, settings.groups_claim)
+    administrators, curators = groups_in(settings.administrators), groups_in(settings.curators)
+    if groups & administrators:
+        return "administrator"
+    if groups & curators:
+        return "curator"
+    admitted = groups_in(settings.participants)
+    if admitted and not groups & admitted:
+        raise NotAdmittedError(settings.groups_claim)
+    return "participant" if administrators or curators else None
+
+
+def free_name(session: Session, identity: VerifiedIdentity, claim: str) -> str:
+    """What the claim says, as far as it can be a name; with a number where somebody is called so."""
+    return next(name for name in _names(identity, claim) if find_user(session, name) is None)
+
+
+def _names(identity: VerifiedIdentity, claim: str) -> Iterator[str]:
+    said = identity.claims.get(claim)
+    base = re.sub(r"[^a-z0-9._@+-]+", "-", said.lower()).strip("-")[:LONGEST_BASE] if isinstance(said, str) else ""
+    base = base if NAME.fullmatch(base) else f"user-{_key(identity)[:12]}"
+    yield base
+    yield from (f"{base}-{number}" for number in range(2, 100))
+    yield from (f"user-{_key(identity)[: 12 + more]}" for more in count(0, 4))
+
+
+def _in_role(session: Session, user: User, role: Role | None) -> AdmittedUser:
+    if not user.is_active:
+        raise ShutOutError(user.name)
+    before = user.role
+    if role is not None and role != before:
+        change_user(session, user, role, None)
+    return AdmittedUser(user, is_new=False, role_before=before)
+
+
+def _by_email(session: Session, claims: Mapping[str, Any], settings: OidcSettings) -> User | None:
+    email = claims.get("email")
+    if not (settings.links_verified_email and claims.get("email_verified") is True and isinstance(email, str)):
+        return None
+    user = find_user(session, email.lower()) if "@" in email else None
+    if user is None or user.role == "administrator":
+        return None
+    is_taken = session.scalar(select(exists().where(ExternalIdentity.user_id == user.id)))
+    return None if is_taken else user
+
+
+def _remember(session: Session, identity: VerifiedIdentity, user: User) -> None:
+    row = ExternalIdentity(key=_key(identity), issuer=identity.issuer, subject=identity.subject, user_id=user.id)
+    session.add(row)
+    session.flush()
+
+
+def _groups(claims: Mapping[str, Any], name: str) -> frozenset[str]:
+    said = claims.get(name)
+    listed = said if isinstance(said, list) else [said]
+    return frozenset(one for one in listed if isinstance(one, str))
+
+
+def _one_at_a_time(session: Session) -> None:
+    """Two first sign-ins at once are one account. A writing transaction of SQLite holds the only lock there is."""
+    if session.get_bind().dialect.name == "postgresql":
+        session.execute(text("SELECT pg_advisory_xact_lock(:number)"), {"number": LOCK})
+
+
+def _key(identity: VerifiedIdentity) -> str:
+    return sha256(f"{identity.issuer}\n{identity.subject}".encode()).hexdigest()

@@ -1,0 +1,75 @@
+"""Refusals of a sign-in by a provider."""
+
+from stone.errors import PlatformFaultError, StoneError
+
+
+class NoProviderError(StoneError):
+    """No provider of OpenID Connect is set up here."""
+
+    code = "no_provider"
+
+    def __init__(self) -> None:
+        super().__init__("this platform has no provider to sign in with; an administrator sets STONE_OIDC__ISSUER")
+
+
+class SignInStateError(StoneError):
+    """The answer of a provider does not belong to a sign-in that this browser began."""
+
+    code = "sign_in_state"
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(f"{reason}; begin again at the sign-in page, in one window, within ten minutes")
+
+
+class ProviderRefusedError(StoneError):
+    """The provider did not let somebody in."""
+
+    code = "provider_refused"
+
+    def __init__(self, error: str) -> None:
+        super().__init__(f"the provider answered {error[:80]!r}; sign in there as somebody who may use this platform")
+
+
+class ProviderAwayError(PlatformFaultError):
+    """The provider does not answer, or not in time."""
+
+    code = "provider_away"
+
+    def __init__(self, host: str, reason: str) -> None:
+        super().__init__(f"{host} cannot be asked who signs in: {reason[:200]}; try again in a minute")
+
+
+class ProviderAnswerError(PlatformFaultError):
+    """What the provider answered is not what the standard says."""
+
+    code = "provider_answer"
+
+    def __init__(self, what: str, reason: str) -> None:
+        super().__init__(f"the provider's {what} {reason[:300]}; is STONE_OIDC__ISSUER the right one?")
+
+
+class IdTokenRefusedError(StoneError):
+    """The ID token is not one that the provider made for this sign-in."""
+
+    code = "id_token_refused"
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(f"the ID token {reason[:300]}; nobody was signed in")
+
+
+class NotAdmittedError(StoneError):
+    """The provider knows somebody whom none of the platform's groups lets in."""
+
+    code = "not_admitted"
+
+    def __init__(self, claim: str) -> None:
+        super().__init__(f"none of your groups (the claim {claim!r}) is let in here; ask an administrator which one is")
+
+
+class ShutOutError(StoneError):
+    """An administrator has shut this account out."""
+
+    code = "shut_out"
+
+    def __init__(self, name: str) -> None:
+        super().__init__(f"the account {name!r} is shut out; ask an administrator of the platform")

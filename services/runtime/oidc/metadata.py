@@ -1,0 +1,118 @@
+"""A provider's description of itself, and its keys, read from the issuer's address and kept for a while.
+
+**Conventions.** `issuer` in the description must be the setting's, character by character (Discovery 1.0, section 4.3).
+Addresses are https, or on this machine where the issuer is. Keys are read anew after `KEPT_S`, and when a token names
+one that is not among them: a provider changes its keys at any time. That happens once in `REREAD_S` at most, so that
+false tokens do not make us ask it without end.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from threading import Lock
+from typing import Any
+from urllib.parse import urlsplit
+
+from joserfc.errors import JoseError
+from joserfc.jwk import KeySet
+
+from services.runtime.oidc.bounded_http import Json, read_json
+from services.runtime.oidc.errors import ProviderAnswerError
+from services.runtime.oidc.settings import OidcSettings
+from services.runtime.oidc.settings_checks import is_local
+
+WELL_KNOWN = "/.well-known/openid-configuration"
+DESCRIPTION = "description"
+KEPT_S = 600.0
+REREAD_S = 30.0
+MOST_KEYS = 64
+
+
+@dataclass(frozen=True)
+class ProviderMetadata:
+    """Where a provider is asked for what; `takes_secret_in_body`: it knows no HTTP Basic at its token endpoint."""
+
+    authorization_url: str
+    token_url: str
+    keys_url: str
+    takes_secret_in_body: bool
+
+
+class KeptMetadata:
+    """Description and keys of the provider of these settings, shared by the threads of a process."""
+
+    def __init__(self, settings: OidcSettings, monotonic_s: Callable[[], float] = time.monotonic) -> None:
+        self._settings, self._now_s, self._lock = settings, monotonic_s, Lock()
+        self._described: tuple[float, ProviderMetadata] | None = None
+        self._keys: tuple[float, KeySet] | None = None
+
+    def metadata(self) -> ProviderMetadata:
+        """Raises `ProviderAwayError`, `ProviderAnswerError`."""
+        with self._lock:
+            known = self._described
+        if known is None or self._now_s() - known[0] > KEPT_S:
+            known = self._now_s(), read_metadata(self._settings)
+            with self._lock:
+                self._described = known
+        return known[1]
+
+    def keys(self, wanted_id: str | None) -> KeySet:
+        """Its keys, read again where none has the id that is wanted. Raises as `metadata` does."""
+        with self._lock:
+            known = self._keys
+        if known is None or self._is_due(known, wanted_id):
+            known = self._now_s(), read_keys(self.metadata().keys_url, self._settings.timeout_s)
+            with self._lock:
+                self._keys = known
+        return known[1]
+
+    def _is_due(self, known: tuple[float, KeySet], wanted_id: str | None) -> bool:
+        age_s = self._now_s() - known[0]
+        is_there = wanted_id is None or any(key.kid == wanted_id for key in known[1])
+        return age_s > (KEPT_S if is_there else REREAD_S)
+
+
+def read_metadata(settings: OidcSettings) -> ProviderMetadata:
+    """Ask the issuer of these settings. Raises `ProviderAwayError`, `ProviderAnswerError`."""
+    described = read_json(settings.issuer.rstrip("/") + WELL_KNOWN, DESCRIPTION, settings.timeout_s)
+    if described.get("issuer") != settings.issuer:
+        raise ProviderAnswerError(
+            DESCRIPTION, f"says the issuer {str(described.get('issuer'))[:100]!r}, not {settings.issuer!r}"
+        )
+    methods = described.get("token_endpoint_auth_methods_supported", ["client_secret_basic"])
+    return ProviderMetadata(
+        _address(settings, described, "authorization_endpoint"),
+        _address(settings, described, "token_endpoint"),
+        _address(settings, described, "jwks_uri"),
+        takes_secret_in_body=isinstance(methods, list) and "client_secret_basic" not in methods,
+    )
+
+
+def read_keys(url: str, timeout_s: float) -> KeySet:
+    """The keys at this address. Raises `ProviderAwayError`, `ProviderAnswerError`."""
+    listed = read_json(url, "key set", timeout_s).get("keys")
+    if not isinstance(listed, list) or not 0 < len(listed) <= MOST_KEYS:
+        raise ProviderAnswerError("key set", f"must list 1 to {MOST_KEYS} keys")
+    try:
+        return KeySet.import_key_set({"keys": [one for one in listed if _is_for_signing(one)]})
+    except (JoseError, ValueError, TypeError, KeyError, AttributeError) as error:
+        raise ProviderAnswerError("key set", f"cannot be read: {type(error).__name__}") from None
+
+
+def _is_for_signing(key: Any) -> bool:
+    """A secret key among public ones would be everybody's, and one for encryption signs nothing."""
+    return isinstance(key, dict) and key.get("kty") != "oct" and key.get("use", "sig") == "sig"
+
+
+def _address(settings: OidcSettings, described: Json, name: str) -> str:
+    address = described.get(name)
+    try:
+        parts = urlsplit(address) if isinstance(address, str) and address.isprintable() else None
+    except ValueError:
+        parts = None
+    if parts is None or not parts.hostname or parts.username or parts.fragment:
+        raise ProviderAnswerError(DESCRIPTION, f"has no address at {name!r}")
+    is_near = parts.scheme == "http" and is_local(parts) and settings.issuer.startswith("http://")
+    if parts.scheme != "https" and not is_near:
+        raise ProviderAnswerError(DESCRIPTION, f"has an address at {name!r} that is not https")
+    return str(address)

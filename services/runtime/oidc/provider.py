@@ -1,0 +1,184 @@
+"""The provider of a platform: where a browser is sent to sign in, and who came back.
+
+**Conventions.** State, nonce and PKCE verifier (RFC 7636, S256) are derived from one secret that only the browser
+holds, in a cookie: an answer that comes to another browser is refused, no row is written for strangers, and any process
+of the API may take the answer up.
+"""
+
+from base64 import b64encode, urlsafe_b64encode
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from hashlib import sha256
+from hmac import compare_digest
+from secrets import token_urlsafe
+from threading import BoundedSemaphore
+from typing import Any
+from urllib.parse import quote_plus, urlencode, urlsplit
+
+from services.runtime.oidc.bounded_http import send_form
+from services.runtime.oidc.errors import (
+    NoProviderError,
+    ProviderAnswerError,
+    ProviderAwayError,
+    ProviderRefusedError,
+    SignInStateError,
+)
+from services.runtime.oidc.id_tokens import TokenExpectation, VerifiedIdentity, verified
+from services.runtime.oidc.metadata import KeptMetadata, ProviderMetadata
+from services.runtime.oidc.settings import OidcSettings
+
+CALLBACK = "/api/v1/sign-in/oidc/callback"
+AT_ONCE = 8
+LONGEST_CODE = 4096
+
+
+@dataclass(frozen=True)
+class CodeRequest:
+    """One sign-in that a browser began; `secret` is in its cookie."""
+
+    secret: str
+
+    @property
+    def state(self) -> str:
+        return _derived("state", self.secret)
+
+    @property
+    def nonce(self) -> str:
+        return _derived("nonce", self.secret)
+
+    @property
+    def verifier(self) -> str:
+        return _derived("verifier", self.secret)
+
+    @property
+    def challenge(self) -> str:
+        """The verifier's S256."""
+        return _url64(sha256(self.verifier.encode()).digest())
+
+
+@dataclass(frozen=True)
+class CodeAnswer:
+    """What a browser brings back from the provider; empty where it does not say."""
+
+    code: str = ""
+    state: str = ""
+    issuer: str = ""
+    error: str = ""
+
+
+class Provider:
+    """The provider of these settings, if there is one; asked by at most `AT_ONCE` threads of a process."""
+
+    def __init__(self, settings: OidcSettings, own_url: str) -> None:
+        self._settings, self._kept = settings, KeptMetadata(settings)
+        self._callback = own_url.rstrip("/") + CALLBACK
+        self._places = BoundedSemaphore(AT_ONCE)
+
+    def begin(self) -> tuple[CodeRequest, str]:
+        """A new request, and the address of the provider to which the browser goes.
+
+        Raises `NoProviderError`, `ProviderAwayError`, `ProviderAnswerError`.
+        """
+        with self._asking():
+            where = self._kept.metadata().authorization_url
+        request = CodeRequest(token_urlsafe(32))
+        asked = {
+            "response_type": "code",
+            "client_id": self._settings.client_id,
+            "redirect_uri": self._callback,
+            "scope": " ".join(self._settings.scopes.split()),
+            "state": request.state,
+            "nonce": request.nonce,
+            "code_challenge": request.challenge,
+            "code_challenge_method": "S256",
+        }
+        return request, f"{where}{'&' if '?' in where else '?'}{urlencode(asked)}"
+
+    def finish(self, request: CodeRequest | None, answer: CodeAnswer) -> VerifiedIdentity:
+        """Who came back with this answer to the request of their browser.
+
+        Raises `SignInStateError`, `ProviderRefusedError`, `IdTokenRefusedError`, and as `begin` does.
+        """
+        with self._asking():
+            _refuse_strange(request, answer, self._settings.issuer)
+            assert request is not None  # noqa: S101  (a strange one otherwise)
+            token = self._id_token(self._kept.metadata(), request, answer.code)
+            expected = TokenExpectation(self._settings.issuer, self._settings.client_id, request.nonce)
+            return verified(token, self._kept.keys, expected)
+
+    def _id_token(self, metadata: ProviderMetadata, request: CodeRequest, code: str) -> str:
+        form = {
+            "grant_type": "authorization_code",
+            "code": code,
+            "redirect_uri": self._callback,
+            "code_verifier": request.verifier,
+        }
+        proof, headers = self._credentials(metadata)
+        status, said = send_form(metadata.token_url, form | proof, headers, self._settings.timeout_s)
+        if status != 200:
+            raise _refusal(status, _word(said.get("error")))
+        token = said.get("id_token")
+        if not isinstance(token, str):
+            raise ProviderAnswerError("token endpoint", "gave no id_token")
+        return token
+
+    def _credentials(self, metadata: ProviderMetadata) -> tuple[dict[str, str], dict[str, str]]:
+        """Fields and headers by which we show who asks (RFC 6749, 2.3.1)."""
+        name, secret = self._settings.client_id, self._settings.client_secret.get_secret_value()
+        if not secret:
+            return {"client_id": name}, {}
+        if metadata.takes_secret_in_body:
+            return {"client_id": name, "client_secret": secret}, {}
+        basic = b64encode(f"{quote_plus(name)}:{quote_plus(secret)}".encode()).decode()
+        return {}, {"Authorization": f"Basic {basic}"}
+
+    @contextmanager
+    def _asking(self) -> Iterator[None]:
+        if not self._settings.issuer:
+            raise NoProviderError()
+        if not self._places.acquire(blocking=False):
+            host = urlsplit(self._settings.issuer).hostname or ""
+            raise ProviderAwayError(host, f"{AT_ONCE} sign-ins wait for it already")
+        try:
+            yield
+        finally:
+            self._places.release()
+
+
+def _refuse_strange(request: CodeRequest | None, answer: CodeAnswer, issuer: str) -> None:
+    if request is None:
+        raise SignInStateError("this browser began no sign-in, or it was finished or given up")
+    if not compare_digest(answer.state.encode(), request.state.encode()):
+        raise SignInStateError("the answer belongs to another sign-in")
+    if answer.issuer and answer.issuer != issuer:
+        raise SignInStateError("the answer is another provider's")
+    if answer.error:
+        raise ProviderRefusedError(_word(answer.error))
+    if not 0 < len(answer.code) <= LONGEST_CODE:
+        raise SignInStateError("the answer brings no code")
+
+
+def _refusal(status: int, error: str) -> ProviderRefusedError | ProviderAnswerError:
+    """A code that is none of this sign-in is its owner's mistake; anything else is ours, in the settings."""
+    if error == "invalid_grant":
+        return ProviderRefusedError(error)
+    reason = f"refused us with status {status} {error!r}; are client id and secret right"
+    return ProviderAnswerError("token endpoint", reason)
+
+
+def _word(error: Any) -> str:
+    """A provider's word for what went wrong, as far as it may be shown."""
+    return (
+        "".join(one for one in error if one.isascii() and (one.isalnum() or one in "_-."))[:80]
+        if isinstance(error, str)
+        else ""
+    )
+
+
+def _derived(purpose: str, secret: str) -> str:
+    return _url64(sha256(f"{purpose} {secret}".encode()).digest())
+
+
+def _url64(content: bytes) -> str:
+    return urlsafe_b64encode(content).rstrip(b"=").decode()

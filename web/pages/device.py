@@ -1,0 +1,44 @@
+"""The page where somebody approves a program that signs in with a browser's help (`stone login --browser`).
+
+**Conventions.** A code in the address fills the field and no more: who asks and for what is shown, and nothing is
+approved without a press of the button (RFC 8628, 5.4).
+"""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Request
+from fastapi.responses import HTMLResponse
+
+from api.callers import AccountHolder
+from api.deps import PlatformDep
+from services.runtime.access import device_grants
+from services.runtime.orm.base import now_ns
+from web.pages.people import ALLOWS
+from web.rendering import page
+
+router = APIRouter()
+NS_PER_MIN = 60 * 10**9
+Code = Annotated[str, Query(max_length=32)]
+
+
+@router.get("/device")
+def device(
+    request: Request, caller: AccountHolder, platform: PlatformDep, code: Code = "", done: Code = ""
+) -> HTMLResponse:
+    """Asks for the code that a program shows, then who asks and for what; `done` says how somebody decided."""
+    grant = None
+    if code:
+        request.app.state.limits.admit_guess(caller.user_id)
+        with platform.database.reading() as session:
+            grant = device_grants.find_waiting(session, code)
+    return page(
+        request,
+        caller,
+        "people/device.html",
+        code=code,
+        grant=grant,
+        scopes=device_grants.scopes_for(grant, caller.scopes) if grant else [],
+        minutes=max(1, (grant.expires_ns - now_ns()) // NS_PER_MIN) if grant else 0,
+        done=done,
+        allows=ALLOWS,
+    )
