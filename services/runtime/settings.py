@@ -27,6 +27,7 @@ from pydantic_settings import (
     SettingsConfigDict,
 )
 
+from services.runtime.notification_settings import NotificationSettings
 from services.runtime.settings_checks import RENAMED, refuse_impossible, refuse_unknown
 
 GIB = 2**30
@@ -234,6 +235,7 @@ class Settings(BaseSettings):
     api: ApiSettings = ApiSettings()
     viewing: ViewingSettings = ViewingSettings()
     retention: RetentionSettings = RetentionSettings()
+    notifications: NotificationSettings = NotificationSettings()
 
     @classmethod
     def settings_customise_sources(

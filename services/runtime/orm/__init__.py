@@ -26,6 +26,13 @@ from services.runtime.orm.exports import Export, ExportPack
 from services.runtime.orm.gc_holds import GcHoldRow
 from services.runtime.orm.jobs import Job, JobAttempt, JobLine, JobNeed, Queue, Worker
 from services.runtime.orm.ledgers import AuditAnchor, AuditEntry, IdempotentReply, QuotaEntry
+from services.runtime.orm.notifications import (
+    EmailAddress,
+    NotificationChoice,
+    NotificationDelivery,
+    NotificationEvent,
+    Webhook,
+)
 from services.runtime.orm.people import (
     FailedSignInRow,
     SignInAddress,
@@ -60,6 +67,7 @@ __all__ = [
     "DatasetMember",
     "DatasetPack",
     "DatasetPart",
+    "EmailAddress",
     "Export",
     "ExportPack",
     "FailedSignInRow",
@@ -74,6 +82,9 @@ __all__ = [
     "LabelSet",
     "LabelledFrameRow",
     "LooseObject",
+    "NotificationChoice",
+    "NotificationDelivery",
+    "NotificationEvent",
     "Phase",
     "PhaseInput",
     "PhaseInputPack",
@@ -102,6 +113,7 @@ __all__ = [
     "UploadPartRow",
     "User",
     "WebSession",
+    "Webhook",
     "Worker",
     "new_id",
 ]
