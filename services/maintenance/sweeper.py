@@ -2,7 +2,8 @@
 
 **Conventions.** Any number of sweepers may run. Jobs are recovered in a thread of their own, which nothing else delays;
 submissions, what is cleaned, notifications and what is told of it have theirs (`chore_loops`). What a chore does in a
-turn is bounded whatever anybody has sent: what is more is done in the next. SIGTERM ends each thread between two chores.
+turn is bounded whatever anybody has sent: what is more is done in the next. SIGTERM ends each thread between two
+chores.
 """
 
 import services.runtime.processes.sound_settings  # noqa: F401

@@ -20,8 +20,8 @@ def audience_of(session: Session, event: NotificationEvent) -> Iterator[tuple[st
         if event.user_id is not None:
             yield event.user_id, "email"
         return
-    for user_id, channel in session.execute(_chosen(event).order_by(NotificationChoice.user_id)):
-        yield user_id, channel
+    for row in session.execute(_chosen(event).order_by(NotificationChoice.user_id)):
+        yield row.user_id, row.channel
 
 
 def is_to_be_told(session: Session, event: NotificationEvent, user_id: str, channel: str) -> bool:

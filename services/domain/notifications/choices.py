@@ -20,9 +20,8 @@ def choices_of(session: Session, user_id: str) -> dict[str, list[str]]:
 
 
 def choose(session: Session, user_id: str, choices: Choices) -> None:
-    """Replace what the user chose for the channels that `choices` names; the other channels stay as they are."""
-    for channel, kinds in choices.items():
-        of_channel = (NotificationChoice.user_id == user_id, NotificationChoice.channel == channel)
-        session.execute(delete(NotificationChoice).where(*of_channel))
-        session.add_all(NotificationChoice(user_id=user_id, kind=kind, channel=channel) for kind in sorted(set(kinds)))
+    """Put these choices in place of the user's before."""
+    session.execute(delete(NotificationChoice).where(NotificationChoice.user_id == user_id))
+    rows = [(kind, channel) for channel, kinds in choices.items() for kind in sorted(set(kinds))]
+    session.add_all(NotificationChoice(user_id=user_id, kind=kind, channel=channel) for kind, channel in rows)
     session.flush()

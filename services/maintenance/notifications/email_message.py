@@ -44,7 +44,8 @@ def send_email(letter: Letter, address: str, settings: NotificationSettings) -> 
             server.send_message(message)
     except smtplib.SMTPRecipientsRefused as error:
         code, said = error.recipients[address]
-        raise NotTakenError(f"answered {code} {said.decode(errors='replace')}", is_final=code >= REFUSED_FOR_GOOD) from None
+        words = said.decode(errors="replace")
+        raise NotTakenError(f"answered {code} {words}", is_final=code >= REFUSED_FOR_GOOD) from None
     except (OSError, smtplib.SMTPException) as error:
         raise NotTakenError(f"{type(error).__name__}: {error}") from None
     return "taken by the mail server"
