@@ -89,7 +89,7 @@ def rotate_secret(caller: AccountHolder, response: Response, platform: PlatformD
     return _issued(row, response)
 
 
-@router.delete("/webhook", status_code=204, summary="Remove one's webhook", responses=refusals(404))
+@router.delete("/webhook", status_code=204, summary="Remove one's webhook")
 def remove_webhook(caller: AccountHolder, platform: PlatformDep) -> None:
     with platform.database.transaction() as session:
         webhooks.remove_webhook(session, caller.user_id)

@@ -69,9 +69,7 @@ class WebhookReceiver:
         self._file = folder / "received"
         command = [sys.executable, "-m", "testing.servers.webhook_receiver", str(self.port), self._file]
         root = Path(__file__).resolve().parents[2]
-        self.process = ServerProcess(
-            command, folder, lambda: answers(self.port), environment={"PYTHONPATH": str(root)}
-        )
+        self.process = ServerProcess(command, folder, lambda: answers(self.port), environment={"PYTHONPATH": str(root)})
 
     def url(self, path: str = "/hooks") -> str:
         return f"http://127.0.0.1:{self.port}{path}"

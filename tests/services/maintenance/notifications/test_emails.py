@@ -77,7 +77,9 @@ def mailbox() -> Mailbox:
     return Mailbox()
 
 
-def test_an_event_is_one_plain_message_that_says_how_to_be_told_no_more(platform_on: Platform, mailbox: Mailbox) -> None:
+def test_an_event_is_one_plain_message_that_says_how_to_be_told_no_more(
+    platform_on: Platform, mailbox: Mailbox
+) -> None:
     with mail_server(mailbox) as place:
         platform = telling(platform_on, **place)
         happened(platform, a_user(platform, "ada", email=ADDRESS))
@@ -110,13 +112,16 @@ def test_starttls_and_password_are_used_and_a_server_without_tls_is_told_nothing
         secure = telling(platform, **place | login)
         happened(secure, a_user(secure, "ada", email=ADDRESS))
         turn(secure)
-    assert len(mailbox.taken) == 1 and said == [(b"stone", PASSWORD.encode())]
+    assert len(mailbox.taken) == 1
+    assert said == [(b"stone", PASSWORD.encode())]
     with mail_server(mailbox) as place:
         plain = telling(platform, **place | login)
         happened(plain, a_user(plain, "bob", email="bob@example.org"))
         turn(plain)
-    assert len(mailbox.taken) == 1 and len(said) == 1
-    assert deliveries(plain)[-1].state == "waiting" and "STARTTLS" in deliveries(plain)[-1].answer
+    assert len(mailbox.taken) == 1
+    assert len(said) == 1
+    assert deliveries(plain)[-1].state == "waiting"
+    assert "STARTTLS" in deliveries(plain)[-1].answer
 
 
 def test_what_the_server_refuses_for_good_is_a_dead_letter_at_once(platform: Platform, mailbox: Mailbox) -> None:
@@ -196,7 +201,8 @@ def test_a_text_of_another_adds_no_header(hostile: str) -> None:
     except ValueError:
         return  # the policy refuses it
     parsed = message_from_bytes(content, policy=policy.default)
-    assert parsed["Bcc"] is None and set(parsed.keys()) <= {
+    assert parsed["Bcc"] is None
+    assert set(parsed.keys()) <= {
         *("From", "To", "Subject", "Message-ID", "Auto-Submitted"),
         *("Content-Type", "Content-Transfer-Encoding", "MIME-Version"),
     }
