@@ -38,6 +38,7 @@ from stone_client.commands.models.train import train
 from stone_client.commands.server.download import download
 from stone_client.commands.server.exports import exports
 from stone_client.commands.server.login import login
+from stone_client.commands.server.notifications import notifications
 from stone_client.commands.server.process import process
 from stone_client.commands.server.serve import serve
 from stone_client.commands.server.status import status
@@ -66,6 +67,7 @@ for panel, commands in COMMANDS.items():
 GROUPS: dict[str, tuple[str, typer.Typer]] = {
     "calibration": ("On this machine", calibration),
     "teams": ("A benchmark", teams),
+    "notifications": ("With a server", notifications),
 }
 for name, (panel, group) in GROUPS.items():
     app.add_typer(group, name=name, rich_help_panel=panel)

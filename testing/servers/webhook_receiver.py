@@ -2,8 +2,8 @@
 
     python -m testing.servers.webhook_receiver PORT FILE
 
-**Conventions.** The path says how it answers: `/status/503` with that status, `/redirect` to `/hooks`, `/endless` with a
-body that never ends, `/drip` with a first line that never ends, anything else with 200.
+**Conventions.** The path says how it answers: `/status/503` with that status, `/redirect` to `/hooks`, `/endless` with
+a body that never ends, `/drip` with a first line that never ends, anything else with 200.
 """
 
 import json
@@ -67,7 +67,13 @@ class WebhookReceiver:
     def __init__(self, folder: Path) -> None:
         self.port = free_port()
         self._file = folder / "received"
-        command = [sys.executable, "-m", "testing.servers.webhook_receiver", str(self.port), self._file]
+        command: list[str | Path] = [
+            sys.executable,
+            "-m",
+            "testing.servers.webhook_receiver",
+            str(self.port),
+            self._file,
+        ]
         root = Path(__file__).resolve().parents[2]
         self.process = ServerProcess(command, folder, lambda: answers(self.port), environment={"PYTHONPATH": str(root)})
 

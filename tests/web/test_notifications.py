@@ -4,7 +4,8 @@ import re
 
 from playwright.sync_api import expect
 
-from services.runtime.orm import NotificationChoice, NotificationDelivery, NotificationEvent
+from services.runtime.orm import EmailAddress, NotificationChoice, NotificationDelivery, NotificationEvent, Webhook
+from services.runtime.orm.base import now_ns
 from testing.api.serving import Person
 from testing.web.browsing import Site
 from tests.web.looking import look
@@ -33,8 +34,12 @@ def test_last_deliveries_are_seen_with_what_came_of_them(site: Site, participant
             session.add(event)
             session.flush()
             row = NotificationDelivery(event_id=event.id, user_id=participant.user_id, channel="webhook")
-            row.state, row.answer, row.tries = state, answer, 1
+            row.state, row.answer, row.tries, row.due_ns = state, answer, 1, now_ns()
             session.add(row)
+        session.add(EmailAddress(user_id=participant.user_id, address="ada@example.org", verified_ns=now_ns()))
+        failing = Webhook(user_id=participant.user_id, url=f"https://chat.example.org/hooks/{'x' * 60}", secret="")
+        failing.failing_ns = now_ns()
+        session.add(failing)
     with site.visit(participant) as page:
         page.goto("/account")
         expect(page.locator("#deliveries li")).to_have_count(3)
@@ -42,7 +47,7 @@ def test_last_deliveries_are_seen_with_what_came_of_them(site: Site, participant
 
 
 def test_a_private_address_is_refused_where_it_is_typed(site: Site, participant: Person) -> None:
-    with site.visit(participant) as page:
+    with site.visit(participant, expected=["422"]) as page:
         page.goto("/account")
         page.get_by_label(re.compile("^URL")).fill("https://127.0.0.1/hooks/abc")
         page.get_by_role("button", name="Set it").click()

@@ -22,7 +22,7 @@ HARMLESS = str.maketrans({"<": "‹", ">": "›", "@": "＠", "*": "∗", "`": "
 
 
 @dataclass(frozen=True)
-class Message:
+class EventWords:
     """A sentence, and the path of the page that says more."""
 
     text: str
@@ -30,7 +30,7 @@ class Message:
     data: Mapping[str, Any] = field(default_factory=dict)
 
 
-def message_of(session: Session, event: NotificationEvent) -> Message | None:
+def message_of(session: Session, event: NotificationEvent) -> EventWords | None:
     """The event in words; None where what it is about is not there any more."""
     return WORDS[event.kind](session, event)
 
@@ -40,7 +40,7 @@ def _quoted(text: str) -> str:
     return f"“{one_line(text)[:LONGEST_NAME].translate(HARMLESS)}”"
 
 
-def _run(session: Session, event: NotificationEvent) -> Message | None:
+def _run(session: Session, event: NotificationEvent) -> EventWords | None:
     run = session.get(Job, event.subject_id)
     if run is None:
         return None
@@ -52,21 +52,21 @@ def _run(session: Session, event: NotificationEvent) -> Message | None:
         path, of = f"/sequences/{sequence.id}", f" of {_quoted(sequence.name)}"
     what, data = f"{TOLD_FAILED[run.kind].capitalize()}{of}", {"run_id": run.id, "kind": run.kind}
     if event.kind == events.RUN_DONE:
-        return Message(f"{what} is done.", path, data)
+        return EventWords(f"{what} is done.", path, data)
     failure = one_line(str(event.facts["failure"])).translate(HARMLESS)
-    return Message(f"{what} failed ({event.facts['code']}): {failure}", path, {**data, "code": event.facts["code"]})
+    return EventWords(f"{what} failed ({event.facts['code']}): {failure}", path, {**data, "code": event.facts["code"]})
 
 
-def _labels(session: Session, event: NotificationEvent) -> Message | None:
+def _labels(session: Session, event: NotificationEvent) -> EventWords | None:
     sequence = session.get(SequenceRow, event.subject_id)
     if sequence is None or sequence.deleted_ns is not None:
         return None
     first = one_line(str(event.facts["message"]))[:500].translate(HARMLESS)
     text = f"Labels of {_quoted(sequence.name)} are not to be relied on ({event.facts['code']}): {first}"
-    return Message(text, f"/sequences/{sequence.id}", {"sequence_id": sequence.id, "code": event.facts["code"]})
+    return EventWords(text, f"/sequences/{sequence.id}", {"sequence_id": sequence.id, "code": event.facts["code"]})
 
 
-def _submission(session: Session, event: NotificationEvent) -> Message | None:
+def _submission(session: Session, event: NotificationEvent) -> EventWords | None:
     submission = session.get(SubmissionRow, event.subject_id)
     place = None if submission is None else _place(session, submission.phase_id)
     if submission is None or place is None:
@@ -77,36 +77,38 @@ def _submission(session: Session, event: NotificationEvent) -> Message | None:
         events.SUBMISSION_FAILED: "could not be scored",
     }
     text = f"The submission {_quoted(submission.method)} to {place[0]} {ends[event.kind]}."
-    return Message(text, f"/submissions/{submission.id}", {"submission_id": submission.id, "phase": place[0]})
+    return EventWords(text, f"/submissions/{submission.id}", {"submission_id": submission.id, "phase": place[0]})
 
 
-def _phase(session: Session, event: NotificationEvent) -> Message | None:
+def _phase(session: Session, event: NotificationEvent) -> EventWords | None:
     place = _place(session, event.subject_id)
     if place is None:
         return None
     text = f"The phase {place[0]} is {'open' if event.kind == events.PHASE_OPENED else 'closed'}."
-    return Message(text, place[1], {"phase_id": event.subject_id, "phase": place[0]})
+    return EventWords(text, place[1], {"phase_id": event.subject_id, "phase": place[0]})
 
 
-def _quota(session: Session, event: NotificationEvent) -> Message | None:
+def _quota(session: Session, event: NotificationEvent) -> EventWords | None:
     facts = event.facts
     if facts["what"] == "storage":
         used, limit = (facts[name] / GIB for name in ("used_bytes", "limit_bytes"))
-        return Message(f"Your storage is nearly full: {used:.1f} of {limit:.1f} GiB are used.", "/account", dict(facts))
+        return EventWords(
+            f"Your storage is nearly full: {used:.1f} of {limit:.1f} GiB are used.", "/account", dict(facts)
+        )
     place = _place(session, event.subject_id)
     if place is None:
         return None
-    return Message(f"Your team has {facts['left']} scorings left in {place[0]}.", place[1], dict(facts))
+    return EventWords(f"Your team has {facts['left']} scorings left in {place[0]}.", place[1], dict(facts))
 
 
-def _webhook_disabled(_session: Session, _event: NotificationEvent) -> Message | None:
+def _webhook_disabled(_session: Session, _event: NotificationEvent) -> EventWords | None:
     text = "Your webhook took nothing for days and was switched off; set it again on your account's page."
-    return Message(text, "/account#notifications")
+    return EventWords(text, "/account#notifications")
 
 
-def _verification(_session: Session, _event: NotificationEvent) -> Message | None:
+def _verification(_session: Session, _event: NotificationEvent) -> EventWords | None:
     text = "Somebody, we hope you, asked that this address be told of what happens. Sign in and follow the link."
-    return Message(text, "/account")
+    return EventWords(text, "/account")
 
 
 def _place(session: Session, phase_id: str) -> tuple[str, str] | None:
@@ -119,7 +121,7 @@ def _place(session: Session, phase_id: str) -> tuple[str, str] | None:
     return name, f"/benchmarks/{name}"
 
 
-WORDS: Mapping[str, Callable[[Session, NotificationEvent], Message | None]] = {
+WORDS: Mapping[str, Callable[[Session, NotificationEvent], EventWords | None]] = {
     events.RUN_DONE: _run,
     events.RUN_FAILED: _run,
     events.LABELS_UNUSABLE: _labels,

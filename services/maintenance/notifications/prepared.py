@@ -11,7 +11,7 @@ from sqlalchemy.orm import Session
 
 from services.domain.notifications.audience import is_to_be_told
 from services.domain.notifications.email_addresses import new_secret
-from services.domain.notifications.messages import Message, message_of
+from services.domain.notifications.messages import EventWords, message_of
 from services.maintenance.notifications.email_message import send_email
 from services.maintenance.notifications.letter import Letter
 from services.maintenance.notifications.webhook import WebhookTarget, send_webhook
@@ -54,7 +54,7 @@ def _by_webhook(
 
 
 def _by_email(
-    session: Session, row: NotificationDelivery, event: NotificationEvent, message: Message, settings: Settings
+    session: Session, row: NotificationDelivery, event: NotificationEvent, message: EventWords, settings: Settings
 ) -> PreparedDelivery | str:
     email, is_verification = session.get(EmailAddress, row.user_id), event.kind == EMAIL_VERIFICATION
     if email is None or (email.verified_ns is None and not is_verification):
@@ -63,12 +63,12 @@ def _by_email(
         if email.verified_ns is not None:
             return "the address is verified already"
         path = f"/account?email_secret={new_secret(session, email)}#notifications"
-        message = Message(message.text, path)
+        message = EventWords(message.text, path)
     address, letter = email.address, _letter(row, event, message, settings)
     return PreparedDelivery(lambda: send_email(letter, address, settings.notifications))
 
 
-def _letter(row: NotificationDelivery, event: NotificationEvent, message: Message, settings: Settings) -> Letter:
+def _letter(row: NotificationDelivery, event: NotificationEvent, message: EventWords, settings: Settings) -> Letter:
     base = settings.api.url.rstrip("/")
     happened = datetime.fromtimestamp(event.created_ns // 10**9, UTC)
     return Letter(

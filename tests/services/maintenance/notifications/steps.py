@@ -1,4 +1,4 @@
-"""What the tests of notifications share: a platform that may send to this machine, users who chose, the sweeper's turn."""
+"""What the tests of notifications share: a platform that may send to this machine, users, the sweeper's turn."""
 
 from dataclasses import replace
 from typing import Any

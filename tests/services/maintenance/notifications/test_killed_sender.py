@@ -1,4 +1,4 @@
-"""The sweeper killed by -9 at any moment of its sending: each event is received, at least once, with an id of its own."""
+"""The sweeper killed by -9 at any moment of its sending: each event is received at least once, with its own id."""
 
 import json
 import os
@@ -22,8 +22,8 @@ EVENTS, KILLS, PATIENCE_S = 40, 12, 300.0
 def test_killed_at_many_moments_the_sender_loses_nothing_and_repeats_only_with_the_same_id(
     platform: Platform, tmp_path: Path
 ) -> None:
-    """A sweeper process started and killed a dozen times (15 CPU-seconds); nothing else runs the sender as it ships, and
-    a message that is sent before its end is written is met only so."""
+    """A sweeper process started and killed a dozen times (35 CPU-seconds): nothing else runs the sender as it ships,
+    and only so a message is sent whose end is never written."""
     settings = platform.settings.model_copy(update={"jobs": QUICK})
     platform = telling(replace(platform, settings=settings), retry_s=0.01)
     chance = random.Random(20)

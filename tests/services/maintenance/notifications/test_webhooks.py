@@ -1,4 +1,4 @@
-"""Webhooks: signed as others verify it, sent until they are taken, given up in the end, and nowhere where they may not."""
+"""Webhooks: signed as others verify it, sent until they are taken or given up, and nowhere where they may not."""
 
 import time
 from collections.abc import Iterator
