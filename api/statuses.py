@@ -20,6 +20,7 @@ from services.domain.benchmarks.teams import names as team_names
 from services.domain.datasets import errors as datasets
 from services.domain.datasets import input_jobs as inputs
 from services.domain.exports import requests
+from services.domain.notifications import errors as notifications
 from services.domain.sequences import label_choices as choices
 from services.domain.sequences import label_comparisons as comparisons
 from services.domain.sequences import processing_errors as processing
@@ -94,6 +95,12 @@ STATUS_OF: dict[type[StoneError], int] = {
     oidc.ShutOutError: 403,
     oidc.SignInStateError: 400,
     jobs.JobStateError: 409,
+    notifications.BadEmailAddressError: 422,
+    notifications.BadWebhookUrlError: 422,
+    notifications.EmailVerificationError: 409,
+    notifications.NoEmailError: 409,
+    notifications.NoWebhookError: 404,
+    notifications.TooManyVerificationsError: 429,
     jobs.QueueDrainingError: 409,
     phases.BadPhaseError: 422,
     phases.EmptyPartError: 409,

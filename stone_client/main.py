@@ -28,6 +28,7 @@ from stone_client.commands.dataset.statistics import statistics
 from stone_client.commands.server.download import download
 from stone_client.commands.server.exports import exports
 from stone_client.commands.server.login import login
+from stone_client.commands.server.notifications import notifications
 from stone_client.commands.server.process import process
 from stone_client.commands.server.status import status
 from stone_client.commands.server.upload import upload
@@ -49,7 +50,10 @@ OWN_COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
     "Models": (),
     "A benchmark": (benchmarks, manifest, inputs, submit, results, leaderboard, compare, withdraw, reported),
 }
-OWN_GROUPS: dict[str, tuple[str, typer.Typer]] = {"teams": ("A benchmark", teams)}
+OWN_GROUPS: dict[str, tuple[str, typer.Typer]] = {
+    "teams": ("A benchmark", teams),
+    "notifications": ("With a server", notifications),
+}
 PLATFORM_COMMANDS, PLATFORM_GROUPS = platform_commands()
 COMMANDS = {panel: (*PLATFORM_COMMANDS.get(panel, ()), *own) for panel, own in OWN_COMMANDS.items()}
 GROUPS = {**PLATFORM_GROUPS, **OWN_GROUPS}

@@ -15,6 +15,7 @@ from pathlib import Path
 from sqlalchemy.orm import Session
 
 from services.domain.sequences.previews import PreparedPreview, PreviewSubject, prepared_previews, replace_previews
+from services.domain.sequences.unusable_labels import tell_unusable
 from services.ingest.errors import RecordingChangedError
 from services.ingest.kernel_warmup import warm
 from services.ingest.received_files import ReceivedBag, ReceivedFile, received
@@ -112,6 +113,7 @@ def _register(session: Session, brought: ReceivedBag, found: RecordingSurvey, ke
     recording.findings = inspection.pop("findings")
     recording.inspection, recording.quality = inspection, found.quality
     replace_previews(session, PreviewSubject(recording.sequence_id, recording.id), kept.previews)
+    tell_unusable(session, recording.sequence_id, recording.findings)
 
 
 def _refuse(platform: Platform, brought: ReceivedBag, error: StoneError) -> None:

@@ -4,8 +4,10 @@
 anywhere, and leaves the same bytes. Files for the labeler lie in the workspace of the run.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 from sqlalchemy.orm import Session
 
@@ -15,6 +17,7 @@ from services.domain.sequences.recording_sources import kept_recording, locate, 
 from services.domain.sequences.restart import arguments_of_run
 from services.domain.sequences.run_files import SEQUENCE_FILE, SWEEPS_FILE
 from services.domain.sequences.stage_checks import require_sequence
+from services.domain.sequences.unusable_labels import tell_unusable
 from services.ingest.kernel_warmup import warm
 from services.ingest.pipeline import SynchroniseOptions
 from services.ingest.registration import register
@@ -78,12 +81,15 @@ def synchronise_recording(platform: Platform, attempt: Attempt) -> Outcome:
     attempt.log("synchronised", frames=made.result["frames"], excluded=made.result["excluded"])
     then = (JobSpec(LABEL),) if "label" in attempt.arguments["stages"] else ()
     shown = PreviewSubject(attempt.sequence_id or "", recipe=attempt.arguments["recipe"])
-    return Outcome(made.result, then=then, commit=lambda session: _show(session, shown, overlays))
+    return Outcome(made.result, then=then, commit=lambda session: _show(session, shown, overlays, made.result))
 
 
-def _show(session: Session, shown: PreviewSubject, overlays: tuple[PreparedPreview, ...]) -> None:
+def _show(
+    session: Session, shown: PreviewSubject, overlays: tuple[PreparedPreview, ...], result: Mapping[str, Any]
+) -> None:
     link_all(session, (overlay.blob for overlay in overlays))
     replace_previews(session, shown, overlays)
+    tell_unusable(session, shown.sequence_id, result["findings"])
 
 
 def _inputs(platform: Platform, attempt: Attempt) -> _Inputs:

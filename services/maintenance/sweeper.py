@@ -1,8 +1,9 @@
 """The sweeper process: recovers jobs and submissions every second, cleans uploads and blobs every minute.
 
 **Conventions.** Any number of sweepers may run. Jobs are recovered in a thread of their own, which nothing else delays;
-submissions, what is cleaned and what is told of it have one each (`chore_loops`). What a chore does in a turn is
-bounded whatever anybody has sent: what is more is done in the next. SIGTERM ends each thread between two chores.
+submissions, what is cleaned, notifications and what is told of it have theirs (`chore_loops`). What a chore does in a
+turn is bounded whatever anybody has sent: what is more is done in the next. SIGTERM ends each thread between two
+chores.
 """
 
 import services.runtime.processes.sound_settings  # noqa: F401
@@ -15,7 +16,10 @@ from dataclasses import replace
 from types import FrameType
 
 from services.domain.benchmarks.submissions.chores import DraftWalk, settle_ended, tidy_submissions
+from services.domain.notifications.phase_clock import tell_phases
+from services.domain.notifications.spread import forget_told, queue_due, spread_events, take_back_lost
 from services.maintenance.chore_loops import Chore, ChoreLoop, sweep_side_by_side
+from services.maintenance.notifications.delivery import deliver_queued
 from services.runtime.access.audit_retention import cut_audit
 from services.runtime.access.retention import forget_ended
 from services.runtime.jobs.lease_sweep import Sweeper
@@ -35,6 +39,8 @@ from services.runtime.uploads.sweep_cursor import UploadCursor
 MINUTE_S = 60.0
 HEARTBEAT_S = 5.0
 LEDGER_S = 10.0
+SENDERS = ("sender-a", "sender-b")
+"""So many deliveries are under way at once: a receiver that is slow holds one of them up, for seconds."""
 
 
 def loops_of(platform: Platform) -> tuple[ChoreLoop, ...]:
@@ -54,6 +60,20 @@ def loops_of(platform: Platform) -> tuple[ChoreLoop, ...]:
         ChoreLoop("jobs", (Chore("jobs", settings.jobs.sweep_s, sweeper.sweep),)),
         ChoreLoop("submissions", (Chore("submissions", settings.jobs.sweep_s, lambda: settle_ended(platform)),)),
         ChoreLoop("cleaning", cleaning),
+        ChoreLoop("notifications", _notifying(platform)),
+        *(ChoreLoop(name, (Chore(name, settings.jobs.sweep_s, lambda: deliver_queued(platform)),)) for name in SENDERS),
+    )
+
+
+def _notifying(platform: Platform) -> tuple[Chore, ...]:
+    """What happened becomes deliveries, and deliveries jobs; the senders run these."""
+    often_s = platform.settings.jobs.sweep_s
+    return (
+        Chore("phases", often_s, lambda: tell_phases(platform)),
+        Chore("events", often_s, lambda: spread_events(platform)),
+        Chore("deliveries", often_s, lambda: queue_due(platform)),
+        Chore("lost deliveries", often_s, lambda: take_back_lost(platform)),
+        Chore("old events", MINUTE_S, lambda: forget_told(platform)),
     )
 
 

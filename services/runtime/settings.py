@@ -27,6 +27,7 @@ from pydantic_settings import (
     SettingsConfigDict,
 )
 
+from services.runtime.notification_settings import NotificationSettings
 from services.runtime.oidc.settings import OidcSettings
 from services.runtime.settings_checks import RENAMED, refuse_impossible, refuse_unknown
 
@@ -240,6 +241,7 @@ class Settings(BaseSettings):
     oidc: OidcSettings = OidcSettings()
     viewing: ViewingSettings = ViewingSettings()
     retention: RetentionSettings = RetentionSettings()
+    notifications: NotificationSettings = NotificationSettings()
 
     @classmethod
     def settings_customise_sources(

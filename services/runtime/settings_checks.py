@@ -5,6 +5,7 @@ others may be secrets.
 """
 
 import math
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from difflib import get_close_matches
@@ -18,6 +19,9 @@ from stone.errors import StoneError
 
 if TYPE_CHECKING:
     from services.runtime.settings import Settings
+
+EMAIL = re.compile(r"[A-Za-z0-9.!#$%&'*+/=?^_`{|}~-]{1,64}@[A-Za-z0-9-]{1,63}(\.[A-Za-z0-9-]{1,63}){0,8}")
+"""An e-mail address: what a web form accepts (WHATWG HTML, 4.10.5.1.5), ASCII alone, without a line end or a blank."""
 
 PREFIX = "STONE_"
 OF_COMMANDS = ("STONE_CONFIG_HOME", "STONE_TOKEN", "STONE_URL")
@@ -186,8 +190,23 @@ def _contradictions(settings: "Settings") -> Iterator[str]:
         yield f"STONE_API__PORT is {port} and must lie from 0 to 65535"
     yield from _untrustworthy(settings.api.proxies)
     yield from provider_contradictions(settings.oidc, settings.api.passwords)
+    yield from _unsendable(settings)
     if not _is_address(settings.api.url):
         yield "STONE_API__URL must begin with http:// or https:// and name a host: it decides if cookies are Secure"
+
+
+def _unsendable(settings: "Settings") -> Iterator[str]:
+    """What of the settings of notifications nothing could be sent by."""
+    told = settings.notifications
+    if told.smtp_host and not EMAIL.fullmatch(told.sender):
+        yield "STONE_NOTIFICATIONS__SMTP_HOST needs STONE_NOTIFICATIONS__SENDER, an address as stone@example.org"
+    if told.smtp_user and told.smtp_security == "none":
+        yield "STONE_NOTIFICATIONS__SMTP_USER needs STARTTLS or TLS: otherwise its password is sent for all to read"
+    for one in told.networks:
+        try:
+            ip_network(one)
+        except ValueError as error:
+            yield f"STONE_NOTIFICATIONS__WEBHOOK_NETWORKS names {one[:80]!r}, no network as 10.1.0.0/16 is: {error}"
 
 
 def _untrustworthy(proxies: Iterable[str]) -> Iterator[str]:

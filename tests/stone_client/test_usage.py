@@ -16,6 +16,7 @@ ON_A_SERVER = [
     "watch",
     "status",
     "exports",
+    "notifications",
     "download",
     "statistics",
     "splits",

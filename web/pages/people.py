@@ -13,6 +13,7 @@ from api.deps import PlatformDep
 from api.paging import LONGEST_CURSOR, PageQuery
 from api.schemas.base import PLAIN, IdPath
 from api.views.audit import AuditFilter, audit_page
+from api.views.notifications import deliveries_page, notifications_item
 from api.views.people import browsers_of, storage_of, tokens_page, user_item, user_of, users_page
 from services.runtime.access.roles import ROLES, SCOPES
 from services.runtime.orm import User
@@ -22,6 +23,7 @@ from web.rendering import page
 router = APIRouter()
 SHOWN = 50
 LINES = PageQuery(None, 20)
+DELIVERIES = 10
 MAY = {
     "participant": "Downloads the dataset, submits to benchmarks.",
     "curator": "Also uploads, processes and exports sequences.",
@@ -39,12 +41,20 @@ Cursor = Annotated[str | None, Query(max_length=LONGEST_CURSOR)]
 
 
 @router.get("/account")
-def account(request: Request, caller: Reader, platform: PlatformDep, cursor: Cursor = None) -> HTMLResponse:
+def account(
+    request: Request,
+    caller: Reader,
+    platform: PlatformDep,
+    cursor: Cursor = None,
+    email_secret: Annotated[str, Query(pattern="^[A-Za-z0-9_-]{0,64}$")] = "",
+) -> HTMLResponse:
     with platform.database.reading() as session:
         tokens = tokens_page(session, PageQuery(cursor, SHOWN), caller.user_id)
         browsers = browsers_of(session, caller.user_id, caller.credential_id)
         own = session.get_one(User, caller.user_id)
         has_password, storage = bool(own.password_hash), storage_of(platform, session, own)
+        told = notifications_item(session, caller.user_id, platform.settings)
+        deliveries = deliveries_page(session, PageQuery(None, DELIVERIES), caller.user_id).items
     return page(
         request,
         caller,
@@ -53,6 +63,9 @@ def account(request: Request, caller: Reader, platform: PlatformDep, cursor: Cur
         browsers=browsers,
         storage=storage,
         has_password=has_password,
+        told=told,
+        deliveries=deliveries,
+        email_secret=email_secret,
         scopes=[scope for scope in SCOPES if scope in caller.scopes],
         may=MAY[caller.role],
         allows=ALLOWS,

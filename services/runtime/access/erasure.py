@@ -15,23 +15,31 @@ from services.runtime.access.login_throttle import forgive_name
 from services.runtime.access.users import change_user
 from services.runtime.orm import (
     DeviceGrant,
+    EmailAddress,
     ExternalIdentity,
     IdempotentReply,
+    NotificationChoice,
+    NotificationDelivery,
     SignInAddress,
     TeamInvitation,
     Token,
     User,
+    Webhook,
     WebSession,
 )
 
 ERASED = "erased-"
+HELD = (
+    *(Token, WebSession, SignInAddress, IdempotentReply, ExternalIdentity, DeviceGrant),
+    *(EmailAddress, Webhook, NotificationChoice, NotificationDelivery),
+)
 
 
 def erase_user(session: Session, user: User) -> None:
     """Shut out at once, for good. Raises `LastAdministratorError`."""
     change_user(session, user, None, is_active=False)
     forgive_name(session, user.name)
-    for held in (Token, WebSession, SignInAddress, IdempotentReply, ExternalIdentity, DeviceGrant):
+    for held in HELD:
         session.execute(delete(held).where(held.user_id == user.id))
     unused = (TeamInvitation.created_by == user.id, TeamInvitation.used_by.is_(None))
     session.execute(delete(TeamInvitation).where(*unused))

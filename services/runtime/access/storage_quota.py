@@ -9,10 +9,13 @@ the weaker one (PostgreSQL `FOR NO KEY UPDATE`): rows that refer to the owner ma
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
+from services.runtime.notifications.events import QUOTA_LOW, NewEvent, record
 from services.runtime.orm import QuotaEntry, User
 from stone.errors import StoneError
 
 BYTES = "bytes"
+LOW_RATIO = 0.9
+"""From this share of the limit on the owner's storage is low."""
 
 
 class QuotaExceededError(StoneError):
@@ -36,6 +39,9 @@ def reserve(session: Session, owner_id: str, amount: int, subject_id: str, reaso
         raise QuotaExceededError(used, amount, limit)
     session.add(_entry(owner_id, amount, subject_id, reason))
     session.flush()
+    if used < LOW_RATIO * limit <= used + amount:
+        facts = {"what": "storage", "used_bytes": used + amount, "limit_bytes": limit}
+        record(session, NewEvent(QUOTA_LOW, "", user_id=owner_id, facts=facts))
 
 
 def release(session: Session, subject_id: str, reason: str) -> int:

@@ -15,6 +15,7 @@ from services.runtime.jobs.changes import lock_run, rows_changed
 from services.runtime.jobs.claims import Claim
 from services.runtime.jobs.enqueue import add_jobs
 from services.runtime.jobs.specs import TERMINAL, Outcome
+from services.runtime.notifications.run_events import tell_run_failed, tell_run_succeeded
 from services.runtime.orm import Job, JobAttempt, JobNeed
 from services.runtime.orm.base import now_ns
 from services.runtime.telemetry.process_usage import peak_bytes, used_cpu_s
@@ -46,6 +47,7 @@ def succeed(session: Session, claim: Claim, outcome: Outcome, max_attempts: int)
     if claim.job_id == claim.root_id:
         if outcome.then:
             raise ValueError(f"{claim.kind} is a run of its own and cannot be followed by other jobs")
+        tell_run_succeeded(session, run)
         return True
     if run.state not in TERMINAL:
         add_jobs(session, run, outcome.then, max_attempts)
@@ -95,6 +97,7 @@ def lose(session: Session, claim: Claim, failure: Failure) -> bool:
 def fail_run(session: Session, run: Job, job_id: str, failure: Failure) -> None:
     """The run of a failed job: nothing more of it starts, what runs is asked to stop, and its reason is kept."""
     if run.id == job_id:
+        tell_run_failed(session, run, failure.code, failure.sentence)
         return
     if not run.failure_code:
         run.failure_code, run.failure = failure.code, failure.sentence[:LONGEST_FAILURE]
@@ -128,8 +131,11 @@ def _finish_run(session: Session, run: Job) -> None:
         return
     if run.failure_code:
         run.state = "failed"
+        tell_run_failed(session, run, run.failure_code, run.failure)
     else:
         run.state = "cancelled" if run.cancel_reason else "succeeded"
+        if run.state == "succeeded":
+            tell_run_succeeded(session, run)
     run.finished_ns = now_ns()
 
 

@@ -9,7 +9,7 @@ import structlog
 from kombu.exceptions import OperationalError
 from redis import Redis
 
-from services.runtime.jobs.broker_app import make_app
+from services.runtime.jobs.broker_app import QUEUES, make_app
 from services.runtime.settings import Settings
 
 log = structlog.get_logger(__name__)
@@ -20,6 +20,8 @@ def wake_up_sender(settings: Settings) -> Callable[[str, int], None]:
     app = make_app(settings)
 
     def send_wake_ups(queue: str, times: int) -> None:
+        if queue not in QUEUES:  # of the sweeper itself, which looks by the clock
+            return
         try:
             with app.producer_pool.acquire(block=True) as producer:
                 for _ in range(times):

@@ -27,6 +27,13 @@ from services.runtime.orm.gc_holds import GcHoldRow
 from services.runtime.orm.jobs import Job, JobAttempt, JobLine, JobNeed, Queue, Worker
 from services.runtime.orm.label_comparisons import LabelComparison
 from services.runtime.orm.ledgers import AuditAnchor, AuditEntry, IdempotentReply, QuotaEntry
+from services.runtime.orm.notifications import (
+    EmailAddress,
+    NotificationChoice,
+    NotificationDelivery,
+    NotificationEvent,
+    Webhook,
+)
 from services.runtime.orm.people import (
     FailedSignInRow,
     SignInAddress,
@@ -63,6 +70,7 @@ __all__ = [
     "DatasetPack",
     "DatasetPart",
     "DeviceGrant",
+    "EmailAddress",
     "Export",
     "ExportPack",
     "ExternalIdentity",
@@ -79,6 +87,9 @@ __all__ = [
     "LabelSet",
     "LabelledFrameRow",
     "LooseObject",
+    "NotificationChoice",
+    "NotificationDelivery",
+    "NotificationEvent",
     "Phase",
     "PhaseInput",
     "PhaseInputPack",
@@ -107,6 +118,7 @@ __all__ = [
     "UploadPartRow",
     "User",
     "WebSession",
+    "Webhook",
     "Worker",
     "new_id",
 ]

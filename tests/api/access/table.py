@@ -51,6 +51,15 @@ GET    /api/v1/teams/{team_id}/invitations                    401  404  200   40
 DELETE /api/v1/teams/{team_id}/invitations/{invitation_id}    401  404  204   404   403  404 403  401  401  204 403
 DELETE /api/v1/teams/{team_id}/members/{member}               401  404  204   404   422  404 403  401  401  204 403
 PUT    /api/v1/teams/{team_id}/captain                        401  404  200   404   200  404 403  401  401  200 403
+GET    /api/v1/notifications                                  401  200  200   200   200  200 403  401  401  200 200
+PUT    /api/v1/notifications/choices                          401  200  200   200   200  200 403  401  401  200 403
+PUT    /api/v1/notifications/email                            401  409  409   409   409  409 403  401  401  409 403
+POST   /api/v1/notifications/email/verification               401  409  409   409   409  409 403  401  401  409 403
+DELETE /api/v1/notifications/email                            401  204  204   204   204  204 403  401  401  204 403
+PUT    /api/v1/notifications/webhook                          401  200  200   200   200  200 403  401  401  200 403
+POST   /api/v1/notifications/webhook/secret                   401  404  404   404   404  404 403  401  401  404 403
+DELETE /api/v1/notifications/webhook                          401  204  204   204   204  204 403  401  401  204 403
+GET    /api/v1/notifications/deliveries                       401  200  200   200   200  200 403  401  401  200 200
 GET    /api/v1/admin/audit-log                                401  403  403   403   200  403 403  401  401  403 403
 GET    /api/v1/admin/audit-log/verification                   401  403  403   403   200  403 403  401  401  403 403
 OPTIONS /api/v1/uploads                                       204  204  204   204   204  204 204  204  204  204 204

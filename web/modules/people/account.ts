@@ -3,7 +3,7 @@
 import { showOnce } from "./once.js";
 
 interface Issued {
-  name: string;
+  name?: string; // of a token; a webhook has none
   secret: string;
 }
 
@@ -13,7 +13,8 @@ document.addEventListener("acted", (event) => {
   const issued = event.detail as Issued;
   form.reset();
   form.closest("dialog")?.close(); // first, so that the focus goes where the secret is
-  showOnce(issued.secret, `Your new token: ${issued.name}`);
+  document.querySelector("[data-of-tokens]")?.toggleAttribute("hidden", issued.name === undefined);
+  showOnce(issued.secret, issued.name === undefined ? "Your webhook's secret" : `Your new token: ${issued.name}`);
 });
 
 for (const again of document.querySelectorAll<HTMLInputElement>("[data-again]")) {

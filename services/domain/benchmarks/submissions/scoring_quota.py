@@ -17,10 +17,13 @@ from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.submissions.errors import ScoringsExhaustedError
 from services.domain.benchmarks.teams.teams import lock_team
+from services.runtime.notifications.events import QUOTA_LOW, NewEvent, record
 from services.runtime.orm import Phase, ScoringEntry
 from services.runtime.orm.base import now_ns
 
 RESERVED, CONSUMED, GRANTED = "reserved", "consumed", "granted"
+FEW_OF = 5
+"""Of a limit's fifth on, rounded down, few are left."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +57,7 @@ def reserve(session: Session, phase: Phase, team_id: str, submission_id: str) ->
     if now.limit is not None and now.used + now.reserved >= now.limit:
         raise ScoringsExhaustedError(now.used + now.reserved, now.limit, phase.window_ns, now.next_slot_ns)
     _add(session, ScoringEntry(phase_id=phase.id, team_id=team_id, submission_id=submission_id), 1, RESERVED)
+    _tell_low(session, now, phase, team_id)
 
 
 def consume(session: Session, submission_id: str) -> None:
@@ -103,6 +107,16 @@ def balance(session: Session, phase_id: str, team_id: str) -> int:
     """The sum of all entries: scorings used and under way, less what was granted."""
     total = select(func.coalesce(func.sum(ScoringEntry.amount), 0)).where(*_of_team(phase_id, team_id))
     return int(session.scalar(total) or 0)
+
+
+def _tell_low(session: Session, before: ScoringQuota, phase: Phase, team_id: str) -> None:
+    """Record that few are left, where it is the one just taken that makes it so: of the window's, or of all."""
+    in_window = None if before.limit is None else before.limit - before.used - before.reserved
+    for left, limit in ((in_window, before.limit), (before.total_left, phase.scorings_total)):
+        if left is not None and left - 1 <= (limit or 0) // FEW_OF < left:
+            facts = {"what": "scorings", "left": left - 1}
+            record(session, NewEvent(QUOTA_LOW, phase.id, team_id=team_id, facts=facts))
+            return
 
 
 def _first_free_ns(surplus: int, steps: Sequence[tuple[int, int]], at_ns: int) -> int | None:

@@ -19,6 +19,13 @@ from services.domain.benchmarks.submissions.errors import SubmissionStateError
 from services.domain.benchmarks.submissions.scores import drop_all_parts
 from services.runtime.jobs.completion import Failure
 from services.runtime.jobs.errors import JobCancelledError
+from services.runtime.notifications.events import (
+    SUBMISSION_FAILED,
+    SUBMISSION_INVALID,
+    SUBMISSION_SCORED,
+    NewEvent,
+    record,
+)
 from services.runtime.orm import Job, SubmissionRow
 from services.runtime.orm.base import now_ns
 
@@ -26,6 +33,7 @@ LIVE = ("queued", "scoring")
 OPEN = ("draft", *LIVE)
 ENDED = ("scored", "valid", "invalid", "failed", "cancelled")
 RETRIED = ("failed", "cancelled")
+TOLD = {"scored": SUBMISSION_SCORED, "invalid": SUBMISSION_INVALID, "failed": SUBMISSION_FAILED}
 
 
 def lock_submission(session: Session, submission_id: str) -> SubmissionRow:
@@ -88,6 +96,8 @@ def end(session: Session, submission: SubmissionRow, state: str, failure: Failur
     drop_all_parts(session, submission.id)
     submission.state, submission.settled_ns = state, now_ns()
     submission.revision += 1
+    if state in TOLD:
+        record(session, NewEvent(TOLD[state], submission.id, team_id=submission.team_id))
 
 
 def reopen(session: Session, run: Job) -> None:

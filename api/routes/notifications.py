@@ -1,0 +1,108 @@
+"""Routes of notifications: what one is told of, by e-mail and by a webhook of one's own.
+
+**Conventions.** Nobody is told anything until they choose so. Choices are changed with the scope `submit`, which every
+role has; where things are sent to decides who learns of them, so that needs the scope `account`, as a credential does.
+A webhook's secret is in the answer to its making and nowhere else.
+"""
+
+from fastapi import APIRouter, Response
+
+from api import audit
+from api.answers import refusals
+from api.callers import AccountHolder, Reader, Submitter
+from api.deps import PlatformDep
+from api.paging import Page, PageDep
+from api.schemas.notifications import (
+    ChoicesBody,
+    DeliveryItem,
+    EmailBody,
+    EmailItem,
+    EmailSecretBody,
+    IssuedWebhook,
+    NotificationsItem,
+    WebhookBody,
+)
+from api.views.notifications import deliveries_page, email_item, issued_webhook, notifications_item
+from services.domain.notifications import email_addresses, webhooks
+from services.domain.notifications.choices import choose
+from services.runtime.orm import Webhook
+
+router = APIRouter(prefix="/notifications", tags=["people"])
+
+
+@router.get("", summary="How one is told of events")
+def shown(caller: Reader, platform: PlatformDep) -> NotificationsItem:
+    with platform.database.reading() as session:
+        return notifications_item(session, caller.user_id, platform.settings)
+
+
+@router.put("/choices", summary="Choose the events one is told of")
+def choose_events(body: ChoicesBody, caller: Submitter, platform: PlatformDep) -> NotificationsItem:
+    """In place of what was chosen before; without any, one is told nothing."""
+    choices = body.model_dump()
+    with platform.database.transaction() as session:
+        choose(session, caller.user_id, choices)
+        audit.record(session, caller, "notifications.choose", caller.user_id, facts=choices)
+        return notifications_item(session, caller.user_id, platform.settings)
+
+
+@router.put("/email", status_code=202, summary="Set one's e-mail address", responses=refusals(409))
+def set_email(body: EmailBody, caller: AccountHolder, platform: PlatformDep) -> EmailItem:
+    """A link to verify it is mailed there, at most five a day; nothing else is, until it was followed."""
+    with platform.database.transaction() as session:
+        row = email_addresses.set_address(session, caller.user_id, body.address, platform.settings.notifications)
+        audit.record(session, caller, "notifications.email", caller.user_id)
+        return email_item(row)
+
+
+@router.post("/email/verification", summary="Verify one's e-mail address", responses=refusals(409))
+def verify_email(body: EmailSecretBody, caller: AccountHolder, platform: PlatformDep) -> EmailItem:
+    """By the secret of the link that was mailed there."""
+    with platform.database.transaction() as session:
+        row = email_addresses.verify(session, caller.user_id, body.secret)
+        audit.record(session, caller, "notifications.email_verified", caller.user_id)
+        return email_item(row)
+
+
+@router.delete("/email", status_code=204, summary="Forget one's e-mail address")
+def remove_email(caller: AccountHolder, platform: PlatformDep) -> None:
+    with platform.database.transaction() as session:
+        email_addresses.remove_address(session, caller.user_id)
+        audit.record(session, caller, "notifications.email_removed", caller.user_id)
+
+
+@router.put("/webhook", summary="Set one's webhook")
+def set_webhook(body: WebhookBody, caller: AccountHolder, response: Response, platform: PlatformDep) -> IssuedWebhook:
+    """The answer holds a new secret and is kept nowhere. What is sent is signed with it (Standard Webhooks 1.0)."""
+    with platform.database.transaction() as session:
+        row = webhooks.set_webhook(session, caller.user_id, body.url, platform.settings.notifications)
+        audit.record(session, caller, "notifications.webhook", caller.user_id)
+    return _issued(row, response)
+
+
+@router.post("/webhook/secret", summary="Give one's webhook a new secret", responses=refusals(404))
+def rotate_secret(caller: AccountHolder, response: Response, platform: PlatformDep) -> IssuedWebhook:
+    """The old one signs nothing any more; a webhook that was switched off is sent to again."""
+    with platform.database.transaction() as session:
+        row = webhooks.rotate_secret(session, caller.user_id)
+        audit.record(session, caller, "notifications.webhook_secret", caller.user_id)
+    return _issued(row, response)
+
+
+@router.delete("/webhook", status_code=204, summary="Remove one's webhook")
+def remove_webhook(caller: AccountHolder, platform: PlatformDep) -> None:
+    with platform.database.transaction() as session:
+        webhooks.remove_webhook(session, caller.user_id)
+        audit.record(session, caller, "notifications.webhook_removed", caller.user_id)
+
+
+@router.get("/deliveries", summary="What one was told, newest first")
+def deliveries(caller: Reader, query: PageDep, platform: PlatformDep) -> Page[DeliveryItem]:
+    """With what came of the last try; kept for a month."""
+    with platform.database.reading() as session:
+        return deliveries_page(session, query, caller.user_id)
+
+
+def _issued(row: Webhook, response: Response) -> IssuedWebhook:
+    response.headers["Cache-Control"] = "no-store"
+    return issued_webhook(row)

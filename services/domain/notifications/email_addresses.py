@@ -1,0 +1,82 @@
+"""A user's e-mail address, which is written to once the link that was mailed there was followed by its user.
+
+**Conventions.** The link's secret is made when it is mailed, kept as a hash, lasts `LASTS_NS` and works for the account
+that asked, once. Setting an address is a mail to somebody who perhaps did not ask for it: `MOST_MAILS` a day.
+"""
+
+from hashlib import sha256
+from hmac import compare_digest
+from secrets import token_urlsafe
+
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+from services.domain.notifications.errors import (
+    BadEmailAddressError,
+    EmailVerificationError,
+    NoEmailError,
+    TooManyVerificationsError,
+)
+from services.runtime.notification_settings import NotificationSettings
+from services.runtime.notifications.events import EMAIL_VERIFICATION, NewEvent, record
+from services.runtime.orm import EmailAddress, NotificationEvent, User
+from services.runtime.orm.base import now_ns
+from services.runtime.settings_checks import EMAIL
+
+DAY_NS = 86_400 * 10**9
+LASTS_NS = DAY_NS
+MOST_MAILS = 5
+LONGEST = 254
+
+
+def set_address(session: Session, user_id: str, address: str, settings: NotificationSettings) -> EmailAddress:
+    """The user's address, unverified; a link is mailed there.
+
+    Raises `NoEmailError`, `BadEmailAddressError`, `TooManyVerificationsError`.
+    """
+    if not settings.smtp_host:
+        raise NoEmailError()
+    if len(address) > LONGEST or not EMAIL.fullmatch(address):
+        raise BadEmailAddressError(address)
+    session.execute(select(User.id).where(User.id == user_id).with_for_update(key_share=True))  # one at a time
+    mails = select(func.count()).select_from(NotificationEvent).where(NotificationEvent.user_id == user_id)
+    mails = mails.where(NotificationEvent.kind == EMAIL_VERIFICATION, NotificationEvent.created_ns > now_ns() - DAY_NS)
+    if (session.scalar(mails) or 0) >= MOST_MAILS:
+        raise TooManyVerificationsError(MOST_MAILS)
+    row = session.get(EmailAddress, user_id) or EmailAddress(user_id=user_id)
+    row.address, row.verified_ns, row.secret_hash, row.expires_ns = address, None, "", 0
+    session.add(row)
+    session.flush()
+    record(session, NewEvent(EMAIL_VERIFICATION, "", user_id=user_id))
+    return row
+
+
+def remove_address(session: Session, user_id: str) -> None:
+    """Forget the user's address, where there is one."""
+    row = session.get(EmailAddress, user_id)
+    if row is not None:
+        session.delete(row)
+        session.flush()
+
+
+def new_secret(session: Session, row: EmailAddress) -> str:
+    """The secret of the link that is about to be mailed; those mailed before work no more."""
+    secret = token_urlsafe(32)
+    row.secret_hash, row.expires_ns = _hash(secret), now_ns() + LASTS_NS
+    session.flush()
+    return secret
+
+
+def verify(session: Session, user_id: str, secret: str) -> EmailAddress:
+    """The user's address, verified by the secret of the link. Raises `EmailVerificationError`."""
+    row = session.get(EmailAddress, user_id, with_for_update=True)
+    is_right = row is not None and compare_digest(row.secret_hash, _hash(secret)) and row.expires_ns > now_ns()
+    if row is None or not is_right:
+        raise EmailVerificationError()
+    row.verified_ns, row.secret_hash = now_ns(), ""
+    session.flush()
+    return row
+
+
+def _hash(secret: str) -> str:
+    return sha256(secret.encode()).hexdigest()

@@ -1,0 +1,136 @@
+"""The words of an event, made when it is sent: of what its reader may see then, or none.
+
+**Conventions.** A message is one sentence and a page. It tells no score, no label and no file: the page does, to whom
+it may. `data` is for programs, and says no more. Texts of others are one line, quoted, at most `LONGEST_NAME` long;
+what chat servers would take for markup or for a call of everybody (`@channel`, `<!here>`) is defused.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from sqlalchemy.orm import Session
+
+from services.runtime.notifications import events
+from services.runtime.notifications.run_events import TOLD_FAILED
+from services.runtime.orm import Benchmark, Job, NotificationEvent, Phase, SequenceRow, SubmissionRow
+from stone.errors import one_line
+
+LONGEST_NAME = 120
+GIB = 2**30
+HARMLESS = str.maketrans({"<": "‹", ">": "›", "@": "＠", "*": "∗", "`": "'", "[": "(", "]": ")", "|": "¦"})
+
+
+@dataclass(frozen=True)
+class EventWords:
+    """A sentence, and the path of the page that says more."""
+
+    text: str
+    path: str
+    data: Mapping[str, Any] = field(default_factory=dict)
+
+
+def message_of(session: Session, event: NotificationEvent) -> EventWords | None:
+    """The event in words; None where what it is about is not there any more."""
+    return WORDS[event.kind](session, event)
+
+
+def _quoted(text: str) -> str:
+    """A text of somebody else, as part of a sentence."""
+    return f"“{one_line(text)[:LONGEST_NAME].translate(HARMLESS)}”"
+
+
+def _run(session: Session, event: NotificationEvent) -> EventWords | None:
+    run = session.get(Job, event.subject_id)
+    if run is None:
+        return None
+    path, of = "/account#notifications", ""
+    if run.sequence_id is not None:
+        sequence = session.get(SequenceRow, run.sequence_id)
+        if sequence is None or sequence.deleted_ns is not None:
+            return None
+        path, of = f"/sequences/{sequence.id}", f" of {_quoted(sequence.name)}"
+    what, data = f"{TOLD_FAILED[run.kind].capitalize()}{of}", {"run_id": run.id, "kind": run.kind}
+    if event.kind == events.RUN_DONE:
+        return EventWords(f"{what} is done.", path, data)
+    failure = one_line(str(event.facts["failure"])).translate(HARMLESS)
+    return EventWords(f"{what} failed ({event.facts['code']}): {failure}", path, {**data, "code": event.facts["code"]})
+
+
+def _labels(session: Session, event: NotificationEvent) -> EventWords | None:
+    sequence = session.get(SequenceRow, event.subject_id)
+    if sequence is None or sequence.deleted_ns is not None:
+        return None
+    first = one_line(str(event.facts["message"]))[:500].translate(HARMLESS)
+    text = f"Labels of {_quoted(sequence.name)} are not to be relied on ({event.facts['code']}): {first}"
+    return EventWords(text, f"/sequences/{sequence.id}", {"sequence_id": sequence.id, "code": event.facts["code"]})
+
+
+def _submission(session: Session, event: NotificationEvent) -> EventWords | None:
+    submission = session.get(SubmissionRow, event.subject_id)
+    place = None if submission is None else _place(session, submission.phase_id)
+    if submission is None or place is None:
+        return None
+    ends = {
+        events.SUBMISSION_SCORED: "is scored",
+        events.SUBMISSION_INVALID: "is invalid",
+        events.SUBMISSION_FAILED: "could not be scored",
+    }
+    text = f"The submission {_quoted(submission.method)} to {place[0]} {ends[event.kind]}."
+    return EventWords(text, f"/submissions/{submission.id}", {"submission_id": submission.id, "phase": place[0]})
+
+
+def _phase(session: Session, event: NotificationEvent) -> EventWords | None:
+    place = _place(session, event.subject_id)
+    if place is None:
+        return None
+    text = f"The phase {place[0]} is {'open' if event.kind == events.PHASE_OPENED else 'closed'}."
+    return EventWords(text, place[1], {"phase_id": event.subject_id, "phase": place[0]})
+
+
+def _quota(session: Session, event: NotificationEvent) -> EventWords | None:
+    facts = event.facts
+    if facts["what"] == "storage":
+        used, limit = (facts[name] / GIB for name in ("used_bytes", "limit_bytes"))
+        return EventWords(
+            f"Your storage is nearly full: {used:.1f} of {limit:.1f} GiB are used.", "/account", dict(facts)
+        )
+    place = _place(session, event.subject_id)
+    if place is None:
+        return None
+    return EventWords(f"Your team has {facts['left']} scorings left in {place[0]}.", place[1], dict(facts))
+
+
+def _webhook_disabled(_session: Session, _event: NotificationEvent) -> EventWords | None:
+    text = "Your webhook took nothing for days and was switched off; set it again on your account's page."
+    return EventWords(text, "/account#notifications")
+
+
+def _verification(_session: Session, _event: NotificationEvent) -> EventWords | None:
+    text = "Somebody, we hope you, asked that this address be told of what happens. Sign in and follow the link."
+    return EventWords(text, "/account")
+
+
+def _place(session: Session, phase_id: str) -> tuple[str, str] | None:
+    """`benchmark/phase`, names that need no quotes, and its page."""
+    phase = session.get(Phase, phase_id)
+    benchmark = None if phase is None else session.get(Benchmark, phase.benchmark_id)
+    if phase is None or benchmark is None:
+        return None
+    name = f"{benchmark.name}/{phase.name}"
+    return name, f"/benchmarks/{name}"
+
+
+WORDS: Mapping[str, Callable[[Session, NotificationEvent], EventWords | None]] = {
+    events.RUN_DONE: _run,
+    events.RUN_FAILED: _run,
+    events.LABELS_UNUSABLE: _labels,
+    events.SUBMISSION_SCORED: _submission,
+    events.SUBMISSION_INVALID: _submission,
+    events.SUBMISSION_FAILED: _submission,
+    events.PHASE_OPENED: _phase,
+    events.PHASE_CLOSED: _phase,
+    events.QUOTA_LOW: _quota,
+    events.WEBHOOK_DISABLED: _webhook_disabled,
+    events.EMAIL_VERIFICATION: _verification,
+}

@@ -1,0 +1,102 @@
+"""`stone notifications`: what one is told of, by which channel, and what was delivered."""
+
+from collections.abc import Mapping
+from enum import StrEnum
+from typing import Annotated, Any
+
+import typer
+
+from stone_client.options import ServerOption
+from stone_client.streams import JsonOption, echo_json
+from stone_client.tables import plain_table, safe_text, show
+
+notifications = typer.Typer(help="Choose what you are told of by e-mail or webhook.", no_args_is_help=True)
+
+
+class Channel(StrEnum):
+    """How one is told."""
+
+    email = "email"
+    webhook = "webhook"
+
+
+EventsArgument = Annotated[
+    list[str], typer.Argument(metavar="EVENT...", help="As `stone notifications list` names them.")
+]
+ByOption = Annotated[Channel, typer.Option("--by", help="The channel; where it leads is set on your account's page.")]
+LimitOption = Annotated[int, typer.Option("--limit", min=1, max=200, help="How many at most.")]
+
+
+@notifications.command("list")
+def listed(server: ServerOption = None, as_json: JsonOption = False) -> None:
+    """Show the events there are, and which you are told of."""
+    from stone_client.connection import connected
+    from stone_client.server.notifications import read_notifications
+
+    with connected(server) as api:
+        found = read_notifications(api)
+    _say(found, as_json)
+
+
+@notifications.command()
+def on(events: EventsArgument, by: ByOption, server: ServerOption = None, as_json: JsonOption = False) -> None:
+    """Be told of events."""
+    _choose(events, by, server, as_json, is_wanted=True)
+
+
+@notifications.command()
+def off(events: EventsArgument, by: ByOption, server: ServerOption = None, as_json: JsonOption = False) -> None:
+    """Be told of events no more."""
+    _choose(events, by, server, as_json, is_wanted=False)
+
+
+@notifications.command()
+def deliveries(limit: LimitOption = 20, server: ServerOption = None, as_json: JsonOption = False) -> None:
+    """Show what you were told last, and what came of it."""
+    from stone_client.connection import connected
+    from stone_client.server.notifications import read_deliveries
+
+    with connected(server) as api:
+        found = read_deliveries(api, limit)
+    if as_json:
+        echo_json({"deliveries": found})
+        return
+    table = plain_table("deliveries", "event", "by", "state", "tries", "answer")
+    for one in found:
+        table.add_row(one["kind"], one["channel"], one["state"], str(one["tries"]), safe_text(one["answer"]))
+    show(table)
+
+
+def _choose(events: list[str], by: Channel, server: str | None, as_json: bool, *, is_wanted: bool) -> None:
+    from stone_client.connection import connected
+    from stone_client.server.notifications import choose_events
+
+    with connected(server) as api:
+        found = choose_events(api, by.value, events, is_wanted=is_wanted)
+    _say(found, as_json)
+
+
+def _say(found: Mapping[str, Any], as_json: bool) -> None:
+    if as_json:
+        echo_json(dict(found))
+        return
+    table = plain_table("events", "event", "e-mail", "webhook", "when")
+    for event in found["events"]:
+        marks = ["yes" if event["kind"] in found[channel] else "" for channel in ("email", "webhook")]
+        table.add_row(event["kind"], *marks, safe_text(event["title"]))
+    show(table)
+    typer.echo(f"e-mail to: {_email(found)}; webhook: {_webhook(found)}", err=True)
+
+
+def _email(found: Mapping[str, Any]) -> str:
+    address = found["email_address"]
+    if address is None:
+        return "no address yet" if found["sends_email"] else "this platform sends none"
+    return f"{address['address']}{'' if address['is_verified'] else ' (not verified yet)'}"
+
+
+def _webhook(found: Mapping[str, Any]) -> str:
+    target = found["webhook_target"]
+    if target is None:
+        return "none yet"
+    return f"{target['url']}{' (switched off)' if target['disabled_at'] else ''}"

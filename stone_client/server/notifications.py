@@ -1,0 +1,44 @@
+"""What the caller is told of by a server, and what was delivered."""
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+from stone_base.errors import StoneError
+from stone_client.api import Api
+from stone_client.server.sequences import Item
+
+CHANNELS = ("email", "webhook")
+
+
+class UnknownEventError(StoneError):
+    """The server tells of no such event."""
+
+    code: ClassVar[str] = "unknown_event"
+
+    def __init__(self, named: Sequence[str], known: Sequence[str]) -> None:
+        super().__init__(f"{', '.join(named)[:100]!r}: no such event; this server tells of {', '.join(known)}")
+
+
+def read_notifications(api: Api) -> Item:
+    """Events, choices and places."""
+    found: Item = api.read("/notifications")
+    return found
+
+
+def choose_events(api: Api, channel: str, kinds: Sequence[str], *, is_wanted: bool) -> Item:
+    """Be told of these events by the channel, or no more; other choices stay. Raises `UnknownEventError`."""
+    now = read_notifications(api)
+    known = [str(event["kind"]) for event in now["events"]]
+    if unknown := [kind for kind in kinds if kind not in known]:
+        raise UnknownEventError(unknown, known)
+    chosen = {name: list(now[name]) for name in CHANNELS}
+    others = [kind for kind in chosen[channel] if kind not in kinds]
+    chosen[channel] = [*others, *kinds] if is_wanted else others
+    changed: Item = api.send("PUT", "/notifications/choices", json=chosen).json()
+    return changed
+
+
+def read_deliveries(api: Api, limit: int) -> list[dict[str, Any]]:
+    """The last deliveries, newest first."""
+    found: list[dict[str, Any]] = api.read("/notifications/deliveries", limit=limit)["items"]
+    return found

@@ -1,0 +1,100 @@
+"""A receiver of webhooks as a process: every request is a line of a file, on the disk before it is answered.
+
+    python -m testing.servers.webhook_receiver PORT FILE
+
+**Conventions.** The path says how it answers: `/status/503` with that status, `/redirect` to `/hooks`, `/endless` with
+a body that never ends, `/drip` with a first line that never ends, anything else with 200.
+"""
+
+import json
+import os
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+from testing.servers.process import ServerProcess, answers, free_port
+
+
+class Receiver(BaseHTTPRequestHandler):
+    """One request."""
+
+    file = Path("received")
+
+    def do_POST(self) -> None:
+        body = self.rfile.read(int(self.headers["content-length"]))
+        heads = {name.lower(): value for name, value in self.headers.items()}
+        line = json.dumps({"path": self.path, "headers": heads, "body": body.decode()}) + "\n"
+        descriptor = os.open(self.file, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
+        os.write(descriptor, line.encode())
+        os.fsync(descriptor)
+        os.close(descriptor)
+        self._answer()
+
+    def _answer(self) -> None:
+        if self.path == "/drip":
+            self._write_for_ever(b"HTTP/1.1 ", b" ")
+        elif self.path == "/endless":
+            self._write_for_ever(b"HTTP/1.1 200 OK\r\n\r\n", b"x" * 65_536)
+        else:
+            status = int(self.path.rpartition("/")[2]) if self.path.startswith("/status/") else 200
+            self.send_response(307 if self.path == "/redirect" else status)
+            self.send_header("Location", "/hooks")
+            self.send_header("Content-Length", "0")
+            self.end_headers()
+
+    def _write_for_ever(self, head: bytes, piece: bytes) -> None:
+        """Until the other side is gone."""
+        self.close_connection = True
+        try:
+            self.wfile.write(head)
+            while True:
+                self.wfile.write(piece)
+                time.sleep(0.2 if self.path == "/drip" else 0)
+        except OSError:
+            return
+
+    def log_message(self, *_: object) -> None:
+        """Nothing."""
+
+
+class WebhookReceiver:
+    """The process; `url(path)` is where to send to, `received()` what came."""
+
+    def __init__(self, folder: Path) -> None:
+        self.port = free_port()
+        self._file = folder / "received"
+        command: list[str | Path] = [
+            sys.executable,
+            "-m",
+            "testing.servers.webhook_receiver",
+            str(self.port),
+            self._file,
+        ]
+        root = Path(__file__).resolve().parents[2]
+        self.process = ServerProcess(command, folder, lambda: answers(self.port), environment={"PYTHONPATH": str(root)})
+
+    def url(self, path: str = "/hooks") -> str:
+        return f"http://127.0.0.1:{self.port}{path}"
+
+    def received(self) -> list[dict[str, Any]]:
+        text = self._file.read_text("utf-8") if self._file.exists() else ""
+        return [json.loads(line) for line in text.splitlines()]
+
+
+@contextmanager
+def webhook_receiver(folder: Path) -> Iterator[WebhookReceiver]:
+    receiver = WebhookReceiver(folder)
+    receiver.process.start()
+    try:
+        yield receiver
+    finally:
+        receiver.process.kill()
+
+
+if __name__ == "__main__":
+    Receiver.file = Path(sys.argv[2])
+    ThreadingHTTPServer(("127.0.0.1", int(sys.argv[1])), Receiver).serve_forever()

@@ -1,0 +1,153 @@
+"""Webhooks: signed as others verify it, sent until they are taken or given up, and nowhere where they may not."""
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from standardwebhooks.webhooks import Webhook as Verifier
+from standardwebhooks.webhooks import WebhookVerificationError
+
+from services.domain.notifications.messages import HARMLESS
+from services.domain.notifications.spread import MOST_TRIES, pause_ns
+from services.maintenance.notifications.checked_connection import WITHIN_S, judged_addresses
+from services.maintenance.notifications.errors import NotTakenError
+from services.runtime.jobs.control import retry
+from services.runtime.notification_settings import NotificationSettings
+from services.runtime.orm import Job, NotificationEvent, Webhook
+from services.runtime.platform import Platform
+from testing.servers.webhook_receiver import WebhookReceiver, webhook_receiver
+from tests.services.maintenance.notifications.steps import a_user, deliveries, happened, telling, turn
+
+SOON = 1e-6
+"""Pauses of microseconds."""
+
+
+@pytest.fixture
+def receiver(tmp_path: Path) -> Iterator[WebhookReceiver]:
+    with webhook_receiver(tmp_path) as started:
+        yield started
+
+
+def secret_of(platform: Platform, user_id: str) -> str:
+    with platform.database.reading() as session:
+        return session.get_one(Webhook, user_id).secret
+
+
+def test_an_event_is_sent_once_signed_as_another_implementation_verifies(
+    platform_on: Platform, receiver: WebhookReceiver
+) -> None:
+    platform = telling(platform_on)
+    user_id = a_user(platform, "ada", receiver.url())
+    happened(platform, user_id)
+    while turn(platform):
+        pass
+    (came,) = receiver.received()
+    told = Verifier(secret_of(platform, user_id)).verify(came["body"], came["headers"])
+    assert told["type"] == "quota.low"
+    assert told["data"]["what"] == "storage"
+    assert told["text"].startswith("Your storage is nearly full: 9.0 of 10.0 GiB are used. http")
+    (row,) = deliveries(platform)
+    assert (came["headers"]["webhook-id"], row.state, row.tries) == (f"msg_{row.id}", "delivered", 1)
+    with pytest.raises(WebhookVerificationError):
+        Verifier(secret_of(platform, user_id)).verify(came["body"] + " ", came["headers"])
+
+
+def test_what_is_not_taken_is_sent_again_with_the_same_id_and_is_a_dead_letter_in_the_end(
+    platform: Platform, receiver: WebhookReceiver
+) -> None:
+    platform = telling(platform, retry_s=SOON)
+    user_id = a_user(platform, "ada", receiver.url("/status/503"))
+    happened(platform, user_id)
+    while deliveries(platform) == [] or deliveries(platform)[0].state != "dead":
+        turn(platform)
+    came = receiver.received()
+    assert len(came) == MOST_TRIES
+    assert len({one["headers"]["webhook-id"] for one in came}) == 1
+    (row,) = deliveries(platform)
+    with platform.database.transaction() as session:
+        job = session.get_one(Job, row.job_id)
+        assert (job.state, job.failure_code) == ("failed", "delivery_failed")
+        assert "answered 503" in job.failure
+        session.get_one(Webhook, user_id).url = receiver.url()  # repaired
+        retry(session, job.id, 3)
+    turn(platform)
+    assert deliveries(platform)[0].state == "delivered"
+    assert len(receiver.received()) == MOST_TRIES + 1
+
+
+def test_pauses_grow_to_three_days_in_all() -> None:
+    pauses = [pause_ns(tries, 5.0) / 1e9 for tries in range(1, MOST_TRIES)]
+    assert pauses[:4] == [5, 300, 1800, 7200]
+    assert pauses == sorted(pauses)
+    assert 2.5 * 86400 < sum(pauses) < 3.5 * 86400
+
+
+def test_a_webhook_that_fails_for_long_is_switched_off_and_its_owner_is_told(
+    platform: Platform, receiver: WebhookReceiver
+) -> None:
+    platform = telling(platform, retry_s=SOON, webhook_failing_s=SOON)
+    user_id = a_user(platform, "ada", receiver.url("/status/500"))
+    happened(platform, user_id)
+    while any(turn(platform) for _ in range(3)):
+        pass
+    with platform.database.reading() as session:
+        assert session.get_one(Webhook, user_id).disabled_ns is not None
+        assert [event.kind for event in session.query(NotificationEvent)] == ["quota.low", "webhook.disabled"]
+    states = {(row.channel, row.state) for row in deliveries(platform)}
+    assert states == {("webhook", "dropped"), ("email", "dropped")}  # no address: the account's page says so
+
+
+def test_one_that_is_gone_is_sent_nothing_more(platform: Platform, receiver: WebhookReceiver) -> None:
+    platform = telling(platform)
+    user_id = a_user(platform, "ada", receiver.url("/status/410"))
+    happened(platform, user_id)
+    happened(platform, user_id)
+    while turn(platform):
+        pass
+    assert len(receiver.received()) == 1
+    with platform.database.reading() as session:
+        assert session.get_one(Webhook, user_id).disabled_ns is not None
+
+
+@pytest.mark.parametrize("path", ["/redirect", "/drip", "/status/204", "/endless"])
+def test_no_redirect_is_followed_and_no_answer_is_waited_for_long(
+    platform: Platform, receiver: WebhookReceiver, path: str
+) -> None:
+    platform = telling(platform)
+    user_id = a_user(platform, "ada", receiver.url(path))
+    happened(platform, user_id)
+    begin_s = time.monotonic()
+    turn(platform)
+    (row,) = deliveries(platform)
+    taken = {"/redirect": "waiting", "/drip": "waiting", "/status/204": "delivered", "/endless": "delivered"}
+    assert row.state == taken[path], row.answer
+    assert [came["path"] for came in receiver.received()] == [path]
+    assert time.monotonic() - begin_s < 30 * WITHIN_S  # it ends; how long a busy machine takes is no matter
+
+
+def test_a_name_that_resolves_to_a_private_address_a_moment_later_is_not_sent_to() -> None:
+    answers = iter((["93.184.215.14"], ["127.0.0.1"], ["93.184.215.14", "10.0.0.7"], ["fe80::1%eth0"]))
+    settings = NotificationSettings()
+    assert judged_addresses("rebind.example", 443, settings, lambda *_: next(answers)) == ["93.184.215.14"]
+    for _ in range(3):
+        with pytest.raises(NotTakenError, match="which is private, of this machine or reserved"):
+            judged_addresses("rebind.example", 443, settings, lambda *_: next(answers))
+
+
+def test_a_name_of_this_machine_is_judged_when_it_is_connected_to(
+    platform: Platform, receiver: WebhookReceiver
+) -> None:
+    platform = telling(platform, webhook_networks="")
+    user_id = a_user(platform, "ada", f"http://localhost:{receiver.port}/hooks")
+    happened(platform, user_id)
+    turn(platform)
+    (row,) = deliveries(platform)
+    assert row.state == "waiting"
+    assert "localhost resolves to" in row.answer
+    assert receiver.received() == []
+
+
+def test_texts_of_others_call_nobody_and_are_no_markup() -> None:
+    hostile = "<!channel> @here [x](http://evil) *b* `c` <http://evil|click>"
+    assert not set(hostile.translate(HARMLESS)) & set("<>@[]*`|")
