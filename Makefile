@@ -65,7 +65,7 @@ check: test-clients
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/deptry stone stone_files stone_recordings stone_submissions stone_exports baselines services simulator stone_client api web
+	$(BIN)/deptry stone stone_files stone_recordings stone_submissions stone_exports stone_datasets baselines services simulator stone_client api web
 	$(BIN)/deptry --ignore DEP002,DEP004 benchmarks chaos deploy docsite fuzz testing tests
 	$(MAKE) --no-print-directory test-baselines
 	$(MAKE) --no-print-directory test-all

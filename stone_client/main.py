@@ -24,6 +24,7 @@ from stone_client.commands.dataset.splits import splits
 from stone_client.commands.dataset.statistics import statistics
 from stone_client.commands.local.baseline import baseline
 from stone_client.commands.local.calibration import calibration
+from stone_client.commands.local.check import check
 from stone_client.commands.local.demo import demo
 from stone_client.commands.local.export import export
 from stone_client.commands.local.inspect import inspect
@@ -54,7 +55,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
-    "On this machine": (simulate, inspect, recover, label, export, baseline, validate, score, demo),
+    "On this machine": (simulate, inspect, recover, label, export, baseline, validate, score, check, demo),
     "With a server": (serve, login, upload, process, watch, status, exports, download),
     "The dataset": (statistics, splits, datasets),
     "Models": (train, predict, onnx),

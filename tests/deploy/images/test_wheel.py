@@ -43,7 +43,7 @@ print(json.dumps({
 def sources() -> set[str]:
     """Every module of the project, as it was before the wheel was made."""
     folders = (
-        *("stone", "stone_files", "stone_recordings", "stone_submissions", "stone_exports"),
+        *("stone", "stone_files", "stone_recordings", "stone_submissions", "stone_exports", "stone_datasets"),
         *("baselines", "services", "simulator", "stone_client", "api", "web"),
     )
     found = [path for folder in folders for path in (ROOT / folder).rglob("*.py")]
