@@ -161,9 +161,13 @@ def _dangling(tables: DatasetTables, found: Mapping[str, Places]) -> Iterator[Da
 def _misnamed(placed: PlacedData) -> Iterator[DatasetFaultError]:
     """Files that lie elsewhere, are of another sensor or stamp than their rows say, or stand in two rows."""
     names = placed.tables.data.names
-    wrong = [fault for row in range(len(names)) if (fault := _fault_of_name(placed, row, names[row])) is not None]
-    yield from wrong
-    if wrong:
+    are_sound = True
+    for row in range(len(names)):
+        fault = _fault_of_name(placed, row, names[row])
+        if fault is not None:
+            are_sound = False
+            yield fault
+    if not are_sound:
         return
     for again, first in repeated(np.array([hash(names[row]) for row in range(len(names))], np.int64)):
         yield FileTwiceError(placed.place(again), f"row {first + 1} names {quoted(names[again])} too")

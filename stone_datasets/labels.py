@@ -29,7 +29,7 @@ from stone_datasets.file_faults import (
     MaskValueError,
     UnknownLabelsError,
 )
-from stone_exports.files import ExportFileSpan
+from stone_exports.files import DamagedExportError, ExportFileSpan
 from stone_exports.labels import UNREADABLE
 
 MOST_PACKED_BYTES = 32 * 2**20
@@ -58,18 +58,19 @@ def read_labels(span: ExportFileSpan, classes: ClassMap = OWN_CLASSES) -> FrameL
     """The labels of one frame. Raises a `DatasetFaultError`."""
     if span.size_bytes > MOST_PACKED_BYTES:
         raise LabelsTooLargeError(DatasetPlace(span.name), f"it has {span.size_bytes} bytes")
-    content = span.read(MOST_PACKED_BYTES)
     try:
+        content = span.read(MOST_PACKED_BYTES)
         with zipfile.ZipFile(BytesIO(content)) as archive:
             members = {one.filename.removesuffix(".npy"): one for one in archive.infolist()[:MOST_ARRAYS]}
-    except UNREADABLE as error:
+    except (*UNREADABLE, DamagedExportError) as error:
         raise LabelsNotNpzError(DatasetPlace(span.name), f"it is no zip ({error})"[:200]) from error
     if SEMANTICS not in members:
         what = f"it has no {SEMANTICS}, but {', '.join(sorted(members))[:100] or 'nothing'}"
         raise LabelKeyError(DatasetPlace(span.name), what)
     arrays = _Arrays(span.name, content)
+    found = arrays.grid(members[SEMANTICS], LabelShapeError)
     masks = [_mask(arrays, members[key], key) if key in members else None for key in (MASK_LIDAR, MASK_CAMERA)]
-    return _meant(span, arrays.grid(members[SEMANTICS], LabelShapeError), (masks[0], masks[1]), classes)
+    return _meant(span, found, (masks[0], masks[1]), classes)
 
 
 @dataclass(frozen=True)
@@ -81,36 +82,35 @@ class _Arrays:
 
     def grid(self, member: zipfile.ZipInfo, shape_fault: type[LabelShapeError | MaskShapeError]) -> Grid:
         """The grid of a member. Raises a `DatasetFaultError`."""
-        inflater = isal_zlib.decompressobj(RAW)
-        packed = self._packed(member)
+        packed, place = self._packed(member), DatasetPlace(self.name)
         try:
-            head = packed[:HEAD_BYTES] if self._is_stored(member) else inflater.decompress(packed, HEAD_BYTES)
-            shape, is_fortran, dtype, start = npy_head(bytes(head))
+            shape, is_fortran, dtype, start = npy_head(self._begun(member, packed, HEAD_BYTES))
         except (INFLATING, ValueError, KeyError, EOFError, OSError, TypeError, SyntaxError) as error:
             raise self._damaged(member, "it is no npy") from error
         if shape != GRID_SHAPE:
-            raise shape_fault(DatasetPlace(self.name), f"{member.filename} has shape {str(shape)[:60]}")
+            raise shape_fault(place, f"{member.filename} has shape {str(shape)[:60]}")
         if dtype != np.uint8 or is_fortran:
-            what = f"{member.filename} is {dtype} in {'Fortran' if is_fortran else 'C'} order"
             fault = LabelTypeError if shape_fault is LabelShapeError else MaskShapeError
-            raise fault(DatasetPlace(self.name), what)
-        return self._whole(member, (packed, inflater, bytes(head)), start)
+            raise fault(place, f"{member.filename} is {dtype} in {'Fortran' if is_fortran else 'C'} order")
+        return self._whole(member, packed, start)
 
-    def _whole(self, member: zipfile.ZipInfo, read: tuple[bytes, Any, bytes], start: int) -> Grid:
-        packed, inflater, head = read
+    def _whole(self, member: zipfile.ZipInfo, packed: bytes, start: int) -> Grid:
         size = start + prod(GRID_SHAPE)
         try:
-            rest = (
-                inflater.decompress(inflater.unconsumed_tail, size + 1 - len(head)) if inflater.unconsumed_tail else b""
-            )
+            npy = self._begun(member, packed, size + 1)
         except INFLATING as error:
             raise self._damaged(member, "it cannot be inflated") from error
-        npy = packed if self._is_stored(member) else head + rest
         if len(npy) > size:
             raise LabelsTooLargeError(DatasetPlace(self.name), f"{member.filename} goes on after its {size} bytes")
         if len(npy) < size or isal_zlib.crc32(npy) != member.CRC:
             raise self._damaged(member, "it ends early, or its checksum is wrong")
         return np.frombuffer(npy, np.uint8, prod(GRID_SHAPE), start).reshape(GRID_SHAPE)
+
+    def _begun(self, member: zipfile.ZipInfo, packed: bytes, most: int) -> bytes:
+        """The first bytes of what is packed, at most so many."""
+        if member.compress_type == zipfile.ZIP_STORED:
+            return packed[:most]
+        return bytes(isal_zlib.decompressobj(RAW).decompress(packed, most))
 
     def _packed(self, member: zipfile.ZipInfo) -> bytes:
         """The bytes of a member as they stand in the file."""
@@ -122,9 +122,6 @@ class _Arrays:
             raise self._damaged(member, "it is not where the directory says")
         start = begin + LOCAL_BYTES + sum(struct.unpack("<2H", head[26:30]))
         return self.content[start : start + member.compress_size]
-
-    def _is_stored(self, member: zipfile.ZipInfo) -> bool:
-        return member.compress_type == zipfile.ZIP_STORED
 
     def _damaged(self, member: zipfile.ZipInfo, what: str) -> LabelsNotNpzError:
         return LabelsNotNpzError(DatasetPlace(self.name), f"{member.filename[:80]}: {what}")

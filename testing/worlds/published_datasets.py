@@ -26,6 +26,7 @@ from testing.worlds.small_export import FOCAL_PX, PICTURE_PX, global_from_ego, p
 LOGFILE = "n001-2025-08-22-07-14-16+0900"
 FIRST_US, STEP_US, EXPOSURE_US = 1_755_846_856_000_000, 100_000, 20_000
 SCENE_US = 10_000_000_000
+MOST_LINKS = 50_000  # of one file; ext4 takes 65,000
 ENDINGS = {"lidar": "pcd.bin", "camera": "jpg", "radar": "pcd"}
 VERSION = "v1.0-trainval"
 MATRIX = [[FOCAL_PX, 0, (PICTURE_PX[0] - 1) / 2], [0, FOCAL_PX, (PICTURE_PX[1] - 1) / 2], [0, 0, 1]]
@@ -38,10 +39,14 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class PublishedDataset:
-    """What to write. `labels` are taken in turn; none: a test set."""
+    """What to write: scenes of `frames`, the first `longer` of one more.
+
+    `labels` are taken in turn; none: a test set.
+    """
 
     scenes: int = 2
     frames: int = 3
+    longer: int = 0
     cameras: Sequence[str] = ("CAM_FRONT", "CAM_BACK")
     radars: Sequence[str] = ("RADAR_FRONT",)
     labels: Sequence[bytes] = ()
@@ -56,11 +61,15 @@ class PublishedDataset:
         """Modality by channel."""
         return {"LIDAR_TOP": "lidar"} | dict.fromkeys(self.cameras, "camera") | dict.fromkeys(self.radars, "radar")
 
+    def length(self, scene: int) -> int:
+        """Frames of a scene."""
+        return self.frames + (scene < self.longer)
+
     def stamp_us(self, scene: int, frame: int) -> int:
         return FIRST_US + scene * SCENE_US + frame * STEP_US
 
     def tokens(self, scene: int) -> tuple[str, ...]:
-        stamps_us = (self.stamp_us(scene, frame) for frame in range(self.frames))
+        stamps_us = (self.stamp_us(scene, frame) for frame in range(self.length(scene)))
         return tuple(frame_token(self.names[scene], stamp_us * 1000) for stamp_us in stamps_us)
 
     def filename(self, channel: str, stamp_us: int) -> str:
@@ -84,16 +93,16 @@ def write_published(folder: Path, what: PublishedDataset) -> Path:
         (folder / name).mkdir(parents=True)
     for table, rows in tables_of(what).items():
         _write_rows(folder / VERSION / f"{table}.json", rows)
-    first: dict[int, Path] = {}
-    for name, content in _files(what):
-        path = folder / name
+    first: dict[tuple[int, int], Path] = {}
+    for number, (name, content) in enumerate(_files(what)):
+        path, same = folder / name, (id(content), number // MOST_LINKS)
         if name.startswith("gts/"):
             path.parent.mkdir(parents=True)
-        if id(content) in first:
-            os.link(first[id(content)], path)
+        if same in first:
+            os.link(first[same], path)
         else:
             path.write_bytes(content)
-            first[id(content)] = path
+            first[same] = path
     if what.splits is not None:
         (folder / "splits.json").write_text(json.dumps(what.splits))
     return folder
@@ -170,7 +179,7 @@ def _scene(what: PublishedDataset, scene: int) -> Row:
     return {
         "token": _of("scene", name),
         "log_token": _of("log", name),
-        "nbr_samples": what.frames,
+        "nbr_samples": what.length(scene),
         "first_sample_token": tokens[0],
         "last_sample_token": tokens[-1],
         "name": name,
@@ -180,7 +189,7 @@ def _scene(what: PublishedDataset, scene: int) -> Row:
 
 def _samples(what: PublishedDataset, scene: int) -> Iterator[Row]:
     tokens = ("", *what.tokens(scene), "")
-    for frame in range(what.frames):
+    for frame in range(what.length(scene)):
         yield {
             "token": tokens[frame + 1],
             "timestamp": what.stamp_us(scene, frame),
@@ -191,7 +200,7 @@ def _samples(what: PublishedDataset, scene: int) -> Iterator[Row]:
 
 
 def _poses(what: PublishedDataset, scene: int) -> Iterator[Row]:
-    for frame in range(what.frames):
+    for frame in range(what.length(scene)):
         for channel in what.sensors:
             stamp_us = what.datum_us(scene, frame, channel)
             token = _of("datum", scene, frame, channel)
@@ -221,7 +230,7 @@ def _data(what: PublishedDataset, scene: int) -> Iterator[Row]:
                 "width": width_px if modality == "camera" else 0,
                 "filename": what.filename(channel, stamp_us),
                 "prev": _of("datum", scene, frame - 1, channel) if frame else "",
-                "next": _of("datum", scene, frame + 1, channel) if frame + 1 < what.frames else "",
+                "next": _of("datum", scene, frame + 1, channel) if frame + 1 < len(tokens) else "",
             }
 
 

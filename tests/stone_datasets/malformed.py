@@ -141,7 +141,11 @@ KINDS: Mapping[str, Kind] = {
     "something after the end": ("DST-011", text(f"{VERSION}/log.json", "[] []"), "follows the end"),
     "no UTF-8": ("DST-011", text(f"{VERSION}/log.json", b'[{"token": "\xff"}]'), "no UTF-8"),
     "nesting": ("DST-011", text(f"{VERSION}/log.json", '[{"a":' + "[" * 100_000), "nested too deeply"),
-    "a number of 5,000 digits": ("DST-011", text(f"{VERSION}/log.json", '[{"a":' + "1" * 5000 + "}]"), "log.json row 1"),
+    "a number of 5,000 digits": (
+        "DST-011",
+        text(f"{VERSION}/log.json", '[{"a":' + "1" * 5000 + "}]"),
+        "log.json row 1",
+    ),
     "an object of rows": ("DST-012", text(f"{VERSION}/sensor.json", '{"a": {}}'), "begins with '{'"),
     "a row that is a list": ("DST-013", table("scene", lambda rows: rows.insert(1, [1])), "scene.json row 2"),  # type: ignore[arg-type]
     "an endless row": ("DST-014", text(f"{VERSION}/log.json", '[{"a": "' + "x" * (1 << 22)), "1048576"),
@@ -191,7 +195,11 @@ KINDS: Mapping[str, Kind] = {
     "a wrong last sample": ("DST-032", row("scene", 1, last_sample_token="x"), "scene.json row 2"),
     "a wrong number of samples": ("DST-033", row("scene", 0, nbr_samples=4), "nbr_samples is 4, its samples are 3"),
     "a chain that nothing returns": ("DST-034", row(S, 1, prev=""), "does not name it in return"),
-    "a chain into another scene": ("DST-034", table(S, lambda rows: (rows[2].update(next=rows[3]["token"]), rows[3].update(prev=rows[2]["token"]))), "another scene"),
+    "a chain into another scene": (
+        "DST-034",
+        table(S, lambda rows: (rows[2].update(next=rows[3]["token"]), rows[3].update(prev=rows[2]["token"]))),
+        "another scene",
+    ),
     "a chain in a circle": ("DST-034", table(S, circled), "circle"),
     "two chains in a scene": ("DST-034", table(S, split_chain), "sample.json row 2"),
     "a chain of data that is cut": ("DST-034", row(D, 4, next=""), "sample_data.json"),
@@ -199,23 +207,57 @@ KINDS: Mapping[str, Kind] = {
     "stamps that fall": ("DST-035", row(S, 2, timestamp=GOOD.stamp_us(0, 0) - 1), "sample.json row 2"),
     "a frame without a sweep": ("DST-036", row(D, 4, is_key_frame=False), GOOD.tokens(0)[1]),
     "two pictures of one camera": ("DST-037", row(D, 5, sample_token=GOOD.tokens(0)[0]), "CAM_FRONT"),
-    "a mount that changes": ("DST-038", table(D, lambda rows: rows[4].update(calibrated_sensor_token=rows[12]["calibrated_sensor_token"])), "sample_data.json row 5"),
-    "a frame far from its sweep": ("DST-039", table(S, lambda rows: [one.update(timestamp=one["timestamp"] + 2_000_000) for one in rows[:3]]), "-2.0 s"),
-    "a file of another stamp": ("DST-040", row(D, 0, filename=SWEEP.replace("000.pcd", "001.pcd")), "timestamp 1755846856000000"),
+    "a mount that changes": (
+        "DST-038",
+        table(D, lambda rows: rows[4].update(calibrated_sensor_token=rows[12]["calibrated_sensor_token"])),
+        "sample_data.json row 5",
+    ),
+    "a frame far from its sweep": (
+        "DST-039",
+        table(S, lambda rows: [one.update(timestamp=one["timestamp"] + 2_000_000) for one in rows[:3]]),
+        "-2.0 s",
+    ),
+    "a file of another stamp": (
+        "DST-040",
+        row(D, 0, filename=SWEEP.replace("000.pcd", "001.pcd")),
+        "timestamp 1755846856000000",
+    ),
     "a file of another camera": ("DST-041", row(D, 1, filename=PICTURE.replace("FRONT", "BACK")), "CAM_BACK"),
     "a file in no folder": ("DST-041", row(D, 0, filename="sweep.pcd.bin"), "'sweep.pcd.bin'"),
-    "one file twice": ("DST-042", table(D, lambda rows: (rows[0].update(filename="samples/LIDAR_TOP/a.bin"), rows[4].update(filename="samples/LIDAR_TOP/a.bin"))), "row 5: row 1"),
+    "one file twice": (
+        "DST-042",
+        table(
+            D,
+            lambda rows: (
+                rows[0].update(filename="samples/LIDAR_TOP/a.bin"),
+                rows[4].update(filename="samples/LIDAR_TOP/a.bin"),
+            ),
+        ),
+        "row 5: row 1",
+    ),
     "splits that are a list": ("DST-045", splits(["field-0000"]), "splits.json"),
     "a split that is a name": ("DST-045", splits({"train": "field-0000"}), "'train' is 'field-0000'"),
     "two files of splits": ("DST-045", text(f"{VERSION}/splits.json", "{}"), "there is v1.0-trainval/splits.json too"),
     "a split of an unknown scene": ("DST-046", splits({"val": ["scene-0916"]}), "'scene-0916'"),
-    "a scene in two splits": ("DST-047", splits({"train": ["field-0000"], "val": ["field-0000"]}), "'train' and in 'val'"),
+    "a scene in two splits": (
+        "DST-047",
+        splits({"train": ["field-0000"], "val": ["field-0000"]}),
+        "'train' and in 'val'",
+    ),
     "a missing sweep": ("DST-050", gone(SWEEP), f"{SWEEP} is not there"),
     "a link to nothing": ("DST-050", linked(SWEEP, "samples/nothing"), SWEEP),
     "a sweep cut off": ("DST-051", text(SWEEP, bytes(30)), "30 bytes"),
     "an empty sweep": ("DST-051", text(SWEEP, b""), "0 bytes"),
-    "a sweep of NaN": ("DST-052", text(SWEEP, np.array([0, 0, 0, 1, 1, NAN, 0, 0, 0, 0], "<f4").tobytes()), "1 of 2 points, the first is 1"),
-    "a picture that is none": ("DST-053", text(PICTURE, "version https://git-lfs.github.com/spec/v1"), "sample_data.json row 2"),
+    "a sweep of NaN": (
+        "DST-052",
+        text(SWEEP, np.array([0, 0, 0, 1, 1, NAN, 0, 0, 0, 0], "<f4").tobytes()),
+        "1 of 2 points, the first is 1",
+    ),
+    "a picture that is none": (
+        "DST-053",
+        text(PICTURE, "version https://git-lfs.github.com/spec/v1"),
+        "sample_data.json row 2",
+    ),
     "a picture cut off": ("DST-054", cut(PICTURE, 0.8), "no end marker"),
     "a picture of another size": ("DST-055", text(PICTURE, SMALL_PNG), "2 × 2 pixels, its row says 64 × 48"),
     "a scan that is none": ("DST-056", text(SCAN, b"# .PCD v0.7\nDATA ascii\n"), "no binary PCD"),
@@ -232,7 +274,7 @@ KINDS: Mapping[str, Kind] = {
     "a mask of another grid": ("DST-067", npz(semantics=GRID, mask_lidar=GRID[:, :, :16]), "mask_lidar"),
     "a mask of floats": ("DST-067", npz(semantics=GRID, mask_camera=GRID.astype(np.float32)), "float32"),
     "a mask of 255": ("DST-068", npz(semantics=GRID, mask_lidar=GRID + np.uint8(255)), "mask_lidar has 255"),
-}  # fmt: skip
+}
 
 
 def info(content: dict[str, Any], frame: int = 0) -> dict[str, Any]:
@@ -254,20 +296,66 @@ ANNOTATED: Mapping[str, Kind] = {
     "annotations cut off": ("DST-011", cut("annotations.json", 0.5), "annotations.json"),
     "annotations of a list": ("DST-011", text("annotations.json", "[]"), "'{' is expected"),
     "annotations of nothing": ("DST-001", text("annotations.json", "{}"), "no scenes"),
-    "a scene as a path": ("DST-019", annotated(lambda all_: all_["scene_infos"].update({"../x": {}})), "'../x'"),
-    "a frame without a pose": ("DST-015", annotated(lambda all_: info(all_).pop("ego_pose")), "field-0000 row 1"),
-    "a frame that is text": ("DST-016", annotated(lambda all_: all_["scene_infos"]["field-0000"].update({"f" * 32: "x"})), "an object"),
-    "a frame named as no token": ("DST-017", annotated(lambda all_: all_["scene_infos"]["field-0000"].update(x=info(all_))), "'x'"),
-    "a frame in two scenes": ("DST-018", annotated(lambda all_: all_["scene_infos"]["field-0001"].update({GOOD.tokens(0)[0]: info(all_) | {"gt_path": ""}})), "field-0001"),
-    "a camera's rotation of 3 × 3": ("DST-021", annotated(lambda all_: camera(all_)["extrinsic"].update(rotation=[[1, 0, 0]] * 3)), "3 × 3"),
-    "an intrinsic of 3 × 4": ("DST-024", annotated(lambda all_: camera(all_).update(intrinsic=[[1, 0, 1, 0]] * 3)), "intrinsic"),
-    "a camera that moves": ("DST-038", annotated(lambda all_: camera(all_, 1).update(extrinsic={"rotation": [1, 0, 0, 0], "translation": [0, 0, 0]})), "CAM_FRONT"),
-    "two pictures of a camera": ("DST-037", annotated(lambda all_: info(all_)["camera_sensor"].update(x=camera(all_))), "two pictures"),
-    "a chain that breaks": ("DST-034", annotated(lambda all_: info(all_, 1).update(prev="")), "in return"),
-    "a picture above": ("DST-004", annotated(lambda all_: camera(all_).update(img_path="../x/y.jpg")), "img_path"),
+    "a scene as a path": ("DST-019", annotated(lambda content: content["scene_infos"].update({"../x": {}})), "'../x'"),
+    "a frame without a pose": ("DST-015", annotated(lambda content: info(content).pop("ego_pose")), "field-0000 row 1"),
+    "a frame that is text": (
+        "DST-016",
+        annotated(lambda content: content["scene_infos"]["field-0000"].update({"f" * 32: "x"})),
+        "an object",
+    ),
+    "a frame named as no token": (
+        "DST-017",
+        annotated(lambda content: content["scene_infos"]["field-0000"].update(x=info(content))),
+        "'x'",
+    ),
+    "a frame in two scenes": (
+        "DST-018",
+        annotated(
+            lambda content: content["scene_infos"]["field-0001"].update(
+                {GOOD.tokens(0)[0]: info(content) | {"gt_path": ""}}
+            )
+        ),
+        "field-0001",
+    ),
+    "a camera's rotation of 3 × 3": (
+        "DST-021",
+        annotated(lambda content: camera(content)["extrinsic"].update(rotation=[[1, 0, 0]] * 3)),
+        "quaternion",
+    ),
+    "an intrinsic of 3 × 4": (
+        "DST-024",
+        annotated(lambda content: camera(content).update(intrinsic=[[1, 0, 1, 0]] * 3)),
+        "intrinsic",
+    ),
+    "a camera that moves": (
+        "DST-038",
+        annotated(
+            lambda content: camera(content, 1).update(extrinsic={"rotation": [1, 0, 0, 0], "translation": [0, 0, 0]})
+        ),
+        "CAM_FRONT",
+    ),
+    "two pictures of a camera": (
+        "DST-037",
+        annotated(lambda content: info(content)["camera_sensor"].update(x=camera(content))),
+        "two pictures",
+    ),
+    "a chain that breaks": ("DST-034", annotated(lambda content: info(content, 1).update(prev="")), "in return"),
+    "a picture above": (
+        "DST-004",
+        annotated(lambda content: camera(content).update(img_path="../x/y.jpg")),
+        "img_path",
+    ),
     "a missing picture": ("DST-050", gone(TAKEN), TAKEN),
-    "labels elsewhere": ("DST-069", annotated(lambda all_: info(all_).update(gt_path="gts/other/labels.npz")), "gts/other"),
-    "a split of a scene that is not there": ("DST-046", annotated(lambda all_: all_.update(val_split=["x"])), "'x'"),
-    "a split of a number": ("DST-045", annotated(lambda all_: all_.update(val_split=3)), "val_split"),
+    "labels elsewhere": (
+        "DST-069",
+        annotated(lambda content: info(content).update(gt_path="gts/other/labels.npz")),
+        "gts/other",
+    ),
+    "a split of a scene that is not there": (
+        "DST-046",
+        annotated(lambda content: content.update(val_split=["x"])),
+        "'x'",
+    ),
+    "a split of a number": ("DST-045", annotated(lambda content: content.update(val_split=3)), "val_split"),
     "labels of 17 numbers": ("DST-066", npz(semantics=GRID + np.uint8(17)), "--classes"),
-}  # fmt: skip
+}
