@@ -5,12 +5,15 @@
 """
 
 from dataclasses import asdict, dataclass, field
+from reprlib import Repr
 from typing import ClassVar
 
 from stone.errors import StoneError
 
 MOST_SHOWN = 100
 QUOTED = 120
+SHORT = Repr()
+SHORT.maxlevel, SHORT.maxlist, SHORT.maxdict, SHORT.maxstring = 4, 8, 4, QUOTED
 
 
 @dataclass(frozen=True)
@@ -63,6 +66,6 @@ class DatasetFaults:
 
 
 def quoted(value: object) -> str:
-    """A value from outside as a message shows it: short."""
-    text = repr(value)
+    """A value from outside as a message shows it: short, and no deeper than anybody would read."""
+    text = SHORT.repr(value)
     return text if len(text) <= QUOTED else f"{text[:QUOTED]}…"

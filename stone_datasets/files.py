@@ -62,8 +62,8 @@ class DatasetFolder:
         if not is_inside(name):
             raise _leaves(name)
         folder, _, base = name.rpartition("/")
-        place = f"{self._real(folder)}/{base}"
         try:
+            place = f"{self._real(folder)}/{base}"
             status = os.lstat(place)
             if stat.S_ISLNK(status.st_mode):
                 place = os.path.realpath(place)

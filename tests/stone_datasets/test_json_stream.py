@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stone_datasets import json_stream
@@ -31,6 +31,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("tables")
 
 
+@settings(max_examples=60)
 @given(rows=ROWS, piece=st.integers(1, 40), indent=st.none() | st.integers(0, 3), is_ascii=st.booleans())
 def test_rows_are_those_of_json_in_pieces_of_any_size(
     folder: Path, rows: list[dict[str, Any]], piece: int, indent: int | None, is_ascii: bool
@@ -43,6 +44,7 @@ def test_rows_are_those_of_json_in_pieces_of_any_size(
         assert list(json_rows(span_of(folder, content))) == list(enumerate(rows, 1))
 
 
+@settings(max_examples=60)
 @given(rows=ROWS, piece=st.integers(1, 40), data=st.data())
 def test_what_json_refuses_is_refused_and_what_it_reads_is_read(
     folder: Path, rows: list[dict[str, Any]], piece: int, data: st.DataObject
