@@ -1,6 +1,6 @@
-# make install | baselines | demo | serve | test | test-all | test-kernels | test-baselines | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-platform | bench-pages | bench-truth | bench-movers | bench-mounts | bench-real | bench-faults | bench-decisions | bench-models | season | wheels | images
+# make install | baselines | demo | serve | test | test-all | test-kernels | test-baselines | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read bench-datasets | bench-platform | bench-pages | bench-truth | bench-movers | bench-mounts | bench-real | bench-faults | bench-decisions | bench-models | season | wheels | images
 # Each installs first, which costs nothing when nothing changed.
-.PHONY: install baselines test-baselines test-clients demo serve test test-all test-kernels check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-platform bench-pages bench-truth bench-movers bench-mounts bench-real bench-faults bench-decisions bench-models season wheels images
+.PHONY: install baselines test-baselines test-clients demo serve test test-all test-kernels check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-datasets bench-platform bench-pages bench-truth bench-movers bench-mounts bench-real bench-faults bench-decisions bench-models season wheels images
 .DELETE_ON_ERROR:
 
 BIN := .venv/bin
@@ -74,7 +74,7 @@ check: test-clients
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/deptry stone stone_base stone_files stone_recordings stone_submissions stone_exports baselines services simulator stone_client stone_local api web
+	$(BIN)/deptry stone stone_base stone_files stone_recordings stone_submissions stone_exports stone_datasets baselines services simulator stone_client stone_local api web
 	$(BIN)/deptry --ignore DEP002,DEP004 benchmarks chaos deploy docsite fuzz testing tests
 	$(MAKE) --no-print-directory test-baselines
 	$(MAKE) --no-print-directory test-all
@@ -99,6 +99,9 @@ fuzz: install
 
 bench-read: install
 	$(BIN)/python -m benchmarks.read
+
+bench-datasets: install
+	$(BIN)/python -m benchmarks.datasets
 
 bench: install
 	$(BIN)/python -m benchmarks.score

@@ -23,7 +23,8 @@ from chaos.table import table_of
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = (
-    "stone", "stone_base", "stone_files", "stone_recordings", "stone_submissions", "stone_exports", "services",
+    "stone", "stone_base", "stone_files", "stone_recordings", "stone_submissions", "stone_exports",
+    "stone_datasets", "services",
     "simulator", "stone_client", "stone_local", "api",
 )  # fmt: skip
 CONSOLE = Console(highlight=False, markup=False, soft_wrap=True)

@@ -15,7 +15,8 @@ from stone.errors import StoneError
 
 ROOT = Path(__file__).resolve().parents[1]
 CODE_SOURCES = (
-    "stone", "stone_base", "stone_files", "stone_recordings", "stone_submissions", "stone_exports", "baselines",
+    "stone", "stone_base", "stone_files", "stone_recordings", "stone_submissions", "stone_exports",
+    "stone_datasets", "baselines",
     "services", "simulator", "stone_client", "stone_local", "api", "web",
 )  # fmt: skip
 HEAD = """# Codes

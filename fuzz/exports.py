@@ -35,7 +35,7 @@ def read_tar(content: bytes) -> None:
     """Every export in it, and the points of its frame."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "some.tar"
-        path.write_bytes(_mended(content))
+        path.write_bytes(mended(content))
         for files in exports_in(path):
             for sweep in sweeps_in(files, {TOKEN}).values():
                 sweep.points_ego()
@@ -78,7 +78,7 @@ def _table(name: str) -> bytes:
     return b"[\n" + json.dumps(ROWS[name]).encode() + b"\n]\n"
 
 
-def _mended(content: bytes) -> bytes:
+def mended(content: bytes) -> bytes:
     """The checksum of every block that calls itself a head is right."""
     mended = bytearray(content)
     for at in range(0, len(mended) - BLOCK_BYTES + 1, BLOCK_BYTES):

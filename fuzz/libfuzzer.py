@@ -15,7 +15,7 @@ EXPORTED = (
 )  # fmt: skip
 
 with atheris.instrument_imports(
-    include=["stone_recordings", "stone_submissions", "services.eval", "services.ingest", *EXPORTED]
+    include=["stone_recordings", "stone_submissions", "services.eval", "services.ingest", "stone_datasets", *EXPORTED]
 ):
     from fuzz.limits import check
     from fuzz.targets import TARGETS, limits_of

@@ -18,6 +18,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 
 from fuzz.calibrations import calibrations
+from fuzz.datasets import published_seeds
 from fuzz.exported_frames import exported_labels_seeds, frames_seeds, picture_seeds, scan_seeds
 from fuzz.exports import table_seeds, tar_seeds
 from fuzz.labels import label_seeds
@@ -128,6 +129,7 @@ SEEDS: Mapping[str, Callable[[], Iterator[tuple[str, bytes]]]] = {
     "exported-labels": exported_labels_seeds,
     "exported-scan": scan_seeds,
     "exported-picture": picture_seeds,
+    "datasets": published_seeds,
     "labels": label_seeds,
 }
 

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from fuzz.datasets import read_published
 from fuzz.exported_frames import read_frames, read_labels, read_picture, read_scan
 from fuzz.exports import read_tables, read_tar
 from fuzz.labels import read_and_label
@@ -96,6 +97,7 @@ TARGETS: Mapping[str, Target] = {
     "exported-labels": read_labels,
     "exported-scan": read_scan,
     "exported-picture": read_picture,
+    "datasets": read_published,
     "labels": read_and_label,
 }
 

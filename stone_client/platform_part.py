@@ -15,7 +15,8 @@ from stone_client.errors import PlatformNotInstalledError
 
 PACKAGE = "stone_local"
 PLATFORM_COMMANDS = (
-    "simulate", "inspect", "recover", "label", "export", "calibration", "label-sets", "baseline", "score", "demo",
+    "simulate", "inspect", "recover", "label", "export", "calibration", "label-sets", "baseline", "score", "check",
+    "demo",
     "serve", "train", "predict", "onnx",
 )  # fmt: skip
 Commands = Mapping[str, tuple[Callable[..., None], ...]]

@@ -25,6 +25,7 @@ class DamagedExportError(StoneError):
 
     def __init__(self, path: Path, name: str, why: str) -> None:
         super().__init__(f"{path}: {name[:200]!r} cannot be read: {why}; make the export again, or download it again")
+        self.why = why
 
 
 class ExportContent(Protocol):
@@ -56,12 +57,18 @@ class ExportFileSpan:
         """All of it. Raises `DamagedExportError` where it is larger than that, or ends early."""
         if self.size_bytes > most_bytes:
             raise self.damaged(f"it has {self.size_bytes} bytes, at most {most_bytes} are expected")
-        return b"".join(self._pieces())
+        return b"".join(self.pieces())
+
+    def part(self, start: int, most_bytes: int) -> bytes:
+        """Its bytes from `start` on, at most so many; fewer where it ends."""
+        with self.path.open("rb") as file:
+            wanted = max(min(most_bytes, self.size_bytes - start), 0)
+            return os.pread(file.fileno(), wanted, self.offset_bytes + start)
 
     def lines(self) -> Iterator[bytes]:
         """Its lines without their ends. Raises `DamagedExportError` for one longer than a row can be."""
         held = b""
-        for piece in self._pieces():
+        for piece in self.pieces():
             *whole, held = (held + piece).split(b"\n")
             yield from whole
             if len(held) > LONGEST_LINE_BYTES:
@@ -76,7 +83,8 @@ class ExportFileSpan:
         status = self.path.stat()
         return [self.name, self.offset_bytes, self.size_bytes, status.st_mtime_ns, status.st_size]
 
-    def _pieces(self) -> Iterator[bytes]:
+    def pieces(self) -> Iterator[bytes]:
+        """Its bytes, a piece after the other. Raises `DamagedExportError` where it ends early."""
         place, end = self.offset_bytes, self.offset_bytes + self.size_bytes
         with self.path.open("rb") as file:
             while place < end:

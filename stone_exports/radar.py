@@ -33,7 +33,7 @@ def detections_ego(datum: ExportedDatum) -> NDArray[np.float32]:
 
     Raises `DamagedExportError`.
     """
-    records = _records(datum.span)
+    records = scan_records(datum.span)
     rows = np.stack([records[name].astype(np.float64) for name in WANTED], axis=1)
     rows = rows[(np.abs(rows) < FARTHEST_DETECTION_M).all(axis=1)]
     ego_from_radar = datum.sensor.ego_from_sensor
@@ -41,8 +41,8 @@ def detections_ego(datum: ExportedDatum) -> NDArray[np.float32]:
     return np.concatenate([ego_from_radar @ rows[:, :3], rows[:, 3:4], velocities[:, :2]], axis=1).astype(np.float32)
 
 
-def _records(span: ExportContent) -> NDArray[np.void]:
-    """The records of a binary PCD. Raises `DamagedExportError`."""
+def scan_records(span: ExportContent) -> NDArray[np.void]:
+    """The records of a binary PCD, with the fields that detections need. Raises `DamagedExportError`."""
     content = span.read(MOST_SCAN_BYTES)
     head, mark, body = content[:MOST_HEAD_BYTES].partition(b"DATA binary\n")
     if not mark:

@@ -45,14 +45,16 @@ def tar_spans_of(path: Path, is_wanted: Callable[[str], bool]) -> dict[str, tupl
 
     Raises `BadTarError`.
     """
+    return {name: place for name, place in tar_members(path) if NAME.fullmatch(name) and is_wanted(name)}
+
+
+def tar_members(path: Path) -> Iterator[tuple[str, tuple[int, int]]]:
+    """Every file with its offset and size, whatever its name. Raises `BadTarError`."""
     with path.open("rb") as file:
-        descriptor = file.fileno()
-        found = (one for one in _files(path, descriptor) if NAME.fullmatch(one[0]) and is_wanted(one[0]))
-        return {name: place for name, place in found}
+        yield from _files(path, file.fileno())
 
 
 def _files(path: Path, descriptor: int) -> Iterator[tuple[str, tuple[int, int]]]:
-    """Every file with its place."""
     size_bytes, place, said = os.fstat(descriptor).st_size, 0, dict[str, str]()
     for _ in range(MOST_FILES):
         block = os.pread(descriptor, BLOCK_BYTES, place)

@@ -6,6 +6,7 @@ import typer
 
 from stone_local.commands.baseline import baseline
 from stone_local.commands.calibration import calibration
+from stone_local.commands.check import check
 from stone_local.commands.demo import demo
 from stone_local.commands.export import export
 from stone_local.commands.inspect import inspect
@@ -20,7 +21,7 @@ from stone_local.commands.serve import serve
 from stone_local.commands.simulate import simulate
 
 COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
-    "On this machine": (simulate, inspect, recover, label, export, baseline, score, demo),
+    "On this machine": (simulate, inspect, recover, label, export, baseline, score, check, demo),
     "With a server": (serve,),
     "Models": (train, predict, onnx),
 }

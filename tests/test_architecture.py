@@ -16,7 +16,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = (
-    "stone", "stone_base", "stone_files", "stone_recordings", "stone_submissions", "stone_exports",
+    "stone", "stone_base", "stone_files", "stone_recordings", "stone_submissions", "stone_exports", "stone_datasets",
     "baselines", "services", "simulator", "stone_client", "stone_local", "api", "web",
 )  # fmt: skip
 SOURCES = tuple(

@@ -20,7 +20,8 @@ from stone_client.main import app
 ROOT = Path(__file__).resolve().parents[2]
 WRITTEN = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 SOURCES = (
-    "stone", "stone_base", "stone_files", "stone_recordings", "stone_submissions", "stone_exports", "baselines",
+    "stone", "stone_base", "stone_files", "stone_recordings", "stone_submissions", "stone_exports",
+    "stone_datasets", "baselines",
     "services", "simulator", "stone_client", "stone_local", "api", "web", "testing", "benchmarks",
     "chaos", "fuzz", "docsite", "deploy", "tests",
 )  # fmt: skip

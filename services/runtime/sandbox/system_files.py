@@ -11,7 +11,8 @@ from importlib.util import find_spec
 from pathlib import Path
 
 PACKAGES = (
-    "stone", "stone_base", "stone_files", "stone_recordings", "stone_submissions", "stone_exports", "services", "api",
+    "stone", "stone_base", "stone_files", "stone_recordings", "stone_submissions", "stone_exports",
+    "stone_datasets", "services", "api",
     "web", "stone_client", "stone_local",
 )  # fmt: skip
 SYSTEM = ("/usr", "/lib", "/lib64", "/bin", "/etc/ld.so.cache", "/etc/localtime", "/etc/timezone", "/etc/fonts")

@@ -11,7 +11,8 @@ from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).resolve().parents[3]
 OWN = {
-    "stone", "stone_base", "stone_files", "stone_recordings", "stone_submissions", "stone_exports", "baselines",
+    "stone", "stone_base", "stone_files", "stone_recordings", "stone_submissions", "stone_exports",
+    "stone_datasets", "baselines",
     "services", "simulator", "stone_client", "stone_local", "api", "web",
 }  # fmt: skip
 FOR_TYPES_ONLY = {"types_boto3_s3"}

@@ -44,7 +44,15 @@ print(json.dumps({
 def sources() -> set[str]:
     """Every module of the project, as it was before the wheel was made."""
     folders = (
-        *("stone", "stone_base", "stone_files", "stone_recordings", "stone_submissions", "stone_exports"),
+        *(
+            "stone",
+            "stone_base",
+            "stone_files",
+            "stone_recordings",
+            "stone_submissions",
+            "stone_exports",
+            "stone_datasets",
+        ),
         *("baselines", "services", "simulator", "stone_client", "stone_local", "api", "web"),
     )
     found = [path for folder in folders for path in (ROOT / folder).rglob("*.py")]

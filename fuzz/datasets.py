@@ -1,0 +1,87 @@
+"""The reader of published datasets as a function of bytes: tables, splits, annotations, class map and labels, or a tar.
+
+**Conventions.** The first byte says what the rest is: a dataset of tables, one of annotations.json alone, or a tar
+(checksums of its heads repaired). The parts of a dataset are parted by two zeros, labels last; an empty part is the
+good one, so that one mutated part is read with all others sound.
+"""
+
+from collections.abc import Iterator, Mapping
+from functools import cache
+from io import BytesIO
+from itertools import zip_longest
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from zipfile import ZIP_STORED, ZipFile
+
+import numpy as np
+
+from fuzz.exports import mended
+from stone.labels.grid import GRID_SHAPE
+from stone_datasets.classes import read_class_map
+from stone_datasets.reading import check_dataset
+from stone_files.npz import npz_bytes
+from testing.worlds.published_datasets import (
+    VERSION,
+    PublishedDataset,
+    write_annotated,
+    write_published,
+    write_published_tar,
+)
+
+TABLES, ANNOTATED, TAR = range(3)
+CLASSES = b"name: own\nclasses: {0: free, 1: T, 2: P, 3: N, 255: unobserved}\n"
+OF_TABLES = ("sensor", "calibrated_sensor", "log", "scene", "sample", "ego_pose", "sample_data")
+WHAT = PublishedDataset(1, 2, cameras=("CAM_FRONT",), splits={"train": ["field-0000"]})
+LABELS = tuple(f"gts/field-0000/{token}/labels.npz" for token in WHAT.tokens(0))
+PARTS: Mapping[int, tuple[str, ...]] = {
+    TABLES: (*(f"{VERSION}/{name}.json" for name in OF_TABLES), "splits.json", "classes.yaml", LABELS[0]),
+    ANNOTATED: ("annotations.json", "classes.yaml", LABELS[0]),
+}
+
+
+def read_published(content: bytes) -> None:
+    """Everything in it, which is sound, or has faults that are named."""
+    kind = content[0] % 3 if content else TABLES
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "dataset"
+        if kind == TAR:
+            path.write_bytes(mended(content[1:]))
+            check_dataset(path)
+            return
+        parts = dict(zip_longest(PARTS[kind], content[1:].split(b"\0\0", len(PARTS[kind]) - 1), fillvalue=b""))
+        for name, good in _good(kind).items():
+            (path / name).parent.mkdir(parents=True, exist_ok=True)
+            (path / name).write_bytes(parts.get(name) or good)
+        check = check_dataset(path, read_class_map(path / "classes.yaml"))
+    if (check.contents is None) == (not check.faults.found):
+        raise AssertionError("neither sound nor faulty")
+
+
+def published_seeds() -> Iterator[tuple[str, bytes]]:
+    """All parts, and each alone."""
+    for kind, names in PARTS.items():
+        parts = [_good(kind)[name] for name in names]
+        yield f"{kind}-all", bytes([kind]) + b"\0\0".join(parts)
+        for place, part in enumerate(parts):
+            yield f"{kind}-{place}", bytes([kind]) + b"\0\0" * place + part
+    small = BytesIO()
+    np.save(small, np.zeros(3, np.uint8))
+    stored = BytesIO()
+    with ZipFile(stored, "w", ZIP_STORED) as archive:
+        for name in ("semantics.npy", "mask_lidar.npy"):
+            archive.writestr(name, small.getvalue())
+    yield "small-labels", bytes([ANNOTATED]) + b"\0\0" * 2 + stored.getvalue()
+    with TemporaryDirectory() as folder:
+        yield "tar", bytes([TAR]) + write_published_tar(Path(folder) / "t.tar", WHAT).read_bytes()
+
+
+@cache
+def _good(kind: int) -> Mapping[str, bytes]:
+    """The files of a good dataset of this kind by name."""
+    write = write_published if kind == TABLES else write_annotated
+    with TemporaryDirectory() as folder:
+        path = write(Path(folder) / "good", WHAT)
+        files = {one.relative_to(path).as_posix(): one.read_bytes() for one in path.rglob("*") if one.is_file()}
+    free = np.zeros(GRID_SHAPE, np.uint8)
+    labels = npz_bytes({"semantics": free, "mask_lidar": free})
+    return files | dict.fromkeys(LABELS, labels) | {"classes.yaml": CLASSES}

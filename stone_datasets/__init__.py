@@ -1,0 +1,1 @@
+"""Reads published datasets completely and strictly: nuScenes tables with samples and labels, and Occ3D's layout."""

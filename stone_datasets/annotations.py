@@ -1,0 +1,234 @@
+"""annotations.json of Occ3D: scenes with frames, cameras and splits in one object, read frame by frame.
+
+    {"train_split": [scene, …], "val_split": […], "scene_infos": {scene: {frame token: {"timestamp", "prev", "next",
+     "ego_pose", "gt_path", "camera_sensor": {token: {"img_path", "intrinsic", "extrinsic", "ego_pose"}}}}}}
+
+**Conventions.** `extrinsic` is ego_from_camera, of the form of poses: a quaternion wxyz and metres. A channel is the
+folder of `img_path`, which is looked for as it is, below imgs/ and below samples/. Source: README of
+CVPR2023-3D-Occupancy-Prediction, "Hierarchy".
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from stone.geometry.se3 import SE3
+from stone.sensors.sequence import NAME
+from stone_datasets.build import NS_PER_US, stamp_in_name
+from stone_datasets.columns import Names
+from stone_datasets.faults import DatasetFaultError, DatasetFaults, DatasetPlace, quoted
+from stone_datasets.file_faults import LabelPathError
+from stone_datasets.files import ANNOTATIONS, DatasetFiles, is_inside
+from stone_datasets.index import DatasetChannel, DatasetIndex, DatasetSequence, label_folder
+from stone_datasets.json_stream import JsonStream
+from stone_datasets.layout_faults import (
+    BadDatasetTokenError,
+    BadSceneNameError,
+    DuplicateTokenError,
+    PathLeavesDatasetError,
+    TableMissingError,
+)
+from stone_datasets.links import LinkedRows, check_chains
+from stone_datasets.rows import FARTHEST_MOUNT_M, FARTHEST_POSE_M, DatasetRow
+from stone_datasets.samples import picture_of
+from stone_datasets.splits import Splits, check_splits, scenes_named, splits_of
+from stone_datasets.table_faults import (
+    CalibrationChangesError,
+    ChannelTwiceError,
+    DanglingReferenceError,
+    DuplicateSceneError,
+)
+from stone_exports.frames import TOKEN, ExportedSensor
+
+SPLIT_KEYS = {"train_split": "train", "val_split": "val", "test_split": "test"}
+PICTURE_FOLDERS = ("", "imgs/", "samples/")
+
+
+@dataclass
+class AnnotatedCamera:
+    """One camera of a scene, frame after frame."""
+
+    first: DatasetRow
+    frames: list[int] = field(default_factory=list)
+    stamps_ns: list[int] = field(default_factory=list)
+    poses: list[list[float]] = field(default_factory=list)
+    rows: list[int] = field(default_factory=list)
+
+
+@dataclass
+class AnnotatedScene:
+    """What is known of a scene while its frames come."""
+
+    name: str
+    tokens: list[str] = field(default_factory=list)
+    stamps_us: list[int] = field(default_factory=list)
+    poses: list[list[float]] = field(default_factory=list)
+    links: list[tuple[int, int]] = field(default_factory=list)
+    cameras: dict[str, AnnotatedCamera] = field(default_factory=dict)
+
+
+def read_annotations(files: DatasetFiles, faults: DatasetFaults) -> DatasetIndex | None:
+    """The index of a dataset that has nothing else; None where it cannot be made for its faults."""
+    splits, sequences, names, seen = dict[str, tuple[str, ...]](), list[DatasetSequence](), Names(), set[int]()
+    try:
+        for scene, rows in _scenes(files, splits):
+            found = _read_scene(files, (scene, rows, names, seen), faults)
+            if found is not None:
+                sequences.append(found)
+    except DatasetFaultError as fault:
+        faults.add(fault)
+        return None
+    if len(faults):
+        return None
+    check_splits((ANNOTATIONS, splits), [one.name for one in sequences], faults)
+    named = splits_of(splits)
+    whole = tuple(_with_splits(one, named.get(one.name, ())) for one in sequences)
+    return DatasetIndex(files, "occ3d", whole, splits)
+
+
+def compare_annotations(index: DatasetIndex, faults: DatasetFaults) -> Splits:
+    """The splits that annotations.json says; that it agrees with the tables beside it is checked."""
+    splits, known = dict[str, tuple[str, ...]](), {one.name: set(one.tokens) for one in index.sequences}
+    try:
+        for scene, rows in _scenes(index.files, splits):
+            for row in rows:
+                token = row.named
+                if token not in known.get(scene, ()):
+                    faults.add(DanglingReferenceError(row.place, f"no frame of {quoted(scene)} in the tables has it"))
+                elif fault := _fault_of_labels(row, scene):
+                    faults.add(fault)
+    except DatasetFaultError as fault:
+        faults.add(fault)
+    return splits
+
+
+def _scenes(files: DatasetFiles, splits: dict[str, tuple[str, ...]]) -> Iterator[tuple[str, Iterator[DatasetRow]]]:
+    """Each scene with its frames, which are read before the next; the splits are put into `splits`."""
+    span, names = files.span(ANNOTATIONS), set[str]()
+    if span is None:
+        raise TableMissingError(DatasetPlace(ANNOTATIONS), "it is not there")
+    stream = JsonStream(span)
+    for key in stream.items():
+        if key in SPLIT_KEYS:
+            splits[SPLIT_KEYS[key]] = scenes_named(ANNOTATIONS, key, stream.value())
+        elif key != "scene_infos":
+            stream.value()
+        else:
+            for scene in stream.items():
+                if scene in names:
+                    raise DuplicateSceneError(DatasetPlace(ANNOTATIONS), f"{quoted(scene)} stands twice")
+                if NAME.fullmatch(scene) is None:
+                    raise BadSceneNameError(DatasetPlace(ANNOTATIONS), f"{quoted(scene)} is none")
+                names.add(scene)
+                yield scene, _frames(stream, scene)
+    stream.end()
+
+
+def _frames(stream: JsonStream, scene: str) -> Iterator[DatasetRow]:
+    for number, token in enumerate(stream.items(), 1):
+        place = f"{ANNOTATIONS} scene {scene}"
+        value = stream.value(number)
+        yield DatasetRow(place, number, {token: value}, token).part(token)
+
+
+Read = tuple[str, Iterator[DatasetRow], Names, set[int]]
+
+
+def _read_scene(files: DatasetFiles, read: Read, faults: DatasetFaults) -> DatasetSequence | None:
+    """One scene; None where its frames cannot be put in order."""
+    name, rows, names, seen = read
+    scene, before = AnnotatedScene(name), faults.total
+    for row in rows:
+        try:
+            _add_frame(files, scene, (row, names, seen))
+        except DatasetFaultError as fault:
+            faults.add(fault)
+    if faults.total > before:
+        return None
+    keys, links = [hash(token) for token in scene.tokens], np.array(scene.links, np.int64).reshape(-1, 2)
+    columns = (np.array(keys, np.int64), links[:, 0], links[:, 1], np.array(scene.stamps_us, np.int64))
+    group = np.zeros(len(keys), np.int64)
+    check_chains(LinkedRows(f"{ANNOTATIONS} scene {name}", *columns, group, scene.tokens), faults)
+    return _sequence(files, scene, names) if faults.total == before else None
+
+
+def _add_frame(files: DatasetFiles, scene: AnnotatedScene, what: tuple[DatasetRow, Names, set[int]]) -> None:
+    row, names, seen = what
+    token = row.named
+    if TOKEN.fullmatch(token) is None:
+        raise BadDatasetTokenError(row.place, f"{quoted(token)} is no frame's token")
+    if hash(token) in seen:
+        raise DuplicateTokenError(row.place, "a frame before has its token")
+    fault = _fault_of_labels(row, scene.name)
+    if fault is not None:
+        raise fault
+    stamp_us, pose = row.stamp_us(), row.part("ego_pose").pose_numbers(FARTHEST_POSE_M)
+    links = (hash(row.link("prev")), hash(row.link("next")))
+    cameras = row.part("camera_sensor")
+    for camera in cameras.values:
+        _add_picture(files, scene, (cameras.part(camera), stamp_us), names)
+    seen.add(hash(token))
+    scene.tokens.append(token)
+    scene.stamps_us.append(stamp_us)
+    scene.poses.append(pose)
+    scene.links.append(links)
+
+
+def _fault_of_labels(row: DatasetRow, scene: str) -> LabelPathError | None:
+    """Test sets name no labels."""
+    wanted = f"{label_folder(scene)}/{row.named}/labels.npz"
+    if row.values.get("gt_path", wanted) in (wanted, "", None):
+        return None
+    return LabelPathError(row.place, f"gt_path is {quoted(row.values['gt_path'])}, expected is {wanted}")
+
+
+def _add_picture(files: DatasetFiles, scene: AnnotatedScene, what: tuple[DatasetRow, int], names: Names) -> None:
+    row, stamp_us = what
+    name = row.text("img_path")
+    if not is_inside(name):
+        raise PathLeavesDatasetError(row.place, f"img_path {quoted(name)} leads out of the dataset")
+    channel = name.rpartition("/")[0].rpartition("/")[2]
+    if NAME.fullmatch(channel) is None:
+        raise row.wrong("img_path", "<folder>/<CHANNEL>/<file>")
+    pose = row.part("ego_pose").pose_numbers(FARTHEST_POSE_M)
+    row.part("extrinsic").pose(FARTHEST_MOUNT_M)
+    row.lens((1, 1), "intrinsic")
+    camera = scene.cameras.setdefault(channel, AnnotatedCamera(row))
+    if camera.frames and camera.frames[-1] == len(scene.tokens):
+        raise ChannelTwiceError(row.place, f"two pictures are of {channel}")
+    if any(camera.first.value(key) != row.value(key) for key in ("intrinsic", "extrinsic")):
+        raise CalibrationChangesError(row.place, f"{channel} has another intrinsic or extrinsic than before")
+    camera.frames.append(len(scene.tokens))
+    camera.stamps_ns.append((stamp_in_name(name) or stamp_us) * NS_PER_US)
+    camera.poses.append(pose)
+    camera.rows.append(len(names))
+    names.add(next((f"{at}{name}" for at in PICTURE_FOLDERS if files.span(f"{at}{name}") is not None), name))
+
+
+def _sequence(files: DatasetFiles, scene: AnnotatedScene, names: Names) -> DatasetSequence:
+    order = np.argsort(np.array(scene.stamps_us, np.int64))
+    rank = np.argsort(order)
+    poses = SE3(np.array(scene.poses, np.float64).reshape(-1, 7)[order])
+    stamps_ns = np.array(scene.stamps_us, np.int64)[order] * NS_PER_US
+    tokens = tuple(scene.tokens[place] for place in order.tolist())
+    channels = {name: _channel(files, name, camera, (names, rank)) for name, camera in scene.cameras.items()}
+    is_labelled = files.has_folder(label_folder(scene.name))
+    return DatasetSequence(scene.name, "", "", "", tokens, stamps_ns, poses, channels, is_labelled)
+
+
+def _channel(files: DatasetFiles, name: str, camera: AnnotatedCamera, of: tuple[Names, object]) -> DatasetChannel:
+    names, rank = of
+    frames = np.asarray(rank)[camera.frames]
+    order, first = np.argsort(frames), files.span(names[camera.rows[0]])
+    lens = None
+    if first is not None:
+        _, size_px = picture_of(first, camera.first.place)
+        lens = camera.first.lens(size_px, "intrinsic")
+    sensor = ExportedSensor(name, "camera", camera.first.part("extrinsic").pose(FARTHEST_MOUNT_M), lens)
+    held = (np.array(camera.stamps_ns, np.int64)[order], SE3(np.array(camera.poses, np.float64)[order]))
+    return DatasetChannel(sensor, frames[order], *held, np.array(camera.rows, np.int64)[order], names)
+
+
+def _with_splits(sequence: DatasetSequence, splits: tuple[str, ...]) -> DatasetSequence:
+    return DatasetSequence(**{**vars(sequence), "splits": splits})

@@ -1,0 +1,216 @@
+"""From sound tables to the index: links compared, data put to their frames, and what a sequence needs asked for.
+
+**Conventions.** As `stone_datasets/links.py`: whole columns are compared.
+"""
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.geometry.se3 import SE3
+from stone_datasets.columns import Keys, repeated, rows_of
+from stone_datasets.faults import DatasetFaultError, DatasetFaults, DatasetPlace, quoted
+from stone_datasets.files import is_inside
+from stone_datasets.index import DatasetChannel
+from stone_datasets.layout_faults import PathLeavesDatasetError
+from stone_datasets.links import LinkedRows, Places, check_chains, check_scenes
+from stone_datasets.table_faults import (
+    CalibrationChangesError,
+    ChannelTwiceError,
+    DanglingReferenceError,
+    DatumFarError,
+    FileChannelError,
+    FileStampError,
+    FileTwiceError,
+    NoSweepError,
+)
+from stone_datasets.tables import CalibratedSensorRow, DatasetTables
+from stone_exports.frames import LIDAR_CHANNEL, ExportedSensor
+
+FARTHEST_US, NS_PER_US = 1_000_000, 1000
+STAMPED = re.compile(r".*__([1-9][0-9]{14,15})\.[a-z.]+")
+FILE = re.compile(r"(?:samples|sweeps)/([^/]+)/(?:[^/]*__([^/]+?)__(\d{10,19})\.[^/]+|[^/]+)")
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedData:
+    """The columns of sample_data with what they refer to found: rows of samples, of poses; scene, channel, position.
+
+    `at` is the place of a row's frame within its scene, by stamp.
+    """
+
+    tables: DatasetTables
+    mounts: Sequence[CalibratedSensorRow]
+    mount: Places
+    frame: Places
+    pose: Places
+    scene: Places
+    at: Places
+    channel: Places
+    stamps_us: NDArray[np.int64]
+    is_key: NDArray[np.bool_]
+
+    def place(self, row: int) -> DatasetPlace:
+        return DatasetPlace(self.tables.file("sample_data"), row + 1)
+
+    def name(self, row: int) -> str:
+        return self.tables.data.names[row]
+
+    def sensor(self, row: int) -> CalibratedSensorRow:
+        return self.mounts[int(self.mount[row])]
+
+
+@dataclass(frozen=True, eq=False)
+class DatasetFrames:
+    """All samples by scene and stamp: `order` (N,) are their rows, `starts` (S + 1,) where each scene begins in it."""
+
+    order: Places
+    starts: Places
+    stamps_ns: NDArray[np.int64]
+
+
+def frames_of(tables: DatasetTables, faults: DatasetFaults) -> DatasetFrames:
+    """The samples, their chains and scenes checked."""
+    held = tables.samples
+    previous, following = _links(held.links.array(np.int64), 2)
+    stamps_us, scenes = held.stamp_us.array(np.int64), held.scene.array(np.int64)
+    samples = LinkedRows(
+        tables.file("sample"), held.keys.array(np.int64), previous, following, stamps_us, scenes, held.tokens
+    )
+    before = faults.total
+    check_chains(samples, faults)
+    if faults.total == before:
+        check_scenes(tables, samples, faults)
+    counts = np.bincount(samples.group, minlength=len(tables.scenes))
+    starts = np.concatenate([[0], np.cumsum(counts)])
+    order = np.lexsort((samples.stamps, samples.group))
+    return DatasetFrames(order, starts, samples.stamps[order] * NS_PER_US)
+
+
+def data_of(tables: DatasetTables, frames: DatasetFrames, faults: DatasetFaults) -> PlacedData | None:
+    """The data, checked; None where a reference leads nowhere."""
+    data, before = tables.data, faults.total
+    previous, following, frame_keys, pose_keys = _links(data.links.array(np.int64), 4)
+    keys = data.keys.array(np.int64)
+    frame = rows_of(tables.samples.keys.array(np.int64), frame_keys)
+    pose = rows_of(tables.poses.keys.array(np.int64), pose_keys)
+    for lost in _dangling(tables, {"sample": frame, "ego_pose": pose}):
+        faults.add(lost)
+    if faults.total > before:
+        return None
+    mounts = list(tables.mounts.values())
+    channels = sorted({mount.sensor.channel for mount in mounts})
+    channel_of = np.array([channels.index(mount.sensor.channel) for mount in mounts], np.int64)
+    mount, scenes = data.mount.array(np.int64), tables.samples.scene.array(np.int64)
+    at = np.empty(len(frames.order), np.int64)
+    at[frames.order] = np.arange(len(frames.order)) - frames.starts[scenes[frames.order]]
+    facts = (frame, pose, scenes[frame], at[frame], channel_of[mount], data.stamp_us.array(np.int64))
+    placed = PlacedData(tables, mounts, mount, *facts, data.is_key.array(np.bool_))
+    group = placed.scene * len(channels) + placed.channel
+    check_chains(LinkedRows(tables.file("sample_data"), keys, previous, following, facts[-1], group), faults)
+    for found in (_misnamed(placed), _wrong_frames(placed, frames), _without_sweep(placed, frames), _changing(placed)):
+        for fault in found:
+            faults.add(fault)
+    return placed
+
+
+def channels_of(placed: PlacedData) -> Iterator[Mapping[str, DatasetChannel]]:
+    """Of each scene its channels by name."""
+    poses = placed.tables.poses.poses.array(np.float64).reshape(-1, 7)
+    rows = np.flatnonzero(placed.is_key)
+    rows = rows[np.lexsort((placed.at[rows], placed.channel[rows], placed.scene[rows]))]
+    bounds = np.searchsorted(placed.scene[rows], np.arange(len(placed.tables.scenes) + 1))
+    for start, stop in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True):
+        own = rows[start:stop]
+        cuts = np.flatnonzero(np.diff(placed.channel[own])) + 1
+        parts = [part for part in np.split(own, cuts) if len(part)]
+        channels = [_channel(placed, part, poses) for part in parts]
+        yield {channel.sensor.channel: channel for channel in channels}
+
+
+def _channel(placed: PlacedData, rows: Places, poses: NDArray[np.float64]) -> DatasetChannel:
+    mount = placed.sensor(int(rows[0]))
+    sensor = ExportedSensor(mount.sensor.channel, mount.sensor.modality, mount.ego_from_sensor, mount.lens)
+    stamps_ns = placed.stamps_us[rows] * NS_PER_US
+    return DatasetChannel(
+        sensor, placed.at[rows], stamps_ns, SE3(poses[placed.pose[rows]]), rows, placed.tables.data.names
+    )
+
+
+def stamp_in_name(name: str) -> int | None:
+    """Microseconds that the name of a sensor's file says; None where it says none."""
+    found = STAMPED.fullmatch(name.rpartition("/")[2])
+    return None if found is None else int(found[1])
+
+
+def _links(held: Keys, count: int) -> tuple[Keys, ...]:
+    return tuple(np.ascontiguousarray(column) for column in held.reshape(-1, count).T)
+
+
+def _dangling(tables: DatasetTables, found: Mapping[str, Places]) -> Iterator[DanglingReferenceError]:
+    for table, rows in found.items():
+        for row in np.flatnonzero(rows < 0).tolist():
+            place = DatasetPlace(tables.file("sample_data"), row + 1)
+            what = f"of {quoted(tables.data.names[row])} {table}_token is no token of {table}"
+            yield DanglingReferenceError(place, what)
+
+
+def _misnamed(placed: PlacedData) -> Iterator[DatasetFaultError]:
+    """Files that lie elsewhere, are of another sensor or stamp than their rows say, or stand in two rows."""
+    names = placed.tables.data.names
+    are_sound = True
+    for row in range(len(names)):
+        fault = _fault_of_name(placed, row, names[row])
+        if fault is not None:
+            are_sound = False
+            yield fault
+    if not are_sound:
+        return
+    for again, first in repeated(np.array([hash(names[row]) for row in range(len(names))], np.int64)):
+        yield FileTwiceError(placed.place(again), f"row {first + 1} names {quoted(names[again])} too")
+
+
+def _fault_of_name(placed: PlacedData, row: int, name: str) -> DatasetFaultError | None:
+    channel, found = placed.sensor(row).sensor.channel, FILE.fullmatch(name)
+    if not is_inside(name):
+        return PathLeavesDatasetError(placed.place(row), f"filename {quoted(name)} leads out of the dataset")
+    if found is None or found[1] != channel or found[2] not in (None, channel):
+        return FileChannelError(placed.place(row), f"filename is {quoted(name)}, the sensor {channel}")
+    if found[3] is not None and int(found[3]) != placed.stamps_us[row]:
+        return FileStampError(placed.place(row), f"filename is {quoted(name)}, timestamp {placed.stamps_us[row]}")
+    return None
+
+
+def _wrong_frames(placed: PlacedData, frames: DatasetFrames) -> Iterator[DatasetFaultError]:
+    """Key-frame data that are far from their frame, or the second of their sensor in it."""
+    stamps_us = np.empty(len(frames.order), np.int64)
+    stamps_us[frames.order] = frames.stamps_ns // NS_PER_US
+    away_us = placed.stamps_us - stamps_us[placed.frame]
+    for row in np.flatnonzero(placed.is_key & (np.abs(away_us) > FARTHEST_US)).tolist():
+        yield DatumFarError(placed.place(row), f"{quoted(placed.name(row))} is {away_us[row] / 1e6:.1f} s from it")
+    keys = np.flatnonzero(placed.is_key)
+    for again, first in repeated(placed.frame[keys] * (placed.channel.max(initial=0) + 1) + placed.channel[keys]):
+        row, other = int(keys[again]), int(keys[first])
+        yield ChannelTwiceError(placed.place(row), f"row {other + 1} is of {placed.sensor(row).sensor.channel} too")
+
+
+def _without_sweep(placed: PlacedData, frames: DatasetFrames) -> Iterator[NoSweepError]:
+    tables = placed.tables
+    is_lidar = np.array([mount.sensor.channel == LIDAR_CHANNEL for mount in placed.mounts], np.bool_)
+    with_sweep = placed.frame[placed.is_key & is_lidar[placed.mount]]
+    for row in np.setdiff1d(frames.order, with_sweep).tolist():
+        place = DatasetPlace(tables.file("sample"), row + 1, tables.samples.tokens[row])
+        yield NoSweepError(place, f"no key frame of {LIDAR_CHANNEL} is of it")
+
+
+def _changing(placed: PlacedData) -> Iterator[CalibrationChangesError]:
+    """The first row of a second calibration of a scene and sensor."""
+    chains = placed.scene * (placed.channel.max(initial=0) + 1) + placed.channel
+    pairs, firsts = np.unique(np.stack([chains, placed.mount]), axis=1, return_index=True)
+    for again, first in repeated(pairs[0]):
+        row, other = int(firsts[again]), int(firsts[first])
+        tokens = [placed.sensor(one).row.place.token for one in (row, other)]
+        yield CalibrationChangesError(placed.place(row), f"{tokens[0]} here, {tokens[1]} in row {other + 1}")

@@ -1,0 +1,65 @@
+"""Which traversability class each number of a label set means: stated in a file, never guessed.
+
+**Conventions.** A YAML or JSON object: `name` of the set, and `classes`: number → T, P, N, free or unobserved. Without
+one numbers mean what this platform's labels mean: 0 free, 1 T, 2 P, 3 N, and 255 unobserved.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from stone_datasets.faults import DatasetPlace, quoted
+from stone_datasets.file_faults import BadClassMapError
+
+MEANINGS: Mapping[str, int] = {"free": 0, "T": 1, "P": 2, "N": 3, "unobserved": 255}
+UNOBSERVED, UNKNOWN = 255, 254
+MOST_MAP_BYTES = 64 * 1024
+
+
+@dataclass(frozen=True, eq=False)
+class ClassMap:
+    """`meaning` (256,) uint8: class of each number, `UNOBSERVED`, or `UNKNOWN` where nothing was said."""
+
+    name: str
+    meaning: NDArray[np.uint8]
+
+
+def class_map_of(name: str, meanings: Mapping[int, str]) -> ClassMap:
+    table = np.full(256, UNKNOWN, np.uint8)
+    for number, meaning in meanings.items():
+        table[number] = MEANINGS[meaning]
+    return ClassMap(name, table)
+
+
+OWN_CLASSES = class_map_of("stone", {0: "free", 1: "T", 2: "P", 3: "N", 255: "unobserved"})
+
+
+def read_class_map(path: Path) -> ClassMap:
+    """The map in a file. Raises `BadClassMapError`."""
+    place = DatasetPlace(path.name)
+    with path.open("rb") as file:
+        content = file.read(MOST_MAP_BYTES + 1)
+    if len(content) > MOST_MAP_BYTES:
+        raise BadClassMapError(place, f"it has more than {MOST_MAP_BYTES} bytes")
+    try:
+        said = YAML(typ="safe", pure=True).load(content.decode("utf-8"))
+    except (YAMLError, ValueError, RecursionError, TypeError, AttributeError) as error:
+        raise BadClassMapError(place, "it is no YAML") from error
+    if not isinstance(said, dict) or not isinstance(said.get("name"), str) or not isinstance(said.get("classes"), dict):
+        raise BadClassMapError(place, "it has no name, or no classes")
+    return class_map_of(said["name"][:100], dict(_meant(place, *one) for one in said["classes"].items()))
+
+
+def _meant(place: DatasetPlace, number: object, meaning: object) -> tuple[int, str]:
+    if isinstance(number, str) and number.isdecimal() and len(number) < 4:  # keys of JSON are text
+        number = int(number)
+    if type(number) is not int or not 0 <= number < 256:
+        raise BadClassMapError(place, f"{quoted(number)} is no number from 0 to 255")
+    if not isinstance(meaning, str) or meaning not in MEANINGS:
+        raise BadClassMapError(place, f"{number} is {quoted(meaning)}, expected is one of {', '.join(MEANINGS)}")
+    return number, meaning

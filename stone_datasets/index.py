@@ -1,0 +1,88 @@
+"""What a dataset holds: its sequences with frames, poses and calibrated sensors, and the file of every datum.
+
+**Conventions.** A scene is a sequence, a sample a frame, its token the frame's; frames are in the order of their
+stamps. `map_from_ego` is what `ego_pose` says, to the last bit: the map is the dataset's `global`. Times are
+nanoseconds of stamps that are whole microseconds. Arrays are by sequence; nothing is opened before it is asked for.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.geometry.se3 import SE3
+from stone_datasets.columns import Names
+from stone_datasets.files import DatasetFiles
+from stone_exports.files import ExportFileSpan
+from stone_exports.frames import LIDAR_CHANNEL, ExportedSensor
+
+Layout = str  # "release": tables; "occ3d": annotations.json alone
+
+
+@dataclass(frozen=True, eq=False)
+class DatasetChannel:
+    """One sensor in a sequence: the frames (K,) it has data in, ascending, and of each its stamp and ego pose.
+
+    `rows` (K,) are places among `names`: those of its files.
+    """
+
+    sensor: ExportedSensor
+    frames: NDArray[np.int64]
+    stamps_ns: NDArray[np.int64]
+    map_from_ego: SE3
+    rows: NDArray[np.int64]
+    names: Names = field(repr=False)
+
+    def filename(self, place: int) -> str:
+        """Of the `place`-th datum."""
+        return self.names[int(self.rows[place])]
+
+
+@dataclass(frozen=True, eq=False)
+class DatasetSequence:
+    """One scene. `splits` are those that name it; `is_labelled` where its frames have labels (all, or none)."""
+
+    name: str
+    logfile: str
+    vehicle: str
+    location: str
+    tokens: tuple[str, ...]
+    stamps_ns: NDArray[np.int64]
+    map_from_ego: SE3
+    channels: Mapping[str, DatasetChannel]
+    is_labelled: bool
+    splits: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.tokens)
+
+    @property
+    def lidar(self) -> DatasetChannel | None:
+        return self.channels.get(LIDAR_CHANNEL)
+
+    def label_name(self, index: int) -> str:
+        """The file of a frame's labels."""
+        return f"{label_folder(self.name)}/{self.tokens[index]}/labels.npz"
+
+
+@dataclass(frozen=True, eq=False)
+class DatasetIndex:
+    """All sequences, in the order of the table `scene`; splits name them."""
+
+    files: DatasetFiles
+    layout: Layout
+    sequences: tuple[DatasetSequence, ...]
+    splits: Mapping[str, tuple[str, ...]]
+
+    def file(self, channel: DatasetChannel, place: int) -> ExportFileSpan | None:
+        """The file of a channel's `place`-th datum; None where it is not there. Raises `PathLeavesDatasetError`."""
+        return self.files.span(channel.filename(place))
+
+    def labels(self, sequence: DatasetSequence, index: int) -> ExportFileSpan | None:
+        """The file of a frame's labels; None where it is not there."""
+        return self.files.span(sequence.label_name(index))
+
+
+def label_folder(sequence: str) -> str:
+    return f"gts/{sequence}"

@@ -1,0 +1,150 @@
+"""A streaming reader of JSON: one value after the other out of a file of any size and formatting.
+
+**Conventions.** Never more than one value and one piece of the file are held. What encloses values (the list of rows,
+the objects of annotations.json) is walked; values themselves are decoded by `json`.
+"""
+
+import codecs
+import json
+import re
+from collections.abc import Iterator
+from typing import Any
+
+from stone_datasets.faults import DatasetFaultError, DatasetPlace, quoted
+from stone_datasets.layout_faults import (
+    RowNotObjectError,
+    RowTooLongError,
+    TableNotArrayError,
+    TableNotJsonError,
+    TooManyRowsError,
+)
+from stone_exports.files import DamagedExportError, ExportFileSpan
+
+LONGEST_VALUE = 2**20  # characters
+LONGEST_ATOM = 16  # -Infinity, an escape, what a number may still be followed by
+MOST_ROWS = 1 << 26
+SPACE = re.compile(r"[ \t\n\r]*")
+DECODER = json.JSONDecoder()
+
+
+class JsonStream:
+    """The characters of a file, walked once. Every method raises a `DatasetFaultError` of the file."""
+
+    def __init__(self, span: ExportFileSpan) -> None:
+        self.name = span.name
+        self._pieces, self._text, self._at, self._is_whole = _decoded(span), "", 0, False
+
+    def peek(self) -> str:
+        """The next character that is no space, "" at the end."""
+        while True:
+            self._at = SPACE.match(self._text, self._at).end()  # type: ignore[union-attr]
+            if self._at < len(self._text):
+                return self._text[self._at]
+            if self._is_whole:
+                return ""
+            self._read_on()
+
+    def take(self, wanted: str) -> bool:
+        """Whether the next character is this one, which then is behind."""
+        is_next = self.peek() == wanted
+        self._at += is_next
+        return is_next
+
+    def expect(self, wanted: str) -> None:
+        if not self.take(wanted):
+            raise self.malformed(f"{wanted!r} is expected where {quoted(self.peek())} is")
+
+    def value(self, row: int | None = None) -> Any:
+        """The value that begins here."""
+        self.peek()
+        while True:
+            try:
+                value, end = DECODER.raw_decode(self._text, self._at)
+            except RecursionError as error:
+                raise self.malformed("values are nested too deeply", row) from error
+            except ValueError as error:
+                if not self._may_be_cut(error):
+                    raise self.malformed(str(error)[:80], row) from error
+                value, end = error, len(self._text)
+            if end - self._at > LONGEST_VALUE:
+                raise RowTooLongError(DatasetPlace(self.name, row), f"it has more than {LONGEST_VALUE} characters")
+            if self._is_whole or end < len(self._text):  # else it may go on in the next piece
+                break
+            self._read_on()
+        if isinstance(value, ValueError):
+            raise self.malformed(str(value)[:80], row) from value
+        self._at = end
+        return value
+
+    def items(self) -> Iterator[str]:
+        """The keys of the object that begins here; who takes one reads its value before the next."""
+        self.expect("{")
+        while not self.take("}"):
+            key = self.value()
+            if not isinstance(key, str):
+                raise self.malformed(f"{quoted(key)} is no key")
+            self.expect(":")
+            yield key
+            self.next_or("}")
+
+    def next_or(self, closing: str) -> None:
+        """Go behind the comma, which another value follows, unless what encloses them is closed here."""
+        if self.peek() != closing:
+            self.expect(",")
+            if self.peek() == closing:
+                raise self.malformed(f"{quoted(closing)} follows a comma")
+
+    def end(self) -> None:
+        if self.peek():
+            raise self.malformed(f"{quoted(self.peek())} follows the end")
+
+    def malformed(self, what: str, row: int | None = None) -> TableNotJsonError:
+        return TableNotJsonError(DatasetPlace(self.name, row), what)
+
+    def _may_be_cut(self, error: ValueError) -> bool:
+        """Whether it is one that the end of a piece makes: a text without an end, or one of the last characters."""
+        at = getattr(error, "pos", 0)
+        return "Unterminated" in str(error) or at > len(self._text) - LONGEST_ATOM
+
+    def _read_on(self) -> None:
+        piece = next(self._pieces, None)
+        self._is_whole = piece is None
+        self._text, self._at = self._text[self._at :] + (piece or ""), 0
+
+
+def json_rows(span: ExportFileSpan) -> Iterator[tuple[int, dict[str, Any]]]:
+    """The rows of a table, numbered from 1. Raises a `DatasetFaultError` where it is no list of objects."""
+    stream = JsonStream(span)
+    if not stream.peek():
+        raise stream.malformed("it is empty")
+    if stream.peek() != "[":
+        raise TableNotArrayError(DatasetPlace(span.name), f"it begins with {quoted(stream.peek())}")
+    stream.expect("[")
+    row = 0
+    while not stream.take("]"):
+        row += 1
+        value = stream.value(row)
+        if not isinstance(value, dict):
+            raise RowNotObjectError(DatasetPlace(span.name, row), f"it is {quoted(value)}")
+        if row > MOST_ROWS:
+            raise TooManyRowsError(DatasetPlace(span.name), f"it has more than {MOST_ROWS} rows")
+        yield row, value
+        stream.next_or("]")
+    stream.end()
+
+
+def _decoded(span: ExportFileSpan) -> Iterator[str]:
+    """Pieces of text. Raises a `DatasetFaultError`."""
+    decoder = codecs.getincrementaldecoder("utf-8")()
+    try:
+        for piece in span.pieces():
+            yield decoder.decode(piece)
+        yield decoder.decode(b"", final=True)
+    except UnicodeDecodeError as error:
+        raise TableNotJsonError(DatasetPlace(span.name), "it is no UTF-8") from error
+    except DamagedExportError as error:
+        raise _cut(span) from error
+
+
+def _cut(span: ExportFileSpan) -> DatasetFaultError:
+    return TableNotJsonError(DatasetPlace(span.name), "it ends early: something else shortens it")

@@ -1,0 +1,159 @@
+"""Labels of a frame in a published dataset: classes of this platform, and the masks where there are some.
+
+**Conventions.** As docs/formats/labels.md: uint8 (256, 256, 32), axes x y z of the ego frame. An array is inflated no
+farther than its header says, and its header is compared first.
+"""
+
+import struct
+import zipfile
+from dataclasses import dataclass
+from functools import lru_cache
+from io import BytesIO
+from math import prod
+from typing import Any
+
+import numpy as np
+from isal import isal_zlib
+from numpy.typing import NDArray
+
+from stone.labels.grid import GRID_SHAPE
+from stone_datasets.classes import OWN_CLASSES, UNKNOWN, UNOBSERVED, ClassMap
+from stone_datasets.faults import DatasetPlace
+from stone_datasets.file_faults import (
+    LabelKeyError,
+    LabelShapeError,
+    LabelsNotNpzError,
+    LabelsTooLargeError,
+    LabelTypeError,
+    MaskShapeError,
+    MaskValueError,
+    UnknownLabelsError,
+)
+from stone_exports.files import DamagedExportError, ExportFileSpan
+from stone_exports.labels import UNREADABLE
+
+MOST_PACKED_BYTES = 32 * 2**20
+MOST_ARRAYS = 64
+HEAD_BYTES, LOCAL_BYTES, MOST_HEAD = 128, 30, 4096
+RAW = -15
+INFLATING: type[Exception] = isal_zlib.error  # type: ignore[assignment]
+HEADS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+SEMANTICS, MASK_LIDAR, MASK_CAMERA = "semantics", "mask_lidar", "mask_camera"
+Grid = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class FrameLabels:
+    """`classes` 0–3; `mask_lidar` 1 where observed, `mask_camera` 1 where a camera sees it: None where nothing says so.
+
+    What the labels call unobserved is free, and 0 in `mask_lidar`.
+    """
+
+    classes: Grid
+    mask_lidar: Grid | None
+    mask_camera: Grid | None
+
+
+def read_labels(span: ExportFileSpan, classes: ClassMap = OWN_CLASSES) -> FrameLabels:
+    """The labels of one frame. Raises a `DatasetFaultError`."""
+    if span.size_bytes > MOST_PACKED_BYTES:
+        raise LabelsTooLargeError(DatasetPlace(span.name), f"it has {span.size_bytes} bytes")
+    try:
+        content = span.read(MOST_PACKED_BYTES)
+        with zipfile.ZipFile(BytesIO(content)) as archive:
+            members = {one.filename.removesuffix(".npy"): one for one in archive.infolist()[:MOST_ARRAYS]}
+    except (*UNREADABLE, DamagedExportError) as error:
+        raise LabelsNotNpzError(DatasetPlace(span.name), f"it is no zip ({error})"[:200]) from error
+    if SEMANTICS not in members:
+        what = f"it has no {SEMANTICS}, but {', '.join(sorted(members))[:100] or 'nothing'}"
+        raise LabelKeyError(DatasetPlace(span.name), what)
+    arrays = _Arrays(span.name, content)
+    found = arrays.grid(members[SEMANTICS], LabelShapeError)
+    masks = [_mask(arrays, members[key], key) if key in members else None for key in (MASK_LIDAR, MASK_CAMERA)]
+    return _meant(span, found, (masks[0], masks[1]), classes)
+
+
+@dataclass(frozen=True)
+class _Arrays:
+    """The bytes of a npz."""
+
+    name: str
+    content: bytes
+
+    def grid(self, member: zipfile.ZipInfo, shape_fault: type[LabelShapeError | MaskShapeError]) -> Grid:
+        """The grid of a member. Raises a `DatasetFaultError`."""
+        packed, place = self._packed(member), DatasetPlace(self.name)
+        try:
+            shape, is_fortran, dtype, start = npy_head(self._begun(member, packed, HEAD_BYTES))
+        except (INFLATING, ValueError, KeyError, EOFError, OSError, TypeError, SyntaxError) as error:
+            raise self._damaged(member, "it is no npy") from error
+        if shape != GRID_SHAPE:
+            raise shape_fault(place, f"{member.filename} has shape {str(shape)[:60]}")
+        if dtype != np.uint8 or is_fortran:
+            fault = LabelTypeError if shape_fault is LabelShapeError else MaskShapeError
+            raise fault(place, f"{member.filename} is {dtype} in {'Fortran' if is_fortran else 'C'} order")
+        return self._whole(member, packed, start)
+
+    def _whole(self, member: zipfile.ZipInfo, packed: bytes, start: int) -> Grid:
+        size = start + prod(GRID_SHAPE)
+        try:
+            npy = self._begun(member, packed, size + 1)
+        except INFLATING as error:
+            raise self._damaged(member, "it cannot be inflated") from error
+        if len(npy) > size:
+            raise LabelsTooLargeError(DatasetPlace(self.name), f"{member.filename} goes on after its {size} bytes")
+        if len(npy) < size or isal_zlib.crc32(npy) != member.CRC:
+            raise self._damaged(member, "it ends early, or its checksum is wrong")
+        return np.frombuffer(npy, np.uint8, prod(GRID_SHAPE), start).reshape(GRID_SHAPE)
+
+    def _begun(self, member: zipfile.ZipInfo, packed: bytes, most: int) -> bytes:
+        """The first bytes of what is packed, at most so many."""
+        if member.compress_type == zipfile.ZIP_STORED:
+            return packed[:most]
+        return bytes(isal_zlib.decompressobj(RAW).decompress(packed, most))
+
+    def _packed(self, member: zipfile.ZipInfo) -> bytes:
+        """The bytes of a member as they stand in the file."""
+        begin = member.header_offset
+        head = self.content[begin : begin + LOCAL_BYTES]
+        if member.flag_bits & 1 or member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise self._damaged(member, "it is encrypted, or packed as no npz is")
+        if len(head) < LOCAL_BYTES or head[:4] != b"PK\3\4":
+            raise self._damaged(member, "it is not where the directory says")
+        start = begin + LOCAL_BYTES + sum(struct.unpack("<2H", head[26:30]))
+        return self.content[start : start + member.compress_size]
+
+    def _damaged(self, member: zipfile.ZipInfo, what: str) -> LabelsNotNpzError:
+        return LabelsNotNpzError(DatasetPlace(self.name), f"{member.filename[:80]}: {what}")
+
+
+@lru_cache(maxsize=256)
+def npy_head(head: bytes) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:
+    """Shape, whether in Fortran order, dtype, and where the data begins."""
+    file = BytesIO(head)
+    shape, is_fortran, dtype = HEADS[np.lib.format.read_magic(file)](file)
+    return shape, is_fortran, dtype, file.tell()
+
+
+def _mask(arrays: _Arrays, member: zipfile.ZipInfo, key: str) -> Grid:
+    mask = arrays.grid(member, MaskShapeError)
+    if mask.max() > 1:
+        raise MaskValueError(DatasetPlace(arrays.name), f"{key} has {int(mask.max())}")
+    return mask
+
+
+def _meant(span: ExportFileSpan, found: Grid, masks: tuple[Grid | None, Grid | None], said: ClassMap) -> FrameLabels:
+    """What numbers mean by the map."""
+    mask_lidar, mask_camera = masks
+    if said is OWN_CLASSES and found.max() <= 3:
+        return FrameLabels(found, mask_lidar, mask_camera)
+    classes = said.meaning[found]
+    if (classes == UNKNOWN).any():
+        numbers = np.unique(found[classes == UNKNOWN]).tolist()
+        what = f"{SEMANTICS} has {', '.join(map(str, numbers[:20]))}, which {said.name!r} does not name"
+        raise UnknownLabelsError(DatasetPlace(span.name), what)
+    is_unobserved = classes == UNOBSERVED
+    if is_unobserved.any():
+        classes[is_unobserved] = 0
+        mask_lidar = np.where(is_unobserved, np.uint8(0), np.uint8(1) if mask_lidar is None else mask_lidar)
+    return FrameLabels(classes, mask_lidar, mask_camera)

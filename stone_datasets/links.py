@@ -1,0 +1,125 @@
+"""How tables fit together: references, chains of prev and next, stamps, and that no file stands for two data.
+
+**Conventions.** All functions add the faults that they find; they compare whole columns, so that the time that they
+take does not depend on what is in them. `group` says what belongs in one chain.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone_datasets.columns import NONE, Keys, repeated, rows_of
+from stone_datasets.faults import DatasetFaultError, DatasetFaults, DatasetPlace
+from stone_datasets.table_faults import (
+    ChainError,
+    DanglingReferenceError,
+    DuplicateSceneError,
+    SampleCountError,
+    SceneEndsError,
+    StampOrderError,
+)
+from stone_datasets.tables import DatasetTables, SceneRow
+
+Places = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class LinkedRows:
+    """Columns of a table whose rows form chains; `tokens` where they are held."""
+
+    file: str
+    keys: Keys
+    previous: Keys
+    next: Keys
+    stamps: NDArray[np.int64]
+    group: Places
+    tokens: Sequence[str] = ()
+
+    def place(self, row: int) -> DatasetPlace:
+        return DatasetPlace(self.file, row + 1, self.tokens[row] if self.tokens else "")
+
+
+def check_chains(rows: LinkedRows, faults: DatasetFaults) -> None:
+    """Every group is one chain through all of its rows, in the order of stamps; else the first kind of fault in it."""
+    before = faults.total
+    following, preceding = (_linked(rows, what, keys, faults) for what, keys in _links(rows))
+    if faults.total > before:
+        return
+    for found in (_one_sided(rows, following, preceding), _cyclic(rows), _not_rising(rows, following), _broken(rows)):
+        for fault in found:
+            faults.add(fault)
+        if faults.total > before:
+            return
+
+
+def check_scenes(tables: DatasetTables, samples: LinkedRows, faults: DatasetFaults) -> None:
+    """Names stand once; first, last and number of samples are those of the samples, whose chains are sound."""
+    scenes = list(tables.scenes.values())
+    for again, first in repeated([hash(scene.name) for scene in scenes]):
+        faults.add(DuplicateSceneError(scenes[again].row.place, f"row {first + 1} is named {scenes[again].name} too"))
+    counts = np.bincount(samples.group, minlength=len(scenes))
+    order = np.lexsort((samples.stamps, samples.group))
+    ends = np.cumsum(counts)
+    for scene, count, end in zip(scenes, counts.tolist(), ends.tolist(), strict=True):
+        if scene.samples != count or not count:
+            what = f"nbr_samples is {scene.samples}, its samples are {count}"
+            faults.add(SampleCountError(scene.row.place, what))
+        if count:
+            _check_ends(scene, samples, (int(order[end - count]), int(order[end - 1])), faults)
+
+
+def _check_ends(scene: SceneRow, samples: LinkedRows, ends: tuple[int, int], faults: DatasetFaults) -> None:
+    for key, said, row in zip(("first", "last"), (scene.first, scene.last), ends, strict=True):
+        if said != samples.tokens[row]:
+            what = f"{key}_sample_token is {said!r}, its {key} sample by prev and next is {samples.tokens[row]}"
+            faults.add(SceneEndsError(scene.row.place, what))
+
+
+def _links(rows: LinkedRows) -> tuple[tuple[str, Keys], tuple[str, Keys]]:
+    return ("next", rows.next), ("prev", rows.previous)
+
+
+def _linked(rows: LinkedRows, what: str, keys: Keys, faults: DatasetFaults) -> Places:
+    """The row that each names; −1 at an end."""
+    found = rows_of(rows.keys, keys)
+    for row in np.flatnonzero((found < 0) & (keys != NONE)).tolist():
+        faults.add(DanglingReferenceError(rows.place(row), f"{what} is no token of its own table"))
+    return np.where(keys == NONE, -1, found)
+
+
+def _one_sided(rows: LinkedRows, following: Places, preceding: Places) -> Iterator[DatasetFaultError]:
+    """Rows whose next does not name them as prev, or is of another chain; and the other way round."""
+    here = np.arange(len(following))
+    for what, there, back in (("next", following, preceding), ("prev", preceding, following)):
+        is_linked = there >= 0
+        is_returned = back[there] == here
+        is_kin = rows.group[there] == rows.group
+        for row in np.flatnonzero(is_linked & ~(is_returned & is_kin)).tolist():
+            other = "is of another scene or sensor" if is_returned[row] else "does not name it in return"
+            yield ChainError(rows.place(row), f"its {what}, row {there[row] + 1}, {other}")
+
+
+def _cyclic(rows: LinkedRows) -> Iterator[ChainError]:
+    """Groups in which every row has a prev."""
+    groups, firsts = np.unique(rows.group, return_index=True)
+    is_begun = np.isin(groups, rows.group[rows.previous == NONE])
+    for row in firsts[~is_begun].tolist():
+        yield ChainError(rows.place(row), "of its scene and sensor every row has a prev: they lead in a circle")
+
+
+def _not_rising(rows: LinkedRows, following: Places) -> Iterator[StampOrderError]:
+    is_wrong = (following >= 0) & (rows.stamps[following] <= rows.stamps)
+    for row in np.flatnonzero(is_wrong).tolist():
+        after = following[row]
+        what = f"its timestamp is {rows.stamps[row]}, that of its next, row {after + 1}, is {rows.stamps[after]}"
+        yield StampOrderError(rows.place(row), what)
+
+
+def _broken(rows: LinkedRows) -> Iterator[ChainError]:
+    """Further beginnings of a group's chain: links are mutual and rise, so one beginning is one whole chain."""
+    begins = np.flatnonzero(rows.previous == NONE)
+    for again, first in repeated(rows.group[begins]):
+        row, other = int(begins[again]), int(begins[first])
+        yield ChainError(rows.place(row), f"it has no prev, as row {other + 1} of the same scene and sensor")

@@ -1,0 +1,179 @@
+"""Values of a row, each checked: what a table may say, and what is refused of it by code.
+
+**Conventions.** Every function raises a `DatasetFaultError` that names table, row and token. Rotations are wxyz.
+"""
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, get_args
+
+import numpy as np
+
+from stone.geometry.se3 import SE3
+from stone.sensors.calibration import CameraIntrinsics, CameraModel
+from stone_datasets.faults import DatasetPlace, quoted
+from stone_datasets.layout_faults import (
+    AbsurdTranslationError,
+    BadDatasetTokenError,
+    DatasetStampError,
+    IntrinsicsShapeError,
+    KeyMissingError,
+    NotFiniteValueError,
+    NotUnitQuaternionError,
+    RotationMatrixError,
+    SingularIntrinsicsError,
+    UnknownLensError,
+    WrongTypeError,
+)
+from stone_exports.cameras import COEFFICIENTS
+from stone_exports.frames import FARTHEST_MOUNT_M, FARTHEST_POSE_M, TOKEN
+
+__all__ = ["FARTHEST_MOUNT_M", "FARTHEST_POSE_M", "DatasetRow"]
+
+LONGEST_TOKEN = 128
+LONGEST_TEXT = 4096
+UNIT_WITHIN = 1e-3
+# 1990 to 2100: a stamp in seconds, milliseconds or nanoseconds lies outside.
+FIRST_US, LAST_US = 631_152_000_000_000, 4_102_444_800_000_000
+STAMP_TEXT = re.compile(r"[0-9]{1,19}")
+
+
+@dataclass(frozen=True)
+class DatasetRow:
+    """One row; `file` is that of its table, `number` counts from 1 (None: an object that is no row)."""
+
+    file: str
+    number: int | None
+    values: Mapping[str, Any]
+    named: str = ""
+
+    @property
+    def place(self) -> DatasetPlace:
+        token = self.named or self.values.get("token", "")
+        return DatasetPlace(self.file, self.number, token if isinstance(token, str) else "")
+
+    def value(self, key: str) -> Any:
+        try:
+            return self.values[key]
+        except KeyError:
+            raise KeyMissingError(self.place, f"it has no {key!r}") from None
+
+    def part(self, key: str) -> "DatasetRow":
+        """The object below this key."""
+        found = self.value(key)
+        if not isinstance(found, dict):
+            raise self.wrong(key, "an object")
+        return DatasetRow(self.file, self.number, found, self.place.token)
+
+    def text(self, key: str) -> str:
+        found = self.value(key)
+        if not isinstance(found, str) or len(found) > LONGEST_TEXT:
+            raise self.wrong(key, "text")
+        return found
+
+    def flag(self, key: str) -> bool:
+        found = self.value(key)
+        if not isinstance(found, bool):
+            raise self.wrong(key, "true or false")
+        return found
+
+    def count(self, key: str) -> int:
+        found = self.value(key)
+        if type(found) is not int or not 0 <= found < 1 << 31:
+            raise self.wrong(key, "a whole number")
+        return found
+
+    def token(self, key: str = "token") -> str:
+        """A token of any table; of one that refers to nothing, where that may be, see `link`."""
+        found = self.text(key)
+        if not 0 < len(found) <= LONGEST_TOKEN:
+            raise BadDatasetTokenError(self.place, f"{key} is {quoted(found)}")
+        return found
+
+    def frame_token(self) -> str:
+        found = self.token()
+        if TOKEN.fullmatch(found) is None:
+            raise BadDatasetTokenError(self.place, f"{quoted(found)} is no frame's token")
+        return found
+
+    def link(self, key: str) -> str:
+        """prev or next: "" at the ends."""
+        return self.text(key) and self.token(key)
+
+    def stamp_us(self, key: str = "timestamp") -> int:
+        """Microseconds; also as digits, which annotations.json has."""
+        found = self.value(key)
+        if isinstance(found, str) and STAMP_TEXT.fullmatch(found):
+            found = int(found)
+        if type(found) is not int:
+            raise self.wrong(key, "a whole number of microseconds")
+        if not FIRST_US <= found < LAST_US:
+            raise DatasetStampError(self.place, f"{key} is {quoted(found)}, expected is {FIRST_US} to {LAST_US}")
+        return found
+
+    def numbers(self, key: str, count: int) -> list[float]:
+        found = self.value(key)
+        if key == "rotation" and is_matrix(found):
+            raise RotationMatrixError(self.place, f"rotation is {quoted(found)}")
+        if not isinstance(found, list) or len(found) != count or not all(type(one) in (float, int) for one in found):
+            raise self.wrong(key, f"a list of {count} numbers")
+        return found
+
+    def pose(self, farthest_m: float) -> SE3:
+        """`rotation` and `translation` as a pose."""
+        return SE3(np.array(self.pose_numbers(farthest_m), np.float64))
+
+    def pose_numbers(self, farthest_m: float) -> list[float]:
+        """The seven numbers of it, w x y z and metres."""
+        parts = [*self.numbers("rotation", 4), *self.numbers("translation", 3)]
+        if not all(map(_is_finite, parts)):
+            raise NotFiniteValueError(self.place, f"rotation and translation are {quoted(parts)}")
+        length = math.hypot(*parts[:4])
+        if abs(length - 1) > UNIT_WITHIN:
+            raise NotUnitQuaternionError(self.place, f"rotation {quoted(parts[:4])} is of length {length:.6g}")
+        if max(map(abs, parts[4:])) >= farthest_m:
+            raise AbsurdTranslationError(self.place, f"translation {quoted(parts[4:])}, the limit is {farthest_m:g} m")
+        return parts
+
+    def lens(self, size_px: tuple[int, int], matrix_key: str = "camera_intrinsic") -> CameraIntrinsics:
+        """What a camera's row says of it."""
+        model, distortion = self.values.get("camera_model", "pinhole"), self.values.get("camera_distortion", [])
+        if not isinstance(model, str) or model not in get_args(CameraModel):
+            raise UnknownLensError(self.place, f"camera_model is {quoted(model)}")
+        if not isinstance(distortion, list) or len(distortion) != COEFFICIENTS[model]:  # type: ignore[index]
+            raise UnknownLensError(self.place, f"camera_distortion of a {model} camera is {quoted(distortion)}")
+        (fx, _, cx), (_, fy, cy), _ = self._matrix(matrix_key)
+        coefficients = self.numbers("camera_distortion", len(distortion)) if distortion else []
+        if not all(map(_is_finite, coefficients)):
+            raise NotFiniteValueError(self.place, f"camera_distortion is {quoted(distortion)}")
+        facts = (float(fx), float(fy), float(cx), float(cy), tuple(map(float, coefficients)))
+        return CameraIntrinsics(model, *size_px, *facts)  # type: ignore[arg-type]
+
+    def wrong(self, key: str, wanted: str) -> WrongTypeError:
+        return WrongTypeError(self.place, f"{key} is {quoted(self.values.get(key))}, expected is {wanted}")
+
+    def _matrix(self, key: str) -> list[list[float]]:
+        found = self.value(key)
+        if not is_matrix(found):
+            raise IntrinsicsShapeError(self.place, f"{key} is {quoted(found)}")
+        if not all(type(one) in (float, int) for row in found for one in row):
+            raise self.wrong(key, "3 × 3 numbers")
+        if not all(_is_finite(one) for row in found for one in row):
+            raise NotFiniteValueError(self.place, f"{key} is {quoted(found)}")
+        (fx, skew, _), (zero, fy, _), last = found
+        if fx <= 0 or fy <= 0 or skew or zero or last != [0, 0, 1]:
+            raise SingularIntrinsicsError(self.place, f"{key} is {quoted(found)}")
+        matrix: list[list[float]] = found
+        return matrix
+
+
+def is_matrix(value: object) -> bool:
+    """Whether it is three lists of three."""
+    is_three = isinstance(value, list) and len(value) == 3
+    return is_three and all(isinstance(row, list) and len(row) == 3 for row in value)  # type: ignore[attr-defined]
+
+
+def _is_finite(number: float) -> bool:
+    return abs(number) < 1e308 and math.isfinite(number)

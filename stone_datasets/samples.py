@@ -1,0 +1,83 @@
+"""The files of sensors in a published dataset, each read and checked: sweeps, pictures, radar scans.
+
+**Conventions.** A sweep is read whole; of a picture head and end, not its pixels.
+"""
+
+from io import BytesIO
+
+import numpy as np
+from PIL import Image, UnidentifiedImageError
+
+from stone.sensors.calibration import CameraIntrinsics
+from stone_datasets.faults import DatasetPlace
+from stone_datasets.file_faults import (
+    BadScanError,
+    NotAPictureError,
+    PictureCutOffError,
+    PictureSizeError,
+    SweepNotFiniteError,
+    SweepSizeError,
+)
+from stone_exports.cameras import MOST_PICTURE_BYTES
+from stone_exports.files import DamagedExportError, ExportFileSpan
+from stone_exports.frames import ExportedSensor
+from stone_exports.radar import scan_records
+from stone_exports.sweeps import COLUMNS, MOST_SWEEP_BYTES
+
+HEAD_BYTES, END_BYTES = 256 * 1024, 4096
+ENDS = {"JPEG": b"\xff\xd9", "PNG": b"IEND"}
+UNREADABLE = (OSError, UnidentifiedImageError, Image.DecompressionBombError, SyntaxError, ValueError)
+
+
+def check_sample(span: ExportFileSpan, sensor: ExportedSensor, place: DatasetPlace) -> None:
+    """Raises a `DatasetFaultError` where the file is not what its sensor gives."""
+    if sensor.modality == "lidar":
+        check_sweep(span, place)
+    elif sensor.modality == "camera":
+        check_picture(span, sensor.intrinsics, place)
+    else:
+        check_scan(span, place)
+
+
+def check_sweep(span: ExportFileSpan, place: DatasetPlace) -> None:
+    """Rows of five float32, all finite."""
+    if span.size_bytes % (COLUMNS * 4) or not 0 < span.size_bytes <= MOST_SWEEP_BYTES:
+        raise SweepSizeError(place, f"{span.name} has {span.size_bytes} bytes, no multiple of {COLUMNS * 4}")
+    try:
+        rows = np.frombuffer(span.read(MOST_SWEEP_BYTES), "<f4").reshape(-1, COLUMNS)
+    except DamagedExportError as error:
+        raise SweepSizeError(place, f"{span.name} ends early: something else shortens it") from error
+    is_finite = np.isfinite(rows).all(axis=1)
+    if not is_finite.all():
+        what = (
+            f"{span.name}: {len(rows) - int(is_finite.sum())} of {len(rows)} points, the first is {is_finite.argmin()}"
+        )
+        raise SweepNotFiniteError(place, what)
+
+
+def check_picture(span: ExportFileSpan, lens: CameraIntrinsics | None, place: DatasetPlace) -> None:
+    """A JPEG or PNG of the size that the lens is of, with an end."""
+    form, size_px = picture_of(span, place)
+    if lens is not None and size_px != (lens.width_px, lens.height_px):
+        what = f"{span.name} has {size_px[0]} × {size_px[1]} pixels, its row says {lens.width_px} × {lens.height_px}"
+        raise PictureSizeError(place, what)
+    if ENDS[form] not in span.part(max(span.size_bytes - END_BYTES, 0), END_BYTES):
+        raise PictureCutOffError(place, f"{span.name} has no end marker in its last {END_BYTES} bytes")
+
+
+def picture_of(span: ExportFileSpan, place: DatasetPlace) -> tuple[str, tuple[int, int]]:
+    """JPEG or PNG, and its width and height. Raises `NotAPictureError`."""
+    if span.size_bytes > MOST_PICTURE_BYTES:
+        raise NotAPictureError(place, f"{span.name} has {span.size_bytes} bytes, at most {MOST_PICTURE_BYTES} are read")
+    try:
+        with Image.open(BytesIO(span.part(0, HEAD_BYTES)), formats=tuple(ENDS)) as image:
+            return str(image.format), image.size
+    except UNREADABLE as error:
+        raise NotAPictureError(place, f"{span.name} begins as neither") from error
+
+
+def check_scan(span: ExportFileSpan, place: DatasetPlace) -> None:
+    try:
+        scan_records(span)
+    except DamagedExportError as error:
+        raise BadScanError(place, f"{span.name}: {error.why}") from error

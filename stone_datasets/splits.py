@@ -1,0 +1,67 @@
+"""Splits of a dataset: `splits.json` beside the tables or in the root, or those of annotations.json.
+
+**Conventions.** As the devkit's custom splits: {split: [scene, …]}. Our exports, and others, name one of all scenes
+"all"; it parts nothing, so a scene may stand in it and in another.
+"""
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from stone_datasets.columns import repeated
+from stone_datasets.faults import DatasetFaults, DatasetPlace, quoted
+from stone_datasets.files import DatasetFiles
+from stone_datasets.json_stream import JsonStream
+from stone_datasets.table_faults import BadSplitsError, SceneInTwoSplitsError, UnknownSplitSceneError
+
+SPLITS, ALL = "splits.json", "all"
+MOST_SPLITS = 1000
+Splits = Mapping[str, tuple[str, ...]]
+
+
+def read_splits(files: DatasetFiles) -> tuple[str, Splits]:
+    """The file of the splits, and what it says; no splits where there is none. Raises a `DatasetFaultError`."""
+    names = [name for name in (SPLITS, f"{files.version}/{SPLITS}") if files.span(name) is not None]
+    if len(names) > 1:
+        raise BadSplitsError(DatasetPlace(names[0]), f"there is {names[1]} too")
+    span = files.span(names[0]) if names else None
+    if span is None:
+        return SPLITS, {}
+    stream = JsonStream(span)
+    if stream.peek() != "{":
+        raise BadSplitsError(DatasetPlace(span.name), f"it begins with {quoted(stream.peek())}")
+    said: dict[str, tuple[str, ...]] = {}
+    for key in stream.items():
+        if key in said or len(said) >= MOST_SPLITS:
+            raise BadSplitsError(DatasetPlace(span.name), f"{quoted(key)} stands twice, or is one of too many")
+        said[key] = scenes_named(span.name, key, stream.value())
+    stream.end()
+    return span.name, said
+
+
+def scenes_named(file: str, split: str, names: Any) -> tuple[str, ...]:
+    """The list of a split. Raises `BadSplitsError`."""
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise BadSplitsError(DatasetPlace(file), f"{quoted(split)} is {quoted(names)}")
+    return tuple(names)
+
+
+def check_splits(said: tuple[str, Splits], scenes: Iterable[str], faults: DatasetFaults) -> None:
+    """Every scene that a split names is there, and in no other."""
+    (file, splits), known = said, set(scenes)
+    named = [(split, name) for split, names in splits.items() for name in names]
+    for split, name in named:
+        if name not in known:
+            faults.add(UnknownSplitSceneError(DatasetPlace(file), f"{quoted(split)} names {quoted(name)}"))
+    parting = [(split, name) for split, name in named if split != ALL]
+    for again, first in repeated([hash(name) for _, name in parting]):
+        what = f"{quoted(parting[again][1])} is in {quoted(parting[first][0])} and in {quoted(parting[again][0])}"
+        faults.add(SceneInTwoSplitsError(DatasetPlace(file), what))
+
+
+def splits_of(splits: Splits) -> Mapping[str, tuple[str, ...]]:
+    """The splits that each scene is in, by its name."""
+    found: dict[str, tuple[str, ...]] = {}
+    for split, names in splits.items():
+        for name in names:
+            found[name] = (*found.get(name, ()), split)
+    return found

@@ -1,0 +1,284 @@
+"""The tables of the nuScenes schema as columns: every row read and checked by itself.
+
+**Conventions.** What has few rows is held by token, what grows with the data in columns. Row numbers are indices + 1,
+which holds as long as no row was faulty: what compares tables (`links.py`) is not asked before.
+"""
+
+from collections.abc import Callable, Container, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+from stone.geometry.se3 import SE3
+from stone.sensors.calibration import CameraIntrinsics
+from stone.sensors.sequence import NAME
+from stone_datasets.columns import Column, Names, repeated
+from stone_datasets.faults import DatasetFaultError, DatasetFaults, DatasetPlace, quoted
+from stone_datasets.files import DatasetFiles
+from stone_datasets.json_stream import json_rows
+from stone_datasets.layout_faults import (
+    BadSceneNameError,
+    CameraSizeError,
+    DuplicateTokenError,
+    TableMissingError,
+    WrongTypeError,
+)
+from stone_datasets.rows import FARTHEST_MOUNT_M, FARTHEST_POSE_M, DatasetRow
+from stone_datasets.table_faults import DanglingReferenceError
+
+MODALITIES = ("camera", "lidar", "radar")
+# Of what is in them nothing is needed; where they are there, they are read all the same.
+OTHERS = ("attribute", "category", "instance", "map", "sample_annotation", "visibility")
+# Rows that are looked for while those that name them are read.
+REFERRED = {"calibrated_sensor": "sensor", "scene": "log", "sample": "scene", "sample_data": "calibrated_sensor"}
+WIDEST_PX = 1 << 15
+Held = TypeVar("Held")
+
+
+@dataclass(frozen=True)
+class SensorRow:
+    channel: str
+    modality: str
+
+
+@dataclass
+class CalibratedSensorRow:
+    """`ego_from_sensor`, and of a camera its lens when the size of its pictures is known."""
+
+    place: int
+    row: DatasetRow
+    sensor: SensorRow
+    ego_from_sensor: SE3
+    size_px: tuple[int, int] | None = None
+    lens: CameraIntrinsics | None = None
+
+
+@dataclass(frozen=True)
+class LogRow:
+    logfile: str
+    vehicle: str
+    location: str
+
+
+@dataclass(frozen=True)
+class SceneRow:
+    place: int
+    row: DatasetRow
+    name: str
+    log: LogRow
+    samples: int
+    first: str
+    last: str
+
+
+@dataclass
+class SampleColumns:
+    """`scene` is the place of the scene among the scenes; links are hashes of tokens."""
+
+    tokens: list[str] = field(default_factory=list)
+    keys: Column = field(default_factory=lambda: Column("q"))
+    scene: Column = field(default_factory=lambda: Column("i"))
+    stamp_us: Column = field(default_factory=lambda: Column("q"))
+    links: Column = field(default_factory=lambda: Column("q"))
+
+
+@dataclass
+class PoseColumns:
+    """`poses`: seven numbers a row."""
+
+    keys: Column = field(default_factory=lambda: Column("q"))
+    poses: Column = field(default_factory=lambda: Column("d"))
+
+
+@dataclass
+class DatumColumns:
+    """`links`: prev, next, frame, pose of a row, as hashes of tokens. `mount`: place among the calibrated sensors."""
+
+    keys: Column = field(default_factory=lambda: Column("q"))
+    links: Column = field(default_factory=lambda: Column("q"))
+    mount: Column = field(default_factory=lambda: Column("i"))
+    stamp_us: Column = field(default_factory=lambda: Column("q"))
+    is_key: Column = field(default_factory=lambda: Column("b"))
+    names: Names = field(default_factory=Names)
+
+
+@dataclass
+class DatasetTables:
+    """All rows. `mounts` and `scenes` are by token, in the order of their tables, where each has its `place`.
+
+    `faulty` are the tables with faults, and those that refer to them: what is not in them is not told again.
+    """
+
+    version: str
+    faulty: set[str] = field(default_factory=set)
+    sensors: dict[str, SensorRow] = field(default_factory=dict)
+    mounts: dict[str, CalibratedSensorRow] = field(default_factory=dict)
+    logs: dict[str, LogRow] = field(default_factory=dict)
+    scenes: dict[str, SceneRow] = field(default_factory=dict)
+    samples: SampleColumns = field(default_factory=SampleColumns)
+    poses: PoseColumns = field(default_factory=PoseColumns)
+    data: DatumColumns = field(default_factory=DatumColumns)
+
+    def file(self, table: str) -> str:
+        return f"{self.version}/{table}.json"
+
+
+Add = Callable[[DatasetTables, DatasetRow], None]
+
+
+def read_tables(files: DatasetFiles, faults: DatasetFaults) -> DatasetTables:
+    """Every table; faults are added, and the rows that have them left out."""
+    tables = DatasetTables(files.version)
+    for table, add in READERS.items():
+        _read_table(files, tables, (table, add), faults)
+    for table in OTHERS:
+        if files.span(tables.file(table)) is not None:
+            _read_table(files, tables, (table, _unique()), faults)
+    return tables
+
+
+def _read_table(files: DatasetFiles, tables: DatasetTables, what: tuple[str, Add], faults: DatasetFaults) -> None:
+    table, add = what
+    before = faults.total
+    try:
+        for row in _rows(files, tables.file(table)):
+            try:
+                add(tables, row)
+            except DatasetFaultError as fault:
+                faults.add(fault)
+    except DatasetFaultError as fault:
+        faults.add(fault)
+    for again in _repeated_tokens(tables, table):
+        faults.add(again)
+    if faults.total > before or REFERRED.get(table) in tables.faulty:
+        tables.faulty.add(table)
+
+
+def _rows(files: DatasetFiles, name: str) -> Iterator[DatasetRow]:
+    span = files.span(name)
+    if span is None:
+        raise TableMissingError(DatasetPlace(name), "it is not there")
+    return (DatasetRow(name, number, values) for number, values in json_rows(span))
+
+
+def _repeated_tokens(tables: DatasetTables, table: str) -> Iterator[DuplicateTokenError]:
+    """Of the tables of many rows, whose tokens are looked at together."""
+    columns = {"sample": tables.samples.keys, "ego_pose": tables.poses.keys, "sample_data": tables.data.keys}
+    for again, first in repeated(columns[table].array("q")) if table in columns else ():
+        token = tables.samples.tokens[again] if table == "sample" else ""
+        yield DuplicateTokenError(DatasetPlace(tables.file(table), again + 1, token), f"row {first + 1} has its token")
+
+
+def _unique() -> Add:
+    """Of a table of which only that is asked."""
+    seen = set[str]()
+
+    def add(_tables: DatasetTables, row: DatasetRow) -> None:
+        seen.add(_new(row, seen))
+
+    return add
+
+
+def _new(row: DatasetRow, held: Container[str]) -> str:
+    token = row.token()
+    if token in held:
+        raise DuplicateTokenError(row.place, "a row before has its token")
+    return token
+
+
+def _add_sensor(tables: DatasetTables, row: DatasetRow) -> None:
+    token, channel, modality = _new(row, tables.sensors), row.text("channel"), row.text("modality")
+    if NAME.fullmatch(channel) is None or modality not in MODALITIES:
+        raise WrongTypeError(row.place, f"{quoted(channel)} of modality {quoted(modality)} is none of {MODALITIES}")
+    tables.sensors[token] = SensorRow(channel, modality)
+
+
+def _add_mount(tables: DatasetTables, row: DatasetRow) -> None:
+    token, sensor = _new(row, tables.mounts), _referred(tables, row, "sensor_token", ("sensor", tables.sensors))
+    if sensor is None:
+        return
+    if sensor.modality == "camera":
+        row.lens((1, 1))  # every camera's matrix is looked at, also of one without pictures
+    tables.mounts[token] = CalibratedSensorRow(len(tables.mounts), row, sensor, row.pose(FARTHEST_MOUNT_M))
+
+
+def _add_log(tables: DatasetTables, row: DatasetRow) -> None:
+    said = [row.text(key) if key in row.values else "" for key in ("logfile", "vehicle", "location")]
+    tables.logs[_new(row, tables.logs)] = LogRow(*said)
+
+
+def _add_scene(tables: DatasetTables, row: DatasetRow) -> None:
+    token, name = _new(row, tables.scenes), row.text("name")
+    log = _referred(tables, row, "log_token", ("log", tables.logs))
+    if NAME.fullmatch(name) is None:
+        raise BadSceneNameError(row.place, f"{quoted(name)} is none")
+    ends, count = (row.token("first_sample_token"), row.token("last_sample_token")), row.count("nbr_samples")
+    if log is not None:
+        tables.scenes[token] = SceneRow(len(tables.scenes), row, name, log, count, *ends)
+
+
+def _add_sample(tables: DatasetTables, row: DatasetRow) -> None:
+    token, stamp_us = row.frame_token(), row.stamp_us()
+    links = (hash(row.link("prev")), hash(row.link("next")))
+    scene = _referred(tables, row, "scene_token", ("scene", tables.scenes))
+    if scene is None:
+        return
+    samples = tables.samples
+    samples.tokens.append(token)
+    samples.keys.add(hash(token))
+    samples.scene.add(scene.place)
+    samples.stamp_us.add(stamp_us)
+    samples.links.add(*links)
+
+
+def _add_pose(tables: DatasetTables, row: DatasetRow) -> None:
+    key, numbers = hash(row.token()), row.pose_numbers(FARTHEST_POSE_M)
+    row.stamp_us()
+    tables.poses.keys.add(key)
+    tables.poses.poses.extend(numbers)
+
+
+def _add_datum(tables: DatasetTables, row: DatasetRow) -> None:
+    mount = _referred(tables, row, "calibrated_sensor_token", ("calibrated_sensor", tables.mounts))
+    keys = [hash(row.link("prev")), hash(row.link("next")), hash(row.token("sample_token"))]
+    key, stamp_us, is_key, name = hash(row.token()), row.stamp_us(), row.flag("is_key_frame"), row.text("filename")
+    keys.append(hash(row.token("ego_pose_token")))
+    if mount is None:
+        return
+    if mount.sensor.modality == "camera":
+        _note_size(mount, row)
+    data = tables.data
+    data.mount.add(mount.place)
+    data.keys.add(key)
+    data.links.add(*keys)
+    data.stamp_us.add(stamp_us)
+    data.is_key.add(is_key)
+    data.names.add(name)
+
+
+def _note_size(mount: CalibratedSensorRow, row: DatasetRow) -> None:
+    size = (row.count("width"), row.count("height"))
+    if not all(0 < side <= WIDEST_PX for side in size):
+        raise CameraSizeError(row.place, f"width and height are {size}, expected are 1 to {WIDEST_PX}")
+    if mount.size_px is None:
+        mount.size_px, mount.lens = size, mount.row.lens(size)
+    elif mount.size_px != size:
+        raise CameraSizeError(row.place, f"width and height are {size}, those before were {mount.size_px}")
+
+
+def _referred(tables: DatasetTables, row: DatasetRow, key: str, to: tuple[str, Mapping[str, Held]]) -> Held | None:
+    """What the row names; None where the other table is faulty itself. Raises `DanglingReferenceError`."""
+    (table, held), token = to, row.token(key)
+    if token not in held and table not in tables.faulty:
+        raise DanglingReferenceError(row.place, f"{key} {quoted(token)} is no token of {table}")
+    return held.get(token)
+
+
+READERS: Mapping[str, Add] = {
+    "sensor": _add_sensor,
+    "calibrated_sensor": _add_mount,
+    "log": _add_log,
+    "scene": _add_scene,
+    "sample": _add_sample,
+    "ego_pose": _add_pose,
+    "sample_data": _add_datum,
+}

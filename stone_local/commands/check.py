@@ -1,0 +1,65 @@
+"""`stone check`: is this published dataset complete and well-formed, and what does it hold?"""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NoReturn
+
+import typer
+
+from stone_client.progress import reported
+from stone_client.refusals import REFUSED
+from stone_client.streams import JsonOption, echo_json, echo_notice
+from stone_local.dataset_tables import show_contents
+
+if TYPE_CHECKING:
+    from stone_datasets.reading import DatasetCheck
+
+DatasetArgument = Annotated[
+    Path, typer.Argument(metavar="DATASET", exists=True, help="A folder or a tar: nuScenes tables, or Occ3D's layout.")
+]
+ClassesOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--classes", metavar="FILE", exists=True, dir_okay=False, help="What the labels' numbers mean: T, P, N, free."
+    ),
+]
+FaultsOption = Annotated[int, typer.Option("--faults", min=1, max=100_000, help="Name at most so many faults.")]
+
+
+def check(
+    dataset: DatasetArgument,
+    classes: ClassesOption = None,
+    faults: FaultsOption = 100,
+    as_json: JsonOption = False,
+) -> None:
+    """Read a published dataset completely and show what it holds, or what is wrong, by table, row and file.
+
+    Every row of the tables, every sweep, scan and label file is read; of pictures the head and the end. Exit code 1
+    where anything is wrong.
+    """
+    from stone_datasets.classes import OWN_CLASSES, read_class_map
+    from stone_datasets.reading import check_dataset
+
+    said = OWN_CLASSES if classes is None else read_class_map(classes)
+    with reported() as progress:
+        found = check_dataset(dataset, said, faults, lambda done, of: progress("frames", done, of))
+    if found.contents is None:
+        _refuse(found, as_json=as_json)
+    record = found.contents.as_record()
+    if as_json:
+        echo_json(record)
+    else:
+        show_contents(record)
+
+
+def _refuse(found: "DatasetCheck", *, as_json: bool) -> NoReturn:
+    """Every fault on a line of its own, then how far the check came."""
+    for fault in found.faults.found:
+        echo_notice(f"{fault.code}: {fault}")
+    if found.faults.total > len(found.faults.found):
+        echo_notice(f"… and {found.faults.total - len(found.faults.found)} more")
+    if found.reached != "files":
+        echo_notice(f"These are of its {found.reached}: what comes after was not looked at; mend them and check again")
+    if as_json:
+        faults = [fault.as_record() for fault in found.faults.found]
+        echo_json({"faults": faults, "faults_total": found.faults.total, "reached": found.reached})
+    raise typer.Exit(REFUSED)

@@ -1,0 +1,42 @@
+"""What a published dataset holds, as tables: the record of `stone check --json`."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from stone_client.tables import DASH, plain_table, safe_text, show
+
+MOST_SEQUENCES = 60
+
+
+def show_contents(record: Mapping[str, Any]) -> None:
+    """Print its sequences, its sensors and its classes."""
+    sequences = record["sequences"]
+    title = f"{record['layout']} layout, {len(sequences)} sequences, {record['frames']} frames, "
+    table = plain_table(title + _size(record["size_bytes"]), "sequence", "frames", "seconds", "labels", "split")
+    for one in sequences[:MOST_SEQUENCES]:
+        splits = ", ".join(one["splits"]) or DASH
+        labels = "yes" if one["is_labelled"] else DASH
+        table.add_row(safe_text(one["name"]), str(one["frames"]), f"{one['seconds']:.1f}", labels, safe_text(splits))
+    if len(sequences) > MOST_SEQUENCES:
+        table.add_row(f"… {len(sequences) - MOST_SEQUENCES} more")
+    show(table)
+    sensors = plain_table("Sensors", "channel", "files")
+    for name, count in record["sensors"].items():
+        sensors.add_row(safe_text(name), str(count))
+    show(sensors)
+    show(_classes(record))
+
+
+def _classes(record: Mapping[str, Any]) -> Any:
+    """Shares of the occupied voxels, and how many frames have which mask."""
+    title = f"Labels of {record['labelled_frames']} frames, by the classes of {safe_text(record['classes'])}"
+    table = plain_table(title, "", "")
+    for name, share in record["class_share_of_occupied"].items():
+        table.add_row(f"{name} of the occupied voxels", DASH if share is None else f"{share:.1%}")
+    for name, count in record["masks"].items():
+        table.add_row(f"frames with {name}", str(count))
+    return table
+
+
+def _size(size_bytes: int) -> str:
+    return f"{size_bytes / 1e9:.2f} GB" if size_bytes >= 1e8 else f"{size_bytes / 1e6:.1f} MB"

@@ -1,0 +1,99 @@
+"""Class maps are stated, and what they do not name is refused."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stone.labels.grid import GRID_SHAPE
+from stone_datasets.classes import read_class_map
+from stone_datasets.file_faults import BadClassMapError, LabelShapeError, UnknownLabelsError
+from stone_datasets.labels import read_labels
+from stone_exports.files import ExportFileSpan
+from stone_files.npz import npz_bytes
+
+GRID = np.zeros(GRID_SHAPE, np.uint8)
+
+
+def labels(folder: Path, **arrays: np.ndarray) -> ExportFileSpan:  # type: ignore[type-arg]
+    content = npz_bytes(arrays)
+    (folder / "labels.npz").write_bytes(content)
+    return ExportFileSpan(folder / "labels.npz", "labels.npz", 0, len(content))
+
+
+def mapped(folder: Path, text: str) -> Path:
+    (folder / "classes.yaml").write_text(text)
+    return folder / "classes.yaml"
+
+
+WRITTEN = {
+    "yaml": "name: lidarseg\nclasses: {17: free, 11: T, 14: P, 16: N, 255: unobserved}\n",
+    "json": '{"name": "lidarseg", "classes": {"17": "free", "11": "T", "14": "P", "16": "N", "255": "unobserved"}}',
+}
+
+
+@pytest.mark.parametrize("form", WRITTEN)
+def test_numbers_become_the_classes_that_the_file_says(tmp_path: Path, form: str) -> None:
+    said = read_class_map(mapped(tmp_path, WRITTEN[form]))
+    assert said.name == "lidarseg"
+    numbers = np.resize(np.array([17, 11, 14, 16, 255], np.uint8), GRID_SHAPE)
+    found = read_labels(labels(tmp_path, semantics=numbers), said)
+    assert np.array_equal(found.classes, np.resize(np.array([0, 1, 2, 3, 0], np.uint8), GRID_SHAPE))
+    assert found.mask_lidar is not None
+    assert np.array_equal(found.mask_lidar == 0, numbers == 255)
+    assert found.mask_camera is None
+
+
+def test_what_is_unobserved_takes_itself_out_of_the_mask(tmp_path: Path) -> None:
+    numbers, mask = GRID.copy(), GRID.copy()
+    numbers[0], mask[:2] = 255, 1
+    found = read_labels(labels(tmp_path, semantics=numbers, mask_lidar=mask, mask_camera=mask))
+    assert found.mask_lidar is not None
+    assert found.mask_camera is not None
+    assert found.mask_lidar[0].max() == 0
+    assert found.mask_lidar[1].min() == 1
+    assert np.array_equal(found.mask_camera, mask)
+    assert found.classes.max() == 0
+
+
+def test_numbers_that_the_file_does_not_name_are_refused_by_name(tmp_path: Path) -> None:
+    said = read_class_map(mapped(tmp_path, "name: short\nclasses: {0: free, 1: T}\n"))
+    with pytest.raises(UnknownLabelsError, match="semantics has 2, 3, which 'short' does not name"):
+        read_labels(labels(tmp_path, semantics=np.resize(np.arange(4, dtype=np.uint8), GRID_SHAPE)), said)
+
+
+def test_arrays_that_nobody_asked_for_are_left(tmp_path: Path) -> None:
+    found = read_labels(labels(tmp_path, distance_squared=GRID.astype(np.float16), semantics=GRID))
+    assert (found.mask_lidar, found.mask_camera) == (None, None)
+
+
+BAD = {
+    "none": ("", "no name"),
+    "no YAML": ("{", "no YAML"),
+    "a list": ("[1]", "no name"),
+    "no classes": ("name: x", "no classes"),
+    "a class of nobody": ("name: x\nclasses: {0: grass}", "0 is 'grass'"),
+    "a class of a number": ("name: x\nclasses: {0: 1}", "0 is 1"),
+    "a number of nobody": ("name: x\nclasses: {256: T}", "256 is no number"),
+    "a negative one": ("name: x\nclasses: {-1: T}", "-1 is no number"),
+    "a name for a number": ("name: x\nclasses: {road: T}", "'road' is no number"),
+    "a truth for a number": ("name: x\nclasses: {true: T}", "True is no number"),
+    "two of one number": ("name: x\nclasses: {1: T, 1: P}", "no YAML"),
+    "a tag": ("!!python/object:os.system {}", "no YAML"),
+    "far too long": ("name: x\n" + "#" * 70_000, "65536"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_file_of_classes_that_is_none_is_refused(tmp_path: Path, name: str) -> None:
+    text, why = BAD[name]
+    with pytest.raises(BadClassMapError, match=why) as refused:
+        read_class_map(mapped(tmp_path, text))
+    assert refused.value.code == "DST-070"
+
+
+@pytest.mark.field_data
+def test_real_labels_of_occ3d_are_refused_for_their_grid(field_data: Path) -> None:
+    path = next((field_data / "occ3d_labels").rglob("labels.npz"))
+    with pytest.raises(LabelShapeError, match=r"shape \(200, 200, 16\).*Occ3D-nuScenes has 200 × 200 × 16"):
+        read_labels(ExportFileSpan(path, "labels.npz", 0, path.stat().st_size))

@@ -1,0 +1,103 @@
+"""What our exporter wrote of a labelled drive is read back exactly: tokens, stamps, poses, calibration, labels.
+
+Catches alone an exporter whose files the platform would not take back.
+"""
+
+import json
+import tarfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from services.labeler.exports.folder import ExportRequest, export
+from services.labeler.exports.nuscenes.plan import NuscenesPlan, channels_of
+from stone_datasets.index import DatasetIndex
+from stone_datasets.labels import read_labels
+from stone_datasets.reading import check_dataset, read_dataset
+from tests.services.labeler.exports.conftest import drive
+from tests.services.labeler.exports.made import Labelled, unheard
+
+pytestmark = pytest.mark.whole
+
+__all__ = ["drive"]  # a fixture
+
+
+@pytest.fixture(scope="module")
+def exported(drive: Labelled, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """As `stone export --format nuscenes` leaves it."""
+    folder = tmp_path_factory.mktemp("exported") / "nuscenes"
+    export(ExportRequest("nuscenes", folder, drive.report), drive.source, unheard)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def index(exported: Path) -> DatasetIndex:
+    return read_dataset(exported)
+
+
+def test_an_export_is_a_sound_dataset(exported: Path, drive: Labelled) -> None:
+    check = check_dataset(exported)
+    assert [str(fault) for fault in check.faults.found] == []
+    assert check.contents is not None
+    record = check.contents.as_record()
+    assert record["frames"] == record["labelled_frames"] == drive.report["frames"]
+    shares = drive.report["class_share_of_occupied"]
+    names = {"T": "traversable", "P": "potentially_traversable", "N": "non_traversable"}
+    for name, of_report in names.items():
+        assert record["class_share_of_occupied"][name] == pytest.approx(shares[of_report], abs=1e-3)
+
+
+def test_frames_have_the_tokens_stamps_and_poses_that_were_labelled(index: DatasetIndex, drive: Labelled) -> None:
+    (sequence,), source = index.sequences, drive.source().sequence
+    log = json.loads((index.files.path / "v1.0-trainval" / "log.json").read_text())[0]
+    assert sequence.name == source.name
+    assert sequence.tokens == source.frames.tokens
+    assert np.array_equal(sequence.stamps_ns, source.frames.stamps_ns // 1000 * 1000)
+    assert np.array_equal(sequence.map_from_ego.wxyz, source.frames.map_from_ego.wxyz)
+    moved_m = source.frames.map_from_ego.translation_m + log["global_from_map_m"]
+    assert np.array_equal(sequence.map_from_ego.translation_m, moved_m)
+
+
+def test_sensors_have_the_mounts_lenses_stamps_and_poses_that_were_exported(
+    index: DatasetIndex, drive: Labelled
+) -> None:
+    (sequence,), source = index.sequences, drive.source().sequence
+    log = json.loads((index.files.path / "v1.0-trainval" / "log.json").read_text())[0]
+    low_m = (-log["global_from_map_m"][0], -log["global_from_map_m"][1])
+    plan = NuscenesPlan(source, channels_of(source), low_m)
+    assert set(sequence.channels) == {channel.name for channel in plan.channels}
+    for wanted in plan.channels:
+        found = sequence.channels[wanted.name]
+        mount = source.calibration.ego_from_lidar @ wanted.mount.lidar_from_sensor
+        assert np.array_equal(found.sensor.ego_from_sensor.wxyz_xyz, mount.wxyz_xyz)
+        assert found.sensor.intrinsics == wanted.mount.intrinsics
+        assert np.array_equal(found.frames, wanted.frames)
+        assert np.array_equal(found.stamps_ns, wanted.stamps_ns // 1000 * 1000)
+        assert np.array_equal(found.map_from_ego.wxyz, wanted.map_from_ego.wxyz)
+        assert [found.filename(place) for place in range(len(found.frames))] == [
+            plan.filename(wanted, place) for place in range(len(wanted.frames))
+        ]
+
+
+def test_labels_are_those_of_the_label_set(index: DatasetIndex, drive: Labelled) -> None:
+    (sequence,) = index.sequences
+    for frame, token in enumerate(sequence.tokens):
+        span = index.labels(sequence, frame)
+        assert span is not None
+        labels = read_labels(span)
+        with np.load(drive.folder / "gts" / sequence.name / token / "labels.npz") as arrays:
+            assert np.array_equal(labels.classes, arrays["semantics"])
+            assert labels.mask_lidar is not None
+            assert labels.mask_camera is not None
+            assert np.array_equal(labels.mask_lidar, arrays["mask_lidar"])
+            assert np.array_equal(labels.mask_camera, arrays["mask_camera"])
+
+
+def test_an_export_in_a_tar_is_the_same(exported: Path, index: DatasetIndex, tmp_path: Path) -> None:
+    with tarfile.open(tmp_path / "export.tar", "w") as tar:
+        tar.add(exported, "nuscenes")
+    check = check_dataset(tmp_path / "export.tar")
+    assert check.contents is not None
+    assert check.contents.index.sequences[0].tokens == index.sequences[0].tokens
+    assert check.contents.as_record()["size_bytes"] > 0
