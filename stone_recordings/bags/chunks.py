@@ -9,6 +9,7 @@ where such a scan needs the head of a chunk alone (a cloud of megabytes is mostl
 
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import dataclass
 
 import cramjam
 import numpy as np
@@ -22,7 +23,6 @@ from stone_recordings.bags.errors import (
     CompressionRefusedError,
     MalformedBagError,
 )
-from stone_recordings.bags.mcap.records import Chunk
 
 CHUNK_LIMIT_BYTES = 512 * 1024 * 1024
 # Below this a wrong size costs little memory; above it, growth beyond the ratio is measured before it is allocated.
@@ -30,6 +30,18 @@ UNDOUBTED_BYTES = 32 * 1024 * 1024
 DOUBTED_RATIO = 20
 PIECE_BYTES = 1024 * 1024
 _DAMAGED = (RuntimeError, zstandard.ZstdError, EOFError)
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """A chunk's header; `start:stop` is where its (compressed) records lie in the file."""
+
+    where: str
+    uncompressed_bytes: int
+    crc32: int
+    compression: str
+    start: int
+    stop: int
 
 
 def inflate(view: memoryview, chunk: Chunk) -> memoryview:
