@@ -40,6 +40,12 @@ class GrowingEntries:
         self.chunk.extend([chunk] * len(offset))
         self.offset.frombytes(offset.tobytes())
 
+    def join(self, others: "GrowingEntries") -> None:
+        """Those of another one behind ours."""
+        self.log_time_ns.extend(others.log_time_ns)
+        self.chunk.extend(others.chunk)
+        self.offset.extend(others.offset)
+
     def finished(self) -> Entries:
         return Entries(
             np.array(self.log_time_ns, np.int64), np.array(self.chunk, np.int32), np.array(self.offset, np.int64)

@@ -8,7 +8,7 @@ from pathlib import Path
 from struct import Struct
 
 from stone.findings import Finding
-from stone_recordings.bags.chunked_store import ChunkedStore, MappedFile, PlacedMessages
+from stone_recordings.bags.chunked_store import ChunkedStore, MappedFile, PlacedMessages, behind_end
 from stone_recordings.bags.errors import EncodingRefusedError, MalformedBagError
 from stone_recordings.bags.mcap import records as wire
 from stone_recordings.bags.mcap.catalogue import Catalogue, message_head, read_catalogue
@@ -29,7 +29,9 @@ class McapStore(ChunkedStore):
         file = MappedFile(path)
         with path.open("rb") as stream:
             file.view = file.view[: sealed_bytes(stream)]
-        self.findings = (*_damaged_start(file.view, path.name), *_zeros_behind(len(file.map) - len(file.view)))
+        self.findings = _damaged_start(file.view, path.name)
+        if len(file.view) < len(file.map):
+            self.findings += (behind_end(file, len(file.view)),)
         catalogue = read_catalogue(file.view, path.name)
         super().__init__(file, PlacedMessages(catalogue.chunks, _merged_by_topic(catalogue, path.name)))
         self._topic_of = {number: channel.topic for number, channel in catalogue.channels.items()}
@@ -79,13 +81,6 @@ def _damaged_start(view: memoryview, name: str) -> tuple[Finding, ...]:
         f"its end knows is read; for other programs: stone recover {name} -o recovered.mcap."
     )
     return (Finding("BAG-033", "warning", "", message),)
-
-
-def _zeros_behind(count: int) -> tuple[Finding, ...]:
-    if not count:
-        return ()
-    message = f"{count} zero bytes follow the end of the file; they are passed over, and nothing of it is missing."
-    return (Finding("BAG-032", "info", "", message),)
 
 
 def _merged_by_topic(catalogue: Catalogue, name: str) -> dict[str, Entries]:
