@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone.findings import Finding
-from stone_recordings.bags.chunks import PIECE_BYTES, Chunk, check_crc32, inflate, inflate_head
+from stone_recordings.bags.chunks import Chunk, check_crc32, inflate, inflate_head
 from stone_recordings.bags.errors import ChecksumError, MalformedBagError
 from stone_recordings.bags.message_places import Entries, in_storage_order, reach_of
 
@@ -193,11 +193,8 @@ class ChunkedStore(ABC):
         self._dropped_bytes = 0 if is_far else self._dropped_bytes
 
 
-def behind_end(file: MappedFile, stop: int) -> Finding:
-    """What is to be said of the bytes of a whole file that follow its end at `stop`."""
-    count = len(file.map) - stop
-    pieces = (memoryview(file.map)[at : at + PIECE_BYTES] for at in range(stop, len(file.map), PIECE_BYTES))
-    is_zero = all(piece == bytes(len(piece)) for piece in pieces)
+def behind_end(count: int, *, is_zero: bool) -> Finding:
+    """What is to be said of so many bytes that follow the end of a whole file."""
     kind = "zero bytes" if is_zero else "bytes that are no records"
     message = f"{count} {kind} follow the end of the file; they are passed over, and nothing of it is missing."
     return Finding("BAG-032", "info" if is_zero else "warning", "", message)

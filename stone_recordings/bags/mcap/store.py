@@ -30,8 +30,8 @@ class McapStore(ChunkedStore):
         with path.open("rb") as stream:
             file.view = file.view[: sealed_bytes(stream)]
         self.findings = _damaged_start(file.view, path.name)
-        if len(file.view) < len(file.map):
-            self.findings += (behind_end(file, len(file.view)),)
+        if zeros := len(file.map) - len(file.view):
+            self.findings += (behind_end(zeros, is_zero=True),)
         catalogue = read_catalogue(file.view, path.name)
         super().__init__(file, PlacedMessages(catalogue.chunks, _merged_by_topic(catalogue, path.name)))
         self._topic_of = {number: channel.topic for number, channel in catalogue.channels.items()}

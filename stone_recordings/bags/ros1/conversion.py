@@ -50,7 +50,7 @@ class Conversion:
     def of_head(self, source: memoryview, most_bytes: int) -> Converted:
         """At least `most_bytes` of it, or as much as `source`, which may end before the message does, has of it."""
         pen = self._written(source, most_bytes)
-        return Converted(memoryview(pen.body).toreadonly(), pen.at)
+        return Converted(memoryview(pen.body).toreadonly(), min(pen.at, len(source)))
 
     def _written(self, source: memoryview, most_bytes: int) -> "_Pen":
         pen = _Pen(source, min(most_bytes, GROWTH * len(source) + GROWTH_BYTES))

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from stone.findings import Finding
 from stone_recordings.bags.chunked_store import ChunkedStore, MappedFile, PlacedMessages, behind_end
+from stone_recordings.bags.chunks import PIECE_BYTES
 from stone_recordings.bags.errors import MalformedBagError
 from stone_recordings.bags.message_places import Entries, GrowingEntries, in_log_order
 from stone_recordings.bags.message_store import HEAD_BYTES
@@ -27,7 +28,8 @@ RECORD_HEAD_BYTES = 256
 class Ros1Store(ChunkedStore):
     """One open bag; `is_indexed` is False where the whole file had to be walked.
 
-    With `is_tolerant` what is broken in the middle of it is passed over, and `state.losses` says so.
+    `compression` is that of the first chunk. With `is_tolerant` what is broken in the middle of the bag is passed over,
+    and `state.losses` says so.
     Raises: CutBagError (no message is whole), EncryptedBagError, MalformedBagError and the refusals of chunks.
     """
 
@@ -40,9 +42,10 @@ class Ros1Store(ChunkedStore):
         super().__init__(file, PlacedMessages(catalogue.chunks, _by_topic(catalogue)))
         self._connections = catalogue.connections
         self.is_indexed = catalogue.state.is_indexed
+        self.compression = next((chunk.compression for chunk in catalogue.chunks), "")
         counts = {topic: len(entries.offset) for topic, entries in self._entries.items()}
         self.topics, unread = described(tuple(catalogue.connections.values()), counts)
-        self.findings: tuple[Finding, ...] = (*_ended(file, self.state, sum(counts.values())), *unread)
+        self.findings: tuple[Finding, ...] = (*_ended(path, file, self.state, sum(counts.values())), *unread)
         self._sized = ("", 0, 0)
 
     def size_bytes(self, topic: str, index: int) -> int:
@@ -85,7 +88,7 @@ class Ros1Store(ChunkedStore):
         return conversion_of(self._connections[record.fields.u32("conn")].type)
 
 
-def _ended(file: MappedFile, state: BagState, messages: int) -> Iterator[Finding]:
+def _ended(path: Path, file: MappedFile, state: BagState, messages: int) -> Iterator[Finding]:
     left_bytes = len(file.view) - state.read_bytes
     if not state.is_closed:
         message = (
@@ -94,7 +97,14 @@ def _ended(file: MappedFile, state: BagState, messages: int) -> Iterator[Finding
         )
         yield Finding("BAG-010", "warning", "", message)
     elif left_bytes:
-        yield behind_end(file, state.read_bytes)
+        yield behind_end(left_bytes, is_zero=_is_zero(path, state.read_bytes))
+
+
+def _is_zero(path: Path, start: int) -> bool:
+    """Read, not mapped: pages of a map that are looked at count as memory."""
+    with path.open("rb") as file:
+        file.seek(start)
+        return not any(piece.strip(b"\0") for piece in iter(lambda: file.read(PIECE_BYTES), b""))
 
 
 def _by_topic(catalogue: Ros1Catalogue) -> dict[str, Entries]:
