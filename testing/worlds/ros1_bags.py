@@ -16,6 +16,7 @@ from rosbags.typesys.store import Typestore
 from stone_recordings.messages.types.registry import typestore
 
 Ros1Compression = Literal["none", "bz2", "lz4"]
+ROS1_COMPRESSIONS: tuple[Ros1Compression, ...] = ("none", "bz2", "lz4")
 HEAD_BYTES = 4096
 FORMATS = {"bz2": Writer.CompressionFormat.BZ2, "lz4": Writer.CompressionFormat.LZ4}
 

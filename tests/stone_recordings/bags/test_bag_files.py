@@ -21,6 +21,7 @@ SPLIT = [f"run_{number}.mcap" for number in range(3)]
         ["run_0.db3", "run_0.db3-journal"],
         ["run_0.mcap.zstd", "run_1.mcap"],
         ["metadata.yaml", "RUN.MCAP"],
+        ["run_0.bag", "run_1.bag.active"],
     ],
 )
 def test_the_files_of_a_rosbag2_folder_are_one_bag(names: list[str]) -> None:

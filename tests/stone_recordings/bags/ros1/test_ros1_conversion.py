@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stone_recordings.bags.errors import DefinitionMissingError, MessageLayoutError
@@ -33,6 +33,7 @@ def ros1_of(type_name: str) -> Ros1Type:
 
 
 @pytest.mark.parametrize("type_name", TYPES)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 2**32))
 def test_random_messages_become_what_another_library_serialises(type_name: str, seed: int) -> None:
     message = random_message(type_name, np.random.default_rng(seed))

@@ -13,9 +13,8 @@ from stone_recordings.bags.bag import Bag, open_bag
 from stone_recordings.bags.message_store import HEAD_BYTES
 from stone_recordings.report.inspection import inspect
 from stone_recordings.report.inspection_record import inspection_record
-from testing.worlds.ros1_bags import Ros1Compression, as_ros1, unclosed
+from testing.worlds.ros1_bags import ROS1_COMPRESSIONS, Ros1Compression, as_ros1, unclosed
 
-COMPRESSIONS: tuple[Ros1Compression, ...] = ("none", "bz2", "lz4")
 OF_ROS2 = ("std_msgs/msg/Header", "builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 
 
@@ -34,7 +33,7 @@ def assert_same(found: Bag, expected: Bag) -> None:
             assert ours.payload == theirs.payload, topic.name
 
 
-@pytest.mark.parametrize(("compression", "is_closed"), list(product(COMPRESSIONS, (True, False))))
+@pytest.mark.parametrize(("compression", "is_closed"), list(product(ROS1_COMPRESSIONS, (True, False))))
 def test_every_byte_is_that_of_the_mcap_file_and_a_walk_finds_what_the_index_does(
     drive: Path, tmp_path: Path, compression: Ros1Compression, is_closed: bool
 ) -> None:
@@ -45,7 +44,7 @@ def test_every_byte_is_that_of_the_mcap_file_and_a_walk_finds_what_the_index_doe
         assert not bag.damaged
 
 
-@pytest.mark.parametrize("compression", COMPRESSIONS)
+@pytest.mark.parametrize("compression", ROS1_COMPRESSIONS)
 def test_a_head_is_the_beginning_of_its_message_and_its_size_is_known(
     drive: Path, tmp_path: Path, compression: Ros1Compression
 ) -> None:
@@ -60,7 +59,7 @@ def test_a_head_is_the_beginning_of_its_message_and_its_size_is_known(
             assert name != "/radar/front/detections" or len(head) == len(message)
 
 
-@pytest.mark.parametrize("compression", COMPRESSIONS)
+@pytest.mark.parametrize("compression", ROS1_COMPRESSIONS)
 def test_an_inspection_says_what_it_says_of_the_mcap_file(
     drive: Path, tmp_path: Path, compression: Ros1Compression
 ) -> None:
