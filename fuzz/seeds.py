@@ -28,6 +28,7 @@ from simulator.options import SimulateOptions
 from simulator.pipeline import simulate
 from stone_recordings.bags.bag import open_bag
 from stone_recordings.messages.types.registry import message_definition, typestore
+from testing.worlds.ros1_bags import ROS1_COMPRESSIONS, as_ros1, unclosed
 
 LONGEST_SEED_BYTES = 50_000
 MESSAGES_EACH = 3
@@ -79,6 +80,19 @@ def mcap_seeds() -> Iterator[tuple[str, bytes]]:
         yield f"{name}-cut", content[: len(content) * 3 // 4]
 
 
+def ros1_seeds() -> Iterator[tuple[str, bytes]]:
+    """Each compression, closed, unclosed and cut."""
+    with TemporaryDirectory() as folder:
+        source = Path(folder) / "tiny.mcap"
+        source.write_bytes(_mcap(CONTAINERS["plain"]))
+        for compression in ROS1_COMPRESSIONS:
+            closed = as_ros1(source, Path(folder) / f"{compression}.bag", compression, chunk_bytes=4000)
+            yield compression, closed.read_bytes()
+            content = unclosed(closed, Path(folder) / f"{compression}.bag.active").read_bytes()
+            yield f"{compression}-unclosed", content
+            yield f"{compression}-cut", content[: len(content) * 3 // 4]
+
+
 def db3_seeds() -> Iterator[tuple[str, bytes]]:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "run"
@@ -115,6 +129,7 @@ def calibration_seeds() -> Iterator[tuple[str, bytes]]:
 
 SEEDS: Mapping[str, Callable[[], Iterator[tuple[str, bytes]]]] = {
     "mcap": mcap_seeds,
+    "ros1": ros1_seeds,
     "db3": db3_seeds,
     "messages": message_seeds,
     "definition": definition_seeds,

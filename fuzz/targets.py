@@ -6,6 +6,7 @@ one function of bytes.
 """
 
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -52,6 +53,17 @@ def read_mcap(content: bytes) -> None:
             read_recording(Path(folder) / "recovered.mcap")
 
 
+def read_ros1(content: bytes) -> None:
+    """As it is, and what can be recovered of it."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "run.bag"
+        path.write_bytes(content)
+        with suppress(StoneError):
+            read_recording(path)
+        recover(path, Path(folder) / "recovered.mcap")
+        read_recording(Path(folder) / "recovered.mcap")
+
+
 def read_db3(content: bytes) -> None:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "run.db3"
@@ -83,6 +95,7 @@ def read_definition(content: bytes) -> None:
 
 TARGETS: Mapping[str, Target] = {
     "mcap": read_mcap,
+    "ros1": read_ros1,
     "db3": read_db3,
     "messages": read_messages,
     "definition": read_definition,

@@ -10,7 +10,10 @@ import typer
 BagArgument = Annotated[
     Path,
     typer.Argument(
-        metavar="BAG", exists=True, readable=True, help="The recording: an .mcap file, a .db3 file or a rosbag2 folder."
+        metavar="BAG",
+        exists=True,
+        readable=True,
+        help="The recording: an .mcap, .db3 or ROS 1 .bag file, or a folder of a split one.",
     ),
 ]
 SubmissionArgument = Annotated[

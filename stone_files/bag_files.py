@@ -1,9 +1,10 @@
 """Checks that several uploaded files are one bag, and hashes them as a whole.
 
-**Conventions.** The files of a rosbag2 folder: one or more of `.mcap` or of `.db3`, each perhaps compressed as a file
-by zstd, a database perhaps beside the journal of what was not finished; perhaps `metadata.yaml`; and definitions of
-messages where the recorder embedded none (`my_msgs.Reading.msg`). Names are compared as on a disk that does not tell
-cases apart, so that a folder can be written anywhere.
+**Conventions.** The files of a rosbag2 folder: one or more of `.mcap` or of `.db3`, or the parts of a split ROS 1
+`.bag` (`.bag.active` where its recorder died), each perhaps compressed as a file by zstd, a database perhaps beside
+the journal of what was not finished; perhaps `metadata.yaml`; and definitions of messages where the recorder embedded
+none (`my_msgs.Reading.msg`). Names are compared as on a disk that does not tell cases apart, so that a folder can be
+written anywhere.
 """
 
 import re
@@ -14,7 +15,7 @@ from stone_base.errors import StoneError
 
 METADATA = "metadata.yaml"
 MOST_FILES = 512
-BAG_FILE = re.compile(r".+\.(mcap|db3)(\.zstd)?", re.IGNORECASE)
+BAG_FILE = re.compile(r".+\.(mcap|db3|bag)(\.active|\.zstd)?", re.IGNORECASE)
 LEFT_BESIDE = ("-wal", "-journal")
 JOURNAL = re.compile(r"(.+\.db3)-(wal|journal)", re.IGNORECASE)
 DEFINITION = re.compile(r"[a-z][a-z0-9_]{0,99}\.[A-Z][A-Za-z0-9]{0,99}\.msg")
@@ -26,7 +27,8 @@ class BadBagFilesError(StoneError):
     code = "bad_recording_files"
 
     def __init__(self, why: str) -> None:
-        super().__init__(f"{why}; send the files of one rosbag2 folder: its metadata.yaml and its .mcap or .db3 files")
+        files = "its .mcap, .db3 or .bag files, and the metadata.yaml of a rosbag2 folder"
+        super().__init__(f"{why}; send the files of one recording: {files}")
 
 
 def is_bag_part(name: str) -> bool:
@@ -46,9 +48,11 @@ def check_bag_files(names: Sequence[str]) -> None:
         raise BadBagFilesError(f"{len(names)} files have only {len(folded)} names")
     storages = {form[1].casefold() for name in names if (form := BAG_FILE.fullmatch(name))}
     if not storages:
-        raise BadBagFilesError("there is no .mcap and no .db3 file")
+        raise BadBagFilesError("there is no .mcap, no .db3 and no .bag file")
     if len(storages) > 1:
-        raise BadBagFilesError("both .mcap and .db3 files are there")
+        raise BadBagFilesError(
+            f"files of several kinds are there: {', '.join(f'.{kind}' for kind in sorted(storages))}"
+        )
     for name in names:
         journal = JOURNAL.fullmatch(name)
         if journal and journal[1].casefold() not in folded:

@@ -22,17 +22,17 @@ class NotABagError(IngestError):
         shown = first[:SHOWN_BYTES]
         text = "".join(chr(byte) if 32 <= byte < 127 else "." for byte in shown)
         quoted = f'first bytes {shown.hex(" ")} "{text}"' if shown else "no bytes at all"
-        super().__init__(f"{name} is not an MCAP or SQLite bag ({quoted}); it looks like {looks_like}")
+        super().__init__(f"{name} is not an MCAP, SQLite or ROS 1 bag ({quoted}); it looks like {looks_like}")
 
 
 class CutBagError(IngestError):
-    """The file ends before its closing magic."""
+    """The file ends before its closing magic, or before its first message."""
 
     code = "BAG-010"
 
-    def __init__(self, name: str, size_bytes: int) -> None:
+    def __init__(self, name: str, size_bytes: int, missing: str = "the closing MCAP magic is missing") -> None:
         super().__init__(
-            f"{name} was cut off at byte {size_bytes}: the closing MCAP magic is missing; "
+            f"{name} was cut off at byte {size_bytes}: {missing}; "
             f"the recorder died or the copy is incomplete, so copy it again, "
             f"or keep what is whole: stone recover {name} -o recovered.mcap"
         )
@@ -70,7 +70,7 @@ class EncodingRefusedError(IngestError):
     def __init__(self, name: str, topic: str, encoding: str) -> None:
         super().__init__(
             f"{name}: topic {topic!r} is encoded as {encoding!r}, only 'cdr' is read; "
-            f"ROS 1, protobuf and JSON recordings must be converted to ROS 2 first"
+            f"protobuf and JSON recordings must be converted to ROS 2 first"
         )
 
 
@@ -97,12 +97,25 @@ class ChecksumError(IngestError):
 
 
 class CompressionRefusedError(IngestError):
-    """Chunks are packed with an algorithm that MCAP does not register."""
+    """Chunks are packed with an algorithm that their container does not know."""
 
     code = "BAG-017"
 
-    def __init__(self, where: str, compression: str) -> None:
-        super().__init__(f"{where} is compressed with {compression!r}; 'lz4', 'zstd' and none are read")
+    def __init__(self, where: str, compression: str, known: tuple[str, ...]) -> None:
+        read = ", ".join(repr(name) for name in known)
+        super().__init__(f"{where} is compressed with {compression!r}; {read} and none are read")
+
+
+class EncryptedBagError(IngestError):
+    """The messages of a ROS 1 bag are encrypted."""
+
+    code = "BAG-036"
+
+    def __init__(self, name: str, encryptor: str) -> None:
+        super().__init__(
+            f"{name} is encrypted by {encryptor[:60]!r}, its key is not known here; decrypt it where the key is, "
+            f"in ROS 1: rosbag decrypt {name}"
+        )
 
 
 class DefinitionMissingError(IngestError):

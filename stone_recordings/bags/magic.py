@@ -11,14 +11,17 @@ from stone_recordings.bags import packed_file
 from stone_recordings.bags.errors import CutBagError, NotABagError
 from stone_recordings.bags.mcap.records import MAGIC
 from stone_recordings.bags.mcap.sealed_end import sealed_bytes
+from stone_recordings.bags.ros1.records import MAGIC as ROS1_MAGIC
 
-Container = Literal["mcap", "sqlite", "zstd"]
+Container = Literal["mcap", "sqlite", "ros1", "zstd"]
 SNIFFED_BYTES = 512
 SQLITE_MAGIC = b"SQLite format 3\x00"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
+OLD_ROS1 = "a ROS 1 bag of a version before 2.0: where ROS 1 runs, rosbag filter old.bag new.bag True writes it anew"
 _KNOWN: tuple[tuple[bytes, str], ...] = (
-    (b"#ROSBAG V", "a ROS 1 bag: convert it with rosbags-convert"),
+    (b"#ROSBAG V1", OLD_ROS1),
+    (b"#ROSRECORD V1", OLD_ROS1),
     (b"PK\x03\x04", "a zip archive: unpack it first"),
     (b"\x1f\x8b", "a gzip archive: unpack it first"),
     (ZSTD_MAGIC, "a file compressed with zstd, and no bag in it"),
@@ -33,7 +36,7 @@ _KNOWN: tuple[tuple[bytes, str], ...] = (
 
 
 def container_of(path: Path) -> Container:
-    """ "zstd" where an MCAP or SQLite file was compressed as a whole.
+    """ "zstd" where a file of another kind was compressed as a whole.
 
     Raises: FileNotFoundError, NotABagError, CutBagError (fewer bytes than the magic has).
     """
@@ -45,8 +48,8 @@ def container_of(path: Path) -> Container:
         return "zstd"
     if not first and has_wal(path):
         return "sqlite"  # a recorder in WAL mode that died before it ever wrote the database itself
-    if first and MAGIC.startswith(first):
-        raise CutBagError(path.name, len(first))
+    if first and (MAGIC.startswith(first) or ROS1_MAGIC.startswith(first)):
+        raise CutBagError(path.name, len(first), "not even its first record is there")
     if _ends_as_mcap(path):
         return "mcap"
     raise NotABagError(path.name, first, _looks_like(first))
@@ -84,6 +87,8 @@ def _ends_as_mcap(path: Path) -> bool:
 def _container(first: bytes) -> Container | None:
     if first.startswith(MAGIC):
         return "mcap"
+    if first.startswith(ROS1_MAGIC):
+        return "ros1"
     return "sqlite" if first.startswith(SQLITE_MAGIC) else None
 
 

@@ -64,8 +64,8 @@ def _found(folder: Path, names: list[str]) -> RecordingMembers:
     containers = [name for name in names if not name.endswith(SIDECARS) and is_container(folder / name)]
     files = [name for name in containers if name.removesuffix(".zstd") not in containers or not name.endswith(".zstd")]
     if not files:
-        raise NotABagError(folder.name, b"", "a folder without metadata.yaml, .mcap or .db3 file")
-    if len({Path(name.removesuffix(".zstd")).suffix for name in files}) > 1:
+        raise NotABagError(folder.name, b"", "a folder without metadata.yaml, .mcap, .db3 or .bag file")
+    if len({Path(name.removesuffix(".zstd").removesuffix(".active")).suffix for name in files}) > 1:
         shown = ", ".join(files[:4])
         raise MembersRefusedError(folder.name, f"it has no metadata.yaml to say which files are the recording: {shown}")
     message = f"No metadata.yaml: the {len(files)} files of the folder are taken as one recording."

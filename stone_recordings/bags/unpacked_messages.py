@@ -9,8 +9,8 @@ import cramjam
 import numpy as np
 import zstandard
 
+from stone_recordings.bags.chunks import DOUBTED_RATIO, UNDOUBTED_BYTES, pieces_of
 from stone_recordings.bags.errors import MalformedBagError, PackedTooLargeError
-from stone_recordings.bags.mcap.chunks import DOUBTED_RATIO, UNDOUBTED_BYTES, pieces_of
 from stone_recordings.bags.message_store import HEAD_BYTES
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"

@@ -18,7 +18,7 @@ from stone_recordings.poses.extrinsics import plain
 
 TF_STATIC = "tf_static"
 MOST_MESSAGES = 1000
-BAG_SUFFIXES = (".mcap", ".db3", ".zstd")
+BAG_SUFFIXES = (".mcap", ".db3", ".bag", ".active", ".zstd")
 
 
 def is_recording(path: Path) -> bool:

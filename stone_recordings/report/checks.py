@@ -20,7 +20,10 @@ def container_findings(bag: Bag) -> Iterator[Finding]:
     yield from bag.damage_findings
     if not bag.is_indexed:
         yield Finding(
-            "BAG-011", "info", "", "No usable index: the whole file was walked. Record without `fastwrite` to avoid it."
+            "BAG-011",
+            "info",
+            "",
+            "No usable index: the whole file was walked. Record without `fastwrite`, or close the bag, to avoid it.",
         )
     for topic in bag.topics:
         if topic.encoding != "cdr":

@@ -58,9 +58,9 @@ def test_the_files_of_a_bag_become_one_recording_and_one_job(api_on: httpx.Clien
 @pytest.mark.parametrize(
     ("files", "why"),
     [
-        ({"a.mcap": b"1", "b.db3": b"2"}, "both .mcap and .db3"),
+        ({"a.mcap": b"1", "b.db3": b"2"}, "several kinds are there: .db3, .mcap"),
         ({"a.mcap": b"1", "notes.txt": b"2"}, "notes.txt"),
-        ({"metadata.yaml": b"1", "a.db3-wal": b"2"}, "no .mcap and no .db3"),
+        ({"metadata.yaml": b"1", "a.db3-wal": b"2"}, "no .mcap, no .db3 and no .bag"),
         ({"a.mcap": b"1", "b.db3-wal": b"2"}, "has no 'b.db3' beside it"),
     ],
 )

@@ -10,6 +10,7 @@ from services.ingest.stages import handlers
 from testing.api.serving import Person
 from testing.web.browsing import Site
 from testing.worlds.made import sequence
+from testing.worlds.ros1_bags import as_ros1
 from tests.stone_recordings.splitting import split_into
 from tests.web.bringing import bag, choose, recordings, row_of, uploads
 from tests.web.looking import look
@@ -23,28 +24,29 @@ def test_bags_of_several_kinds_become_sequences_of_their_own(site: Site, curator
     split.mkdir(parents=True)
     split_into(bag(), split, 3)
     shutil.copy(bag(), tmp_path / "field day" / "alone.mcap")
-    (tmp_path / "field day" / "old.bag").write_bytes(b"#ROSBAG V2.0\n")
+    as_ros1(bag(), tmp_path / "field day" / "older.bag", "lz4")
+    (tmp_path / "field day" / "rig.yaml").write_text("sensors: {}")
     (tmp_path / "field day" / "notes.txt").write_text("windy")
     with site.visit(curator) as page, working(site.platform, "ingest", handlers):
         page.goto("/sequences/new")
         look(page, "sequences-new-empty")
         page.locator("[data-folder]").set_input_files(tmp_path / "field day")
-        expect(page.locator(".transfer")).to_have_count(2)
+        expect(page.locator(".transfer")).to_have_count(3)
         expect(row_of(page, "run 7").get_by_label("Sequence")).to_have_value("run-7")
         row_of(page, "alone.mcap").get_by_label("Sequence").fill("hill-3")
         page.get_by_label("Environment").select_option("mountain")
         page.get_by_text("2 files were left out").click()
-        expect(page.locator("[data-left-list]")).to_contain_text("ROS 1")
+        expect(page.locator("[data-left-list]")).to_contain_text("A calibration goes to the calibrations")
         look(page, "sequences-new-chosen")
-        page.get_by_role("button", name="Upload 2 bags").click()
-        for name in ("run 7", "alone.mcap"):
+        page.get_by_role("button", name="Upload 3 bags").click()
+        for name in ("run 7", "alone.mcap", "older.bag"):
             expect(row_of(page, name).locator("[data-phase]")).to_have_text("registered", timeout=300_000)
         look(page, "sequences-new-done")
         row_of(page, "alone.mcap").get_by_role("link", name="Open the sequence").click()
         expect(page.get_by_role("heading", name="hill-3")).to_be_visible()
     kept = {row.filename: [file.filename for file in row.files] for row in recordings(site.platform)}
     assert len(kept.pop("run 7")) >= 3
-    assert kept == {"alone.mcap": ["alone.mcap"]}
+    assert kept == {"alone.mcap": ["alone.mcap"], "older.bag": ["older.bag"]}
 
 
 def test_what_cannot_be_taken_says_why_beside_its_line(site: Site, curator: Person, tmp_path: Path) -> None:

@@ -13,12 +13,13 @@ from testing.web.browsing import Site
 NAMES = (
     "run.mcap", "RUN.MCAP", "run.db3", "run_0.db3.zstd", "run.db3-wal", "run.db3-journal", "other.db3-wal", ".mcap",
     "metadata.yaml", "Metadata.yaml", "my_msgs.Reading.msg", "my_msgs.reading.msg", "notes.txt", "run.bag", "mcap",
+    "run.bag.active", "run_0.bag.zstd", "run.bag-wal", "run.active",
 )  # fmt: skip
 LISTS = (
     ["run_0.mcap", "run_1.mcap"], ["run.mcap", "metadata.yaml"], ["run.mcap", "RUN.mcap"], ["run.db3", "run.mcap"],
     ["metadata.yaml", "my_msgs.Reading.msg"], ["run.db3", "run.db3-wal"], ["run.db3", "other.db3-wal"],
     ["a.mcap", "b.mcap.zstd"], [f"run_{number}.db3" for number in range(512)],
-    [f"run_{number}.db3" for number in range(513)],
+    [f"run_{number}.db3" for number in range(513)], ["run_0.bag", "run_1.bag.active"], ["run_0.bag", "run_1.mcap"],
 )  # fmt: skip
 GROUPED: tuple[tuple[list[str], dict[str, int]], ...] = (
     (["run.mcap"], {"run.mcap": 1}),
@@ -29,6 +30,8 @@ GROUPED: tuple[tuple[list[str], dict[str, int]], ...] = (
     (["day/run/a.mcap", "day/run/b.mcap", "day/run/metadata.yaml"], {"run": 3}),
     (["day/metadata.yaml", "notes.txt"], {}),
     (["run.db3", "run.db3-wal"], {"run.db3": 2}),
+    (["day/run_0.bag", "day/run_1.bag.active"], {"day": 2}),
+    (["radar.bag", "run.mcap"], {"radar.bag": 1, "run.mcap": 1}),
 )
 
 

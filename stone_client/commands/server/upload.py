@@ -23,7 +23,7 @@ def upload(
 ) -> None:
     """Send a recording and its calibration; begun again after anything, it goes on where it was.
 
-    A rosbag2 folder is one recording: every file of the bag is sent, and then they are sealed together.
+    A folder of a split bag is one recording: every file of the bag is sent, and then they are sealed together.
     """
     from stone_client.connection import connected
     from stone_client.files.bags import called, hashed_bag

@@ -6,32 +6,22 @@ anything missing or contradictory falls back to the walk, which believes nothing
 """
 
 import zlib
-from array import array
 from dataclasses import dataclass, field
 from struct import Struct
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stone_recordings.bags.chunks import Chunk, inflate
 from stone_recordings.bags.errors import ChecksumError, CutBagError, MalformedBagError
 from stone_recordings.bags.mcap import records as wire
-from stone_recordings.bags.mcap.chunks import inflate
-from stone_recordings.bags.mcap.records import Chunk, Fields, McapChannel, Record, Schema
+from stone_recordings.bags.mcap.records import Fields, McapChannel, Record, Schema
+from stone_recordings.bags.message_places import Entries, GrowingEntries
 
 FOOTER_BYTES = wire.PREFIX_BYTES + 20
 INDEX_ENTRY_BYTES = 16  # log time and offset, both u64
 _MESSAGE_HEAD = Struct("<HIQ")
 _Definition = TypeVar("_Definition", Schema, McapChannel)
-
-
-@dataclass(frozen=True, eq=False)
-class Entries:
-    """The messages of one channel in the order of the file."""
-
-    log_time_ns: NDArray[np.int64]
-    chunk: NDArray[np.int32]
-    offset: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -52,7 +42,7 @@ class _Draft:
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, McapChannel] = field(default_factory=dict)
     chunks: list[Chunk] = field(default_factory=list)
-    columns: dict[int, tuple["array[int]", "array[int]", "array[int]"]] = field(default_factory=dict)
+    entries: dict[int, GrowingEntries] = field(default_factory=dict)
 
     def define(self, record: Record, fields: Fields) -> None:
         """Take a schema or channel; the same id twice must say the same thing."""
@@ -61,20 +51,20 @@ class _Draft:
         elif record.opcode == wire.CHANNEL:
             _define(self.channels, *wire.read_channel(fields), fields.where)
 
-    def columns_of(self, channel_id: int) -> tuple["array[int]", "array[int]", "array[int]"]:
-        return self.columns.setdefault(channel_id, (array("q"), array("i"), array("q")))
+    def entries_of(self, channel_id: int) -> GrowingEntries:
+        return self.entries.setdefault(channel_id, GrowingEntries())
 
     def missing(self) -> list[str]:
         """Channels that messages speak of and schemas that channels speak of, without a definition."""
         schemas = {channel.schema_id for channel in self.channels.values() if channel.schema_id}
-        return [f"channel {channel_id}" for channel_id in sorted(self.columns.keys() - self.channels.keys())] + [
+        return [f"channel {channel_id}" for channel_id in sorted(self.entries.keys() - self.channels.keys())] + [
             f"schema {schema_id}" for schema_id in sorted(schemas - self.schemas.keys())
         ]
 
     def finished(self, where: str, is_indexed: bool) -> Catalogue:
         if missing := self.missing():
             raise MalformedBagError(where, f"its records speak of {missing[0]}, which is nowhere defined")
-        entries = {channel_id: _entries(columns) for channel_id, columns in self.columns.items()}
+        entries = {channel_id: growing.finished() for channel_id, growing in self.entries.items()}
         return Catalogue(self.schemas, self.channels, tuple(self.chunks), entries, is_indexed)
 
 
@@ -129,7 +119,7 @@ def _from_summary(view: memoryview, data: Record, footer_offset: int, name: str)
         if index.chunk_offset < reached:
             raise MalformedBagError(name, f"the chunk index at byte {index.chunk_offset} overlaps the one before it")
         reached = _add_indexed_chunk(view, data, index, draft, name)
-    told = sum(len(columns[0]) for columns in draft.columns.values())
+    told = sum(len(growing.offset) for growing in draft.entries.values())
     return draft if told == statistics.message_count and not draft.missing() else None
 
 
@@ -159,10 +149,7 @@ def _add_message_index(view: memoryview, record: Record, channel_id: int, draft:
     table = np.frombuffer(view[start:stop], "<i8")
     if len(table) and table.min() < 0:  # as unsigned: beyond the last time that can be told
         raise MalformedBagError(name, f"the message index at byte {record.start} holds times beyond the year 2262")
-    times, chunks, offsets = draft.columns_of(channel_id)
-    times.frombytes(table[::2].tobytes())
-    offsets.frombytes(table[1::2].tobytes())
-    chunks.extend([len(draft.chunks) - 1] * (len(table) // 2))
+    draft.entries_of(channel_id).extend(table[::2], len(draft.chunks) - 1, table[1::2])
 
 
 def _from_walk(view: memoryview, data: Record, name: str) -> _Draft:
@@ -186,10 +173,7 @@ def _add_record(view: memoryview, record: Record, chunk: int, draft: _Draft, whe
         draft.define(record, Fields(view, record, where))
         return
     channel_id, log_time_ns = message_head(view, record, where)
-    times, chunks, offsets = draft.columns_of(channel_id)
-    times.append(log_time_ns)
-    chunks.append(chunk)
-    offsets.append(record.start - wire.PREFIX_BYTES)
+    draft.entries_of(channel_id).add(log_time_ns, chunk, record.start - wire.PREFIX_BYTES)
 
 
 def message_head(view: memoryview, record: Record, where: str) -> tuple[int, int]:
@@ -205,8 +189,3 @@ def message_head(view: memoryview, record: Record, where: str) -> tuple[int, int
 def _define(known: dict[int, _Definition], key: int, value: _Definition, where: str) -> None:
     if known.setdefault(key, value) != value:
         raise MalformedBagError(where, f"id {key} is defined twice, as {known[key]} and as {value}"[:300])
-
-
-def _entries(columns: tuple["array[int]", "array[int]", "array[int]"]) -> Entries:
-    times, chunks, offsets = columns
-    return Entries(np.array(times, np.int64), np.array(chunks, np.int32), np.array(offsets, np.int64))

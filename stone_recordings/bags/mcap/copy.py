@@ -10,10 +10,10 @@ from typing import BinaryIO
 
 from mcap.writer import CompressionType, Writer
 
+from stone_recordings.bags.chunks import CHUNK_LIMIT_BYTES
 from stone_recordings.bags.errors import IngestError, MalformedBagError
 from stone_recordings.bags.mcap import extras
 from stone_recordings.bags.mcap import records as wire
-from stone_recordings.bags.mcap.chunks import CHUNK_LIMIT_BYTES
 from stone_recordings.bags.mcap.records import McapChannel
 from stone_recordings.bags.mcap.salvage import Losses, SalvagedRecord
 from stone_recordings.bags.topic import Topic

@@ -14,10 +14,11 @@ from struct import Struct
 
 import numpy as np
 
+from stone_recordings.bags.chunks import Chunk
 from stone_recordings.bags.errors import MalformedBagError
 from stone_recordings.bags.mcap import records as wire
 from stone_recordings.bags.mcap.extras import ATTACHMENT, METADATA
-from stone_recordings.bags.mcap.records import Chunk, Fields, Record
+from stone_recordings.bags.mcap.records import Fields, Record
 
 FOOTER_BYTES = wire.PREFIX_BYTES + 20
 DATA_END_BYTES = wire.PREFIX_BYTES + 4

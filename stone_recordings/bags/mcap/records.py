@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from struct import Struct
 
+from stone_recordings.bags.chunks import Chunk
 from stone_recordings.bags.errors import MalformedBagError
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -43,18 +44,6 @@ class McapChannel:
     schema_id: int
     topic: str
     encoding: str
-
-
-@dataclass(frozen=True)
-class Chunk:
-    """A chunk's header; `start:stop` is where its (compressed) records lie in the file."""
-
-    where: str
-    uncompressed_bytes: int
-    crc32: int
-    compression: str
-    start: int
-    stop: int
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from struct import Struct
 
+from stone_recordings.bags.chunks import CHUNK_LIMIT_BYTES, Chunk, check_crc32, inflate, pieces_of
 from stone_recordings.bags.errors import IngestError, MalformedBagError
 from stone_recordings.bags.mcap import records as wire
-from stone_recordings.bags.mcap.chunks import CHUNK_LIMIT_BYTES, check_crc32, inflate, pieces_of
 from stone_recordings.bags.mcap.known_places import KnownPlaces
-from stone_recordings.bags.mcap.records import Chunk, Fields, Record
+from stone_recordings.bags.mcap.records import Fields, Record
 
 _PREFIX = Struct("<BQ")
 MOST_PROBLEMS = 4

@@ -1,11 +1,12 @@
 """One file of a recording that is recovered: what is whole of it goes into the copy.
 
-**Conventions.** An MCAP file is walked record by record, and its index asked only where that is damaged; a database is
-read row by row, in log-time order. `losses` says what was not whole once `keep` is through.
+**Conventions.** An MCAP file is walked record by record, and its index asked only where that is damaged; a database
+and a ROS 1 bag are read message by message, in log-time order, and what a bag holds becomes CDR. `losses` says what was
+not whole once `keep` is through.
 """
 
 import mmap
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Protocol
@@ -20,11 +21,14 @@ from stone_recordings.bags.mcap.extras import Message
 from stone_recordings.bags.mcap.known_places import known_places
 from stone_recordings.bags.mcap.salvage import Losses, SalvagedRecord, complete_records, first_compression
 from stone_recordings.bags.mcap.sealed_end import sealed_bytes
+from stone_recordings.bags.message_store import MessageStore
 from stone_recordings.bags.packed_file import unpacked_file
 from stone_recordings.bags.private_folder import PrivateFolder
+from stone_recordings.bags.ros1.store import Ros1Store
 
 FORGET_BYTES = 16 * 2**20
-LOSSES = ("BAG-030", "BAG-031")  # damaged pages; rows that are no messages
+# Damaged pages; rows that are no messages; of ROS 1 topics that are not described.
+LOSSES = ("BAG-030", "BAG-031", "BAG-020", "MSG-307")
 
 
 class RecoverySource(Protocol):
@@ -68,18 +72,17 @@ class McapSource:
         copy.say_unknown()
 
 
-class DatabaseSource:
-    """A database, sound or damaged; its chunks are not packed, as it was not."""
+class StoreSource:
+    """A store whose messages are taken in log-time order: a database, or a ROS 1 bag, sound or damaged."""
 
-    compression = ""
-
-    def __init__(self, path: Path) -> None:
-        self.name, self.losses, self.total_bytes = path.name, Losses(is_sealed=True), path.stat().st_size
-        self._store = SqliteStore(path)
+    def __init__(self, name: str, store: MessageStore, compression: str, total_bytes: int) -> None:
+        self.name, self.compression, self.total_bytes = name, compression, total_bytes
+        self.losses = Losses(stop_byte=total_bytes, is_sealed=True)
+        self._store = store
 
     @property
     def read_bytes(self) -> int:
-        return self.total_bytes
+        return self.losses.stop_byte
 
     def keep(self, copy: Copy) -> None:
         copy.begin(self.losses)
@@ -87,7 +90,7 @@ class DatabaseSource:
         for finding in self._store.findings:
             if finding.code in LOSSES:
                 self.losses.add(finding.message.removesuffix("."))
-        topics = [topic for topic in self._store.topics if topic.count]
+        topics = [topic for topic in self._store.topics if topic.count and topic.encoding == "cdr"]
         channels = [copy.declare(topic) for topic in topics]
         for number, index, time_ns in self._in_log_order([topic.name for topic in topics]):
             name = topics[number].name
@@ -113,15 +116,35 @@ class DatabaseSource:
             yield int(number[row]), int(index[row]), int(time_ns[row])
 
 
+def database_source(path: Path) -> StoreSource:
+    """Its chunks are not packed, as it was not. Raises: as `SqliteStore`."""
+    return StoreSource(path.name, SqliteStore(path), "", path.stat().st_size)
+
+
+def ros1_source(path: Path) -> StoreSource:
+    """Raises: as `Ros1Store`."""
+    store = Ros1Store(path, is_tolerant=True)
+    source = StoreSource(path.name, store, store.compression, path.stat().st_size)
+    source.losses.is_sealed = store.state.is_closed
+    if not store.state.is_closed:
+        source.losses.stop_byte = store.state.read_bytes
+    for loss in store.state.losses:
+        source.losses.add(loss)
+    return source
+
+
+STORED: Mapping[str, Callable[[Path], StoreSource]] = {"sqlite": database_source, "ros1": ros1_source}
+
+
 @contextmanager
 def opened_source(file: Path) -> Iterator[RecoverySource]:
-    """Raises as `container_of`, `SqliteStore` and `unpacked_file`."""
+    """Raises as `container_of`, `SqliteStore`, `Ros1Store` and `unpacked_file`."""
     folder = PrivateFolder()
     try:
         path = unpacked_file(file, folder) if container_of(file) == "zstd" else file
-        if container_of(path) == "sqlite":
-            with closing(DatabaseSource(path)) as database:
-                yield database
+        if (container := container_of(path)) in STORED:
+            with closing(STORED[container](path)) as source:
+                yield source
         else:
             with path.open("rb") as stream:
                 mapped = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)

@@ -21,6 +21,7 @@ SPLIT = [f"run_{number}.mcap" for number in range(3)]
         ["run_0.db3", "run_0.db3-journal"],
         ["run_0.mcap.zstd", "run_1.mcap"],
         ["metadata.yaml", "RUN.MCAP"],
+        ["run_0.bag", "run_1.bag.active"],
     ],
 )
 def test_the_files_of_a_rosbag2_folder_are_one_bag(names: list[str]) -> None:
@@ -35,10 +36,10 @@ def test_the_files_of_a_rosbag2_folder_are_one_bag(names: list[str]) -> None:
         (["metadata.yaml", "notes.txt"], "'notes.txt' is no part of a bag"),
         (["metadata.yaml", "metadata.yaml"], "2 files have only 1 names"),
         (["run.mcap", "RUN.mcap"], "2 files have only 1 names"),
-        (["run.mcap", "run.db3"], "both .mcap and .db3"),
+        (["run.mcap", "run.db3"], "several kinds are there: .db3, .mcap"),
         (["run_0.db3", "run_1.db3-wal"], "'run_1.db3-wal' has no 'run_1.db3' beside it"),
         (["run_0.mcap", "run_0.db3-wal"], "has no 'run_0.db3' beside it"),
-        (["metadata.yaml", "run.db3-wal"], "there is no .mcap and no .db3 file"),
+        (["metadata.yaml", "run.db3-wal"], "there is no .mcap, no .db3 and no .bag file"),
         (["Metadata.yaml", "run.mcap"], "'Metadata.yaml' is no part of a bag"),
     ],
 )

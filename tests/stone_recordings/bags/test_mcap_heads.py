@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from mcap.writer import CompressionType
 
+from stone_recordings.bags import chunked_store
 from stone_recordings.bags.bag import open_bag
 from stone_recordings.bags.errors import ChecksumError, MalformedBagError
-from stone_recordings.bags.mcap import store
 from stone_recordings.bags.message_store import HEAD_BYTES
 from tests.stone_recordings.writing import Recorded, write_mcap
 
@@ -50,8 +50,8 @@ def test_a_scan_inflates_no_cloud_that_lies_behind_what_it_looks_for(
 ) -> None:
     path = write_mcap(tmp_path / "run.mcap", _clouds_last(), compression=compression, chunk_size=1000)
     inflated = []
-    real = store.inflate_head
-    monkeypatch.setattr(store, "inflate_head", lambda *asked: inflated.append(len(got := real(*asked))) or got)
+    real = chunked_store.inflate_head
+    monkeypatch.setattr(chunked_store, "inflate_head", lambda *asked: inflated.append(len(got := real(*asked))) or got)
     with open_bag(path) as bag:
         scanned = {name: bytes(payload) for name, _index, payload in bag.heads(("/imu", "/note", "/cloud"))}
         assert all(len(view) < 25_000 for view in bag._store._chunks.values())  # type: ignore[attr-defined]
@@ -67,7 +67,7 @@ def test_damage_before_a_head_is_refused_and_behind_it_when_the_message_is_read(
     path = write_mcap(tmp_path / "run.mcap", _clouds_last(1), compression=compression, chunk_size=1000)
     sound = path.read_bytes()
     with open_bag(path) as bag:
-        chunk = bag._store._catalogue.chunks[-1]  # type: ignore[attr-defined]
+        chunk = bag._store._placed.chunks[-1]  # type: ignore[attr-defined]
     cut = bytearray(sound)
     cut[chunk.start + 1] ^= 0xFF  # the frame's magic number
     (tmp_path / "early.mcap").write_bytes(cut)

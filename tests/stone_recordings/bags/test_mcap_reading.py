@@ -9,8 +9,8 @@ from mcap.writer import CompressionType, IndexType
 from rosbags.rosbag2 import Reader
 
 from stone_recordings.bags.bag import Bag, open_bag
+from stone_recordings.bags.chunked_store import KEPT_CHUNKS
 from stone_recordings.bags.errors import ChecksumError, EncodingRefusedError, MalformedBagError, UnknownTopicError
-from stone_recordings.bags.mcap.store import KEPT_CHUNKS
 from tests.stone_recordings.writing import Recorded, write_mcap
 
 IMU = "sensor_msgs/msg/Imu"

@@ -1,4 +1,4 @@
-// Which of the chosen files are one bag: a rosbag2 folder, the parts of a split one, or a file by itself.
+// Which of the chosen files are one bag: a rosbag2 folder, the parts of a split one (ROS 1's, too), or a file by itself.
 //
 // The rules are the platform's own (`stone_files/bag_files.py`), said here before anything is sent. Several bags in
 // one folder without a metadata.yaml stay several, unless their names count on: run_0.mcap, run_1.mcap.
@@ -25,10 +25,10 @@ export interface Sorted {
 const METADATA = "metadata.yaml";
 const MOST_FILES = 512;
 const LONGEST_NAME_BYTES = 255;
-const BAG_FILE = /^.+\.(mcap|db3)(\.zstd)?$/i;
+const BAG_FILE = /^.+\.(mcap|db3|bag)(\.active|\.zstd)?$/i;
 const JOURNAL = /^(.+\.db3)-(wal|journal)$/i;
 const DEFINITION = /^[a-z][a-z0-9_]{0,99}\.[A-Z][A-Za-z0-9]{0,99}\.msg$/;
-const NUMBERED = /^(.+)_\d+\.(mcap|db3)(\.zstd)?$/i;
+const NUMBERED = /^(.+)_\d+\.(mcap|db3|bag)(\.active|\.zstd)?$/i;
 const UNSEEN = /[\p{Cc}\p{Cf}\p{Cs}\p{Co}\p{Cn}\p{Zl}\p{Zp}/\\]/u;
 
 /** Whether a file so called belongs to a bag. */
@@ -48,8 +48,8 @@ function severalTrouble(names: readonly string[]): string {
   const folded = new Set(names.map((name) => name.toLowerCase()));
   if (folded.size < names.length) return `${names.length} files have only ${folded.size} names on a disk that does not tell cases apart.`;
   const storages = new Set(names.flatMap((name) => BAG_FILE.exec(name)?.[1]?.toLowerCase() ?? []));
-  if (!storages.size) return "There is no .mcap and no .db3 file among them.";
-  if (storages.size > 1) return "Both .mcap and .db3 files are among them; a bag has one kind.";
+  if (!storages.size) return "There is no .mcap, no .db3 and no .bag file among them.";
+  if (storages.size > 1) return `Files of several kinds are among them (${[...storages].sort().join(", ")}); a bag has one kind.`;
   const orphan = names.find((name) => folded.size && JOURNAL.test(name) && !folded.has(JOURNAL.exec(name)?.[1]?.toLowerCase() ?? ""));
   return orphan ? `${orphan} has no ${JOURNAL.exec(orphan)?.[1]} beside it.` : "";
 }
@@ -67,7 +67,7 @@ export function sorted(found: readonly Found[]): Sorted {
   }
   const bags = [...folders].flatMap(([folder, files]) => bagsOf(folder, files));
   const alone = bags.filter((bag) => !bag.files.some((file) => BAG_FILE.test(file.name)));
-  for (const bag of alone) left.push({ name: bag.name, why: "It has no .mcap and no .db3 file beside it." });
+  for (const bag of alone) left.push({ name: bag.name, why: "It has no .mcap, no .db3 and no .bag file beside it." });
   return { bags: bags.filter((bag) => !alone.includes(bag)).sort((a, b) => a.name.localeCompare(b.name)), left };
 }
 
@@ -92,14 +92,13 @@ function bagOf(name: string, files: File[]): Bag {
 }
 
 function whyLeft(name: string): string {
-  if (/\.bag$/i.test(name)) return "A ROS 1 bag is not read; convert it first: rosbags-convert --src run.bag --dst run";
   if (/\.(ya?ml|json)$/i.test(name)) return "It is no part of a bag. A calibration goes to the calibrations.";
   return "It is no part of a bag.";
 }
 
 /** What a sequence of this bag is called unless its owner says otherwise: a plain name. */
 export function plainName(bag: Bag): string {
-  const stem = bag.files.length > 1 ? bag.name : bag.name.replace(/(\.(mcap|db3|zstd))+$/i, "");
+  const stem = bag.files.length > 1 ? bag.name : bag.name.replace(/(\.(mcap|db3|bag|active|zstd))+$/i, "");
   return stem.replaceAll(/[^A-Za-z0-9._-]+/g, "-").replace(/^[^A-Za-z0-9]+/, "").slice(0, 100) || "sequence";
 }
 

@@ -7,8 +7,10 @@ their first message is read, never on a header-only scan (which would turn milli
 where such a scan needs the head of a chunk alone (a cloud of megabytes is mostly the last message of its chunk).
 """
 
+from bz2 import BZ2Decompressor
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import dataclass
 
 import cramjam
 import numpy as np
@@ -22,14 +24,33 @@ from stone_recordings.bags.errors import (
     CompressionRefusedError,
     MalformedBagError,
 )
-from stone_recordings.bags.mcap.records import Chunk
 
 CHUNK_LIMIT_BYTES = 512 * 1024 * 1024
 # Below this a wrong size costs little memory; above it, growth beyond the ratio is measured before it is allocated.
 UNDOUBTED_BYTES = 32 * 1024 * 1024
 DOUBTED_RATIO = 20
 PIECE_BYTES = 1024 * 1024
-_DAMAGED = (RuntimeError, zstandard.ZstdError, EOFError)
+MCAP_COMPRESSIONS = ("lz4", "zstd")
+_DAMAGED = (RuntimeError, zstandard.ZstdError, EOFError, OSError)  # OSError is bz2's
+_CODECS = {"bz2": cramjam.bzip2, "lz4": cramjam.lz4, "zstd": cramjam.zstd}
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """A chunk's header; `start:stop` is where its (compressed) records lie in the file.
+
+    `compression` is "" or should be one of `known`, which the container has names for. Of one that `is_cut` the
+    compressed bytes end early, and `uncompressed_bytes` is what still comes out of them.
+    """
+
+    where: str
+    uncompressed_bytes: int
+    crc32: int
+    compression: str
+    start: int
+    stop: int
+    known: tuple[str, ...] = MCAP_COMPRESSIONS
+    is_cut: bool = False
 
 
 def inflate(view: memoryview, chunk: Chunk) -> memoryview:
@@ -42,6 +63,8 @@ def inflate(view: memoryview, chunk: Chunk) -> memoryview:
     _check_size(chunk, len(packed))
     if not chunk.compression:
         return packed
+    if chunk.is_cut:
+        return inflate_head(view, chunk, chunk.uncompressed_bytes)
     if chunk.uncompressed_bytes > max(UNDOUBTED_BYTES, DOUBTED_RATIO * len(packed)):
         _check_true_size(packed, chunk)
     records = _inflated(packed, chunk)
@@ -56,7 +79,7 @@ def inflate_head(view: memoryview, chunk: Chunk, stop: int) -> memoryview:
     """
     packed = view[chunk.start : chunk.stop]
     _check_size(chunk, len(packed))
-    pieces = _lz4_pieces(packed, stop) if chunk.compression == "lz4" else _zstd_pieces(packed, stop)
+    pieces = _pieces(packed, chunk.compression, stop)
     found = bytearray()
     try:
         while len(found) < stop and (piece := next(pieces, b"")):
@@ -72,9 +95,9 @@ def pieces_of(packed: memoryview, compression: str, piece_bytes: int = PIECE_BYT
     """What inflates, in order and piece by piece, of a stream that was cut off; it ends where nothing more does."""
     if compression == "":
         yield from (packed[at : at + piece_bytes] for at in range(0, len(packed), piece_bytes))
-    elif compression in ("lz4", "zstd"):
+    elif compression in ("bz2", "lz4", "zstd"):
         with suppress(*_DAMAGED):
-            yield from _lz4_pieces(packed, piece_bytes) if compression == "lz4" else _zstd_pieces(packed, piece_bytes)
+            yield from _pieces(packed, compression, piece_bytes)
 
 
 def check_crc32(records: memoryview, chunk: Chunk) -> None:
@@ -84,8 +107,8 @@ def check_crc32(records: memoryview, chunk: Chunk) -> None:
 
 
 def _check_size(chunk: Chunk, packed_bytes: int) -> None:
-    if chunk.compression not in ("", "lz4", "zstd"):
-        raise CompressionRefusedError(chunk.where, chunk.compression)
+    if chunk.compression not in ("", *chunk.known):
+        raise CompressionRefusedError(chunk.where, chunk.compression, chunk.known)
     if not chunk.compression and chunk.uncompressed_bytes != packed_bytes:
         problem = f"uncompressed, yet {packed_bytes} bytes are stored for {chunk.uncompressed_bytes} declared"
         raise MalformedBagError(chunk.where, problem)
@@ -94,7 +117,7 @@ def _check_size(chunk: Chunk, packed_bytes: int) -> None:
 
 
 def _inflated(packed: memoryview, chunk: Chunk) -> memoryview:
-    codec = cramjam.lz4 if chunk.compression == "lz4" else cramjam.zstd
+    codec = _CODECS[chunk.compression]
     records = np.empty(chunk.uncompressed_bytes, np.uint8)
     try:
         size = codec.decompress_into(packed, records) if len(packed) else 0
@@ -106,7 +129,7 @@ def _inflated(packed: memoryview, chunk: Chunk) -> memoryview:
 
 
 def _check_true_size(packed: memoryview, chunk: Chunk) -> None:
-    pieces = _lz4_pieces(packed) if chunk.compression == "lz4" else _zstd_pieces(packed)
+    pieces = _pieces(packed, chunk.compression)
     total = 0
     try:
         for piece in pieces:
@@ -119,6 +142,12 @@ def _check_true_size(packed: memoryview, chunk: Chunk) -> None:
         raise MalformedBagError(chunk.where, _problem(chunk, f"{total} or more came out"))
 
 
+def _pieces(packed: memoryview, compression: str, piece_bytes: int = PIECE_BYTES) -> Iterator[bytes]:
+    if compression == "bz2":
+        return _bz2_pieces(packed, piece_bytes)
+    return _lz4_pieces(packed, piece_bytes) if compression == "lz4" else _zstd_pieces(packed, piece_bytes)
+
+
 def _lz4_pieces(packed: memoryview, piece_bytes: int = PIECE_BYTES) -> Iterator[bytes]:
     # Fed in slices: what it has not consumed yet the decompressor copies at every call.
     codec = LZ4FrameDecompressor()
@@ -127,6 +156,17 @@ def _lz4_pieces(packed: memoryview, piece_bytes: int = PIECE_BYTES) -> Iterator[
         while piece or not (codec.eof or codec.needs_input):
             yield piece
             piece = b"" if codec.eof else codec.decompress(b"", max_length=piece_bytes)
+        if codec.eof:
+            return
+
+
+def _bz2_pieces(packed: memoryview, piece_bytes: int = PIECE_BYTES) -> Iterator[bytes]:
+    codec = BZ2Decompressor()
+    for at in range(0, len(packed), PIECE_BYTES):
+        piece = codec.decompress(packed[at : at + PIECE_BYTES], piece_bytes)
+        while piece or not (codec.eof or codec.needs_input):
+            yield piece
+            piece = b"" if codec.eof else codec.decompress(b"", piece_bytes)
         if codec.eof:
             return
 

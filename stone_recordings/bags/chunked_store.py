@@ -1,0 +1,200 @@
+"""What message stores of mapped files of chunks have in common: nothing is copied that is not compressed.
+
+**Conventions.** The file must not change while it is open (a mapped file that is cut raises SIGBUS). Payloads are
+views into the map or into an inflated chunk, or made of them, and keep it alive; `close` lets go of ours, the last view
+of theirs. Memory is the index (20 bytes a message) and the `KEPT_CHUNKS` chunks used last: neighbours in time may lie
+in two.
+"""
+
+import mmap
+from abc import ABC, abstractmethod
+from collections import OrderedDict
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.findings import Finding
+from stone_recordings.bags.chunks import Chunk, check_crc32, inflate, inflate_head
+from stone_recordings.bags.errors import ChecksumError, MalformedBagError
+from stone_recordings.bags.message_places import Entries, in_storage_order, reach_of
+
+KEPT_CHUNKS = 2
+# Beyond this share of a chunk inflating it whole, at once and checked, costs no more than its head piece by piece.
+MOST_HEAD_RATIO = 0.5
+FORGET_BYTES = 64 * 2**20  # how far to read on before giving back pages that may have been looked at late
+
+
+class MappedFile:
+    """A file in memory by its pages; `view` is what of it counts."""
+
+    def __init__(self, path: Path) -> None:
+        with path.open("rb") as file:
+            self.map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        self.name, self.view = path.name, memoryview(self.map)
+
+    def forget(self, start: int, stop: int) -> None:
+        """Give the pages of these bytes back: read again they cost a page fault, kept they count as our memory."""
+        first = start - start % mmap.PAGESIZE
+        self.map.madvise(mmap.MADV_DONTNEED, first, stop - first)
+
+    def forget_all(self) -> None:
+        self.forget(0, len(self.map))
+
+    def expect(self, start: int, size_bytes: int) -> None:
+        """Have so many bytes read in one go."""
+        first = start - start % mmap.PAGESIZE
+        self.map.madvise(mmap.MADV_WILLNEED, first, size_bytes)
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedMessages:
+    """The chunks of a file, and by topic where its messages lie, in log-time order."""
+
+    chunks: Sequence[Chunk]
+    entries: Mapping[str, Entries]
+
+
+class ChunkedStore(ABC):
+    """The part of a `MessageStore` that knows chunks, but not what a record looks like.
+
+    `head_bytes` is how far into its record a message's head reaches.
+    """
+
+    head_bytes: int
+
+    def __init__(self, file: MappedFile, placed: PlacedMessages) -> None:
+        self._file, self._placed, self._entries = file, placed, placed.entries
+        file.forget_all()  # the indexes lie all over the file, and each brought its neighbours
+        self._chunks: OrderedDict[int, memoryview] = OrderedDict()
+        self._checked: set[int] = set()
+        self._damaged: dict[int, str] = {}
+        self._head = (-1, memoryview(b""))
+        self._near_byte = self._dropped_bytes = 0
+
+    @abstractmethod
+    def _found(self, view: memoryview, topic: str, index: int) -> memoryview:
+        """The CDR message in `view`, the records of its chunk, which may be cut short behind the message's head.
+
+        Raises: MalformedBagError where another record stands there than the index promised.
+        """
+
+    def log_times_ns(self, topic: str) -> NDArray[np.int64]:
+        return self._entries[topic].log_time_ns
+
+    def payload(self, topic: str, index: int) -> memoryview:
+        """The message's CDR bytes, the chunk's CRC-32 checked where one was written."""
+        number, offset = self._place(topic, index)
+        if number < 0 and abs(offset - self._near_byte) > FORGET_BYTES:
+            self._file.forget_all()
+            self._near_byte = offset
+        return self._found(self._records(number, is_checked=True), topic, index)
+
+    def heads(self, topics: Sequence[str], whole: Collection[str] = ()) -> Iterator[tuple[str, int, memoryview]]:
+        """Storage order, so that each chunk is inflated once, and no further than heads lie in it.
+
+        Plain chunks are not read whole for it. A payload is cut short only where its chunk was not inflated to its end.
+        """
+        rows = in_storage_order([self._entries[topic] for topic in topics])
+        reach = reach_of(rows, np.array([topic in whole for topic in topics]), self.head_bytes)
+        # Without it the kernel reads ahead around every header: a scan of a cold file takes 85 times as long.
+        self._file.map.madvise(mmap.MADV_RANDOM)
+        try:
+            for number, index, chunk in zip(rows.topic.tolist(), rows.index.tolist(), rows.chunk.tolist(), strict=True):
+                if chunk not in self._damaged:
+                    view = self._head_of(chunk, reach[chunk])
+                    yield topics[number], index, self._head_found(view, topics[number], index, topics[number] in whole)
+        finally:
+            self._file.map.madvise(mmap.MADV_NORMAL)
+            self._head = (-1, memoryview(b""))
+
+    def damaged(self) -> Mapping[str, Mapping[int, str]]:
+        """The messages of chunks whose CRC-32 is another than declared, or which do not inflate."""
+        used = np.unique(np.concatenate([np.zeros(0, np.int64), *(one.chunk for one in self._entries.values())]))
+        for number in used[used >= 0].tolist():
+            try:
+                self._records(number, is_checked=True)
+            except (ChecksumError, MalformedBagError) as error:
+                self._damaged[number] = str(error)
+            self._file.forget(self._placed.chunks[number].start, self._placed.chunks[number].stop)
+        bad = np.array(sorted(self._damaged), np.int64)
+        return {
+            topic: {row: self._damaged[int(one.chunk[row])] for row in np.flatnonzero(np.isin(one.chunk, bad)).tolist()}
+            for topic, one in self._entries.items()
+            if np.isin(one.chunk, bad).any()
+        }
+
+    def release(self) -> None:
+        self._chunks.clear()
+
+    def close(self) -> None:
+        self._chunks.clear()
+        self._file.view = memoryview(b"")
+
+    def _head_found(self, view: memoryview, topic: str, index: int, is_whole: bool) -> memoryview:
+        """`_found` for a scan of heads, of which a store may make less where the message is not wanted whole."""
+        return self._found(view, topic, index)
+
+    def _place(self, topic: str, index: int) -> tuple[int, int]:
+        """Chunk, and offset in it."""
+        entries = self._entries[topic]
+        return int(entries.chunk[index]), int(entries.offset[index])
+
+    def _size_of(self, number: int) -> int:
+        """How many bytes of records a chunk has."""
+        return len(self._file.view) if number < 0 else self._placed.chunks[number].uncompressed_bytes
+
+    def _where(self, number: int) -> str:
+        return self._file.name if number < 0 else self._placed.chunks[number].where
+
+    def _seen_head(self, number: int) -> memoryview:
+        """What `heads` inflated last where that is of this chunk, else its records."""
+        is_head = number >= 0 and number == self._head[0]
+        return self._head[1] if is_head else self._records(number, is_checked=False)
+
+    def _records(self, number: int, is_checked: bool) -> memoryview:
+        if number < 0:
+            return self._file.view
+        chunk = self._placed.chunks[number]
+        if not chunk.compression and is_checked and number not in self._checked:
+            check_crc32(self._file.view[chunk.start : chunk.stop], chunk)
+            self._checked.add(number)
+        if number in self._chunks:
+            self._chunks.move_to_end(number)
+            return self._chunks[number]
+        while len(self._chunks) >= KEPT_CHUNKS:
+            self._drop_oldest()
+        self._chunks[number] = inflate(self._file.view, chunk)
+        return self._chunks[number]
+
+    def _head_of(self, number: int, reach: int) -> memoryview:
+        """The records up to `reach`, or all of them where that is most of them; they are read in one go."""
+        if number < 0 or not (chunk := self._placed.chunks[number]).compression or number in self._chunks:
+            return self._records(number, is_checked=False)
+        if self._head[0] == number:
+            return self._head[1]
+        is_short = reach < chunk.uncompressed_bytes * MOST_HEAD_RATIO
+        packed_bytes = chunk.stop - chunk.start
+        self._file.expect(chunk.start, min(packed_bytes, reach) if is_short else packed_bytes)
+        if not is_short:
+            return self._records(number, is_checked=False)
+        self._head = (number, inflate_head(self._file.view, chunk, reach))
+        self._file.forget(chunk.start, chunk.stop)
+        return self._head[1]
+
+    def _drop_oldest(self) -> None:
+        """Now and then with what lies before it: whoever gathers messages looks at them after their chunk has gone."""
+        dropped = self._placed.chunks[self._chunks.popitem(last=False)[0]]
+        self._dropped_bytes += dropped.stop - dropped.start
+        is_far = self._dropped_bytes > FORGET_BYTES // 2
+        self._file.forget(max(0, dropped.start - FORGET_BYTES) if is_far else dropped.start, dropped.stop)
+        self._dropped_bytes = 0 if is_far else self._dropped_bytes
+
+
+def behind_end(count: int, *, is_zero: bool) -> Finding:
+    """What is to be said of so many bytes that follow the end of a whole file."""
+    kind = "zero bytes" if is_zero else "bytes that are no records"
+    message = f"{count} {kind} follow the end of the file; they are passed over, and nothing of it is missing."
+    return Finding("BAG-032", "info" if is_zero else "warning", "", message)
