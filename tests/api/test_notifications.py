@@ -73,7 +73,7 @@ def test_a_delivery_given_up_is_a_dead_letter_that_an_administrator_tries_again(
         assert "Connection refused" in shown["answer"]
         api.headers.update(administrator.headers)
         dead = api.get("/api/v1/admin/jobs", params={"dead": True}).json()["items"]
-        assert [(job["kind"], job["failure_code"]) for job in dead] == [("notify.deliver", "delivery_failed")]
+        assert [(job["kind"], job["failure"]["code"]) for job in dead] == [("notify.deliver", "delivery_failed")]
         assert dead == api.get("/api/v1/admin/jobs", params={"queue": "notify", "state": "failed"}).json()["items"]
         reason = {"reason": "its server is back"}
         assert api.post(f"/api/v1/admin/jobs/{dead[0]['id']}/retry", json=reason).status_code == 200
