@@ -39,7 +39,7 @@ from services.runtime.uploads.sweep_cursor import UploadCursor
 MINUTE_S = 60.0
 HEARTBEAT_S = 5.0
 LEDGER_S = 10.0
-SENDERS = ("sender-a", "sender-b")
+SENDERS = ("senderone", "sendertwo")
 """So many deliveries are under way at once: a receiver that is slow holds one of them up, for seconds."""
 
 

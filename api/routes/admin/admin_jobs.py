@@ -49,7 +49,7 @@ class AdminFilters(JobFilters):
     `dead` are the single jobs that failed with no attempt left, within runs or not.
     """
 
-    queue: Literal["ingest", "labeler", "eval"] | None = None
+    queue: Literal["ingest", "labeler", "eval", "notify"] | None = None
     owner_id: IdQuery = None
     owner: LineQuery = None
     id_part: IdPart = None

@@ -14,6 +14,7 @@ from services.domain.notifications.spread import DELIVER, QUEUE, missed
 from services.domain.notifications.webhooks import note_refused, note_taken, switch_off
 from services.maintenance.notifications.errors import DeliveryFailedError, NotTakenError, UnknownDeliveryError
 from services.maintenance.notifications.prepared import PreparedDelivery, prepared
+from services.runtime.jobs.control import give_up
 from services.runtime.jobs.execution import run_next
 from services.runtime.jobs.specs import Attempt, Handlers, Outcome
 from services.runtime.orm import NotificationDelivery
@@ -52,16 +53,16 @@ def deliver(platform: Platform, attempt: Attempt) -> Outcome:
     try:
         answer = ready.send()
     except NotTakenError as error:
-        return _missed(platform, delivery_id, ready, error)
+        return _missed(platform, attempt, ready, error)
     return Outcome({"state": "delivered"}, commit=partial(_taken, delivery_id, ready, answer))
 
 
-def _missed(platform: Platform, delivery_id: str, ready: PreparedDelivery, error: NotTakenError) -> Outcome:
+def _missed(platform: Platform, attempt: Attempt, ready: PreparedDelivery, error: NotTakenError) -> Outcome:
     """Wait for the next try. Raises `DeliveryFailedError` after the last.
 
     Written at once, not with the job's end: a job that fails commits nothing. Done twice it counts one try too many.
     """
-    settings = platform.settings.notifications
+    settings, delivery_id = platform.settings.notifications, str(attempt.arguments["delivery_id"])
     with platform.database.transaction() as session:
         row = session.get(NotificationDelivery, delivery_id, with_for_update=True)
         if row is None:
@@ -73,6 +74,8 @@ def _missed(platform: Platform, delivery_id: str, ready: PreparedDelivery, error
             switch_off(session, row.user_id, ready.webhook_url)
         elif ready.webhook_url:
             note_refused(session, row.user_id, ready.webhook_url, settings.webhook_failing_s)
+        if row.state == "dead":
+            give_up(session, attempt.job_id)
         channel, tries, state = row.channel, row.tries, row.state
     if state == "dead":
         raise DeliveryFailedError(channel, tries, str(error))

@@ -8,7 +8,7 @@ from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 
 from services.runtime.database.transactions import wake_up_after_commit
-from services.runtime.jobs.changes import lock_run
+from services.runtime.jobs.changes import lock_run, rows_changed
 from services.runtime.jobs.completion import cancel_queued, settle
 from services.runtime.jobs.errors import JobStateError
 from services.runtime.jobs.readiness import wake_ups_wanted
@@ -76,6 +76,11 @@ def retry(session: Session, root_id: str, max_attempts: int) -> Job:
             wake_up_after_commit(session, job.queue)
     settle(session, run)  # nothing was left to do where its last job succeeded though it was asked to stop
     return run
+
+
+def give_up(session: Session, job_id: str) -> None:
+    """Take the attempts that are left from a running job whose failure will be final: it is a dead letter then."""
+    rows_changed(session, update(Job).where(Job.id == job_id, Job.state == "running").values(attempts_left=0))
 
 
 def set_mode(session: Session, queue: str, mode: str) -> Queue:

@@ -25,6 +25,7 @@ from testing.stone_serve import until
 from tests.services.runtime.jobs.steps import a_job, an_owner, job
 
 PATIENCE_S = 300.0
+PARTS = ("jobs", "submissions", "cleaning", "notifications", "senderone", "sendertwo", "records")
 QUICK = JobSettings(lease_s=0.4, heartbeat_s=0.1, progress_s=0.1, sweep_s=0.05, rest_s=0.1)
 OUTAGES = [OperationalError("BEGIN", {}, OSError("gone")), RedisConnectionError("gone"), OSError(28, "No space")]
 
@@ -101,6 +102,9 @@ def test_the_platform_without_a_broker_is_swept_all_the_same(platform: Platform)
         "jobs": ["jobs"],
         "submissions": ["submissions"],
         "cleaning": ["submitted files", "uploads", "blobs", "credentials", "audit log", "workers"],
+        "notifications": ["phases", "events", "deliveries", "lost deliveries", "old events"],
+        "senderone": ["senderone"],
+        "sendertwo": ["sendertwo"],
     }
     assert all(chore.run_if_due(0.0) for loop in loops for chore in loop.chores)
 
@@ -189,10 +193,8 @@ def test_the_process_shows_each_of_its_loops_and_ends_when_told(platform: Platfo
     command = [sys.executable, "-m", "services.maintenance.sweeper"]
     with subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL) as process:
         try:
-            until(lambda: len(live_processes(root)) == 4, PATIENCE_S)
-            assert {(one.pid, one.part) for one in live_processes(root)} == {
-                (process.pid, part) for part in ("jobs", "submissions", "cleaning", "records")
-            }
+            until(lambda: len(live_processes(root)) == len(PARTS), PATIENCE_S)
+            assert {(one.pid, one.part) for one in live_processes(root)} == {(process.pid, part) for part in PARTS}
             process.send_signal(signal.SIGTERM)
             assert process.wait(PATIENCE_S) == 0
         finally:

@@ -15,6 +15,7 @@ from api.routes.admin.admin_jobs import AdminFilters
 from api.schemas.base import PLAIN
 from api.views.admin import admin_job_items, job_counts, late_kinds
 from api.views.queues import queue_items, worker_items
+from services.domain.notifications.spread import QUEUE as NOTIFY
 from services.runtime.jobs.broker_app import QUEUES
 from services.runtime.orm import Job
 from web.boards.sparks import bars
@@ -41,7 +42,7 @@ class JobSearch:
 
     list: Annotated[str, Query(pattern=r"^(queued|running|succeeded|failed|cancelled|dead)?$")] = ""
     kind: Annotated[str, Query(pattern=r"^([a-z][a-z_]*(\.[a-z][a-z_]*)*)?$", max_length=64)] = ""
-    queue: Annotated[str, Query(pattern=r"^(ingest|labeler|eval)?$")] = ""
+    queue: Annotated[str, Query(pattern=r"^(ingest|labeler|eval|notify)?$")] = ""
     owner: Annotated[str, Query(pattern=PLAIN, max_length=64)] = ""
     id_part: Annotated[str, Query(pattern=r"^([0-9a-f]{4,32})?$")] = ""
     sequence_id: Annotated[str, Query(pattern=r"^([0-9a-f]{32})?$")] = ""
@@ -85,7 +86,7 @@ def jobs(
         queues=[(queue, bars(queue.per_minute, *SPARK)) for queue in queues],
         workers=workers,
         kinds=kinds,
-        queue_names=QUEUES,
+        queue_names=(*QUEUES, NOTIFY),
     )
 
 
