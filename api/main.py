@@ -26,7 +26,6 @@ from api.routes import (
     calibrations,
     dataset_inputs,
     datasets,
-    device_grants,
     docs,
     events,
     exports,
@@ -43,7 +42,6 @@ from api.routes import (
     scenes,
     sequences,
     sessions,
-    sign_in,
     splits,
     statistics,
     submissions,
@@ -54,6 +52,7 @@ from api.routes import (
 )
 from api.routes import problems as problem_routes
 from api.routes.admin import admin_alarms, admin_benchmarks, admin_jobs, admin_rescores, admin_truths
+from api.routes.sign_in_ways import device_grants, provider
 from services.runtime.oidc.provider import Provider
 from services.runtime.platform import Platform, open_platform
 from services.runtime.sandbox.fork_client import use_fork_server
@@ -65,7 +64,7 @@ ROUTERS: tuple[APIRouter, ...] = (
     docs.router,
     problem_routes.router,
     sessions.router,
-    sign_in.router,
+    provider.router,
     device_grants.router,
     tokens.router,
     users.router,
