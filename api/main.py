@@ -28,7 +28,6 @@ from api.routes import (
     client,
     dataset_inputs,
     datasets,
-    device_grants,
     docs,
     events,
     health,
@@ -38,7 +37,6 @@ from api.routes import (
     phase_inputs,
     results,
     sessions,
-    sign_in,
     splits,
     statistics,
     submissions,
@@ -61,6 +59,7 @@ from api.routes.sequences import (
     scenes,
     sequences,
 )
+from api.routes.sign_in_ways import device_grants, provider
 from services.runtime.oidc.provider import Provider
 from services.runtime.platform import Platform, open_platform
 from services.runtime.sandbox.fork_client import use_fork_server
@@ -73,7 +72,7 @@ ROUTERS: tuple[APIRouter, ...] = (
     problem_routes.router,
     client.router,
     sessions.router,
-    sign_in.router,
+    provider.router,
     device_grants.router,
     tokens.router,
     users.router,

@@ -1,8 +1,8 @@
 """Error pages: refusals of the API in words, with what to do next.
 
 **Conventions.** The same table decides (`api/problems.py`): status, code and sentence are the problem's own. Somebody
-who is not signed in and is not shown a thing is asked to sign in, and comes back to it. Below `/api/` and for whoever
-asks for JSON nothing changes.
+who is not signed in and is not shown a thing is asked to sign in, and comes back to it. Below `/api/` nothing changes,
+but where a browser itself goes to sign in with a provider; nor does it for whoever asks for JSON.
 """
 
 import json
@@ -12,7 +12,7 @@ from fastapi.responses import Response
 
 from api.deps import platform_of
 from api.schemas.sign_in import SignInWays
-from api.views.people import sign_in_ways
+from api.views.people import TO_PROVIDER, sign_in_ways
 from web.rendering import caller_of, page
 
 NEXT = {
@@ -31,7 +31,7 @@ NEXT = {
 
 def shown(request: Request, answer: Response) -> Response:
     """The answer to a refusal or fault, as a page for whoever reads pages."""
-    if request.url.path.startswith(("/api/", "/assets/")) or not _reads_pages(request):
+    if not _is_page(request.url.path) or not _reads_pages(request):
         return answer
     problem = json.loads(bytes(answer.body))
     if problem["status"] == 401:
@@ -50,6 +50,10 @@ def _ways(request: Request) -> SignInWays:
 def _here(request: Request) -> str:
     query = request.url.query
     return f"{request.url.path}?{query}" if query else request.url.path
+
+
+def _is_page(path: str) -> bool:
+    return path.startswith(TO_PROVIDER) or not path.startswith(("/api/", "/assets/"))
 
 
 def _reads_pages(request: Request) -> bool:

@@ -183,7 +183,7 @@ def test_programs_that_wait_are_bounded(api: httpx.Client, platform: Platform, m
 def test_who_has_too_many_tokens_approves_no_more(
     api: httpx.Client, platform: Platform, ada: Person, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("api.routes.device_grants.MOST_TOKENS", 1)
+    monkeypatch.setattr("api.routes.sign_in_ways.device_grants.MOST_TOKENS", 1)
     assert decided(api, ada, begun(api)["user_code"]).status_code == 409
 
 

@@ -21,6 +21,11 @@ PUBLIC = {
     ("/api/v1/docs", "get"),
     ("/api/v1/client", "get"),
     ("/api/v1/sessions", "post"),
+    ("/api/v1/sign-in", "get"),
+    ("/api/v1/sign-in/oidc", "get"),
+    ("/api/v1/sign-in/oidc/callback", "get"),
+    ("/api/v1/device-grants", "post"),
+    ("/api/v1/device-grants/token", "post"),
     ("/api/v1/uploads", "options"),
 }
 

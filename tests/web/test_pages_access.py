@@ -29,6 +29,8 @@ PAGES = """
 /calibrations         401 200 200 200
 /calibrations/00000000000000000000000000000000 401 404 404 404
 /account              401 200 200 200
+/device               401 200 200 200
+/device?code=BCDF-GHJK 401 200 200 200
 /dataset              401 200 200 200
 /dataset/splits       401 403 200 200
 /dataset/new          401 403 403 200

@@ -1,11 +1,15 @@
 """Settings with which nobody could sign in, or anybody, end a process as it starts."""
 
+import re
+import shlex
+from pathlib import Path
 from typing import Any
 
 import pytest
 from pydantic import SecretStr
 
 from services.runtime.oidc.settings import OidcSettings
+from services.runtime.oidc.settings_checks import groups_in
 from services.runtime.settings import ApiSettings, Settings
 from services.runtime.settings_checks import ImpossibleSettingsError
 
@@ -79,3 +83,13 @@ def test_half_a_provider_is_refused(oidc: dict[str, Any], words: str) -> None:
 def test_a_provider_without_a_title_is_called_by_its_host() -> None:
     assert made(**LAB).oidc.shown_title == "id.lab.example"
     assert made(**LAB, title="Field Robotics Lab").oidc.shown_title == "Field Robotics Lab"
+
+
+def test_the_example_of_the_administrators_guide_is_a_provider(monkeypatch: pytest.MonkeyPatch) -> None:
+    guide = (Path(__file__).resolve().parents[4] / "docs" / "administrator.md").read_text("utf-8")
+    (block,) = re.findall(r"```sh\n# lab\.env[^\n]*\n(.*?)```", guide, re.DOTALL)
+    for line in shlex.split(block):
+        monkeypatch.setenv(*line.split("=", 1))
+    settings = Settings()
+    assert settings.oidc.shown_title == "Field Robotics Lab"
+    assert groups_in(settings.oidc.participants) == {"students", "guests"}
