@@ -21,21 +21,21 @@ import numpy as np
 from benchmarks.grids import frames, seen_by_lidar
 from stone_datasets.reading import check_dataset, read_dataset
 from stone_files.npz import npz_bytes
-from testing.worlds.published_datasets import PublishedDataset, write_published, write_published_tar
+from testing.worlds.published_datasets import SyntheticDataset, write_published, write_published_tar
 from testing.worlds.small_export import CAMERAS
 
 SCENES, FRAMES, KINDS_OF_LABELS = 43, 50_878, 8
 RADARS = ("RADAR_FRONT", "RADAR_LEFT", "RADAR_RIGHT")
 
 
-def release_sized(count: int) -> PublishedDataset:
+def release_sized(count: int) -> SyntheticDataset:
     """So many frames in 43 scenes."""
     labels = []
     for truth, _ in frames(KINDS_OF_LABELS):
         seen = seen_by_lidar(truth).astype(np.uint8)
         labels.append(npz_bytes({"semantics": truth, "mask_lidar": seen, "mask_camera": seen}))
     each, longer = divmod(count, SCENES)
-    return PublishedDataset(SCENES, each, longer, CAMERAS, RADARS, labels)
+    return SyntheticDataset(SCENES, each, longer, CAMERAS, RADARS, labels)
 
 
 def measure(path: Path, what: str) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from stone.geometry.se3 import SE3
 from stone.sensors.sequence import NAME
 from stone_datasets.build import NS_PER_US, stamp_in_name
-from stone_datasets.columns import Names
+from stone_datasets.columns import NameColumn
 from stone_datasets.faults import DatasetFaultError, DatasetFaults, DatasetPlace, quoted
 from stone_datasets.file_faults import LabelPathError
 from stone_datasets.files import ANNOTATIONS, DatasetFiles, is_inside
@@ -70,7 +70,7 @@ class AnnotatedScene:
 
 def read_annotations(files: DatasetFiles, faults: DatasetFaults) -> DatasetIndex | None:
     """The index of a dataset that has nothing else; None where it cannot be made for its faults."""
-    splits, sequences, names, seen = dict[str, tuple[str, ...]](), list[DatasetSequence](), Names(), set[int]()
+    splits, sequences, names, seen = dict[str, tuple[str, ...]](), list[DatasetSequence](), NameColumn(), set[int]()
     try:
         for scene, rows in _scenes(files, splits):
             found = _read_scene(files, (scene, rows, names, seen), faults)
@@ -132,7 +132,7 @@ def _frames(stream: JsonStream, scene: str) -> Iterator[DatasetRow]:
         yield DatasetRow(place, number, {token: value}, token).part(token)
 
 
-Read = tuple[str, Iterator[DatasetRow], Names, set[int]]
+Read = tuple[str, Iterator[DatasetRow], NameColumn, set[int]]
 
 
 def _read_scene(files: DatasetFiles, read: Read, faults: DatasetFaults) -> DatasetSequence | None:
@@ -153,7 +153,7 @@ def _read_scene(files: DatasetFiles, read: Read, faults: DatasetFaults) -> Datas
     return _sequence(files, scene, names) if faults.total == before else None
 
 
-def _add_frame(files: DatasetFiles, scene: AnnotatedScene, what: tuple[DatasetRow, Names, set[int]]) -> None:
+def _add_frame(files: DatasetFiles, scene: AnnotatedScene, what: tuple[DatasetRow, NameColumn, set[int]]) -> None:
     row, names, seen = what
     token = row.named
     if TOKEN.fullmatch(token) is None:
@@ -183,7 +183,7 @@ def _fault_of_labels(row: DatasetRow, scene: str) -> LabelPathError | None:
     return LabelPathError(row.place, f"gt_path is {quoted(row.values['gt_path'])}, expected is {wanted}")
 
 
-def _add_picture(files: DatasetFiles, scene: AnnotatedScene, what: tuple[DatasetRow, int], names: Names) -> None:
+def _add_picture(files: DatasetFiles, scene: AnnotatedScene, what: tuple[DatasetRow, int], names: NameColumn) -> None:
     row, stamp_us = what
     name = row.text("img_path")
     if not is_inside(name):
@@ -206,7 +206,7 @@ def _add_picture(files: DatasetFiles, scene: AnnotatedScene, what: tuple[Dataset
     names.add(next((f"{at}{name}" for at in PICTURE_FOLDERS if files.span(f"{at}{name}") is not None), name))
 
 
-def _sequence(files: DatasetFiles, scene: AnnotatedScene, names: Names) -> DatasetSequence:
+def _sequence(files: DatasetFiles, scene: AnnotatedScene, names: NameColumn) -> DatasetSequence:
     order = np.argsort(np.array(scene.stamps_us, np.int64))
     rank = np.argsort(order)
     poses = SE3(np.array(scene.poses, np.float64).reshape(-1, 7)[order])
@@ -217,7 +217,7 @@ def _sequence(files: DatasetFiles, scene: AnnotatedScene, names: Names) -> Datas
     return DatasetSequence(scene.name, "", "", "", tokens, stamps_ns, poses, channels, is_labelled)
 
 
-def _channel(files: DatasetFiles, name: str, camera: AnnotatedCamera, of: tuple[Names, object]) -> DatasetChannel:
+def _channel(files: DatasetFiles, name: str, camera: AnnotatedCamera, of: tuple[NameColumn, object]) -> DatasetChannel:
     names, rank = of
     frames = np.asarray(rank)[camera.frames]
     order, first = np.argsort(frames), files.span(names[camera.rows[0]])

@@ -15,7 +15,7 @@ Keys = NDArray[np.int64]
 NONE = 0
 
 
-class Column:
+class NumberColumn:
     """Numbers of one kind, appended; `code` is that of `array`."""
 
     def __init__(self, code: str) -> None:
@@ -33,7 +33,7 @@ class Column:
         return np.frombuffer(self._held, self._held.typecode).astype(dtype, copy=False)
 
 
-class Names:
+class NameColumn:
     """Many strings, held as their bytes."""
 
     def __init__(self) -> None:

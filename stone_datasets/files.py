@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from stone_datasets.columns import Column, places_of
+from stone_datasets.columns import NumberColumn, places_of
 from stone_datasets.faults import DatasetPlace, quoted
 from stone_datasets.layout_faults import (
     CompressedDatasetError,
@@ -136,7 +136,7 @@ def _in_tar(path: Path) -> DatasetFiles:
     with path.open("rb") as file:
         if file.read(2) == GZIP:
             raise CompressedDatasetError(DatasetPlace(path.name), "it is compressed by gzip")
-    keys, places = Column("q"), Column("q")
+    keys, places = NumberColumn("q"), NumberColumn("q")
     heads, folders = set[tuple[str, str]](), set[str]()
     for name, place in tar_members(path):
         if not is_inside(name):

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone.geometry.se3 import SE3
-from stone_datasets.columns import Names
+from stone_datasets.columns import NameColumn
 from stone_datasets.files import DatasetFiles
 from stone_exports.files import ExportFileSpan
 from stone_exports.frames import LIDAR_CHANNEL, ExportedSensor
@@ -32,7 +32,7 @@ class DatasetChannel:
     stamps_ns: NDArray[np.int64]
     map_from_ego: SE3
     rows: NDArray[np.int64]
-    names: Names = field(repr=False)
+    names: NameColumn = field(repr=False)
 
     def filename(self, place: int) -> str:
         """Of the `place`-th datum."""

@@ -11,7 +11,7 @@ from typing import TypeVar
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import CameraIntrinsics
 from stone.sensors.sequence import NAME
-from stone_datasets.columns import Column, Names, repeated
+from stone_datasets.columns import NameColumn, NumberColumn, repeated
 from stone_datasets.faults import DatasetFaultError, DatasetFaults, DatasetPlace, quoted
 from stone_datasets.files import DatasetFiles
 from stone_datasets.json_stream import json_rows
@@ -35,7 +35,7 @@ Held = TypeVar("Held")
 
 
 @dataclass(frozen=True)
-class SensorRow:
+class DatasetSensorRow:
     channel: str
     modality: str
 
@@ -46,7 +46,7 @@ class CalibratedSensorRow:
 
     place: int
     row: DatasetRow
-    sensor: SensorRow
+    sensor: DatasetSensorRow
     ego_from_sensor: SE3
     size_px: tuple[int, int] | None = None
     lens: CameraIntrinsics | None = None
@@ -75,30 +75,30 @@ class SampleColumns:
     """`scene` is the place of the scene among the scenes; links are hashes of tokens."""
 
     tokens: list[str] = field(default_factory=list)
-    keys: Column = field(default_factory=lambda: Column("q"))
-    scene: Column = field(default_factory=lambda: Column("i"))
-    stamp_us: Column = field(default_factory=lambda: Column("q"))
-    links: Column = field(default_factory=lambda: Column("q"))
+    keys: NumberColumn = field(default_factory=lambda: NumberColumn("q"))
+    scene: NumberColumn = field(default_factory=lambda: NumberColumn("i"))
+    stamp_us: NumberColumn = field(default_factory=lambda: NumberColumn("q"))
+    links: NumberColumn = field(default_factory=lambda: NumberColumn("q"))
 
 
 @dataclass
 class PoseColumns:
     """`poses`: seven numbers a row."""
 
-    keys: Column = field(default_factory=lambda: Column("q"))
-    poses: Column = field(default_factory=lambda: Column("d"))
+    keys: NumberColumn = field(default_factory=lambda: NumberColumn("q"))
+    poses: NumberColumn = field(default_factory=lambda: NumberColumn("d"))
 
 
 @dataclass
 class DatumColumns:
     """`links`: prev, next, frame, pose of a row, as hashes of tokens. `mount`: place among the calibrated sensors."""
 
-    keys: Column = field(default_factory=lambda: Column("q"))
-    links: Column = field(default_factory=lambda: Column("q"))
-    mount: Column = field(default_factory=lambda: Column("i"))
-    stamp_us: Column = field(default_factory=lambda: Column("q"))
-    is_key: Column = field(default_factory=lambda: Column("b"))
-    names: Names = field(default_factory=Names)
+    keys: NumberColumn = field(default_factory=lambda: NumberColumn("q"))
+    links: NumberColumn = field(default_factory=lambda: NumberColumn("q"))
+    mount: NumberColumn = field(default_factory=lambda: NumberColumn("i"))
+    stamp_us: NumberColumn = field(default_factory=lambda: NumberColumn("q"))
+    is_key: NumberColumn = field(default_factory=lambda: NumberColumn("b"))
+    names: NameColumn = field(default_factory=NameColumn)
 
 
 @dataclass
@@ -110,7 +110,7 @@ class DatasetTables:
 
     version: str
     faulty: set[str] = field(default_factory=set)
-    sensors: dict[str, SensorRow] = field(default_factory=dict)
+    sensors: dict[str, DatasetSensorRow] = field(default_factory=dict)
     mounts: dict[str, CalibratedSensorRow] = field(default_factory=dict)
     logs: dict[str, LogRow] = field(default_factory=dict)
     scenes: dict[str, SceneRow] = field(default_factory=dict)
@@ -189,7 +189,7 @@ def _add_sensor(tables: DatasetTables, row: DatasetRow) -> None:
     token, channel, modality = _new(row, tables.sensors), row.text("channel"), row.text("modality")
     if NAME.fullmatch(channel) is None or modality not in MODALITIES:
         raise WrongTypeError(row.place, f"{quoted(channel)} of modality {quoted(modality)} is none of {MODALITIES}")
-    tables.sensors[token] = SensorRow(channel, modality)
+    tables.sensors[token] = DatasetSensorRow(channel, modality)
 
 
 def _add_mount(tables: DatasetTables, row: DatasetRow) -> None:

@@ -1,7 +1,7 @@
 """Published datasets, made by formula: any number of scenes and frames in the release's layout, or in Occ3D's.
 
 **Conventions.** Every scene drives the same gentle curve; files of one sensor have the same bytes, hard-linked (or
-copied into a tar), so that 50,000 frames are written in a minute. Names are as the release's:
+copied into a tar), so that 50,000 frames are written in minutes. Names are as the release's:
 `n001-2025-08-22-07-14-16+0900__<CHANNEL>__<µs>.<ending>`.
 """
 
@@ -38,7 +38,7 @@ Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class PublishedDataset:
+class SyntheticDataset:
     """What to write: scenes of `frames`, the first `longer` of one more.
 
     `labels` are taken in turn; none: a test set.
@@ -87,7 +87,7 @@ def made_labels(seed: int = 0, highest: int = 3) -> bytes:
     return npz_bytes({"semantics": semantics, "mask_lidar": seen, "mask_camera": seen})
 
 
-def write_published(folder: Path, what: PublishedDataset) -> Path:
+def write_published(folder: Path, what: SyntheticDataset) -> Path:
     """The release's layout in the folder."""
     for name in (VERSION, "gts", *(f"samples/{channel}" for channel in what.sensors)):
         (folder / name).mkdir(parents=True)
@@ -108,7 +108,7 @@ def write_published(folder: Path, what: PublishedDataset) -> Path:
     return folder
 
 
-def write_published_tar(path: Path, what: PublishedDataset, root: str = "") -> Path:
+def write_published_tar(path: Path, what: SyntheticDataset, root: str = "") -> Path:
     """The same in a tar, below `root`."""
     with tarfile.open(path, "w") as tar:
         for table, rows in tables_of(what).items():
@@ -121,7 +121,7 @@ def write_published_tar(path: Path, what: PublishedDataset, root: str = "") -> P
     return path
 
 
-def write_annotated(folder: Path, what: PublishedDataset) -> Path:
+def write_annotated(folder: Path, what: SyntheticDataset) -> Path:
     """Occ3D's layout: pictures in imgs/, labels, annotations.json."""
     infos: dict[str, dict[str, Row]] = {}
     for scene, name in enumerate(what.names):
@@ -138,7 +138,7 @@ def write_annotated(folder: Path, what: PublishedDataset) -> Path:
     return folder
 
 
-def tables_of(what: PublishedDataset) -> Mapping[str, Iterator[Row]]:
+def tables_of(what: SyntheticDataset) -> Mapping[str, Iterator[Row]]:
     """Rows of every table that is needed, made when they are asked for."""
     return {
         "sensor": (
@@ -161,7 +161,7 @@ def _of(kind: str, *facts: object) -> str:
     return sha256(repr((kind, *facts)).encode()).hexdigest()[:32]
 
 
-def _mount(what: PublishedDataset, name: str, channel: str) -> Row:
+def _mount(what: SyntheticDataset, name: str, channel: str) -> Row:
     is_camera = what.sensors[channel] == "camera"
     row: Row = {
         "token": _of("mount", name, channel),
@@ -174,7 +174,7 @@ def _mount(what: PublishedDataset, name: str, channel: str) -> Row:
     return row | lens
 
 
-def _scene(what: PublishedDataset, scene: int) -> Row:
+def _scene(what: SyntheticDataset, scene: int) -> Row:
     tokens, name = what.tokens(scene), what.names[scene]
     return {
         "token": _of("scene", name),
@@ -187,7 +187,7 @@ def _scene(what: PublishedDataset, scene: int) -> Row:
     }
 
 
-def _samples(what: PublishedDataset, scene: int) -> Iterator[Row]:
+def _samples(what: SyntheticDataset, scene: int) -> Iterator[Row]:
     tokens = ("", *what.tokens(scene), "")
     for frame in range(what.length(scene)):
         yield {
@@ -199,7 +199,7 @@ def _samples(what: PublishedDataset, scene: int) -> Iterator[Row]:
         }
 
 
-def _poses(what: PublishedDataset, scene: int) -> Iterator[Row]:
+def _poses(what: SyntheticDataset, scene: int) -> Iterator[Row]:
     for frame in range(what.length(scene)):
         for channel in what.sensors:
             stamp_us = what.datum_us(scene, frame, channel)
@@ -207,13 +207,13 @@ def _poses(what: PublishedDataset, scene: int) -> Iterator[Row]:
             yield {"token": token, "timestamp": stamp_us, **pose_of(what, scene, stamp_us)}
 
 
-def pose_of(what: PublishedDataset, scene: int, stamp_us: int) -> Row:
+def pose_of(what: SyntheticDataset, scene: int, stamp_us: int) -> Row:
     """`rotation` and `translation` of the robot at a stamp."""
     pose = global_from_ego(1_700_000_000_000_000 + stamp_us - what.stamp_us(scene, 0))
     return {"rotation": pose.wxyz.tolist(), "translation": pose.translation_m.tolist()}
 
 
-def _data(what: PublishedDataset, scene: int) -> Iterator[Row]:
+def _data(what: SyntheticDataset, scene: int) -> Iterator[Row]:
     tokens, width_px, height_px = what.tokens(scene), *PICTURE_PX
     for frame, token in enumerate(tokens):
         for channel, modality in what.sensors.items():
@@ -234,7 +234,7 @@ def _data(what: PublishedDataset, scene: int) -> Iterator[Row]:
             }
 
 
-def _annotated(what: PublishedDataset, of: tuple[int, int], tokens: Sequence[str]) -> Row:
+def _annotated(what: SyntheticDataset, of: tuple[int, int], tokens: Sequence[str]) -> Row:
     (scene, frame), ends = of, ("", *tokens, "")
     stamp_us = what.stamp_us(scene, frame)
     mount = {"translation": [0.1, -0.2, 1.0], "rotation": [0.5, -0.5, 0.5, -0.5]}
@@ -257,7 +257,7 @@ def _annotated(what: PublishedDataset, of: tuple[int, int], tokens: Sequence[str
     }
 
 
-def _files(what: PublishedDataset) -> Iterator[tuple[str, bytes]]:
+def _files(what: SyntheticDataset) -> Iterator[tuple[str, bytes]]:
     """Names with contents; equal ones are one object."""
     sweep = np.linspace(-20, 20, 50, dtype="<f4").tobytes()
     scan = RADAR.encode() + np.arange(12, dtype="<f4").tobytes()

@@ -12,13 +12,13 @@ from stone_client.main import app
 from stone_files.npz import npz_bytes
 from testing.worlds.published_datasets import (
     VERSION,
-    PublishedDataset,
+    SyntheticDataset,
     made_labels,
     write_published,
     write_published_tar,
 )
 
-WHAT = PublishedDataset(labels=(made_labels(),), splits={"train": ["field-0000"]})
+WHAT = SyntheticDataset(labels=(made_labels(),), splits={"train": ["field-0000"]})
 
 
 def run(*words: str | Path) -> Result:

@@ -10,13 +10,13 @@ import pytest
 
 from testing.worlds.published_datasets import (
     VERSION,
-    PublishedDataset,
+    SyntheticDataset,
     made_labels,
     write_annotated,
     write_published,
 )
 
-GOOD = PublishedDataset(
+GOOD = SyntheticDataset(
     labels=(made_labels(1), made_labels(2)), splits={"train": ["field-0000"], "val": ["field-0001"]}
 )
 Rows = list[dict[str, Any]]

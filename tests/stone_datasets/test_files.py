@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stone_datasets.columns import Names, repeated, rows_of
+from stone_datasets.columns import NameColumn, repeated, rows_of
 from stone_datasets.files import open_dataset
 from stone_datasets.layout_faults import CompressedDatasetError, PathLeavesDatasetError, TwoVersionsError
 from stone_datasets.reading import check_dataset
@@ -75,7 +75,7 @@ def test_the_dataset_itself_may_be_a_link(copied: Path) -> None:
 
 
 def test_names_come_back_as_they_were_given() -> None:
-    names = Names()
+    names = NameColumn()
     given = ["", "a/b", "ü", "\ud800"]
     for name in given:
         names.add(name)

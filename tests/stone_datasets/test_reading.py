@@ -14,7 +14,7 @@ from stone_datasets.rows import DatasetRow
 from testing.worlds.published_datasets import (
     LOGFILE,
     VERSION,
-    PublishedDataset,
+    SyntheticDataset,
     made_labels,
     pose_of,
     tables_of,
@@ -134,7 +134,7 @@ def test_sweeps_between_key_frames_are_checked_and_left_out(good: Path, copied: 
 
 
 def test_a_test_set_without_labels_is_one(tmp_path: Path) -> None:
-    unlabelled = PublishedDataset(scenes=1, frames=2)
+    unlabelled = SyntheticDataset(scenes=1, frames=2)
     check = check_dataset(write_published(tmp_path / "test", unlabelled))
     assert check.contents is not None
     record = check.contents.as_record()
