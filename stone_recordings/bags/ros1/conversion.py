@@ -42,25 +42,25 @@ class Conversion:
 
     def of_message(self, source: memoryview) -> memoryview:
         """The whole message."""
-        pen = self._written(source, UNBOUNDED)
-        if pen.is_done:
-            pen.body += source[pen.at :]
-        return memoryview(pen.body).toreadonly()
+        writer = self._written(source, UNBOUNDED)
+        if writer.is_done:
+            writer.body += source[writer.at :]
+        return memoryview(writer.body).toreadonly()
 
     def of_head(self, source: memoryview, most_bytes: int) -> Converted:
         """At least `most_bytes` of it, or as much as `source`, which may end before the message does, has of it."""
-        pen = self._written(source, most_bytes)
-        return Converted(memoryview(pen.body).toreadonly(), min(pen.at, len(source)))
+        writer = self._written(source, most_bytes)
+        return Converted(memoryview(writer.body).toreadonly(), min(writer.at, len(source)))
 
-    def _written(self, source: memoryview, most_bytes: int) -> "_Pen":
-        pen = _Pen(source, min(most_bytes, GROWTH * len(source) + GROWTH_BYTES))
+    def _written(self, source: memoryview, most_bytes: int) -> "_CdrWriter":
+        writer = _CdrWriter(source, min(most_bytes, GROWTH * len(source) + GROWTH_BYTES))
         try:
             for step in self._steps:
-                step.write(pen)
-            pen.is_done = True
+                step.write(writer)
+            writer.is_done = True
         except _WrittenError:
             pass  # what is written is what there is
-        return pen
+        return writer
 
 
 class _WrittenError(Exception):
@@ -68,7 +68,7 @@ class _WrittenError(Exception):
 
 
 @dataclass(slots=True)
-class _Pen:
+class _CdrWriter:
     """Reads `source` from `at` on and writes `body`, up to `most` bytes and the end of the piece that they end in."""
 
     source: memoryview
@@ -110,14 +110,14 @@ class _Pen:
             raise _WrittenError
 
 
-class _Step(Protocol):
-    def write(self, pen: _Pen) -> None: ...
+class _CdrStep(Protocol):
+    def write(self, writer: _CdrWriter) -> None: ...
 
 
 class _Text:
-    def write(self, pen: _Pen) -> None:
-        pen.copy(pen.length(extra=1))
-        pen.zeros(1)
+    def write(self, writer: _CdrWriter) -> None:
+        writer.copy(writer.length(extra=1))
+        writer.zeros(1)
 
 
 class _Number(NamedTuple):
@@ -156,19 +156,19 @@ class _Fixed:
             for phase in range(STRICTEST)
         )
 
-    def write(self, pen: _Pen) -> None:
-        for zeros, passed, copied in self._layouts[pen.phase]:
-            pen.zeros(zeros)
-            pen.at += passed
-            pen.copy(copied)
+    def write(self, writer: _CdrWriter) -> None:
+        for zeros, passed, copied in self._layouts[writer.phase]:
+            writer.zeros(zeros)
+            writer.at += passed
+            writer.copy(copied)
 
-    def write_many(self, pen: _Pen, count: int) -> None:
-        while count and not self._is_solid[pen.phase]:
-            pen.count_element()
-            self.write(pen)
+    def write_many(self, writer: _CdrWriter, count: int) -> None:
+        while count and not self._is_solid[writer.phase]:
+            writer.count_element()
+            self.write(writer)
             count -= 1
         if count:
-            pen.copy(count * self.source_bytes)
+            writer.copy(count * self.source_bytes)
 
 
 @dataclass(frozen=True)
@@ -176,21 +176,21 @@ class _Repeated:
     """`length` elements, or as many as the message says (None)."""
 
     length: int | None
-    element: tuple[_Step, ...]
+    element: tuple[_CdrStep, ...]
 
-    def write(self, pen: _Pen) -> None:
-        count = pen.length() if self.length is None else self.length
+    def write(self, writer: _CdrWriter) -> None:
+        count = writer.length() if self.length is None else self.length
         match self.element:
             case (_Fixed() as numbers,):
-                numbers.write_many(pen, count)
+                numbers.write_many(writer, count)
             case _:
                 for _ in range(count):
-                    pen.count_element()
+                    writer.count_element()
                     for step in self.element:
-                        step.write(pen)
+                        step.write(writer)
 
 
-def _steps(nodes: Sequence[Node], dropped: str) -> Iterator[_Step]:
+def _steps(nodes: Sequence[Node], dropped: str) -> Iterator[_CdrStep]:
     """Numbers that follow each other are one step."""
     numbers: list[_Number] = []
     for node in nodes:
