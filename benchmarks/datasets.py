@@ -1,6 +1,6 @@
 """Reading a published dataset of the release's size: 43 sequences, 50,878 frames, ten sensors, real-sized labels.
 
-    python -m benchmarks.datasets [--frames N] [--tar]
+    .venv/bin/python -m benchmarks.datasets [--frames N] [--tar]
 
 **Conventions.** The dataset is made first (labels of a fractal world repeat; hard-linked in a folder, copied in a tar).
 Then two processes of their own read it: the index alone, and everything (`stone check`); each prints seconds, frames
