@@ -36,6 +36,7 @@ from stone_recordings.sync.map_joining import joined
 from stone_recordings.sync.recorded_messages import read_recorded
 from stone_recordings.sync.sweeps import BagSweeps, SweepsOfOpenBag
 from stone_recordings.sync.synchronisation import frames_with_pose, sparse_finding, usable_finding
+from stone_recordings.topics.cloud_samples import packet_findings
 from stone_recordings.topics.sources import choose_sources
 
 Ground = Literal["given", "auto"]
@@ -159,7 +160,7 @@ def unjoined_sequence(
         findings=(
             *(bag.findings + bag.damage_findings + rig.findings + mounts + timed),
             *(track.findings + moved + sparse_finding(track, options.max_pose_gap_ns)),
-            *(doubts + unmatched + usable_finding(posed)),
+            *(doubts + unmatched + usable_finding(posed) + packet_findings(bag, sources.lidar)),
         ),
         track=posed.path,
         max_pose_gap_ns=options.max_pose_gap_ns,

@@ -7,6 +7,7 @@ what was found and what to do.
 from collections.abc import Sequence
 
 from stone.errors import StoneError
+from stone_recordings.messages.lidars.models import topic_instead
 
 SHOWN = 6
 # Less is no other clock; of more, --time-offset says that it is a slip of the unit.
@@ -24,13 +25,15 @@ class NoLidarError(StoneError):
 
     code = "TOP-101"
 
-    def __init__(self, packets: Sequence[str]) -> None:
+    def __init__(self, packets: Sequence[tuple[str, str]]) -> None:
         cause = (
-            f"{listed(packets)} holds raw packets (record the driver's point cloud: send_point_cloud_ros)"
+            f"{listed([name for name, _ in packets])} holds raw packets: {topic_instead(packets[0][1])}"
             if packets
             else "name its topic with --lidar if a cloud was taken for a radar's"
         )
-        super().__init__(f"no LiDAR sensor_msgs/msg/PointCloud2 was recorded; {cause}")
+        super().__init__(
+            f"no LiDAR sensor_msgs/msg/PointCloud2 was recorded, nor packets that are decoded here; {cause}"
+        )
 
 
 class WrongTopicError(StoneError):

@@ -10,14 +10,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from stone.findings import Finding, Severity
+from stone_recordings.messages.lidars.models import topic_instead
 from stone_recordings.topics.channels import PREFIX, ChannelKind, channel_of
 from stone_recordings.topics.profile_errors import BadProfileError
 from stone_recordings.topics.roles import (
-    PACKET_TYPES,
     POINT_CLOUD,
     POSE_ROLES,
     Role,
     fullest,
+    holds_other_packets,
     likely_lidars,
     with_plausible_rate,
 )
@@ -116,7 +117,7 @@ def _can_be(candidate: Candidate, part: str) -> bool:
     """A choice may overrule how a cloud was taken, not what type of message it is."""
     is_cloud = candidate.type == POINT_CLOUD
     if part == "lidar":
-        return is_cloud
+        return is_cloud or candidate.role == "lidar"
     if part == "pose":
         return candidate.role in POSE_ROLES
     if part == "imu":
@@ -163,9 +164,12 @@ def _missing(candidates: Sequence[Candidate], channels: Mapping[str, str]) -> It
     """What labels need and nothing fits; several that fit are not nothing."""
     recorded = [candidate for candidate in candidates if candidate.count]
     if "lidar" not in channels and not _of_role(recorded, "lidar"):
-        packets = [candidate.name for candidate in _of_role(candidates, "other") if candidate.type in PACKET_TYPES]
-        why = f"{packets[0]} holds raw packets: let the driver publish points." if packets else "Labels need one."
-        yield Finding("TOP-101", "error", packets[0] if packets else "", f"No LiDAR PointCloud2 found. {why}")
+        packets = [candidate for candidate in recorded if holds_other_packets(candidate)]
+        why = (
+            f"{packets[0].name} holds raw packets: {topic_instead(packets[0].type)}." if packets else "Labels need one."
+        )
+        message = f"No LiDAR PointCloud2 found, and no packets that are decoded here. {why}"
+        yield Finding("TOP-101", "error", packets[0].name if packets else "", message)
     if "pose" not in channels and not any(candidate.role in POSE_ROLES for candidate in recorded):
         message = "No source of poses: neither INS, odometry nor /tf. Labels need one."
         yield Finding("TOP-103", "warning", "", message)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone_recordings.bags.bag import Bag, Topic
+from stone_recordings.bags.errors import IngestError
 from stone_recordings.messages.types.cdr import NS_PER_S
 from stone_recordings.sync.errors import (
     AmbiguousTopicsError,
@@ -22,12 +23,13 @@ from stone_recordings.sync.errors import (
 from stone_recordings.topics.cloud_samples import sample_cloud
 from stone_recordings.topics.profiles import Candidate
 from stone_recordings.topics.roles import (
-    PACKET_TYPES,
     POINT_CLOUD,
     POSE_ROLES,
     Role,
     TopicFacts,
     fullest,
+    holds_other_packets,
+    holds_sweeps,
     likely_lidars,
     role_of,
 )
@@ -95,19 +97,25 @@ def _rate_hz(log_times_ns: NDArray[np.int64]) -> float | None:
 
 
 def _facts(bag: Bag, topic: Topic) -> TopicFacts:
-    if topic.type != POINT_CLOUD:
+    if not holds_sweeps(topic.name, topic.type):
         return TopicFacts(topic.name, topic.type, None)
-    cloud = sample_cloud(bag, topic)
+    try:
+        cloud = sample_cloud(bag, topic)
+    except IngestError:
+        if topic.type == POINT_CLOUD:
+            raise
+        return TopicFacts(topic.name, topic.type, None)  # packets of a model that is not decoded: no LiDAR of ours
     fields = frozenset(cloud.points.dtype.names or ())
     return TopicFacts(topic.name, topic.type, None, fields, len(cloud.points))
 
 
 def _lidar(roles: list[Candidate], asked: str | None) -> Candidate:
     if asked is not None:
-        return _asked(roles, asked, [topic for topic in roles if topic.type == POINT_CLOUD], POINT_CLOUD)
+        fitting = [topic for topic in roles if topic.type == POINT_CLOUD or topic.role == "lidar"]
+        return _asked(roles, asked, fitting, f"{POINT_CLOUD} or packets that are decoded")
     lidars = [topic for topic in roles if topic.role == "lidar"]
     if not lidars:
-        raise NoLidarError([topic.name for topic in roles if topic.role == "other" and topic.type in PACKET_TYPES])
+        raise NoLidarError([(topic.name, topic.type) for topic in roles if holds_other_packets(topic)])
     return _only("lidar", likely_lidars(lidars), "--lidar")
 
 
