@@ -121,9 +121,10 @@ def read_recorded(bag: Bag, sources: Sources) -> RecordedTopics:
     payloads: dict[str, dict[int, bytes]] = {name: {} for name in whole}
     damaged = {name: bag.damaged.get(name, {}) for name in scanned}
     problems = {name: {index: MessageProblem(DAMAGED, why) for index, why in damaged[name].items()} for name in scanned}
-    for name, index, payload in bag.heads((*scanned, *whole), whole=whole):
+    for name, index, payload in bag.heads(tuple(dict.fromkeys((*scanned, *whole))), whole=whole):
         if name in payloads:
             payloads[name][index] = bytes(payload)
+        if name not in heads:
             continue
         heads[name][index] = bytes(payload[:HEADER_BYTES])
         problem = head_problem(payload, topics[name].type, partial(bag.size_bytes, name, index))

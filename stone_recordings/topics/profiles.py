@@ -17,9 +17,9 @@ from stone_recordings.topics.roles import (
     POINT_CLOUD,
     POSE_ROLES,
     Role,
-    fullest,
     holds_other_packets,
     likely_lidars,
+    of_pose_role,
     with_plausible_rate,
 )
 
@@ -119,7 +119,7 @@ def _can_be(candidate: Candidate, part: str) -> bool:
     if part == "lidar":
         return is_cloud or candidate.role == "lidar"
     if part == "pose":
-        return candidate.role in POSE_ROLES
+        return candidate.role in POSE_ROLES and bool(of_pose_role(candidate.role, [candidate]))
     if part == "imu":
         return candidate.role == "imu"
     return candidate.role == ("camera" if part.startswith(PREFIX["camera"]) else "radar") or (
@@ -132,7 +132,7 @@ def _fitting(
 ) -> Iterator[tuple[str, Sequence[Candidate]]]:
     """Each part and the topics that fit it best."""
     yield "lidar", likely_lidars(_of_role(free, "lidar"))
-    poses = (fullest(_of_role(free, role)) if role == "ins" else _of_role(free, role) for role in POSE_ROLES)
+    poses = (of_pose_role(role, _of_role(free, role)) for role in POSE_ROLES)
     yield "pose", next((fitting for fitting in poses if fitting), [])
     yield "imu", with_plausible_rate("imu", _of_role(free, "imu"))
     kinds: tuple[ChannelKind, ...] = ("camera", "radar")
@@ -170,8 +170,10 @@ def _missing(candidates: Sequence[Candidate], channels: Mapping[str, str]) -> It
         )
         message = f"No LiDAR PointCloud2 found, and no packets that are decoded here. {why}"
         yield Finding("TOP-101", "error", packets[0].name if packets else "", message)
-    if "pose" not in channels and not any(candidate.role in POSE_ROLES for candidate in recorded):
-        message = "No source of poses: neither INS, odometry nor /tf. Labels need one."
+    if "pose" not in channels and not any(of_pose_role(role, _of_role(recorded, role)) for role in POSE_ROLES):
+        message = (
+            "No source of poses: neither INS, odometry, /tf, poses nor NavSatFix. Labels need one, or a file: --poses."
+        )
         yield Finding("TOP-103", "warning", "", message)
 
 

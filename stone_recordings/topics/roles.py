@@ -13,7 +13,9 @@ from typing import Literal, Protocol, TypeVar
 from stone_recordings.messages.lidars.models import UNDECODED_TYPES
 from stone_recordings.messages.lidars.packet_scan import NEBULA_PACKETS, PACKET_READERS
 
-Role = Literal["lidar", "camera", "radar", "gnss", "ins", "imu", "odometry", "tf", "tf_static", "camera_info", "other"]
+Role = Literal[
+    "lidar", "camera", "radar", "gnss", "ins", "imu", "odometry", "pose", "tf", "tf_static", "camera_info", "other"
+]
 
 ROLE_OF_TYPE: dict[str, Role] = {
     "sensor_msgs/msg/Image": "camera",
@@ -27,6 +29,8 @@ ROLE_OF_TYPE: dict[str, Role] = {
     "novatel_oem7_msgs/msg/INSPVA": "ins",
     "novatel_oem7_msgs/msg/INSPVAX": "ins",
     "nav_msgs/msg/Odometry": "odometry",
+    "geometry_msgs/msg/PoseStamped": "pose",
+    "geometry_msgs/msg/PoseWithCovarianceStamped": "pose",
     "ars548_messages/msg/DetectionList": "radar",
     "continental_msgs/msg/ContinentalArs548DetectionList": "radar",
     "radar_msgs/msg/RadarScan": "radar",
@@ -34,11 +38,14 @@ ROLE_OF_TYPE: dict[str, Role] = {
 # Whose packets these are, a LiDAR's or a radar's, only the topic's name says.
 PACKETS_OF_EITHER = NEBULA_PACKETS
 PACKET_TYPES = frozenset(PACKET_READERS)
-POSE_ROLES: tuple[Role, ...] = ("ins", "odometry", "tf")
+POSE_ROLES: tuple[Role, ...] = ("ins", "odometry", "tf", "pose", "gnss")
+# Of a receiver's messages these tell positions of which, with an IMU's attitude, poses are made.
+POSITIONS = "sensor_msgs/msg/NavSatFix"
 INSPVAX = "novatel_oem7_msgs/msg/INSPVAX"
 # A LiDAR turns 5 to 20 times a second, a planar scanner up to 100; what is slower is a map. An IMU that integrates well
 # samples faster than any pose source; what is slower is a copy for people to look at.
-PLAUSIBLE_HZ: dict[Role, tuple[float, float]] = {"lidar": (3.0, 110.0), "imu": (50.0, 2000.0)}
+# Goals and corrected positions are poses, too, but rare ones.
+PLAUSIBLE_HZ: dict[Role, tuple[float, float]] = {"lidar": (3.0, 110.0), "imu": (50.0, 2000.0), "pose": (3.0, 2000.0)}
 POINT_CLOUD, TRANSFORMS = "sensor_msgs/msg/PointCloud2", "tf2_msgs/msg/TFMessage"
 RING_FIELDS = frozenset({"ring", "channel", "laser_id", "line"})
 CROSS_SECTION_FIELDS = frozenset({"rcs", "radar_cross_section"})
@@ -163,3 +170,12 @@ def fullest(topics: Sequence[Topical]) -> Sequence[Topical]:
     if len({topic.type for topic in topics}) < len(topics):
         return topics
     return sorted(topics, key=lambda topic: (-topic.count, topic.type != INSPVAX))[:1]
+
+
+def of_pose_role(role: Role, topics: Sequence[Topical]) -> Sequence[Topical]:
+    """Of the topics of a role those that poses are taken of."""
+    if role == "ins":
+        return fullest(topics)
+    if role == "gnss":
+        return [topic for topic in topics if topic.type == POSITIONS]
+    return with_plausible_rate(role, topics)

@@ -18,6 +18,8 @@ HESAI_FRAME, NEBULA_PACKETS = "hesai_ros_driver/msg/UdpFrame", "nebula_msgs/msg/
 VELODYNE_BYTES, PANDAR_BYTES = 1206, 1500
 # Stamp and length: what a packet of any of these takes at least.
 LEAST_PACKET_BYTES = 12
+# Of a revolution at 5 Hz an OT128 sends 3,600; each costs some 30 KB while it is decoded.
+MOST_PACKETS = 10_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +68,8 @@ def packet_scan(payload: memoryview, type_name: str) -> PacketScan:
     stamp_ns, frame_id = cursor.stamp_ns(), cursor.text()
     read = PACKET_READERS[type_name]
     count = cursor.count(LEAST_PACKET_BYTES)
+    if count > MOST_PACKETS:
+        raise MessageLayoutError(type_name, f"{count} packets are no revolution, which has at most {MOST_PACKETS}")
     parts = [(cursor.stamp_ns(), read(cursor)) for _ in range(count)]
     cursor.end()
     return PacketScan(stamp_ns, frame_id, np.array([at for at, _ in parts], np.int64), tuple(one for _, one in parts))

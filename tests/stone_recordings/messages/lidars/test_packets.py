@@ -160,6 +160,12 @@ def test_a_count_beyond_the_message_is_refused_before_anything_is_read() -> None
         sweep_cloud(memoryview(bytes(payload)), NEBULA)
 
 
+def test_more_packets_than_a_revolution_has_are_refused() -> None:
+    payload = encoding.nebula_packets([b"x"] * 10_001, [START_NS] * 10_001, START_NS)
+    with pytest.raises(MessageLayoutError, match="10001 packets are no revolution"):
+        sweep_cloud(memoryview(payload), NEBULA)
+
+
 @pytest.mark.parametrize("model", MODELS)
 @given(data=st.data())
 @settings(max_examples=40, deadline=None)
