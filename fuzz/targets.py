@@ -1,8 +1,8 @@
 """What is fuzzed: the readers of recordings, messages, calibrations, submissions and exports, and labelling, each as
 one function of bytes.
 
-**Conventions.** Each target ends normally or with a `StoneError`. Of `messages` and `packets` the first byte chooses the
-type, of `calibration` the ending of the file's name; the rest is the content.
+**Conventions.** A target ends normally or with a `StoneError`. Of `messages` and `packets` the first byte chooses the
+type, of `calibration` the ending of its name; the rest is the content.
 """
 
 from collections.abc import Mapping

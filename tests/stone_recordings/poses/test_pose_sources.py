@@ -25,10 +25,16 @@ from stone_recordings.sync.errors import (
 )
 from testing.worlds.pose_files import kitti_text, tum_text
 from tests.stone_recordings import rigs
+from tests.stone_recordings.pose_messages import (
+    POSED,
+    WITH_COVARIANCE,
+    attitude_message,
+    fix_message,
+    pose_message,
+)
 from tests.stone_recordings.rigs import MOUNTS, ORIGIN, PERIOD_NS, T0_NS, calibration, plain_sweep, written
-from tests.stone_recordings.writing import Recorded, header, made, serialised
+from tests.stone_recordings.writing import Recorded
 
-POSED, WITH_COVARIANCE = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"
 STAMPS_NS = T0_NS + np.arange(8) * PERIOD_NS
 TRUTH = rigs.world_from_ego(STAMPS_NS)
 ANTENNA = Mount("GNSS", "ins", rigs.placed([0.0, 0.0, 0.0], [-0.4, 0.2, 0.5]), "gps_antenna")
@@ -39,62 +45,27 @@ def sweeps() -> list[Recorded]:
 
 
 def posed(poses: SE3, type_name: str = POSED, topic: str = "/pose", parent: str = "map") -> list[Recorded]:
-    return [_posed(int(stamp), poses[row], type_name, topic, parent) for row, stamp in enumerate(STAMPS_NS)]
-
-
-def _posed(stamp_ns: int, pose: SE3, type_name: str, topic: str, parent: str) -> Recorded:
-    w, x, y, z = pose.wxyz.tolist()
-    point = made("geometry_msgs/msg/Point", **dict(zip("xyz", pose.translation_m.tolist(), strict=True)))
-    value = made(
-        "geometry_msgs/msg/Pose", position=point, orientation=made("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
-    )
-    if type_name == WITH_COVARIANCE:
-        value = made("geometry_msgs/msg/PoseWithCovariance", pose=value, covariance=np.zeros(36))
-    message = made(type_name, header=header(stamp_ns, parent), pose=value)
-    return Recorded(topic, type_name, stamp_ns + 2_000_000, serialised(message))
+    return [pose_message(int(stamp), poses[row], type_name, topic, parent) for row, stamp in enumerate(STAMPS_NS)]
 
 
 def fixes(status: int = 0, frame_id: str = "gps_antenna", **facts: float) -> list[Recorded]:
     """Positions of the antenna."""
     place_m = (TRUTH @ rigs.EGO_FROM_LIDAR @ ANTENNA.lidar_from_sensor).translation_m
     geodetic = np.stack(pymap3d.enu2geodetic(*place_m.T, *ORIGIN), axis=-1)
-    return [_fix(int(stamp), place, status, frame_id, facts) for stamp, place in zip(STAMPS_NS, geodetic, strict=True)]
-
-
-def _fix(stamp_ns: int, place: Any, status: int, frame_id: str, facts: dict[str, float]) -> Recorded:
-    fields = dict(zip(("latitude", "longitude", "altitude"), place.tolist(), strict=True)) | facts
-    message = made(
-        "sensor_msgs/msg/NavSatFix",
-        header=header(stamp_ns, frame_id),
-        status=made("sensor_msgs/msg/NavSatStatus", status=status, service=1),
-        position_covariance=np.zeros(9),
-        position_covariance_type=0,
-        **fields,
-    )
-    return Recorded("/fix", "sensor_msgs/msg/NavSatFix", stamp_ns + 3_000_000, serialised(message))
+    return [
+        fix_message(int(stamp), place, status, frame_id, facts)
+        for stamp, place in zip(STAMPS_NS, geodetic, strict=True)
+    ]
 
 
 def attitudes(first_covariance: float = 0.01, topic: str = "/imu/data") -> list[Recorded]:
     """Orientations of the IMU at 100 Hz, in east, north, up."""
     stamps_ns = T0_NS - PERIOD_NS + np.arange(100) * 10_000_000
     turned = rigs.world_from_ego(stamps_ns) @ rigs.EGO_FROM_LIDAR @ MOUNTS[3].lidar_from_sensor
-    return [_imu(int(stamp), wxyz, first_covariance, topic) for stamp, wxyz in zip(stamps_ns, turned.wxyz, strict=True)]
-
-
-def _imu(stamp_ns: int, wxyz: Any, first_covariance: float, topic: str) -> Recorded:
-    w, x, y, z = wxyz.tolist()
-    zero = made("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
-    message = made(
-        "sensor_msgs/msg/Imu",
-        header=header(stamp_ns, "imu_link"),
-        orientation=made("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w),
-        orientation_covariance=np.array([first_covariance, *np.zeros(8)]),
-        angular_velocity=zero,
-        angular_velocity_covariance=np.zeros(9),
-        linear_acceleration=zero,
-        linear_acceleration_covariance=np.zeros(9),
-    )
-    return Recorded(topic, "sensor_msgs/msg/Imu", stamp_ns + 1_000_000, serialised(message))
+    return [
+        attitude_message(int(stamp), wxyz, first_covariance, topic)
+        for stamp, wxyz in zip(stamps_ns, turned.wxyz, strict=True)
+    ]
 
 
 def synchronised(path: Path, **options: Any) -> Sequence:
@@ -124,7 +95,7 @@ def test_stamped_poses_are_of_the_ego_frame_unless_a_frame_is_named(tmp_path: Pa
 
 
 def test_stamped_poses_are_taken_where_nothing_better_is_and_goals_never_before_them(tmp_path: Path) -> None:
-    goal = _posed(int(STAMPS_NS[4]), TRUTH[0], POSED, "/goal_pose", "map")
+    goal = pose_message(int(STAMPS_NS[4]), TRUTH[0], POSED, "/goal_pose", "map")
     path = written(tmp_path / "a.mcap", sweeps(), posed(TRUTH), [goal])
     assert_path(synchronised(path))
     assert inspect(path).assignment.channels["pose"] == "/pose"
@@ -167,7 +138,7 @@ def test_positions_without_an_attitude_are_refused(tmp_path: Path) -> None:
         synchronised(written(tmp_path / "c.mcap", sweeps(), fixes()), odometry_topic="/fix")
     with pytest.raises(NoUsablePoseError, match="8 without a fix"):
         synchronised(written(tmp_path / "d.mcap", sweeps(), fixes(status=-1), attitudes()))
-    late = [replace(one, payload=_imu(int(STAMPS_NS[-1]) + 10**12, np.eye(4)[0], 0.1, "/imu/data").payload) for one in
+    late = [replace(one, payload=attitude_message(int(STAMPS_NS[-1]) + 10**12, np.eye(4)[0], 0.1, "/imu/data").payload) for one in
             attitudes()]  # fmt: skip
     with pytest.raises(NoUsablePoseError, match=r"none has an attitude within 0\.25 s"):
         synchronised(written(tmp_path / "e.mcap", sweeps(), fixes(), late))
