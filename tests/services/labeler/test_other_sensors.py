@@ -1,9 +1,11 @@
 """Labels of one simulated run as people record it: the LiDAR as packets, the poses by other messages and by files.
 
-What was measured is recorded as properties of the tests.
+Six runs of labelling, some 20 s of processor time each: they alone would catch packets that are deskewed, mapped or
+counted otherwise than clouds, and poses that are right at the frames and wrong between them. What was measured is
+recorded as properties of the tests.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -37,6 +39,8 @@ from tests.stone_recordings.pose_messages import (
     pose_message,
 )
 from tests.stone_recordings.writing import Recorded, write_mcap
+
+pytestmark = pytest.mark.whole
 
 COLUMNS, LASERS, BLOCKS = 900, 40, 10
 OPTIONS = SimulateOptions(seconds=3.0, seed=7, channels=LASERS, columns=COLUMNS, cameras=False, noise_ratio=0.0)
@@ -93,12 +97,12 @@ def packets_of(cloud: Recorded) -> Recorded:
         packet = SentPacket("Pandar40P", time_ns // 1000 % 10**6, AZIMUTH[block].tolist(), counts[block])
         sent.append(packet.content)
         stamps_ns.append(time_ns)
-    payload = pandar_scan(sent, stamps_ns, read.stamp_ns).replace(b"\x07\0\0\0pandar\0\0", b"\x07\0\0\0pandar\0\0")
+    payload = pandar_scan(sent, stamps_ns, read.stamp_ns)
     return Recorded("/pandar_packets", "pandar_msgs/msg/PandarScan", cloud.log_time_ns, payload)
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[OneRun]:
+def run(tmp_path_factory: pytest.TempPathFactory) -> OneRun:
     folder = tmp_path_factory.mktemp("people")
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(rig, "lidar_directions", pandar_directions)
@@ -113,7 +117,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[OneRun]:
     at = truth.trajectory.at
     odometry = [rigs.odometry(int(stamp), at(stamps_ns)[row]) for row, stamp in enumerate(stamps_ns)]
     plain = _labelled(folder / "plain", calibration, clouds + odometry, SynchroniseOptions())
-    yield OneRun(folder, calibration, clouds, [packets_of(one) for one in clouds], stamps_ns, sweeps_ns, at, plain)
+    return OneRun(folder, calibration, clouds, [packets_of(one) for one in clouds], stamps_ns, sweeps_ns, at, plain)
 
 
 def odometry_of(run: OneRun) -> list[Recorded]:
@@ -122,11 +126,7 @@ def odometry_of(run: OneRun) -> list[Recorded]:
 
 
 def test_a_run_recorded_as_packets_is_labelled_as_its_points(run: OneRun, record_property: Callable[..., None]) -> None:
-    """The points differ by steps of 4 mm and of up to 0.6 ms of time, which moves few of them into another voxel.
-
-    Some 20 s of processor time with what its fixture takes: it alone would catch packets whose sweeps are deskewed, mapped
-    or counted otherwise than clouds.
-    """
+    """The points differ by steps of 4 mm and of up to 0.6 ms of time, which moves few of them into another voxel."""
     made = run.labelled("packets", run.packets + odometry_of(run))
     record_property("alike", run.alike(made))
     assert {one.code for one in made.report.findings} >= {"TOP-116"}
@@ -144,8 +144,8 @@ def test_stamped_poses_label_as_odometry_does(run: OneRun, type_name: str) -> No
 def test_a_tum_file_labels_as_odometry_does_and_a_kitti_file_nearly(
     run: OneRun, record_property: Callable[..., None]
 ) -> None:
-    """A KITTI file has a pose at each sweep alone, 0.1 s apart, and its map begins at the first of them: lattices of the
-    surface lie elsewhere, and its last sweep has no pose behind it."""
+    """A KITTI file has a pose at each sweep alone, and its map begins at the first of them: lattices of the surface lie
+    elsewhere, and the last sweep has no pose behind it."""
     path = run.folder / "poses.txt"
     path.write_text(tum_text(run.stamps_ns, run.truth(run.stamps_ns)))
     made = run.labelled("tum", run.clouds, poses=PoseFile(path, "base_link"))

@@ -138,8 +138,9 @@ def test_positions_without_an_attitude_are_refused(tmp_path: Path) -> None:
         synchronised(written(tmp_path / "c.mcap", sweeps(), fixes()), odometry_topic="/fix")
     with pytest.raises(NoUsablePoseError, match="8 without a fix"):
         synchronised(written(tmp_path / "d.mcap", sweeps(), fixes(status=-1), attitudes()))
-    late = [replace(one, payload=attitude_message(int(STAMPS_NS[-1]) + 10**12, np.eye(4)[0], 0.1, "/imu/data").payload) for one in
-            attitudes()]  # fmt: skip
+    at_ns = int(STAMPS_NS[-1]) + 10**12
+    late = [attitude_message(at_ns + row, np.eye(4)[0], 0.1, "/imu/data") for row in range(100)]
+    late = [replace(one, log_time_ns=at.log_time_ns) for one, at in zip(late, attitudes(), strict=True)]
     with pytest.raises(NoUsablePoseError, match=r"none has an attitude within 0\.25 s"):
         synchronised(written(tmp_path / "e.mcap", sweeps(), fixes(), late))
 
