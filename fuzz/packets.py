@@ -26,10 +26,11 @@ def read_packets(content: bytes) -> None:
 
 
 def read_poses(content: bytes) -> None:
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "poses.txt"
-        path.write_bytes(content)
-        read_pose_file(path)
+    if content:
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "poses.txt"
+            path.write_bytes(content)
+            read_pose_file(path)
 
 
 def packet_seeds() -> Iterator[tuple[str, bytes]]:

@@ -14,7 +14,7 @@ from stone_recordings.bags.errors import ByteOrderError, MessageLayoutError
 from stone_recordings.messages.lidars.hesai import ot128_returns, pandar40p_returns
 from stone_recordings.messages.lidars.models import LidarModel, layout_of, model_of, refused
 from stone_recordings.messages.lidars.packet_scan import PACKET_READERS, first_packet, packet_scan
-from stone_recordings.messages.lidars.points import Returns, records_of
+from stone_recordings.messages.lidars.points import PacketReturns, records_of
 from stone_recordings.messages.lidars.velodyne import velodyne_returns
 from stone_recordings.messages.pointcloud2 import TYPE as POINT_CLOUD
 from stone_recordings.messages.pointcloud2 import Cloud, decode_cloud, xyz_problem
@@ -56,7 +56,7 @@ def packet_cloud(payload: memoryview, type_name: str) -> PacketCloud:
     return PacketCloud(Cloud(scan.stamp_ns, scan.frame_id, points), kind[0], len(kinds), len(kinds) - len(rows))
 
 
-def _returns(packets: list[memoryview], model: LidarModel, stamps_ns: NDArray[np.int64]) -> Returns:
+def _returns(packets: list[memoryview], model: LidarModel, stamps_ns: NDArray[np.int64]) -> PacketReturns:
     if model == "Pandar40P":
         return pandar40p_returns(packets, stamps_ns)
     return ot128_returns(packets, stamps_ns) if model == "OT128" else velodyne_returns(packets, model, stamps_ns)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from stone_recordings.messages.lidars.angles import AZIMUTH_DEG, ELEVATION_DEG, OT128_FIRING_NS, PANDAR40P_FIRING_NS
 from stone_recordings.messages.lidars.models import CONFIDENCE_FLAG, SAFETY_BYTES, SAFETY_FLAG
-from stone_recordings.messages.lidars.points import Returns, packet_times_ns, without_repeats
+from stone_recordings.messages.lidars.points import PacketReturns, packet_times_ns, without_repeats
 
 SECOND_US = 1_000_000
 TWO_RETURNS, THREE_RETURNS = (0x39, 0x3A, 0x3B, 0x3C, 0x3E), 0x3D
@@ -27,7 +27,7 @@ _40P_UNIT_M, _40P_CYCLE_NS, _40P_LAST_NS = 0.004, 55_560, 28_580
 _OT128_CYCLE_NS, _OT128_BASE_NS = 55_556, 43_346
 
 
-def pandar40p_returns(packets: list[memoryview], stamps_ns: NDArray[np.int64]) -> Returns:
+def pandar40p_returns(packets: list[memoryview], stamps_ns: NDArray[np.int64]) -> PacketReturns:
     """Of P packets, P > 0, as (P, groups, returns, lasers)."""
     raw = np.frombuffer(b"".join(packet[: _40P.itemsize] for packet in packets), _40P)
     echoes = _echoes(int(raw["mode"][0]), 10)
@@ -38,7 +38,7 @@ def pandar40p_returns(packets: list[memoryview], stamps_ns: NDArray[np.int64]) -
     return _returns("Pandar40P", np.where(is_whole, _40P_UNIT_M, 0.0), raw["blocks"], fired_ns[:, :, None])
 
 
-def ot128_returns(packets: list[memoryview], stamps_ns: NDArray[np.int64]) -> Returns:
+def ot128_returns(packets: list[memoryview], stamps_ns: NDArray[np.int64]) -> PacketReturns:
     """Of P packets of one layout, P > 0, as (P, groups, returns, lasers); packets of another size have no returns."""
     layout = ot128_layout(packets[0][11])
     raw = np.frombuffer(b"".join(packet[: layout.itemsize] for packet in packets), layout)
@@ -61,13 +61,15 @@ def ot128_layout(flags: int) -> np.dtype[np.void]:
     )  # fmt: skip
 
 
-def _returns(model: str, unit_m: NDArray[np.float64], blocks: NDArray[np.void], time_ns: NDArray[np.int64]) -> Returns:
+def _returns(
+    model: str, unit_m: NDArray[np.float64], blocks: NDArray[np.void], time_ns: NDArray[np.int64]
+) -> PacketReturns:
     """Of blocks (P, B) and times (P, G, 1, lasers)."""
     packets, count = blocks.shape
     groups, lasers = time_ns.shape[1], time_ns.shape[3]
     shape = (packets, groups, count // groups, lasers)
     counts = without_repeats(blocks["returns"]["range"].astype(np.int64).reshape(shape))
-    return Returns(
+    return PacketReturns(
         range_m=counts * unit_m.reshape(*shape[:3], 1),
         azimuth_deg=blocks["azimuth"].reshape(*shape[:3], 1) / 100 + AZIMUTH_DEG[model],
         elevation_deg=ELEVATION_DEG[model],
@@ -79,6 +81,6 @@ def _returns(model: str, unit_m: NDArray[np.float64], blocks: NDArray[np.void], 
 
 
 def _echoes(mode: int, blocks: int) -> int:
-    """Returns of one pulse in a mode; one where it is not known or does not divide the blocks."""
+    """PacketReturns of one pulse in a mode; one where it is not known or does not divide the blocks."""
     echoes = 3 if mode == THREE_RETURNS else 2 if mode in TWO_RETURNS else 1
     return echoes if blocks % echoes == 0 else 1

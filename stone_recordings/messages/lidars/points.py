@@ -19,7 +19,7 @@ POINT = np.dtype(
 
 
 @dataclass(frozen=True, eq=False)
-class Returns:
+class PacketReturns:
     """Arrays that broadcast to one shape, that of `range_m`; a range of 0 is no return."""
 
     range_m: NDArray[np.float64]
@@ -31,7 +31,7 @@ class Returns:
     zero_deg: float
 
 
-def records_of(returns: Returns, stamp_ns: int) -> NDArray[np.void]:
+def records_of(returns: PacketReturns, stamp_ns: int) -> NDArray[np.void]:
     """The returns alone, in the order in which they were sent; times are relative to `stamp_ns`.
 
     Where the packets were stamped by another clock than the header, times stay absolute, by which readers know it.

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from stone_recordings.messages.lidars.angles import AZIMUTH_DEG, ELEVATION_DEG
 from stone_recordings.messages.lidars.models import VELODYNE_BYTES, LidarModel
-from stone_recordings.messages.lidars.points import Returns, packet_times_ns, without_repeats
+from stone_recordings.messages.lidars.points import PacketReturns, packet_times_ns, without_repeats
 
 BLOCKS, LASERS = 12, 32
 _RECORD = np.dtype([("range", "<u2"), ("intensity", "u1")])
@@ -45,7 +45,7 @@ FIRINGS: dict[str, _Firing] = {
 }
 
 
-def velodyne_returns(packets: list[memoryview], model: LidarModel, stamps_ns: NDArray[np.int64]) -> Returns:
+def velodyne_returns(packets: list[memoryview], model: LidarModel, stamps_ns: NDArray[np.int64]) -> PacketReturns:
     """Of P packets of one model, P > 0, as (P, sequences, returns, lasers)."""
     raw = np.frombuffer(b"".join(packet[:VELODYNE_BYTES] for packet in packets), _PACKET)
     firing, is_dual = FIRINGS[model], bool(raw["mode"][0] == DUAL)
@@ -62,7 +62,7 @@ def velodyne_returns(packets: list[memoryview], model: LidarModel, stamps_ns: ND
     elevation_deg = np.resize(ELEVATION_DEG[model], len(firing.laser_ns))
     sent_ns = packet_times_ns(raw["time_us"].astype(np.int64), HOUR_US, stamps_ns)
     fired_ns = sent_ns[:, None, None] + np.arange(sequences)[:, None] * firing.cycle_ns + firing.laser_ns
-    return Returns(
+    return PacketReturns(
         range_m=np.asarray(without_repeats(counts) * firing.unit_m, np.float64),
         azimuth_deg=((begin[:, :, None] + turned) / 100 + np.resize(AZIMUTH_DEG[model], len(turned[0, 0])))[:, :, None],
         elevation_deg=elevation_deg,
