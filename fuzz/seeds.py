@@ -23,6 +23,7 @@ from fuzz.exported_frames import exported_labels_seeds, frames_seeds, picture_se
 from fuzz.exports import table_seeds, tar_seeds
 from fuzz.labels import label_seeds
 from fuzz.messages import DECODERS
+from fuzz.packets import packet_seeds, pose_seeds
 from fuzz.submissions import archive_seeds, frame_seeds, header_seeds, manifest_seeds
 from simulator.options import SimulateOptions
 from simulator.pipeline import simulate
@@ -146,6 +147,8 @@ SEEDS: Mapping[str, Callable[[], Iterator[tuple[str, bytes]]]] = {
     "exported-picture": picture_seeds,
     "datasets": published_seeds,
     "labels": label_seeds,
+    "packets": packet_seeds,
+    "poses": pose_seeds,
 }
 
 

@@ -24,10 +24,22 @@ STAND_IN = Calibration(name="none", ego_from_lidar=SE3.identity(), mounts=(Mount
 OF_MOUNTS = "CAL-"
 
 
-def inspected_in(bag: Bag, profile: TopicProfile | None = None, calibration: Path | None = None) -> Inspection:
-    """The inspection with the outlook among its findings. Raises as `inspect_in` and `read_calibration` do."""
+def inspected_in(
+    bag: Bag,
+    profile: TopicProfile | None = None,
+    calibration: Path | None = None,
+    options: SynchroniseOptions | None = None,
+) -> Inspection:
+    """The inspection with the outlook among its findings; the topics of `options` are those of the profile.
+
+    Raises as `inspect_in` and `read_calibration` do.
+    """
     inspection = inspect_in(bag, profile)
-    options = SynchroniseOptions(topics=profile.topics if profile else {}, is_hashed=False)
+    asked = options or SynchroniseOptions()
+    if asked.poses is not None:
+        told = tuple(finding for finding in inspection.findings if finding.code != "TOP-103")
+        inspection = replace(inspection, findings=told)
+    options = replace(asked, topics=profile.topics if profile else {}, is_hashed=False)
     if calibration is None:
         said = outlook(bag, None, options)
     else:

@@ -23,6 +23,7 @@ from stone_recordings.clocks.lidar_clock import lidar_clock
 from stone_recordings.clocks.triggers import trigger_findings
 from stone_recordings.poses.ego_track import PoseInputs, ego_track, recorded_rig
 from stone_recordings.poses.extrinsics import cross_check
+from stone_recordings.poses.file_poses import PoseFile
 from stone_recordings.poses.kiss_odometry import Progress, SweepTopic
 from stone_recordings.poses.motion_check import motion_findings
 from stone_recordings.poses.quality import quality_findings
@@ -36,7 +37,8 @@ from stone_recordings.sync.map_joining import joined
 from stone_recordings.sync.recorded_messages import read_recorded
 from stone_recordings.sync.sweeps import BagSweeps, SweepsOfOpenBag
 from stone_recordings.sync.synchronisation import frames_with_pose, sparse_finding, usable_finding
-from stone_recordings.topics.sources import choose_sources
+from stone_recordings.topics.cloud_samples import packet_findings
+from stone_recordings.topics.sources import AskedTopics, choose_sources
 
 Ground = Literal["given", "auto"]
 
@@ -52,6 +54,8 @@ class SynchroniseOptions:
     `odometry_topic` may be "kiss-icp". `topics` names the topic of a role (lidar, pose) or of a channel (CAM_FRONT).
     `ground` is "given" by the calibration, or "auto": measured, and the height of the LiDAR's mount taken
     from it, and a tilt beyond terrain's.
+    `poses` is a file that tells them instead of a topic; `poses_frame` is the frame of the poses of a topic that names
+    none.
     `time_offsets_ns` are added to the stamps of the parts "lidar" and "pose" instead of what the calibration says.
     `recording_sha256` spares reading the whole recording again where it is known; with `is_hashed` false nobody hashes
     it here, and `inputs` of the sequence lack it.
@@ -65,6 +69,8 @@ class SynchroniseOptions:
     topics: Mapping[str, str] = field(default_factory=dict)
     ground: Ground = "given"
     time_offsets_ns: Mapping[str, int] = field(default_factory=dict)
+    poses: PoseFile | None = None
+    poses_frame: str = ""
     progress: Progress = silent
 
 
@@ -88,7 +94,7 @@ def synchronise_in(
         return _checked(bag, calibration, options, name)
     with hashed_meanwhile(bag.path, options.recording_sha256) as sha256:
         sequence, sweeps = _checked(bag, calibration, options, name)
-        return replace(sequence, inputs={bag.path.name: sha256()}), sweeps
+        return replace(sequence, inputs={**sequence.inputs, bag.path.name: sha256()}), sweeps
 
 
 def _checked(bag: Bag, calibration: Calibration, options: SynchroniseOptions, name: str) -> tuple[Sequence, BagSweeps]:
@@ -135,13 +141,14 @@ def unjoined_sequence(
 ) -> tuple[Sequence, BagSweeps]:
     """What the messages alone tell: each part of a broken track has a map of its own. Raises as `synchronise_in`."""
     lidar_topic = options.lidar_topic or options.topics.get("lidar")
-    sources = choose_sources(bag, lidar_topic, options.odometry_topic or options.topics.get("pose"))
+    pose_topic, imu_topic = options.odometry_topic or options.topics.get("pose"), options.topics.get("imu")
+    sources = choose_sources(bag, AskedTopics(lidar_topic, pose_topic, imu_topic, options.poses is not None))
     recorded = read_recorded(bag, sources)
     clocks = ClockOffsets(options.time_offsets_ns)
     late_ns = clocks.of_lidar(calibration, recorded.frame_id(sources.lidar.name))
     clock = lidar_clock(bag, recorded, sources.lidar.name, late_ns)
-    rig = recorded_rig(recorded, sources, calibration, clocks)
-    track = ego_track(PoseInputs(bag, recorded, sources, clock), rig, options.progress)
+    rig = replace(recorded_rig(recorded, sources, calibration, clocks), posed_frame=options.poses_frame)
+    track = ego_track(PoseInputs(bag, recorded, sources, clock, options.poses), rig, options.progress)
     moved = motion_findings(track, SweepTopic(bag, clock), calibration)
     posed = frames_with_pose(name, clock, track, options.max_pose_gap_ns)
     channel_of = {topic: channel for channel, topic in options.topics.items()}
@@ -159,8 +166,9 @@ def unjoined_sequence(
         findings=(
             *(bag.findings + bag.damage_findings + rig.findings + mounts + timed),
             *(track.findings + moved + sparse_finding(track, options.max_pose_gap_ns)),
-            *(doubts + unmatched + usable_finding(posed)),
+            *(doubts + unmatched + usable_finding(posed) + packet_findings(bag, sources.lidar)),
         ),
+        inputs=track.inputs,
         track=posed.path,
         max_pose_gap_ns=options.max_pose_gap_ns,
     )

@@ -9,6 +9,7 @@ from stone_client.options import BagArgument
 from stone_client.refusals import REFUSED
 from stone_client.streams import JsonOption, echo_findings, echo_json
 from stone_client.tables import clock_table, inspection_table, show
+from stone_local.pose_files import PosesFrameOption, PosesOption, chosen_poses
 from stone_local.quality_file import HtmlOption, deduction_table, write_quality_page
 from stone_local.topic_choices import SaveTopicsOption, TopicOption, TopicsOption, chosen_topics
 
@@ -27,6 +28,8 @@ def inspect(
     save_topics: SaveTopicsOption = None,
     html: HtmlOption = None,
     calibration: RigOption = None,
+    poses: PosesOption = None,
+    poses_frame: PosesFrameOption = "",
     as_json: JsonOption = False,
 ) -> None:
     """Show a recording's topics with their roles, rates and gaps, and what is noticed about them.
@@ -37,12 +40,14 @@ def inspect(
     Exit code 1 where something in it cannot be used, named by an error line.
     """
     from services.ingest.outlook import inspected_in
+    from services.ingest.pipeline import SynchroniseOptions
     from stone_recordings.bags.bag import open_bag
     from stone_recordings.topics.profile_file import write_profile
 
     profile = chosen_topics(topics, topic)
     with open_bag(bag) as opened:
-        inspection = inspected_in(opened, profile, calibration)
+        options = SynchroniseOptions(poses=chosen_poses(poses, poses_frame), poses_frame=poses_frame)
+        inspection = inspected_in(opened, profile, calibration, options)
         record: dict[str, Any] = inspection.as_record()
         findings = inspection.findings
         if html is not None:

@@ -23,6 +23,7 @@ from stone_client.options import (
 from stone_client.progress import reported
 from stone_client.streams import JsonOption, echo_findings, echo_json
 from stone_client.tables import class_table, show
+from stone_local.pose_files import PosesFrameOption, PosesOption, chosen_poses
 from stone_local.time_offsets import TimeOffsetOption, chosen_offsets
 from stone_local.topic_choices import TopicOption, TopicsOption, chosen_topics
 
@@ -71,6 +72,8 @@ def label(
     refine: RefineOption = None,
     ground: GroundOption = Ground.GIVEN,
     time_offset: TimeOffsetOption = [],  # noqa: B006
+    poses: PosesOption = None,
+    poses_frame: PosesFrameOption = "",
     confidence: ConfidenceOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -86,7 +89,8 @@ def label(
     with reported() as progress:
         chosen = chosen_topics(topics, topic).topics
         sources = SynchroniseOptions(odometry, lidar, topics=chosen, ground=ground.value, progress=progress)
-        sources = replace(sources, time_offsets_ns=chosen_offsets(time_offset))
+        sources = replace(sources, time_offsets_ns=chosen_offsets(time_offset), poses_frame=poses_frame)
+        sources = replace(sources, poses=chosen_poses(poses, poses_frame, odometry))
         source = {"recording": str(bag.resolve()), "calibration": str(calibration.resolve())}
         refinement = RefinementParameters(refine.value) if refine else None
         parameters = replace(parameters_for(profile.value), confidence=confidence, refinement=refinement)

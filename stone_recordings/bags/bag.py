@@ -94,6 +94,11 @@ class Bag:
         """Log time of the last message; 0 for a recording without messages."""
         return max((int(times[-1]) for times in self._all_times()), default=0)
 
+    def type_of(self, topic: str) -> str:
+        """The type of a topic's messages. Raises: UnknownTopicError."""
+        self._check_known(topic)
+        return self._topics[topic].type
+
     def log_times_ns(self, topic: str) -> NDArray[np.int64]:
         """Ascending log times (N,) of one topic."""
         self._check_known(topic)

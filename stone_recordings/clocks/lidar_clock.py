@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from stone.findings import Finding
 from stone.sensors.sequence import ExcludedFrame
 from stone_recordings.bags.bag import Bag
-from stone_recordings.messages.pointcloud2 import decode_cloud, lidar_points
+from stone_recordings.messages.pointcloud2 import lidar_points
 from stone_recordings.messages.problems import OTHER_FRAME, STRAY, MessageProblem, majority
+from stone_recordings.messages.sweep_clouds import cloud_at
 from stone_recordings.sync.errors import NoUsableSweepError
 from stone_recordings.sync.recorded_messages import OrderedStamps, RecordedTopics, in_order
 
@@ -104,7 +105,7 @@ def _problem_finding(topic: str, excluded: tuple[ExcludedFrame, ...], total: int
 def _span_ns(bag: Bag, topic: str, rows: NDArray[np.int64]) -> tuple[int, int] | None:
     """First and last point time around the stamp over a few clouds from beginning to end; None without."""
     picked = rows[np.linspace(0, len(rows) - 1, min(SPAN_SAMPLES, len(rows))).astype(np.int64)]
-    clouds = (lidar_points(decode_cloud(bag.message(topic, row).payload)) for row in picked.tolist())
+    clouds = (lidar_points(cloud_at(bag, topic, row)) for row in picked.tolist())
     offsets = [cloud.offset_ns for cloud in clouds if cloud.offset_ns is not None and len(cloud.offset_ns)]
     if not offsets:
         return None
@@ -113,7 +114,7 @@ def _span_ns(bag: Bag, topic: str, rows: NDArray[np.int64]) -> tuple[int, int] |
 
 def _check_returns(bag: Bag, topic: str, rows: NDArray[np.int64]) -> None:
     """Raises NoUsableSweepError where no cloud holds a return; the first that does ends the search."""
-    clouds = (lidar_points(decode_cloud(bag.message(topic, row).payload), with_ring=False) for row in rows.tolist())
+    clouds = (lidar_points(cloud_at(bag, topic, row), with_ring=False) for row in rows.tolist())
     if len(rows) and not any(len(cloud.points_lidar) for cloud in clouds):
         raise NoUsableSweepError(topic, len(rows), "it has points, and not one that is a return")
 

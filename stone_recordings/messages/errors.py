@@ -30,3 +30,15 @@ class PacketError(IngestError):
 
     def __init__(self, problem: str) -> None:
         super().__init__(f"nebula_msgs/msg/NebulaPackets: {problem}; the packet is damaged or of another sensor")
+
+
+class LidarPacketError(IngestError):
+    """LiDAR packets of a model that is not decoded here, or that are damaged."""
+
+    code = "MSG-313"
+
+    def __init__(self, type_name: str, found: str, instead: str) -> None:
+        super().__init__(
+            f"{type_name}: its packets are of {found}; decoded are VLP-16, VLP-32C, VLS-128, Pandar40P and OT128: "
+            f"{instead}"
+        )

@@ -1,7 +1,8 @@
 """sensor_msgs/msg/Imu: angular velocity and linear acceleration.
 
-**Conventions.** Samples are in the order of the messages. The orientation is not given: drivers fill it while they say
-that they do not (covariance −1), and the other way round. Source: sensor_msgs (Humble), REP 145.
+**Conventions.** Samples are in the order of the messages. The orientation is read by `decode_attitude` alone:
+drivers fill it while they say that they do not (covariance −1), and the other way round. It turns the sensor's axes to
+east, north, up. Source: sensor_msgs (Humble), REP 103, REP 145.
 """
 
 from collections.abc import Iterable
@@ -10,10 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stone_recordings.messages.batch import StampedMessage
+from stone_recordings.messages.batch import LEAST_NORM, MOST_COMPONENT, StampedMessage
+from stone_recordings.messages.problems import majority
 from stone_recordings.messages.types.table import STAMP, decode_table
 
 TYPE = "sensor_msgs/msg/Imu"
+# What the first element of a covariance says where nothing is estimated.
+NOT_ESTIMATED = -1.0
 _COLUMNS = (*STAMP, "angular_velocity", "linear_acceleration")
 
 
@@ -24,6 +28,27 @@ class ImuSamples:
     stamps_ns: NDArray[np.int64]
     angular_velocity_rad_s: NDArray[np.float64]
     linear_acceleration_m_s2: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class AttitudeSamples:
+    """N orientations `enu_from_imu_xyzw` (N, 4), as they were written; `is_told` (N,) where the driver says that it
+    estimates one: its covariance does not begin with −1, and the numbers are a rotation."""
+
+    stamps_ns: NDArray[np.int64]
+    frame_id: str
+    enu_from_imu_xyzw: NDArray[np.float64]
+    is_told: NDArray[np.bool_]
+
+
+def decode_attitude(messages: Iterable[StampedMessage]) -> AttitudeSamples:
+    """Raises: MessageLayoutError, ByteOrderError."""
+    table = decode_table(TYPE, messages, only=(*STAMP, "header.frame_id", "orientation", "orientation_covariance"))
+    xyzw = table.vectors("orientation", "xyzw")
+    norm = np.linalg.norm(np.where(np.abs(xyzw) <= MOST_COMPONENT, xyzw, np.inf), axis=1)
+    unknown = table.numbers("orientation_covariance", 9)[:, 0] == NOT_ESTIMATED
+    is_told = ~unknown & np.isfinite(norm) & (norm >= LEAST_NORM)
+    return AttitudeSamples(table.stamps_ns(), majority(table.texts("header.frame_id")), xyzw, is_told)
 
 
 def decode_imu(messages: Iterable[StampedMessage]) -> ImuSamples:

@@ -1,7 +1,7 @@
-"""nav_msgs/msg/Odometry: the pose of a moving frame in a fixed one.
+"""nav_msgs/Odometry, geometry_msgs/PoseStamped, PoseWithCovarianceStamped: the pose of a moving frame in a fixed one.
 
 **Conventions.** Samples are in the order of the messages; `parent_from_child` maps `child_frame_id` to `frame_id`.
-Source: nav_msgs (Humble).
+The poses of geometry_msgs name no moving frame: theirs is "". Source: nav_msgs, geometry_msgs (Humble).
 """
 
 from collections import Counter
@@ -20,7 +20,10 @@ from stone_recordings.messages.types.table import STAMP, decode_table
 TYPE = "nav_msgs/msg/Odometry"
 # Of more messages in other frames two sources are meant, and nothing says which one is wanted.
 MOST_OTHERS = 0.1
-_COLUMNS = (*STAMP, "header.frame_id", "child_frame_id", "pose.pose")
+POSE_STAMPED, POSE_WITH_COVARIANCE = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"
+CHILD = "child_frame_id"
+# Where a message of each type holds its pose.
+POSE_PLACES = {TYPE: "pose.pose", POSE_STAMPED: "pose", POSE_WITH_COVARIANCE: "pose.pose"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,19 +43,24 @@ class OdometrySamples:
     other_frames: int = 0
 
 
-def decode_odometry(messages: Iterable[StampedMessage]) -> OdometrySamples:
-    """Raises: MessageLayoutError, ByteOrderError, MixedFramesError (two sources on one topic), and PoseValueError where
-    no message holds a pose."""
-    table = decode_table(TYPE, messages, only=_COLUMNS)
-    pairs = list(zip(table.texts("header.frame_id"), table.texts("child_frame_id"), strict=True))
+def decode_odometry(messages: Iterable[StampedMessage], type_name: str = TYPE) -> OdometrySamples:
+    """Of one topic of one of POSE_PLACES.
+
+    Raises: MessageLayoutError, ByteOrderError, MixedFramesError (two sources on one topic), and PoseValueError where no
+    message holds a pose.
+    """
+    place, named = POSE_PLACES[type_name], (CHILD,) if type_name == TYPE else ()
+    table = decode_table(type_name, messages, only=(*STAMP, "header.frame_id", *named, place))
+    parents = table.texts("header.frame_id")
+    pairs = list(zip(parents, table.texts(CHILD) if named else [""] * len(parents), strict=True))
     counts = Counter(pairs).most_common()
     others = len(pairs) - (counts[0][1] if counts else 0)
     if others > MOST_OTHERS * len(pairs):
-        raise MixedFramesError(TYPE, tuple(f"{parent} → {child}" for parent, child in sorted(dict(counts))))
+        raise MixedFramesError(type_name, tuple(f"{parent} → {child}" for parent, child in sorted(dict(counts))))
     parent, child = counts[0][0] if counts else ("", "")
     own = np.array([row for row, pair in enumerate(pairs) if pair == (parent, child)], np.int64)
-    places_m, turns = table.vectors("pose.pose.position"), table.vectors("pose.pose.orientation", "xyzw")
-    found = poses_in(places_m[own], turns[own], TYPE)
+    places_m, turns = table.vectors(f"{place}.position"), table.vectors(f"{place}.orientation", "xyzw")
+    found = poses_in(places_m[own], turns[own], type_name)
     stamps_ns = table.stamps_ns()[own]
     told = (parent, child, stamps_ns[found.refused], found.reason, others)
     return OdometrySamples(stamps_ns[found.rows], found.poses, *told)

@@ -30,6 +30,9 @@ def sensor_named(parent: str, child: str) -> str:
 
 def assumed_finding(parent: str, child: str) -> Finding:
     """CAL-405: the frame was taken for the ego frame, for nobody says where it is."""
+    if not child:
+        sentence = "its messages do not say of which frame their poses are; they are taken for the ego frame's"
+        return Finding("CAL-405", "warning", "", f"{sentence} (--poses-frame FRAME says it)")
     sentence = f"neither the calibration nor tf_static knows its frame {child!r}; it is taken for the ego frame"
     if sensor := sensor_named(parent, child):
         sentence += (

@@ -11,6 +11,8 @@ from stone_recordings.messages.novatel import FixSamples, decode_bestpos
 from stone_recordings.messages.problems import read_readable
 from stone_recordings.messages.tf import TransformSamples, decode_transforms
 from stone_recordings.poses.extrinsics import plain, static_tree
+from stone_recordings.poses.file_poses import PoseFile, track_from_file
+from stone_recordings.poses.gnss_poses import GnssTopics, first_frame_id, track_from_gnss
 from stone_recordings.poses.gravity_alignment import ImuTopic, imu_topic, levelled
 from stone_recordings.poses.ins_poses import track_from_ins
 from stone_recordings.poses.kiss_odometry import Progress, SweepTopic, track_from_sweeps
@@ -47,16 +49,20 @@ class PoseInputs:
     recorded: RecordedTopics
     sources: Sources
     clock: LidarClock
+    pose_file: PoseFile | None = None
 
 
 def ego_track(inputs: PoseInputs, rig: RigMounts, progress: Progress) -> PoseTrack:
     """The track, split where it jumps; `progress` is told where finding it takes long.
 
-    Raises as `track_from_ins`, `track_from_odometry`, `track_from_tf` and `track_from_sweeps` do.
+    Raises as `track_from_ins`, `track_from_odometry`, `track_from_tf`, `track_from_gnss`, `track_from_file` and
+    `track_from_sweeps` do.
     """
     if inputs.sources.pose_role == "lidar":
         track = track_from_sweeps(SweepTopic(inputs.bag, inputs.clock), rig.calibration, progress)
         return split_at_jumps(levelled(track, _calibrated_imu(inputs, rig.calibration)))
+    if inputs.pose_file is not None:
+        return split_at_jumps(track_from_file(inputs.pose_file, inputs.clock, rig))
     return split_at_jumps(_recorded_track(inputs.recorded, inputs.sources, rig))
 
 
@@ -85,5 +91,12 @@ def _recorded_track(recorded: RecordedTopics, sources: Sources, rig: RigMounts) 
         fixes, unread = _fixes(recorded, sources.fixes)
         of_ins = track_from_ins(messages, topic, rig.calibration, fixes)
         return replace(of_ins, findings=of_ins.findings + unread)
-    track = track_from_odometry if sources.pose_role == "odometry" else track_from_tf
-    return track(messages, topic, rig)
+    if sources.attitude is not None:
+        turns = sources.attitude.name
+        return track_from_gnss(
+            GnssTopics(messages, topic, recorded.messages[turns], turns, first_frame_id(messages, sources.pose.type)),
+            rig,
+        )
+    if sources.pose_role == "tf":
+        return track_from_tf(messages, topic, rig)
+    return track_from_odometry(messages, topic, rig, sources.pose.type)

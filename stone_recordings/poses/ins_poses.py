@@ -67,7 +67,7 @@ def enu_poses(samples: InsSamples, rows: NDArray[np.int64]) -> tuple[SE3, tuple[
     origin = (float(latitude[0]), float(longitude[0]), float(height[0]))
     position_m = np.stack(pymap3d.geodetic2enu(latitude, longitude, height, *origin), axis=-1)
     body = enu_from_body_wxyz(samples.roll_deg[rows], samples.pitch_deg[rows], samples.azimuth_deg[rows])
-    there = _ecef_from_enu_wxyz(latitude, longitude)
+    there = ecef_from_enu_wxyz(latitude, longitude)
     back = there[:1] * np.array([1.0, -1.0, -1.0, -1.0])
     return SE3.from_parts(multiply(multiply(back, there), body), position_m), origin
 
@@ -80,7 +80,7 @@ def enu_from_body_wxyz(
     return multiply(multiply(yaw, _about(1, np.deg2rad(-pitch_deg))), _about(0, np.deg2rad(roll_deg)))
 
 
-def _ecef_from_enu_wxyz(latitude_deg: NDArray[np.float64], longitude_deg: NDArray[np.float64]) -> NDArray[np.float64]:
+def ecef_from_enu_wxyz(latitude_deg: NDArray[np.float64], longitude_deg: NDArray[np.float64]) -> NDArray[np.float64]:
     """Quaternions (N, 4) of Rz(90° + longitude) Rx(90° − latitude)."""
     return multiply(_about(2, np.deg2rad(90.0 + longitude_deg)), _about(0, np.deg2rad(90.0 - latitude_deg)))
 

@@ -5,7 +5,7 @@ another frame than the ego's is carried over by the mounts: over the LiDAR where
 that the LiDAR's path is the one the source measured, whatever the two say about the base.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,6 +17,7 @@ from stone.geometry.trajectory import Trajectory
 from stone.sensors.calibration import Calibration
 from stone.sensors.pose_quality import SolutionQuality
 from stone_recordings.messages.batch import StampedMessage, refused_finding
+from stone_recordings.messages.odometry import TYPE as ODOMETRY
 from stone_recordings.messages.odometry import decode_odometry, other_frames_finding
 from stone_recordings.messages.problems import read_readable
 from stone_recordings.messages.tf import TransformSamples, decode_transforms
@@ -35,6 +36,7 @@ class PoseTrack:
     """Where the robot was, by which `source` of which `topic`; `solution` is the quality of each pose where it is told.
 
     `is_smooth` says that the source knows how the robot moved between its samples, and filtered them so (an INS).
+    `inputs` are the hashes of files beside the recording that it was read from.
     `map_origin_deg_m` is latitude, longitude, height of the map's origin where there is one.
     """
 
@@ -45,24 +47,32 @@ class PoseTrack:
     map_origin_deg_m: tuple[float, float, float] | None = None
     solution: SolutionQuality | None = None
     is_smooth: bool = False
+    inputs: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
 class RigMounts:
-    """The mounts by calibration and by tf_static, the frame the sweeps are in, whose clock is off, what was noticed."""
+    """The mounts by calibration and by tf_static, the frame the sweeps are in, whose clock is off, what was noticed.
+
+    `posed_frame` is that of which poses are told that name none; "" where nobody says.
+    """
 
     calibration: Calibration
     tree: StaticTree
     lidar_frame: str
     clocks: ClockOffsets = field(default_factory=ClockOffsets)
     findings: tuple[Finding, ...] = ()
+    posed_frame: str = ""
 
 
-def track_from_odometry(messages: Iterable[StampedMessage], topic: str, rig: RigMounts) -> PoseTrack:
-    """Raises NoUsablePoseError and what `decode_odometry` raises."""
-    samples, unread = read_readable(topic, messages, decode_odometry)
-    source = f"{topic} ({samples.frame_id} to {samples.child_frame_id}, nav_msgs/msg/Odometry)"
-    pair = (samples.frame_id, samples.child_frame_id)
+def track_from_odometry(
+    messages: Iterable[StampedMessage], topic: str, rig: RigMounts, type_name: str = ODOMETRY
+) -> PoseTrack:
+    """Of a topic of one of POSE_PLACES. Raises NoUsablePoseError and what `decode_odometry` raises."""
+    samples, unread = read_readable(topic, messages, lambda some: decode_odometry(some, type_name))
+    child = samples.child_frame_id if type_name == ODOMETRY else rig.posed_frame
+    source = f"{topic} ({samples.frame_id} to {child or 'the robot'}, {type_name})"
+    pair = (samples.frame_id, child)
     track = _track((source, topic), pair, (samples.stamps_ns, samples.parent_from_child), rig)
     strays = other_frames_finding(topic, samples)
     return _with_refused(track, samples.refused_ns, samples.reason, (*unread, *strays))

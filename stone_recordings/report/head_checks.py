@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from stone.findings import Finding
 from stone_recordings.bags.topic import Topic
 from stone_recordings.clocks.constants import FIRST_DATE_NS
+from stone_recordings.messages.lidars.packet_scan import packet_count
 from stone_recordings.messages.types.cdr import HEAD_BYTES
-from stone_recordings.topics.roles import POINT_CLOUD, Role
+from stone_recordings.topics.roles import PACKET_TYPES, POINT_CLOUD, Role
 
 FRAMED_ROLES: tuple[Role, ...] = ("lidar", "camera", "radar", "imu", "odometry")
 DATED_ROLES: tuple[Role, ...] = (*FRAMED_ROLES, "gnss", "ins")
@@ -36,6 +37,8 @@ class HeadCounts:
             return
         length = _U32.unpack_from(head, _TEXT_AT)[0]
         self.frameless += length <= 1
+        if type_name in PACKET_TYPES:
+            self.empty += packet_count(head, type_name) == 0
         if type_name == POINT_CLOUD:
             end = _TEXT_AT + _U32.size + length
             start = end + -(end - HEAD_BYTES) % 4

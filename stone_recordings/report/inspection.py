@@ -18,15 +18,16 @@ from stone_recordings.clocks.findings import clock_findings
 from stone_recordings.clocks.measurement import kept_bytes, measured
 from stone_recordings.clocks.report import ClockReport
 from stone_recordings.clocks.timing import Timing, measure
+from stone_recordings.messages.errors import LidarPacketError
 from stone_recordings.messages.problems import left_out_finding
 from stone_recordings.messages.types.cdr import Cursor
 from stone_recordings.messages.types.definition_checks import definition_findings
 from stone_recordings.report import checks
 from stone_recordings.report.head_checks import head_findings, undated_finding
 from stone_recordings.report.scan import Scan, scan_of
-from stone_recordings.topics.cloud_samples import sample_cloud
+from stone_recordings.topics.cloud_samples import packet_findings, sample_cloud
 from stone_recordings.topics.profiles import Assignment, Candidate, TopicProfile, resolve
-from stone_recordings.topics.roles import POINT_CLOUD, Role, TopicFacts, role_of
+from stone_recordings.topics.roles import Role, TopicFacts, holds_sweeps, role_of
 
 MOST_FRAMES = 64
 NO_STAMPS = np.zeros(0, np.int64)
@@ -122,8 +123,10 @@ def _inspected(bag: Bag, topic: Topic, scan: Scan, findings: list[Finding]) -> I
     try:
         if topic.name in scan.refused:
             raise scan.refused[topic.name]
-        if topic.type == POINT_CLOUD and topic.encoding == "cdr" and topic.count:
+        if holds_sweeps(topic.name, topic.type) and topic.encoding == "cdr" and topic.count:
             facts = _cloud_facts(bag, facts, topic, findings)
+    except LidarPacketError as error:  # TOP-101 is the error where there are no other sweeps
+        findings.append(Finding(error.code, "warning", topic.name, str(error)))
     except StoneError as error:
         findings.append(Finding(error.code, "error", topic.name, str(error)))
     return InspectedTopic(topic, role_of(facts), timing, facts.point_count)
@@ -136,6 +139,7 @@ def _cloud_facts(bag: Bag, facts: TopicFacts, topic: Topic, findings: list[Findi
     known = replace(facts, point_fields=fields, point_count=len(cloud.points))
     if role_of(known) == "lidar":
         findings += checks.cloud_findings(topic, cloud)
+        findings += packet_findings(bag, topic)
     return known
 
 

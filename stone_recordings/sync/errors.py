@@ -7,6 +7,7 @@ what was found and what to do.
 from collections.abc import Sequence
 
 from stone.errors import StoneError
+from stone_recordings.messages.lidars.models import topic_instead
 
 SHOWN = 6
 # Less is no other clock; of more, --time-offset says that it is a slip of the unit.
@@ -24,13 +25,15 @@ class NoLidarError(StoneError):
 
     code = "TOP-101"
 
-    def __init__(self, packets: Sequence[str]) -> None:
+    def __init__(self, packets: Sequence[tuple[str, str]]) -> None:
         cause = (
-            f"{listed(packets)} holds raw packets (record the driver's point cloud: send_point_cloud_ros)"
+            f"{listed([name for name, _ in packets])} holds raw packets: {topic_instead(packets[0][1])}"
             if packets
             else "name its topic with --lidar if a cloud was taken for a radar's"
         )
-        super().__init__(f"no LiDAR sensor_msgs/msg/PointCloud2 was recorded; {cause}")
+        super().__init__(
+            f"no LiDAR sensor_msgs/msg/PointCloud2 was recorded, nor packets that are decoded here; {cause}"
+        )
 
 
 class WrongTopicError(StoneError):
@@ -58,8 +61,9 @@ class NoPoseSourceError(StoneError):
 
     def __init__(self, found: Sequence[str]) -> None:
         super().__init__(
-            "no pose source: no NovAtel INSPVA(X), no nav_msgs/msg/Odometry, and no /tf from odom, map or world to the "
-            f"robot (found: {listed(found)}); record one, or have the sweeps tell: --odometry kiss-icp"
+            "no pose source: no NovAtel INSPVA(X), no nav_msgs/msg/Odometry, no /tf from odom, map or world to the "
+            f"robot, no PoseStamped and no NavSatFix with an Imu (found: {listed(found)}); record one, name a topic "
+            "with --odometry, give a file with --poses, or have the sweeps tell: --odometry kiss-icp"
         )
 
 
@@ -72,6 +76,38 @@ class NoUsablePoseError(StoneError):
         super().__init__(
             f"{source}: none of its {count} samples is usable ({why}); was it initialised while recording?"
         )
+
+
+class NoAttitudeError(StoneError):
+    """The IMU beside a receiver tells no orientation."""
+
+    code = "GNS-306"
+
+    def __init__(self, topic: str, count: int) -> None:
+        super().__init__(
+            f"{topic}: none of its {count} messages tells an orientation (orientation_covariance[0] is -1, or no "
+            "rotation), so positions of NavSatFix alone are no poses; record the filtered IMU (imu_filter_madgwick, "
+            "the driver's /imu/data), or have the sweeps tell: --odometry kiss-icp"
+        )
+
+
+class PoseFileError(StoneError):
+    """A file of poses holds something that is no pose."""
+
+    code = "SYN-516"
+
+    def __init__(self, name: str, line: int, fault: str) -> None:
+        where = f"{name}, line {line}" if line else name
+        super().__init__(f"{where}: {fault}; a line is `time x y z qx qy qz qw` (TUM) or a 3 × 4 matrix (KITTI)")
+
+
+class PoseFileMismatchError(StoneError):
+    """A file of poses does not go with the recording or its calibration."""
+
+    code = "SYN-517"
+
+    def __init__(self, name: str, fault: str) -> None:
+        super().__init__(f"{name}: {fault}")
 
 
 class NoUsableSweepError(StoneError):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from stone.findings import Finding
 from stone_recordings.bags.bag import Bag, Topic
 from stone_recordings.bags.errors import ByteOrderError, MessageLayoutError
-from stone_recordings.messages.pointcloud2 import xyz_problem
+from stone_recordings.messages.lidars.packet_scan import packet_count
 from stone_recordings.messages.problems import (
     DAMAGED,
     MALFORMED,
@@ -24,6 +24,7 @@ from stone_recordings.messages.problems import (
     left_out_finding,
     majority,
 )
+from stone_recordings.messages.sweep_clouds import SWEEP_TYPES, sweep_problem
 from stone_recordings.messages.types.cdr import HEAD_BYTES, NS_PER_S, Cursor
 from stone_recordings.topics.roles import POINT_CLOUD
 from stone_recordings.topics.sources import Sources
@@ -83,7 +84,7 @@ class RecordedTopics:
 
     def frame_id(self, topic: str) -> str:
         """The `frame_id` of most of a topic's clouds, of another topic's first message; "" without."""
-        if self.topics[topic].type == POINT_CLOUD:
+        if self.topics[topic].type in SWEEP_TYPES:
             return majority(self.frame_ids(topic))
         usable = self.usable(topic)
         if not len(usable):
@@ -93,8 +94,9 @@ class RecordedTopics:
         return cursor.text()
 
     def cloud_size(self, topic: str, index: int) -> int:
-        """Declared points of a cloud that nothing is wrong with."""
-        return _cloud_size(self.heads[topic][index], self.topics[topic].type)
+        """Declared points of a cloud that nothing is wrong with, or the packets that take its place."""
+        head, type_name = self.heads[topic][index], self.topics[topic].type
+        return _cloud_size(head, type_name) if type_name == POINT_CLOUD else packet_count(memoryview(head), type_name)
 
     def left_out(self, topic: str) -> tuple[Finding, ...]:
         """What is said of a topic's messages that cannot be used."""
@@ -119,13 +121,14 @@ def read_recorded(bag: Bag, sources: Sources) -> RecordedTopics:
     payloads: dict[str, dict[int, bytes]] = {name: {} for name in whole}
     damaged = {name: bag.damaged.get(name, {}) for name in scanned}
     problems = {name: {index: MessageProblem(DAMAGED, why) for index, why in damaged[name].items()} for name in scanned}
-    for name, index, payload in bag.heads((*scanned, *whole), whole=whole):
+    for name, index, payload in bag.heads(tuple(dict.fromkeys((*scanned, *whole))), whole=whole):
         if name in payloads:
             payloads[name][index] = bytes(payload)
+        if name not in heads:
             continue
         heads[name][index] = bytes(payload[:HEADER_BYTES])
         problem = head_problem(payload, topics[name].type, partial(bag.size_bytes, name, index))
-        if problem is None and name == sources.lidar.name and (missing := xyz_problem(payload)):
+        if problem is None and name == sources.lidar.name and (missing := sweep_problem(payload, topics[name].type)):
             problem = MessageProblem(MALFORMED, missing)
         if problem is not None:
             problems[name][index] = problem

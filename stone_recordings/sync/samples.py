@@ -21,7 +21,8 @@ from stone.sensors.sequence import Association, Sequence
 from stone_files.bag_fingerprint import recording_sha256
 from stone_recordings.messages.camera import CameraPicture, decode_image
 from stone_recordings.messages.lidar import LidarPoints
-from stone_recordings.messages.pointcloud2 import decode_cloud, lidar_points
+from stone_recordings.messages.pointcloud2 import lidar_points
+from stone_recordings.messages.sweep_clouds import cloud_at
 from stone_recordings.sync.radars import BagRadar, radars_of
 from stone_recordings.sync.sweeps import BagSweeps, opened
 
@@ -61,7 +62,7 @@ class BagSamples:
     def lidar(self, index: int) -> LidarSample:
         """Raises IndexError, NotRecordedError, PointOffsetError, what opening and decoding raise (BAG-*, MSG-*)."""
         sweeps = self._sweeps
-        cloud = decode_cloud(opened(self.path).message(sweeps.topic, int(sweeps.message_index[index])).payload)
+        cloud = cloud_at(opened(self.path), sweeps.topic, int(sweeps.message_index[index]))
         found = lidar_points(cloud)
         ring = np.zeros(len(found.rows), np.uint16) if found.ring is None else found.ring
         points_lidar, is_kept = self._deskewed(found, int(sweeps.stamps_ns[index]))

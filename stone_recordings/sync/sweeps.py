@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from stone.sensors.deskew import SweepMount, deskew
 from stone.sensors.sequence import Sweep
 from stone_recordings.bags.bag import Bag, open_bag
-from stone_recordings.messages.pointcloud2 import decode_cloud, lidar_points
+from stone_recordings.messages.pointcloud2 import lidar_points
+from stone_recordings.messages.sweep_clouds import cloud_at
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,8 +46,8 @@ class BagSweeps:
     def sweep_in(self, bag: Bag, index: int) -> Sweep:
         """As `sweep`, from the recording that the caller has open. Raises as it does, but for opening."""
         stamp_ns = int(self.stamps_ns[index])
-        message = bag.message(self.topic, int(self.message_index[index]))
-        found = lidar_points(decode_cloud(message.payload), with_ring=False)
+        cloud = cloud_at(bag, self.topic, int(self.message_index[index]))
+        found = lidar_points(cloud, with_ring=False)
         if self.mount is None or found.offset_ns is None:
             return Sweep(stamp_ns, found.points_lidar, found.beyond)
         moved = deskew(found.points_lidar, found.offset_ns, self.mount, stamp_ns)

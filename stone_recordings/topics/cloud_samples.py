@@ -2,9 +2,11 @@
 
 from collections.abc import Iterator
 
+from stone.findings import Finding
 from stone_recordings.bags.bag import Bag, Topic
 from stone_recordings.bags.errors import CloudLayoutError, IngestError
-from stone_recordings.messages.pointcloud2 import Cloud, decode_cloud
+from stone_recordings.messages.pointcloud2 import Cloud
+from stone_recordings.messages.sweep_clouds import PACKET_TYPES, cloud_at, packet_cloud
 
 TRIES = 8
 
@@ -18,7 +20,7 @@ def sample_cloud(bag: Bag, topic: Topic) -> Cloud:
     refusal: IngestError = CloudLayoutError("the topic has no message")
     for number, index in enumerate(_places(topic.count)):
         try:
-            cloud = decode_cloud(bag.message(topic.name, index).payload)
+            cloud = cloud_at(bag, topic.name, index)
         except IngestError as error:
             refusal = refusal if number else error
             continue
@@ -28,6 +30,24 @@ def sample_cloud(bag: Bag, topic: Topic) -> Cloud:
     if empty is None:
         raise refusal
     return empty
+
+
+def packet_findings(bag: Bag, topic: Topic) -> tuple[Finding, ...]:
+    """TOP-116 for a LiDAR whose sweeps are decoded from its packets: by which angles, and what was left out."""
+    if topic.type not in PACKET_TYPES:
+        return ()
+    for index in _places(topic.count):
+        try:
+            found = packet_cloud(bag.message(topic.name, index).payload, topic.type)
+        except IngestError:
+            continue
+        lost = f"; {found.left_out} of {found.packets} packets of a sweep are no data of it" if found.left_out else ""
+        sentence = (
+            f"Its packets are decoded as those of a {found.model} with the maker's default angles, those of this unit "
+            f"(up to some tenths of a degree off) are not in packets: record the driver's points to have them{lost}."
+        )
+        return (Finding("TOP-116", "warning" if lost else "info", topic.name, sentence),)
+    return ()
 
 
 def _places(count: int) -> Iterator[int]:

@@ -10,15 +10,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from stone.findings import Finding, Severity
+from stone_recordings.messages.lidars.models import topic_instead
 from stone_recordings.topics.channels import PREFIX, ChannelKind, channel_of
 from stone_recordings.topics.profile_errors import BadProfileError
 from stone_recordings.topics.roles import (
-    PACKET_TYPES,
     POINT_CLOUD,
     POSE_ROLES,
     Role,
-    fullest,
+    holds_other_packets,
     likely_lidars,
+    of_pose_role,
     with_plausible_rate,
 )
 
@@ -116,9 +117,9 @@ def _can_be(candidate: Candidate, part: str) -> bool:
     """A choice may overrule how a cloud was taken, not what type of message it is."""
     is_cloud = candidate.type == POINT_CLOUD
     if part == "lidar":
-        return is_cloud
+        return is_cloud or candidate.role == "lidar"
     if part == "pose":
-        return candidate.role in POSE_ROLES
+        return candidate.role in POSE_ROLES and bool(of_pose_role(candidate.role, [candidate]))
     if part == "imu":
         return candidate.role == "imu"
     return candidate.role == ("camera" if part.startswith(PREFIX["camera"]) else "radar") or (
@@ -131,7 +132,7 @@ def _fitting(
 ) -> Iterator[tuple[str, Sequence[Candidate]]]:
     """Each part and the topics that fit it best."""
     yield "lidar", likely_lidars(_of_role(free, "lidar"))
-    poses = (fullest(_of_role(free, role)) if role == "ins" else _of_role(free, role) for role in POSE_ROLES)
+    poses = (of_pose_role(role, _of_role(free, role)) for role in POSE_ROLES)
     yield "pose", next((fitting for fitting in poses if fitting), [])
     yield "imu", with_plausible_rate("imu", _of_role(free, "imu"))
     kinds: tuple[ChannelKind, ...] = ("camera", "radar")
@@ -163,11 +164,16 @@ def _missing(candidates: Sequence[Candidate], channels: Mapping[str, str]) -> It
     """What labels need and nothing fits; several that fit are not nothing."""
     recorded = [candidate for candidate in candidates if candidate.count]
     if "lidar" not in channels and not _of_role(recorded, "lidar"):
-        packets = [candidate.name for candidate in _of_role(candidates, "other") if candidate.type in PACKET_TYPES]
-        why = f"{packets[0]} holds raw packets: let the driver publish points." if packets else "Labels need one."
-        yield Finding("TOP-101", "error", packets[0] if packets else "", f"No LiDAR PointCloud2 found. {why}")
-    if "pose" not in channels and not any(candidate.role in POSE_ROLES for candidate in recorded):
-        message = "No source of poses: neither INS, odometry nor /tf. Labels need one."
+        packets = [candidate for candidate in recorded if holds_other_packets(candidate)]
+        why = (
+            f"{packets[0].name} holds raw packets: {topic_instead(packets[0].type)}." if packets else "Labels need one."
+        )
+        message = f"No LiDAR PointCloud2 found, and no packets that are decoded here. {why}"
+        yield Finding("TOP-101", "error", packets[0].name if packets else "", message)
+    if "pose" not in channels and not any(of_pose_role(role, _of_role(recorded, role)) for role in POSE_ROLES):
+        message = (
+            "No source of poses: neither INS, odometry, /tf, poses nor NavSatFix. Labels need one, or a file: --poses."
+        )
         yield Finding("TOP-103", "warning", "", message)
 
 

@@ -10,7 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol, TypeVar
 
-Role = Literal["lidar", "camera", "radar", "gnss", "ins", "imu", "odometry", "tf", "tf_static", "camera_info", "other"]
+from stone_recordings.messages.lidars.models import UNDECODED_TYPES
+from stone_recordings.messages.lidars.packet_scan import NEBULA_PACKETS, PACKET_READERS
+
+Role = Literal[
+    "lidar", "camera", "radar", "gnss", "ins", "imu", "odometry", "pose", "tf", "tf_static", "camera_info", "other"
+]
 
 ROLE_OF_TYPE: dict[str, Role] = {
     "sensor_msgs/msg/Image": "camera",
@@ -24,25 +29,23 @@ ROLE_OF_TYPE: dict[str, Role] = {
     "novatel_oem7_msgs/msg/INSPVA": "ins",
     "novatel_oem7_msgs/msg/INSPVAX": "ins",
     "nav_msgs/msg/Odometry": "odometry",
+    "geometry_msgs/msg/PoseStamped": "pose",
+    "geometry_msgs/msg/PoseWithCovarianceStamped": "pose",
     "ars548_messages/msg/DetectionList": "radar",
     "continental_msgs/msg/ContinentalArs548DetectionList": "radar",
     "radar_msgs/msg/RadarScan": "radar",
 }
 # Whose packets these are, a LiDAR's or a radar's, only the topic's name says.
-PACKETS_OF_EITHER = "nebula_msgs/msg/NebulaPackets"
-PACKET_TYPES = frozenset(
-    {
-        "hesai_ros_driver/msg/UdpFrame",
-        "pandar_msgs/msg/PandarScan",
-        PACKETS_OF_EITHER,
-        "velodyne_msgs/msg/VelodyneScan",
-    }
-)
-POSE_ROLES: tuple[Role, ...] = ("ins", "odometry", "tf")
+PACKETS_OF_EITHER = NEBULA_PACKETS
+PACKET_TYPES = frozenset(PACKET_READERS)
+POSE_ROLES: tuple[Role, ...] = ("ins", "odometry", "tf", "pose", "gnss")
+# Of a receiver's messages these tell positions of which, with an IMU's attitude, poses are made.
+POSITIONS = "sensor_msgs/msg/NavSatFix"
 INSPVAX = "novatel_oem7_msgs/msg/INSPVAX"
 # A LiDAR turns 5 to 20 times a second, a planar scanner up to 100; what is slower is a map. An IMU that integrates well
 # samples faster than any pose source; what is slower is a copy for people to look at.
-PLAUSIBLE_HZ: dict[Role, tuple[float, float]] = {"lidar": (3.0, 110.0), "imu": (50.0, 2000.0)}
+# Goals and corrected positions are poses, too, but rare ones.
+PLAUSIBLE_HZ: dict[Role, tuple[float, float]] = {"lidar": (3.0, 110.0), "imu": (50.0, 2000.0), "pose": (3.0, 2000.0)}
 POINT_CLOUD, TRANSFORMS = "sensor_msgs/msg/PointCloud2", "tf2_msgs/msg/TFMessage"
 RING_FIELDS = frozenset({"ring", "channel", "laser_id", "line"})
 CROSS_SECTION_FIELDS = frozenset({"rcs", "radar_cross_section"})
@@ -60,7 +63,10 @@ LAST_STATIC_RATE_HZ = 1.0
 
 @dataclass(frozen=True)
 class TopicFacts:
-    """What is known of a topic without reading it all; `point_fields` and `point_count` are of its first cloud."""
+    """What is known of a topic without reading it all; `point_fields` and `point_count` are of its first cloud.
+
+    Of packets that are not decoded here there is no cloud, and so no point.
+    """
 
     name: str
     type: str
@@ -76,9 +82,21 @@ def role_of(facts: TopicFacts) -> Role:
     if facts.type == TRANSFORMS:
         is_slow = facts.rate_hz is None or facts.rate_hz < LAST_STATIC_RATE_HZ
         return "tf_static" if is_slow and facts.name.rstrip("/").endswith("static") else "tf"
-    if facts.type == PACKETS_OF_EITHER and "radar" in facts.name.lower():
+    if holds_radar_packets(facts.name, facts.type):
         return "radar"
+    if facts.type in PACKET_TYPES:
+        return "lidar" if facts.point_count else "other"
     return ROLE_OF_TYPE.get(facts.type, "other")
+
+
+def holds_radar_packets(name: str, type_name: str) -> bool:
+    """Whether a topic of this name and type holds the packets of a radar."""
+    return type_name == PACKETS_OF_EITHER and "radar" in name.lower()
+
+
+def holds_sweeps(name: str, type_name: str) -> bool:
+    """Whether a topic of this name and type may hold the sweeps of a LiDAR, as points or as packets."""
+    return type_name == POINT_CLOUD or (type_name in PACKET_TYPES and not holds_radar_packets(name, type_name))
 
 
 def _role_of_cloud(facts: TopicFacts) -> Role:
@@ -92,6 +110,20 @@ def _role_of_cloud(facts: TopicFacts) -> Role:
     if facts.point_count >= LEAST_LIDAR_POINTS:
         return "lidar"
     return "radar" if "radar" in facts.name.lower() else "lidar"
+
+
+class TypedRole(Protocol):
+    """A topic's type, and the role it was given."""
+
+    @property
+    def type(self) -> str: ...
+    @property
+    def role(self) -> Role: ...
+
+
+def holds_other_packets(topic: TypedRole) -> bool:
+    """Whether a topic holds a LiDAR's packets that nobody here decodes."""
+    return topic.type in UNDECODED_TYPES or (topic.role == "other" and topic.type in PACKET_TYPES)
 
 
 class TopicRating(Protocol):
@@ -124,8 +156,12 @@ def with_plausible_rate(role: Role, topics: Sequence[Topical]) -> Sequence[Topic
 
 
 def likely_lidars(topics: Sequence[Clouded]) -> Sequence[Clouded]:
-    """Of LiDAR topics those at a plausible rate; a cloud of few points, such as of obstacles, only without another."""
-    plausible = with_plausible_rate("lidar", topics)
+    """Of LiDAR topics those at a plausible rate; a cloud of few points, such as of obstacles, only without another.
+
+    Packets only without points: a driver that publishes both means the same sweeps by them.
+    """
+    points = [topic for topic in topics if topic.type == POINT_CLOUD] or topics
+    plausible = with_plausible_rate("lidar", points)
     return [topic for topic in plausible if topic.point_count >= LEAST_LIDAR_POINTS] or plausible
 
 
@@ -134,3 +170,12 @@ def fullest(topics: Sequence[Topical]) -> Sequence[Topical]:
     if len({topic.type for topic in topics}) < len(topics):
         return topics
     return sorted(topics, key=lambda topic: (-topic.count, topic.type != INSPVAX))[:1]
+
+
+def of_pose_role(role: Role, topics: Sequence[Topical]) -> Sequence[Topical]:
+    """Of the topics of a role those that poses are taken of."""
+    if role == "ins":
+        return fullest(topics)
+    if role == "gnss":
+        return [topic for topic in topics if topic.type == POSITIONS]
+    return with_plausible_rate(role, topics)

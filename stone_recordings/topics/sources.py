@@ -1,17 +1,20 @@
 """The choice of a recording's topics for its synchronisation; nothing is guessed between two that fit.
 
-**Conventions.** The pose source is the topic asked for, else NovAtel INSPVA(X), else nav_msgs/Odometry, else /tf; asked
-for by the name kiss-icp, it is the LiDAR itself (`stone_recordings.poses.kiss_odometry`).
-Topics without messages count as absent.
+**Conventions.** The pose source is the topic asked for, else NovAtel INSPVA(X), else nav_msgs/Odometry, else /tf, else
+geometry_msgs/Pose(WithCovariance)Stamped, else NavSatFix with an Imu; asked for by the name kiss-icp, it is the LiDAR
+itself (`stone_recordings.poses.kiss_odometry`), and a file of poses leaves the topics alone. Topics without messages
+count as absent.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stone_recordings.bags.bag import Bag, Topic
+from stone_recordings.bags.errors import IngestError
 from stone_recordings.messages.types.cdr import NS_PER_S
 from stone_recordings.sync.errors import (
     AmbiguousTopicsError,
@@ -22,14 +25,16 @@ from stone_recordings.sync.errors import (
 from stone_recordings.topics.cloud_samples import sample_cloud
 from stone_recordings.topics.profiles import Candidate
 from stone_recordings.topics.roles import (
-    PACKET_TYPES,
     POINT_CLOUD,
     POSE_ROLES,
     Role,
     TopicFacts,
-    fullest,
+    holds_other_packets,
+    holds_sweeps,
     likely_lidars,
+    of_pose_role,
     role_of,
+    with_plausible_rate,
 )
 
 BESTPOS = "novatel_oem7_msgs/msg/BESTPOS"
@@ -40,18 +45,30 @@ ASSOCIATED_ROLES: tuple[Role, ...] = ("camera", "radar", "imu")
 
 
 @dataclass(frozen=True)
-class Sources:
-    """`pose_role` says how `pose` is read ("lidar": by odometry from the sweeps).
+class AskedTopics:
+    """Topics by name where they are not to be found by what they are; with `has_pose_file` poses are none's."""
 
+    lidar: str | None = None
+    pose: str | None = None
+    imu: str | None = None
+    has_pose_file: bool = False
+
+
+@dataclass(frozen=True)
+class Sources:
+    """`pose_role` says how `pose` is read ("lidar": by odometry from the sweeps; "file": it is not, a file tells).
+
+    `attitude` is the IMU that turns a receiver's positions into poses.
     `associated` are the topics that frames point into, with their role.
     """
 
     lidar: Topic
     pose: Topic
-    pose_role: Role
+    pose_role: Role | Literal["file"]
     fixes: Topic | None
     tf_static: tuple[str, ...]
     associated: tuple[tuple[Topic, Role], ...]
+    attitude: Topic | None = None
 
     @property
     def scanned(self) -> tuple[str, ...]:
@@ -62,23 +79,27 @@ class Sources:
     def whole(self) -> tuple[str, ...]:
         """Topics of which every message is needed; they are small."""
         fixes = (self.fixes.name,) if self.fixes is not None and self.pose_role == "ins" else ()
-        poses = (self.pose.name,) if self.pose_role != "lidar" else ()
-        return (*self.tf_static, *fixes, *poses)
+        poses = (self.pose.name,) if self.pose_role not in ("lidar", "file") else ()
+        turns = (self.attitude.name,) if self.attitude is not None else ()
+        return (*self.tf_static, *fixes, *poses, *turns)
 
 
-def choose_sources(bag: Bag, lidar_topic: str | None, odometry_topic: str | None) -> Sources:
+def choose_sources(bag: Bag, asked: AskedTopics) -> Sources:
     """Raises NoLidarError, NoPoseSourceError, AmbiguousTopicsError, WrongTopicError; what decoding a cloud raises."""
     topics = {topic.name: topic for topic in bag.topics if topic.count and topic.encoding == "cdr"}
     roles = [_candidate(bag, topic) for topic in topics.values()]
-    lidar = _lidar(roles, lidar_topic)
-    pose = lidar if odometry_topic == KISS_ICP else _pose(roles, odometry_topic)
+    lidar = _lidar(roles, asked.lidar)
+    pose = lidar if asked.has_pose_file or asked.pose == KISS_ICP else _pose(roles, asked.pose)
+    told = "file" if asked.has_pose_file else ROLE_OF_SWEEPS
+    attitude = _attitude(roles, asked.imu) if pose.role == "gnss" else None
     return Sources(
         lidar=topics[lidar.name],
         pose=topics[pose.name],
-        pose_role=ROLE_OF_SWEEPS if pose is lidar else pose.role,
+        pose_role=told if pose is lidar else pose.role,
         fixes=next((topic for topic in topics.values() if topic.type == BESTPOS), None),
         tf_static=tuple(topic.name for topic in roles if topic.role == "tf_static"),
         associated=tuple((topics[topic.name], topic.role) for topic in roles if topic.role in ASSOCIATED_ROLES),
+        attitude=topics[attitude.name] if attitude else None,
     )
 
 
@@ -95,33 +116,49 @@ def _rate_hz(log_times_ns: NDArray[np.int64]) -> float | None:
 
 
 def _facts(bag: Bag, topic: Topic) -> TopicFacts:
-    if topic.type != POINT_CLOUD:
+    if not holds_sweeps(topic.name, topic.type):
         return TopicFacts(topic.name, topic.type, None)
-    cloud = sample_cloud(bag, topic)
+    try:
+        cloud = sample_cloud(bag, topic)
+    except IngestError:
+        if topic.type == POINT_CLOUD:
+            raise
+        return TopicFacts(topic.name, topic.type, None)  # packets of a model that is not decoded: no LiDAR of ours
     fields = frozenset(cloud.points.dtype.names or ())
     return TopicFacts(topic.name, topic.type, None, fields, len(cloud.points))
 
 
 def _lidar(roles: list[Candidate], asked: str | None) -> Candidate:
     if asked is not None:
-        return _asked(roles, asked, [topic for topic in roles if topic.type == POINT_CLOUD], POINT_CLOUD)
+        fitting = [topic for topic in roles if topic.type == POINT_CLOUD or topic.role == "lidar"]
+        return _asked(roles, asked, fitting, f"{POINT_CLOUD} or packets that are decoded")
     lidars = [topic for topic in roles if topic.role == "lidar"]
     if not lidars:
-        raise NoLidarError([topic.name for topic in roles if topic.role == "other" and topic.type in PACKET_TYPES])
+        raise NoLidarError([(topic.name, topic.type) for topic in roles if holds_other_packets(topic)])
     return _only("lidar", likely_lidars(lidars), "--lidar")
 
 
 def _pose(roles: list[Candidate], asked: str | None) -> Candidate:
     fitting = [topic for topic in roles if topic.role in POSE_ROLES]
     if asked is not None:
-        return _asked(roles, asked, fitting, "nav_msgs/msg/Odometry, INSPVA(X) or /tf")
+        fitting = [topic for topic in fitting if of_pose_role(topic.role, [topic])]
+        return _asked(roles, asked, fitting, "nav_msgs/msg/Odometry, INSPVA(X), /tf, PoseStamped or NavSatFix")
+    has_imu = any(topic.role == "imu" for topic in roles)
     for wanted in POSE_ROLES:
-        topics: Sequence[Candidate] = [topic for topic in fitting if topic.role == wanted]
-        if wanted == "ins":
-            topics = fullest(topics)
-        if topics:
+        topics = of_pose_role(wanted, [topic for topic in fitting if topic.role == wanted])
+        if topics and (wanted != "gnss" or has_imu):
             return _only(wanted, topics, "--odometry")
     raise NoPoseSourceError([f"{topic.name} ({topic.type})" for topic in roles])
+
+
+def _attitude(roles: list[Candidate], asked: str | None) -> Candidate:
+    """The IMU beside a receiver. Raises NoPoseSourceError, AmbiguousTopicsError, WrongTopicError."""
+    imus = [topic for topic in roles if topic.role == "imu"]
+    if asked is not None:
+        return _asked(roles, asked, imus, "sensor_msgs/msg/Imu")
+    if not imus:
+        raise NoPoseSourceError([f"{topic.name} ({topic.type})" for topic in roles])
+    return _only("imu", with_plausible_rate("imu", imus), "--topic imu=TOPIC")
 
 
 def _asked(roles: list[Candidate], asked: str, fitting: list[Candidate], expected: str) -> Candidate:

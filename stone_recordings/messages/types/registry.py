@@ -26,7 +26,7 @@ from stone_recordings.messages.types.plan import Node, compiled
 
 PACKAGES = (
     "ars548_messages", "continental_msgs", "gps_common", "gps_msgs", "hesai_ros_driver", "nebula_msgs",
-    "novatel_oem7_msgs", "pandar_msgs", "radar_msgs",
+    "novatel_oem7_msgs", "pandar_msgs", "radar_msgs", "velodyne_msgs",
 )  # fmt: skip
 MOST_UPLOADS = 512
 MOST_UPLOADED_CHARACTERS = 4 * MOST_CHARACTERS

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from stone.errors import StoneError
 from stone_recordings.bags.bag import Bag
-from stone_recordings.messages.pointcloud2 import decode_cloud, lidar_points
+from stone_recordings.messages.pointcloud2 import lidar_points
+from stone_recordings.messages.sweep_clouds import cloud_at
 from stone_recordings.report.inspection import Inspection
 from stone_recordings.report.previews.canvas import (
     BACKGROUND,
@@ -75,7 +76,7 @@ def _sweep(bag: Bag, inspection: Inspection) -> NDArray[np.float32] | None:
     for topic in of_role(inspection, "lidar")[:1]:
         for place in PLACES:
             try:
-                cloud = decode_cloud(bag.message(topic.name, int(place * (topic.count - 1))).payload)
+                cloud = cloud_at(bag, topic.name, int(place * (topic.count - 1)))
                 points_lidar = lidar_points(cloud).points_lidar
             except StoneError:
                 continue  # the quality report names it

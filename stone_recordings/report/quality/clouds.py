@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone_recordings.bags.bag import RawMessage, Topic
-from stone_recordings.messages.pointcloud2 import decode_cloud, lidar_points
+from stone_recordings.messages.pointcloud2 import lidar_points
 from stone_recordings.messages.radars.radar import decode_radar
+from stone_recordings.messages.sweep_clouds import sweep_cloud
 from stone_recordings.report.quality.facts import LidarFacts, RadarFacts
 from stone_recordings.report.quality.sampling import HEAVY, LIGHT, TopicSampling
 
@@ -28,7 +29,7 @@ class LidarLook:
         return TopicSampling(self._topic, self._see, HEAVY)
 
     def _see(self, at_ns: int, payload: memoryview) -> None:
-        cloud = decode_cloud(payload)
+        cloud = sweep_cloud(payload, self._topic.type)
         points_lidar = lidar_points(cloud).points_lidar
         slots = len(cloud.points)
         range_m = _median_range_m(points_lidar)

@@ -167,8 +167,8 @@ def test_packets_without_points_are_named(tmp_path: Path) -> None:
     frame = random_message("hesai_ros_driver/msg/UdpFrame", np.random.default_rng(0), is_tame=True)
     packets = [Recorded("/lidar_packets", "hesai_ros_driver/msg/UdpFrame", START_NS, serialised(frame))]
     inspection = _inspected(tmp_path, packets + _stamped("/odom", ODOMETRY, _every(50 * MS, 18)))
-    assert _codes(inspection) == [("TOP-101", "/lidar_packets")]
-    assert "raw packets" in inspection.findings[0].message
+    assert _codes(inspection) == [("MSG-313", "/lidar_packets"), ("TOP-101", "/lidar_packets")]
+    assert "raw packets: record /lidar_points of hesai_ros_driver" in inspection.findings[1].message
 
 
 def test_points_without_time_and_points_of_another_clock_are_told(tmp_path: Path) -> None:

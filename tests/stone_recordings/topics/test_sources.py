@@ -8,7 +8,7 @@ import pytest
 from stone.geometry.se3 import SE3
 from stone_recordings.bags.bag import open_bag
 from stone_recordings.report.inspection import inspect
-from stone_recordings.topics.sources import choose_sources
+from stone_recordings.topics.sources import AskedTopics, choose_sources
 from tests.stone_recordings.clocks.streams import MS
 from tests.stone_recordings.rigs import odometry
 from tests.stone_recordings.writing import (
@@ -46,7 +46,7 @@ def _chosen(path: Path, *groups: list[Recorded]) -> tuple[str, str | None]:
     poses = [odometry(START_NS + row * 50 * MS, SE3.identity()) for row in range(200)]
     write_mcap(path / "run.mcap", [message for group in (*groups, poses) for message in group])
     with open_bag(path / "run.mcap") as bag:
-        labelled = choose_sources(bag, None, None).lidar.name
+        labelled = choose_sources(bag, AskedTopics()).lidar.name
     return labelled, inspect(path / "run.mcap").assignment.channels.get("lidar")
 
 

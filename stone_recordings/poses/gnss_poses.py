@@ -1,0 +1,124 @@
+"""The ego trajectory from a receiver's positions and an IMU's attitude: sensor_msgs/NavSatFix and Imu.
+
+    position_map_ego = position_map_antenna − R_map_ego · position_ego_antenna,   R_map_ego = R_map_imu · R_imu_ego
+
+**Conventions.** `map` is east, north, up around the first position (WGS 84, ellipsoidal height). A pose at each fix,
+its attitude by slerp between the IMU's. The IMU's orientation is taken for one in east, north, up (REP 103), not for
+one relative to where it was switched on: nothing in the messages tells the two apart.
+"""
+
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+import pymap3d
+from numpy.typing import NDArray
+
+from stone.findings import Finding
+from stone.geometry.se3 import SE3, multiply
+from stone.geometry.trajectory import DEFAULT_MAX_GAP_NS, Trajectory
+from stone_recordings.bags.errors import ByteOrderError, MessageLayoutError
+from stone_recordings.messages.batch import MOST_POSITION_M, StampedMessage
+from stone_recordings.messages.gnss import NAVSATFIX, GnssSamples, decode_gnss
+from stone_recordings.messages.imu import AttitudeSamples, decode_attitude
+from stone_recordings.messages.problems import read_readable
+from stone_recordings.messages.types.cdr import Cursor
+from stone_recordings.poses.ins_poses import ecef_from_enu_wxyz
+from stone_recordings.poses.sources import PoseTrack, RigMounts, child_from_ego
+from stone_recordings.sync.clock_offsets import shifted_finding
+from stone_recordings.sync.errors import NoAttitudeError, NoUsablePoseError
+from stone_recordings.sync.recorded_messages import in_order
+
+ENU = "enu"
+
+
+@dataclass(frozen=True, eq=False)
+class GnssTopics:
+    """Messages of the receiver and of the IMU, with the names of their topics."""
+
+    fixes: Iterable[StampedMessage]
+    fix_topic: str
+    imu: Iterable[StampedMessage]
+    imu_topic: str
+    fix_frame: str
+
+
+def track_from_gnss(topics: GnssTopics, rig: RigMounts) -> PoseTrack:
+    """Raises NoUsablePoseError (no position, or none while there is an attitude), NoAttitudeError, and what decoding
+    raises."""
+    samples, unread = read_readable(topics.fix_topic, topics.fixes, lambda some: decode_gnss(NAVSATFIX, some))
+    attitude, unread_too = read_readable(topics.imu_topic, topics.imu, decode_attitude)
+    source = f"{topics.fix_topic} with {topics.imu_topic} (sensor_msgs/msg/NavSatFix and Imu)"
+    rows = _positions(samples, source)
+    fixed = in_order(topics.fix_topic, samples.stamps_ns, rows)
+    turns, findings = _attitudes(topics.imu_topic, attitude)
+    found = turns.at(fixed.stamps_ns, DEFAULT_MAX_GAP_NS)
+    if not found.is_ok.any():
+        raise NoUsablePoseError(source, len(rows), f"none has an attitude within {DEFAULT_MAX_GAP_NS / 1e9:g} s")
+    at = fixed.index[found.is_ok]
+    imu_from_ego, of_imu = child_from_ego(ENU, attitude.frame_id, rig)
+    antenna_from_ego, of_antenna = child_from_ego(ENU, topics.fix_frame, rig)
+    antenna_m, origin, to_origin = _enu(samples, at)
+    imu_wxyz = multiply(to_origin, found.map_from_ego.wxyz[found.is_ok])
+    turned = SE3.from_parts(imu_wxyz, np.zeros((len(at), 3))) @ SE3.from_parts(imu_from_ego.wxyz, np.zeros(3))
+    place_m = antenna_m - turned @ antenna_from_ego.inverse().translation_m
+    offset_ns = rig.clocks.of_poses(rig.calibration, topics.fix_frame)
+    trajectory = Trajectory(samples.stamps_ns[at] + offset_ns, SE3.from_parts(turned.wxyz, place_m))
+    said = (*unread, *unread_too, *fixed.findings, *findings, *of_imu, *of_antenna)
+    said += shifted_finding(topics.fix_topic, offset_ns) + _left_out(samples, len(at), topics.fix_topic)
+    return PoseTrack(trajectory, source, topics.fix_topic, said, origin)
+
+
+def first_frame_id(messages: Sequence[StampedMessage], type_name: str) -> str:
+    """The frame of the first message with a header that can be read; "" without."""
+    for message in messages:
+        with suppress(MessageLayoutError, ByteOrderError):
+            cursor = Cursor(message.payload, type_name)
+            cursor.stamp_ns()
+            return cursor.text()
+    return ""
+
+
+def _positions(samples: GnssSamples, source: str) -> NDArray[np.int64]:
+    """Rows that are a place on Earth at a time."""
+    is_place = samples.is_fixed & (np.abs(samples.latitude_deg) <= 90) & (np.abs(samples.longitude_deg) <= 360)
+    is_place &= np.abs(samples.height_m) <= MOST_POSITION_M
+    rows = np.flatnonzero(is_place & (samples.stamps_ns != 0)).astype(np.int64)
+    if not len(rows):
+        why = f"{int((~samples.is_fixed).sum())} without a fix, {int((samples.stamps_ns == 0).sum())} stamped 0"
+        raise NoUsablePoseError(source, len(samples.stamps_ns), why)
+    return rows
+
+
+def _attitudes(topic: str, attitude: AttitudeSamples) -> tuple[Trajectory, tuple[Finding, ...]]:
+    """The orientations as poses without a place. Raises NoAttitudeError where the IMU tells none."""
+    rows = np.flatnonzero(attitude.is_told & (attitude.stamps_ns != 0)).astype(np.int64)
+    if not len(rows):
+        raise NoAttitudeError(topic, len(attitude.stamps_ns))
+    ordered = in_order(topic, attitude.stamps_ns, rows)
+    wxyz = attitude.enu_from_imu_xyzw[ordered.index][:, [3, 0, 1, 2]]
+    return Trajectory(ordered.stamps_ns, SE3.from_parts(wxyz, np.zeros((len(wxyz), 3)))), ordered.findings
+
+
+def _enu(
+    samples: GnssSamples, rows: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], tuple[float, float, float], NDArray[np.float64]]:
+    """Positions (N, 3) around the first one, that one, and the turns (N, 4) from each point's north to the first's."""
+    latitude, longitude, height = (
+        values[rows] for values in (samples.latitude_deg, samples.longitude_deg, samples.height_m)
+    )
+    origin = (float(latitude[0]), float(longitude[0]), float(height[0]))
+    there = ecef_from_enu_wxyz(latitude, longitude)
+    back = there[:1] * np.array([1.0, -1.0, -1.0, -1.0])
+    place_m = np.stack(pymap3d.geodetic2enu(latitude, longitude, height, *origin), axis=-1)
+    return place_m, origin, multiply(back, there)
+
+
+def _left_out(samples: GnssSamples, used: int, topic: str) -> tuple[Finding, ...]:
+    told = Finding("GNS-301", "warning", topic, "nothing tells whether RTK was fixed (NavSatFix does not)")
+    total = len(samples.stamps_ns)
+    if used == total:
+        return (told,)
+    sentence = f"{total - used} of {total} positions were no fix, or without an attitude, and are left out"
+    return (told, Finding("GNS-303", "warning", topic, sentence))
