@@ -17,7 +17,7 @@ from services.runtime.orm import (
     EmailAddress,
     IdempotentReply,
     NotificationChoice,
-    NotificationDelivery,
+    NotificationEvent,
     SignInAddress,
     TeamInvitation,
     Token,
@@ -29,7 +29,7 @@ from services.runtime.orm import (
 ERASED = "erased-"
 HELD = (
     *(Token, WebSession, SignInAddress, IdempotentReply),
-    *(EmailAddress, Webhook, NotificationChoice, NotificationDelivery),
+    *(EmailAddress, Webhook, NotificationChoice, NotificationEvent),
 )
 
 
