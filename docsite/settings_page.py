@@ -26,7 +26,8 @@ REFUSED = """## What is refused
 
 A process that reads a value out of these bounds says so (`impossible_settings`) and ends. `STONE_JOBS__HEARTBEAT_S`
 must also be less than a third of `STONE_JOBS__LEASE_S` and not less than `STONE_JOBS__PROGRESS_S`,
-`STONE_STORE__S3_ENDPOINT` needs `STONE_STORE__S3_BUCKET`, and `STONE_API__URL` begins with `http://` or `https://`. A
+`STONE_STORE__S3_ENDPOINT` needs `STONE_STORE__S3_BUCKET`, and `STONE_API__URL` begins with `http://` or `https://`.
+`STONE_NOTIFICATIONS__SMTP_HOST` needs `STONE_NOTIFICATIONS__SENDER`, and a user with a password needs TLS. A
 variable or a secret file that is named like a setting and is none is refused, with the nearest that is one
 (`unknown_setting`).
 """
