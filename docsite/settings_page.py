@@ -28,8 +28,10 @@ A process that reads a value out of these bounds says so (`impossible_settings`)
 must also be less than a third of `STONE_JOBS__LEASE_S` and not less than `STONE_JOBS__PROGRESS_S`,
 `STONE_STORE__S3_ENDPOINT` needs `STONE_STORE__S3_BUCKET`, and `STONE_API__URL` begins with `http://` or `https://`.
 `STONE_OIDC__ISSUER` is https (http on this machine alone) and needs `STONE_OIDC__CLIENT_ID`; with
-`STONE_API__PASSWORDS` off, it and `STONE_OIDC__ADMINISTRATORS` must be set, or nobody could administer. A variable or a
-secret file that is named like a setting and is none is refused, with the nearest that is one (`unknown_setting`).
+`STONE_API__PASSWORDS` off, it and `STONE_OIDC__ADMINISTRATORS` must be set, or nobody could administer.
+`STONE_NOTIFICATIONS__SMTP_HOST` needs `STONE_NOTIFICATIONS__SENDER`, and a user with a password needs TLS. A
+variable or a secret file that is named like a setting and is none is refused, with the nearest that is one
+(`unknown_setting`).
 """
 SIGNS = (("ge", "≥"), ("gt", ">"), ("le", "≤"), ("lt", "<"))
 UNITS = ((3600.0 * 24, "d"), (3600.0, "h"), (60.0, "min"))

@@ -1,6 +1,6 @@
 """A receiver of webhooks as a process: every request is a line of a file, on the disk before it is answered.
 
-    python -m testing.servers.webhook_receiver PORT FILE
+    python -m testing.servers.webhook_receiver PORT FILE [CERTIFICATE]
 
 **Conventions.** The path says how it answers: `/status/503` with that status, `/redirect` to `/hooks`, `/endless` with
 a body that never ends, `/drip` with a first line that never ends, anything else with 200.
@@ -8,6 +8,7 @@ a body that never ends, `/drip` with a first line that never ends, anything else
 
 import json
 import os
+import ssl
 import sys
 import time
 from collections.abc import Iterator
@@ -64,7 +65,8 @@ class Receiver(BaseHTTPRequestHandler):
 class WebhookReceiver:
     """The process; `url(path)` is where to send to, `received()` what came."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, certificate: Path | None = None) -> None:
+        self._scheme = "http" if certificate is None else "https"
         self.port = free_port()
         self._file = folder / "received"
         command: list[str | Path] = [
@@ -74,11 +76,12 @@ class WebhookReceiver:
             str(self.port),
             self._file,
         ]
+        command += [] if certificate is None else [certificate]
         root = Path(__file__).resolve().parents[2]
         self.process = ServerProcess(command, folder, lambda: answers(self.port), environment={"PYTHONPATH": str(root)})
 
     def url(self, path: str = "/hooks") -> str:
-        return f"http://127.0.0.1:{self.port}{path}"
+        return f"{self._scheme}://localhost:{self.port}{path}"
 
     def received(self) -> list[dict[str, Any]]:
         text = self._file.read_text("utf-8") if self._file.exists() else ""
@@ -86,8 +89,9 @@ class WebhookReceiver:
 
 
 @contextmanager
-def webhook_receiver(folder: Path) -> Iterator[WebhookReceiver]:
-    receiver = WebhookReceiver(folder)
+def webhook_receiver(folder: Path, certificate: Path | None = None) -> Iterator[WebhookReceiver]:
+    """By TLS where there is a certificate (`testing/servers/certificates.py`)."""
+    receiver = WebhookReceiver(folder, certificate)
     receiver.process.start()
     try:
         yield receiver
@@ -97,4 +101,9 @@ def webhook_receiver(folder: Path) -> Iterator[WebhookReceiver]:
 
 if __name__ == "__main__":
     Receiver.file = Path(sys.argv[2])
-    ThreadingHTTPServer(("127.0.0.1", int(sys.argv[1])), Receiver).serve_forever()
+    server = ThreadingHTTPServer(("127.0.0.1", int(sys.argv[1])), Receiver)
+    if len(sys.argv) > 3:
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        context.load_cert_chain(sys.argv[3], Path(sys.argv[3]).with_name("key.pem"))
+        server.socket = context.wrap_socket(server.socket, server_side=True, do_handshake_on_connect=False)
+    server.serve_forever()

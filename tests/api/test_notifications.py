@@ -76,7 +76,7 @@ def test_a_delivery_given_up_is_a_dead_letter_that_an_administrator_tries_again(
         assert [(job["kind"], job["failure"]["code"]) for job in dead] == [("notify.deliver", "delivery_failed")]
         assert dead == api.get("/api/v1/admin/jobs", params={"queue": "notify", "state": "failed"}).json()["items"]
         reason = {"reason": "its server is back"}
-        assert api.post(f"/api/v1/admin/jobs/{dead[0]['id']}/retry", json=reason).status_code == 200
+        assert api.post(f"/api/v1/admin/jobs/{dead[0]['id']}/retry", json=reason).status_code == 202
         turn(told)
         assert deliveries(told)[0].tries == 11
 

@@ -1,7 +1,8 @@
 """Phases that open and close: found by the clock, each moment one event.
 
 **Conventions.** An event's key names phase and moment, so however many sweepers look, however often, there is one. A
-moment that was moved, and comes, is another one. Moments more than `LATEST_NS` ago are told to nobody: a platform that
+moment that was moved, and comes, is another one. A phase without a date opens as it is made, of which nobody is told.
+Moments more than `LATEST_NS` ago are told to nobody: a platform that
 slept for weeks does not wake everybody up.
 """
 

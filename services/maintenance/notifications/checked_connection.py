@@ -3,7 +3,8 @@
 **Conventions.** A name is resolved once, every address of it is judged, and one of those judged is connected to; if
 any may not be sent to, none is: a name that resolves to a public and a private address is an attack or a mistake. TLS
 is of the name, not of the address. After `WITHIN_S` the socket is shut down under whoever reads or writes it. No proxy
-of the environment is asked: it would resolve the name anew.
+of the environment is asked: it would resolve the name anew. What a name resolved to is not told: it may be known inside
+only.
 """
 
 import http.client
@@ -33,7 +34,7 @@ def judged_addresses(host: str, port: int, settings: NotificationSettings, resol
     found = resolve(host, port)
     for address in found:
         if not is_allowed(ip_address(address.partition("%")[0]), settings):
-            raise NotTakenError(f"{host} resolves to {address}, which is private, of this machine or reserved")
+            raise NotTakenError(f"{host} is at an address that is private, of this machine or reserved")
     return found
 
 

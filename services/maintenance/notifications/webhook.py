@@ -15,7 +15,6 @@ import ssl
 import time
 from base64 import b64decode, b64encode
 from dataclasses import dataclass
-from functools import cache
 from hashlib import sha256
 
 from services.domain.notifications.errors import BadWebhookUrlError
@@ -85,14 +84,9 @@ def _answer(target: WebhookTarget, letter: Letter, settings: NotificationSetting
         "Connection": "close",
     }
     path = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
-    with connection_to(host, port, addresses, _tls() if is_tls else None) as connection:
+    # of the machine's own certificate authorities; SSL_CERT_FILE names others
+    with connection_to(host, port, addresses, ssl.create_default_context() if is_tls else None) as connection:
         connection.request("POST", path, body, headers)
         answer = connection.getresponse()
         answer.read(READ_BYTES)
         return answer.status
-
-
-@cache
-def _tls() -> ssl.SSLContext:
-    """Of the machine's own certificate authorities; `SSL_CERT_FILE` names others."""
-    return ssl.create_default_context()

@@ -19,7 +19,7 @@ from services.runtime.orm import (
     ExternalIdentity,
     IdempotentReply,
     NotificationChoice,
-    NotificationDelivery,
+    NotificationEvent,
     SignInAddress,
     TeamInvitation,
     Token,
@@ -31,7 +31,7 @@ from services.runtime.orm import (
 ERASED = "erased-"
 HELD = (
     *(Token, WebSession, SignInAddress, IdempotentReply, ExternalIdentity, DeviceGrant),
-    *(EmailAddress, Webhook, NotificationChoice, NotificationDelivery),
+    *(EmailAddress, Webhook, NotificationChoice, NotificationEvent),
 )
 
 

@@ -137,6 +137,19 @@ def test_a_value_below_its_bound_is_refused_by_name(bound, by: int, monkeypatch:
         ({"STONE_API__URL": "stone.example.org"}, "STONE_API__URL must begin with http:// or https://"),
         ({"STONE_API__URL": "https://"}, "STONE_API__URL must begin with"),
         ({"STONE_API__URL": "http://[::1"}, "STONE_API__URL must begin with"),
+        ({"STONE_NOTIFICATIONS__SMTP_HOST": "mail"}, "SMTP_HOST needs STONE_NOTIFICATIONS__SENDER"),
+        (
+            {"STONE_NOTIFICATIONS__SMTP_HOST": "mail", "STONE_NOTIFICATIONS__SENDER": "stone@x.org\nBcc: eve@x.org"},
+            "SMTP_HOST needs STONE_NOTIFICATIONS__SENDER",
+        ),
+        (
+            {"STONE_NOTIFICATIONS__SMTP_USER": "stone", "STONE_NOTIFICATIONS__SMTP_SECURITY": "none"},
+            "SMTP_USER needs STARTTLS or TLS",
+        ),
+        (
+            {"STONE_NOTIFICATIONS__WEBHOOK_NETWORKS": "10.1.0.0/16 lab"},
+            "WEBHOOK_NETWORKS names 'lab', no network as 10.1.0.0/16 is",
+        ),
     ],
 )
 def test_values_that_contradict_each_other_are_refused(

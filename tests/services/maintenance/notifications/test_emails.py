@@ -2,7 +2,6 @@
 
 import re
 import ssl
-import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
 from email import message_from_bytes, policy
@@ -27,6 +26,7 @@ from services.maintenance.notifications.email_message import email_of
 from services.maintenance.notifications.letter import Letter
 from services.runtime.orm import EmailAddress, Job, User
 from services.runtime.platform import Platform
+from testing.servers.certificates import self_signed
 from testing.servers.process import free_port
 from tests.services.maintenance.notifications.steps import a_user, deliveries, happened, telling, turn
 
@@ -126,6 +126,20 @@ def test_starttls_and_password_are_used_and_a_server_without_tls_is_told_nothing
     assert "STARTTLS" in deliveries(plain)[-1].answer
 
 
+def test_tls_from_the_first_byte_is_spoken_where_it_is_set(
+    platform: Platform, mailbox: Mailbox, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    certificate = self_signed(tmp_path)
+    monkeypatch.setenv("SSL_CERT_FILE", str(certificate))
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(certificate, tmp_path / "key.pem")
+    with mail_server(mailbox, ssl_context=context) as place:
+        platform = telling(platform, **place | {"smtp_security": "tls"})
+        happened(platform, a_user(platform, "ada", email=ADDRESS))
+        turn(platform)
+    assert len(mailbox.taken) == 1
+
+
 def test_what_the_server_refuses_for_good_is_a_dead_letter_at_once(platform: Platform, mailbox: Mailbox) -> None:
     mailbox.refused = (ADDRESS,)
     with mail_server(mailbox) as place:
@@ -208,11 +222,3 @@ def test_a_text_of_another_adds_no_header(hostile: str) -> None:
         *("From", "To", "Subject", "Message-ID", "Auto-Submitted"),
         *("Content-Type", "Content-Transfer-Encoding", "MIME-Version"),
     }
-
-
-def self_signed(folder: Path) -> Path:
-    """A certificate of `localhost` that signs itself, with its key beside it."""
-    command = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=localhost"]
-    files = ["-keyout", str(folder / "key.pem"), "-out", str(folder / "certificate.pem")]
-    subprocess.run([*command, "-addext", "subjectAltName=DNS:localhost", *files], check=True, capture_output=True)
-    return folder / "certificate.pem"

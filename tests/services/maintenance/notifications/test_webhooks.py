@@ -16,6 +16,7 @@ from services.runtime.jobs.control import retry
 from services.runtime.notification_settings import NotificationSettings
 from services.runtime.orm import Job, NotificationEvent, Webhook
 from services.runtime.platform import Platform
+from testing.servers.certificates import self_signed
 from testing.servers.webhook_receiver import WebhookReceiver, webhook_receiver
 from tests.services.maintenance.notifications.steps import a_user, deliveries, happened, telling, turn
 
@@ -126,12 +127,27 @@ def test_no_redirect_is_followed_and_no_answer_is_waited_for_long(
     assert time.monotonic() - begin_s < 30 * WITHIN_S  # it ends; how long a busy machine takes is no matter
 
 
+@pytest.mark.parametrize(("name", "state"), [("localhost", "delivered"), ("chat.example.org", "waiting")])
+def test_by_https_the_certificate_is_of_the_name_in_the_url(
+    platform: Platform, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, state: str
+) -> None:
+    certificate = self_signed(tmp_path, name)
+    monkeypatch.setenv("SSL_CERT_FILE", str(certificate))
+    platform = telling(platform, allows_http=False)
+    with webhook_receiver(tmp_path, certificate) as receiver:
+        happened(platform, a_user(platform, "ada", receiver.url()))
+        turn(platform)
+        assert len(receiver.received()) == (1 if state == "delivered" else 0)
+    (row,) = deliveries(platform)
+    assert row.state == state, row.answer
+
+
 def test_a_name_that_resolves_to_a_private_address_a_moment_later_is_not_sent_to() -> None:
     answers = iter((["93.184.215.14"], ["127.0.0.1"], ["93.184.215.14", "10.0.0.7"], ["fe80::1%eth0"]))
     settings = NotificationSettings()
     assert judged_addresses("rebind.example", 443, settings, lambda *_: next(answers)) == ["93.184.215.14"]
     for _ in range(3):
-        with pytest.raises(NotTakenError, match="which is private, of this machine or reserved"):
+        with pytest.raises(NotTakenError, match="private, of this machine or reserved"):
             judged_addresses("rebind.example", 443, settings, lambda *_: next(answers))
 
 
@@ -139,12 +155,12 @@ def test_a_name_of_this_machine_is_judged_when_it_is_connected_to(
     platform: Platform, receiver: WebhookReceiver
 ) -> None:
     platform = telling(platform, webhook_networks="")
-    user_id = a_user(platform, "ada", f"http://localhost:{receiver.port}/hooks")
+    user_id = a_user(platform, "ada", receiver.url())
     happened(platform, user_id)
     turn(platform)
     (row,) = deliveries(platform)
     assert row.state == "waiting"
-    assert "localhost resolves to" in row.answer
+    assert row.answer == "localhost is at an address that is private, of this machine or reserved"
     assert receiver.received() == []
 
 
