@@ -8,5 +8,6 @@ LONGEST = 2000
 
 
 def own_page(path: str) -> str:
-    """The path, or `/` where it would lead elsewhere."""
-    return path if len(path) <= LONGEST and OURS.fullmatch(path) else "/"
+    """The path, or `/` where it would lead elsewhere, or to what is no page: the API, which begins a sign-in anew."""
+    is_page = len(path) <= LONGEST and OURS.fullmatch(path) and not path.startswith("/api/")
+    return path if is_page else "/"

@@ -100,8 +100,10 @@ def test_where_the_platform_is_reached_by_https_the_cookie_is_for_that_alone(
         assert "redirect_uri=https%3A%2F%2Fstone.lab.example%2Fapi" in begun.headers["location"]
 
 
-@pytest.mark.parametrize("back", ["//evil.example/", "/\\evil.example", "https://evil.example/", "/a\tb", "evil", ""])
-def test_nobody_is_sent_to_another_host(lab: Lab, oidc_server: OidcServer, back: str) -> None:
+@pytest.mark.parametrize(
+    "back", ["//evil.example/", "/\\evil.example", "https://evil.example/", "/a\tb", "evil", CALLBACK]
+)
+def test_nobody_is_sent_to_another_host_nor_back_into_the_sign_in(lab: Lab, oidc_server: OidcServer, back: str) -> None:
     oidc_server.know("s-back", preferred_username="back", groups=["students"])
     with browser(lab) as client:
         assert signed_in(client, oidc_server, "s-back", back).headers["location"] == "/"
