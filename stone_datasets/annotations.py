@@ -15,7 +15,7 @@ import numpy as np
 
 from stone.geometry.se3 import SE3
 from stone.sensors.sequence import NAME
-from stone_datasets.build import NS_PER_US, stamp_in_name
+from stone_datasets.build import NS_PER_US, channel_and_stamp
 from stone_datasets.columns import NameColumn
 from stone_datasets.faults import DatasetFaultError, DatasetFaults, DatasetPlace, quoted
 from stone_datasets.file_faults import LabelPathError
@@ -200,7 +200,8 @@ def _add_picture(files: DatasetFiles, scene: AnnotatedScene, what: tuple[Dataset
     if any(camera.first.value(key) != row.value(key) for key in ("intrinsic", "extrinsic")):
         raise CalibrationChangesError(row.place, f"{channel} has another intrinsic or extrinsic than before")
     camera.frames.append(len(scene.tokens))
-    camera.stamps_ns.append((stamp_in_name(name) or stamp_us) * NS_PER_US)
+    said = channel_and_stamp(name)
+    camera.stamps_ns.append((stamp_us if said is None else said[1]) * NS_PER_US)
     camera.poses.append(pose)
     camera.rows.append(len(names))
     names.add(next((f"{at}{name}" for at in PICTURE_FOLDERS if files.span(f"{at}{name}") is not None), name))
