@@ -9,7 +9,7 @@ CVPR2023-3D-Occupancy-Prediction, "Hierarchy".
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -83,7 +83,7 @@ def read_annotations(files: DatasetFiles, faults: DatasetFaults) -> DatasetIndex
         return None
     check_splits((ANNOTATIONS, splits), [one.name for one in sequences], faults)
     named = splits_of(splits)
-    whole = tuple(_with_splits(one, named.get(one.name, ())) for one in sequences)
+    whole = tuple(replace(one, splits=named.get(one.name, ())) for one in sequences)
     return DatasetIndex(files, "occ3d", whole, splits)
 
 
@@ -229,7 +229,3 @@ def _channel(files: DatasetFiles, name: str, camera: AnnotatedCamera, of: tuple[
     sensor = ExportedSensor(name, "camera", camera.first.part("extrinsic").pose(FARTHEST_MOUNT_M), lens)
     held = (np.array(camera.stamps_ns, np.int64)[order], SE3(np.array(camera.poses, np.float64)[order]))
     return DatasetChannel(sensor, frames[order], *held, np.array(camera.rows, np.int64)[order], names)
-
-
-def _with_splits(sequence: DatasetSequence, splits: tuple[str, ...]) -> DatasetSequence:
-    return DatasetSequence(**{**vars(sequence), "splits": splits})
