@@ -1,10 +1,8 @@
-"""Reading a published dataset of the release's size: 43 sequences, 50,878 frames, ten sensors, real-sized labels.
+"""Reading a published dataset of the release's size: `python -m benchmarks.datasets [--frames N] [--tar]`.
 
-    .venv/bin/python -m benchmarks.datasets [--frames N] [--tar]
-
-**Conventions.** The dataset is made first (labels of a fractal world repeat; hard-linked in a folder, copied in a tar).
-Then two processes of their own read it: the index alone, and everything (`stone check`); each prints seconds, frames
-a second and the most memory that it held.
+It has 43 sequences, 50,878 frames and ten sensors, and is made first: labels of a fractal world repeat, hard-linked in
+a folder, copied in a tar. Then two processes of their own read it: the index alone, and everything (`stone check`);
+each prints seconds, frames a second and the most memory that it held.
 """
 
 import argparse

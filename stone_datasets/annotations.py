@@ -9,13 +9,13 @@ CVPR2023-3D-Occupancy-Prediction, "Hierarchy".
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from stone.geometry.se3 import SE3
 from stone.sensors.sequence import NAME
-from stone_datasets.build import NS_PER_US, stamp_in_name
+from stone_datasets.build import NS_PER_US, channel_and_stamp
 from stone_datasets.columns import NameColumn
 from stone_datasets.faults import DatasetFaultError, DatasetFaults, DatasetPlace, quoted
 from stone_datasets.file_faults import LabelPathError
@@ -83,7 +83,7 @@ def read_annotations(files: DatasetFiles, faults: DatasetFaults) -> DatasetIndex
         return None
     check_splits((ANNOTATIONS, splits), [one.name for one in sequences], faults)
     named = splits_of(splits)
-    whole = tuple(_with_splits(one, named.get(one.name, ())) for one in sequences)
+    whole = tuple(replace(one, splits=named.get(one.name, ())) for one in sequences)
     return DatasetIndex(files, "occ3d", whole, splits)
 
 
@@ -200,7 +200,8 @@ def _add_picture(files: DatasetFiles, scene: AnnotatedScene, what: tuple[Dataset
     if any(camera.first.value(key) != row.value(key) for key in ("intrinsic", "extrinsic")):
         raise CalibrationChangesError(row.place, f"{channel} has another intrinsic or extrinsic than before")
     camera.frames.append(len(scene.tokens))
-    camera.stamps_ns.append((stamp_in_name(name) or stamp_us) * NS_PER_US)
+    said = channel_and_stamp(name)
+    camera.stamps_ns.append((stamp_us if said is None else said[1]) * NS_PER_US)
     camera.poses.append(pose)
     camera.rows.append(len(names))
     names.add(next((f"{at}{name}" for at in PICTURE_FOLDERS if files.span(f"{at}{name}") is not None), name))
@@ -228,7 +229,3 @@ def _channel(files: DatasetFiles, name: str, camera: AnnotatedCamera, of: tuple[
     sensor = ExportedSensor(name, "camera", camera.first.part("extrinsic").pose(FARTHEST_MOUNT_M), lens)
     held = (np.array(camera.stamps_ns, np.int64)[order], SE3(np.array(camera.poses, np.float64)[order]))
     return DatasetChannel(sensor, frames[order], *held, np.array(camera.rows, np.int64)[order], names)
-
-
-def _with_splits(sequence: DatasetSequence, splits: tuple[str, ...]) -> DatasetSequence:
-    return DatasetSequence(**{**vars(sequence), "splits": splits})

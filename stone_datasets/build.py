@@ -31,8 +31,8 @@ from stone_datasets.tables import CalibratedSensorRow, DatasetTables
 from stone_exports.frames import LIDAR_CHANNEL, ExportedSensor
 
 FARTHEST_US, NS_PER_US = 1_000_000, 1000
-STAMPED = re.compile(r".*__([1-9][0-9]{14,15})\.[a-z.]+")
-FILE = re.compile(r"(?:samples|sweeps)/([^/]+)/(?:[^/]*__([^/]+?)__(\d{10,19})\.[^/]+|[^/]+)")
+FOLDERS = ("samples", "sweeps")
+DIGITS = re.compile(r"[0-9]{10,19}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,10 +140,11 @@ def _channel(placed: PlacedData, rows: Places, poses: NDArray[np.float64]) -> Da
     )
 
 
-def stamp_in_name(name: str) -> int | None:
-    """Microseconds that the name of a sensor's file says; None where it says none."""
-    found = STAMPED.fullmatch(name.rpartition("/")[2])
-    return None if found is None else int(found[1])
+def channel_and_stamp(name: str) -> tuple[str, int] | None:
+    """Sensor and microseconds that a file's name says, `…__<CHANNEL>__<µs>.<ending>`; None where it says none."""
+    parts = name.rpartition("/")[2].rsplit("__", 2)
+    digits = parts[-1].partition(".")[0]
+    return (parts[1], int(digits)) if len(parts) == 3 and DIGITS.fullmatch(digits) else None
 
 
 def _links(held: Keys, count: int) -> tuple[Keys, ...]:
@@ -174,12 +175,13 @@ def _misnamed(placed: PlacedData) -> Iterator[DatasetFaultError]:
 
 
 def _fault_of_name(placed: PlacedData, row: int, name: str) -> DatasetFaultError | None:
-    channel, found = placed.sensor(row).sensor.channel, FILE.fullmatch(name)
+    channel, (folder, _, base) = placed.sensor(row).sensor.channel, name.rpartition("/")
+    said = channel_and_stamp(base) or (channel, int(placed.stamps_us[row]))
     if not is_inside(name):
         return PathLeavesDatasetError(placed.place(row), f"filename {quoted(name)} leads out of the dataset")
-    if found is None or found[1] != channel or found[2] not in (None, channel):
+    if not base or folder not in [f"{one}/{channel}" for one in FOLDERS] or said[0] != channel:
         return FileChannelError(placed.place(row), f"filename is {quoted(name)}, the sensor {channel}")
-    if found[3] is not None and int(found[3]) != placed.stamps_us[row]:
+    if said[1] != placed.stamps_us[row]:
         return FileStampError(placed.place(row), f"filename is {quoted(name)}, timestamp {placed.stamps_us[row]}")
     return None
 

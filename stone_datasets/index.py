@@ -7,6 +7,7 @@ nanoseconds of stamps that are whole microseconds. Arrays are by sequence; nothi
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +16,9 @@ from stone.geometry.se3 import SE3
 from stone_datasets.columns import NameColumn
 from stone_datasets.files import DatasetFiles
 from stone_exports.files import ExportFileSpan
-from stone_exports.frames import LIDAR_CHANNEL, ExportedSensor
+from stone_exports.frames import ExportedSensor
 
-Layout = str  # "release": tables; "occ3d": annotations.json alone
+Layout = Literal["release", "occ3d"]  # tables; annotations.json alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,10 +57,6 @@ class DatasetSequence:
 
     def __len__(self) -> int:
         return len(self.tokens)
-
-    @property
-    def lidar(self) -> DatasetChannel | None:
-        return self.channels.get(LIDAR_CHANNEL)
 
     def label_name(self, index: int) -> str:
         """The file of a frame's labels."""

@@ -4,7 +4,6 @@
 stage begins where those before found nothing wrong, since one fault would be told again by each that builds on it.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -14,15 +13,15 @@ from stone_datasets.build import channels_of, data_of, frames_of
 from stone_datasets.classes import OWN_CLASSES, ClassMap
 from stone_datasets.contents import DatasetContents
 from stone_datasets.faults import MOST_SHOWN, DatasetFaultError, DatasetFaults, DatasetPlace
-from stone_datasets.file_check import check_files
+from stone_datasets.file_check import Progress, check_files
 from stone_datasets.files import ANNOTATIONS, DatasetFiles, open_dataset
 from stone_datasets.index import DatasetIndex, DatasetSequence, label_folder
 from stone_datasets.layout_faults import NotADatasetError
 from stone_datasets.splits import check_splits, read_splits, splits_of
 from stone_datasets.tables import DatasetTables, read_tables
+from stone_exports.frames import LIDAR_CHANNEL
 
 Stage = Literal["rows", "links", "files"]
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -86,7 +85,7 @@ def _linked(files: DatasetFiles, tables: DatasetTables, faults: DatasetFaults) -
     for scene, channels in zip(tables.scenes.values(), channels_of(placed), strict=True):
         start, stop = frames.starts[scene.place : scene.place + 2].tolist()
         tokens = tuple(tables.samples.tokens[row] for row in frames.order[start:stop].tolist())
-        stamps_ns, poses = frames.stamps_ns[start:stop], channels["LIDAR_TOP"].map_from_ego
+        stamps_ns, poses = frames.stamps_ns[start:stop], channels[LIDAR_CHANNEL].map_from_ego
         log, is_labelled = scene.log, files.has_folder(label_folder(scene.name))
         of_log = (log.logfile, log.vehicle, log.location)
         sequences.append(DatasetSequence(scene.name, *of_log, tokens, stamps_ns, poses, channels, is_labelled))
