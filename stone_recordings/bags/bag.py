@@ -1,7 +1,8 @@
 """Opens a recording of any container, and reads its messages by topic in log-time order.
 
-**Conventions.** Log time is integer nanoseconds. A payload is the whole CDR message, its 4-byte header included
-(of ROS 1 what its message is in CDR), and stays valid after the bag is closed. `index` counts within the topic, in log-time order.
+**Conventions.** Log time is integer nanoseconds. A payload is the whole CDR message, its 4-byte header included (of
+ROS 1 what its message is in CDR), and stays valid after the bag is closed. `index` counts within the topic, in log-time
+order.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
