@@ -1,7 +1,8 @@
 """Opens a recording of any container, and reads its messages by topic in log-time order.
 
-**Conventions.** Log time is integer nanoseconds. A payload is the whole CDR message, its 4-byte header included, and
-stays valid after the bag is closed. `index` counts within the topic, in log-time order.
+**Conventions.** Log time is integer nanoseconds. A payload is the whole CDR message, its 4-byte header included (of
+ROS 1 what its message is in CDR), and stays valid after the bag is closed. `index` counts within the topic, in log-time
+order.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -168,7 +169,7 @@ def _damage(reasons: Mapping[int, str], count: int) -> str:
 
 
 def open_bag(path: Path) -> Bag:
-    """Open an `.mcap` file, a `.db3` file or a rosbag2 folder of either, told apart by content.
+    """Open an `.mcap`, `.db3` or ROS 1 `.bag` file, or a folder of a split one, told apart by content.
 
     Split bags are one recording; files and messages that were compressed by the recorder are unpacked as they are read.
     What was noticed is in `findings` (BAG-021 … BAG-031).

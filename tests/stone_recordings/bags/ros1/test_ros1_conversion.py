@@ -22,7 +22,7 @@ TYPES = (
     "nav_msgs/msg/OccupancyGrid", "tf2_msgs/msg/TFMessage", "geometry_msgs/msg/PolygonStamped",
     "trajectory_msgs/msg/JointTrajectory",
     "diagnostic_msgs/msg/DiagnosticArray", "sensor_msgs/msg/MultiDOFJointState", "std_msgs/msg/Float64MultiArray",
-    "novatel_oem7_msgs/msg/INSPVAX", "ars548_messages/msg/DetectionList",
+    "novatel_oem7_msgs/msg/INSPVAX",
 )  # fmt: skip
 
 
