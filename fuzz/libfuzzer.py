@@ -13,9 +13,18 @@ EXPORTED = (
     "stone_exports.files", "stone_exports.tar_index", "stone_exports.tables", "stone_exports.sweeps",
     "stone_exports.frames", "stone_exports.labels", "stone_exports.radar", "stone_exports.cameras",
 )  # fmt: skip
+OF_FILES = ("stone_files.bag_files", "stone_files.bag_fingerprint", "stone_files.calibration_bundle")
 
 with atheris.instrument_imports(
-    include=["stone_recordings", "stone_submissions", "services.eval", "services.ingest", "stone_datasets", *EXPORTED]
+    include=[
+        "stone_recordings",
+        "stone_submissions",
+        "services.eval",
+        "services.ingest",
+        "stone_datasets",
+        *EXPORTED,
+        *OF_FILES,
+    ]  # fmt: skip
 ):
     from fuzz.limits import check
     from fuzz.targets import TARGETS, limits_of

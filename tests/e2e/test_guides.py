@@ -45,6 +45,7 @@ RUN = SimulateOptions(seconds=1.5, channels=16, columns=180, cameras=False)
 PARTS = {"train": "meadow", "val": "forest", "test": "lake"}
 SAID_S = 25.0  # how long the catalogue says that each run lasted: the dataset's rules ask for 20 s
 SERVE = ".venv/bin/stone serve"
+INSTALLED_ALONE = "python3 -m venv .venv && "  # the client: tests/deploy/client
 
 
 @pytest.fixture(scope="module")
@@ -108,15 +109,8 @@ def test_the_participants_guide_works_line_by_line(
 ) -> None:
     _benchmark(field)
     with _pasted(field, tmp_path, monkeypatch) as shell:
-        assert shell.paste("participant.md", _installing("participant.md")) > 20
+        assert shell.paste("participant.md", elsewhere=_elsewhere("participant.md")) > 20
         check_what_was_printed(shell)
-
-
-def _installing(page: str) -> list[str]:
-    """The line that installs the client, which tests/deploy/client does in an environment of its own."""
-    lines = [line for kind, block in blocks(page) if not kind for line in statements(block) if "/downloads/" in line]
-    assert len(lines) == 1
-    return lines
 
 
 def check_what_was_printed(shell: Shell) -> None:
@@ -156,10 +150,8 @@ def _pasted(platform: Platform, folder: Path, patch: pytest.MonkeyPatch, *, shor
 
 def _elsewhere(page: str) -> set[str]:
     """Lines that other tests run: what installs, and what serves until it is stopped."""
-    from tests.e2e.pasting import blocks, statements
-
     lines = {line for kind, block in blocks(page) if not kind for line in statements(block)}
-    return {line for line in lines if line.startswith(("make ", "apt-get ", "    python3", SERVE))}
+    return {line for line in lines if line.startswith(("make ", "apt-get ", "    python3", INSTALLED_ALONE, SERVE))}
 
 
 def _say(platform: Platform, sequence_id: str, region: str) -> None:
