@@ -7,10 +7,10 @@ from stone_recordings.messages.batch import StampedMessage
 from stone_recordings.messages.camera import picture_of
 from stone_recordings.messages.camera_info import decode_camera_info
 from stone_recordings.messages.gnss import NAVSATFIX, decode_gnss
-from stone_recordings.messages.imu import decode_imu
+from stone_recordings.messages.imu import decode_attitude, decode_imu
 from stone_recordings.messages.novatel import decode_bestpos, decode_inspva
 from stone_recordings.messages.novatel_types import decode_novatel
-from stone_recordings.messages.odometry import decode_odometry
+from stone_recordings.messages.odometry import POSE_STAMPED, POSE_WITH_COVARIANCE, decode_odometry
 from stone_recordings.messages.pointcloud2 import decode_cloud, lidar_points
 from stone_recordings.messages.radars.radar import decode_radar
 from stone_recordings.messages.tf import decode_transforms
@@ -46,4 +46,7 @@ DECODERS: tuple[Decoder, ...] = (
     partial(decode_radar, "sensor_msgs/msg/PointCloud2"),
     partial(decode_novatel, "novatel_oem7_msgs/msg/RXSTATUS"),
     partial(decode_table, "diagnostic_msgs/msg/DiagnosticArray"),
+    decode_attitude,
+    partial(decode_odometry, type_name=POSE_STAMPED),
+    partial(decode_odometry, type_name=POSE_WITH_COVARIANCE),
 )

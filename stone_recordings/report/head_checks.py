@@ -18,7 +18,7 @@ from stone_recordings.messages.lidars.packet_scan import packet_count
 from stone_recordings.messages.types.cdr import HEAD_BYTES
 from stone_recordings.topics.roles import PACKET_TYPES, POINT_CLOUD, Role
 
-FRAMED_ROLES: tuple[Role, ...] = ("lidar", "camera", "radar", "imu", "odometry")
+FRAMED_ROLES: tuple[Role, ...] = ("lidar", "camera", "radar", "imu", "odometry", "pose")
 DATED_ROLES: tuple[Role, ...] = (*FRAMED_ROLES, "gnss", "ins")
 _TEXT_AT = HEAD_BYTES + 8  # behind the stamp
 _U32, _SIZE = Struct("<I"), Struct("<II")

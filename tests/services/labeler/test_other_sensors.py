@@ -45,7 +45,7 @@ pytestmark = pytest.mark.whole
 
 COLUMNS, LASERS, BLOCKS = 900, 40, 10
 OPTIONS = SimulateOptions(
-    seconds=2.0, seed=7, channels=LASERS, columns=COLUMNS, cameras=False, noise_ratio=0.0, world_width_m=60.0
+    seconds=3.5, seed=7, channels=LASERS, columns=COLUMNS, cameras=False, noise_ratio=0.0, world_width_m=60.0
 )
 LIDAR = "/lidar_points"
 DRIVER_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("t", "<i4")])
@@ -142,8 +142,8 @@ def as_cloud(packets: Recorded, log_time_ns: int) -> Recorded:
 def test_a_run_recorded_as_packets_is_labelled_as_the_points_they_hold(
     run: OneRun, record_property: Callable[..., None]
 ) -> None:
-    """Of the points before they were packed it differs by steps of 4 mm and of up to 0.6 ms, which on a reference of two
-    seconds' way moves voxels near its limit to the other class: that is recorded, and bounded loosely."""
+    """From the points before they were packed it differs by steps of 4 mm and of up to 0.6 ms, which on a reference of
+    a few metres of way moves voxels near its limit to the other class: that is recorded, and bounded loosely."""
     poses = odometry(run.stamps_ns, run.truth(run.stamps_ns))
     made = run.labelled("packets", run.packets + poses)
     clouds = [as_cloud(one, one.log_time_ns) for one in run.packets]
