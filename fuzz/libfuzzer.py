@@ -24,7 +24,7 @@ with atheris.instrument_imports(
         "stone_datasets",
         *EXPORTED,
         *OF_FILES,
-    ]  # fmt: skip
+    ]
 ):
     from fuzz.limits import check
     from fuzz.targets import TARGETS, limits_of
