@@ -1,5 +1,5 @@
 #!/bin/sh
-# Make .venv with the locked dependencies the project itself and its client: create-venv.sh, from the project's root.
+# Make .venv with the locked dependencies, the project itself and its client: create-venv.sh, from the project's root.
 #
 # uv where it is on PATH (seconds), pip otherwise. Every file is checked against the hashes of requirements.lock.
 set -eu
