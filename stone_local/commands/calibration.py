@@ -11,6 +11,7 @@ import typer
 from stone.errors import StoneError
 from stone.findings import Finding
 from stone_client.options import LidarOption, OdometryOption
+from stone_client.pose_files import PosesFrameOption, PosesOption, chosen_poses
 from stone_client.refusals import REFUSED
 from stone_client.streams import JsonOption, echo_findings, echo_json
 from stone_local.topic_choices import TopicOption, TopicsOption, chosen_topics
@@ -40,6 +41,8 @@ def check(
     lidar: LidarOption = None,
     topics: TopicsOption = None,
     topic: TopicOption = [],  # noqa: B006
+    poses: PosesOption = None,
+    poses_frame: PosesFrameOption = "",
     as_json: JsonOption = False,
 ) -> None:
     """Say what a calibration was read as, where its sensors sit, and what is wrong with it.
@@ -54,6 +57,7 @@ def check(
     profile = chosen_topics(topics, topic)
     with _refused_with_what_was_found(file, as_json), reported() as progress:
         options = SynchroniseOptions(odometry, lidar, topics=profile.topics, progress=progress)
+        options = replace(options, poses=chosen_poses(poses, poses_frame, odometry), poses_frame=poses_frame)
         choice = None if bag is None else BagChoice(bag, profile, replace(options, is_hashed=False))
         found = check_calibration_file(file, choice)
     _say(file, found.as_record(), as_json)

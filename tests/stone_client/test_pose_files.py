@@ -7,6 +7,7 @@ import pytest
 from click.testing import Result
 from typer.testing import CliRunner
 
+from simulator.calibration_yaml import write_calibration
 from stone_client.main import app
 from testing.worlds.pose_files import tum_text
 from tests.stone_recordings import rigs
@@ -36,6 +37,15 @@ def test_a_bad_line_is_named(bag: Path, tmp_path: Path) -> None:
     poses = tmp_path / "poses.txt"
     poses.write_text("1 2 3\n")
     assert "SYN-516: poses.txt, line 1: the line has 3 words" in run("inspect", bag, "--poses", poses).stderr
+
+
+def test_a_calibration_is_checked_with_the_poses_of_a_file(bag: Path, tmp_path: Path) -> None:
+    calibration, poses = tmp_path / "rig.yaml", tmp_path / "poses.txt"
+    write_calibration(rigs.calibration(), calibration)
+    check = ("calibration", "check", calibration, "--bag", bag, "--poses", poses, "--poses-frame")
+    poses.write_text(tum_text(STAMPS_NS, rigs.world_from_ego(STAMPS_NS)))
+    assert "SYN-5" not in run(*check, "base_link").stderr
+    assert "SYN-517: poses.txt: nobody knows its frame 'chassis'" in run(*check, "chassis").stderr
 
 
 def test_a_file_and_a_topic_are_not_taken_together(bag: Path, tmp_path: Path) -> None:

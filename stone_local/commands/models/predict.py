@@ -9,6 +9,7 @@ import typer
 from stone_client.commands.benchmark.submit import submit as send_submission
 from stone_client.files.bags import called
 from stone_client.options import Ground, GroundOption, LidarOption, Modality, OdometryOption, ServerOption
+from stone_client.pose_files import PosesFrameOption, PosesOption, chosen_poses
 from stone_client.progress import reported
 from stone_client.streams import JsonOption, echo_json
 from stone_local.commands.models.train import Device, DeviceOption
@@ -71,6 +72,8 @@ def predict(
     topic: TopicOption = [],  # noqa: B006
     ground: GroundOption = Ground.GIVEN,
     time_offset: TimeOffsetOption = [],  # noqa: B006
+    poses: PosesOption = None,
+    poses_frame: PosesFrameOption = "",
     submit: SubmitOption = False,
     benchmark: BenchmarkOption = None,
     phase: PhaseOption = None,
@@ -85,6 +88,7 @@ def predict(
     of_bags = {
         "--calibration": calibration, "--sequence": sequence, "--odometry": odometry, "--lidar": lidar,
         "--topics": topics, "--topic": topic, "--ground": ground is not Ground.GIVEN, "--time-offset": time_offset,
+        "--poses": poses, "--poses-frame": poses_frame,
     }  # fmt: skip
     refuse_contradictions(inputs, bag, of_bags)
     if submit and (benchmark is None or phase is None or team is None or manifest is None):
@@ -95,6 +99,7 @@ def predict(
         sources = {
             "odometry_topic": odometry, "lidar_topic": lidar, "topics": chosen_topics(topics, topic).topics,
             "ground": ground.value, "time_offsets_ns": chosen_offsets(time_offset),
+            "poses": chosen_poses(poses, poses_frame, odometry), "poses_frame": poses_frame,
         }  # fmt: skip
         files = RecordingFiles(bag, calibration, sequence or called(bag))
         written = _of_recording(run, files, (manifest, output), (sources, device))
