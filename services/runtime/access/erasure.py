@@ -17,6 +17,7 @@ from services.runtime.orm import (
     EmailAddress,
     IdempotentReply,
     NotificationChoice,
+    NotificationDelivery,
     NotificationEvent,
     SignInAddress,
     TeamInvitation,
@@ -29,7 +30,7 @@ from services.runtime.orm import (
 ERASED = "erased-"
 HELD = (
     *(Token, WebSession, SignInAddress, IdempotentReply),
-    *(EmailAddress, Webhook, NotificationChoice, NotificationEvent),
+    *(EmailAddress, Webhook, NotificationChoice, NotificationDelivery, NotificationEvent),
 )
 
 
