@@ -4,6 +4,7 @@ import re
 
 from playwright.sync_api import expect
 
+from services.domain.notifications.email_addresses import new_secret
 from services.runtime.orm import EmailAddress, NotificationChoice, NotificationDelivery, NotificationEvent, Webhook
 from services.runtime.orm.base import now_ns
 from testing.api.serving import Person
@@ -44,6 +45,21 @@ def test_last_deliveries_are_seen_with_what_came_of_them(site: Site, participant
         page.goto("/account")
         expect(page.locator("#deliveries li")).to_have_count(3)
         look(page, "account-notifications")
+
+
+def test_the_mailed_link_leads_to_a_button_that_verifies_the_address(site: Site, participant: Person) -> None:
+    with site.platform.database.transaction() as session:
+        row = EmailAddress(user_id=participant.user_id, address="ada@example.org")
+        session.add(row)
+        session.flush()
+        secret = new_secret(session, row)
+    with site.visit(participant) as page:
+        page.goto(f"/account?email_secret={secret}#notifications")
+        expect(page.get_by_text("not verified yet")).to_be_visible()
+        look(page, "account-verification")
+        page.get_by_role("button", name="It is mine").click()
+        expect(page.locator("#email").get_by_text("verified", exact=True)).to_be_visible()
+        expect(page.get_by_role("button", name="It is mine")).to_have_count(0)
 
 
 def test_a_private_address_is_refused_where_it_is_typed(site: Site, participant: Person) -> None:

@@ -19,6 +19,7 @@ from services.runtime.orm import (
     ExternalIdentity,
     IdempotentReply,
     NotificationChoice,
+    NotificationDelivery,
     NotificationEvent,
     SignInAddress,
     TeamInvitation,
@@ -31,7 +32,7 @@ from services.runtime.orm import (
 ERASED = "erased-"
 HELD = (
     *(Token, WebSession, SignInAddress, IdempotentReply, ExternalIdentity, DeviceGrant),
-    *(EmailAddress, Webhook, NotificationChoice, NotificationEvent),
+    *(EmailAddress, Webhook, NotificationChoice, NotificationDelivery, NotificationEvent),
 )
 
 

@@ -20,6 +20,7 @@ def outward(*roles: str) -> set[Arrow]:
 INWARD: set[Arrow] = {("ingress", "api", 8080), ("monitoring", "api", 8080)}
 EVERYWHERE = INWARD | outward(*OURS)
 OWN_REDIS: set[Arrow] = {(role, "redis", 6379) for role in WORKING}
+TO_WEB, TO_MAIL = (f"network.{name}.to[0].ipBlock.cidr" for name in ("webhooks", "mail"))
 DESIGNED: dict[str, tuple[tuple[str, ...], set[Arrow]]] = {
     "small": (("small",), EVERYWHERE | OWN_REDIS),
     "scaled by wake-ups": (("small", "autoscaling.by=redis"), EVERYWHERE | OWN_REDIS | {("keda", "redis", 6379)}),
@@ -28,12 +29,18 @@ DESIGNED: dict[str, tuple[tuple[str, ...], set[Arrow]]] = {
         ("small", "stopped=true", "backup.restore=true", BACKUPS),
         INWARD | outward(*WORKING, "backup") | OWN_REDIS,
     ),
+    "telling": (
+        ("small", f"{TO_WEB}=0.0.0.0/0", f"{TO_MAIL}=192.0.2.25/32"),
+        EVERYWHERE | OWN_REDIS | {("beat", "web", 443), ("beat", "mail", 587)},
+    ),
     "production": (
         ("production",),
         EVERYWHERE | {(role, "broker", 6379) for role in WORKING} | {(role, "traces", 4318) for role in WORKING},
     ),
 }
 PLACES = {
+    "0.0.0.0/0": "web",
+    "192.0.2.25/32": "mail",
     "192.0.2.10/32": "database",
     "198.51.100.0/28": "database",
     "192.0.2.11/32": "store",
