@@ -9,13 +9,13 @@ import typer
 from stone_client.commands.benchmark.submit import submit as send_submission
 from stone_client.files.bags import called
 from stone_client.options import Ground, GroundOption, LidarOption, Modality, OdometryOption, ServerOption
-from stone_client.pose_files import PosesFrameOption, PosesOption, chosen_poses
 from stone_client.progress import reported
 from stone_client.streams import JsonOption, echo_json
 from stone_local.commands.models.train import Device, DeviceOption
 from stone_local.models.prediction_choices import RecordingFiles, refuse_contradictions
 from stone_local.models.prediction_pace import prediction_shown
 from stone_local.models.torch_there import torch_needed
+from stone_local.pose_files import PosesFrameOption, PosesOption, chosen_poses
 from stone_local.time_offsets import TimeOffsetOption, chosen_offsets
 from stone_local.topic_choices import TopicOption, TopicsOption, chosen_topics
 
