@@ -1,8 +1,8 @@
 """A world whose hidden phase runs, with entries in it; who asks there, what must not be told, and how to change that.
 
 **Conventions.** Counts of hidden voxels are planted so large that no sum hides them. Two teams are scored in both
-phases; one also sent what is refused and what is only checked. A hidden sequence's labels have been exported by their
-owner.
+phases; one also sent what is refused and what is only checked. A hidden sequence's labels have been exported and
+compared by their owner.
 """
 
 from collections.abc import Iterator, Mapping
@@ -23,6 +23,7 @@ from services.runtime.orm import (
     Export,
     GroundTruthRow,
     Job,
+    LabelComparison,
     LabelledFrameRow,
     LabelSet,
     Score,
@@ -61,6 +62,7 @@ def staged(folder: Path, template: Path) -> Iterator[Stage]:
     with standing_world(folder, template, FRAMES) as world:
         _count_loudly(world)
         _export(world)
+        _compare(world)
         _submit(world)
         callers = {"a captain": world.captains[0], "a stranger": person(world.platform, "participant")}
         with world.platform.database.reading() as session:
@@ -87,6 +89,7 @@ def known(world: World) -> dict[str, list[str]]:
         }
         sets = ids(LabelSet)[-1:]
         known |= {"upload_id": ids(Upload), "export_id": ids(Export), "user_id": ids(User), "a": scored, "b": scored}
+        known |= {"comparison_id": ids(LabelComparison)}
     known |= {"phase_id": [world.val, world.test], "phase_name": ["val", "test"], "benchmark_name": [world.benchmark]}
     known |= {"dataset_name": datasets, "dataset": datasets, "part": ["train", "val", "test"]}
     known |= {"token": [*world.truth("val"), *world.truth("test")], "metric": list(METRICS), "code": ["not_found"]}
@@ -142,6 +145,14 @@ def _export(world: World) -> None:
         hidden = hidden_label_sets(session, world)[0].sequence_id
     made.export(world.platform, hidden, {EXPORTED: world.hidden_files[0]})
     made.playback(world.platform, hidden, list(world.truth("test")), world.hidden_files[0])
+
+
+def _compare(world: World) -> None:
+    """A comparison of a hidden sequence's labels, finished, whose record tells of them."""
+    with world.platform.database.transaction() as session:
+        a, b = hidden_label_sets(session, world)[:2]
+        facts = {"sequence_id": a.sequence_id, "a_id": a.id, "b_id": b.id, "job_id": a.job_id, "code_version": "1"}
+        session.add(LabelComparison(**facts, record={"frames": BIG + 11}, finished_ns=1))
 
 
 def _submit(world: World) -> None:

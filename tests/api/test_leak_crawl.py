@@ -47,7 +47,8 @@ from tests.api.hidden_stage import (
 pytestmark = pytest.mark.whole
 
 UNBOUND = ApiSettings(requests_per_minute=10**7)
-OTHERS = ("recording_id", "export_id", "calibration_id")
+OTHERS = ("recording_id", "export_id", "calibration_id", "comparison_id", "sequence_id", "token")
+NOBODYS = "e" * 32
 TELLING_THE_TIME = ("/readyz", "/quota", "/tokens")
 VOLATILE = {"date", "x-request-id", "ratelimit-remaining", "ratelimit-reset"}
 
@@ -124,7 +125,7 @@ def test_what_is_hidden_is_answered_like_what_does_not_exist(stage: Stage) -> No
     with client_of(unbound(stage.world.platform), stage.world.member) as client:
         document = client.get("/api/v1/openapi.json").json()
         for kind, subject in (("sequence_id", hidden), ("token", token), ("job_id", job)):
-            others = {one: [STRANGER] for one in OTHERS} | {"path": [EXPORTED], "name": ["bev.png"]}
+            others = {one: [NOBODYS] for one in OTHERS} | {"path": [EXPORTED], "name": ["bev.png"]}
             others |= {"tile_name": ["0_-1"], "channel": ["CAM_FRONT"]}
             there, absent = (
                 Crawl(client, _about(document, kind), others | {kind: [one]}) for one in (subject, STRANGER)
