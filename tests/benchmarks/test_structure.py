@@ -19,7 +19,7 @@ from benchmarks.structure import (
 
 FILES = {
     "api/routes/__init__.py": "",
-    "api/routes/sequences/sequences.py": "from core import rows\n",
+    "api/routes/sequences.py": "from core import rows\n",
     "api/routes/health.py": "ROUTE = 1\n",
     "stone_client/commands/label.py": "from core.pipeline import run\n",
     "core/__init__.py": "",
@@ -49,8 +49,8 @@ def test_an_import_in_a_function_makes_a_cycle_and_one_for_types_does_not(tree: 
 
 
 def test_hops_are_imports_on_the_shortest_way(tree: Tree) -> None:
-    assert hops(tree.graph.imports, "api.routes.sequences.sequences") == {
-        "api.routes.sequences.sequences": 0,
+    assert hops(tree.graph.imports, "api.routes.sequences") == {
+        "api.routes.sequences": 0,
         "core.rows": 1,
         "core.pipeline": 2,
         "core.kernels": 3,
