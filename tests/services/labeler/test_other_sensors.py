@@ -1,8 +1,8 @@
 """Labels of one simulated run as people record it: the LiDAR as packets, the poses by other messages and by files.
 
-Ten runs of labelling, some 15 s of processor time each: they alone would catch packets that are deskewed, mapped or
-counted otherwise than clouds, and poses that are right at the frames and wrong between them. What was measured is
-recorded as properties of the tests.
+Catches alone packets that are deskewed, mapped or counted otherwise than clouds, and poses that are right at the frames
+and wrong between them; for that, ten runs of labelling, some 15 s of processor time each. What was measured is recorded
+as properties of the tests.
 """
 
 from collections.abc import Callable

@@ -19,7 +19,17 @@ from services.runtime.orm import Base, FigureRow, Job, JobAttempt, JobLine
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 
-TABLES = ("users", "sequences", "jobs", "job_needs", "job_attempts", "job_lines", "queues", "figures")
+TABLES = (
+    "users",
+    "sequences",
+    "jobs",
+    "job_needs",
+    "job_attempts",
+    "job_lines",
+    "queues",
+    "figures",
+    "notification_events",
+)
 
 
 class JobState(NamedTuple):
