@@ -48,9 +48,13 @@ def queue_due(platform: Platform) -> int:
 
 
 def take_back_lost(platform: Platform) -> int:
-    """Have deliveries tried again whose job ended without a word; how many."""
-    ended = select(NotificationDelivery.id, Job.state).join(Job, Job.id == NotificationDelivery.job_id)
-    ended = ended.where(NotificationDelivery.state == "queued", Job.state.in_(TERMINAL)).limit(AT_A_TIME)
+    """Have deliveries tried again whose job ended without a word; how many.
+
+    Only those that are queued longest are looked at, however many there are: all before them are sent first.
+    """
+    queued = select(NotificationDelivery.id, NotificationDelivery.job_id).where(NotificationDelivery.state == "queued")
+    longest = queued.order_by(NotificationDelivery.due_ns).limit(AT_A_TIME).subquery()
+    ended = select(longest.c.id, Job.state).join(Job, Job.id == longest.c.job_id).where(Job.state.in_(TERMINAL))
     with platform.database.reading() as session:
         found = session.execute(ended).all()
     return sum(_take_back(platform, delivery_id, state == "cancelled") for delivery_id, state in found)

@@ -9,6 +9,7 @@ import asyncio
 import json
 import ssl
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from typing import Any
 from urllib.parse import urlsplit
@@ -41,11 +42,16 @@ def send_form(url: str, form: Mapping[str, str], headers: Mapping[str, str], tim
 def _answer(request: httpx.Request, timeout_s: float) -> tuple[int, bytes]:
     host = request.url.host
     try:
-        return asyncio.run(_exchange(request, timeout_s))
+        with ThreadPoolExecutor(1) as apart:  # the caller's own thread may stand within an event loop
+            return apart.submit(_run, request, timeout_s).result()
     except TimeoutError:
         raise ProviderAwayError(host, f"it did not answer within {timeout_s:g} s") from None
     except (httpx.HTTPError, httpx.InvalidURL, OSError, UnicodeError) as error:
         raise ProviderAwayError(host, f"{type(error).__name__}: {error}") from None
+
+
+def _run(request: httpx.Request, timeout_s: float) -> tuple[int, bytes]:
+    return asyncio.run(_exchange(request, timeout_s))
 
 
 async def _exchange(request: httpx.Request, timeout_s: float) -> tuple[int, bytes]:

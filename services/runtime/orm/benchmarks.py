@@ -40,8 +40,8 @@ class Phase(Base):
     part: Mapped[str] = mapped_column(String(8))
     mask: Mapped[str] = mapped_column(String(8), default="all")
     is_hidden: Mapped[bool]
-    opens_ns: Mapped[Ns | None]
-    closes_ns: Mapped[Ns | None]
+    opens_ns: Mapped[Ns | None] = mapped_column(index=True)
+    closes_ns: Mapped[Ns | None] = mapped_column(index=True)
     named_from_ns: Mapped[Ns | None]
     scorings_per_window: Mapped[int | None]
     window_ns: Mapped[Ns] = mapped_column(default=7 * 86_400 * 10**9)

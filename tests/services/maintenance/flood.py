@@ -45,6 +45,8 @@ PARTICULAR: dict[str, tuple[dict[str, Any], ...]] = {
     ),
     # Those that run are as many as there are workers; those that are ready are counted up to a number of their own.
     "jobs": ({"state": "succeeded", "queue": "labeler"}, {"state": "queued", "queue": "labeler", "needs_left": 1}),
+    "notification_events": ({"spread_ns": None}, {}),
+    "notification_deliveries": ({"state": "waiting"}, {"state": "queued"}, {"state": "delivered"}),
     "upload_parts": ({"offset_bytes": 0}, {"offset_bytes": 5}),
     "loose_objects": ({"is_condemned": False}, {"is_condemned": True}),
 }

@@ -7,7 +7,9 @@ import pytest
 from sqlalchemy import func, insert, select
 
 from services.domain.benchmarks.submissions import chores as submission_chores
+from services.domain.notifications import spread
 from services.maintenance import sweeper
+from services.maintenance.notifications import delivery
 from services.runtime.access import audit_retention, retention
 from services.runtime.orm import Base, Upload, User, new_id
 from services.runtime.platform import Platform
@@ -20,13 +22,16 @@ from tests.services.maintenance.flood import LATER_NS, NOT_STRANGERS, PARTICULAR
 SOME, MORE = 250, 750
 SMALL = 40
 ATTACK = 5000
-CHORES = ("jobs", "submissions", "submitted files", "uploads", "blobs", "credentials", "audit log", "workers")
+CHORES = (
+    *("jobs", "submissions", "submitted files", "uploads", "blobs", "credentials", "audit log", "workers"),
+    *("phases", "events", "deliveries", "lost deliveries", "old events", "senderone", "sendertwo"),
+)
 
 
 @pytest.fixture
 def flooded(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> Platform:
     """A platform whose chores take small slices, so that `SOME` rows are many already."""
-    for module in (submission_chores, audit_retention, retention):
+    for module in (submission_chores, audit_retention, retention, spread, delivery):
         monkeypatch.setattr(module, "AT_A_TIME", SMALL)
     for module in (audit_retention, retention):
         monkeypatch.setattr(module, "MOST_TIMES", 2)

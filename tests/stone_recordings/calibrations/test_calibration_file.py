@@ -10,10 +10,10 @@ import pytest
 from stone.errors import StoneError
 from stone.sensors.calibration import Box, Footprint
 from stone.sensors.calibration_errors import DistortionLengthError, MirrorError, NotFiniteError, RepeatedSensorError
+from stone_files.errors import CalibrationSizeError
 from stone_recordings.calibrations.errors import (
     CalibrationFormatError,
     CalibrationKeyError,
-    CalibrationSizeError,
     CalibrationYamlError,
 )
 from stone_recordings.calibrations.file import read_calibration

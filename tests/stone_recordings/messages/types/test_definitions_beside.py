@@ -86,7 +86,7 @@ def test_a_definition_that_cannot_be_one_is_a_finding_and_changes_nothing(folder
 
 def test_definitions_are_parts_of_a_bag_but_no_bag() -> None:
     check_bag_files(["run_0.db3", "field_msgs.Reading.msg"])
-    with pytest.raises(BadBagFilesError, match=r"no \.mcap and no \.db3"):
+    with pytest.raises(BadBagFilesError, match=r"no \.mcap, no \.db3 and no \.bag file"):
         check_bag_files(["field_msgs.Part.msg", "field_msgs.Reading.msg"])
     with pytest.raises(BadBagFilesError, match="is no part of a bag"):
         check_bag_files(["run_0.db3", "reading.msg"])

@@ -9,6 +9,7 @@ branch_labels = None
 depends_on = None
 
 TABLES = ("notification_events", "notification_choices", "webhooks", "email_addresses", "notification_deliveries")
+MOMENTS = ("opens_ns", "closes_ns")  # of phases, looked for by the clock
 UNSPREAD = sa.text("spread_ns IS NULL")
 
 
@@ -18,9 +19,13 @@ def upgrade() -> None:
     _webhooks()
     _email_addresses()
     _deliveries()
+    for column in MOMENTS:
+        op.create_index(op.f(f"ix_phases_{column}"), "phases", [column], unique=False)
 
 
 def downgrade() -> None:
+    for column in MOMENTS:
+        op.drop_index(op.f(f"ix_phases_{column}"), "phases")
     for table in reversed(TABLES):
         op.drop_table(table)
 
