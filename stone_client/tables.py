@@ -112,9 +112,11 @@ def class_table(title: str, share_of_class: Mapping[str, float]) -> Table:
     return table
 
 
-def confusion_table(confusion: Sequence[Sequence[int]]) -> Table:
-    """Rows are ground truth, columns prediction, cells voxels."""
-    table = plain_table("voxels: ground truth in rows, prediction in columns", "", *CLASSES)
+def confusion_table(
+    confusion: Sequence[Sequence[int]], rows: str = "ground truth", columns: str = "prediction"
+) -> Table:
+    """Cells are voxels; `rows` and `columns` say of what."""
+    table = plain_table(f"voxels: {rows} in rows, {columns} in columns", "", *CLASSES)
     for name, row in zip(CLASSES, confusion, strict=True):
         table.add_row(name, *(f"{count:,}" for count in row))
     return table

@@ -5,7 +5,7 @@ from typing import Any
 
 from rich.table import Table
 
-from stone_client.tables import CLASSES, DASH, plain_table
+from stone_client.tables import DASH, plain_table
 
 RATIOS = {"iou_occ": "occupied", "iou_t": "T", "iou_p": "P", "iou_n": "N", "miou": "mean T P N"}
 
@@ -18,14 +18,6 @@ def agreement_table(record: Mapping[str, Any]) -> Table:
     table.add_row("same class, of occupied in either", *(_of(block, "agreement_ratio") for block in blocks))
     for key, name in RATIOS.items():
         table.add_row(f"IoU {name}", *(_percent(block["ratios"][key]) if block else DASH for block in blocks))
-    return table
-
-
-def pair_confusion_table(confusion: Sequence[Sequence[int]]) -> Table:
-    """Rows are A, columns B, cells voxels."""
-    table = plain_table("voxels: A in rows, B in columns", "", *CLASSES)
-    for name, row in zip(CLASSES, confusion, strict=True):
-        table.add_row(name, *(f"{count:,}" for count in row))
     return table
 
 

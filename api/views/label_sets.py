@@ -13,13 +13,12 @@ from services.domain.exports.requests import counting_labels
 from services.domain.sequences.label_comparisons import StoredLabelFile, StoredPair
 from services.domain.viewer.difference_picture import SeenGrid, comparison_picture
 from services.domain.viewer.formats import difference_bytes
-from services.domain.viewer.frame_grids import read_grids
+from services.domain.viewer.frame_grids import stored_grids
 from services.runtime.orm import Job, LabelComparison, LabelSet
 from services.runtime.store.protocol import Store
 from stone.scoring.agreement import differences
 
 HELD_PICTURES = 64
-SHOWN_GRIDS = ("semantics", "mask_lidar")
 
 
 def label_set_items(session: Session, sequence_id: str, rows: Listing[LabelSet]) -> list[LabelSetItem]:
@@ -65,10 +64,7 @@ def _picture(store: Store, pair: StoredPair) -> bytes:
 
 
 def _grids(store: Store, file: StoredLabelFile) -> SeenGrid:
-    begin = file.offset_bytes
-    payload = b"".join(store.read(file.object_key, begin, begin + file.length_bytes))
-    semantics, seen = read_grids(payload, SHOWN_GRIDS)
-    return semantics, seen
+    return stored_grids(store, file.object_key, (file.offset_bytes, file.offset_bytes + file.length_bytes))
 
 
 def _item(row: LabelComparison, job: Job) -> LabelComparisonItem:

@@ -22,7 +22,7 @@ from api.views.exports import served_file
 from api.visible import frame_of, newest_label_set, shown_sequence
 from services.domain.viewer.errors import NoPlaybackError, NoSceneError
 from services.domain.viewer.formats import voxels_bytes
-from services.domain.viewer.frame_grids import read_grids
+from services.domain.viewer.frame_grids import stored_grids
 from services.domain.viewer.frame_picture import Grid, picture_bytes
 from services.domain.viewer.playback import Playback, playback_of, shown_by
 from services.runtime.orm import Artefact, Blob
@@ -32,7 +32,6 @@ from services.runtime.store.protocol import Store
 
 HELD_SCENES, HELD_FRAMES = 16, 128
 NPZ = "application/octet-stream"
-SHOWN_GRIDS = ("semantics", "mask_lidar")
 VersionQuery = Annotated[
     str | None,
     Query(alias="v", pattern=ID_PATTERN, description="The label set that is meant: the answer may then be kept"),
@@ -116,10 +115,8 @@ def played_file(platform: Platform, asked: tuple[Caller, str, str | None], name:
 
 @lru_cache(maxsize=HELD_FRAMES)
 def _made(store: Store, labels: StoredFile, make: Callable[[Grid, Grid], bytes]) -> bytes:
-    begin = labels.offset_bytes
-    payload = b"".join(store.read(labels.object_key, begin, begin + labels.size_bytes))
-    semantics, observed = read_grids(payload, SHOWN_GRIDS)
-    return make(semantics, observed)
+    span = (labels.offset_bytes, labels.offset_bytes + labels.size_bytes)
+    return make(*stored_grids(store, labels.object_key, span))
 
 
 @lru_cache(maxsize=HELD_SCENES)

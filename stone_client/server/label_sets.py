@@ -1,6 +1,5 @@
 """Label sets of a sequence on a server: listed, compared by a job there."""
 
-import re
 from pathlib import Path
 from typing import ClassVar
 
@@ -10,11 +9,10 @@ from stone_base.errors import StoneError
 from stone_client.api import Api
 from stone_client.progress import Report
 from stone_client.server.job_following import follow
+from stone_client.server.newest import is_id, place_from_newest
 from stone_client.server.sequences import Item
 from stone_client.tables import plain_table, safe_text
 from stone_files.atomic import atomic_file
-
-ID, LATEST = re.compile("[0-9a-f]{32}"), re.compile(r"latest(?:~(\d{1,4}))?")
 
 
 class NoLabelSetError(StoneError):
@@ -30,7 +28,7 @@ class NoLabelSetError(StoneError):
 
 
 def label_sets_of(api: Api, sequence_id: str) -> list[Item]:
-    """All of them; the one that counts first, then those that were chosen later first."""
+    """All of them, newest first; which counts is said of each."""
     return list(api.pages(f"/sequences/{sequence_id}/label-sets"))
 
 
@@ -39,7 +37,8 @@ def compare_label_sets(api: Api, sequence: Item, named: tuple[str, str], progres
 
     Raises `NoLabelSetError`, `JobFailedError`, and what `Api.send` raises.
     """
-    a_id, b_id = _ids(api, sequence, named)
+    ids = [str(one["id"]) for one in label_sets_of(api, sequence["id"])]
+    a_id, b_id = (_id_named(name, ids) for name in named)
     asked = api.create(f"/sequences/{sequence['id']}/label-comparisons", {"a_id": a_id, "b_id": b_id})
     follow(api, asked["job"]["id"], progress)
     made: Item = api.read(f"/sequences/{sequence['id']}/label-comparisons/{asked['comparison']['id']}")
@@ -70,17 +69,11 @@ def label_set_table(name: str, sets: list[Item]) -> Table:
     return table
 
 
-def _ids(api: Api, sequence: Item, named: tuple[str, str]) -> list[str]:
-    sets: list[Item] | None = None
-    ids = []
-    for name in named:
-        found = LATEST.fullmatch(name)
-        if found is None and not ID.fullmatch(name):
-            raise NoLabelSetError(name, len(label_sets_of(api, sequence["id"])))
-        if found is not None:
-            sets = label_sets_of(api, sequence["id"]) if sets is None else sets
-            if (before := int(found[1] or 0)) >= len(sets):
-                raise NoLabelSetError(name, len(sets))
-            name = str(sets[before]["id"])
-        ids.append(name)
-    return ids
+def _id_named(named: str, ids: list[str]) -> str:
+    """The id, or that at its place from the newest of `ids`. Raises `NoLabelSetError`."""
+    if is_id(named):
+        return named
+    place = place_from_newest(named)
+    if place is None or place >= len(ids):
+        raise NoLabelSetError(named, len(ids))
+    return ids[place]

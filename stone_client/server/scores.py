@@ -3,7 +3,6 @@
 **Conventions.** Ratios are shown in percent; null is a dash: undefined, or not shown to the caller yet.
 """
 
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
@@ -12,10 +11,10 @@ from rich.table import Table
 from stone_base.errors import StoneError
 from stone_client.api import Api
 from stone_client.server.benchmarks import phase_path
+from stone_client.server.newest import is_id, place_from_newest
 from stone_client.server.sequences import Item
 from stone_client.tables import CLASSES, DASH, confusion_table, plain_table, safe_text
 
-ID, LATEST = re.compile("[0-9a-f]{32}"), re.compile(r"latest(?:~(\d{1,4}))?")
 RATIOS = {"miou": "mIoU", "iou_occ": "IoU occ", "iou_t": "IoU T", "iou_p": "IoU P", "iou_n": "IoU N"}
 EXTRAS = {
     "n_predicted_t_ratio": "of N predicted T (dangerous)",
@@ -38,14 +37,13 @@ class NoSubmissionError(StoneError):
 
 def submission_id(api: Api, named: str) -> str:
     """The id, or that of the newest but so many of the caller's that are scored. Raises `NoSubmissionError`."""
-    if ID.fullmatch(named):
+    if is_id(named):
         return named
-    found = LATEST.fullmatch(named)
-    own = [one["id"] for one in read_submissions(api) if one["kind"] != "validation"] if found else []
-    before = int(found[1] or 0) if found else 0
-    if before >= len(own):
+    place = place_from_newest(named)
+    own = [one["id"] for one in read_submissions(api) if one["kind"] != "validation"] if place is not None else []
+    if place is None or place >= len(own):
         raise NoSubmissionError(named, len(own))
-    return str(own[before])
+    return str(own[place])
 
 
 def read_results(api: Api, submission_id: str) -> dict[str, Any]:

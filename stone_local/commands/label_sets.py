@@ -10,7 +10,7 @@ import typer
 from stone_client.options import SequenceArgument, ServerOption
 from stone_client.progress import reported
 from stone_client.streams import JsonOption, echo_json
-from stone_client.tables import show
+from stone_client.tables import confusion_table, show
 
 label_sets = typer.Typer(help="List the label sets of a sequence, compare two of them.", no_args_is_help=True)
 
@@ -29,7 +29,7 @@ PicturesOption = Annotated[
 
 @label_sets.command("list")
 def listed(sequence: SequenceArgument, server: ServerOption = None, as_json: JsonOption = False) -> None:
-    """Show all label sets of a sequence of the server, the one that counts first."""
+    """Show all label sets of a sequence of the server, newest first, and which of them counts."""
     from stone_client.connection import connected
     from stone_client.server.label_sets import label_set_table, label_sets_of
     from stone_client.server.sequences import find_sequence
@@ -91,10 +91,10 @@ def _of_server(
 
 
 def _show(record: Mapping[str, Any]) -> None:
-    from stone_local.agreement_tables import agreement_table, least_alike_table, pair_confusion_table, ring_table
+    from stone_local.agreement_tables import agreement_table, least_alike_table, ring_table
 
     show(agreement_table(record))
-    show(pair_confusion_table(record["all_voxels"]["confusion"]))
+    show(confusion_table(record["all_voxels"]["confusion"], "A", "B"))
     show(ring_table(record["all_voxels"]["rings"]))
     if record["least_alike"]:
         show(least_alike_table(record["least_alike"]))

@@ -12,9 +12,11 @@ import numpy as np
 from isal import isal_zlib
 from numpy.typing import NDArray
 
+from services.runtime.store.protocol import Store
 from stone.errors import PlatformFaultError
 
 SHAPE = (256, 256, 32)
+SHOWN_GRIDS = ("semantics", "mask_lidar")
 LOCAL_HEAD_BYTES, NAME_AT = 30, 26
 
 
@@ -25,6 +27,12 @@ class GridUnreadableError(PlatformFaultError):
 
     def __init__(self, key: str, reason: str) -> None:
         super().__init__(f"grid {key!r} of a frame cannot be read: {reason}; was the store changed by hand?")
+
+
+def stored_grids(store: Store, object_key: str, span: tuple[int, int]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Classes and what was seen, of the label file in these bytes of an object. Raises `GridUnreadableError`."""
+    semantics, seen = read_grids(b"".join(store.read(object_key, *span)), SHOWN_GRIDS)
+    return semantics, seen
 
 
 def read_grids(payload: bytes, keys: Iterable[str]) -> list[NDArray[np.uint8]]:
