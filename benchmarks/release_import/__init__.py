@@ -1,0 +1,1 @@
+"""A dataset of the release's size through the whole platform: imported under kills, scored against."""

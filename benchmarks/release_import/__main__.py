@@ -1,0 +1,72 @@
+"""A dataset of the release's size is imported while the platform is killed: `python -m benchmarks.release_import`.
+
+43 scenes, 50,878 frames and ten sensors (labels of a fractal world repeat) are written as a tar and imported by what
+`stone serve` starts, twice: undisturbed with a quarter of the frames, and whole while at `--kills` moments, spread over
+the frames, either the platform with all its processes or one process of its worker is killed with −9. Printed are
+frames a second and the most memory of any process, of both; that every frame stands once with the dataset's bytes; and
+what a phase made of the imported splits scores, beside what NumPy counts of the same frames.
+"""
+
+import argparse
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from benchmarks.datasets import FRAMES, SCENES, release_sized
+from benchmarks.release_import.run import ImportMeasurement, imported
+from benchmarks.release_import.scoring import scored
+from benchmarks.release_import.verification import verified
+from testing.stone_serve import serving
+from testing.worlds.published_datasets import SyntheticDataset, write_published_tar
+
+KILLS, TEST_SCENES, VAL_SCENES = 20, 2, 2
+SMALLER = 4
+
+
+def splits_of(dataset: SyntheticDataset) -> SyntheticDataset:
+    """With the last scenes as test, those before as val, the others as train."""
+    names = dataset.names
+    parts = {"train": names[: -TEST_SCENES - VAL_SCENES], "val": names[-TEST_SCENES - VAL_SCENES : -TEST_SCENES]}
+    splits = {**parts, "test": names[-TEST_SCENES:]}
+    return SyntheticDataset(
+        dataset.scenes, dataset.frames, dataset.longer, dataset.cameras, dataset.radars, dataset.labels, splits
+    )
+
+
+def main(words: Sequence[str]) -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--frames", type=int, default=FRAMES)
+    parser.add_argument("--kills", type=int, default=KILLS)
+    parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()), help="some 20 GB are written there")
+    given = parser.parse_args(words)
+    with tempfile.TemporaryDirectory(dir=given.folder) as folder:
+        for name, count, kills in (("smaller", given.frames // SMALLER, 0), ("whole", given.frames, given.kills)):
+            measure(Path(folder) / name, splits_of(release_sized(count)), kills)
+
+
+def measure(folder: Path, dataset: SyntheticDataset, kills: int) -> None:
+    """Import it into a new platform; with kills also hold what stands against the dataset, and score against it."""
+    folder.mkdir()
+    begun = time.perf_counter()
+    tar = write_published_tar(folder / "field.tar", dataset)
+    written = f"{tar.stat().st_size / 1e9:.2f} GB written in {time.perf_counter() - begun:.0f} s"
+    print(f"{SCENES} scenes, {sum(map(dataset.length, range(SCENES)))} frames, {written}", flush=True)
+    made = imported(folder / "data", tar, kills)
+    show(made)
+    if kills:
+        with serving(folder / "data") as running, running.api() as api:
+            print(verified(api, dataset), flush=True)
+            print(scored(api, dataset, folder), flush=True)
+
+
+def show(made: ImportMeasurement) -> None:
+    held = ", ".join(f"{name} {mib:.0f}" for name, mib in sorted(made.most_mib.items()))
+    rate = f"{made.frames} frames in {made.wall_s:.0f} s ({made.frames / made.wall_s:.0f} frames/s)"
+    print(f"sent in {made.sent_s:.0f} s; imported: {rate}, killed {made.kills} times", flush=True)
+    print(f"most MiB of a process: {held}", flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,115 @@
+"""An import on a platform of its own that is killed at moments which are spread over the frames."""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from random import Random
+from threading import Event, Thread
+from typing import Any
+
+import psutil
+
+from stone_client.errors import ServerUnreachableError
+from stone_client.sdk import ignore_progress
+from stone_client.server.dataset_imports import DatasetWishes, read_import, send_dataset
+from testing.stone_serve import Serving, serving
+
+LOOK_S = 0.5
+MIB = 2**20
+WISHES = DatasetWishes("release", sets_splits=True)
+GONE = (psutil.NoSuchProcess, psutil.AccessDenied, psutil.ZombieProcess)
+ROLES = ("sandbox.fork_server", "processes.worker", "sweeper", "processes.api", "redis-server")
+
+
+@dataclass
+class ImportMeasurement:
+    """An import that has ended well: how long it took from being asked for, and the most memory of each process."""
+
+    sent_s: float = 0.0
+    wall_s: float = 0.0
+    frames: int = 0
+    kills: int = 0
+    most_mib: dict[str, float] = field(default_factory=dict)
+
+
+class ImportFailedError(Exception):
+    """The import ended otherwise than well."""
+
+
+def imported(data: Path, tar: Path, kills: int, seed: int = 1) -> ImportMeasurement:
+    """Send the tar, have it imported, and kill what works on it. Raises `ImportFailedError`."""
+    made, chance = ImportMeasurement(), Random(seed)
+    begun = time.perf_counter()
+    with serving(data) as running, running.api() as api:
+        asked = send_dataset(api, tar, WISHES, ignore_progress)
+    made.sent_s = time.perf_counter() - begun
+    begun, state = time.perf_counter(), dict[str, Any](asked)
+    while state["state"] not in ("succeeded", "failed", "cancelled"):
+        with serving(data) as running, _memory_seen(running, made.most_mib):
+            state = _disturbed(running, str(asked["id"]), (made, kills, chance))
+    if state["state"] != "succeeded":
+        raise ImportFailedError(f"{state['state']}: {state['failure']}")
+    made.wall_s, made.frames = time.perf_counter() - begun, int(state["frames"])
+    return made
+
+
+def _disturbed(running: Serving, import_id: str, plan: tuple[ImportMeasurement, int, Random]) -> dict[str, Any]:
+    """The import once it has ended, or once all of the platform was killed."""
+    made, kills, chance = plan
+    with running.api() as api:
+        while True:
+            with suppress(ServerUnreachableError):
+                state = dict(read_import(api, import_id))
+                if state["state"] in ("succeeded", "failed", "cancelled"):
+                    return state
+                if _is_due(state, made.kills, kills):
+                    made.kills += 1
+                    time.sleep(chance.uniform(0.0, 2.0))
+                    if made.kills % 2:
+                        running.kill_9()
+                        return state
+                    _kill_in_worker(running, chance)
+            time.sleep(LOOK_S)
+
+
+def _is_due(state: dict[str, Any], done: int, kills: int) -> bool:
+    """Kill k of n comes when so many scenes are done; the first comes before the index is."""
+    if done >= kills:
+        return False
+    if not done:
+        return True
+    total = state["scenes_total"]
+    return total is not None and int(state["scenes_done"]) >= total * (done - 1) / kills
+
+
+def _kill_in_worker(running: Serving, chance: Random) -> None:
+    """One process below the worker: of its pool, or a sandboxed child, or the server that forks them."""
+    below = running.child("processes.worker").children(recursive=True)
+    with suppress(*GONE):
+        if below:
+            chance.choice(below).kill()
+
+
+@contextmanager
+def _memory_seen(running: Serving, most_mib: dict[str, float]) -> Iterator[None]:
+    """While it lasts, the most resident memory of any process of each role is noted."""
+    ended = Event()
+    thread = Thread(target=_look, args=(running, most_mib, ended), daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+def _look(running: Serving, most_mib: dict[str, float], ended: Event) -> None:
+    while not ended.wait(LOOK_S):
+        with suppress(*GONE):
+            for one in running.descendants():
+                with suppress(*GONE):
+                    words = " ".join(one.cmdline())
+                    role = next((role for role in ROLES if role in words), "other")
+                    most_mib[role] = max(most_mib.get(role, 0.0), one.memory_info().rss / MIB)
