@@ -9,7 +9,9 @@ import pytest
 from services.domain.imports.requests import PUBLISH_IMPORT
 from services.labeler.imports import index_stage, scene_stage
 from services.labeler.imports.answers import DatasetIndexAnswer
+from services.labeler.imports.indexing import index_dataset
 from services.labeler.imports.openings import DatasetOpening, SceneOpening, scene_folder
+from services.labeler.imports.scene_import import import_scene
 from services.labeler.imports.scene_stage import told_path
 from services.labeler.run_answers import PublicationAnswer
 from services.runtime.jobs.specs import Attempt, Handler, Outcome
@@ -22,8 +24,7 @@ from testing.worlds.published_datasets import SyntheticDataset, made_labels, wri
 from testing.worlds.runs import Wrap, run_all, unchanged
 
 ONE = SyntheticDataset(scenes=1, frames=2, cameras=("CAM_FRONT",), radars=(), labels=(made_labels(),))
-INDEX_DATASET, IMPORT_SCENE = index_stage.index_dataset, scene_stage.import_scene
-Tamper = Callable[[Path], None]
+Tamper = Callable[[Path], object]
 
 
 class NamedDataset(SyntheticDataset):
@@ -85,19 +86,19 @@ def test_a_tar_that_changed_on_the_disk_is_refused(platform: Platform, tar: Path
 
 
 def leaves_no_scene(opening: DatasetOpening, folder: Path, progress: ProgressCallback) -> bytes:
-    answer = INDEX_DATASET(opening, folder, progress)
+    answer = index_dataset(opening, folder, progress)
     (folder / scene_folder(0)).rename(folder / "elsewhere")
     return answer
 
 
 def tells_of_another_scene(opening: DatasetOpening, folder: Path, progress: ProgressCallback) -> bytes:
-    told = DatasetIndexAnswer.model_validate_json(INDEX_DATASET(opening, folder, progress))
+    told = DatasetIndexAnswer.model_validate_json(index_dataset(opening, folder, progress))
     return told.model_copy(update={"scenes": [*told.scenes, told.scenes[0]]}).packed()
 
 
 def leaves(tamper: Tamper) -> Callable[[SceneOpening, Path, ProgressCallback], bytes]:
     def work(opening: SceneOpening, folder: Path, progress: ProgressCallback) -> bytes:
-        answer = IMPORT_SCENE(opening, folder, progress)
+        answer = import_scene(opening, folder, progress)
         tamper(folder / scene_folder(opening.ordinal) / "out")
         return answer
 
@@ -133,7 +134,7 @@ def test_a_scene_that_is_not_as_it_says_is_not_believed(
 def test_a_name_that_no_object_can_have_is_refused(
     platform: Platform, tar: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(scene_stage, "import_scene", leaves(lambda out: (out / "a\nb").write_bytes(b"x") and None))
+    monkeypatch.setattr(scene_stage, "import_scene", leaves(lambda out: (out / "a\nb").write_bytes(b"x")))
     assert refused(platform, tar)[0] == "bad_key"
 
 
