@@ -30,7 +30,7 @@ from services.labeler.imports.answers import DatasetIndexAnswer
 from services.runtime.access.storage_quota import QuotaExceededError, balance
 from services.runtime.backup.references import backup_references
 from services.runtime.jobs.claims import claim
-from services.runtime.jobs.control import set_mode
+from services.runtime.jobs.control import cancel, set_mode
 from services.runtime.jobs.errors import JobCancelledError, JobStateError, QueueDrainingError
 from services.runtime.orm import (
     DatasetImport,
