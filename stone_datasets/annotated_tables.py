@@ -108,7 +108,7 @@ def _samples(sequence: DatasetSequence) -> Iterator[Row]:
 
 
 def _datum_token(sequence: DatasetSequence, channel: DatasetChannel, place: int) -> str:
-    """"" outside of them, as the schema ends its chains."""
+    """ "" outside of them, as the schema ends its chains."""
     if not 0 <= place < len(channel.frames):
         return ""
     return _token("sample_data", sequence.tokens[int(channel.frames[place])], channel.sensor.channel)
