@@ -44,7 +44,7 @@ from services.runtime.platform import Platform
 from services.runtime.sandbox.errors import SandboxCrashedError
 from services.runtime.uploads import expire, upload_file
 from services.runtime.uploads.errors import UploadMissingError, UploadPurposeError, UploadStateError
-from testing.worlds.imported import BroughtDataset, an_owner, bring_dataset
+from testing.worlds.brought_datasets import BroughtDataset, an_owner, bring_dataset
 from testing.worlds.runs import Said, uploaded
 
 SIZE_BYTES = 1000
