@@ -20,6 +20,8 @@ SOURCES: Mapping[ResultKind, tuple[str, ...]] = MappingProxyType(
         "labels": (
             "stone",
             "stone_base",
+            "stone_datasets",
+            "stone_exports",
             "stone_files",
             "stone_recordings",
             "services.domain.viewer",

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from sqlalchemy import Connection, and_, or_, select
 
-from services.runtime.orm import Job, RecordingFile, SubmissionRow, Upload
+from services.runtime.orm import DatasetImport, Job, RecordingFile, SubmissionRow, Upload
 from services.runtime.orm.base import now_ns
 from services.runtime.store.garbage_collection import KEPT_FAILED_NS
 from services.runtime.uploads.part_rows import STORE
@@ -46,11 +46,14 @@ def _uploads(connection: Connection) -> list[BackupUpload]:
     used = Upload.state == "consumed"
     recorded = select(RecordingFile.upload_id).where(RecordingFile.blob_sha256.is_(None))
     submitted = select(SubmissionRow.upload_id).where(SubmissionRow.blob_sha256.is_(None))
+    unread = (DatasetImport.blob_sha256.is_(None), DatasetImport.finished_ns.is_(None))
+    imported = select(DatasetImport.upload_id).where(*unread)
     needed = or_(
         Upload.state.in_(("open", "complete")),
-        and_(used, Upload.purpose.not_in(("recording", "submission"))),
+        and_(used, Upload.purpose.not_in(("recording", "submission", "dataset"))),
         and_(used, Upload.purpose == "recording", Upload.id.in_(recorded)),
         and_(used, Upload.purpose == "submission", Upload.id.in_(submitted)),
+        and_(used, Upload.purpose == "dataset", Upload.id.in_(imported)),
     )
     found = connection.execute(
         select(Upload.id, Upload.sha256).where(Upload.backend != STORE, needed).order_by(Upload.id)

@@ -12,6 +12,7 @@ from services.runtime.orm import Export, Job
 
 TOLD = {
     "sequence.process": "processing",
+    "dataset.import": "the import of a dataset",
     "labeler.export": "the export",
     "dataset.inputs": "making a dataset's inputs",
     "phase.inputs": "making a phase's inputs",

@@ -12,6 +12,7 @@ from services.runtime.orm.benchmarks import (
     Reported,
     Rescore,
 )
+from services.runtime.orm.dataset_imports import DatasetImport, ImportedFile
 from services.runtime.orm.datasets import (
     Dataset,
     DatasetInput,
@@ -64,6 +65,7 @@ __all__ = [
     "ChoreRow",
     "CounterRow",
     "Dataset",
+    "DatasetImport",
     "DatasetInput",
     "DatasetInputPack",
     "DatasetMember",
@@ -79,6 +81,7 @@ __all__ = [
     "GcHoldRow",
     "GroundTruthRow",
     "IdempotentReply",
+    "ImportedFile",
     "Job",
     "JobAttempt",
     "JobLine",

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from services.runtime.uploads.errors import BadMetadataError
 
-PURPOSES = ("recording", "calibration", "submission", "ground_truth")
+PURPOSES = ("recording", "calibration", "submission", "ground_truth", "dataset")
 LONGEST_NAME_BYTES = 255
 SHA256 = re.compile(r"[0-9a-f]{64}")
 TARGET = re.compile(r"[A-Za-z0-9_-]{0,64}")

@@ -12,7 +12,7 @@ from itertools import islice
 import structlog
 from sqlalchemy import ColumnElement, and_, exists, or_, select
 
-from services.runtime.orm import RecordingFile, SubmissionRow, Upload
+from services.runtime.orm import DatasetImport, RecordingFile, SubmissionRow, Upload
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from services.runtime.uploads.backend import UploadBackend
@@ -102,8 +102,11 @@ def _is_needed_no_more() -> ColumnElement[bool]:
     """Whether an upload ended without its bytes, or what used it has its bytes in the store or is gone."""
     recorded = exists().where(RecordingFile.upload_id == Upload.id, RecordingFile.blob_sha256.is_(None))
     submitted = exists().where(SubmissionRow.upload_id == Upload.id, SubmissionRow.blob_sha256.is_(None))
+    unread = (DatasetImport.blob_sha256.is_(None), DatasetImport.finished_ns.is_(None))
+    imported = exists().where(DatasetImport.upload_id == Upload.id, *unread)
     used = or_(
         and_(Upload.purpose == "recording", ~recorded),
         and_(Upload.purpose == "submission", ~submitted),
+        and_(Upload.purpose == "dataset", ~imported),
     )
     return or_(Upload.state.in_(GONE), and_(Upload.state == "consumed", used))

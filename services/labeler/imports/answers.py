@@ -1,0 +1,41 @@
+"""What the child that indexes a dataset may answer; what one that imports a scene may, is a `PublicationAnswer`.
+
+**Conventions.** The pack `packs/000000.pack` of such an answer is the file `labels/000000.pack` of the scene's `out`.
+"""
+
+from typing import Annotated, ClassVar, Self
+
+from pydantic import Field, StringConstraints, model_validator
+
+from services.labeler.run_answers import Count
+from services.runtime.sandbox.answers import SandboxAnswer
+
+MOST_SCENES, MOST_SPLITS = 20_000, 1000
+SceneName = Annotated[str, StringConstraints(min_length=1, max_length=300)]
+SplitName = Annotated[str, StringConstraints(min_length=1, max_length=200)]
+
+
+class IndexedSceneAnswer(SandboxAnswer):
+    """A scene: its place, its name, its frames, whether each of them has labels, and the splits that name it."""
+
+    asked: ClassVar[str] = "a scene"
+    ordinal: Count
+    name: SceneName
+    frames: Count
+    is_labelled: bool
+    splits: Annotated[tuple[SplitName, ...], Field(max_length=MOST_SPLITS)] = ()
+
+
+class DatasetIndexAnswer(SandboxAnswer):
+    """The scenes of a dataset, in their order."""
+
+    asked: ClassVar[str] = "the scenes of a dataset"
+    scenes: Annotated[list[IndexedSceneAnswer], Field(min_length=1, max_length=MOST_SCENES)]
+
+    @model_validator(mode="after")
+    def _are_told_apart(self) -> Self:
+        if [scene.ordinal for scene in self.scenes] != list(range(len(self.scenes))):
+            raise ValueError("scenes are not numbered in their order")
+        if len({scene.name for scene in self.scenes}) < len(self.scenes):
+            raise ValueError("two scenes have one name")
+        return self
