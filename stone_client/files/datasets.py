@@ -115,14 +115,15 @@ def _sum_of(read: Callable[[int, int], bytes], size_bytes: int, progress: Report
 def _files(root: Path) -> Iterator[tuple[str, int, int]]:
     """Name, size and time of change of every file that has a plain name. Raises `PathLeavesDatasetError`."""
     real_root = os.path.realpath(root)
-    waiting = [("", (real_root,))]
+    waiting: list[tuple[str, tuple[str, ...]]] = [("", (real_root,))]
     while waiting:
         folder, above = waiting.pop()
-        for entry in os.scandir(root / folder):
-            name = f"{folder}{entry.name}"
-            if len(name) > MOST_NAME or not NAME.fullmatch(name):
-                continue
-            real = os.path.realpath(entry.path) if entry.is_symlink() else ""
+        with os.scandir(root / folder) as entries:
+            plain = [
+                one for one in entries if len(folder + one.name) <= MOST_NAME and NAME.fullmatch(folder + one.name)
+            ]
+        for entry in plain:
+            name, real = f"{folder}{entry.name}", os.path.realpath(entry.path) if entry.is_symlink() else ""
             if real and not is_below(real, real_root):
                 raise leaving(name)
             if entry.is_file():
