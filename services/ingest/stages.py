@@ -1,4 +1,5 @@
-"""What ingest does in the queue: `register` reads a recording, `synchronise` makes a sequence of it.
+"""What ingest does in the queue: `register` reads a recording, `synchronise` makes a sequence of it; `keep_dataset`
+keeps the tar of a published dataset.
 
 **Conventions.** A stage is a function of the platform and an attempt; it may run twice, at once or after being killed
 anywhere, and leaves the same bytes. Files for the labeler lie in the workspace of the run.
@@ -11,6 +12,7 @@ from typing import Any
 
 from sqlalchemy.orm import Session
 
+from services.domain.imports.requests import KEEP_DATASET
 from services.domain.sequences.previews import PreparedPreview, PreviewSubject, prepared_previews, replace_previews
 from services.domain.sequences.processing import LABEL, REGISTER, SYNCHRONISE
 from services.domain.sequences.recording_sources import kept_recording, locate, locate_file
@@ -18,6 +20,7 @@ from services.domain.sequences.restart import arguments_of_run
 from services.domain.sequences.run_files import SEQUENCE_FILE, SWEEPS_FILE
 from services.domain.sequences.stage_checks import require_sequence
 from services.domain.sequences.unusable_labels import tell_unusable
+from services.ingest.dataset_keeping import keep_dataset
 from services.ingest.kernel_warmup import warm
 from services.ingest.pipeline import SynchroniseOptions
 from services.ingest.registration import register
@@ -47,7 +50,8 @@ class _Inputs:
 
 def handlers(platform: Platform) -> Handlers:
     """The stages by kind."""
-    return {REGISTER: partial(register, platform), SYNCHRONISE: partial(synchronise_recording, platform)}
+    stages = {REGISTER: register, SYNCHRONISE: synchronise_recording, KEEP_DATASET: keep_dataset}
+    return {kind: partial(stage, platform) for kind, stage in stages.items()}
 
 
 def synchronise_recording(platform: Platform, attempt: Attempt) -> Outcome:

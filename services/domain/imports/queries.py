@@ -54,7 +54,9 @@ def progress_of(session: Session, imported: DatasetImport) -> ImportProgress:
     run, records = session.get_one(Job, imported.job_id), imported.scenes or []
     states = _states(session, run.id)
     ids = [record["sequence_id"] for record in records if "sequence_id" in record]
-    alive = set(session.scalars(select(SequenceRow.id).where(SequenceRow.id.in_(ids), SequenceRow.deleted_ns.is_(None))))
+    alive = set(
+        session.scalars(select(SequenceRow.id).where(SequenceRow.id.in_(ids), SequenceRow.deleted_ns.is_(None)))
+    )
     scenes = (
         SceneProgress(
             ordinal,

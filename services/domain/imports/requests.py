@@ -10,10 +10,11 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from sqlalchemy import delete, select
+from sqlalchemy import delete
 from sqlalchemy.orm import Session
 
 from services.domain.imports.errors import SplitsForbiddenError
+from services.domain.sequences.restart import RESTARTS
 from services.runtime.access import storage_quota
 from services.runtime.access.roles import allows
 from services.runtime.code_version import code_version
@@ -27,6 +28,7 @@ from services.runtime.telemetry.origins import link_to
 from services.runtime.uploads import consume
 
 IMPORT = "dataset.import"
+KEEP_DATASET = "ingest.keep_dataset"
 INDEX = "labeler.import_index"
 SCENE = "labeler.import_scene"
 PUBLISH_IMPORT = "labeler.import_publish"
@@ -119,15 +121,9 @@ def delete_import(session: Session, imported: DatasetImport) -> None:
     storage_quota.release(session, imported.upload_id, "import deleted")
 
 
-def locked_import(session: Session, import_id: str) -> DatasetImport | None:
-    """The import as it is now, locked until the end of the transaction; its run is locked before."""
-    found = select(DatasetImport).where(DatasetImport.id == import_id).with_for_update(key_share=True)
-    return session.scalars(found.execution_options(populate_existing=True)).one_or_none()
-
-
 def _begun(session: Session, imported: DatasetImport, restarts: int = 0) -> Job:
     """Raises `QueueDrainingError`."""
-    run = enqueue_run(session, IMPORT, [JobSpec(INDEX)], Context(imported.owner_id))
-    run.arguments = {"import_id": imported.id, "code_version": code_version("labels"), "restarts": restarts}
+    run = enqueue_run(session, IMPORT, [JobSpec(KEEP_DATASET)], Context(imported.owner_id))
+    run.arguments = {"import_id": imported.id, "code_version": code_version("labels"), RESTARTS: restarts}
     imported.job_id = run.id
     return run

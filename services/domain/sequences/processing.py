@@ -107,9 +107,10 @@ def delete_sequence(session: Session, sequence: SequenceRow) -> None:
     exports = select(Export.id).where(Export.sequence_id == sequence.id)
     subjects = [*session.scalars(held), *session.scalars(exports)]
     session.execute(delete(Export).where(Export.sequence_id == sequence.id))
-    session.execute(delete(LabelSet).where(LabelSet.sequence_id == sequence.id))
     session.execute(delete(Recording).where(Recording.sequence_id == sequence.id))
-    for subject_id in subjects:  # recordings before their owner's quota, as everywhere
+    storage_quota.lock_owner(session, sequence.owner_id)  # recordings before their owner's quota, as everywhere
+    subjects += session.scalars(delete(LabelSet).where(LabelSet.sequence_id == sequence.id).returning(LabelSet.id))
+    for subject_id in subjects:
         storage_quota.release(session, subject_id or "", "sequence deleted")
     sequence.deleted_ns = now_ns()
     sequence.revision += 1

@@ -43,10 +43,10 @@ class CodeChangedError(StoneError):
 
     code = "code_changed"
 
-    def __init__(self, begun: str, why: StoneError) -> None:
+    def __init__(self, begun: str, why: StoneError, remedy: str = "Process the sequence again") -> None:
         super().__init__(
             f"this run was begun by version {begun} and this worker is {code_version('labels')}; "
-            f"it could not be begun again: {why}. Process the sequence again"
+            f"it could not be begun again: {why}. {remedy}"
         )
 
 

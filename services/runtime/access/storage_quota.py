@@ -33,7 +33,7 @@ class QuotaExceededError(StoneError):
 
 def reserve(session: Session, owner_id: str, amount: int, subject_id: str, reason: str, limit: int) -> None:
     """Take `amount` bytes for the subject. Raises `QuotaExceededError`, and takes nothing then."""
-    _lock(session, owner_id)
+    lock_owner(session, owner_id)
     used = balance(session, owner_id)
     if used + amount > limit:
         raise QuotaExceededError(used, amount, limit)
@@ -49,7 +49,7 @@ def release(session: Session, subject_id: str, reason: str) -> int:
     owners = select(QuotaEntry.owner_id).where(QuotaEntry.subject_id == subject_id).distinct()
     released = 0
     for owner_id in sorted(session.scalars(owners)):
-        _lock(session, owner_id)
+        lock_owner(session, owner_id)
         of_subject = (QuotaEntry.owner_id == owner_id, QuotaEntry.subject_id == subject_id)
         taken = session.scalar(select(func.coalesce(func.sum(QuotaEntry.amount), 0)).where(*of_subject)) or 0
         if taken:
@@ -65,8 +65,9 @@ def balance(session: Session, owner_id: str) -> int:
     return int(session.scalar(total) or 0)
 
 
-def _lock(session: Session, owner_id: str) -> None:
-    """Lock the ledger; on SQLite the transaction itself is the lock (`BEGIN IMMEDIATE`)."""
+def lock_owner(session: Session, owner_id: str) -> None:
+    """Lock the owner's ledger, and whatever else is the owner's; on SQLite the transaction itself is the lock
+    (`BEGIN IMMEDIATE`)."""
     session.execute(select(User.id).where(User.id == owner_id).with_for_update(key_share=True))
 
 

@@ -1,0 +1,102 @@
+"""The end of an import: which sequences its scenes become, what is counted and what is given back, the draft splits.
+
+**Conventions.** Part of the transaction that writes everything; the run and the import are locked, then the owner, so
+that no sequence of the owner's is deleted between the look at it and the end (`delete_sequence` locks it too).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from sqlalchemy import delete, select
+from sqlalchemy.orm import Session
+
+from services.domain.datasets.catalogue import labelled_sequences
+from services.domain.datasets.splits import current_splits, errors_of, judged, lock_splits, replace_splits
+from services.domain.imports.errors import ExistingSequencesError
+from services.runtime.access import storage_quota
+from services.runtime.orm import DatasetImport, ImportedFile, SequenceRow
+from services.runtime.orm.base import now_ns
+from stone.splits.splits import PARTS, Split
+
+AT_A_TIME = 1000
+
+
+@dataclass(frozen=True)
+class PublishedScene:
+    """The sequence and the label set that a scene became; `size_bytes` are counted under the label set, 0 where it
+    stood already."""
+
+    sequence_id: str
+    label_set_id: str
+    size_bytes: int
+
+
+def refuse_existing(session: Session, imported: DatasetImport, names: Sequence[str]) -> Mapping[str, SequenceRow]:
+    """The owner's sequences of these names.
+
+    Raises `ExistingSequencesError` where there are any and labels are not to be added to them.
+    """
+    found = dict[str, SequenceRow]()
+    for start in range(0, len(names), AT_A_TIME):
+        named = SequenceRow.name.in_(names[start : start + AT_A_TIME])
+        alive = select(SequenceRow).where(SequenceRow.owner_id == imported.owner_id, SequenceRow.deleted_ns.is_(None))
+        found |= {row.name: row for row in session.scalars(alive.where(named))}
+    if found and imported.existing == "refuse":
+        raise ExistingSequencesError([name for name in names if name in found])
+    return found
+
+
+def sequences_of_scenes(session: Session, imported: DatasetImport) -> list[SequenceRow]:
+    """The sequence of each scene, in their order: one of that name, or a new one; the owner is locked from here on.
+
+    Raises `ExistingSequencesError`.
+    """
+    storage_quota.lock_owner(session, imported.owner_id)
+    names = [scene["name"] for scene in imported.scenes or []]
+    standing = refuse_existing(session, imported, names)
+    rows = [standing.get(name) or SequenceRow(owner_id=imported.owner_id, name=name) for name in names]
+    session.add_all(rows)
+    session.flush()
+    return rows
+
+
+def end_import(session: Session, imported: DatasetImport, made: Sequence[PublishedScene], limit_bytes: int) -> None:
+    """Give the tar back, count what was made of it, and note which sequences that is.
+
+    Raises `QuotaExceededError`.
+    """
+    storage_quota.release(session, imported.upload_id, "dataset imported")
+    for scene in made:
+        if scene.size_bytes:
+            taken = (scene.size_bytes, scene.label_set_id, "import", limit_bytes)
+            storage_quota.reserve(session, imported.owner_id, *taken)
+    session.execute(delete(ImportedFile).where(ImportedFile.import_id == imported.id))
+    imported.scenes = [
+        {**record, "sequence_id": scene.sequence_id, "label_set_id": scene.label_set_id}
+        for record, scene in zip(imported.scenes or [], made, strict=True)
+    ]
+    imported.blob_sha256, imported.finished_ns = None, now_ns()
+    session.flush()
+
+
+def follow_splits(session: Session, imported: DatasetImport) -> tuple[str, ...]:
+    """Put the sequences of an import that has ended into those of the draft splits that the dataset puts them in.
+
+    Where the rules forbid the result the splits stay as they are; the codes of what is forbidden, none where they were
+    set. Names of splits other than train, val and test mean nothing here.
+    """
+    row = lock_splits(session)
+    current = current_splits(session).split.parts
+    parts = {
+        record["sequence_id"]: part for record in imported.scenes or [] for part in PARTS if part in record["splits"]
+    }
+    split = Split(
+        *(
+            (*(one for one in current[part] if one not in parts), *(one for one, of in parts.items() if of == part))
+            for part in PARTS
+        )
+    )
+    refused = errors_of(judged(split, labelled_sequences(session)))
+    if not refused and parts:
+        replace_splits(session, row, split)
+    return tuple(sorted({finding.code for finding in refused}))
