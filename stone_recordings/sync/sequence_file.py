@@ -2,8 +2,9 @@
 
 **Conventions.** An npz of plain arrays: stamps, poses and their quality, the track between them, per channel the
 message index and dt, or where its slices begin; everything else is JSON in the bytes of `record`. Floats survive
-exactly (JSON writes the shortest digits that read back the same). Tokens are not stored: they follow from name and
-stamps. Written and read by workers of one version; beside labels on disk, also by the exports of that version.
+exactly (JSON writes the shortest digits that read back the same). Tokens that follow from name and stamps are not
+stored; those of a published dataset, which do not, are `tokens` of the record. Written and read by workers of one
+version; beside labels on disk, also by the exports of that version.
 """
 
 import io
@@ -84,7 +85,7 @@ def _frames(record: dict[str, Any], arrays: Arrays) -> Frames:
     sweeps, quality = record["sweeps"], [arrays.get(f"quality_{name}") for name in QUALITY]
     return Frames(
         stamps_ns,
-        tuple(frame_token(record["name"], stamp) for stamp in stamps_ns.tolist()),
+        tuple(record.get("tokens", _derived_tokens(record["name"], stamps_ns))),
         SE3(arrays["map_from_ego"]),
         {
             channel: Association(topic, arrays[f"index_{number}"], arrays[f"dt_ns_{number}"], phase_ns)
@@ -98,8 +99,10 @@ def _frames(record: dict[str, Any], arrays: Arrays) -> Frames:
 
 def _record(sequence: Sequence) -> dict[str, Any]:
     frames = sequence.frames
+    are_derived = frames.tokens == _derived_tokens(sequence.name, frames.stamps_ns)
     return {
         "name": sequence.name,
+        **({} if are_derived else {"tokens": list(frames.tokens)}),
         "associations": [[key, taken.topic, taken.phase_ns] for key, taken in frames.associations.items()],
         "slices": [[key, between.topic] for key, between in frames.slices.items()],
         "sweeps": frames.sweeps.topic if frames.sweeps is not None else None,
@@ -114,6 +117,10 @@ def _record(sequence: Sequence) -> dict[str, Any]:
         "ground": asdict(sequence.ground) if sequence.ground else None,
         "height_drift": asdict(sequence.height_drift) if sequence.height_drift else None,
     }
+
+
+def _derived_tokens(name: str, stamps_ns: NDArray[np.int64]) -> tuple[str, ...]:
+    return tuple(frame_token(name, stamp) for stamp in stamps_ns.tolist())
 
 
 def _floats(values: list[float] | None) -> tuple[float, float, float] | None:
