@@ -20,7 +20,7 @@ from api.schemas.dataset_imports import DatasetImportDetail, DatasetImportItem, 
 from api.views.imports.class_maps import stated_classes
 from api.views.imports.items import import_detail, import_items
 from api.visible import theirs
-from services.domain.imports.requests import NewImport, delete_import, start_import
+from services.domain.imports.requests import delete_import, start_import
 from services.runtime.orm import DatasetImport, User
 
 router = APIRouter(prefix="/dataset-imports", tags=["dataset imports"])
@@ -32,9 +32,8 @@ def create_dataset_import(
 ) -> DatasetImportDetail:
     """Have the dataset in a complete upload of yours imported; the job `job_id` does it. An upload serves once."""
     classes = None if body.classes is None else stated_classes(body.classes)
-    new = NewImport(body.upload_id, body.name or "", classes, body.existing, body.sets_splits)
     with platform.database.transaction() as session:
-        imported, run = start_import(session, session.get_one(User, caller.user_id), new)
+        imported, run = start_import(session, session.get_one(User, caller.user_id), body.wished(classes))
         facts = {"upload_id": body.upload_id, "job_id": run.id, "sets_splits": body.sets_splits}
         audit.record(session, caller, "dataset_import.create", imported.id, facts=facts)
         shown = import_detail(session, imported)

@@ -5,9 +5,10 @@ from typing import Annotated, Any
 
 from pydantic import Field, StringConstraints
 
-from api.schemas.base import ID_EXAMPLE, PLAIN, PROSE, SHA256_EXAMPLE, Answer, Body, IdText, example
+from api.schemas.base import ID_EXAMPLE, PLAIN, PROSE, SHA256_EXAMPLE, Answer, Body, IdText, Line, example
 from api.schemas.jobs import FailureItem
-from services.domain.imports.requests import LONGEST_NAME, Existing
+from api.schemas.sequences.sequences import Environment, Illumination, Region
+from services.domain.imports.requests import LONGEST_NAME, Existing, NewImport, SequenceFacts, StatedClasses
 
 LONGEST_CLASSES = 64 * 1024
 SCENE_EXAMPLE: dict[str, Any] = {
@@ -47,7 +48,8 @@ class NewDatasetImportBody(Body):
 
     `classes` is the text of a class map (YAML or JSON: `name`, and `classes` from number to free, T, P, N or
     unobserved); without one labels are numbered as here. `existing`: a scene that is called as a sequence of yours is
-    refused, or (`add`) its labels become another label set of that sequence. `sets_splits`: administrators only.
+    refused, or (`add`) its labels become another label set of that sequence. `sets_splits`: administrators only. The
+    rest is said of every sequence that is new.
     """
 
     model_config = example(
@@ -56,6 +58,11 @@ class NewDatasetImportBody(Body):
         classes="name: theirs\nclasses: {0: free, 1: T, 2: P, 3: N, 255: unobserved}\n",
         existing="refuse",
         sets_splits=False,
+        environment="mountain",
+        illumination="day",
+        region="Gyeonggi",
+        platform="warthog-1",
+        is_public=False,
     )
 
     upload_id: IdText
@@ -63,6 +70,16 @@ class NewDatasetImportBody(Body):
     classes: ClassesText | None = None
     existing: Existing = "refuse"
     sets_splits: bool = False
+    environment: Environment = ""
+    illumination: Illumination = ""
+    region: Region = ""
+    platform: Line = ""
+    is_public: bool = False
+
+    def wished(self, classes: StatedClasses | None) -> NewImport:
+        """The import as the domain knows it."""
+        facts = SequenceFacts(self.environment, self.illumination, self.region, self.platform, self.is_public)
+        return NewImport(self.upload_id, self.name or "", classes, self.existing, self.sets_splits, facts)
 
 
 class DatasetImportItem(Answer):

@@ -97,7 +97,11 @@ def test_splits_are_set_by_administrators_only(platform: Platform, api: httpx.Cl
 
 
 def test_an_import_says_what_it_was_asked_for(platform: Platform, api: httpx.Client, owner: Person) -> None:
-    made = begun(platform, api, owner, existing="add", classes="name: theirs\nclasses: {17: free, 11: T}\n")
+    facts = {"environment": "mountain", "illumination": "day", "region": "Gyeonggi", "platform": "warthog-1"}
+    facts |= {"is_public": True}
+    classes = "name: theirs\nclasses: {17: free, 11: T}\n"
+    body = {"upload_id": sent(platform, owner), "existing": "add", "classes": classes, **facts}
+    made = api.post(PATH, json=body, headers=owner.headers).json()
     told = {name: made[name] for name in ("name", "existing", "classes", "state", "scenes_total", "scenes", "failure")}
     assert told == {
         "name": "offroad",
@@ -111,10 +115,9 @@ def test_an_import_says_what_it_was_asked_for(platform: Platform, api: httpx.Cli
     assert api.get(f"{PATH}/{made['id']}", headers=owner.headers).json() == made
     assert api.get(f"/api/v1/jobs/{made['job_id']}", headers=owner.headers).json()["kind"] == "dataset.import"
     with platform.database.reading() as session:
-        assert session.get_one(DatasetImport, made["id"]).classes == {
-            "name": "theirs",
-            "classes": {"11": "T", "17": "free"},
-        }
+        row = session.get_one(DatasetImport, made["id"])
+        assert row.classes == {"name": "theirs", "classes": {"11": "T", "17": "free"}}
+        assert row.facts == facts
         acts = list(session.scalars(select(AuditEntry.act)))
     assert acts == ["dataset_import.create"]
 

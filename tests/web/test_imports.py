@@ -41,6 +41,8 @@ def test_a_tar_is_sent_and_its_import_is_watched(site: Site, curator: Person, ta
         expect(page.get_by_role("textbox", name="Name")).to_have_value("offroad")
         page.locator('input[name="classes"]').set_input_files(tmp_path / "classes.yaml")
         page.get_by_label("get a second label set").check()
+        page.get_by_text("What is true of all of them").click()
+        page.get_by_label("Environment").select_option("mountain")
         look(page, "imports-chosen")
         page.get_by_role("button", name="Import", exact=True).click()
         expect(page.get_by_role("heading", name="offroad")).to_be_visible(timeout=120_000)
@@ -48,6 +50,7 @@ def test_a_tar_is_sent_and_its_import_is_watched(site: Site, curator: Person, ta
         look(page, "imports-begun")
     (made,) = imports(site.platform)
     assert (made.name, made.existing, made.sets_splits) == ("offroad", "add", False)
+    assert made.facts["environment"] == "mountain"
     assert made.classes == {"name": "theirs", "classes": {"0": "free", "1": "T", "2": "P", "3": "N"}}
     assert [upload.state for upload in uploads(site.platform)] == ["consumed"]
 

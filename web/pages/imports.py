@@ -19,6 +19,7 @@ from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import DatasetImport
 from services.runtime.uploads.creation import owner_limit_bytes
 from services.runtime.uploads.rows import UploadOwner
+from stone.splits.surroundings import ENVIRONMENTS, ILLUMINATIONS
 from web.rendering import page
 
 router = APIRouter(prefix="/imports")
@@ -43,6 +44,8 @@ def list_imports(request: Request, caller: Curator, platform: PlatformDep, curso
         cursor=found.next,
         limit_bytes=limit_bytes,
         longest_name=LONGEST_NAME,
+        environments=ENVIRONMENTS,
+        illuminations=ILLUMINATIONS,
         is_moving=any(item.state not in TERMINAL for item in items),
     )
 

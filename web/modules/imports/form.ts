@@ -13,6 +13,7 @@ const COMPRESSED: [string, number[]][] = [
   ["zstd", [0x28, 0xb5, 0x2f, 0xfd]],
   ["zip", [0x50, 0x4b, 0x03, 0x04]],
 ];
+const TEXTS = ["name", "environment", "illumination", "region", "platform"];
 const MOST_CLASSES_BYTES = 64 * 1024;
 
 const form = document.querySelector<HTMLFormElement>("form#import");
@@ -65,10 +66,11 @@ async function imported(form: HTMLFormElement, values: FormData, signal: AbortSi
   signal.throwIfAborted();
   const body = {
     upload_id: uploadId,
-    name: String(values.get("name") ?? "").trim(),
+    ...Object.fromEntries(TEXTS.map((name) => [name, String(values.get(name) ?? "").trim()])),
     classes,
-    existing: values.get("adds") ? "add" : "refuse",
+    existing: values.has("adds") ? "add" : "refuse",
     sets_splits: values.has("splits"),
+    is_public: values.has("public"),
   };
   const key = `import-${await sha256Of(new Blob([JSON.stringify(body)]))}`; // asked again, it is the same import
   const made = await call<{ id: string }>("POST", "/api/v1/dataset-imports", body, { "Idempotency-Key": key });
@@ -107,7 +109,7 @@ async function looked(form: HTMLFormElement, file: File): Promise<void> {
 
 function show(form: HTMLFormElement, isSending: boolean): void {
   for (const field of form.elements) {
-    if (!(field instanceof HTMLInputElement || field instanceof HTMLButtonElement) || field.id === "stop") continue;
+    if (!(field instanceof HTMLInputElement || field instanceof HTMLSelectElement || field instanceof HTMLButtonElement) || field.id === "stop") continue;
     field.disabled = isSending;
   }
   part(form, "#sending").toggleAttribute("hidden", !isSending);
