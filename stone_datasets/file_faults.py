@@ -132,3 +132,17 @@ class BadClassMapError(DatasetFaultError):
 
     code: ClassVar[str] = "DST-070"
     likely: ClassVar[str] = "`name: my-set` and `classes: {0: free, 11: T, 12: P, 13: N, 255: unobserved}`"
+
+
+class NothingOccupiedError(DatasetFaultError):
+    """The labels of a scene are free everywhere in all frames."""
+
+    code: ClassVar[str] = "DST-071"
+    likely: ClassVar[str] = "does --classes call every class free, or are the labels of a test set blanked?"
+
+
+class MapTooDenseError(DatasetFaultError):
+    """The labels of a scene occupy more voxels of a part of its map than any surface has."""
+
+    code: ClassVar[str] = "DST-072"
+    likely: ClassVar[str] = "do the poses rise without end, or does --classes call the air something?"

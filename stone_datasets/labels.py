@@ -6,7 +6,7 @@ farther than its header says, and its header is compared first.
 
 import struct
 import zipfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from io import BytesIO
 from math import prod
@@ -34,11 +34,12 @@ from stone_exports.labels import UNREADABLE
 
 MOST_PACKED_BYTES = 32 * 2**20
 MOST_ARRAYS = 64
-HEAD_BYTES, LOCAL_BYTES, MOST_HEAD = 128, 30, 4096
+HEAD_BYTES, LOCAL_BYTES = 128, 30
 RAW = -15
 INFLATING: type[Exception] = isal_zlib.error  # type: ignore[assignment]
 HEADS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 SEMANTICS, MASK_LIDAR, MASK_CAMERA = "semantics", "mask_lidar", "mask_camera"
+PLAIN = sorted(f"{key}.npy" for key in (SEMANTICS, MASK_LIDAR, MASK_CAMERA))
 Grid = NDArray[np.uint8]
 
 
@@ -46,12 +47,14 @@ Grid = NDArray[np.uint8]
 class FrameLabels:
     """`classes` 0–3; `mask_lidar` 1 where observed, `mask_camera` 1 where a camera sees it: None where nothing says so.
 
-    What the labels call unobserved is free, and 0 in `mask_lidar`.
+    What the labels call unobserved is free, and 0 in `mask_lidar`. `content` is the file where it says the same to
+    whoever reads it as labels of this platform: the three grids, of this platform's classes, and nothing else.
     """
 
     classes: Grid
     mask_lidar: Grid | None
     mask_camera: Grid | None
+    content: bytes | None = None
 
 
 def read_labels(span: ExportFileSpan, classes: ClassMap = OWN_CLASSES) -> FrameLabels:
@@ -61,7 +64,8 @@ def read_labels(span: ExportFileSpan, classes: ClassMap = OWN_CLASSES) -> FrameL
     try:
         content = span.read(MOST_PACKED_BYTES)
         with zipfile.ZipFile(BytesIO(content)) as archive:
-            members = {one.filename.removesuffix(".npy"): one for one in archive.infolist()[:MOST_ARRAYS]}
+            listed = archive.infolist()
+            members = {one.filename.removesuffix(".npy"): one for one in listed[:MOST_ARRAYS]}
     except (*UNREADABLE, DamagedExportError) as error:
         raise LabelsNotNpzError(DatasetPlace(span.name), f"it is no zip ({error})"[:200]) from error
     if SEMANTICS not in members:
@@ -70,7 +74,9 @@ def read_labels(span: ExportFileSpan, classes: ClassMap = OWN_CLASSES) -> FrameL
     arrays = _Arrays(span.name, content)
     found = arrays.grid(members[SEMANTICS], LabelShapeError)
     masks = [_mask(arrays, members[key], key) if key in members else None for key in (MASK_LIDAR, MASK_CAMERA)]
-    return _meant(span, found, (masks[0], masks[1]), classes)
+    meant = _meant(span, found, (masks[0], masks[1]), classes)
+    is_plain = sorted(one.filename for one in listed) == PLAIN and meant.classes is found
+    return replace(meant, content=content) if is_plain else meant
 
 
 @dataclass(frozen=True)
@@ -102,7 +108,7 @@ class _Arrays:
             raise self._damaged(member, "it cannot be inflated") from error
         if len(npy) > size:
             raise LabelsTooLargeError(DatasetPlace(self.name), f"{member.filename} goes on after its {size} bytes")
-        if len(npy) < size or isal_zlib.crc32(npy) != member.CRC:
+        if len(npy) < size or member.file_size != size or isal_zlib.crc32(npy) != member.CRC:
             raise self._damaged(member, "it ends early, or its checksum is wrong")
         return np.frombuffer(npy, np.uint8, prod(GRID_SHAPE), start).reshape(GRID_SHAPE)
 

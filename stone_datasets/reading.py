@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from stone_datasets.annotations import compare_annotations, read_annotations
-from stone_datasets.build import channels_of, data_of, frames_of
+from stone_datasets.build import PlacedData, channels_of, data_of, frames_of
 from stone_datasets.classes import OWN_CLASSES, ClassMap
 from stone_datasets.contents import DatasetContents
 from stone_datasets.faults import MOST_SHOWN, DatasetFaultError, DatasetFaults, DatasetPlace
@@ -33,17 +33,30 @@ class DatasetCheck:
     contents: DatasetContents | None = field(default=None)
 
 
+@dataclass(frozen=True, eq=False)
+class DatasetReading:
+    """The index of a sound dataset, and what its tables say as columns; those None where annotations.json has all."""
+
+    index: DatasetIndex
+    placed: PlacedData | None
+
+
 def read_dataset(path: Path) -> DatasetIndex:
     """The index of the dataset in a folder or tar; its files are not opened.
 
     Raises the first `DatasetFaultError` that is found, `BadTarError`.
     """
+    return read_tables_of(path).index
+
+
+def read_tables_of(path: Path) -> DatasetReading:
+    """As `read_dataset`, with the columns of its tables."""
     faults = DatasetFaults()
-    _, index = _read(open_dataset(path), faults)
+    _, reading = _read(open_dataset(path), faults)
     faults.raise_first()
-    if index is None:
+    if reading is None:
         raise AssertionError("an index is missing and no fault says why")
-    return index
+    return reading
 
 
 def check_dataset(
@@ -52,30 +65,31 @@ def check_dataset(
     """Everything read; `progress` is told frames done and all. Raises `BadTarError` where no file can be found."""
     faults = DatasetFaults(most)
     try:
-        reached, index = _read(open_dataset(path), faults)
+        reached, reading = _read(open_dataset(path), faults)
     except DatasetFaultError as fault:
         faults.add(fault)
         return DatasetCheck(faults, "rows")
-    if index is None or faults.total:
+    if reading is None or faults.total:
         return DatasetCheck(faults, reached)
-    contents = check_files(index, classes, faults, progress)
+    contents = check_files(reading.index, classes, faults, progress)
     return DatasetCheck(faults, "files", None if len(faults) else contents)
 
 
-def _read(files: DatasetFiles, faults: DatasetFaults) -> tuple[Stage, DatasetIndex | None]:
+def _read(files: DatasetFiles, faults: DatasetFaults) -> tuple[Stage, DatasetReading | None]:
     if files.version:
         tables = read_tables(files, faults)
         if len(faults):
             return "rows", None
-        index = _linked(files, tables, faults)
+        reading = _linked(files, tables, faults)
     else:
         index = read_annotations(files, faults)
-    if index is not None and not index.sequences and not len(faults):
+        reading = None if index is None else DatasetReading(index, None)
+    if reading is not None and not reading.index.sequences and not len(faults):
         faults.add(NotADatasetError(DatasetPlace(files.version or ANNOTATIONS), "it has no scenes"))
-    return "links", index
+    return "links", reading
 
 
-def _linked(files: DatasetFiles, tables: DatasetTables, faults: DatasetFaults) -> DatasetIndex | None:
+def _linked(files: DatasetFiles, tables: DatasetTables, faults: DatasetFaults) -> DatasetReading | None:
     """The index of sound rows; None where they do not fit together."""
     frames = frames_of(tables, faults)
     placed = None if faults.total else data_of(tables, frames, faults)
@@ -89,7 +103,7 @@ def _linked(files: DatasetFiles, tables: DatasetTables, faults: DatasetFaults) -
         log, is_labelled = scene.log, files.has_folder(label_folder(scene.name))
         of_log = (log.logfile, log.vehicle, log.location)
         sequences.append(DatasetSequence(scene.name, *of_log, tokens, stamps_ns, poses, channels, is_labelled))
-    return _with_splits(DatasetIndex(files, "release", tuple(sequences), {}), faults)
+    return DatasetReading(_with_splits(DatasetIndex(files, "release", tuple(sequences), {}), faults), placed)
 
 
 def _with_splits(index: DatasetIndex, faults: DatasetFaults) -> DatasetIndex:

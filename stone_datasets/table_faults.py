@@ -115,3 +115,17 @@ class SceneInTwoSplitsError(DatasetFaultError):
 
     code: ClassVar[str] = "DST-047"
     likely: ClassVar[str] = "who trains on it would be tested on it"
+
+
+class TablesGrowError(DatasetFaultError):
+    """Rows that belong to several scenes, written for each, would become many times what the tables are."""
+
+    code: ClassVar[str] = "DST-048"
+    likely: ClassVar[str] = "are rows of log, map, category or sensor many or long, and every scene's?"
+
+
+class PosesOffLatticeError(DatasetFaultError):
+    """A scene lies farther from the origin of `global` than a map of voxels reaches."""
+
+    code: ClassVar[str] = "DST-049"
+    likely: ClassVar[str] = "are poses in UTM or ECEF? subtract the same whole metres from the translations of all"

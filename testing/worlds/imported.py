@@ -1,95 +1,61 @@
-"""A dataset brought to a platform as the routes do it, and what its import left there."""
+"""An import of a published dataset without a platform: what its children leave in a folder."""
 
-import hashlib
-from dataclasses import dataclass
+import tarfile
+from hashlib import file_digest
 from pathlib import Path
-from typing import Any
 
-from sqlalchemy import func, select
+from services.labeler.imports.answers import DatasetIndexAnswer
+from services.labeler.imports.indexing import index_dataset
+from services.labeler.imports.openings import OUT, DatasetOpening, SceneOpening, scene_folder
+from services.labeler.imports.scene_import import import_scene
+from services.labeler.run_answers import PublicationAnswer
+from stone_datasets.classes import OWN_CLASSES, ClassMap
+from testing.worlds.published_datasets import SyntheticDataset, write_published_tar
 
-from services.domain.imports.requests import NewImport, start_import
-from services.runtime.access.storage_quota import balance
-from services.runtime.orm import (
-    Artefact,
-    Blob,
-    DatasetImport,
-    ImportedFile,
-    Job,
-    LabelledFrameRow,
-    LabelSet,
-    SequenceRow,
-    User,
-    new_id,
-)
-from services.runtime.platform import Platform
-from testing.worlds.runs import uploaded
+NAME = "published"
 
 
-@dataclass(frozen=True)
-class BroughtDataset:
-    """An import on a platform, by ids."""
-
-    platform: Platform
-    owner_id: str
-    import_id: str
-
-    def row(self) -> DatasetImport:
-        with self.platform.database.reading() as session:
-            return session.get_one(DatasetImport, self.import_id)
-
-    def run(self) -> Job:
-        with self.platform.database.reading() as session:
-            return session.get_one(Job, session.get_one(DatasetImport, self.import_id).job_id)
-
-    def jobs(self) -> list[Job]:
-        with self.platform.database.reading() as session:
-            root_id = session.get_one(DatasetImport, self.import_id).job_id
-            return list(session.scalars(select(Job).where(Job.root_id == root_id).order_by(Job.id)))
+def silent(_stage: str, _done: int, _total: int) -> None:
+    """Progress that nobody watches."""
 
 
-def an_owner(platform: Platform, role: str = "curator") -> str:
-    """The id of a new user."""
-    with platform.database.transaction() as session:
-        owner = User(id=new_id(), name=f"{role}-{new_id()[-8:]}", role=role)
-        session.add(owner)
-        return owner.id
+def tar_of(folder: Path, tar: Path) -> Path:
+    """The tar of a dataset in a folder, as the client uploads it."""
+    with tarfile.open(tar, "w") as archive:
+        for path in sorted(folder.rglob("*")):
+            if path.is_file():
+                archive.add(path, path.relative_to(folder).as_posix())
+    return tar
 
 
-def bring_dataset(platform: Platform, tar: Path, owner_id: str, **asked: Any) -> BroughtDataset:
-    """The import of a tar, begun; `asked` as in `NewImport`."""
-    upload_id = uploaded(platform, owner_id, tar, purpose="dataset")
-    with platform.database.transaction() as session:
-        owner = session.get_one(User, owner_id)
-        imported, _ = start_import(session, owner, NewImport(upload_id=upload_id, **asked))
-        return BroughtDataset(platform, owner_id, imported.id)
+def write_index(dataset: Path, out: Path, classes: ClassMap = OWN_CLASSES) -> DatasetIndexAnswer:
+    """Index the tar into the folder `out`, which is made."""
+    out.mkdir(parents=True, exist_ok=True)
+    with dataset.open("rb") as file:
+        opening = DatasetOpening(dataset, NAME, file_digest(file, "sha256").hexdigest(), classes)
+    return DatasetIndexAnswer.believed(index_dataset(opening, out, silent))
 
 
-def files_of(platform: Platform, owner_id: str) -> dict[str, bytes]:
-    """Every artefact of every label set of the owner, as `<sequence>/<name>`; packs of labels frame by frame."""
-    with platform.database.reading() as session:
-        named = (
-            select(SequenceRow.name, Artefact, Blob.object_key)
-            .join(LabelSet, LabelSet.sequence_id == SequenceRow.id)
-            .join(Artefact, Artefact.label_set_id == LabelSet.id)
-            .join(Blob, Blob.sha256 == Artefact.blob_sha256)
-            .where(SequenceRow.owner_id == owner_id)
-        )
-        found = session.execute(named).all()
-        frames = session.scalars(select(LabelledFrameRow).order_by(LabelledFrameRow.ordinal)).all()
-    content = {artefact.id: b"".join(platform.store.read(key)) for _, artefact, key in found}
-    of = {artefact.id: name for name, artefact, _ in found}
-    files = {f"{name}/{one.name}": content[one.id] for name, one, _ in found if not one.name.startswith("labels/")}
-    for frame in frames:
-        if frame.pack_id in content:
-            payload = content[frame.pack_id][frame.offset_bytes :][: frame.length_bytes]
-            assert hashlib.sha256(payload).hexdigest() == frame.sha256
-            files[f"{of[frame.pack_id]}/{frame.token}/labels.npz"] = payload
-    return files
+def write_scene(dataset: Path, out: Path, ordinal: int, classes: ClassMap = OWN_CLASSES) -> PublicationAnswer:
+    """Import a scene of the tar that was indexed into `out`; its artefacts are in `artefacts_of(out, ordinal)`."""
+    opening = SceneOpening(dataset, ordinal, NAME, "0" * 64, classes)
+    return PublicationAnswer.believed(import_scene(opening, out, silent))
 
 
-def counts_of(platform: Platform, owner_id: str) -> dict[str, int]:
-    """How many rows there are of what an import writes, and the bytes that are counted against the owner."""
-    tables = (SequenceRow, LabelSet, Artefact, LabelledFrameRow, ImportedFile, DatasetImport)
-    with platform.database.reading() as session:
-        counts = {table.__tablename__: session.scalar(select(func.count()).select_from(table)) or 0 for table in tables}
-        return {**counts, "bytes": balance(session, owner_id)}
+def write_import(dataset: Path, out: Path, classes: ClassMap = OWN_CLASSES) -> list[PublicationAnswer]:
+    """Index the dataset, a tar or a folder (whose tar is put beside), and import all of its scenes into `out`."""
+    out.mkdir(parents=True, exist_ok=True)
+    tar = dataset if dataset.is_file() else tar_of(dataset, out / "dataset.tar")
+    scenes = write_index(tar, out, classes).scenes
+    return [write_scene(tar, out, scene.ordinal, classes) for scene in scenes]
+
+
+def write_synthetic_import(what: SyntheticDataset, out: Path) -> list[PublicationAnswer]:
+    """The import of a dataset made by formula."""
+    out.mkdir(parents=True, exist_ok=True)
+    return write_import(write_published_tar(out / "dataset.tar", what), out)
+
+
+def artefacts_of(out: Path, ordinal: int = 0) -> Path:
+    """The folder of a scene's artefacts, by their names."""
+    return out / scene_folder(ordinal) / OUT

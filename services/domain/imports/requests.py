@@ -1,4 +1,4 @@
-"""Imports of published datasets: asked for with a complete upload, cancelled, begun again, deleted.
+"""Imports of published datasets: asked for with a complete upload, begun again, deleted; cancelled as any run is.
 
 **Conventions.** Each function is part of the caller's transaction. The run's row is locked first, then the import's,
 then what belongs to the owner. The tar's bytes are counted against the owner under its upload's id until the import has
@@ -102,11 +102,6 @@ def start_import(session: Session, owner: User, new: NewImport) -> tuple[Dataset
     session.add(imported)
     session.flush()
     return imported, run
-
-
-def cancel_import(session: Session, imported: DatasetImport) -> Job:
-    """Stop the run; it may be tried again. Raises `JobStateError` where it has ended."""
-    return cancel(session, imported.job_id, "its owner cancelled the import")
 
 
 def begin_import_again(session: Session, imported: DatasetImport, reason: str, restarts: int = 0) -> Job:

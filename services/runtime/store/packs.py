@@ -5,8 +5,7 @@ which checks all others (`sha256sum -c`). A pack is closed once it has `PACK_BYT
 """
 
 import io
-import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import sha256
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from isal import isal_zlib
 from numpy.typing import NDArray
 
 from services.runtime.store.folder import refusing_full
@@ -25,6 +25,7 @@ PACK_BYTES = 2**30
 PIECE_BYTES = 2**20
 COLUMNS = ("sizes_bytes", "crc32", "sha256", "packs", "offsets_bytes")
 Step = Callable[[int, int], None]
+Bytes = bytes | memoryview
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +72,41 @@ def pack_path(packs: Path, number: int) -> Path:
     return packs / f"{number:06d}.pack"
 
 
+class PackWriter:
+    """Files written into packs of the folder `packs`, one after another, in the order of their names."""
+
+    def __init__(self, packs: Path, pack_bytes: int = PACK_BYTES) -> None:
+        self._packs, self._pack_bytes, self._packed = packs, pack_bytes, list[_PackedFile]()
+        packs.mkdir(parents=True, exist_ok=True)
+
+    def add(self, name: str, pieces: Iterable[Bytes]) -> None:
+        """Write a file, of its bytes in pieces. Raises `StoreFullError`, and what the pieces raise."""
+        number, offset = self._next_place()
+        digest, crc, size = sha256(), 0, 0
+        with refusing_full(self._packs), pack_path(self._packs, number).open("ab" if offset else "wb") as pack:
+            for piece in pieces:
+                pack.write(piece)
+                digest.update(piece)
+                crc, size = isal_zlib.crc32(piece, crc), size + len(piece)
+        self._packed.append(_PackedFile(name, size, crc, digest.digest(), number, offset))
+
+    def sums(self) -> bytes:
+        """`sha256sum.txt` of what was written."""
+        return "".join(f"{file.sha256.hex()}  {file.name}\n" for file in self._packed).encode()
+
+    def files(self) -> PackedFiles:
+        """What was written."""
+        return _columns(self._packed)
+
+    def _next_place(self) -> tuple[int, int]:
+        """The pack and the offset at which the next file is written."""
+        if not self._packed:
+            return 0, 0
+        last = self._packed[-1]
+        end = last.offset_bytes + last.size_bytes
+        return (last.pack, end) if end < self._pack_bytes else (last.pack + 1, 0)
+
+
 def pack_folder(folder: Path, packs: Path, step: Step, pack_bytes: int = PACK_BYTES) -> PackedFiles:
     """Move every file of `folder` into packs of the empty folder `packs`; each is gone once it is in its pack.
 
@@ -78,17 +114,14 @@ def pack_folder(folder: Path, packs: Path, step: Step, pack_bytes: int = PACK_BY
     """
     names = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
     check_names([*names, SUMS])
-    packs.mkdir(parents=True, exist_ok=True)
-    packed = list[_PackedFile]()
-    with refusing_full(packs):
-        for done, name in enumerate(names):
-            step(done, len(names))
-            packed.append(_packed(folder, name, packs, _next_place(packed, pack_bytes)))
-            (folder / name).unlink()
-        (folder / SUMS).write_text("".join(f"{file.sha256.hex()}  {file.name}\n" for file in packed))
-        packed.append(_packed(folder, SUMS, packs, _next_place(packed, pack_bytes)))
+    packed = PackWriter(packs, pack_bytes)
+    for done, name in enumerate(names):
+        step(done, len(names))
+        packed.add(name, pieces_of(folder / name))
+        (folder / name).unlink()
+    packed.add(SUMS, (packed.sums(),))
     step(len(names), len(names))
-    return _columns(packed)
+    return packed.files()
 
 
 def index_bytes(files: PackedFiles) -> bytes:
@@ -106,25 +139,6 @@ def read_index(payload: bytes) -> PackedFiles:
 
 def pack_count(files: PackedFiles) -> int:
     return int(files.packs.max()) + 1 if len(files) else 0
-
-
-def _next_place(packed: list[_PackedFile], pack_bytes: int) -> tuple[int, int]:
-    """The pack and the offset at which the next file is written."""
-    if not packed:
-        return 0, 0
-    end = packed[-1].offset_bytes + packed[-1].size_bytes
-    return (packed[-1].pack, end) if end < pack_bytes else (packed[-1].pack + 1, 0)
-
-
-def _packed(folder: Path, name: str, packs: Path, place: tuple[int, int]) -> _PackedFile:
-    number, offset = place
-    digest, crc, size = sha256(), 0, 0
-    with pack_path(packs, number).open("ab" if offset else "wb") as pack:
-        for piece in pieces_of(folder / name):
-            pack.write(piece)
-            digest.update(piece)
-            crc, size = zlib.crc32(piece, crc), size + len(piece)
-    return _PackedFile(name, size, crc, digest.digest(), number, offset)
 
 
 def pieces_of(path: Path, start: int = 0, stop: int | None = None) -> Iterator[bytes]:

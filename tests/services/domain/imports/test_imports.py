@@ -12,7 +12,7 @@ from sqlalchemy.orm import Session
 from services.domain.datasets.splits import current_splits
 from services.domain.imports.errors import SplitsForbiddenError
 from services.domain.imports.publication import PublishedScene, end_import, follow_splits, sequences_of_scenes
-from services.domain.imports.queries import import_of, progress_of
+from services.domain.imports.queries import progress_of
 from services.domain.imports.requests import (
     IMPORT,
     KEEP_DATASET,
@@ -20,7 +20,6 @@ from services.domain.imports.requests import (
     NewImport,
     StatedClasses,
     begin_import_again,
-    cancel_import,
     delete_import,
     start_import,
 )
@@ -31,7 +30,7 @@ from services.labeler.imports.answers import DatasetIndexAnswer
 from services.runtime.access.storage_quota import QuotaExceededError, balance
 from services.runtime.backup.references import backup_references
 from services.runtime.jobs.claims import claim
-from services.runtime.jobs.control import set_mode
+from services.runtime.jobs.control import cancel, set_mode
 from services.runtime.jobs.errors import JobCancelledError, JobStateError, QueueDrainingError
 from services.runtime.orm import (
     DatasetImport,
@@ -45,7 +44,7 @@ from services.runtime.platform import Platform
 from services.runtime.sandbox.errors import SandboxCrashedError
 from services.runtime.uploads import expire, upload_file
 from services.runtime.uploads.errors import UploadMissingError, UploadPurposeError, UploadStateError
-from testing.worlds.imported import BroughtDataset, an_owner, bring_dataset
+from testing.worlds.brought_datasets import BroughtDataset, an_owner, bring_dataset
 from testing.worlds.runs import Said, uploaded
 
 SIZE_BYTES = 1000
@@ -134,13 +133,6 @@ def test_a_queue_that_drains_takes_no_import_and_no_upload(platform: Platform, t
         assert session.get_one(Upload, upload_id).state == "complete"
 
 
-def test_others_do_not_see_an_import(brought: BroughtDataset) -> None:
-    other_id = an_owner(brought.platform)
-    with brought.platform.database.reading() as session:
-        assert import_of(session, brought.import_id, brought.owner_id) is not None
-        assert import_of(session, brought.import_id, other_id) is None
-
-
 def test_the_tar_is_counted_and_kept_until_the_import_is_deleted(brought: BroughtDataset) -> None:
     platform, row = brought.platform, brought.row()
     file = upload_file(platform.settings, row.upload_id)
@@ -202,7 +194,7 @@ def test_a_run_is_not_begun_again_without_end(brought: BroughtDataset) -> None:
 def test_a_run_that_is_to_stop_is_not_begun_again(brought: BroughtDataset) -> None:
     platform, attempt = brought.platform, attempt_at(brought)
     with platform.database.transaction() as session:
-        cancel_import(session, brought.row())
+        cancel(session, brought.run().id, "")
     begin_run_again(platform, attempt, "for a reason")
     assert [run.state for run in runs(platform)] == ["cancelled"]
 

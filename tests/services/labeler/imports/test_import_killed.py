@@ -26,7 +26,7 @@ from services.runtime.settings import Settings
 from services.runtime.store.factory import open_store
 from testing.process_states import children_of, is_running
 from testing.servers.fixtures import make_settings, opened
-from testing.worlds.imported import BroughtDataset, an_owner, bring_dataset, counts_of, files_of
+from testing.worlds.brought_datasets import BroughtDataset, an_owner, bring_dataset, counts_of, files_of
 from testing.worlds.published_datasets import SyntheticDataset, made_labels, write_published_tar
 from testing.worlds.runs import run_all
 

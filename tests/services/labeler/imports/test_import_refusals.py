@@ -19,7 +19,7 @@ from services.runtime.platform import Platform
 from services.runtime.sandbox import ProgressCallback
 from services.runtime.store.workspace import Workspace
 from services.runtime.uploads import upload_file
-from testing.worlds.imported import an_owner, bring_dataset, counts_of
+from testing.worlds.brought_datasets import an_owner, bring_dataset, counts_of
 from testing.worlds.published_datasets import SyntheticDataset, made_labels, write_published_tar
 from testing.worlds.runs import Wrap, run_all, unchanged
 

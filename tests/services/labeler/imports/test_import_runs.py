@@ -30,7 +30,7 @@ from services.runtime.store.blobs import collect_garbage
 from services.runtime.store.workspace import Workspace
 from services.runtime.uploads import upload_file
 from testing.servers.fixtures import make_settings, opened
-from testing.worlds.imported import BroughtDataset, an_owner, bring_dataset, counts_of, files_of
+from testing.worlds.brought_datasets import BroughtDataset, an_owner, bring_dataset, counts_of, files_of
 from testing.worlds.published_datasets import SyntheticDataset, made_labels, write_published_tar
 from testing.worlds.runs import Interrupted, run_all
 

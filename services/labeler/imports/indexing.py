@@ -1,0 +1,85 @@
+"""What a sandboxed child does to index a dataset: its tables are checked and parted by scene.
+
+**Conventions.** No file of a sensor and no labels are opened (of Occ3D's layout the first picture of each camera is,
+for its size). Everything is streamed: what is held grows by some hundred bytes a row.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from services.labeler.imports.answers import DatasetIndexAnswer, IndexedSceneAnswer
+from services.labeler.imports.openings import DatasetOpening, scene_folder
+from services.labeler.imports.scene_parts import TABLES, write_scene_parts
+from services.labeler.imports.sequences import annotated_data, placed_data, sequence_of
+from services.runtime.sandbox import ProgressCallback
+from stone.sensors.sequence import Sequence
+from stone_datasets.annotated_tables import write_annotated_tables
+from stone_datasets.build import PlacedData
+from stone_datasets.faults import DatasetPlace
+from stone_datasets.files import DatasetTar
+from stone_datasets.index import DatasetIndex
+from stone_datasets.reading import read_tables_of
+from stone_datasets.scene_spans import SceneSpans, annotated_spans, table_spans
+from stone_datasets.scene_tables import write_scene_tables, write_splits
+from stone_files.dataset_layout import NotADatasetError
+
+Scene = tuple[Sequence, SceneSpans]
+
+
+def index_dataset(opening: DatasetOpening, folder: Path, progress: ProgressCallback) -> bytes:
+    """Leave `scenes/<ordinal>/` in the folder; a `DatasetIndexAnswer`.
+
+    Raises the first `DatasetFaultError` that is found, `BadTarError`.
+    """
+    reading = read_tables_of(opening.dataset)
+    index, tar = reading.index, reading.index.files
+    if not isinstance(tar, DatasetTar):
+        raise NotADatasetError(DatasetPlace(opening.dataset.name), "it is a folder, where a tar is imported")
+    inputs = {opening.name: opening.sha256}
+    for ordinal in range(len(index.sequences)):
+        (folder / scene_folder(ordinal) / TABLES).mkdir(parents=True)
+    placed = reading.placed
+    scenes = _annotated(index, tar, inputs) if placed is None else _tabled(index, tar, (placed, inputs))
+    for ordinal, (sequence, spans) in enumerate(scenes):
+        write_scene_parts(folder / scene_folder(ordinal), tar.version, sequence, spans)
+        progress("index", ordinal, len(index.sequences))
+    _write_tables(index, placed, folder)
+    progress("index", len(index.sequences), len(index.sequences))
+    return _answer(index).packed()
+
+
+def _tabled(index: DatasetIndex, tar: DatasetTar, of: tuple[PlacedData, dict[str, str]]) -> Iterator[Scene]:
+    placed, inputs = of
+    order = np.argsort(placed.scene, kind="stable")
+    bounds = np.searchsorted(placed.scene[order], np.arange(len(index.sequences) + 1)).tolist()
+    for ordinal, spans in enumerate(table_spans(tar, placed, index.sequences)):
+        data = placed_data(placed, order[bounds[ordinal] : bounds[ordinal + 1]])
+        yield sequence_of(index.sequences[ordinal], data, inputs), spans
+
+
+def _annotated(index: DatasetIndex, tar: DatasetTar, inputs: dict[str, str]) -> Iterator[Scene]:
+    for scene in index.sequences:
+        yield sequence_of(scene, annotated_data(scene), inputs), annotated_spans(tar, scene)
+
+
+def _write_tables(index: DatasetIndex, placed: PlacedData | None, folder: Path) -> None:
+    folders = [folder / scene_folder(ordinal) / TABLES for ordinal in range(len(index.sequences))]
+    if placed is not None:
+        write_scene_tables(index.files, placed, folders.__getitem__)
+    for scene, of_scene in zip(index.sequences, folders, strict=True):
+        if placed is None:
+            write_annotated_tables(scene, of_scene)
+        write_splits(of_scene, scene.name, scene.splits)
+
+
+def _answer(index: DatasetIndex) -> DatasetIndexAnswer:
+    return DatasetIndexAnswer(
+        scenes=[
+            IndexedSceneAnswer(
+                ordinal=ordinal, name=one.name, frames=len(one), is_labelled=one.is_labelled, splits=one.splits
+            )
+            for ordinal, one in enumerate(index.sequences)
+        ]
+    )

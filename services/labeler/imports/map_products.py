@@ -1,0 +1,105 @@
+"""What is made of the map of imported labels: pictures from above, mesh, the viewer's scene, a picture in perspective.
+
+**Conventions.** The map is voxels with classes; features it has none, so of the scene they are NaN, and there is no
+picture of them. The surface is the voxels' faces. Memory holds one tile, and of the view from above all columns.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.domain.viewer.formats import TileVoxels
+from services.labeler.imports.fused_labels import TILE_VOXELS, FusedLabels
+from services.labeler.imports.voxel_surface import exposed_faces, few_faces
+from services.labeler.map.map_files import MESH, THUMBNAIL, TOP_VIEW
+from services.labeler.map.ply import Piece, write_mesh
+from services.labeler.map.scene_files import MOST_TRIANGLES
+from services.labeler.map.scene_writer import SceneDescription, SceneWriter
+from services.labeler.previews.map_picture import TopView, write_top_view
+from services.labeler.previews.map_pieces import MapPiece
+from services.labeler.previews.thumbnail import write_thumbnail
+from services.labeler.run import Tile
+from services.labeler.scratch import load, save, tile_name
+from stone.geometry.lattice import Keys, indices_of
+from stone.labels.voxels import VOXEL_M
+from stone.sensors.sequence import Sequence
+from stone_datasets.faults import DatasetPlace
+from stone_datasets.file_faults import NothingOccupiedError
+from stone_datasets.index import label_folder
+
+PROFILE = "imported"
+SLAB_VOXELS = 256  # what is drawn in perspective is held as dense blocks
+
+
+@dataclass(frozen=True)
+class MapFacts:
+    """Counts for the report."""
+
+    tiles: int
+    voxels: int
+    vertices: int
+    triangles: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Made:
+    """A tile of the map, and where its voxels and its surface are kept."""
+
+    tile: Tile
+    path: Path
+    size: tuple[int, int, int]  # voxels, vertices, triangles
+
+
+def write_map_products(fused: FusedLabels, sequence: Sequence, out: Path, scratch: Path) -> MapFacts:
+    """All of them into the folder `out`. Raises `NothingOccupiedError`, `MapTooDenseError`."""
+    view, scene = TopView({}), SceneWriter(SceneDescription(sequence, PROFILE, None), out)
+    made = [_tile(one, (view, scene), scratch) for one in fused.tiles()]
+    if not made:
+        place = DatasetPlace(label_folder(sequence.name))
+        raise NothingOccupiedError(place, f"no voxel of {len(sequence.frames)} frames is T, P or N")
+    scene.finish()
+    poses = sequence.frames.map_from_ego
+    write_top_view(out / TOP_VIEW, view, poses)
+    write_thumbnail(out / THUMBNAIL, view, poses)
+    voxels, vertices, triangles = (sum(one.size[at] for one in made) for at in range(3))
+    write_mesh(out / MESH, (vertices, triangles), [partial(_piece, one) for one in made])
+    from services.labeler.previews.map_view import write_map_oblique  # it draws: half a second of imports
+    from services.labeler.previews.preview_files import MAP
+
+    write_map_oblique([slab for one in made for slab in _slabs(one)], poses, out / MAP)
+    return MapFacts(len(made), voxels, vertices, triangles)
+
+
+def _tile(one: tuple[Tile, Keys, NDArray[np.uint8]], into: tuple[TopView, SceneWriter], scratch: Path) -> _Made:
+    (tile, keys, classes), (view, scene) = one, into
+    view.add(tile, keys, classes)
+    nothing = np.full((len(keys), 3), np.nan)
+    voxels = TileVoxels(indices_of(keys), classes, nothing, nothing[:, 0])
+    corner_m = np.array([tile.i, tile.j, 0.0]) * TILE_VOXELS * VOXEL_M
+    scene.add(tile_name(tile), voxels, few_faces(keys, classes, VOXEL_M, MOST_TRIANGLES), corner_m)
+    mesh, path = exposed_faces(keys, classes, VOXEL_M), scratch / f"{tile_name(tile)}.npz"
+    surface = {"vertices": mesh.vertices_m.astype(np.float32), "kinds": mesh.classes, "triangles": mesh.triangles}
+    save(path, {"keys": keys, "classes": classes, **surface})
+    return _Made(tile, path, (len(keys), len(mesh.vertices_m), len(mesh.triangles)))
+
+
+def _piece(made: _Made) -> Piece:
+    arrays = load(made.path)
+    return arrays["vertices"], arrays["triangles"], arrays["kinds"]  # type: ignore[return-value]
+
+
+def _slabs(made: _Made) -> Iterator[Callable[[], MapPiece]]:
+    """The tile in pieces of few heights, so that each is a block of few voxels however far apart they lie."""
+    heights = indices_of(load(made.path)["keys"])[:, 2] // SLAB_VOXELS  # type: ignore[arg-type]
+    return (partial(_slab, made, int(height)) for height in np.unique(heights))
+
+
+def _slab(made: _Made, height: int) -> MapPiece:
+    arrays = load(made.path)
+    is_in = indices_of(arrays["keys"])[:, 2] // SLAB_VOXELS == height  # type: ignore[arg-type]
+    keys: Keys = arrays["keys"][is_in]  # type: ignore[assignment]
+    return MapPiece(keys, np.zeros((len(keys), 3)), arrays["classes"][is_in])  # type: ignore[arg-type]

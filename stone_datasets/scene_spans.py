@@ -1,0 +1,99 @@
+"""Where the files of each scene lie in the tar of a dataset, under the names that they have in the release's layout.
+
+**Conventions.** Key-frame data and labels are all there, or their first is refused. A file of a sweep between frames,
+or of a map, that is not there is left out, since nothing is made of it. Of a datum the row of its table is kept (from
+0), so that a fault of its file is told where it stands.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import chain
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone_datasets.annotated_tables import picture_names
+from stone_datasets.build import PlacedData
+from stone_datasets.faults import DatasetPlace, quoted
+from stone_datasets.file_faults import LabelsMissingError, SampleMissingError
+from stone_datasets.files import DatasetTar
+from stone_datasets.index import DatasetSequence
+from stone_datasets.json_stream import json_rows
+from stone_files.dataset_layout import ANNOTATIONS
+from stone_files.virtual_archive import NAME
+
+MAPS = "maps/"
+
+
+@dataclass(frozen=True, eq=False)
+class SceneSpans:
+    """N files of sensors and maps: `names`, `places` (N, 2) as offset and size in the tar, the `channels` they are of
+    ("" of a map) and the `rows` (N,) that name them. `labels` (F, 2) are the places of the labels of each frame.
+    """
+
+    names: tuple[str, ...]
+    places: NDArray[np.int64]
+    channels: tuple[str, ...]
+    rows: NDArray[np.int64]
+    labels: NDArray[np.int64]
+
+
+def table_spans(tar: DatasetTar, placed: PlacedData, sequences: tuple[DatasetSequence, ...]) -> Iterator[SceneSpans]:
+    """The spans of each scene of the release's layout. Raises a `DatasetFaultError`."""
+    names = placed.tables.data.names
+    places = tar.spans(names[row] for row in range(len(names)))
+    lost = np.flatnonzero((places[:, 0] < 0) & placed.is_key)
+    if len(lost):
+        raise SampleMissingError(placed.place(int(lost[0])), f"{names[int(lost[0])]} is not there")
+    order = np.argsort(placed.scene, kind="stable")
+    order = order[places[order, 0] >= 0]
+    bounds = np.searchsorted(placed.scene[order], np.arange(len(sequences) + 1))
+    maps, logs = _maps(tar, placed), [scene.row.values["log_token"] for scene in placed.tables.scenes.values()]
+    for number, sequence in enumerate(sequences):
+        rows = order[bounds[number] : bounds[number + 1]]
+        drawn = maps.get(logs[number], ())
+        named = (*(names[row] for row in rows.tolist()), *drawn)
+        channels = (*(placed.sensor(row).sensor.channel for row in rows.tolist()), *("" for _ in drawn))
+        every = np.concatenate([places[rows], tar.spans(drawn)])
+        every_row = np.concatenate([rows, np.full(len(drawn), -1, np.int64)])
+        yield SceneSpans(named, every, channels, every_row, label_places(tar, sequence))
+
+
+def annotated_spans(tar: DatasetTar, sequence: DatasetSequence) -> SceneSpans:
+    """The spans of a scene of Occ3D's layout. Raises a `DatasetFaultError`."""
+    channels = list(sequence.channels.values())
+    named = [picture_names(sequence, channel) for channel in channels]
+    there = [[channel.filename(at) for at in range(len(channel.frames))] for channel in channels]
+    places = tar.spans(chain.from_iterable(there))
+    lost = np.flatnonzero(places[:, 0] < 0)
+    if len(lost):
+        name = list(chain.from_iterable(there))[int(lost[0])]
+        raise SampleMissingError(DatasetPlace(ANNOTATIONS), f"{quoted(name)} is not there")
+    of = tuple(channel.sensor.channel for channel in channels for _ in channel.frames)
+    rows = np.full(len(of), -1, np.int64)
+    return SceneSpans(tuple(chain.from_iterable(named)), places, of, rows, label_places(tar, sequence))
+
+
+def label_places(tar: DatasetTar, sequence: DatasetSequence) -> NDArray[np.int64]:
+    """Those of each frame; none of a scene without labels. Raises `LabelsMissingError`."""
+    if not sequence.is_labelled:
+        return np.zeros((0, 2), np.int64)
+    places = tar.spans(sequence.label_name(frame) for frame in range(len(sequence)))
+    lost = np.flatnonzero(places[:, 0] < 0)
+    if len(lost):
+        raise LabelsMissingError(DatasetPlace(sequence.label_name(int(lost[0]))), "it is not there")
+    return places
+
+
+def _maps(tar: DatasetTar, placed: PlacedData) -> Mapping[str, tuple[str, ...]]:
+    """The pictures of maps by token of the log: files below maps/ that are there, each once."""
+    span = tar.span(placed.tables.file("map"))
+    found = dict[str, dict[str, None]]()
+    for _, row in json_rows(span) if span is not None else ():
+        name, logs = row.get("filename"), row.get("log_tokens")
+        if not isinstance(name, str) or not name.startswith(MAPS) or not NAME.fullmatch(name):
+            continue
+        if isinstance(logs, list) and tar.span(name) is not None:
+            for log in {one for one in logs if isinstance(one, str)} & placed.tables.logs.keys():
+                found.setdefault(log, {})[name] = None
+    return {log: tuple(sorted(names)) for log, names in found.items()}

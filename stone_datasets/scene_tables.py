@@ -1,0 +1,179 @@
+"""The tables of a dataset parted by scene: the rows of each scene, in files of their own.
+
+    <folder of the scene>/<table>.json   for each table of the schema, and splits.json
+
+**Conventions.** A row is written as it was read: its keys in their order, values as Python's json writes them, one row
+a line as exports have them; rows keep their order. A log is of the scenes that name it, a map of those of its logs, a
+calibrated sensor and an ego pose of those whose data name them, an annotation of its sample's, an instance of its
+annotations'; sensors, categories, attributes and visibilities are of all. What can be told to be of no scene is left
+out, and so are tables that the schema does not have. A table of the schema that the dataset lacks is written empty.
+"""
+
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone_datasets.build import PlacedData
+from stone_datasets.columns import NumberColumn, places_of
+from stone_datasets.faults import DatasetPlace
+from stone_datasets.files import DatasetFiles
+from stone_datasets.json_stream import json_rows
+from stone_datasets.table_faults import TablesGrowError
+
+TABLES = (
+    "attribute", "calibrated_sensor", "category", "ego_pose", "log", "map", "sample", "sample_annotation", "instance",
+    "sample_data", "scene", "sensor", "visibility",
+)  # fmt: skip
+SHARED = frozenset({"attribute", "category", "sensor", "visibility"})
+SPLITS = "splits.json"
+HELD_BYTES = 8 * 2**20
+# A row may belong to many scenes, and so be written for each: no more than this becomes of all.
+MOST_GROWTH, ALWAYS_BYTES = 4, 256 * 2**20
+LINES_AT_ONCE = 1 << 16
+encoded = json.JSONEncoder(separators=(",", ":")).encode
+Row = Mapping[str, Any]
+Scenes = Iterable[int]
+FolderOf = Callable[[int], Path]
+
+
+class SceneTableFiles:
+    """Files of tables of `count` scenes; of each, little is held before it is appended. `most_bytes` are of all."""
+
+    def __init__(self, count: int, folder_of: FolderOf, most_bytes: int) -> None:
+        self._count, self._folder_of, self._left_bytes = count, folder_of, most_bytes
+        self._held: dict[int, list[str]] = {}
+        self._held_bytes, self._begun = 0, set[int]()
+
+    def write(self, table: str, rows: Iterable[tuple[Scenes, str]]) -> None:
+        """The files of one table, of rows as their lines with the scenes of each. Raises `TablesGrowError`."""
+        for scenes, line in rows:
+            for scene in scenes:
+                self._held.setdefault(scene, []).append(line)
+                self._held_bytes += len(line)
+            if self._held_bytes > HELD_BYTES:
+                self._append(table)
+        self._append(table)
+        for scene in range(self._count):
+            with self._open(table, scene) as file:
+                file.write("\n]\n" if scene in self._begun else "[\n]\n")
+        self._begun.clear()
+
+    def _append(self, table: str) -> None:
+        self._left_bytes -= self._held_bytes
+        if self._left_bytes < 0:
+            raise TablesGrowError(DatasetPlace(f"{table}.json"), f"they would have {-self._left_bytes} bytes too many")
+        for scene, lines in self._held.items():
+            with self._open(table, scene) as file:
+                file.write((",\n" if scene in self._begun else "[\n") + ",\n".join(lines))
+            self._begun.add(scene)
+        self._held.clear()
+        self._held_bytes = 0
+
+    def _open(self, table: str, scene: int) -> Any:
+        return (self._folder_of(scene) / f"{table}.json").open("a", encoding="utf-8")
+
+
+def write_scene_tables(files: DatasetFiles, placed: PlacedData, folder_of: FolderOf) -> None:
+    """The tables of each scene into its folder, which is there. Raises a `DatasetFaultError`."""
+    tables = placed.tables
+    spans = {table: files.span(tables.file(table)) for table in TABLES}
+    size_bytes = sum(span.size_bytes for span in spans.values() if span is not None)
+    out = SceneTableFiles(len(tables.scenes), folder_of, MOST_GROWTH * size_bytes + ALWAYS_BYTES)
+    owners = _Owners(placed)
+    for table in TABLES:
+        span = spans[table]
+        rows = (row for _, row in json_rows(span)) if span is not None else iter(())
+        out.write(table, ((scenes, encoded(row)) for scenes, row in owners.of(table, rows)))
+
+
+def write_splits(folder: Path, scene: str, splits: Iterable[str]) -> None:
+    """The splits that name the scene."""
+    (folder / SPLITS).write_text(json.dumps({split: [scene] for split in splits}, indent=1) + "\n", "utf-8")
+
+
+class _Owners:
+    """Tells of every row of a table of which scenes it is."""
+
+    def __init__(self, placed: PlacedData) -> None:
+        self._placed, self._tables = placed, placed.tables
+        self._every = range(len(self._tables.scenes))
+        numbers = {token: number for number, token in enumerate(self._tables.logs)}
+        logs = [numbers[scene.row.values["log_token"]] for scene in self._tables.scenes.values()]
+        self._of_log: dict[str, list[int]] = {}
+        for scene, log in zip(self._tables.scenes.values(), logs, strict=True):
+            self._of_log.setdefault(scene.row.values["log_token"], []).append(scene.place)
+        scenes = np.arange(len(logs))
+        self._pairs = {
+            "log": (np.array(logs, np.int64), scenes),
+            "scene": (scenes, scenes),
+            "sample": _numbered(self._tables.samples.scene.array(np.int64)),
+            "sample_data": _numbered(placed.scene),
+            "calibrated_sensor": (placed.mount, placed.scene),
+            "ego_pose": (placed.pose, placed.scene),
+        }
+        keys = self._tables.samples.keys.array(np.int64)
+        self._order = np.argsort(keys, kind="stable")
+        self._samples = keys[self._order]
+        self._instances, self._seen_in = NumberColumn("q"), NumberColumn("q")
+
+    def of(self, table: str, rows: Iterator[Row]) -> Iterator[tuple[Scenes, Row]]:
+        if table in SHARED:
+            return ((self._every, row) for row in rows)
+        if table in self._pairs:
+            return zip(_by_row(*self._pairs[table]), rows, strict=False)  # rows that nobody names may follow
+        if table == "map":
+            return ((self._of_map(row), row) for row in rows)
+        if table == "sample_annotation":
+            return ((self._of_annotation(row), row) for row in rows)
+        return self._of_instances(rows)
+
+    def _of_map(self, row: Row) -> Scenes:
+        logs = row.get("log_tokens")
+        tokens = {one for one in logs if isinstance(one, str)} if isinstance(logs, list) else set[str]()
+        return sorted(scene for token in tokens for scene in self._of_log.get(token, ()))
+
+    def _of_annotation(self, row: Row) -> Scenes:
+        at = int(places_of(self._samples, np.array([_hashed(row, "sample_token")]))[0])
+        if at < 0:
+            return ()
+        scene = int(self._pairs["sample"][1][self._order[at]])
+        self._instances.add(_hashed(row, "instance_token"))
+        self._seen_in.add(scene)
+        return (scene,)
+
+    def _of_instances(self, rows: Iterator[Row]) -> Iterator[tuple[Scenes, Row]]:
+        """Annotations were asked before."""
+        keys, scenes = self._instances.array(np.int64), self._seen_in.array(np.int64)
+        pairs = np.unique(np.stack([keys, scenes]), axis=1) if len(keys) else np.zeros((2, 0), np.int64)
+        for row in rows:
+            key = _hashed(row, "token")
+            start, stop = np.searchsorted(pairs[0], key, "left"), np.searchsorted(pairs[0], key, "right")
+            yield pairs[1][start:stop].tolist(), row
+
+
+def _hashed(row: Row, key: str) -> int:
+    """0, which is no token's, where the row names none."""
+    token = row.get(key)
+    return hash(token) if isinstance(token, str) else 0
+
+
+def _numbered(scenes: NDArray[np.integer]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    return np.arange(len(scenes)), scenes.astype(np.int64, copy=False)
+
+
+def _by_row(rows: NDArray[np.int64], scenes: NDArray[np.int64]) -> Iterator[Scenes]:
+    """The scenes of row 0, of row 1, …, each once, up to the last that has any."""
+    order = np.lexsort((scenes, rows))
+    rows, scenes = rows[order], scenes[order]
+    is_first = np.append(True, (np.diff(rows) != 0) | (np.diff(scenes) != 0))[: len(rows)]
+    rows, scenes = rows[is_first], scenes[is_first]
+    ends = np.cumsum(np.bincount(rows)) if len(rows) else rows
+    begin = 0
+    for first in range(0, len(ends), LINES_AT_ONCE):
+        for end in ends[first : first + LINES_AT_ONCE].tolist():
+            yield scenes[begin:end].tolist()
+            begin = end
