@@ -120,16 +120,23 @@ def stored_pairs(session: Session, comparison: LabelComparison) -> list[StoredPa
 
 
 def stored_pair(session: Session, comparison: LabelComparison, token: str) -> StoredPair | None:
-    """The pair of one frame, named by its token in A; None where A has none of it, or B none of its microsecond."""
-    at = select(LabelledFrameRow).where(LabelledFrameRow.token == token)
-    a = session.scalars(at.where(LabelledFrameRow.label_set_id == comparison.a_id).limit(1)).one_or_none()
-    if a is None:
+    """The pair of one frame, named by its token in A or in B, which may differ; None where either has none of it."""
+    ids = (comparison.a_id, comparison.b_id)
+    named = select(LabelledFrameRow.stamp_ns).where(LabelledFrameRow.token == token)
+    stamp_ns = session.scalar(named.where(LabelledFrameRow.label_set_id.in_(ids)).limit(1))
+    if stamp_ns is None:
         return None
-    first_ns = a.stamp_ns // NS_PER_US * NS_PER_US
+    pair = [_frame_at(session, label_set_id, stamp_ns) for label_set_id in ids]
+    found = [_stored(row, _object_key(session, row)) for row in pair if row is not None]
+    return StoredPair(*found) if len(found) == len(pair) else None
+
+
+def _frame_at(session: Session, label_set_id: str, stamp_ns: int) -> LabelledFrameRow | None:
+    """The first frame of the set in the microsecond of this stamp."""
+    first_ns = stamp_ns // NS_PER_US * NS_PER_US
     same = LabelledFrameRow.stamp_ns.between(first_ns, first_ns + NS_PER_US - 1)
-    of_b = select(LabelledFrameRow).where(LabelledFrameRow.label_set_id == comparison.b_id, same)
-    b = session.scalars(of_b.order_by(LabelledFrameRow.ordinal).limit(1)).one_or_none()
-    return None if b is None else StoredPair(*(_stored(row, _object_key(session, row)) for row in (a, b)))
+    frames = select(LabelledFrameRow).where(LabelledFrameRow.label_set_id == label_set_id, same)
+    return session.scalars(frames.order_by(LabelledFrameRow.ordinal).limit(1)).one_or_none()
 
 
 def _by_microsecond(session: Session, label_set_id: str) -> dict[int, StoredLabelFile]:

@@ -45,6 +45,9 @@ class DatasetSamples:
     sequence: Sequence
 
     def lidar(self, index: int) -> LidarSample:
+        """The sweep of frame `index`; one without returns of a dataset that has no LiDAR."""
+        if self.sequence.frames.sweeps is None:
+            return LidarSample(np.zeros((0, 3), np.float32), np.zeros(0, np.float32), np.zeros(0, np.uint16))
         span = self._span(LIDAR_CHANNEL, index)
         if span is None:
             raise table_span(self._files, "sample_data").damaged(f"frame {index} has no sweep of {LIDAR_CHANNEL}")

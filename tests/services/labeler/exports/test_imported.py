@@ -152,7 +152,7 @@ def test_inputs_have_the_same_frames_and_files_as_those_of_the_recording(pair: P
 
 
 def test_nothing_planted_in_the_dataset_reaches_inputs(pair: Pair, tmp_path: Path) -> None:
-    """Boxes, point labels, words of classes and a drivable mask are in the source, and none of them is in the inputs."""
+    """Boxes, point labels and words of classes are in the source, and none of them is in the inputs."""
     planted = b"0123456789abcdef-planted"
     source = planted_source(pair.published.folder, tmp_path, planted.decode())
     out = tmp_path / "inputs"
