@@ -172,7 +172,7 @@ def _sequences(platform: Platform, owner: Person, frames: int) -> tuple[dict[str
             name = f"{part}-{environment}-{new_id()[-6:]}"
             of_sequence = [ground(seed := seed + 1, canary=part == "test") for _ in range(frames)]
             ids[part].append(labelled(platform, owner, name, of_sequence, (environment, illumination)))
-            tokens = [frame_token(name, made.START_NS + index) for index in range(frames)]
+            tokens = [frame_token(name, made.stamp_of(index)) for index in range(frames)]
             grids[part][name] = dict(zip(tokens, of_sequence, strict=True))
         grids[part] = dict(sorted(grids[part].items()))
     return grids, ids

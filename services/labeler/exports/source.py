@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from services.labeler.exports.dataset_source import DatasetSourceFiles
 from services.labeler.exports.errors import DamagedLabelsError, NotLabelsError, RecordingGoneError
 from stone.labels.grid import GRID_SHAPE
 from stone.sensors.samples import SampleSource
@@ -22,13 +23,18 @@ from stone.sensors.sequence import Sequence
 from stone_recordings.sync.sequence_file import read_sequence
 
 REPORT, SEQUENCE, SOURCE, MESH, TABLE = "report.json", "sequence.npz", "source.json", "mesh.ply", "frames.parquet"
+MASKS = ("mask_lidar", "mask_camera")
+GRIDS = ("semantics", *MASKS, "distance_squared")
 MOST_JSON_BYTES = 1 << 28
 OpenSamples = Callable[[Path, Sequence], SampleSource]
 
 
 @dataclass(frozen=True, eq=False)
 class LabelledSequence:
-    """`labels(index)` are the bytes of a frame's `labels.npz`; `mesh` is the map's PLY, `frames_table` the Parquet."""
+    """`labels(index)` are the bytes of a frame's `labels.npz`; `mesh` is the map's PLY, `frames_table` the Parquet.
+
+    `published` are the files that labels were imported with, None where they were made here.
+    """
 
     sequence: Sequence
     samples: SampleSource
@@ -36,16 +42,19 @@ class LabelledSequence:
     report: Mapping[str, Any]
     mesh: Path
     frames_table: Path
+    published: DatasetSourceFiles | None = None
 
     def grids(self, index: int) -> dict[str, NDArray[Any]]:
         """The grids of frame `index`: semantics, mask_lidar and mask_camera, uint8, and further ones where asked for.
 
-        Raises `DamagedLabelsError`.
+        Of imported labels that do not say what was seen, all of it counts as seen. Raises `DamagedLabelsError`.
         """
         payload = self.labels(index)
         try:
             with np.load(io.BytesIO(payload), allow_pickle=False) as arrays:
-                grids = dict(arrays)
+                grids = {key: arrays[key] for key in GRIDS if key in arrays}
+                if self.published is not None:
+                    grids = {mask: np.ones(GRID_SHAPE, np.uint8) for mask in MASKS} | grids
                 _check_grids(grids)
                 return grids
         except (ValueError, OSError, KeyError, EOFError, zipfile.BadZipFile) as error:
@@ -69,7 +78,7 @@ class _FrameFiles:
 
 
 def _check_grids(grids: Mapping[str, NDArray[Any]]) -> None:
-    for key in ("semantics", "mask_lidar", "mask_camera"):
+    for key in ("semantics", *MASKS):
         if grids[key].shape != GRID_SHAPE or grids[key].dtype != np.uint8:
             raise ValueError(f"{key} is {grids[key].dtype} {grids[key].shape}")
 
