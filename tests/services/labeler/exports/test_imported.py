@@ -3,6 +3,7 @@
 Catches alone (10 s) samples that come out of an imported source otherwise than they went into it.
 """
 
+import io
 import json
 import pickle
 from collections.abc import Iterator
@@ -12,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from PIL import Image
 
 from services.labeler.exports.dataset_samples import DatasetSamples
 from services.labeler.exports.dataset_source import DatasetSource
@@ -26,6 +28,8 @@ from services.runtime.store.packs import index_bytes, pack_folder
 from stone_exports.files import DamagedExportError
 from stone_exports.frames import frames_in
 from stone_exports.tables import exports_in
+from stone_recordings.sync.samples import jpeg_of
+from testing.worlds.published_datasets import SyntheticDataset, made_labels, write_annotated
 from tests.services.labeler.exports.imported import Imported, again, imported
 from tests.services.labeler.exports.made import Labelled, files_of, unheard
 
@@ -191,6 +195,53 @@ def test_a_frame_that_has_no_sweep_is_refused(pair: Pair, tmp_path: Path) -> Non
     source = altered(pair.dataset.published, tmp_path, (b'"is_key_frame":true', b'"is_key_frame":false'), ".json")
     with pytest.raises(DamagedExportError, match="frame 3 has no sweep of LIDAR_TOP"):
         DatasetSamples(source, pair.imported.sequence).lidar(3)
+
+
+def test_a_picture_that_is_no_jpeg_is_encoded_once_as_those_of_recordings_are(pair: Pair, tmp_path: Path) -> None:
+    ours = pair.imported.samples.camera("CAM_FRONT", 0)
+    assert ours is not None
+    png = io.BytesIO()
+    Image.open(io.BytesIO(ours.content)).save(png, "PNG")
+    source = altered(pair.dataset.published, tmp_path, (ours.content, png.getvalue()), ".jpg")
+    sample = DatasetSamples(source, pair.imported.sequence).camera("CAM_FRONT", 0)
+    assert sample is not None
+    assert (sample.width_px, sample.height_px) == (ours.width_px, ours.height_px)
+    with Image.open(io.BytesIO(sample.content)) as again, Image.open(png) as original:
+        assert again.format == "JPEG"
+        assert np.abs(np.asarray(again, np.int64) - np.asarray(original, np.int64)).mean() < 4
+    assert jpeg_of(png.getvalue())[0] == sample.content
+
+
+@pytest.fixture(scope="module")
+def without_lidar(tmp_path_factory: pytest.TempPathFactory) -> Imported:
+    """Occ3D's layout: pictures and labels, no sweeps."""
+    root = tmp_path_factory.mktemp("annotated")
+    what = SyntheticDataset(scenes=1, cameras=("CAM_FRONT",), radars=(), labels=[made_labels()])
+    return imported(write_annotated(root / "published", what), root / "imported")
+
+
+@pytest.mark.parametrize("form", list(EXPORTERS))
+def test_every_format_is_written_of_a_dataset_without_a_lidar(
+    without_lidar: Imported, tmp_path: Path, form: str
+) -> None:
+    EXPORTERS[form](without_lidar.labelled, tmp_path, unheard)
+    files = files_of(tmp_path)
+    assert files
+    assert not any("LIDAR" in name for name in files)
+
+
+def test_a_dataset_without_a_lidar_has_inputs_of_its_cameras_and_no_clouds(
+    without_lidar: Imported, tmp_path: Path
+) -> None:
+    for name, write in (("inputs", write_inputs), ("playback", write_playback)):
+        (tmp_path / name).mkdir()
+        write(without_lidar.labelled, tmp_path / name, unheard)
+    rows = json.loads((tmp_path / "inputs" / "v1.0-trainval" / "sensor.json").read_bytes())
+    assert [row["channel"] for row in rows] == ["CAM_FRONT"]
+    assert len(list((tmp_path / "inputs" / "samples" / "CAM_FRONT").iterdir())) == 3
+    assert json.loads((tmp_path / "playback" / "playback.json").read_bytes())["has_clouds"] is False
+    assert without_lidar.labelled.samples.radar("RADAR_FRONT", 0) is None
+    assert without_lidar.labelled.samples.camera("CAM_BACK", 0) is None
 
 
 def altered(folder: Path, root: Path, change: tuple[bytes, bytes], ending: str) -> DatasetSource:
