@@ -102,10 +102,11 @@ class _Owners:
         self._placed, self._tables = placed, placed.tables
         self._every = range(len(self._tables.scenes))
         numbers = {token: number for number, token in enumerate(self._tables.logs)}
-        logs = [numbers[scene.row.values["log_token"]] for scene in self._tables.scenes.values()]
+        named = [scene.row.values["log_token"] for scene in self._tables.scenes.values()]
+        logs = [numbers[token] for token in named]
         self._of_log: dict[str, list[int]] = {}
-        for scene, log in zip(self._tables.scenes.values(), logs, strict=True):
-            self._of_log.setdefault(scene.row.values["log_token"], []).append(scene.place)
+        for place, token in enumerate(named):
+            self._of_log.setdefault(token, []).append(place)
         scenes = np.arange(len(logs))
         self._pairs = {
             "log": (np.array(logs, np.int64), scenes),

@@ -100,7 +100,10 @@ class PlaybackItem(Answer):
 
 
 class SceneDetail(Answer):
-    """A labelled sequence as the viewer shows it; `label_set_id` as `v` of its files makes their addresses lasting."""
+    """A labelled sequence as the viewer shows it; `label_set_id` as `v` of its files makes their addresses lasting.
+
+    `reference` is null of labels that were imported from a published dataset: the features of their voxels are NaN.
+    """
 
     model_config = example(
         sequence_id=ID_EXAMPLE,
@@ -122,7 +125,7 @@ class SceneDetail(Answer):
     profile: str
     grid: GridItem
     footprint_m: list[float]
-    reference: ReferenceItem
+    reference: ReferenceItem | None
     frames: SceneFrames
     tiles: list[TileItem]
     meshes: list[MeshItem]

@@ -15,11 +15,6 @@ SOURCE = "source"
 SOURCE_INDEX = f"{SOURCE}/index.npz"
 
 
-def source_pack(number: int) -> str:
-    """The artefact that is the pack of this number."""
-    return f"{SOURCE}/{number:06d}.pack"
-
-
 def is_imported(session: Session, label_set_id: str) -> bool:
     index = select(Artefact.id).where(Artefact.label_set_id == label_set_id, Artefact.name == SOURCE_INDEX)
     return session.scalar(index) is not None

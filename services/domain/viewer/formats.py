@@ -11,7 +11,8 @@
 **Conventions.** Little-endian, nothing between the parts. A plane has a bit for each voxel in C order, 256 × 256 × 32,
 the first in the lowest bit. In `STT1` each of the eight arrays stands whole before the next; voxels are in the order of
 i, then j, then k; the centre of one is (index + 0.5) · 0.2 m in the map frame. `STM1` counts from the tile's `min_m`
-(scene.json); class 0 is a vertex outside every voxel. Equal values give equal bytes.
+(scene.json); class 0 is a vertex outside every voxel. Equal values give equal bytes. Of imported labels elevation,
+slope, roughness and D² are NaN: a dataset says the class alone.
 """
 
 from dataclasses import dataclass

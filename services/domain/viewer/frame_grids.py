@@ -17,7 +17,7 @@ from services.runtime.store.protocol import Store
 from stone.errors import PlatformFaultError
 
 SHAPE = (256, 256, 32)
-SEMANTICS, SEEN = "semantics", "mask_lidar"
+SHOWN_GRIDS = ("semantics", "mask_lidar")
 HEADS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 LOCAL_HEAD_BYTES, NAME_AT = 30, 26
 
@@ -32,32 +32,19 @@ class GridUnreadableError(PlatformFaultError):
 
 
 def stored_grids(store: Store, object_key: str, span: tuple[int, int]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Classes and what was seen, of the label file in these bytes of an object: all, where it does not say what.
-
-    Raises `GridUnreadableError`.
-    """
-    payload = b"".join(store.read(object_key, *span))
-    members = _members(payload)
-    (semantics,) = read_grids(payload, (SEMANTICS,))
-    seen = read_grids(payload, (SEEN,))[0] if f"{SEEN}.npy" in members else np.ones(SHAPE, np.uint8)
+    """Classes and what was seen, of the label file in these bytes of an object. Raises `GridUnreadableError`."""
+    semantics, seen = read_grids(b"".join(store.read(object_key, *span)), SHOWN_GRIDS)
     return semantics, seen
 
 
 def read_grids(payload: bytes, keys: Iterable[str]) -> list[NDArray[np.uint8]]:
     """The grids (256, 256, 32) of these keys, in their order. Raises `GridUnreadableError`."""
-    members = _members(payload)
-    try:
-        return [_grid(payload, key, members[f"{key}.npy"]) for key in keys]
-    except KeyError as error:
-        raise GridUnreadableError(str(error), "the label file has none") from error
-
-
-def _members(payload: bytes) -> dict[str, zipfile.ZipInfo]:
     try:
         with zipfile.ZipFile(io.BytesIO(payload)) as archive:
-            return {member.filename: member for member in archive.infolist()}
-    except (zipfile.BadZipFile, ValueError, OSError) as error:
+            infos = [(key, archive.getinfo(f"{key}.npy")) for key in keys]
+    except (zipfile.BadZipFile, KeyError, ValueError, OSError) as error:
         raise GridUnreadableError("", str(error)) from error
+    return [_grid(payload, key, info) for key, info in infos]
 
 
 def _grid(payload: bytes, key: str, info: zipfile.ZipInfo) -> NDArray[np.uint8]:
@@ -67,7 +54,7 @@ def _grid(payload: bytes, key: str, info: zipfile.ZipInfo) -> NDArray[np.uint8]:
         if (shape, is_fortran, dtype) != (SHAPE, False, np.dtype(np.uint8)):
             raise ValueError(f"it is {dtype} {shape}")
         return np.frombuffer(npy.getbuffer()[npy.tell() :], np.uint8).reshape(SHAPE)
-    except (ValueError, struct.error, isal_zlib.error) as error:  # type: ignore[misc]  # the stub knows no class
+    except (ValueError, KeyError, struct.error, isal_zlib.error) as error:  # type: ignore[misc]  # the stub knows no class
         raise GridUnreadableError(key, str(error)) from error
 
 

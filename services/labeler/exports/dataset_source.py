@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from services.runtime.store.packs import SUMS, PackedFiles, read_index
+from services.runtime.store.packs import PackedFiles, read_index
 from stone_exports.files import ExportFileSpan
 from stone_files.virtual_archive import NAME
 
@@ -48,7 +48,7 @@ class DatasetSourceFiles:
         return ExportFileSpan(pack, name, int(files.offsets_bytes[at]), int(files.sizes_bytes[at]))
 
     def write(self, folder: Path) -> None:
-        """Write every file below the folder, but the list of their sums. Raises `DamagedExportError`."""
+        """Write every file below the folder. Raises `DamagedExportError`."""
         for span in self._spans():
             (folder / span.name).parent.mkdir(parents=True, exist_ok=True)
             with (folder / span.name).open("wb") as file:
@@ -56,4 +56,4 @@ class DatasetSourceFiles:
                     file.write(piece)
 
     def _spans(self) -> Iterator[ExportFileSpan]:
-        return (span for name in self.packed.names if name != SUMS and (span := self.span(name)) is not None)
+        return (span for name in self.packed.names if (span := self.span(name)) is not None)

@@ -23,8 +23,6 @@ from stone.sensors.sequence import Sequence
 from stone_recordings.sync.sequence_file import read_sequence
 
 REPORT, SEQUENCE, SOURCE, MESH, TABLE = "report.json", "sequence.npz", "source.json", "mesh.ply", "frames.parquet"
-MASKS = ("mask_lidar", "mask_camera")
-GRIDS = ("semantics", *MASKS, "distance_squared")
 MOST_JSON_BYTES = 1 << 28
 OpenSamples = Callable[[Path, Sequence], SampleSource]
 
@@ -47,14 +45,12 @@ class LabelledSequence:
     def grids(self, index: int) -> dict[str, NDArray[Any]]:
         """The grids of frame `index`: semantics, mask_lidar and mask_camera, uint8, and further ones where asked for.
 
-        Of imported labels that do not say what was seen, all of it counts as seen. Raises `DamagedLabelsError`.
+        Raises `DamagedLabelsError`.
         """
         payload = self.labels(index)
         try:
             with np.load(io.BytesIO(payload), allow_pickle=False) as arrays:
-                grids = {key: arrays[key] for key in GRIDS if key in arrays}
-                if self.published is not None:
-                    grids = {mask: np.ones(GRID_SHAPE, np.uint8) for mask in MASKS} | grids
+                grids = dict(arrays)
                 _check_grids(grids)
                 return grids
         except (ValueError, OSError, KeyError, EOFError, zipfile.BadZipFile) as error:
@@ -78,7 +74,7 @@ class _FrameFiles:
 
 
 def _check_grids(grids: Mapping[str, NDArray[Any]]) -> None:
-    for key in ("semantics", *MASKS):
+    for key in ("semantics", "mask_lidar", "mask_camera"):
         if grids[key].shape != GRID_SHAPE or grids[key].dtype != np.uint8:
             raise ValueError(f"{key} is {grids[key].dtype} {grids[key].shape}")
 

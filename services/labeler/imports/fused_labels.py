@@ -101,4 +101,4 @@ class FusedLabels:
 
 def _elected(counts: NDArray[np.uint32]) -> NDArray[np.uint8]:
     """The class (K,) of most votes (K, 3)."""
-    return (3 - counts[:, ::-1].argmax(axis=1)).astype(np.uint8)
+    return np.asarray(3 - counts[:, ::-1].argmax(axis=1), dtype=np.uint8)

@@ -23,7 +23,7 @@ from services.labeler.previews.map_picture import TopView, write_top_view
 from services.labeler.previews.map_pieces import MapPiece
 from services.labeler.previews.thumbnail import write_thumbnail
 from services.labeler.run import Tile
-from services.labeler.scratch import load, save, tile_name
+from services.labeler.scratch import Arrays, load, save, tile_name
 from stone.geometry.lattice import Keys, indices_of
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.sequence import Sequence
@@ -76,14 +76,14 @@ def write_map_products(fused: FusedLabels, sequence: Sequence, out: Path, scratc
 
 def _tile(one: tuple[Tile, Keys, NDArray[np.uint8]], into: tuple[TopView, SceneWriter], scratch: Path) -> _Made:
     (tile, keys, classes), (view, scene) = one, into
-    view.add(tile, keys, classes)
+    view.add(tile, keys, classes)  # type: ignore[arg-type]
     nothing = np.full((len(keys), 3), np.nan)
     voxels = TileVoxels(indices_of(keys), classes, nothing, nothing[:, 0])
     corner_m = np.array([tile.i, tile.j, 0.0]) * TILE_VOXELS * VOXEL_M
     scene.add(tile_name(tile), voxels, few_faces(keys, classes, VOXEL_M, MOST_TRIANGLES), corner_m)
     mesh, path = exposed_faces(keys, classes, VOXEL_M), scratch / f"{tile_name(tile)}.npz"
-    surface = {"vertices": mesh.vertices_m.astype(np.float32), "kinds": mesh.classes, "triangles": mesh.triangles}
-    save(path, {"keys": keys, "classes": classes, **surface})
+    surface: Arrays = {"vertices": mesh.vertices_m.astype(np.float32), "triangles": mesh.triangles}
+    save(path, {"keys": keys, "classes": classes, "kinds": mesh.classes, **surface})
     return _Made(tile, path, (len(keys), len(mesh.vertices_m), len(mesh.triangles)))
 
 
@@ -94,12 +94,16 @@ def _piece(made: _Made) -> Piece:
 
 def _slabs(made: _Made) -> Iterator[Callable[[], MapPiece]]:
     """The tile in pieces of few heights, so that each is a block of few voxels however far apart they lie."""
-    heights = indices_of(load(made.path)["keys"])[:, 2] // SLAB_VOXELS  # type: ignore[arg-type]
+    heights = indices_of(_keys(made))[:, 2] // SLAB_VOXELS
     return (partial(_slab, made, int(height)) for height in np.unique(heights))
 
 
 def _slab(made: _Made, height: int) -> MapPiece:
-    arrays = load(made.path)
-    is_in = indices_of(arrays["keys"])[:, 2] // SLAB_VOXELS == height  # type: ignore[arg-type]
-    keys: Keys = arrays["keys"][is_in]  # type: ignore[assignment]
-    return MapPiece(keys, np.zeros((len(keys), 3)), arrays["classes"][is_in])  # type: ignore[arg-type]
+    keys, classes = _keys(made), load(made.path)["classes"].astype(np.uint8)
+    is_in = indices_of(keys)[:, 2] // SLAB_VOXELS == height
+    return MapPiece(keys[is_in], np.zeros((int(is_in.sum()), 3)), classes[is_in])
+
+
+def _keys(made: _Made) -> Keys:
+    with np.load(made.path) as arrays:
+        return np.asarray(arrays["keys"], np.int64)

@@ -69,7 +69,7 @@ def _check(parts: SceneParts) -> None:
     if len(counts) > 1 or spans.places.shape[1:] != (2,) or spans.labels.shape != (len(parts.sequence.frames), 2):
         raise SceneDamagedError(f"{parts.folder.name} has not as many spans as files, or as labels as frames")
     for offset, size in np.concatenate([spans.places, spans.labels]).tolist():
-        if not (offset >= 0 and size >= 0 and offset + size <= size_bytes):
+        if offset < 0 or size < 0 or offset + size > size_bytes:
             raise SceneDamagedError(f"a span of {size} bytes from {offset} on leaves the {size_bytes} bytes of the tar")
 
 

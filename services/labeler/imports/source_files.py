@@ -3,7 +3,7 @@
     source/index.npz   source/000000.pack …
 
 **Conventions.** A `PackedFiles` in the order of names: `v1.0-trainval/<table>.json`, `v1.0-trainval/splits.json`,
-`samples/…`, `sweeps/…`, `maps/…`. Bytes are those of the dataset; every file of a sensor is checked before it is copied.
+`samples/…`, `sweeps/…`, `maps/…`. Bytes are those of the dataset; files of sensors are checked before they are copied.
 """
 
 from collections.abc import Callable

@@ -113,7 +113,7 @@ def _vote(words, placed, begun, bricks):  # type: ignore[no-untyped-def]
                 i = np.int64(np.floor(x + c * step[0, 2]))
                 j = np.int64(np.floor(y + c * step[1, 2]))
                 k = np.int64(np.floor(z + c * step[2, 2]))
-                key = pack(i >> SHIFT, j >> SHIFT, k >> SHIFT)
+                key = pack(i >> SHIFT, j >> SHIFT, k >> SHIFT)  # type: ignore[arg-type]
                 if key != last_key:
                     slot = slot_of(table, key)
                     if table[slot] == EMPTY:

@@ -34,7 +34,7 @@ def exposed_faces(keys: Keys, classes: NDArray[np.uint8], size_m: float) -> Tile
     voxels, sides = np.nonzero(is_open)
     corners = (indices[voxels, None, :] + CORNERS[sides]).reshape(-1, 3)
     kinds = classes[voxels].repeat(4)
-    names, first, rows = np.unique(_named(corners, kinds), return_index=True, return_inverse=True)
+    _, first, rows = np.unique(_named(corners, kinds), return_index=True, return_inverse=True)
     triangles = rows.reshape(-1, 4)[:, HALVES].reshape(-1, 3)
     return TileMesh(corners[first] * size_m, kinds[first], triangles.astype(np.int32))
 

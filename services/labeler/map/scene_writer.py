@@ -3,7 +3,8 @@
     scene/scene.json   scene/tile_<i>_<j>.bin   scene/mesh_<i>_<j>.bin
 
 **Conventions.** The binary formats are those of `services/domain/viewer/formats.py`; a tile without surface has no
-files. Stamps are strings, since a browser's numbers lose nanoseconds; poses are (tx, ty, tz, qw, qx, qy, qz), to 0.1 mm.
+files. Stamps are strings, since a browser's numbers lose nanoseconds; poses are (tx, ty, tz, qw, qx, qy, qz), to
+0.1 mm.
 """
 
 import json

@@ -1,6 +1,7 @@
 // What the reader chose to see, and the panel they choose it in.
 
 import { make } from "./elements.js";
+import { isImported } from "./explanation.js";
 import type { Look, Mode, Unseen } from "../looks.js";
 import type { SceneFacts } from "../scene.js";
 
@@ -55,7 +56,8 @@ export function choicesPanel(scene: SceneFacts, choices: Choices, changed: () =>
     return row;
   });
   const hasValues = scene.tiles.length > 0;
-  const modes = scene.comparison_id ? [...MODES, DIFFERENCE] : MODES;
+  const known = isImported(scene) ? MODES.slice(0, 1) : MODES;
+  const modes = scene.comparison_id ? [...known, DIFFERENCE] : known;
   const scopes = pick("Show", SCOPES, choices.scope, (value) => {
     choices.scope = value;
     if (value === "map" && look.mode === "difference") choose(colours, (look.mode = "class")); // they are of frames
@@ -65,7 +67,7 @@ export function choicesPanel(scene: SceneFacts, choices: Choices, changed: () =>
     look.mode = value;
     if (value === "difference") choose(scopes, (choices.scope = "frame"));
     changed();
-  }, hasValues || modes !== MODES);
+  }, hasValues || modes !== known);
   const notes = (["mesh", "points"] as const).flatMap((name) => missing(name, scene) ?? []);
   return make(
     "div", { class: "viewer-choices" },
@@ -75,7 +77,8 @@ export function choicesPanel(scene: SceneFacts, choices: Choices, changed: () =>
       pick("What this frame did not see", UNSEEN, look.unseen, (value) => ((look.unseen = value), changed()), true)),
     group("Layers", layer("labels", "Labels"), layer("mesh", "Surface"), layer("points", "Point cloud"), layer("track", "Track"),
       layer("robot", "Robot"), layer("grid", "Ground grid"), ...notes.map((note) => make("p", { class: "hint" }, note)),
-      ...(hasValues ? [] : [make("p", { class: "hint" }, "Labelled before the viewer kept terrain values: label the sequence again to see D² and slopes.")])),
+      ...(hasValues ? [] : [make("p", { class: "hint" }, "Labelled before the viewer kept terrain values: label the sequence again to see D² and slopes.")]),
+      ...(isImported(scene) ? [make("p", { class: "hint" }, "Imported labels: no features, so there is no D², slope or roughness to see.")] : [])),
   );
 }
 

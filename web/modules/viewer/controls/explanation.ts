@@ -7,8 +7,9 @@ import type { SceneFacts, Vector } from "../scene.js";
 export const CLASS_NAMES = ["free", "Traversable", "Potentially traversable", "Non-traversable"] as const;
 const DEGREE = 180 / Math.PI;
 
-/** Name and value, as rows of the readout. */
+/** Name and value, as rows of the readout; imported labels have none. */
 export function valuesOf(found: Found, scene: SceneFacts): [string, string][] {
+  if (isImported(scene)) return [];
   return [
     [elevationName(scene), `${found.elevation_m.toFixed(2)} m`],
     ["Slope", `${(found.slope_rad * DEGREE).toFixed(1)}°`],
@@ -17,17 +18,24 @@ export function valuesOf(found: Found, scene: SceneFacts): [string, string][] {
   ];
 }
 
+/** Labels of a published dataset: of their voxels the class is known and nothing else. */
+export function isImported(scene: SceneFacts): boolean {
+  return scene.profile === "imported";
+}
+
 export function elevationName(scene: SceneFacts): string {
   return scene.profile === "local" ? "Height above local ground" : "Elevation";
 }
 
 /** One or two sentences. */
 export function reason(picked: Picked, scene: SceneFacts): string {
-  const unseen = picked.seen ? "" : " This frame's LiDAR did not see it; the label comes from the rest of the run.";
+  const source = isImported(scene) ? "" : "; the label comes from the rest of the run";
+  const unseen = picked.seen ? "" : ` This frame's LiDAR did not see it${source}.`;
   return `${because(picked, scene)}${unseen}`;
 }
 
 function because({ kind, found }: Picked, scene: SceneFacts): string {
+  if (isImported(scene)) return "Imported labels: no features. The dataset says the class, and not why.";
   if (kind === 1) return "The robot drove here: it lies under the footprint swept along the track.";
   const { reference } = scene;
   if (!found || !reference) return "These labels were made without terrain values for the viewer; label the sequence again to see why.";
