@@ -63,7 +63,7 @@ def test_every_section_says_that_labels_were_imported_where_it_would_speak_of_a_
     for section, words in SECTIONS.items():
         assert words in re.sub(r"&#39;", "'", shown.page(section)), section
     for section in ("/track", "/recordings", "/processing"):
-        assert not re.search("odometry|No recording yet|Nothing was started yet", shown.page(section)), section
+        assert not re.search("poses are odometry|No recording yet|Nothing was started yet", shown.page(section)), section
 
 
 def test_scene_and_frames_are_shown_without_a_recording(shown: Shown) -> None:
