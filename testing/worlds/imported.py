@@ -21,7 +21,7 @@ def silent(_stage: str, _done: int, _total: int) -> None:
 
 def tar_of(folder: Path, tar: Path) -> Path:
     """The tar of a dataset in a folder, as the client uploads it."""
-    with tarfile.open(tar, "w") as archive:
+    with tarfile.open(tar, "w", dereference=True) as archive:
         for path in sorted(folder.rglob("*")):
             if path.is_file():
                 archive.add(path, path.relative_to(folder).as_posix())

@@ -21,7 +21,7 @@ import numpy as np
 from stone.labels.grid import GRID_SHAPE
 from stone.sensors.sequence import frame_token
 from stone_files.npz import npz_bytes
-from testing.worlds.small_export import FOCAL_PX, PICTURE_PX, global_from_ego, picture_of
+from testing.worlds.small_export import FOCAL_PX, PICTURE_PX, START_US, global_from_ego, picture_of
 
 LOGFILE = "n001-2025-08-22-07-14-16+0900"
 FIRST_US, STEP_US, EXPOSURE_US = 1_755_846_856_000_000, 100_000, 20_000
@@ -41,7 +41,8 @@ Row = dict[str, Any]
 class SyntheticDataset:
     """What to write: scenes of `frames`, the first `longer` of one more.
 
-    `labels` are taken in turn; none: a test set.
+    `labels` are taken in turn; none: a test set. After `turns_after` frames the robot drives back and forth again; 0:
+    on and on.
     """
 
     scenes: int = 2
@@ -51,6 +52,7 @@ class SyntheticDataset:
     radars: Sequence[str] = ("RADAR_FRONT",)
     labels: Sequence[bytes] = ()
     splits: Mapping[str, Sequence[str]] | None = None
+    turns_after: int = 0
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -209,7 +211,10 @@ def _poses(what: SyntheticDataset, scene: int) -> Iterator[Row]:
 
 def pose_of(what: SyntheticDataset, scene: int, stamp_us: int) -> Row:
     """`rotation` and `translation` of the robot at a stamp."""
-    pose = global_from_ego(1_700_000_000_000_000 + stamp_us - what.stamp_us(scene, 0))
+    moved_us, turn_us = stamp_us - what.stamp_us(scene, 0), what.turns_after * STEP_US
+    if turn_us:
+        moved_us = turn_us - abs(moved_us % (2 * turn_us) - turn_us)
+    pose = global_from_ego(START_US + moved_us)
     return {"rotation": pose.wxyz.tolist(), "translation": pose.translation_m.tolist()}
 
 

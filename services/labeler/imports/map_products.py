@@ -22,8 +22,8 @@ from services.labeler.map.scene_writer import SceneDescription, SceneWriter
 from services.labeler.previews.map_picture import TopView, write_top_view
 from services.labeler.previews.map_pieces import MapPiece
 from services.labeler.previews.thumbnail import write_thumbnail
-from services.labeler.run import Tile
-from services.labeler.scratch import Arrays, load, save, tile_name
+from services.labeler.run import Step, Tile
+from services.labeler.scratch import load, save, tile_name
 from stone.geometry.lattice import Keys, indices_of
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.sequence import Sequence
@@ -47,30 +47,39 @@ class MapFacts:
 
 @dataclass(frozen=True, eq=False)
 class _Made:
-    """A tile of the map, and where its voxels and its surface are kept."""
+    """A tile of the map: `voxels` and `surface` are the files that keep them."""
 
-    tile: Tile
-    path: Path
+    voxels: Path
+    surface: Path
     size: tuple[int, int, int]  # voxels, vertices, triangles
 
 
-def write_map_products(fused: FusedLabels, sequence: Sequence, out: Path, scratch: Path) -> MapFacts:
-    """All of them into the folder `out`. Raises `NothingOccupiedError`, `MapTooDenseError`."""
+def write_map_products(fused: FusedLabels, sequence: Sequence, folders: tuple[Path, Path], step: Step) -> MapFacts:
+    """All of them into the first folder; what they need meanwhile goes into the second.
+
+    Raises `NothingOccupiedError`, `MapTooDenseError`.
+    """
+    out, scratch = folders
+    step(0, 4)
     view, scene = TopView({}), SceneWriter(SceneDescription(sequence, PROFILE, None), out)
     made = [_tile(one, (view, scene), scratch) for one in fused.tiles()]
     if not made:
         place = DatasetPlace(label_folder(sequence.name))
         raise NothingOccupiedError(place, f"no voxel of {len(sequence.frames)} frames is T, P or N")
     scene.finish()
+    step(1, 4)
     poses = sequence.frames.map_from_ego
     write_top_view(out / TOP_VIEW, view, poses)
     write_thumbnail(out / THUMBNAIL, view, poses)
     voxels, vertices, triangles = (sum(one.size[at] for one in made) for at in range(3))
+    step(2, 4)
     write_mesh(out / MESH, (vertices, triangles), [partial(_piece, one) for one in made])
+    step(3, 4)
     from services.labeler.previews.map_view import write_map_oblique  # it draws: half a second of imports
     from services.labeler.previews.preview_files import MAP
 
     write_map_oblique([slab for one in made for slab in _slabs(one)], poses, out / MAP)
+    step(4, 4)
     return MapFacts(len(made), voxels, vertices, triangles)
 
 
@@ -81,29 +90,27 @@ def _tile(one: tuple[Tile, Keys, NDArray[np.uint8]], into: tuple[TopView, SceneW
     voxels = TileVoxels(indices_of(keys), classes, nothing, nothing[:, 0])
     corner_m = np.array([tile.i, tile.j, 0.0]) * TILE_VOXELS * VOXEL_M
     scene.add(tile_name(tile), voxels, few_faces(keys, classes, VOXEL_M, MOST_TRIANGLES), corner_m)
-    mesh, path = exposed_faces(keys, classes, VOXEL_M), scratch / f"{tile_name(tile)}.npz"
-    surface: Arrays = {"vertices": mesh.vertices_m.astype(np.float32), "triangles": mesh.triangles}
-    save(path, {"keys": keys, "classes": classes, "kinds": mesh.classes, **surface})
-    return _Made(tile, path, (len(keys), len(mesh.vertices_m), len(mesh.triangles)))
+    mesh = exposed_faces(keys, classes, VOXEL_M)
+    files = [scratch / f"{tile_name(tile)}.{kept}.npz" for kept in ("voxels", "surface")]
+    vertices = mesh.vertices_m.astype(np.float32)
+    save(files[0], {"keys": keys, "classes": classes})
+    save(files[1], {"vertices": vertices, "triangles": mesh.triangles, "kinds": mesh.classes})
+    return _Made(files[0], files[1], (len(keys), len(vertices), len(mesh.triangles)))
 
 
 def _piece(made: _Made) -> Piece:
-    arrays = load(made.path)
+    arrays = load(made.surface)
     return arrays["vertices"], arrays["triangles"], arrays["kinds"]  # type: ignore[return-value]
 
 
 def _slabs(made: _Made) -> Iterator[Callable[[], MapPiece]]:
     """The tile in pieces of few heights, so that each is a block of few voxels however far apart they lie."""
-    heights = indices_of(_keys(made))[:, 2] // SLAB_VOXELS
+    heights = indices_of(load(made.voxels)["keys"].astype(np.int64))[:, 2] // SLAB_VOXELS
     return (partial(_slab, made, int(height)) for height in np.unique(heights))
 
 
 def _slab(made: _Made, height: int) -> MapPiece:
-    keys, classes = _keys(made), load(made.path)["classes"].astype(np.uint8)
+    arrays = load(made.voxels)
+    keys, classes = arrays["keys"].astype(np.int64), arrays["classes"].astype(np.uint8)
     is_in = indices_of(keys)[:, 2] // SLAB_VOXELS == height
     return MapPiece(keys[is_in], np.zeros((int(is_in.sum()), 3)), classes[is_in])
-
-
-def _keys(made: _Made) -> Keys:
-    with np.load(made.path) as arrays:
-        return np.asarray(arrays["keys"], np.int64)

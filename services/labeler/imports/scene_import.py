@@ -54,7 +54,7 @@ def _labels(parts: SceneParts, opening: SceneOpening, progress: ProgressCallback
     for frame, classes in enumerate(copied_labels(parts, opening.classes, out, labels)):
         fused.add(classes, poses[frame])
         progress("labels", frame + 1, len(poses))
-    mapped = write_map_products(fused, sequence, out, scratch)
+    mapped = write_map_products(fused, sequence, (out, scratch), lambda done, total: progress("map", done, total))
     (out / REPORT).write_text(report_text(sequence, opening.classes, labels, mapped))
     return labels
 
