@@ -7,7 +7,7 @@ ended well or was deleted; what was made of it stays then, and is deleted sequen
 
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from sqlalchemy import delete
@@ -50,6 +50,17 @@ class StatedClasses:
 
 
 @dataclass(frozen=True)
+class SequenceFacts:
+    """What is said of every sequence that an import makes; of one that stands already nothing is changed."""
+
+    environment: str = ""
+    illumination: str = ""
+    region: str = ""
+    platform: str = ""
+    is_public: bool = False
+
+
+@dataclass(frozen=True)
 class NewImport:
     """The import of the dataset in a complete upload of a tar, called `name`, or else as its file is.
 
@@ -63,6 +74,7 @@ class NewImport:
     classes: StatedClasses | None = None
     existing: Existing = "refuse"
     sets_splits: bool = False
+    facts: SequenceFacts = SequenceFacts()
 
 
 def start_import(session: Session, owner: User, new: NewImport) -> tuple[DatasetImport, Job]:
@@ -84,6 +96,7 @@ def start_import(session: Session, owner: User, new: NewImport) -> tuple[Dataset
         classes=new.classes.as_record() if new.classes else None,
         existing=new.existing,
         sets_splits=new.sets_splits,
+        facts=asdict(new.facts),
     )
     run = _begun(session, imported)
     session.add(imported)

@@ -14,10 +14,10 @@ from services.labeler.imports.errors import SceneDamagedError
 from services.labeler.imports.scene_parts import TABLES, SceneParts
 from services.runtime.store.packs import PackWriter, index_bytes, pieces_of
 from stone_datasets.faults import DatasetPlace
-from stone_datasets.files import ANNOTATIONS
 from stone_datasets.samples import check_sample
 from stone_exports.files import ExportFileSpan
 from stone_exports.frames import LIDAR_CHANNEL, ExportedSensor
+from stone_files.dataset_layout import ANNOTATIONS
 from stone_files.virtual_archive import check_names
 
 SOURCE, INDEX = "source", "index.npz"

@@ -15,7 +15,7 @@ from typing import TypeVar
 from sqlalchemy import select
 
 from services.domain.imports.runs import import_of_attempt
-from services.labeler.kernel_warmup import warm
+from services.labeler.imports.kernel_warmup import warm_imports
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.specs import Attempt
 from services.runtime.orm import Blob, DatasetImport, Job
@@ -83,7 +83,7 @@ class ImportStageContext:
         """
         tar, folder = place
         with private_folder_in(folder) as temporary:
-            sandbox = JobSandbox(folder, (tar,), self.attempt, self.platform.settings, warm, temporary)
+            sandbox = JobSandbox(folder, (tar,), self.attempt, self.platform.settings, warm_imports, temporary)
             return answer.believed(sandbox.run(work, shown, 1))
 
     def _ended_jobs(self) -> Mapping[str, None]:
