@@ -29,6 +29,7 @@ SECTIONS = {
     "/exports": "SemanticKITTI",
     "/view": "data-viewer",
 }
+WORDS_OF_RECORDINGS = "poses are odometry|No recording yet|Nothing was started yet"
 OF_FRAME = ("labels.npz", "voxels", "bev.png")
 
 
@@ -63,7 +64,7 @@ def test_every_section_says_that_labels_were_imported_where_it_would_speak_of_a_
     for section, words in SECTIONS.items():
         assert words in re.sub(r"&#39;", "'", shown.page(section)), section
     for section in ("/track", "/recordings", "/processing"):
-        assert not re.search("poses are odometry|No recording yet|Nothing was started yet", shown.page(section)), section
+        assert not re.search(WORDS_OF_RECORDINGS, shown.page(section)), section
 
 
 def test_scene_and_frames_are_shown_without_a_recording(shown: Shown) -> None:
