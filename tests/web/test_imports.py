@@ -1,21 +1,25 @@
 """A dataset comes in at a page: chosen, counted, sent, watched; refused with file, row and token where it is wrong."""
 
 import gzip
+from hashlib import sha256
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import expect
 from sqlalchemy import select
 
+from services.ingest import stages as ingest
+from services.labeler import stages as labeler
 from services.runtime.orm import DatasetImport, Job
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from testing.api.serving import Person, person
 from testing.stone_serve import until
-from testing.web.browsing import Site
+from testing.web.browsing import PATIENCE_MS, Site
 from testing.worlds.published_datasets import SyntheticDataset, made_labels, write_published_tar
 from tests.web.bringing import slow_down, uploads
-from tests.web.looking import look
+from tests.web.looking import keep, look
+from tests.working import working
 
 GOOD = SyntheticDataset(labels=(made_labels(1),), splits={"train": ["field-0000"], "val": ["field-0001"]})
 
@@ -53,6 +57,36 @@ def test_a_tar_is_sent_and_its_import_is_watched(site: Site, curator: Person, ta
     assert made.facts["environment"] == "mountain"
     assert made.classes == {"name": "theirs", "classes": {"0": "free", "1": "T", "2": "P", "3": "N"}}
     assert [upload.state for upload in uploads(site.platform)] == ["consumed"]
+
+
+@pytest.mark.whole
+def test_imported_sequences_are_looked_at_as_others_are_and_say_where_they_came_from(
+    site: Site, curator: Person, tar: Path
+) -> None:
+    """Catches alone a page or a viewer that cannot show a sequence without a recording, a run and features."""
+    with (
+        site.visit(curator) as page,
+        working(site.platform, "ingest", ingest.handlers),
+        working(site.platform, "labeler", labeler.handlers),
+    ):
+        page.goto("/imports")
+        page.locator('input[name="tar"]').set_input_files(tar)
+        page.get_by_role("button", name="Import", exact=True).click()
+        expect(page.get_by_text("2 sequences, 6 frames")).to_be_visible(timeout=PATIENCE_MS)
+        look(page, "imports-done")
+        page.get_by_role("link", name="field-0000").click()
+        expect(page.get_by_role("heading", level=1)).to_have_text("field-0000")
+        expect(page.locator(".facts").first).to_contain_text(sha256(tar.read_bytes()).hexdigest())
+        expect(page.locator(".facts").first).to_contain_text("offroad")
+        expect(page.locator("[data-viewer]")).to_have_attribute("data-state", "ready", timeout=PATIENCE_MS)
+        look(page, "imported-sequence")
+        page.get_by_role("link", name="Processing").click()
+        expect(page.get_by_role("heading", name="These labels were imported")).to_be_visible()
+        expect(page.get_by_role("button", name="Start processing")).to_have_count(0)
+        look(page, "imported-processing")
+        page.get_by_role("link", name="Open in 3D").click()
+        expect(page.locator("[data-viewer]")).to_have_attribute("data-state", "ready", timeout=PATIENCE_MS)
+        keep(page, "imported-viewer")
 
 
 def test_an_import_that_failed_says_where_and_is_forgotten_by_the_keyboard(
