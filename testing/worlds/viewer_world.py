@@ -6,7 +6,7 @@ of the map as ego grids. `reach_m` bounds how far around each pose there are vox
 """
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from typing import Any
 
@@ -38,11 +38,12 @@ BLOCK_M = (6.0, -3.4, 7.0, -2.2, 1.4)
 
 @dataclass(frozen=True)
 class Run:
-    """`frames` poses `step_m` apart; voxels within `reach_m` of the track."""
+    """`frames` poses `step_m` apart; voxels within `reach_m` of the track. Of imported labels they have no features."""
 
     frames: int = 12
     reach_m: float = 5.0
     step_m: float = 0.6
+    is_imported: bool = False
 
     @cached_property
     def poses(self) -> Floats:
@@ -157,6 +158,8 @@ def scene_files(name: str, tokens: list[str], run: Run) -> dict[str, bytes]:
     """`scene/…` as the labeler writes it: one tile and its surface."""
     voxels = run.voxels
     low, high = voxels.indices.min(axis=0) * VOXEL_M, (voxels.indices.max(axis=0) + 1) * VOXEL_M
+    if run.is_imported:
+        voxels = replace(voxels, features=voxels.features * np.nan, distance_squared=voxels.distance_squared * np.nan)
     tile, mesh = tile_bytes(voxels), mesh_bytes(_surface(run, low))
     extent = {"min_m": [round(v, 4) for v in low.tolist()], "max_m": [round(v, 4) for v in high.tolist()]}
     record = json.loads(made.scene_json(name, tokens)) | {
@@ -169,6 +172,8 @@ def scene_files(name: str, tokens: list[str], run: Run) -> dict[str, bytes]:
         "tiles": [{"name": "0_0", **extent, "voxels": len(voxels.classes), "bytes": len(tile)}],
         "meshes": [{"name": "0_0", "triangles": 2 * 40 * 40, "bytes": len(mesh)}],
     }
+    if run.is_imported:
+        record |= {"reference": None, "profile": "imported"}
     stamps = [str(made.START_NS + number * FRAME_NS) for number in range(len(tokens))]
     record["frames"] = {"tokens": tokens, "stamps_ns": stamps, "map_from_ego": run.poses.tolist()}
     return {

@@ -66,7 +66,7 @@ def rich(copied: Path) -> Path:
 def test_the_scenes_together_have_every_row_once_and_in_order(rich: Path, tmp_path: Path) -> None:
     parts = parted(rich, tmp_path / "out")
     for table in ("calibrated_sensor", "ego_pose", "log", "sample", "sample_data", "scene"):
-        assert sum((part[table] for part in parts), []) == rows_of(rich, table)
+        assert [row for part in parts for row in part[table]] == rows_of(rich, table)
         assert all(part[table] for part in parts)
 
 
@@ -88,7 +88,8 @@ def test_rows_keep_keys_their_order_and_numbers(copied: Path, tmp_path: Path) ->
     write(copied, "ego_pose", poses)
     parted(copied, tmp_path / "out")
     text = (tmp_path / "out" / SCENES[0] / "ego_pose.json").read_text()
-    assert text.startswith("[\n") and text.endswith("\n]\n")
+    assert text.startswith("[\n")
+    assert text.endswith("\n]\n")
     lines = text.splitlines()[1:-1]
     assert lines[0].removesuffix(",") == json.dumps(poses[0], separators=(",", ":"))
     assert len(lines) == len(poses) // 2

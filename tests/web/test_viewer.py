@@ -118,6 +118,22 @@ def test_colours_layers_and_the_whole_run_are_chosen_in_the_panel(at_viewer: Pag
     look(at_viewer, "viewer-heat")
 
 
+def test_of_imported_labels_a_voxel_says_its_class_and_that_nothing_explains_it(site: Site, curator: Person) -> None:
+    seen = viewed(site.platform, curator, Run(frames=2, reach_m=3.0, is_imported=True))
+    with site.visit(curator) as page:
+        page.goto(f"/sequences/{seen['id']}/view?frame={seen['tokens'][1]}")
+        expect(host(page)).to_have_attribute("data-state", "ready")
+        canvas(page).focus()
+        page.keyboard.press("c")
+        page.keyboard.press("Shift+ArrowDown")
+        expect(page.locator(".viewer-readout")).to_contain_text("Imported labels: no features")
+        assert set(readout(page)) == {"Place in the map", "class"}
+        page.locator("summary").click()
+        assert page.get_by_label("Colour by").locator("option").all_inner_texts() == ["Class"]
+        expect(page.get_by_text("there is no D², slope or roughness to see")).to_be_visible()
+        look(page, "viewer-imported")
+
+
 def test_a_visitor_looks_at_what_is_public_and_the_page_and_its_viewer_tell_each_other_the_frame(
     site: Site, seen: dict[str, Any]
 ) -> None:

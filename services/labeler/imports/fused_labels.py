@@ -2,9 +2,10 @@
 
     grids → votes in bricks → votes of tiles in files → of each voxel the class of most votes
 
-**Conventions.** Tiles are of `TILE_VOXELS` a side in plan. Of equal votes the more cautious class wins, N before P
-before T. Memory holds the bricks and one tile, whatever the number of frames: votes of a tile are put together in its
-file before there are twice as many as after the last time, and refused beyond `MOST_TILE_VOXELS`.
+**Conventions.** Tiles are of `TILE_VOXELS` a side in plan, which are whole bricks. Of equal votes the more cautious
+class wins, N before P before T. Memory holds the bricks and one tile, whatever the number of frames: votes of a tile
+are put together in its file before there are twice as many as after the last time, and refused beyond
+`MOST_TILE_VOXELS`.
 """
 
 from collections.abc import Iterator
@@ -14,10 +15,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from services.labeler.imports.votes import VoteBricks, VoxelVotes
+from services.labeler.imports.votes import SIDE, VoteBricks, VoxelVotes
 from services.labeler.run import Tile
 from services.labeler.scratch import tile_name
-from stone.geometry.lattice import Keys, indices_of
+from stone.geometry.lattice import Keys
 from stone.geometry.se3 import SE3
 from stone.labels.grid import Grid
 from stone_datasets.faults import DatasetPlace
@@ -58,16 +59,8 @@ class FusedLabels:
 
     def _spill(self) -> None:
         """Put the votes of the bricks into the files of their tiles."""
-        found = self.bricks.emptied()
-        if not len(found.keys):
-            return
-        tiles = np.floor_divide(indices_of(found.keys)[:, :2], TILE_VOXELS)
-        order = np.lexsort((tiles[:, 1], tiles[:, 0]))
-        tiles = tiles[order]
-        cuts = np.flatnonzero((np.diff(tiles, axis=0) != 0).any(axis=1)) + 1
-        for rows in np.split(order, cuts):
-            i, j = (int(one) for one in np.floor_divide(indices_of(found.keys[rows[:1]])[0, :2], TILE_VOXELS))
-            self._append(Tile(i, j), VoxelVotes(found.keys[rows], found.counts[rows]))
+        for place, votes in self.bricks.emptied(TILE_VOXELS // SIDE):
+            self._append(Tile(*place), votes)
 
     def _append(self, tile: Tile, votes: VoxelVotes) -> None:
         records = np.empty(len(votes.keys), VOTE)
@@ -83,8 +76,9 @@ class FusedLabels:
     def _merged_votes(self, tile: Tile) -> NDArray[np.void]:
         """Each voxel of the tile once, by key. Raises `MapTooDenseError`."""
         held = np.fromfile(self._path(tile), VOTE)
-        order = np.argsort(held["key"], kind="stable")
-        keys = held["key"][order]
+        keys = np.ascontiguousarray(held["key"])
+        order = np.argsort(keys)
+        keys = keys[order]
         first = np.flatnonzero(np.append(True, np.diff(keys) != 0)[: len(keys)])
         if len(first) > MOST_TILE_VOXELS:
             what = (

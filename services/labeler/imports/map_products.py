@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from services.domain.viewer.formats import TileVoxels
 from services.labeler.imports.fused_labels import TILE_VOXELS, FusedLabels
-from services.labeler.imports.voxel_surface import exposed_faces, few_faces
+from services.labeler.imports.voxel_surface import coarser, exposed_faces, few_faces
 from services.labeler.map.map_files import MESH, THUMBNAIL, TOP_VIEW
 from services.labeler.map.ply import Piece, write_mesh
 from services.labeler.map.scene_files import MOST_TRIANGLES
@@ -89,8 +89,11 @@ def _tile(one: tuple[Tile, Keys, NDArray[np.uint8]], into: tuple[TopView, SceneW
     nothing = np.full((len(keys), 3), np.nan)
     voxels = TileVoxels(indices_of(keys), classes, nothing, nothing[:, 0])
     corner_m = np.array([tile.i, tile.j, 0.0]) * TILE_VOXELS * VOXEL_M
-    scene.add(tile_name(tile), voxels, few_faces(keys, classes, VOXEL_M, MOST_TRIANGLES), corner_m)
     mesh = exposed_faces(keys, classes, VOXEL_M)
+    shown = mesh
+    if len(mesh.triangles) > MOST_TRIANGLES:
+        shown = few_faces(*coarser(keys, classes), 2 * VOXEL_M, MOST_TRIANGLES)
+    scene.add(tile_name(tile), voxels, shown, corner_m)
     files = [scratch / f"{tile_name(tile)}.{kept}.npz" for kept in ("voxels", "surface")]
     vertices = mesh.vertices_m.astype(np.float32)
     save(files[0], {"keys": keys, "classes": classes})

@@ -6,13 +6,14 @@ has one word, the votes for T in its lowest 21 bits, for P in the next, for N in
 are as many as they are; whoever votes is told where they were full.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from stone.geometry.lattice import EMPTY, Keys, indices_of, keys_from_indices, pack, slot_of
+from stone.geometry.lattice import BIAS, EMPTY, MASK, Keys, indices_of, pack, slot_of
 from stone.geometry.se3 import SE3
 from stone.labels.grid import GRID_MIN_M, GRID_SHAPE, Grid
 from stone.labels.voxels import VOXEL_M
@@ -29,7 +30,7 @@ class VoxelVotes:
     """Map voxels (K,) by key, and the votes (K, 3) of each for T, P and N."""
 
     keys: Keys
-    counts: NDArray[np.int64]
+    counts: NDArray[np.uint32]
 
 
 @dataclass(eq=False)
@@ -65,21 +66,24 @@ class VoteBricks:
         self._state[1] += column < 0
         return column
 
-    def emptied(self) -> VoxelVotes:
-        """All votes, in no order; there are none afterwards."""
+    def emptied(self, tile_bricks: int) -> Iterator[tuple[tuple[int, int], VoxelVotes]]:
+        """All votes by the tile that they are in, so many bricks a side in plan; there are none once all are taken."""
         used = int(self._state[0])
-        votes = self._votes[:used].reshape(-1)
-        cells = np.flatnonzero(votes)
-        found = votes[cells]
-        within = cells & (CELLS - 1)
-        offsets = np.stack([within >> 6, (within >> 3) & 7, within & 7], axis=1)
-        indices = indices_of(self._keys[cells >> 9]) * SIDE + offsets
-        mask = np.uint64((1 << BITS) - 1)
-        counts = np.stack([(found >> np.uint64(BITS * kind)) & mask for kind in range(3)], axis=1).astype(np.int64)
+        tiles, groups = np.unique(indices_of(self._keys[:used])[:, :2] // tile_bricks, axis=0, return_inverse=True)
+        order = np.argsort(groups.reshape(-1), kind="stable")
+        ends = np.cumsum(np.bincount(groups.reshape(-1), minlength=len(tiles))).tolist()
+        for (i, j), start, stop in zip(tiles.tolist(), [0, *ends], ends, strict=False):
+            yield (i, j), self._gathered(order[start:stop])
         self._votes[:used] = 0
         self._table.fill(EMPTY)
         self._state[:] = 0
-        return VoxelVotes(keys_from_indices(indices), counts)
+
+    def _gathered(self, rows: NDArray[np.int64]) -> VoxelVotes:
+        """The votes of these bricks."""
+        count = sum(int(np.count_nonzero(self._votes[row])) for row in rows.tolist())
+        found = VoxelVotes(np.empty(count, np.int64), np.empty((count, 3), np.uint32))
+        _gather((self._keys, self._votes), rows, (found.keys, found.counts))
+        return found
 
 
 def _placed(map_from_ego: SE3) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -123,3 +127,21 @@ def _vote(words, placed, begun, bricks):  # type: ignore[no-untyped-def]
                 cell = ((i & 7) << 6) | ((j & 7) << 3) | (k & 7)
                 votes[row, cell] += np.uint64(1) << (np.uint64(BITS) * (kind - np.uint64(1)))
     return -1
+
+
+@njit(cache=True, nogil=True)
+def _gather(bricks, rows, out):  # type: ignore[no-untyped-def]
+    """The voxels with votes of these bricks, as many as there is room for."""
+    (keys, votes), (found, counts), at = bricks, out, 0
+    mask = np.uint64((1 << BITS) - 1)
+    for row in rows:
+        key = keys[row]
+        i, j, k = ((key >> 42) - BIAS) << SHIFT, (((key >> 21) & MASK) - BIAS) << SHIFT, ((key & MASK) - BIAS) << SHIFT
+        for cell in range(CELLS):
+            word = votes[row, cell]
+            if word == 0 or at == found.size:
+                continue
+            found[at] = pack(i + (cell >> 6), j + ((cell >> 3) & 7), k + (cell & 7))
+            for kind in range(3):
+                counts[at, kind] = (word >> np.uint64(BITS * kind)) & mask
+            at += 1

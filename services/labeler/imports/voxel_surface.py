@@ -28,11 +28,8 @@ HALVES = np.array([(0, 1, 2), (0, 2, 3)])
 
 def exposed_faces(keys: Keys, classes: NDArray[np.uint8], size_m: float) -> TileMesh:
     """The surface of voxels (K,) of these classes; vertices in metres of the lattice. Nothing gives nothing."""
-    indices, table = indices_of(keys), table_of(keys)
-    is_open = np.zeros((len(keys), len(TOWARDS)), np.bool_)
-    _open(keys, (table.keys, table.rows), TOWARDS, is_open)
-    voxels, sides = np.nonzero(is_open)
-    corners = (indices[voxels, None, :] + CORNERS[sides]).reshape(-1, 3)
+    voxels, sides = np.nonzero(_is_open(keys))
+    corners = (indices_of(keys)[voxels, None, :] + CORNERS[sides]).reshape(-1, 3)
     kinds = classes[voxels].repeat(4)
     _, first, rows = np.unique(_named(corners, kinds), return_index=True, return_inverse=True)
     triangles = rows.reshape(-1, 4)[:, HALVES].reshape(-1, 3)
@@ -49,12 +46,17 @@ def coarser(keys: Keys, classes: NDArray[np.uint8]) -> tuple[Keys, NDArray[np.ui
 
 def few_faces(keys: Keys, classes: NDArray[np.uint8], size_m: float, most_triangles: int) -> TileMesh:
     """The surface with at most so many triangles: of larger voxels where there would be more."""
-    mesh = exposed_faces(keys, classes, size_m)
-    while len(mesh.triangles) > most_triangles:
+    while 2 * int(_is_open(keys).sum()) > most_triangles:
         keys, classes = coarser(keys, classes)
         size_m *= 2
-        mesh = exposed_faces(keys, classes, size_m)
-    return mesh
+    return exposed_faces(keys, classes, size_m)
+
+
+def _is_open(keys: Keys) -> NDArray[np.bool_]:
+    """Which faces (K, 5) of the voxels no other covers."""
+    table, is_open = table_of(keys), np.zeros((len(keys), len(TOWARDS)), np.bool_)
+    _open(keys, (table.keys, table.rows), TOWARDS, is_open)
+    return is_open
 
 
 def _named(corners: NDArray[np.int64], kinds: NDArray[np.uint8]) -> NDArray[np.int64]:

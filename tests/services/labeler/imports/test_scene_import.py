@@ -201,7 +201,8 @@ def test_masks_that_a_dataset_has_not_are_said_to_be_missing(tmp_path: Path) -> 
     (tmp_path / "labels.npz").write_bytes(labels_of(artefacts_of(tmp_path), told)[0])
     with np.load(tmp_path / "labels.npz") as arrays:
         assert np.array_equal(arrays["semantics"], raw)
-        assert arrays["mask_lidar"].all() and arrays["mask_camera"].all()
+        assert arrays["mask_lidar"].all()
+        assert arrays["mask_camera"].all()
 
 
 def test_occ3ds_layout_gets_tables_and_names_of_the_release(tmp_path: Path) -> None:

@@ -91,7 +91,7 @@ def test_a_frame_in_line_with_the_map_is_the_map() -> None:
     grid = grid_of(3)
     found = fused([(grid, SE3(np.array([1.0, 0, 0, 0, 20.0, -30.0, 4.0])))], VoteBricks())
     places = np.argwhere(grid)
-    low = np.round((np.array(GRID_MIN_M) + (20.0, -30.0, 4.0)) / VOXEL_M).astype(int)
+    low = np.round(np.add(GRID_MIN_M, (20.0, -30.0, 4.0)) / VOXEL_M).astype(int)
     assert found == dict(zip(map(tuple, (places + low).tolist()), grid[tuple(places.T)].tolist(), strict=True))
 
 
@@ -101,10 +101,11 @@ def test_counts_are_told_apart_where_many_frames_vote_for_one_voxel() -> None:
         grid[128, 128, 10] = kind
         for _ in range(times):
             assert bricks.vote(grid, at_rest) == -1
-    votes = bricks.emptied()
+    (((i, j), votes),) = bricks.emptied(30)
+    assert (i, j) == (0, 0)
     assert votes.counts.tolist() == [[300, 70, 5]]
     assert indices_of(votes.keys).tolist() == [[0, 0, 0]]
-    assert len(bricks.emptied().keys) == 0
+    assert list(bricks.emptied(30)) == []
 
 
 def test_labels_that_fill_a_tile_without_end_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
