@@ -77,7 +77,7 @@ class BagSamples:
         bag = opened(self.path)
         topic = next(topic for topic in bag.topics if topic.name == taken.topic)
         picture = decode_image(bag.message(topic.name, int(taken.message_index[index])).payload, topic.type)
-        content = _as_jpeg(picture)
+        content = as_jpeg(picture)
         return CameraSample(self._taken_ns(taken, index), content, picture.width_px, picture.height_px)
 
     def radar(self, channel: str, index: int) -> RadarSample | None:
@@ -147,10 +147,10 @@ def jpeg_of(content: bytes) -> tuple[bytes, tuple[int, int]]:
     """
     head = head_of(content, COMPRESSED)
     picture = CameraPicture(COMPRESSED, 0, "", head.width_px, head.height_px, head.kind, 0, False, memoryview(content))
-    return _as_jpeg(picture), (head.width_px, head.height_px)
+    return as_jpeg(picture), (head.width_px, head.height_px)
 
 
-def _as_jpeg(picture: CameraPicture) -> bytes:
+def as_jpeg(picture: CameraPicture) -> bytes:
     """The recorded bytes where they are JPEG, else encoded once."""
     if picture.encoding == "JPEG":
         return bytes(picture.data)

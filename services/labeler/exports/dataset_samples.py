@@ -105,13 +105,12 @@ class DatasetSamples:
 
 def key_frame_files(files: DatasetSourceFiles) -> dict[tuple[str, str], str]:
     """The file of each key-frame datum by the token of its frame and its channel. Raises `DamagedExportError`."""
-    channels = {row.get("token"): str(row.get("channel")) for row in table_rows(files, "sensor")}
-    mounted = {
-        row.get("token"): channels.get(row.get("sensor_token")) for row in table_rows(files, "calibrated_sensor")
-    }
+    channels = {str(row.get("token")): str(row.get("channel")) for row in table_rows(files, "sensor")}
+    mounts = table_rows(files, "calibrated_sensor")
+    mounted = {str(row.get("token")): channels.get(str(row.get("sensor_token"))) for row in mounts}
     found = dict[tuple[str, str], str]()
     for row in table_rows(files, "sample_data"):
-        channel = mounted.get(row.get("calibrated_sensor_token"))
+        channel = mounted.get(str(row.get("calibrated_sensor_token")))
         if channel is not None and row.get("is_key_frame") is True:
             found[str(row.get("sample_token")), channel] = str(row.get("filename"))
     return found

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from services.domain.sequences.label_sources import SOURCE, SOURCE_INDEX
 from services.labeler.exports.dataset_source import DatasetSource
 from services.labeler.exports.nuscenes.layout import write_nuscenes
 from services.labeler.exports.sandboxed_export import ExportInputs, LabelRange, PackedLabels
@@ -38,7 +39,7 @@ def imported(published: Path, out: Path) -> Imported:
     """The dataset of one scene in a folder, imported into another."""
     (told,) = write_import(published, out)
     artefacts = artefacts_of(out)
-    index, packs = artefacts / "source" / "index.npz", sorted((artefacts / "source").glob("*.pack"))
+    index, packs = artefacts / SOURCE_INDEX, sorted((artefacts / SOURCE).glob("*.pack"))
     source = DatasetSource(index, tuple(packs))
     return Imported(published, artefacts, source, ExportInputs(artefacts, _labels(told, artefacts), source=source))
 
