@@ -67,7 +67,10 @@ def reference_of(bag: Bag, calibration: Path, options: SynchroniseOptions) -> Ru
 
 
 def measured_offset(bag: Bag, name: str, reference: RunReference) -> ClockOffset:
-    """Of the recording `name`, or of several of one clock with it. Raises: UnmeasuredOffsetError (SYN-523), ContradictoryOffsetsError (SYN-524), and what decoding raises."""
+    """Of the recording `name`, or of several of one clock with it.
+
+    Raises: UnmeasuredOffsetError (SYN-523), ContradictoryOffsetsError (SYN-524), and what decoding raises.
+    """
     topics = [candidate_of(bag, topic) for topic in bag.topics if topic.count and topic.encoding == "cdr"]
     found, reasons = dict[str, LagFit](), list[str]()
     for kind, role, read in KINDS:
