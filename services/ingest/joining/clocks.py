@@ -5,11 +5,12 @@ known of one is known of all. `held[0]` is the reference.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 
 from services.ingest.joining.measurement import measured_offset, reference_of
+from services.ingest.joining.pose_recordings import bears_gps_time, best_poses, has_poses, pose_offset
 from services.ingest.joining.request import JoinRequest
-from stone_files.joined_file import GIVEN, REFERENCE, JoinedMember
+from stone_files.joined_file import GIVEN, REFERENCE, SWEEPS, JoinedMember
 from stone_recordings.bags.bag import Bag, open_bag
 from stone_recordings.bags.private_folder import PrivateFolder
 from stone_recordings.joining.clock_links import ClockOffset, linked
@@ -58,8 +59,9 @@ def _measured(asked: JoinRequest, held: Held, known: Mapping[int, ClockOffset]) 
     if asked.calibration is None:
         names = [held[number].name for number in waiting]
         raise UnmeasuredOffsetError(names, ["no calibration says where its sensors sit"])
-    found = dict[int, ClockOffset]()
-    with _on_one_clock(asked, held, {number: known[number] for number in linked(held, 0)}) as run:
+    posed = {} if has_poses((held[number] for number in known), asked.options) else _with_poses(asked, held, known)
+    found = {number: offset for number, offset in posed.items() if SWEEPS in offset.known_by}
+    with _on_one_clock(asked, held, {**posed, **known}) as run:
         reference = reference_of(run, asked.calibration, asked.options)
         for number in waiting:
             if number not in found:
@@ -68,6 +70,25 @@ def _measured(asked: JoinRequest, held: Held, known: Mapping[int, ClockOffset]) 
                     offset = measured_offset(bag, held[number].name, reference)
                 found |= {other: link.after(offset) for other, link in group.items()}
     return found
+
+
+def _with_poses(asked: JoinRequest, held: Held, known: Mapping[int, ClockOffset]) -> dict[int, ClockOffset]:
+    """The recording with the poses and those of its clock: measured by the sweeps, or by GPS time, which needs no
+    offset; {} where none has poses."""
+    others = [held[number] for number in range(len(held)) if number not in known]
+    posed = best_poses(others)
+    if posed is None or asked.calibration is None:
+        return {}
+    group = linked(held, next(number for number, one in enumerate(held) if one is posed))
+    if bears_gps_time(posed):
+        return {number: link.after(ClockOffset(0, None, ())) for number, link in group.items()}
+
+    def open_at(offset: ClockOffset) -> AbstractContextManager[Bag]:
+        moved = {number: link.after(offset) for number, link in group.items()}
+        return _on_one_clock(asked, held, {**moved, **known})
+
+    offset = pose_offset(posed.name, open_at, asked.calibration, asked.options)
+    return {number: link.after(offset) for number, link in group.items()}
 
 
 @contextmanager
