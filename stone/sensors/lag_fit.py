@@ -23,7 +23,8 @@ ROUNDS, SETTLED_S = 12, 1e-6
 # Beyond so many scales a residual is somebody else's motion.
 FAR_SCALES = 3.0
 HUBER_SCALES = 1.345
-LEAST_KNOWN_RATIO = 0.5
+# Of what is predicted at the offset at which most is.
+LEAST_KNOWN_RATIO = 0.75
 BLOCK_S, FEWEST_BLOCKS = 0.5, 8
 # So many standard errors the best offset is better than the best that is `APART_S` away.
 LEAST_LEAD, APART_S = 4.0, 0.3
@@ -71,7 +72,9 @@ class LagFit:
 def fitted_lag(evidence: Sequence[LagEvidence], span_s: tuple[float, float]) -> LagFit | None:
     """Searched between two offsets. None where nothing stands out, or what does is at an end of the search."""
     searched = np.arange(span_s[0], span_s[1] + COARSE_STEP_S / 2, COARSE_STEP_S)
-    costs = np.array([_cost(evidence, offset_s) for offset_s in searched.tolist()])
+    found = [_cost(evidence, offset_s) for offset_s in searched.tolist()]
+    costs, known = (np.array(column) for column in zip(*found, strict=True))
+    costs[known < max(1.0, LEAST_KNOWN_RATIO * known.max())] = np.inf
     best = int(np.argmin(costs))
     if best in (0, len(searched) - 1) or not np.isfinite(costs[best - 1 : best + 2]).all():
         return None
@@ -81,17 +84,16 @@ def fitted_lag(evidence: Sequence[LagEvidence], span_s: tuple[float, float]) -> 
     return None if refined is None or lead < LEAST_LEAD else LagFit(*refined, lead)
 
 
-def _cost(evidence: Sequence[LagEvidence], offset_s: float) -> float:
-    """−2 log likelihood, the scale of each sensor's residuals at its best; infinite where too little is predicted."""
-    total = 0.0
+def _cost(evidence: Sequence[LagEvidence], offset_s: float) -> tuple[float, int]:
+    """−2 log likelihood, the scale of each sensor's residuals at its best, and of how many rows it is known."""
+    total, known_rows = 0.0, 0
     for sensor in evidence:
         values = sensor.values(offset_s)
         known = values[np.isfinite(values).all(axis=1)]
-        if len(known) < max(1.0, LEAST_KNOWN_RATIO * len(values)):
-            return float("inf")
-        near = np.minimum(np.abs(known), FAR_SCALES * _scales(known))
-        total += len(values) * float(np.log(np.mean(near**2, axis=0) + 1e-30).sum())
-    return total
+        known_rows += len(known)
+        if len(known):
+            total += len(values) * float(_costs(known).mean())
+    return total, known_rows
 
 
 def _lead(evidence: Sequence[LagEvidence], best_s: float, other_s: float) -> float:

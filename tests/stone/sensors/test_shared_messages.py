@@ -1,5 +1,7 @@
 """Messages that two recordings hold, against what was put into them."""
 
+from itertools import pairwise
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
@@ -65,4 +67,4 @@ def test_equal_content_at_another_time_is_another_message() -> None:
 def test_runs_are_the_rows(rows: set[int]) -> None:
     runs = runs_of(np.array(sorted(rows), np.int64))
     assert {row for start, stop in runs for row in range(start, stop)} == rows
-    assert all(one[1] < two[0] for one, two in zip(runs, runs[1:], strict=False))
+    assert all(one[1] < two[0] for one, two in pairwise(runs))
