@@ -16,8 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone.findings import Finding
+from stone.sensors.sequence import RecordingClock
+from stone_files.joined_file import JoinedMember, is_joined, member_path, read_joined
 from stone_recordings.bags.containers import opened_store
 from stone_recordings.bags.errors import EncodingRefusedError, UnknownTopicError
+from stone_recordings.bags.joined.coverage import coverage_findings
+from stone_recordings.bags.joined.findings import member_findings
+from stone_recordings.bags.joined.joined_store import joined_store
+from stone_recordings.bags.joined.moved_bag import MovedBag
 from stone_recordings.bags.members import members_of
 from stone_recordings.bags.message_store import MessageStore
 from stone_recordings.bags.split_store import SplitStore
@@ -40,10 +46,20 @@ class RawMessage:
 class Bag:
     """An open recording; a context manager."""
 
-    def __init__(self, path: Path, store: MessageStore, findings: tuple[Finding, ...] = ()) -> None:
+    def __init__(
+        self,
+        path: Path,
+        store: MessageStore,
+        findings: tuple[Finding, ...] = (),
+        members: Sequence[JoinedMember] = (),
+    ) -> None:
         topics, noticed = described(store.topics, path) if path.is_dir() else (store.topics, ())
         self.path, self.topics = path, topics
         """Every topic that is declared, by name; `count` may be 0."""
+        self.recordings = tuple(
+            RecordingClock(member.name, member.offset_ns, member.sigma_ns, member.known_by) for member in members
+        )
+        """Those that were joined; () for one alone."""
         self.findings = (*findings, *store.findings, *noticed)
         self._store = store
         self._topics = {topic.name: topic for topic in topics}
@@ -57,6 +73,10 @@ class Bag:
 
     def close(self) -> None:
         self._store.close()
+
+    def release(self) -> None:
+        """Give back what can be had again; it is read on as before."""
+        self._store.release()
 
     @property
     def is_indexed(self) -> bool:
@@ -122,6 +142,10 @@ class Bag:
         position = range(len(times))[index]
         return RawMessage(int(times[position]), position, self._payload(topic, position))
 
+    def payload(self, topic: str, index: int) -> memoryview:
+        """That of one message. Raises: as `message`."""
+        return self.message(topic, index).payload
+
     def heads(self, topics: Sequence[str], whole: Collection[str] = ()) -> Iterator[tuple[str, int, memoryview]]:
         """(topic, index, payload) of all messages, in storage order, for a scan of their first bytes.
 
@@ -169,13 +193,28 @@ def _damage(reasons: Mapping[int, str], count: int) -> str:
 
 
 def open_bag(path: Path) -> Bag:
-    """Open an `.mcap`, `.db3` or ROS 1 `.bag` file, or a folder of a split one, told apart by content.
+    """Open an `.mcap`, `.db3` or ROS 1 `.bag` file, a folder of a split one, or one of several that were joined.
 
-    Split bags are one recording; files and messages that were compressed by the recorder are unpacked as they are read.
-    What was noticed is in `findings` (BAG-021 … BAG-031).
+    Split and joined bags are one recording; files and messages that were compressed by the recorder are unpacked as
+    they are read. What was noticed is in `findings` (BAG-021 … BAG-031, of joined bags SYN-520 … SYN-528).
     Raises: FileNotFoundError, NotABagError (BAG-001), CutBagError (BAG-010), MalformedBagError (BAG-012),
-    MembersRefusedError (BAG-019) and the other `BAG-*` refusals.
+    MembersRefusedError (BAG-019), JoinedFileError (BAG-040), JoinedTopicError (BAG-041) and the other `BAG-*` refusals.
     """
+    return _joined_bag(path) if is_joined(path) else _plain_bag(path)
+
+
+def _joined_bag(path: Path) -> Bag:
+    members = read_joined(path)
+    with ExitStack() as opened:
+        bags = (opened.enter_context(_plain_bag(member_path(path, member))) for member in members)
+        parts = tuple(MovedBag(bag, member) for bag, member in zip(bags, members, strict=True))
+        findings = (*member_findings(members), *coverage_findings(members, parts))
+        bag = Bag(path, joined_store(path.name, parts), findings, members)
+        opened.pop_all()
+    return bag
+
+
+def _plain_bag(path: Path) -> Bag:
     members = members_of(path)
     with ExitStack() as opened:
         parts: list[MessageStore] = []
