@@ -1,19 +1,30 @@
-"""The fingerprint of a sequence's inputs: a hash that anybody can recompute (sha256sum)."""
+"""The fingerprint of a sequence's inputs: a hash that anybody can recompute (sha256sum).
 
-from collections.abc import Callable, Iterator
+**Conventions.** Of a joined recording every member is an input under its own name; under `joined.json`, which holds the
+offsets of their clocks, stands the hash of the whole, description and members.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
 from threading import Event
+from types import MappingProxyType
 
 from stone_files.bag_files import LEFT_BESIDE, is_bag_part, whole_sha256
+from stone_files.joined_file import JOINED, is_joined, member_path, read_joined
 
 HASH_BLOCK_BYTES = 1 << 20
 
 
 def bag_parts(path: Path) -> list[Path]:
-    """The files that are the bag, by name: of a rosbag2 folder, or a file and what its recorder left beside it."""
+    """The files that are the bag, by name: of a rosbag2 folder, or a file and what its recorder left beside it.
+
+    Of a joined recording its description and the files of every member. Raises: JoinedFileError.
+    """
+    if is_joined(path):
+        return [path / JOINED, *(part for member in _members(path) for part in bag_parts(member))]
     if not path.is_dir():
         return [path, *(beside for suffix in LEFT_BESIDE if _has_bytes(beside := path.with_name(path.name + suffix)))]
     parts = sorted(file for file in path.iterdir() if file.is_file() and is_bag_part(file.name))
@@ -21,33 +32,71 @@ def bag_parts(path: Path) -> list[Path]:
 
 
 def bag_paths(path: Path) -> tuple[Path, ...]:
-    """The bag and its files: a folder may be of links, and whoever may read it may not for that read what they name."""
-    return (path, *bag_parts(path))
+    """The bag and its files: a folder may be of links, and whoever may read it may not for that read what they name.
+
+    Raises: JoinedFileError.
+    """
+    folders = [member for member in _members(path) if member.is_dir()] if is_joined(path) else []
+    return (path, *folders, *bag_parts(path))
 
 
 def recording_sha256(path: Path, is_given_up: Callable[[], bool] = lambda: False) -> str:
-    """sha256 of the file; of several, of their names and hashes in order of name; nothing of use once given up."""
+    """sha256 of the file; of several, of their names and hashes in order of name; nothing of use once given up.
+
+    Of a joined recording so of its description and its members. Raises: JoinedFileError.
+    """
+    if is_joined(path):
+        return _joined_sha256(path, _member_hashes(path, is_given_up))
     if path.is_dir() or len(bag_parts(path)) > 1:
         return whole_sha256((part.name, _file_sha256(part, is_given_up)) for part in bag_parts(path))
     return _file_sha256(path, is_given_up)
 
 
+def recording_inputs(
+    path: Path, known: str | None = None, is_given_up: Callable[[], bool] = lambda: False
+) -> Mapping[str, str]:
+    """What a sequence's `inputs` say of a recording: its hash, by name; of a joined one those of its members besides.
+
+    `known` is the hash of the whole where it need not be read for it; of a joined one's members those are believed that
+    its description has. Raises: JoinedFileError.
+    """
+    if not is_joined(path):
+        return {path.name: known or recording_sha256(path, is_given_up)}
+    believed = {member.name: member.sha256 for member in read_joined(path)} if known else {}
+    members = _member_hashes(path, is_given_up, believed)
+    return {**members, JOINED: known or _joined_sha256(path, members)}
+
+
 @contextmanager
-def hashed_meanwhile(path: Path, known: str | None = None) -> Iterator[Callable[[], str]]:
-    """The recording is hashed by another thread while it is read, unless its hash is known; asking for it waits.
+def hashed_meanwhile(path: Path, known: str | None = None) -> Iterator[Callable[[], Mapping[str, str]]]:
+    """`recording_inputs` by another thread while the recording is read, unless its hash is known; asking waits.
 
     Whoever leaves without having asked, because the recording is refused, does not wait for the rest.
     """
-    if known:
-        yield lambda: known
-        return
     given_up = Event()
     with ThreadPoolExecutor(1) as beside:
-        found = beside.submit(recording_sha256, path, given_up.is_set)
+        found = beside.submit(recording_inputs, path, known, given_up.is_set)
         try:
             yield found.result
         finally:
             given_up.set()
+
+
+def _member_hashes(
+    path: Path, is_given_up: Callable[[], bool], believed: Mapping[str, str] = MappingProxyType({})
+) -> Mapping[str, str]:
+    return {
+        member.name: believed.get(member.name) or recording_sha256(member_path(path, member), is_given_up)
+        for member in read_joined(path)
+    }
+
+
+def _joined_sha256(path: Path, members: Mapping[str, str]) -> str:
+    return whole_sha256([*members.items(), (JOINED, sha256((path / JOINED).read_bytes()).hexdigest())])
+
+
+def _members(path: Path) -> list[Path]:
+    return [member_path(path, member) for member in read_joined(path)]
 
 
 def _has_bytes(path: Path) -> bool:

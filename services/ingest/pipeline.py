@@ -92,9 +92,9 @@ def synchronise_in(
     """As `synchronise`, of the recording that the caller has open. Raises as it does, but for opening."""
     if not options.is_hashed:
         return _checked(bag, calibration, options, name)
-    with hashed_meanwhile(bag.path, options.recording_sha256) as sha256:
+    with hashed_meanwhile(bag.path, options.recording_sha256) as inputs:
         sequence, sweeps = _checked(bag, calibration, options, name)
-        return replace(sequence, inputs={**sequence.inputs, bag.path.name: sha256()}), sweeps
+        return replace(sequence, inputs={**sequence.inputs, **inputs()}), sweeps
 
 
 def _checked(bag: Bag, calibration: Calibration, options: SynchroniseOptions, name: str) -> tuple[Sequence, BagSweeps]:

@@ -47,6 +47,6 @@ def opened_sequence(bag: Path, calibration: Path, name: str, options: Synchronis
 
     A long recording is then read once by the disk: what comes after the hash finds it in memory.
     """
-    with hashed_meanwhile(bag, options.recording_sha256) as sha256:
+    with hashed_meanwhile(bag, options.recording_sha256) as inputs:
         sequence, sweeps = open_sequence(bag, calibration, name, replace(options, is_hashed=False))
-        yield OpenedSequence(sequence, sweeps, lambda: {bag.name: sha256()})
+        yield OpenedSequence(sequence, sweeps, inputs)

@@ -16,8 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone.findings import Finding
+from stone_files.joined_file import is_joined, member_path, read_joined
 from stone_recordings.bags.containers import opened_store
 from stone_recordings.bags.errors import EncodingRefusedError, UnknownTopicError
+from stone_recordings.bags.joined.findings import member_findings
+from stone_recordings.bags.joined.joined_store import joined_store
+from stone_recordings.bags.joined.moved_bag import MovedBag
 from stone_recordings.bags.members import members_of
 from stone_recordings.bags.message_store import MessageStore
 from stone_recordings.bags.split_store import SplitStore
@@ -57,6 +61,10 @@ class Bag:
 
     def close(self) -> None:
         self._store.close()
+
+    def release(self) -> None:
+        """Give back what can be had again; it is read on as before."""
+        self._store.release()
 
     @property
     def is_indexed(self) -> bool:
@@ -122,6 +130,10 @@ class Bag:
         position = range(len(times))[index]
         return RawMessage(int(times[position]), position, self._payload(topic, position))
 
+    def payload(self, topic: str, index: int) -> memoryview:
+        """That of one message. Raises: as `message`."""
+        return self.message(topic, index).payload
+
     def heads(self, topics: Sequence[str], whole: Collection[str] = ()) -> Iterator[tuple[str, int, memoryview]]:
         """(topic, index, payload) of all messages, in storage order, for a scan of their first bytes.
 
@@ -169,13 +181,26 @@ def _damage(reasons: Mapping[int, str], count: int) -> str:
 
 
 def open_bag(path: Path) -> Bag:
-    """Open an `.mcap`, `.db3` or ROS 1 `.bag` file, or a folder of a split one, told apart by content.
+    """Open an `.mcap`, `.db3` or ROS 1 `.bag` file, a folder of a split one, or one of several that were joined.
 
-    Split bags are one recording; files and messages that were compressed by the recorder are unpacked as they are read.
-    What was noticed is in `findings` (BAG-021 … BAG-031).
+    Split and joined bags are one recording; files and messages that were compressed by the recorder are unpacked as
+    they are read. What was noticed is in `findings` (BAG-021 … BAG-031, of joined bags SYN-520 … SYN-522).
     Raises: FileNotFoundError, NotABagError (BAG-001), CutBagError (BAG-010), MalformedBagError (BAG-012),
-    MembersRefusedError (BAG-019) and the other `BAG-*` refusals.
+    MembersRefusedError (BAG-019), JoinedFileError (BAG-040), JoinedTopicError (BAG-041) and the other `BAG-*` refusals.
     """
+    return _joined_bag(path) if is_joined(path) else _plain_bag(path)
+
+
+def _joined_bag(path: Path) -> Bag:
+    members = read_joined(path)
+    with ExitStack() as opened:
+        parts = [opened.enter_context(_plain_bag(member_path(path, member))) for member in members]
+        bag = Bag(path, joined_store(path.name, tuple(map(MovedBag, parts, members))), member_findings(members))
+        opened.pop_all()
+    return bag
+
+
+def _plain_bag(path: Path) -> Bag:
     members = members_of(path)
     with ExitStack() as opened:
         parts: list[MessageStore] = []

@@ -87,7 +87,7 @@ class Sources:
 def choose_sources(bag: Bag, asked: AskedTopics) -> Sources:
     """Raises NoLidarError, NoPoseSourceError, AmbiguousTopicsError, WrongTopicError; what decoding a cloud raises."""
     topics = {topic.name: topic for topic in bag.topics if topic.count and topic.encoding == "cdr"}
-    roles = [_candidate(bag, topic) for topic in topics.values()]
+    roles = [candidate_of(bag, topic) for topic in topics.values()]
     lidar = _lidar(roles, asked.lidar)
     pose = lidar if asked.has_pose_file or asked.pose == KISS_ICP else _pose(roles, asked.pose)
     told = "file" if asked.has_pose_file else ROLE_OF_SWEEPS
@@ -103,7 +103,8 @@ def choose_sources(bag: Bag, asked: AskedTopics) -> Sources:
     )
 
 
-def _candidate(bag: Bag, topic: Topic) -> Candidate:
+def candidate_of(bag: Bag, topic: Topic) -> Candidate:
+    """The topic with its role. Raises what decoding its first cloud raises."""
     rate_hz, facts = _rate_hz(bag.log_times_ns(topic.name)), _facts(bag, topic)
     return Candidate(topic.name, topic.type, role_of(facts), topic.count, rate_hz, point_count=facts.point_count)
 

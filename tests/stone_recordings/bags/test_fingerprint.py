@@ -13,7 +13,7 @@ def test_it_is_that_of_the_bytes(tmp_path: Path, size: int) -> None:
     path = tmp_path / "run.mcap"
     path.write_bytes(bytes(range(256)) * (size // 256) + b"x" * (size % 256))
     with hashed_meanwhile(path) as found:
-        assert found() == recording_sha256(path) == sha256(path.read_bytes()).hexdigest()
+        assert found() == {path.name: recording_sha256(path)} == {path.name: sha256(path.read_bytes()).hexdigest()}
 
 
 def test_what_is_known_is_not_computed_again(tmp_path: Path) -> None:

@@ -1,0 +1,1 @@
+"""Several recordings of one run joined into one, the offsets of their clocks measured."""

@@ -1,0 +1,35 @@
+"""What is told of a joined recording whenever it is opened: whose clock was moved by how much, and what was had twice.
+
+**Conventions.** SYN-520 an offset that was measured, SYN-521 one that was given, SYN-522 messages that two members
+hold. (SYN-523 … SYN-526 are told when recordings are joined, `stone_recordings.joining.findings`.)
+"""
+
+from collections.abc import Iterator, Sequence
+
+from stone.findings import Finding
+from stone_files.joined_file import GIVEN, REFERENCE, SAME_TOPICS, JoinedMember
+
+
+def member_findings(members: Sequence[JoinedMember]) -> tuple[Finding, ...]:
+    """In the order of the members."""
+    reference = next((member.name for member in members if REFERENCE in member.known_by), "the reference")
+    return tuple(finding for member in members for finding in _of(member, reference))
+
+
+def _of(member: JoinedMember, reference: str) -> Iterator[Finding]:
+    if REFERENCE not in member.known_by:
+        yield _offset_finding(member, reference)
+    for topic, count in sorted(member.count_left_out().items()):
+        sentence = f"{count} of its messages in {member.name} are in another file of the run, too, and taken once"
+        yield Finding("SYN-522", "info", topic, sentence)
+
+
+def _offset_finding(member: JoinedMember, reference: str) -> Finding:
+    moved = f"its stamps are moved by {member.offset_ns / 1e9:+.6f} s onto the clock of {reference}"
+    if GIVEN in member.known_by:
+        return Finding("SYN-521", "info", member.name, f"{moved}, as was asked for; nobody measured it")
+    if SAME_TOPICS in member.known_by:
+        sentence = f"it holds topics of {reference}, whose stamps go on: a run that the recorder cut; nothing is moved"
+        return Finding("SYN-520", "info", member.name, sentence)
+    error = "" if member.sigma_ns is None else f" ± {member.sigma_ns / 1e6:.2f} ms (standard error)"
+    return Finding("SYN-520", "info", member.name, f"{moved}{error}, measured by {' and '.join(member.known_by)}")

@@ -1,0 +1,57 @@
+"""Why recordings are not joined.
+
+**Conventions.** Each sentence says what was found, and the option that settles it.
+"""
+
+from collections.abc import Sequence
+
+from stone_recordings.bags.errors import IngestError
+
+OPTION = "--clock-offset {name}=SECONDS, what is added to its stamps"
+
+
+class UnmeasuredOffsetError(IngestError):
+    """Nothing tells how far the clock of a recording is off; nothing is guessed."""
+
+    code = "SYN-523"
+
+    def __init__(self, names: Sequence[str], reasons: Sequence[str]) -> None:
+        why = "; ".join(dict.fromkeys(reasons)) or "it holds no camera, radar or IMU"
+        super().__init__(
+            f"the clock of {' and '.join(names)} cannot be compared with the other recordings': {why}; "
+            f"say it: {OPTION.format(name=names[0])} (0 where the clocks were synchronised)"
+        )
+
+
+class ContradictoryOffsetsError(IngestError):
+    """What a recording's sensors tell of its clock does not agree."""
+
+    code = "SYN-524"
+
+    def __init__(self, name: str, told: Sequence[str]) -> None:
+        super().__init__(
+            f"the sensors in {name} tell different offsets of its clock: {', '.join(told)}; is a mount in the "
+            f"calibration wrong, or one of them stamped by another clock? Say which it is: {OPTION.format(name=name)}"
+        )
+
+
+class NoCommonTimeError(IngestError):
+    """A recording was not made while the others were."""
+
+    code = "SYN-525"
+
+    def __init__(self, name: str, apart_s: float, reference: str) -> None:
+        when = "after the end" if apart_s > 0 else "before the beginning"
+        super().__init__(
+            f"{name} lies {abs(apart_s):.3f} s {when} of {reference}, on its clock: is it of another run, or is its "
+            f"offset another? {OPTION.format(name=name)}"
+        )
+
+
+class NotJoinedError(IngestError):
+    """What was named cannot be the recordings of one run."""
+
+    code = "SYN-526"
+
+    def __init__(self, problem: str) -> None:
+        super().__init__(f"{problem}; name each recording of the run once, one of them with the LiDAR")
