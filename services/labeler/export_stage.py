@@ -31,7 +31,7 @@ from services.labeler.exports.sandboxed_export import (
 )
 from services.labeler.exports.source import MESH, REPORT, TABLE
 from services.labeler.kernel_warmup import warm
-from services.labeler.recordings import located_recording
+from services.labeler.recordings import located_members, located_recording
 from services.runtime.jobs.specs import Attempt, Outcome
 from services.runtime.orm import Artefact, Blob, Export, LabelledFrameRow, LabelSet
 from services.runtime.platform import Platform
@@ -42,6 +42,7 @@ from services.runtime.store.pack_reading import archive_sha256, local_reader
 from services.runtime.store.packs import PackedFiles, index_bytes, pack_count, pack_folder, pack_path
 from services.runtime.store.workspace import Workspace
 from stone_files.bag_fingerprint import bag_paths
+from stone_files.joined_file import JOINED
 
 INDEX = "index.npz"
 INPUTS = "inputs"
@@ -74,7 +75,7 @@ def located_inputs(platform: Platform, label_set_id: str, folder: Path, exporter
         keys = {name: key for name, key in session.execute(named.where(Artefact.label_set_id == label_set_id))}
         ranges = _ranges(session, label_set_id) if exporter.reads_labels else ()
     folder.mkdir(parents=True, exist_ok=True)
-    for name in (REPORT, SEQUENCE_FILE, MESH, TABLE):
+    for name in (REPORT, SEQUENCE_FILE, MESH, TABLE, *({JOINED} & set(keys))):
         (folder / name).symlink_to(platform.store.local(keys[name]))
     packs = {key: platform.store.local(key) for key in sorted({at.pack for at in ranges})}
     return ExportInputs(folder, PackedLabels(packs, ranges))
@@ -99,7 +100,12 @@ class ExportSandbox:
 
 
 def with_recording(sandbox: ExportSandbox, inputs: ExportInputs, sequence_id: str) -> ExportInputs:
-    """The inputs and the bag that the sequence was made of. Raises `RecordingDeletedError`."""
+    """The inputs and the bag that the sequence was made of; of several, joined as `joined.json` beside it says.
+
+    Raises `RecordingDeletedError`, `JoinedFileError`.
+    """
+    if (inputs.folder / JOINED).exists():
+        return replace(inputs, recording=located_members(sandbox.platform, sequence_id, inputs.folder))
     made_of = SourceAnswer.believed(sandbox.run(partial(source_of, inputs), inputs))
     return replace(inputs, recording=located_recording(sandbox.platform, sequence_id, made_of.sha256s))
 

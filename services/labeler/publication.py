@@ -13,6 +13,7 @@ from sqlalchemy import insert, select
 from sqlalchemy.orm import Session
 
 from services.domain.exports.requests import follow_labels
+from services.domain.sequences.chosen_recordings import recording_ids_of
 from services.domain.sequences.run_files import SEQUENCE_FILE
 from services.domain.sequences.stage_checks import require_sequence
 from services.domain.viewer.playback import PLAYBACK
@@ -32,6 +33,7 @@ from services.runtime.orm import Artefact, Job, LabelledFrameRow, LabelSet, new_
 from services.runtime.sandbox import SandboxCrashedError
 from services.runtime.store.blobs import PreparedBlob, link, prepare
 from services.runtime.store.keys import checked
+from stone_files.joined_file import JOINED
 
 MEDIA_TYPES = {
     ".json": "application/json",
@@ -75,7 +77,7 @@ def publish(context: LabelStageContext) -> Outcome:
     """
     context.pull(FILES)
     told = context.ask(PublicationAnswer, partial(described, context.opening), "publish", context.opening)
-    files, prepared = _files(context.workspace.folder, told), list[tuple[_File, PreparedBlob]]()
+    files, prepared = _files(context, told), list[tuple[_File, PreparedBlob]]()
     for number, file in enumerate(files):
         context.attempt.progress("publish", number, len(files))
         prepared.append((file, prepare(context.platform.store, context.platform.database, file.path, adopt=True)))
@@ -85,11 +87,13 @@ def publish(context: LabelStageContext) -> Outcome:
     return Outcome({"frames": len(told.tokens)}, commit=partial(_write_rows, rows))
 
 
-def _files(folder: Path, told: PublicationAnswer) -> list[_File]:
+def _files(context: LabelStageContext, told: PublicationAnswer) -> list[_File]:
+    folder, is_joined = context.workspace.folder, len(recording_ids_of(context.arguments)) > 1
     return [
         _named(REPORT, folder / PUBLISHED / REPORT),
         _named(TABLE, folder / PUBLISHED / TABLE),
         _named(SEQUENCE_FILE, folder / SEQUENCE_FILE),
+        *([_named(JOINED, folder / JOINED)] if is_joined else []),
         *_drawn(folder / MAP),
         *(_packed(folder, pack) for pack in told.packs),
     ]
