@@ -52,6 +52,19 @@ def inspection_table(record: Mapping[str, Any]) -> Table:
     return table
 
 
+def recording_table(recordings: Sequence[Mapping[str, Any]]) -> Table:
+    """What was added to the times of each recording of a run, its standard error, and how it is known."""
+    table = Table(title="recordings: onto one clock", title_justify="left", box=SIMPLE)
+    table.add_column("recording", overflow="fold")
+    for column in ("added s", "± ms"):
+        table.add_column(column, justify="right")
+    table.add_column("known by")
+    for one in recordings:
+        error = DASH if one["sigma_ns"] is None else f"{one['sigma_ns'] / 1e6:.2f}"
+        table.add_row(safe_text(one["name"]), f"{one['offset_ns'] / 1e9:+.6f}", error, ", ".join(one["known_by"]))
+    return table
+
+
 def clock_table(record: Mapping[str, Any]) -> Table:
     """What each topic's stamps say of its clock (`clocks` of the record of `stone inspect --json`).
 

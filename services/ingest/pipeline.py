@@ -169,6 +169,7 @@ def unjoined_sequence(
             *(doubts + unmatched + usable_finding(posed) + packet_findings(bag, sources.lidar)),
         ),
         inputs=track.inputs,
+        recordings=bag.recordings,
         track=posed.path,
         max_pose_gap_ns=options.max_pose_gap_ns,
     )

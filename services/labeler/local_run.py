@@ -31,11 +31,13 @@ from services.labeler.tables import write_frames
 from services.labeler.workers import Task, Workers
 from stone.sensors.sequence import Sequence, SweepSource
 from stone_files.atomic import atomic_directory
+from stone_recordings.joining.joined_recording import JoinedRecording, write_joined
 from stone_recordings.sync.sequence_file import sequence_bytes
 
 Progress = Callable[[str, int, int], None]
 Key = tuple[object, ...]
 REPORT = "report.json"
+JOINED_RUN = "recording"
 
 
 @dataclass(frozen=True)
@@ -44,13 +46,14 @@ class LabelOptions:
 
     `source` says where the inputs lay (`recording`, `calibration`: absolute paths), for exports made later on this
     machine; it is written beside the labels as `source.json`. `late_inputs` are hashes that the sequence's `inputs`
-    lack, asked for at the end.
+    lack, asked for at the end. `joined` are the recordings of a run of several, which are linked beside the labels.
     """
 
     parameters: LabelParameters = field(default_factory=LabelParameters)
     workers: int = 1
     source: Mapping[str, str] = field(default_factory=dict)
     late_inputs: Callable[[], Mapping[str, str]] = dict
+    joined: JoinedRecording | None = None
 
 
 def label(
@@ -130,5 +133,8 @@ def _published(run: LabelRun, out: Path, options: LabelOptions) -> LabelReport:
     (out / SEQUENCE_FILE).write_bytes(sequence_bytes(sequence))
     if options.source:
         (out / SOURCE).write_text(json.dumps(dict(options.source)) + "\n")
+    if options.joined is not None:
+        (out / JOINED_RUN).mkdir()
+        write_joined(options.joined, out / JOINED_RUN)
     shutil.rmtree(run.scratch)
     return report

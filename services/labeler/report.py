@@ -6,9 +6,9 @@ the track spans the relief that profile `paper` needs it to. `reference.outliers
 they are few, with the share of the map that has another class by the other estimate. `track` is how much of what the
 footprint went over is T, pinholes closed, and which share of the way has none; `height_drift` what the poses drifted
 in z. `map.far_points` are those that were left out as no LiDAR sees as far; `solver` is how the surface was solved for,
-residuals in cells, null where Open3D did. `refinement` is null where poses
-were taken as they came. What was measured while it was made (seconds, memory) is apart, in `costs`: without them equal
-inputs give equal bytes.
+residuals in cells, null where Open3D did. `refinement` is null where poses were taken as they came; `recordings` are
+those that were joined, with the offsets of their clocks, [] for one alone. What was measured while it was made
+(seconds, memory) is apart, in `costs`: without them equal inputs give equal bytes.
 """
 
 import json
@@ -69,6 +69,7 @@ class LabelReport:
             "pose_source": sequence.pose_source,
             "map_origin_deg_m": sequence.map_origin_deg_m,
             "inputs": dict(sequence.inputs),
+            "recordings": [asdict(recording) for recording in sequence.recordings],
             "parameters": asdict(self.parameters),
             "class_share_of_occupied": self.class_shares(),
             "profiles": dict(self.profiles),

@@ -100,6 +100,17 @@ class Frames:
         return len(self.tokens)
 
 
+@dataclass(frozen=True)
+class RecordingClock:
+    """One of several recordings that a sequence was made of, and what was added to its times to be on the clock of the
+    first; `sigma_ns` is its standard error, None where nobody measured it, and `known_by` is how it is known."""
+
+    name: str
+    offset_ns: int
+    sigma_ns: int | None
+    known_by: tuple[str, ...]
+
+
 @dataclass(frozen=True, eq=False)
 class Sequence:
     """One continuous run of the robot, synchronised; `inputs` names what it was made from (name → sha256).
@@ -108,7 +119,7 @@ class Sequence:
     farther apart than `max_pose_gap_ns` are a gap in it. None where frames were not made from a recording.
     `map_of_segment` is the map that each segment of the track lies in, () where each has its own. `ground` is where the
     sweeps show the ground in the ego frame, and `height_drift` by how much the poses drift in z against it; None where
-    that was not measured.
+    that was not measured. `recordings` are those that were joined, () for one alone.
     """
 
     name: str
@@ -124,6 +135,7 @@ class Sequence:
     map_of_segment: tuple[int, ...] = ()
     ground: GroundFit | None = None
     height_drift: HeightDrift | None = None
+    recordings: tuple[RecordingClock, ...] = ()
 
     def __post_init__(self) -> None:
         if not NAME.fullmatch(self.name):

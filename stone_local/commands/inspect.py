@@ -1,14 +1,15 @@
 """`stone inspect`: what is in a recording, and what is wrong with it."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from stone_client.options import BagArgument
 from stone_client.refusals import REFUSED
 from stone_client.streams import JsonOption, echo_findings, echo_json
-from stone_client.tables import clock_table, inspection_table, show
+from stone_client.tables import clock_table, inspection_table, recording_table, show
+from stone_local.joined_run import ClockOffsetOption, RunArgument, RunRecordings, run_of
 from stone_local.pose_files import PosesFrameOption, PosesOption, chosen_poses
 from stone_local.quality_file import HtmlOption, deduction_table, write_quality_page
 from stone_local.topic_choices import SaveTopicsOption, TopicOption, TopicsOption, chosen_topics
@@ -22,7 +23,7 @@ RigOption = Annotated[
 
 
 def inspect(
-    bag: BagArgument,
+    bags: RunArgument,
     topics: TopicsOption = None,
     topic: TopicOption = [],  # noqa: B006
     save_topics: SaveTopicsOption = None,
@@ -30,12 +31,15 @@ def inspect(
     calibration: RigOption = None,
     poses: PosesOption = None,
     poses_frame: PosesFrameOption = "",
+    clock_offset: ClockOffsetOption = [],  # noqa: B006
     as_json: JsonOption = False,
 ) -> None:
     """Show a recording's topics with their roles, rates and gaps, and what is noticed about them.
 
     Where several topics fit one role, choose with --topic and save the choice for the robot's next recording.
     What labelling would refuse or leave out is said too; with --calibration also what it would say of the mounts.
+    Several recordings of one run are joined first, with --calibration where their clocks must be measured; their
+    offsets, what two of them hold and what lies between them is shown.
     With --html its quality is measured too: a page with plots, and under --json one more key.
     Exit code 1 where something in it cannot be used, named by an error line.
     """
@@ -45,10 +49,12 @@ def inspect(
     from stone_recordings.topics.profile_file import write_profile
 
     profile = chosen_topics(topics, topic)
-    with open_bag(bag) as opened:
-        options = SynchroniseOptions(poses=chosen_poses(poses, poses_frame), poses_frame=poses_frame)
+    options = SynchroniseOptions(poses=chosen_poses(poses, poses_frame), poses_frame=poses_frame, topics=profile.topics)
+    with run_of(RunRecordings(bags, clock_offset, calibration, options)) as run, open_bag(run.bag) as opened:
         inspection = inspected_in(opened, profile, calibration, options)
         record: dict[str, Any] = inspection.as_record()
+        if opened.recordings:
+            record["recordings"] = [asdict(recording) for recording in opened.recordings]
         findings = inspection.findings
         if html is not None:
             quality = write_quality_page(opened, inspection, html)
@@ -58,6 +64,8 @@ def inspect(
     else:
         show(inspection_table(record))
         show(clock_table(inspection.clocks.as_record()))
+        if "recordings" in record:
+            show(recording_table(record["recordings"]))
         if "quality" in record:
             show(deduction_table(record["quality"]))
     if save_topics is not None:

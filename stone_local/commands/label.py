@@ -9,7 +9,6 @@ import typer
 
 from stone.findings import Finding
 from stone_client.options import (
-    BagArgument,
     CalibrationOption,
     Ground,
     GroundOption,
@@ -23,6 +22,7 @@ from stone_client.options import (
 from stone_client.progress import reported
 from stone_client.streams import JsonOption, echo_findings, echo_json
 from stone_client.tables import class_table, show
+from stone_local.joined_run import ClockOffsetOption, RunArgument, RunRecordings, run_of
 from stone_local.pose_files import PosesFrameOption, PosesOption, chosen_poses
 from stone_local.time_offsets import TimeOffsetOption, chosen_offsets
 from stone_local.topic_choices import TopicOption, TopicsOption, chosen_topics
@@ -59,7 +59,7 @@ RefineOption = Annotated[
 
 
 def label(
-    bag: BagArgument,
+    bags: RunArgument,
     calibration: CalibrationOption,
     output: OutputOption,
     profile: ProfileOption = LabelProfile.PAPER,
@@ -72,15 +72,20 @@ def label(
     refine: RefineOption = None,
     ground: GroundOption = Ground.GIVEN,
     time_offset: TimeOffsetOption = [],  # noqa: B006
+    clock_offset: ClockOffsetOption = [],  # noqa: B006
     poses: PosesOption = None,
     poses_frame: PosesFrameOption = "",
     confidence: ConfidenceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Label every frame of a recording: free, traversable, potentially traversable or not, in 0.2 m voxels."""
+    """Label every frame of a recording: free, traversable, potentially traversable or not, in 0.2 m voxels.
+
+    Several recordings of one run (sensors in different files, or a run that was cut) are joined first: the offsets of
+    their clocks are measured and reported.
+    """
     from services.ingest.pipeline import SynchroniseOptions
     from services.ingest.sequence import opened_sequence
-    from services.labeler.local_run import LabelOptions
+    from services.labeler.local_run import JOINED_RUN, LabelOptions
     from services.labeler.local_run import label as label_sequence
     from services.labeler.parameters import RefinementParameters, parameters_for
     from services.labeler.workers import begin_loading
@@ -91,12 +96,14 @@ def label(
         sources = SynchroniseOptions(odometry, lidar, topics=chosen, ground=ground.value, progress=progress)
         sources = replace(sources, time_offsets_ns=chosen_offsets(time_offset), poses_frame=poses_frame)
         sources = replace(sources, poses=chosen_poses(poses, poses_frame, odometry))
-        source = {"recording": str(bag.resolve()), "calibration": str(calibration.resolve())}
         refinement = RefinementParameters(refine.value) if refine else None
         parameters = replace(parameters_for(profile.value), confidence=confidence, refinement=refinement)
         parameters = replace(parameters, surface=replace(parameters.surface, solver=solver.value))
-        with opened_sequence(bag, calibration, bag.stem, sources) as opened:
-            options = LabelOptions(parameters, workers or cores(), source, opened.recording_inputs)
+        recordings = RunRecordings(bags, clock_offset, calibration, sources)
+        with run_of(recordings) as run, opened_sequence(run.bag, calibration, run.name, sources) as opened:
+            kept = output / JOINED_RUN if run.joined else run.bag
+            source = {"recording": str(kept.resolve()), "calibration": str(calibration.resolve())}
+            options = LabelOptions(parameters, workers or cores(), source, opened.recording_inputs, run.joined)
             record = label_sequence(opened.sequence, opened.sweeps, output, options, progress).as_record()
     if as_json:
         echo_json(record)

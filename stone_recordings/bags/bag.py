@@ -16,9 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone.findings import Finding
-from stone_files.joined_file import is_joined, member_path, read_joined
+from stone.sensors.sequence import RecordingClock
+from stone_files.joined_file import JoinedMember, is_joined, member_path, read_joined
 from stone_recordings.bags.containers import opened_store
 from stone_recordings.bags.errors import EncodingRefusedError, UnknownTopicError
+from stone_recordings.bags.joined.coverage import coverage_findings
 from stone_recordings.bags.joined.findings import member_findings
 from stone_recordings.bags.joined.joined_store import joined_store
 from stone_recordings.bags.joined.moved_bag import MovedBag
@@ -44,10 +46,20 @@ class RawMessage:
 class Bag:
     """An open recording; a context manager."""
 
-    def __init__(self, path: Path, store: MessageStore, findings: tuple[Finding, ...] = ()) -> None:
+    def __init__(
+        self,
+        path: Path,
+        store: MessageStore,
+        findings: tuple[Finding, ...] = (),
+        members: Sequence[JoinedMember] = (),
+    ) -> None:
         topics, noticed = described(store.topics, path) if path.is_dir() else (store.topics, ())
         self.path, self.topics = path, topics
         """Every topic that is declared, by name; `count` may be 0."""
+        self.recordings = tuple(
+            RecordingClock(member.name, member.offset_ns, member.sigma_ns, member.known_by) for member in members
+        )
+        """Those that were joined; () for one alone."""
         self.findings = (*findings, *store.findings, *noticed)
         self._store = store
         self._topics = {topic.name: topic for topic in topics}
@@ -184,7 +196,7 @@ def open_bag(path: Path) -> Bag:
     """Open an `.mcap`, `.db3` or ROS 1 `.bag` file, a folder of a split one, or one of several that were joined.
 
     Split and joined bags are one recording; files and messages that were compressed by the recorder are unpacked as
-    they are read. What was noticed is in `findings` (BAG-021 … BAG-031, of joined bags SYN-520 … SYN-522).
+    they are read. What was noticed is in `findings` (BAG-021 … BAG-031, of joined bags SYN-520 … SYN-528).
     Raises: FileNotFoundError, NotABagError (BAG-001), CutBagError (BAG-010), MalformedBagError (BAG-012),
     MembersRefusedError (BAG-019), JoinedFileError (BAG-040), JoinedTopicError (BAG-041) and the other `BAG-*` refusals.
     """
@@ -194,8 +206,10 @@ def open_bag(path: Path) -> Bag:
 def _joined_bag(path: Path) -> Bag:
     members = read_joined(path)
     with ExitStack() as opened:
-        parts = [opened.enter_context(_plain_bag(member_path(path, member))) for member in members]
-        bag = Bag(path, joined_store(path.name, tuple(map(MovedBag, parts, members))), member_findings(members))
+        bags = (opened.enter_context(_plain_bag(member_path(path, member))) for member in members)
+        parts = tuple(MovedBag(bag, member) for bag, member in zip(bags, members, strict=True))
+        findings = (*member_findings(members), *coverage_findings(members, parts))
+        bag = Bag(path, joined_store(path.name, parts), findings, members)
         opened.pop_all()
     return bag
 

@@ -35,7 +35,7 @@ def trigger_findings(bag: Bag, sequence: Sequence, sweeps: BagSweeps) -> tuple[F
     cameras = [mount for mount in sequence.calibration.of_kind("camera") if _fires(associations.get(mount.name))]
     if len(cameras) < 2:
         return ()
-    look = _look(bag, sweeps, typical_period_ns(sequence.frames.stamps_ns))
+    look = lidar_look(bag, sweeps, typical_period_ns(sequence.frames.stamps_ns))
     if look is None:
         return ()
     taken = [associations[mount.name] for mount in cameras]
@@ -62,7 +62,7 @@ def _fires(association: Association | None) -> bool:
     return association is not None and bool((association.message_index >= 0).any())
 
 
-def _look(bag: Bag, sweeps: BagSweeps, period_ns: int) -> LidarRotation | None:
+def lidar_look(bag: Bag, sweeps: BagSweeps, period_ns: int) -> LidarRotation | None:
     """Where the LiDAR looks when, from sweeps of the beginning, the middle and the end."""
     rows = np.unique(np.linspace(0, len(sweeps) - 1, SWEEP_SAMPLES).astype(np.int64)) if len(sweeps) else ()
     parts = [_timed_points(bag, sweeps, int(row)) for row in rows]

@@ -20,7 +20,7 @@ from stone.geometry.trajectory import Trajectory
 from stone.sensors.ground_plane import GroundFit
 from stone.sensors.height_drift import HeightDrift
 from stone.sensors.pose_quality import PoseQuality
-from stone.sensors.sequence import Association, ExcludedFrame, Frames, Sequence, Slices, frame_token
+from stone.sensors.sequence import Association, ExcludedFrame, Frames, RecordingClock, Sequence, Slices, frame_token
 from stone_files.npz import npz_bytes
 from stone_recordings.calibrations.record import calibration_of, calibration_record
 
@@ -70,6 +70,10 @@ def read_sequence(payload: bytes) -> Sequence:
         map_of_segment=tuple(record["map_of_segment"]),
         ground=GroundFit(**record["ground"]) if record["ground"] else None,
         height_drift=HeightDrift(**record["height_drift"]) if record["height_drift"] else None,
+        recordings=tuple(
+            RecordingClock(name, offset_ns, sigma_ns, tuple(known_by))
+            for name, offset_ns, sigma_ns, known_by in record["recordings"]
+        ),
     )
 
 
@@ -113,6 +117,7 @@ def _record(sequence: Sequence) -> dict[str, Any]:
         "map_of_segment": list(sequence.map_of_segment),
         "ground": asdict(sequence.ground) if sequence.ground else None,
         "height_drift": asdict(sequence.height_drift) if sequence.height_drift else None,
+        "recordings": [[one.name, one.offset_ns, one.sigma_ns, one.known_by] for one in sequence.recordings],
     }
 
 

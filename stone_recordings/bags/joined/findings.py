@@ -1,7 +1,7 @@
 """What is told of a joined recording whenever it is opened: whose clock was moved by how much, and what was had twice.
 
 **Conventions.** SYN-520 an offset that was measured, SYN-521 one that was given, SYN-522 messages that two members
-hold. (SYN-523 … SYN-526 are told when recordings are joined, `stone_recordings.joining.findings`.)
+hold. SYN-527 and SYN-528 are of `coverage` beside it; SYN-523 … SYN-526 refuse, `stone_recordings.joining.errors`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -28,7 +28,7 @@ def _offset_finding(member: JoinedMember, reference: str) -> Finding:
     moved = f"its stamps are moved by {member.offset_ns / 1e9:+.6f} s onto the clock of {reference}"
     if GIVEN in member.known_by:
         return Finding("SYN-521", "info", member.name, f"{moved}, as was asked for; nobody measured it")
-    if SAME_TOPICS in member.known_by:
+    if member.known_by == (SAME_TOPICS,):
         sentence = f"it holds topics of {reference}, whose stamps go on: a run that the recorder cut; nothing is moved"
         return Finding("SYN-520", "info", member.name, sentence)
     error = "" if member.sigma_ns is None else f" ± {member.sigma_ns / 1e6:.2f} ms (standard error)"

@@ -1,0 +1,136 @@
+"""The offset of a clock at which what sensors measured agrees best with how the robot moved, and its standard error.
+
+    r(t + offset) = measured(t) − predicted(t + offset),   Σ ρ(r / scale) least
+
+**Conventions.** An offset is added to the sensors' times, seconds. It is first searched on a grid, by the profile
+likelihood of residuals of unknown scale, then found by Gauss and Newton, each residual that is far off weighted down.
+The standard error is measured: by what the blocks of `BLOCK_S` say apart from each other (so errors that last are not
+counted as many), not by the size of the residuals. What could be at two times is not told.
+Sources: Huber 1981; Liang and Zeger 1986 (errors by clusters).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.sensors.clocks import MAD_TO_SIGMA
+
+COARSE_STEP_S = 0.02
+ROUNDS, SETTLED_S = 12, 1e-6
+# Beyond so many scales a residual is somebody else's motion.
+FAR_SCALES = 3.0
+HUBER_SCALES = 1.345
+LEAST_KNOWN_RATIO = 0.5
+BLOCK_S, FEWEST_BLOCKS = 0.5, 8
+# By so much (twice the logarithm of a likelihood) the best offset is better than any that is `APART_S` away; of
+# thousands without any signal the best stands out by 20.
+LEAST_MARGIN, APART_S = 40.0, 0.3
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class LagResiduals:
+    """N times D residuals at an offset, how they change with it (N, D) per second, and when they were measured (N,).
+
+    Each column has a scale of its own; a row is NaN where nothing is predicted.
+    """
+
+    values: Array
+    slopes_per_s: Array
+    times_s: Array
+
+    @property
+    def is_known(self) -> NDArray[np.bool_]:
+        return np.asarray(np.isfinite(self.values + self.slopes_per_s).all(axis=1))
+
+
+class LagEvidence(Protocol):
+    """What one sensor measured."""
+
+    def values(self, offset_s: float) -> Array:
+        """Residuals (N, D) at an offset; a row is NaN where nothing is predicted."""
+        ...
+
+    def residuals(self, offset_s: float) -> LagResiduals:
+        """The same, and how they change."""
+        ...
+
+
+@dataclass(frozen=True)
+class LagFit:
+    """`margin` is how much better the offset is than any that is `APART_S` away, as twice a log-likelihood."""
+
+    offset_s: float
+    sigma_s: float
+    margin: float
+
+
+def fitted_lag(evidence: Sequence[LagEvidence], span_s: tuple[float, float]) -> LagFit | None:
+    """Searched between two offsets. None where nothing stands out, or what does is at an end of the search."""
+    searched = np.arange(span_s[0], span_s[1] + COARSE_STEP_S / 2, COARSE_STEP_S)
+    costs = np.array([_cost(evidence, offset_s) for offset_s in searched.tolist()])
+    if not np.isfinite(costs).any():
+        return None
+    best = int(np.argmin(costs))
+    if best in (0, len(searched) - 1) or not np.isfinite(costs[best - 1 : best + 2]).all():
+        return None
+    apart = costs[np.isfinite(costs) & (np.abs(searched - searched[best]) > APART_S)]
+    margin = float(apart.min() - costs[best]) if len(apart) else 0.0
+    refined = _refined(evidence, float(searched[best]))
+    return None if refined is None or margin < LEAST_MARGIN else LagFit(*refined, margin)
+
+
+def _cost(evidence: Sequence[LagEvidence], offset_s: float) -> float:
+    """−2 log likelihood, the scale of each sensor's residuals at its best; infinite where too little is predicted."""
+    total = 0.0
+    for sensor in evidence:
+        values = sensor.values(offset_s)
+        known = values[np.isfinite(values).all(axis=1)]
+        if len(known) < max(1.0, LEAST_KNOWN_RATIO * len(values)):
+            return float("inf")
+        near = np.minimum(np.abs(known), FAR_SCALES * _scales(known))
+        total += len(values) * float(np.log(np.mean(near**2, axis=0) + 1e-30).sum())
+    return total
+
+
+def _scales(values: Array) -> Array:
+    """Of each column (D,)."""
+    return np.asarray(MAD_TO_SIGMA * np.median(np.abs(values), axis=0) + 1e-15)
+
+
+def _refined(evidence: Sequence[LagEvidence], offset_s: float) -> tuple[float, float] | None:
+    """(offset, standard error); None where nothing changes with the offset, or too few blocks say so."""
+    start_s = offset_s
+    for _ in range(ROUNDS):
+        scores, energy, _blocks = _normal(evidence, offset_s)
+        if energy <= 0:
+            return None
+        change_s = float(np.clip(-scores.sum() / energy, -COARSE_STEP_S, COARSE_STEP_S))
+        offset_s += change_s
+        if abs(change_s) < SETTLED_S:
+            break
+    scores, energy, blocks = _normal(evidence, offset_s)
+    if blocks < FEWEST_BLOCKS or energy <= 0 or abs(offset_s - start_s) > 2 * COARSE_STEP_S:
+        return None
+    return offset_s, float(np.sqrt(np.sum(scores**2) * blocks / (blocks - 1))) / energy
+
+
+def _normal(evidence: Sequence[LagEvidence], offset_s: float) -> tuple[Array, float, int]:
+    """What each block of time asks to change, how much all know of the offset, and how many blocks there are."""
+    parts, energy = list[tuple[Array, Array]](), 0.0
+    for sensor in evidence:
+        found = sensor.residuals(offset_s)
+        known = found.is_known
+        values, slopes = found.values[known], found.slopes_per_s[known]
+        scales = _scales(values) if len(values) else np.ones(values.shape[1])
+        weights = np.minimum(1.0, HUBER_SCALES * scales / np.maximum(np.abs(values), 1e-300)) / scales**2
+        weights[np.abs(values) > 2 * FAR_SCALES * scales] = 0.0
+        energy += float(np.sum(weights * slopes**2))
+        parts.append((found.times_s[known], (weights * slopes * values).sum(axis=1)))
+    times_s, scores = (np.concatenate(column) for column in zip(*parts, strict=True))
+    numbers = np.unique(np.floor(times_s / BLOCK_S), return_inverse=True)[1]
+    return np.bincount(numbers, scores).astype(np.float64), energy, int(numbers.max(initial=-1)) + 1

@@ -1,0 +1,81 @@
+"""How a picture moved against the one before it: along its rows and columns, and about its middle.
+
+    second(x + shift + roll × x) ≈ first(x)
+
+**Conventions.** Pictures are brightness (H, W), float; x is from the middle, right and down. Whole pixels are found by
+phase correlation, the rest by Gauss and Newton on brightness, each pixel weighted by one over its difference, so that
+what moves by itself counts little. Sources: Kuglin and Hines, 1975; Lucas and Kanade, 1981.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, map_coordinates
+
+ROUNDS, SETTLED_PX = 5, 0.02
+LEAST_SIDE_PX = 16
+SMOOTHED_PX = 1.0
+LEAST_KNOWN_RATIO = 0.3
+# A picture without this much contrast shows nothing that could move.
+LEAST_CONTRAST = 1.0
+
+Picture = NDArray[np.float32]
+Array = NDArray[np.float64]
+
+
+def brightness_of(pixels: NDArray[np.uint8]) -> Picture:
+    """(H, W) of pixels (H, W, 3), smoothed by a pixel: slopes of single pixels are noise."""
+    return np.asarray(gaussian_filter(pixels.astype(np.float32).mean(axis=2), SMOOTHED_PX), np.float32)
+
+
+def picture_shift(first: Picture, second: Picture) -> Array | None:
+    """(3,) pixels right, pixels down, radians clockwise; None where the pictures are too small, or show nothing."""
+    is_large = first.shape == second.shape and min(first.shape) >= LEAST_SIDE_PX
+    if not is_large or min(float(first.std()), float(second.std())) < LEAST_CONTRAST:
+        return None
+    shift = np.array([*_whole_pixels(first, second), 0.0])
+    rows, columns = (axis.astype(np.float64) for axis in np.mgrid[: first.shape[0], : first.shape[1]])
+    down, right = rows - (first.shape[0] - 1) / 2, columns - (first.shape[1] - 1) / 2
+    for _ in range(ROUNDS):
+        places = np.stack([rows + shift[1] + shift[2] * right, columns + shift[0] - shift[2] * down])
+        moved = map_coordinates(second, places, order=1, mode="nearest")
+        size = np.array(first.shape)[:, None, None]
+        is_known = ((places > 1) & (places < size - 2)).all(axis=0)
+        if is_known.mean() < LEAST_KNOWN_RATIO:
+            return None
+        slope_down, slope_right = np.gradient(moved)
+        turned = slope_down * right - slope_right * down
+        slopes = np.stack([slope_right[is_known], slope_down[is_known], turned[is_known]], axis=1)
+        change = _step(slopes, (first - moved)[is_known])
+        if change is None:
+            return None
+        shift = shift + change
+        if np.abs(change[:2]).max() < SETTLED_PX:
+            break
+    return shift
+
+
+def _step(slopes: Array, apart: Array) -> Array | None:
+    apart = apart - apart.mean()
+    size = np.abs(apart)
+    weights = 1 / np.maximum(size, float(np.median(size)) + 1.0)
+    weighted = slopes * weights[:, None]
+    normal = weighted.T @ slopes
+    if np.linalg.cond(normal) > 1e12:
+        return None
+    return np.asarray(np.linalg.solve(normal, weighted.T @ apart))
+
+
+def _whole_pixels(first: Picture, second: Picture) -> tuple[float, float]:
+    """Right and down, by the peak of the phase correlation."""
+    height, width = first.shape
+    window = np.outer(np.hanning(height), np.hanning(width))
+    one, two = (np.fft.rfft2((picture - picture.mean()) * window) for picture in (first, second))
+    cross = one.conj() * two
+    size = np.abs(cross)
+    found = np.fft.irfft2(cross / (size + 1e-3 * size.mean()), s=first.shape)
+    down, right = (int(at) for at in np.unravel_index(np.argmax(found), found.shape))
+    return float(_wrapped(right, width)), float(_wrapped(down, height))
+
+
+def _wrapped(at: int, size: int) -> int:
+    return at - size if at > size // 2 else at

@@ -1,0 +1,70 @@
+"""How a mounted sensor moved, in its own axes, at any time of a track: its speed, its turn and its way between times.
+
+**Conventions.** Times are seconds from the track's first pose. Rates are those between `HALF_SPAN_NS` before and after,
+so that the noise of poses is smoothed alike on both sides and no time is favoured; NaN where poses are missing.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.geometry.se3 import SE3, rotate
+from stone.geometry.smooth_interpolation import rotation_vectors
+from stone.geometry.trajectory import Trajectory
+
+STEP_NS, HALF_SPAN_NS = 5_000_000, 25_000_000
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class SensorMotion:
+    """`rates` (M, 6): turning about and moving along the sensor's axes, rad/s and m/s, every `STEP_NS` from
+    `begin_s`; `sums` (M, 6) their integrals; `unknown` (M,) counts the steps so far that have no rate."""
+
+    begin_s: float
+    rates: Array
+    sums: Array
+    unknown: Array
+
+    def velocity_at(self, times_s: Array) -> Array:
+        """(N, 3) metres a second; NaN where it is not known."""
+        place = (times_s - self.begin_s) / (STEP_NS * 1e-9)
+        found = np.stack([_linear(place, axis) for axis in self.rates[:, 3:].T], axis=1)
+        return np.where(self._is_known(place, place)[:, None], found, np.nan)
+
+    def between(self, begin_s: Array, end_s: Array) -> Array:
+        """(N, 6): turn in radians and way in metres from one time to the other; NaN where they are not known."""
+        first, last = ((times_s - self.begin_s) / (STEP_NS * 1e-9) for times_s in (begin_s, end_s))
+        found = np.stack([_linear(last, axis) - _linear(first, axis) for axis in self.sums.T], axis=1)
+        return np.where(self._is_known(first, last)[:, None], found, np.nan)
+
+    def _is_known(self, first: Array, last: Array) -> NDArray[np.bool_]:
+        most = len(self.rates) - 1
+        is_inside = (first >= 0) & (last <= most)
+        low, high = (np.clip(place, 0, most).astype(np.int64) for place in (np.floor(first), np.ceil(last)))
+        before = np.where(low > 0, self.unknown[low - 1], 0)
+        return np.asarray(is_inside & (self.unknown[high] == before))
+
+
+def sensor_motion(track: Trajectory, ego_from_sensor: SE3, max_gap_ns: int) -> SensorMotion | None:
+    """None for a track that is too short for a rate."""
+    times_ns = np.arange(track.stamps_ns[0] + HALF_SPAN_NS, track.stamps_ns[-1] - HALF_SPAN_NS, STEP_NS)
+    if len(times_ns) < 2:
+        return None
+    before, after = (track.at(times_ns + at_ns, max_gap_ns) for at_ns in (-HALF_SPAN_NS, HALF_SPAN_NS))
+    is_known = before.is_ok & after.is_ok & (before.segment == after.segment)
+    first, last = (found.map_from_ego @ ego_from_sensor for found in (before, after))
+    way_sensor = rotate(first.inverse().wxyz, last.translation_m - first.translation_m)
+    turn_sensor = rotation_vectors((first.inverse() @ last).wxyz)
+    # Half way the sensor has turned by half: its velocity is told in the axes that it has then.
+    half = np.cross(turn_sensor / 2, way_sensor)
+    rates = np.concatenate([turn_sensor, way_sensor - half], axis=1) / (2 * HALF_SPAN_NS * 1e-9)
+    rates = np.where(is_known[:, None], rates, 0.0)
+    steps = (rates[1:] + rates[:-1]) / 2 * (STEP_NS * 1e-9)
+    sums = np.concatenate([np.zeros((1, 6)), np.cumsum(steps, axis=0)])
+    return SensorMotion(HALF_SPAN_NS * 1e-9, rates, sums, np.cumsum(~is_known).astype(np.float64))
+
+
+def _linear(place: Array, values: Array) -> Array:
+    return np.asarray(np.interp(place, np.arange(len(values)), values))

@@ -1,0 +1,95 @@
+"""Several recordings of one run on the command line: the arguments, `--clock-offset`, and the recording they make.
+
+**Conventions.** One recording is itself. Several are joined into a folder of links that lasts as long as the command.
+"""
+
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from decimal import Decimal
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from services.ingest.pipeline import SynchroniseOptions
+    from stone_recordings.joining.joined_recording import JoinedRecording
+
+MOST_S = 10**10
+CHOICE = re.compile(r"(?P<name>.+)=(?P<seconds>[+-]?\d{1,11}(\.\d{1,9})?)s?")
+
+RunArgument = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="BAG...",
+        exists=True,
+        readable=True,
+        help="The recording: an .mcap, .db3 or ROS 1 .bag file, or a folder of a split one; several of one run.",
+    ),
+]
+ClockOffsetOption = Annotated[
+    list[str],
+    typer.Option(
+        "--clock-offset",
+        metavar="FILE=SECONDS",
+        help="Of several recordings, add to the times of this one instead of what is measured; repeatable.",
+    ),
+]
+
+
+@dataclass(frozen=True)
+class RunRecordings:
+    """What the command was given, and what chooses the topics and poses that their clocks are compared by."""
+
+    paths: Sequence[Path]
+    clock_offsets: Sequence[str]
+    calibration: Path | None
+    options: "SynchroniseOptions"
+
+
+@dataclass(frozen=True)
+class OpenRun:
+    """The recording of a run; `joined` is None for one alone."""
+
+    bag: Path
+    name: str
+    joined: "JoinedRecording | None" = None
+
+
+@contextmanager
+def run_of(recordings: RunRecordings) -> Iterator[OpenRun]:
+    """Raises: `typer.BadParameter`, and what `join_recordings` raises."""
+    given_ns = chosen_clock_offsets(recordings.clock_offsets)
+    if len(recordings.paths) == 1 and not given_ns:
+        yield OpenRun(recordings.paths[0], recordings.paths[0].stem)
+        return
+    from services.ingest.joining.joining import join_recordings
+    from services.ingest.joining.request import JoinRequest
+    from stone_recordings.bags.private_folder import PrivateFolder
+    from stone_recordings.joining.joined_recording import write_joined
+
+    asked = JoinRequest(tuple(recordings.paths), recordings.calibration, given_ns, recordings.options)
+    joined = join_recordings(asked)
+    private = PrivateFolder()
+    try:
+        folder = private.path / joined.name
+        folder.mkdir()
+        write_joined(joined, folder)
+        yield OpenRun(folder, joined.name, joined)
+    finally:
+        private.close()
+
+
+def chosen_clock_offsets(choices: Sequence[str]) -> dict[str, int]:
+    """Nanoseconds by name of file. Raises `typer.BadParameter`."""
+    chosen: dict[str, int] = {}
+    for choice in choices:
+        found = CHOICE.fullmatch(choice)
+        if found is None or abs(Decimal(found["seconds"])) > MOST_S:
+            raise typer.BadParameter(
+                f"{choice[:80]!r} is no offset of a recording; write cameras.mcap=-0.080 (seconds)"
+            )
+        chosen[Path(found["name"]).name] = int(Decimal(found["seconds"]) * 10**9)
+    return chosen

@@ -1,0 +1,148 @@
+"""What the sensors of a recording tell of its clock: turns of cameras and gyros, speeds of radars.
+
+**Conventions.** A sample of each topic is read, spread over the recording, so that a long one costs as much as a short
+one. Messages that cannot be read are passed over. Times are by the recording's own clock, seconds from the track's
+first pose.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.errors import StoneError
+from stone.geometry.se3 import SE3
+from stone.geometry.trajectory import Trajectory
+from stone.sensors.calibration import Calibration
+from stone.sensors.lag_evidence import DopplerEvidence, TurnEvidence
+from stone.sensors.picture_shift import Picture, brightness_of, picture_shift
+from stone.sensors.sensor_motion import SensorMotion, sensor_motion
+from stone_recordings.bags.bag import Bag
+from stone_recordings.clocks.timing import stamp_of
+from stone_recordings.messages.camera import picture_of
+from stone_recordings.messages.imu import decode_imu
+from stone_recordings.messages.radars.radar import decode_radar
+from stone_recordings.report.inspection import frame_id_of
+from stone_recordings.sync.association import mount_of
+from stone_recordings.topics.profiles import Candidate
+
+MOST_PAIRS, MOST_SCANS, MOST_GYRO_SAMPLES = 240, 1500, 400_000
+MOST_DETECTIONS = 20_000
+PICTURE_WIDTH_PX = 160
+# Pictures nearer in time hardly differ, farther ones show other things.
+LEAST_PAIR_NS, MOST_PAIR_NS = 45_000_000, 350_000_000
+GYRO_STEP_S, GYRO_GAP_S, MOST_GYRO_STEPS = 0.05, 0.1, 4000
+FEWEST_STEPS = 40
+NEAREST_M = 0.1
+LAST_RATE_RAD_S = 100.0
+NO_MOUNT = SE3(np.array([1.0, 0, 0, 0, 0, 0, 0]))
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class RobotMotion:
+    """How the robot moved, on the clock of the run, and where its sensors sit."""
+
+    track: Trajectory
+    calibration: Calibration
+    max_gap_ns: int
+
+    def of(self, ego_from_sensor: SE3) -> SensorMotion | None:
+        return sensor_motion(self.track, ego_from_sensor, self.max_gap_ns)
+
+    def seconds(self, stamps_ns: NDArray[np.int64]) -> Array:
+        return np.asarray((stamps_ns - self.track.stamps_ns[0]).astype(np.float64) * 1e-9)
+
+
+def camera_turns(bag: Bag, topic: Candidate, robot: RobotMotion) -> TurnEvidence | None:
+    """None where too few pictures follow each other, or show anything. Raises what `Bag.messages` raises."""
+    motion, found = robot.of(NO_MOUNT), list(_shifts(bag, topic))
+    if motion is None or len(found) < FEWEST_STEPS:
+        return None
+    begin, end = (robot.seconds(np.array(column, np.int64)) for column in list(zip(*found, strict=True))[:2])
+    return TurnEvidence(motion, begin, end, np.array([shift for _, _, shift in found]), has_way=True)
+
+
+def radar_speeds(bag: Bag, topic: Candidate, robot: RobotMotion) -> DopplerEvidence | None:
+    """None for a radar that the calibration does not place, or that sees nothing. Raises what decoding raises."""
+    rows = _spread(topic.count, MOST_SCANS)
+    recorded = next(one for one in bag.topics if one.name == topic.name)
+    seen = decode_radar(topic.type, (bag.message(topic.name, row) for row in rows.tolist()), recorded.schema)
+    mount = mount_of(topic.name, frame_id_of(bag, recorded), "radar", robot.calibration)
+    motion = robot.of(robot.calibration.ego_from_lidar @ mount.lidar_from_sensor) if mount is not None else None
+    points, rates = seen.points_radar, seen.range_rate_m_s.astype(np.float64)
+    distance_m = np.linalg.norm(points, axis=1)
+    usable = np.flatnonzero(seen.is_valid & np.isfinite(distance_m + rates) & (distance_m > NEAREST_M))
+    if motion is None or len(usable) < FEWEST_STEPS:
+        return None
+    usable = usable[_spread(len(usable), MOST_DETECTIONS)]
+    times_s = robot.seconds(np.repeat(seen.stamps_ns, seen.counts)[usable])
+    return DopplerEvidence(motion, times_s, points[usable] / distance_m[usable, None], rates[usable])
+
+
+def gyro_turns(bag: Bag, topic: Candidate, robot: RobotMotion) -> TurnEvidence | None:
+    """Turns over `GYRO_STEP_S`; None for too few. Raises what decoding raises."""
+    samples = decode_imu(bag.messages(topic.name, 0, MOST_GYRO_SAMPLES))
+    is_possible = (np.abs(samples.angular_velocity_rad_s) <= LAST_RATE_RAD_S).all(axis=1)
+    stamps_ns, first = np.unique(samples.stamps_ns[is_possible], return_index=True)
+    motion = robot.of(NO_MOUNT)
+    if motion is None or len(stamps_ns) < FEWEST_STEPS:
+        return None
+    times_s, rates = robot.seconds(stamps_ns), samples.angular_velocity_rad_s[is_possible][first]
+    steps_s = np.diff(times_s)
+    turned = np.concatenate([np.zeros((1, 3)), np.cumsum((rates[1:] + rates[:-1]) / 2 * steps_s[:, None], axis=0)])
+    edges = np.arange(times_s[0], times_s[-1], GYRO_STEP_S)
+    angles = np.stack([np.interp(edges, times_s, axis) for axis in turned.T], axis=1)
+    gaps = times_s[1:][steps_s > GYRO_GAP_S]
+    is_whole = np.searchsorted(gaps, edges[1:], side="left") == np.searchsorted(gaps, edges[:-1], side="right")
+    kept = np.flatnonzero(is_whole)
+    kept = kept[_spread(len(kept), MOST_GYRO_STEPS)]
+    if len(kept) < FEWEST_STEPS:
+        return None
+    return TurnEvidence(motion, edges[kept], edges[kept + 1], np.diff(angles, axis=0)[kept], has_way=False)
+
+
+def stamps_of(bag: Bag, topic: Candidate) -> NDArray[np.int64]:
+    """Header stamps in ascending order, of the messages that have one. Raises what `Bag.heads` raises."""
+    found = []
+    for _name, _index, payload in bag.heads([topic.name]):
+        try:
+            found.append(stamp_of(payload, topic.type))
+        except StoneError:
+            continue
+    return np.unique(np.array(found, np.int64))
+
+
+def _shifts(bag: Bag, topic: Candidate) -> Iterator[tuple[int, int, Array]]:
+    """Times of two pictures after each other, and how the second moved; pairs from all over the recording."""
+    stamps_ns = bag.log_times_ns(topic.name)
+    following = np.searchsorted(stamps_ns, stamps_ns + LEAST_PAIR_NS)
+    firsts = np.flatnonzero(following < len(stamps_ns))
+    last: tuple[int, int, Picture] | None = None
+    for first in firsts[_spread(len(firsts), MOST_PAIRS)].tolist():
+        one = last if last is not None and last[0] == first else _picture(bag, topic, first)
+        last = two = _picture(bag, topic, int(following[first]))
+        if one is None or two is None or not 0 < two[1] - one[1] <= MOST_PAIR_NS:
+            continue
+        shift = picture_shift(one[2], two[2])
+        if shift is not None:
+            yield one[1], two[1], shift
+
+
+def _picture(bag: Bag, topic: Candidate, index: int) -> tuple[int, int, Picture] | None:
+    """Index, stamp and brightness; None for a picture that cannot be read."""
+    payload = bag.message(topic.name, index).payload
+    try:
+        pixels = picture_of(topic.type, payload, PICTURE_WIDTH_PX)
+        return index, stamp_of(payload, topic.type), brightness_of(pixels)
+    except StoneError:
+        return None
+
+
+def _spread(count: int, most: int) -> NDArray[np.int64]:
+    """At most so many of `count`, evenly."""
+    return (
+        np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64)) if count else np.zeros(0, int)
+    )
