@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from services.domain.sequences.run_files import SEQUENCE_FILE, SWEEPS_FILE
-from services.ingest.joining.joining import JoinRequest, join_recordings, write_joined
+from services.ingest.joining.joining import join_recordings
+from services.ingest.joining.request import JoinRequest
 from services.ingest.pipeline import SynchroniseOptions
 from services.ingest.sequence import sequence_in
 from services.runtime.sandbox import ProgressCallback, SandboxCrashedError
@@ -24,6 +25,7 @@ from stone.findings import Finding
 from stone_files.bag_files import whole_sha256
 from stone_files.joined_file import JOINED, JoinedFileError, read_joined
 from stone_recordings.bags.bag import open_bag
+from stone_recordings.joining.joined_recording import write_joined
 from stone_recordings.report.overlay import overlays_of
 from stone_recordings.sync.sequence_file import sequence_bytes
 from stone_recordings.sync.stored_recording import StoredRecording
@@ -78,7 +80,7 @@ def synchronised(asked: SynchronisationRequest, apart: JobSandbox) -> Synchronis
     `JobCancelledError`."""
     answer = apart.run(partial(_synchronise, asked), SYNCHRONISED, 2)
     made = _believed(unpacked(answer), apart.folder)
-    return _with_description(made, apart.folder / JOINT, asked.bags) if len(asked.bags.paths) > 1 else made
+    return with_description(made, apart.folder / JOINT, asked.bags) if len(asked.bags.paths) > 1 else made
 
 
 def _synchronise(asked: SynchronisationRequest, folder: Path, progress: ProgressCallback) -> bytes:
@@ -113,7 +115,7 @@ def _one_bag(asked: SynchronisationRequest, folder: Path) -> tuple[Path, str]:
     return joint, whole_sha256([*parts, (JOINED, sha256((joint / JOINED).read_bytes()).hexdigest())])
 
 
-def _with_description(made: SynchronisationResult, joint: Path, bags: StoredBags) -> SynchronisationResult:
+def with_description(made: SynchronisationResult, joint: Path, bags: StoredBags) -> SynchronisationResult:
     """With `joined.json`, and in the result the offset of each clock. Raises `SandboxCrashedError` where it lies."""
     path = joint / JOINED
     if not path.is_file() or path.is_symlink() or joint.is_symlink():
