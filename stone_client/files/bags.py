@@ -7,13 +7,13 @@ says (`stone_files/bag_files.py`).
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from stone_client.files.tus import LocalFile, hashed
 from stone_client.progress import Report
-from stone_files.bag_files import BadBagFilesError, check_bag_files, whole_sha256
+from stone_files.bag_files import LEFT_BESIDE, METADATA, BadBagFilesError, check_bag_files, whole_sha256
 from stone_files.bag_fingerprint import bag_parts
 
 NUMBERED = re.compile(r"(?P<stem>.+)_\d+\.(?P<kind>mcap|db3|bag)(\.active|\.zstd)?", re.IGNORECASE)
@@ -65,24 +65,30 @@ def bags_among(paths: Sequence[Path]) -> tuple[BagPaths, ...]:
 
     Raises `BadBagFilesError` where two of them have one name, by which nobody could tell them apart.
     """
+    beside = {path.with_name(path.name + suffix) for path in paths for suffix in LEFT_BESIDE}
+    described = {path.resolve().parent for path in paths if path.name == METADATA}
     grouped: dict[tuple[Path, str], list[Path]] = {}
     for path in dict.fromkeys(paths):
-        found = None if path.is_dir() else NUMBERED.fullmatch(path.name)
-        key = (path.resolve().parent, f"{found['stem']} {found['kind'].lower()}" if found else path.resolve().name)
-        grouped.setdefault(key, []).append(path)
-    bags = tuple(BagPaths(_name_of(parts), tuple(parts)) for parts in grouped.values())
+        if path not in beside:  # else it is sent with the file that it was left beside
+            grouped.setdefault(_bag_of(path, described), []).append(path)
+    bags = tuple(
+        BagPaths(name if len(parts) > 1 else parts[0].resolve().name, tuple(parts))
+        for (_, name), parts in grouped.items()
+    )
     names = [bag.name.casefold() for bag in bags]
     for bag in bags:
         if names.count(bag.name.casefold()) > 1:
-            raise BadBagFilesError(
-                f"two of the recordings are called {bag.name}; rename one, they are told apart by name"
-            )
+            problem = "they are told apart by their names: rename one"
+            raise BadBagFilesError(f"two of the recordings are called {bag.name}; {problem}")
     return bags
 
 
-def _name_of(parts: Sequence[Path]) -> str:
-    found = NUMBERED.fullmatch(parts[0].name) if len(parts) > 1 else None
-    return found["stem"] if found else parts[0].resolve().name
+def _bag_of(path: Path, described: Collection[Path]) -> tuple[Path, str]:
+    """The folder and the name of the bag that the file is a part of."""
+    folder, found = path.resolve().parent, NUMBERED.fullmatch(path.name)
+    if folder in described and not path.is_dir():
+        return folder, folder.name
+    return folder, path.resolve().name if found is None or path.is_dir() else found["stem"]
 
 
 def hashed_bag(path: Path, progress: Report) -> LocalBag:

@@ -66,15 +66,21 @@ def names(*paths: Path) -> list[tuple[str, list[str]]]:
 
 def test_files_whose_names_count_on_are_one_bag_and_others_are_their_own(tmp_path: Path) -> None:
     (tmp_path / "split").mkdir()
-    at = [tmp_path / name for name in ("run_0.mcap", "cams.mcap", "run_1.mcap", "run_0.db3", "radar.bag", "split")]
+    at = [tmp_path / name for name in ("run_0.mcap", "cams.mcap", "run_1.mcap", "ins_0.db3", "radar.bag", "split")]
     assert names(*at) == [
         ("run", ["run_0.mcap", "run_1.mcap"]),
         ("cams.mcap", ["cams.mcap"]),
-        ("run_0.db3", ["run_0.db3"]),
+        ("ins_0.db3", ["ins_0.db3"]),
         ("radar.bag", ["radar.bag"]),
         ("split", ["split"]),
     ]
     assert names(at[1], at[1]) == [("cams.mcap", ["cams.mcap"])]
+    assert names(*(tmp_path / name for name in ("a.db3", "a.db3-wal", "b.mcap"))) == [
+        ("a.db3", ["a.db3"]),
+        ("b.mcap", ["b.mcap"]),
+    ]
+    whole = ("metadata.yaml", "x.mcap", "y.mcap")
+    assert names(*(tmp_path / "split" / name for name in whole)) == [("split", list(whole))]
     assert bags_among((at[0], at[2]))[0].called == "run"
     assert bags_among((at[1],))[0].called == "cams"
 
