@@ -54,7 +54,8 @@ def offsets_by_name(recordings: Sequence[Recording], given_ns: Mapping[str, int]
 
 def recording_ids_of(arguments: Mapping[str, Any]) -> tuple[str, ...]:
     """The recordings that a run with these arguments reads; an earlier version named one."""
-    return tuple(arguments.get("recording_ids") or (arguments["recording_id"],))
+    named = arguments.get("recording_ids") or [arguments.get("recording_id")]
+    return tuple(one for one in named if one is not None)
 
 
 def _told_apart(sequence: SequenceRow, recordings: Sequence[Recording]) -> tuple[Recording, ...]:

@@ -121,8 +121,16 @@ def _last_run(session: Session, sequence_id: str) -> Job | None:
 
 
 def _unused(session: Session, sequence_id: str, run: Job | None) -> tuple[str, ...]:
-    """Names of the registered recordings that the run had not; none of a run whose owner named those that are meant."""
-    if run is None or run.kind != PROCESS or run.arguments.get("names_recordings"):
+    """Names of the registered recordings that the run had not.
+
+    None of a run whose owner named those that are meant, and of labels that were made of no recording.
+    """
+    if (
+        run is None
+        or run.kind != PROCESS
+        or run.arguments.get("names_recordings")
+        or not recording_ids_of(run.arguments)
+    ):
         return ()
     used = _contents(session, run.arguments)
     of_sequence = select(Recording.filename, Recording.sha256).where(Recording.sequence_id == sequence_id)
