@@ -6,7 +6,7 @@
 likelihood of residuals of unknown scale, then found by Gauss and Newton, each residual that is far off weighted down.
 The standard error is measured: by what the blocks of `BLOCK_S` say apart from each other (so errors that last are not
 counted as many), not by the size of the residuals. What could be at two times is not told.
-Sources: Huber 1981; Liang and Zeger 1986 (errors by clusters).
+Sources: Huber 1981; Liang and Zeger 1986 (errors by clusters); Vuong 1989 (which of two models is likelier).
 """
 
 from collections.abc import Sequence
@@ -23,11 +23,11 @@ ROUNDS, SETTLED_S = 12, 1e-6
 # Beyond so many scales a residual is somebody else's motion.
 FAR_SCALES = 3.0
 HUBER_SCALES = 1.345
-LEAST_KNOWN_RATIO = 0.5
+# Of what is predicted at the offset at which most is.
+LEAST_KNOWN_RATIO = 0.75
 BLOCK_S, FEWEST_BLOCKS = 0.5, 8
-# By so much (twice the logarithm of a likelihood) the best offset is better than any that is `APART_S` away; of
-# thousands without any signal the best stands out by 20.
-LEAST_MARGIN, APART_S = 40.0, 0.3
+# So many standard errors the best offset is better than the best that is `APART_S` away.
+LEAST_LEAD, APART_S = 4.0, 0.3
 
 Array = NDArray[np.float64]
 
@@ -62,39 +62,67 @@ class LagEvidence(Protocol):
 
 @dataclass(frozen=True)
 class LagFit:
-    """`margin` is how much better the offset is than any that is `APART_S` away, as twice a log-likelihood."""
+    """`lead` is by how many of its standard errors the offset explains more than any that is `APART_S` away."""
 
     offset_s: float
     sigma_s: float
-    margin: float
+    lead: float
 
 
 def fitted_lag(evidence: Sequence[LagEvidence], span_s: tuple[float, float]) -> LagFit | None:
     """Searched between two offsets. None where nothing stands out, or what does is at an end of the search."""
     searched = np.arange(span_s[0], span_s[1] + COARSE_STEP_S / 2, COARSE_STEP_S)
-    costs = np.array([_cost(evidence, offset_s) for offset_s in searched.tolist()])
-    if not np.isfinite(costs).any():
-        return None
+    found = [_cost(evidence, offset_s) for offset_s in searched.tolist()]
+    costs, known = (np.array(column) for column in zip(*found, strict=True))
+    costs[known < max(1.0, LEAST_KNOWN_RATIO * known.max())] = np.inf
     best = int(np.argmin(costs))
     if best in (0, len(searched) - 1) or not np.isfinite(costs[best - 1 : best + 2]).all():
         return None
-    apart = costs[np.isfinite(costs) & (np.abs(searched - searched[best]) > APART_S)]
-    margin = float(apart.min() - costs[best]) if len(apart) else 0.0
+    others = np.where(np.abs(searched - searched[best]) > APART_S, costs, np.inf)
+    lead = _lead(evidence, float(searched[best]), float(searched[np.argmin(others)]))
     refined = _refined(evidence, float(searched[best]))
-    return None if refined is None or margin < LEAST_MARGIN else LagFit(*refined, margin)
+    return None if refined is None or lead < LEAST_LEAD else LagFit(*refined, lead)
 
 
-def _cost(evidence: Sequence[LagEvidence], offset_s: float) -> float:
-    """−2 log likelihood, the scale of each sensor's residuals at its best; infinite where too little is predicted."""
-    total = 0.0
+def _cost(evidence: Sequence[LagEvidence], offset_s: float) -> tuple[float, int]:
+    """−2 log likelihood, the scale of each sensor's residuals at its best, and of how many rows it is known."""
+    total, known_rows = 0.0, 0
     for sensor in evidence:
         values = sensor.values(offset_s)
         known = values[np.isfinite(values).all(axis=1)]
-        if len(known) < max(1.0, LEAST_KNOWN_RATIO * len(values)):
-            return float("inf")
-        near = np.minimum(np.abs(known), FAR_SCALES * _scales(known))
-        total += len(values) * float(np.log(np.mean(near**2, axis=0) + 1e-30).sum())
-    return total
+        known_rows += len(known)
+        if len(known):
+            total += len(values) * float(_costs(known).mean())
+    return total, known_rows
+
+
+def _lead(evidence: Sequence[LagEvidence], best_s: float, other_s: float) -> float:
+    """How much likelier what was measured is at the one than at the other, in standard errors of that by blocks."""
+    times, gains = list[Array](), list[Array]()
+    for sensor in evidence:
+        one, two = sensor.residuals(best_s), sensor.values(other_s)
+        is_known = one.is_known & np.isfinite(two).all(axis=1)
+        if is_known.any():
+            times.append(one.times_s[is_known])
+            gains.append(_costs(two[is_known]) - _costs(one.values[is_known]))
+    if not times:
+        return 0.0
+    blocks = _by_block(np.concatenate(times), np.concatenate(gains))
+    scatter = float(blocks.std(ddof=1)) if len(blocks) >= FEWEST_BLOCKS else 0.0
+    return float(blocks.sum() / (scatter * np.sqrt(len(blocks)))) if scatter > 0 else 0.0
+
+
+def _costs(values: Array) -> Array:
+    """Of each row (N,), the scale of each column at its best."""
+    near = np.minimum(np.abs(values), FAR_SCALES * _scales(values)) ** 2
+    mean = near.mean(axis=0) + 1e-30
+    return np.asarray((near / mean + np.log(mean)).sum(axis=1))
+
+
+def _by_block(times_s: Array, values: Array) -> Array:
+    """Sums over the blocks of time that have any."""
+    numbers = np.unique(np.floor(times_s / BLOCK_S), return_inverse=True)[1]
+    return np.asarray(np.bincount(numbers, values), np.float64)
 
 
 def _scales(values: Array) -> Array:
@@ -106,21 +134,22 @@ def _refined(evidence: Sequence[LagEvidence], offset_s: float) -> tuple[float, f
     """(offset, standard error); None where nothing changes with the offset, or too few blocks say so."""
     start_s = offset_s
     for _ in range(ROUNDS):
-        scores, energy, _blocks = _normal(evidence, offset_s)
+        scores, energy = _normal(evidence, offset_s)
         if energy <= 0:
             return None
         change_s = float(np.clip(-scores.sum() / energy, -COARSE_STEP_S, COARSE_STEP_S))
         offset_s += change_s
         if abs(change_s) < SETTLED_S:
             break
-    scores, energy, blocks = _normal(evidence, offset_s)
+    scores, energy = _normal(evidence, offset_s)
+    blocks = len(scores)
     if blocks < FEWEST_BLOCKS or energy <= 0 or abs(offset_s - start_s) > 2 * COARSE_STEP_S:
         return None
     return offset_s, float(np.sqrt(np.sum(scores**2) * blocks / (blocks - 1))) / energy
 
 
-def _normal(evidence: Sequence[LagEvidence], offset_s: float) -> tuple[Array, float, int]:
-    """What each block of time asks to change, how much all know of the offset, and how many blocks there are."""
+def _normal(evidence: Sequence[LagEvidence], offset_s: float) -> tuple[Array, float]:
+    """What each block of time asks to change, and how much all know of the offset."""
     parts, energy = list[tuple[Array, Array]](), 0.0
     for sensor in evidence:
         found = sensor.residuals(offset_s)
@@ -132,5 +161,4 @@ def _normal(evidence: Sequence[LagEvidence], offset_s: float) -> tuple[Array, fl
         energy += float(np.sum(weights * slopes**2))
         parts.append((found.times_s[known], (weights * slopes * values).sum(axis=1)))
     times_s, scores = (np.concatenate(column) for column in zip(*parts, strict=True))
-    numbers = np.unique(np.floor(times_s / BLOCK_S), return_inverse=True)[1]
-    return np.bincount(numbers, scores).astype(np.float64), energy, int(numbers.max(initial=-1)) + 1
+    return _by_block(times_s, scores), energy

@@ -3,7 +3,7 @@
     second(x + shift + roll × x) ≈ first(x)
 
 **Conventions.** Pictures are brightness (H, W), float; x is from the middle, right and down. Whole pixels are found by
-phase correlation, the rest by Gauss and Newton on brightness, each pixel weighted by one over its difference, so that
+correlation, the rest by Gauss and Newton on brightness, each pixel weighted by one over its difference, so that
 what moves by itself counts little. Sources: Kuglin and Hines, 1975; Lucas and Kanade, 1981.
 """
 
@@ -65,16 +65,33 @@ def _step(slopes: Array, apart: Array) -> Array | None:
     return np.asarray(np.linalg.solve(normal, weighted.T @ apart))
 
 
-def _whole_pixels(first: Picture, second: Picture) -> tuple[float, float]:
-    """Right and down, by the peak of the phase correlation."""
+def _whole_pixels(first: Picture, second: Picture) -> tuple[int, int]:
+    """Right and down: of none, and of the peaks of the correlation and of that of the phases, what fits best.
+
+    What moves by itself can have the sharper peak, but covers less.
+    """
     height, width = first.shape
     window = np.outer(np.hanning(height), np.hanning(width))
     one, two = (np.fft.rfft2((picture - picture.mean()) * window) for picture in (first, second))
     cross = one.conj() * two
     size = np.abs(cross)
-    found = np.fft.irfft2(cross / (size + 1e-3 * size.mean()), s=first.shape)
-    down, right = (int(at) for at in np.unravel_index(np.argmax(found), found.shape))
-    return float(_wrapped(right, width)), float(_wrapped(down, height))
+    peaks = [(0, 0)]
+    for spectrum in (cross, cross / (size + 1e-3 * size.mean())):
+        found = np.fft.irfft2(spectrum, s=first.shape)
+        down, right = (int(at) for at in np.unravel_index(np.argmax(found), found.shape))
+        peaks.append((_wrapped(right, width), _wrapped(down, height)))
+    return min(peaks, key=lambda shift: _apart(first, second, shift))
+
+
+def _apart(first: Picture, second: Picture, shift: tuple[int, int]) -> float:
+    """The median difference where both pictures show the same; infinite where they hardly do."""
+    right, down = shift
+    height, width = first.shape
+    if abs(right) > width * (1 - LEAST_KNOWN_RATIO) or abs(down) > height * (1 - LEAST_KNOWN_RATIO):
+        return float("inf")
+    one = first[max(0, -down) : height - max(0, down), max(0, -right) : width - max(0, right)]
+    two = second[max(0, down) : height - max(0, -down), max(0, right) : width - max(0, -right)]
+    return float(np.median(np.abs(one - two)))
 
 
 def _wrapped(at: int, size: int) -> int:

@@ -37,6 +37,7 @@ def split_into(source: Path, folder: Path, parts: Sequence[RecordingPart]) -> tu
 
 def _written(source: Path, folder: Path, part: RecordingPart) -> Path:
     target = folder / part.name
+    target.unlink(missing_ok=True)
     written = target if target.suffix == ".mcap" else target.with_suffix(".tmp")
     with source.open("rb") as reading, written.open("wb") as writing:
         writer = Writer(writing, compression=CompressionType.LZ4)

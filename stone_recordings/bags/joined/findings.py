@@ -31,5 +31,8 @@ def _offset_finding(member: JoinedMember, reference: str) -> Finding:
     if member.known_by == (SAME_TOPICS,):
         sentence = f"it holds topics of {reference}, whose stamps go on: a run that the recorder cut; nothing is moved"
         return Finding("SYN-520", "info", member.name, sentence)
+    if not member.offset_ns:
+        sentence = f"it is on the clock of {reference}, by {' and '.join(member.known_by)}; nothing is moved"
+        return Finding("SYN-520", "info", member.name, sentence)
     error = "" if member.sigma_ns is None else f" ± {member.sigma_ns / 1e6:.2f} ms (standard error)"
     return Finding("SYN-520", "info", member.name, f"{moved}{error}, measured by {' and '.join(member.known_by)}")
