@@ -4,7 +4,7 @@
 administrator can look up.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -135,6 +135,15 @@ class UnknownSubjectError(StoneError):
 
     def __init__(self, subject: str) -> None:
         super().__init__(f"no sequence and no job of yours is called {subject!r}; `stone status` lists your sequences")
+
+
+class NoSuchRecordingError(StoneError):
+    """The sequence has no recording of that name or id."""
+
+    code: ClassVar[str] = "not_found"
+
+    def __init__(self, subject: str, known: Sequence[str]) -> None:
+        super().__init__(f"the sequence has no recording {subject!r}; it has {', '.join(known) or 'none'}")
 
 
 class NoLabelsError(StoneError):

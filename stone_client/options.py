@@ -16,6 +16,15 @@ BagArgument = Annotated[
         help="The recording: an .mcap, .db3 or ROS 1 .bag file, or a folder of a split one.",
     ),
 ]
+RunArgument = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="BAG...",
+        exists=True,
+        readable=True,
+        help="The recording: an .mcap, .db3 or ROS 1 .bag file, or a folder of a split one; several of one run.",
+    ),
+]
 SubmissionArgument = Annotated[
     Path, typer.Argument(metavar="SUB.zip", exists=True, dir_okay=False, help="The zip of <frame_token>.npz to judge.")
 ]

@@ -3,40 +3,17 @@
 **Conventions.** One recording is itself. Several are joined into a folder of links that lasts as long as the command.
 """
 
-import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from decimal import Decimal
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
+from stone_client.clock_offsets import chosen_clock_offsets
 
 if TYPE_CHECKING:
     from services.ingest.pipeline import SynchroniseOptions
     from stone_recordings.joining.joined_recording import JoinedRecording
-
-MOST_S = 10**10
-CHOICE = re.compile(r"(?P<name>.+)=(?P<seconds>[+-]?\d{1,11}(\.\d{1,9})?)s?")
-
-RunArgument = Annotated[
-    list[Path],
-    typer.Argument(
-        metavar="BAG...",
-        exists=True,
-        readable=True,
-        help="The recording: an .mcap, .db3 or ROS 1 .bag file, or a folder of a split one; several of one run.",
-    ),
-]
-ClockOffsetOption = Annotated[
-    list[str],
-    typer.Option(
-        "--clock-offset",
-        metavar="FILE=SECONDS",
-        help="Of several recordings, add to the times of this one instead of what is measured; repeatable.",
-    ),
-]
 
 
 @dataclass(frozen=True)
@@ -80,16 +57,3 @@ def run_of(recordings: RunRecordings) -> Iterator[OpenRun]:
         yield OpenRun(folder, joined.name, joined)
     finally:
         private.close()
-
-
-def chosen_clock_offsets(choices: Sequence[str]) -> dict[str, int]:
-    """Nanoseconds by name of file. Raises `typer.BadParameter`."""
-    chosen: dict[str, int] = {}
-    for choice in choices:
-        found = CHOICE.fullmatch(choice)
-        if found is None or abs(Decimal(found["seconds"])) > MOST_S:
-            raise typer.BadParameter(
-                f"{choice[:80]!r} is no offset of a recording; write cameras.mcap=-0.080 (seconds)"
-            )
-        chosen[Path(found["name"]).name] = int(Decimal(found["seconds"]) * 10**9)
-    return chosen

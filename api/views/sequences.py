@@ -17,12 +17,14 @@ from api.schemas.sequences.sequences import (
     ClassVoxels,
     JobGlance,
     LabelGlance,
+    LaterRecordingsItem,
     SequenceDetail,
     SequenceItem,
 )
 from api.views.preview_files import previews_of_sequence
 from api.visible import labels_of
 from services.domain.exports.requests import EXPORT
+from services.domain.sequences.later_recordings import later_recordings
 from services.runtime.orm import Artefact, Job, LabelSet, Recording, SequenceRow, SplitMember
 
 UNLISTED = ("labels/", "scene/")
@@ -78,8 +80,12 @@ def sequence_detail(session: Session, sequence: SequenceRow, caller: Caller = VI
     """A sequence with the files of the labels that count."""
     item = sequence_items(session, [sequence], caller)[0]
     artefacts = _artefacts(session, item.labels.id) if item.labels else []
-    previews = previews_of_sequence(session, sequence, labels_of(session, sequence.id))
-    return SequenceDetail(**dict(item), artefacts=artefacts, previews=previews)
+    labels = labels_of(session, sequence.id)
+    previews = previews_of_sequence(session, sequence, labels)
+    is_own = caller.is_administrator or sequence.owner_id == caller.user_id
+    later = later_recordings(session, sequence, labels) if is_own and labels else None
+    shown = LaterRecordingsItem(names=list(later.names), why_not=later.why_not) if later else None
+    return SequenceDetail(**dict(item), artefacts=artefacts, previews=previews, later_recordings=shown)
 
 
 def _item(row: SequenceRow, known: _SequenceExtras) -> SequenceItem:

@@ -1,24 +1,31 @@
-"""Synchronisation in a sandboxed process: a recording and its calibration become a sequence.
+"""Synchronisation in a sandboxed process: recordings and their calibration become a sequence.
 
-**Conventions.** The child writes `sequence` and `sweeps` into its folder, which may be large, and answers with the
-pictures and what is said of the run. The parent moves the files and never opens them: the labeler's reader does, which
-unpickles nothing.
+**Conventions.** The child joins recordings where they are several, and writes `joined.json`, which says how. It writes
+`sequence` and `sweeps` into its folder, which may be large, and answers with the pictures and what is said of the run.
+The parent moves the files and never opens them, but for `joined.json`, which it checks: the labeler's reader does,
+which unpickles nothing.
 """
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 from services.domain.sequences.run_files import SEQUENCE_FILE, SWEEPS_FILE
+from services.ingest.joining.joining import join_recordings
+from services.ingest.joining.request import JoinRequest
 from services.ingest.pipeline import SynchroniseOptions
 from services.ingest.sequence import sequence_in
 from services.runtime.sandbox import ProgressCallback, SandboxCrashedError
 from services.runtime.sandbox.job_sandbox import JobSandbox
 from services.runtime.sandbox.result_files import File, SandboxResult, packed, unpacked
 from stone.findings import Finding
+from stone_files.bag_files import whole_sha256
+from stone_files.joined_file import JOINED, JoinedFileError, read_joined
 from stone_recordings.bags.bag import open_bag
+from stone_recordings.joining.joined_recording import write_joined
 from stone_recordings.report.overlay import overlays_of
 from stone_recordings.sync.sequence_file import sequence_bytes
 from stone_recordings.sync.stored_recording import StoredRecording
@@ -26,17 +33,35 @@ from stone_recordings.sync.sweep_file import sweeps_bytes
 from stone_recordings.sync.validity import validity_findings
 
 SYNCHRONISED = "synchronise"
+JOINT = "joint"  # the folder of the joined recording
 MOST_FINDINGS = 100
 
 
 @dataclass(frozen=True)
-class SynchronisationRequest:
-    """What is to be made of what: the bag and the calibration on this machine, and what rows say of them."""
+class StoredBags:
+    """The recordings of a run: on this machine and in the store, in one order.
 
-    path: Path
+    `sha256s` are known of each by its name; `offsets_ns` are of clocks that its owner knows.
+    """
+
+    paths: tuple[Path, ...]
+    kept: tuple[StoredRecording, ...]
+    sha256s: Mapping[str, str]
+    offsets_ns: Mapping[str, int]
+
+    @property
+    def files(self) -> StoredRecording:
+        """All of their files, as one recording."""
+        return StoredRecording(self.kept[0].name, tuple(file for one in self.kept for file in one.files))
+
+
+@dataclass(frozen=True)
+class SynchronisationRequest:
+    """What is to be made of what: the bags, the calibration on this machine, and what its row says of it."""
+
+    bags: StoredBags
     calibration: Path
     name: str
-    kept: StoredRecording
     valid_ns: tuple[int | None, int | None]
     options: SynchroniseOptions
 
@@ -51,20 +76,23 @@ class SynchronisationResult:
 
 
 def synchronised(asked: SynchronisationRequest, apart: JobSandbox) -> SynchronisationResult:
-    """Raises what `open_sequence` raises, `SandboxCrashedError`, `ConfinedInterruptedError`, `JobCancelledError`."""
+    """Raises what `join_recordings` and `open_sequence` raise, `SandboxCrashedError`, `ConfinedInterruptedError`,
+    `JobCancelledError`."""
     answer = apart.run(partial(_synchronise, asked), SYNCHRONISED, 2)
-    return _believed(unpacked(answer), apart.folder)
+    made = _believed(unpacked(answer), apart.folder)
+    return with_description(made, apart.folder / JOINT, asked.bags) if len(asked.bags.paths) > 1 else made
 
 
 def _synchronise(asked: SynchronisationRequest, folder: Path, progress: ProgressCallback) -> bytes:
     """The child's part."""
-    options = replace(asked.options, progress=progress)
-    with open_bag(asked.path) as bag:
+    path, sha256 = _one_bag(asked, folder)
+    options = replace(asked.options, progress=progress, recording_sha256=sha256)
+    with open_bag(path) as bag:
         sequence, sweeps = sequence_in(bag, asked.calibration, asked.name, options)
         overlays = list(overlays_of(bag, sequence, sweeps))
     sequence = replace(sequence, findings=(*sequence.findings, *validity_findings(sequence, *asked.valid_ns)))
     (folder / SEQUENCE_FILE).write_bytes(sequence_bytes(sequence))
-    (folder / SWEEPS_FILE).write_bytes(sweeps_bytes(sweeps, asked.kept))
+    (folder / SWEEPS_FILE).write_bytes(sweeps_bytes(sweeps, asked.bags.files))
     result = {
         "frames": len(sequence.frames),
         "excluded": len(sequence.excluded),
@@ -72,6 +100,37 @@ def _synchronise(asked: SynchronisationRequest, folder: Path, progress: Progress
         "findings": _findings(sequence.findings),
     }
     return packed(result, overlays)
+
+
+def _one_bag(asked: SynchronisationRequest, folder: Path) -> tuple[Path, str]:
+    """The recording with its hash; of several, the folder in which they are joined."""
+    bags = asked.bags
+    if len(bags.paths) == 1:
+        return bags.paths[0], bags.sha256s[bags.kept[0].name]
+    joint = folder / JOINT
+    joined = join_recordings(JoinRequest(bags.paths, asked.calibration, bags.offsets_ns, asked.options))
+    joint.mkdir()
+    write_joined(joined, joint, bags.sha256s)
+    parts = [(member.name, member.sha256) for member in read_joined(joint)]
+    return joint, whole_sha256([*parts, (JOINED, sha256((joint / JOINED).read_bytes()).hexdigest())])
+
+
+def with_description(made: SynchronisationResult, joint: Path, bags: StoredBags) -> SynchronisationResult:
+    """With `joined.json`, and in the result the offset of each clock. Raises `SandboxCrashedError` where it lies."""
+    path = joint / JOINED
+    if not path.is_file() or path.is_symlink() or joint.is_symlink():
+        raise SandboxCrashedError("left no description of how the recordings are joined")
+    try:
+        members = read_joined(joint)
+    except JoinedFileError as error:
+        raise SandboxCrashedError(f"described the joined recordings otherwise than is known: {error}") from None
+    if {member.name: member.sha256 for member in members} != dict(bags.sha256s):
+        raise SandboxCrashedError("joined other recordings than it was given")
+    clocks = [
+        {"recording": one.name, "offset_ns": one.offset_ns, "sigma_ns": one.sigma_ns, "known_by": list(one.known_by)}
+        for one in members
+    ]
+    return replace(made, result={**made.result, "clocks": clocks}, files={**made.files, JOINED: path})
 
 
 def _believed(parcel: SandboxResult, folder: Path) -> SynchronisationResult:

@@ -5,26 +5,27 @@ keeps the tar of a published dataset.
 anywhere, and leaves the same bytes. Files for the labeler lie in the workspace of the run.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from sqlalchemy.orm import Session
 
 from services.domain.imports.requests import KEEP_DATASET
+from services.domain.sequences.chosen_recordings import recording_ids_of
 from services.domain.sequences.previews import PreparedPreview, PreviewSubject, prepared_previews, replace_previews
 from services.domain.sequences.processing import LABEL, REGISTER, SYNCHRONISE
 from services.domain.sequences.recording_sources import kept_recording, locate, locate_file
 from services.domain.sequences.restart import arguments_of_run
-from services.domain.sequences.run_files import SEQUENCE_FILE, SWEEPS_FILE
 from services.domain.sequences.stage_checks import require_sequence
 from services.domain.sequences.unusable_labels import tell_unusable
 from services.ingest.dataset_keeping import keep_dataset
 from services.ingest.kernel_warmup import warm
 from services.ingest.pipeline import SynchroniseOptions
 from services.ingest.registration import register
-from services.ingest.sandboxed_synchronisation import SYNCHRONISED, SynchronisationRequest, synchronised
+from services.ingest.sandboxed_synchronisation import SYNCHRONISED, StoredBags, SynchronisationRequest, synchronised
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.specs import Attempt, Handlers, JobSpec, Outcome
 from services.runtime.orm import Blob, CalibrationRow, Recording
@@ -39,11 +40,11 @@ from stone_recordings.sync.stored_recording import StoredRecording, StoredRecord
 
 @dataclass(frozen=True)
 class _Inputs:
-    """What rows say of the inputs of a sequence."""
+    """What rows say of the inputs of a sequence; `sha256s` of its recordings by name."""
 
     name: str
-    recording: StoredRecording
-    recording_sha256: str
+    recordings: tuple[StoredRecording, ...]
+    sha256s: Mapping[str, str]
     calibration: StoredRecordingFile
     valid_ns: tuple[int | None, int | None]
 
@@ -55,7 +56,7 @@ def handlers(platform: Platform) -> Handlers:
 
 
 def synchronise_recording(platform: Platform, attempt: Attempt) -> Outcome:
-    """Leave the sequence and the description of its sweeps in the workspace.
+    """Leave in the workspace the sequence, the description of its sweeps, and how several recordings are joined.
 
     Raises what `synchronised` and `arguments_of_run` raise.
     """
@@ -67,25 +68,31 @@ def synchronise_recording(platform: Platform, attempt: Attempt) -> Outcome:
         lidar_topic=attempt.arguments["lidar_topic"] or None,
         topics=attempt.arguments.get("topics", {}),
         ground=attempt.arguments.get("ground", "given"),
-        recording_sha256=inputs.recording_sha256,
     )
-    path, calibration = locate(platform, inputs.recording), locate_file(platform, inputs.calibration)
-    asked = SynchronisationRequest(path, calibration, inputs.name, inputs.recording, inputs.valid_ns, options)
+    paths, calibration = _located(platform, inputs.recordings), locate_file(platform, inputs.calibration)
+    offsets_ns = attempt.arguments.get("clock_offsets_ns", {})
+    bags = StoredBags(paths, inputs.recordings, inputs.sha256s, offsets_ns)
+    asked = SynchronisationRequest(bags, calibration, inputs.name, inputs.valid_ns, options)
     workspace = Workspace(platform.store, platform.settings, attempt.root_id)
     with private_folder_in(workspace.folder) as folder:
-        reads = (*bag_paths(path), calibration)
+        reads = (*(one for path in paths for one in bag_paths(path)), calibration)
         made = synchronised(asked, JobSandbox(folder, reads, attempt, platform.settings, warm, makes_links=True))
         attempt.progress(SYNCHRONISED, 1, 2)
         overlays = prepared_previews(platform, workspace.folder, made.overlays)
         for name, made_file in made.files.items():
             flush(made_file)
             made_file.replace(workspace.folder / name)
-    workspace.push(SEQUENCE_FILE, SWEEPS_FILE)
+    workspace.push(*made.files)
     attempt.progress(SYNCHRONISED, 2, 2)
     attempt.log("synchronised", frames=made.result["frames"], excluded=made.result["excluded"])
     then = (JobSpec(LABEL),) if "label" in attempt.arguments["stages"] else ()
     shown = PreviewSubject(attempt.sequence_id or "", recipe=attempt.arguments["recipe"])
     return Outcome(made.result, then=then, commit=lambda session: _show(session, shown, overlays, made.result))
+
+
+def _located(platform: Platform, recordings: Sequence[StoredRecording]) -> tuple[Path, ...]:
+    """The bags on this machine."""
+    return tuple(locate(platform, recording) for recording in recordings)
 
 
 def _show(
@@ -99,13 +106,13 @@ def _show(
 def _inputs(platform: Platform, attempt: Attempt) -> _Inputs:
     with platform.database.reading() as session:
         sequence = require_sequence(session, attempt)
-        recording = session.get(Recording, attempt.arguments["recording_id"])
-        if recording is None:
+        recordings = [session.get(Recording, one) for one in recording_ids_of(attempt.arguments)]
+        found = [recording for recording in recordings if recording is not None]
+        if len(found) < len(recordings):
             raise JobCancelledError("its recording was deleted")
-        kept = kept_recording(session, recording)
+        kept = tuple(kept_recording(session, recording) for recording in found)
+        sha256s = {recording.filename: recording.sha256 for recording in found}
         calibration = session.get_one(CalibrationRow, attempt.arguments["calibration_id"])
         rig = session.get_one(Blob, calibration.blob_sha256)
         valid_ns = (calibration.valid_from_ns, calibration.valid_to_ns)
-    return _Inputs(
-        sequence.name, kept, recording.sha256, StoredRecordingFile(rig.object_key, calibration.filename), valid_ns
-    )
+    return _Inputs(sequence.name, kept, sha256s, StoredRecordingFile(rig.object_key, calibration.filename), valid_ns)

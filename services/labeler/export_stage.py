@@ -33,7 +33,7 @@ from services.labeler.exports.sandboxed_export import (
 )
 from services.labeler.exports.source import MESH, REPORT, TABLE
 from services.labeler.kernel_warmup import warm
-from services.labeler.recordings import located_recording
+from services.labeler.recordings import located_members, located_recording
 from services.runtime.jobs.specs import Attempt, Outcome
 from services.runtime.orm import Artefact, Blob, Export, LabelledFrameRow
 from services.runtime.platform import Platform
@@ -44,6 +44,7 @@ from services.runtime.store.pack_reading import archive_sha256, local_reader
 from services.runtime.store.packs import PackedFiles, index_bytes, pack_count, pack_folder, pack_path
 from services.runtime.store.workspace import Workspace
 from stone_files.bag_fingerprint import bag_paths
+from stone_files.joined_file import JOINED
 
 INDEX = "index.npz"
 INPUTS = "inputs"
@@ -76,7 +77,7 @@ def located_inputs(platform: Platform, label_set_id: str, folder: Path, exporter
         keys = {name: key for name, key in session.execute(named.where(Artefact.label_set_id == label_set_id))}
         ranges = _ranges(session, label_set_id) if exporter.reads_labels else ()
     folder.mkdir(parents=True, exist_ok=True)
-    for name in (REPORT, SEQUENCE_FILE, MESH, TABLE):
+    for name in (REPORT, SEQUENCE_FILE, MESH, TABLE, *({JOINED} & set(keys))):
         (folder / name).symlink_to(platform.store.local(keys[name]))
     packs = {key: platform.store.local(key) for key in sorted({at.pack for at in ranges})}
     return ExportInputs(folder, PackedLabels(packs, ranges))
@@ -110,9 +111,10 @@ class ExportedLabels:
 
 
 def with_samples(sandbox: ExportSandbox, inputs: ExportInputs, of: ExportedLabels) -> ExportInputs:
-    """The inputs and what was measured: the source of labels that were imported, else the bag that they were made of.
+    """The inputs and what was measured: the source of labels that were imported, else the bag that they were made of;
+    of several, joined as `joined.json` beside it says.
 
-    Raises `RecordingDeletedError`.
+    Raises `RecordingDeletedError`, `JoinedFileError`.
     """
     platform = sandbox.platform
     with platform.database.reading() as session:
@@ -120,6 +122,8 @@ def with_samples(sandbox: ExportSandbox, inputs: ExportInputs, of: ExportedLabel
     if located is not None:
         index, *packs = (platform.store.local(key) for key in (located.index_key, *located.pack_keys))
         return replace(inputs, source=DatasetSource(index, tuple(packs)))
+    if (inputs.folder / JOINED).exists():
+        return replace(inputs, recording=located_members(platform, of.sequence_id, inputs.folder))
     made_of = SourceAnswer.believed(sandbox.run(partial(source_of, inputs), inputs))
     return replace(inputs, recording=located_recording(platform, of.sequence_id, made_of.sha256s))
 

@@ -7,12 +7,12 @@ and ends cancelled.
 
 from dataclasses import asdict, dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from sqlalchemy.orm import Session
 
 from services.domain.exports.requests import follow_labels
+from services.domain.sequences.chosen_recordings import recording_ids_of
 from services.domain.sequences.run_files import SEQUENCE_FILE
 from services.domain.sequences.stage_checks import require_sequence
 from services.domain.viewer.playback import PLAYBACK
@@ -31,6 +31,7 @@ from services.labeler.stage_context import LabelStageContext
 from services.runtime.jobs.specs import Outcome
 from services.runtime.orm import Job, LabelSet
 from services.runtime.store.blobs import PreparedBlob, link, prepare
+from stone_files.joined_file import JOINED
 
 NEEDED = ("sums", "packs", FAR, MAP, COMPARISON, COVERAGE)
 FILES = FilesAnswer(reads=NEEDED, requires=NEEDED, writes=())
@@ -52,7 +53,7 @@ def publish(context: LabelStageContext) -> Outcome:
     """
     context.pull(FILES)
     told = context.ask(PublicationAnswer, partial(described, context.opening), "publish", context.opening)
-    files, prepared = _files(context.workspace.folder, told), list[tuple[LeftFile, PreparedBlob]]()
+    files, prepared = _files(context, told), list[tuple[LeftFile, PreparedBlob]]()
     for number, file in enumerate(files):
         context.attempt.progress("publish", number, len(files))
         prepared.append((file, prepare(context.platform.store, context.platform.database, file.path, adopt=True)))
@@ -62,11 +63,13 @@ def publish(context: LabelStageContext) -> Outcome:
     return Outcome({"frames": len(told.tokens)}, commit=partial(_write_rows, rows))
 
 
-def _files(folder: Path, told: PublicationAnswer) -> list[LeftFile]:
+def _files(context: LabelStageContext, told: PublicationAnswer) -> list[LeftFile]:
+    folder, is_joined = context.workspace.folder, len(recording_ids_of(context.arguments)) > 1
     return [
         left_file(REPORT, folder / PUBLISHED / REPORT),
         left_file(TABLE, folder / PUBLISHED / TABLE),
         left_file(SEQUENCE_FILE, folder / SEQUENCE_FILE),
+        *([left_file(JOINED, folder / JOINED)] if is_joined else []),
         *files_left(folder / MAP),
         *(pack_left(folder / pack.name, pack) for pack in told.packs),
     ]

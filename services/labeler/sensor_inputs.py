@@ -5,11 +5,12 @@ files → packs in the store.
 not opened cannot get into what participants are given. Log lines and results say no more than names, files and bytes.
 """
 
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
 from services.domain.benchmarks.phases.inputs import phase_of_attempt, write_input
-from services.domain.datasets.input_jobs import InputResult, sequence_key
+from services.domain.datasets.input_jobs import InputResult, joined_key, sequence_key
 from services.domain.datasets.inputs import version_of_attempt, write_version_input
 from services.domain.sequences.run_files import SEQUENCE_FILE
 from services.labeler.export_stage import (
@@ -25,6 +26,7 @@ from services.labeler.exports.sandboxed_export import FILES, ExportInputs, Packe
 from services.runtime.jobs.specs import Attempt, Outcome
 from services.runtime.platform import Platform
 from services.runtime.store.pack_reading import archive_sha256, local_reader
+from stone_files.joined_file import JOINED
 
 
 def make_input(platform: Platform, attempt: Attempt) -> Outcome:
@@ -33,23 +35,25 @@ def make_input(platform: Platform, attempt: Attempt) -> Outcome:
     Raises `JobCancelledError` when its phase or version was deleted, `InputsImpossibleError`, `RecordingDeletedError`,
     and what the exporter raises.
     """
-    name, is_of_version = str(attempt.arguments["name"]), "dataset_id" in attempt.arguments
+    is_of_version = "dataset_id" in attempt.arguments
     with platform.database.transaction() as session:
         version_of_attempt(session, attempt) if is_of_version else phase_of_attempt(session, attempt)
-        key = sequence_key(session, attempt)
+        keys = {SEQUENCE_FILE: sequence_key(session, attempt), JOINED: joined_key(session, attempt)}
     with attempt_folder(platform, attempt) as folder:
-        made = _made(platform, attempt, (name, key), folder)
-    attempt.log("made", name=name, files=len(made.files), tar_bytes=made.tar[0])
-    result = {"name": name, "files": len(made.files), "tar_bytes": made.tar[0]}
+        made = _made(platform, attempt, keys, folder)
+    attempt.log("made", name=made.name, files=len(made.files), tar_bytes=made.tar[0])
+    result = {"name": made.name, "files": len(made.files), "tar_bytes": made.tar[0]}
     write = write_version_input if is_of_version else write_input
     return Outcome(result, commit=lambda session: write(session, attempt, made))
 
 
-def _made(platform: Platform, attempt: Attempt, of: tuple[str, str], folder: Path) -> InputResult:
-    """The files of the sequence called so that lies under this key, in the store."""
-    name, key = of
+def _made(platform: Platform, attempt: Attempt, keys: Mapping[str, str | None], folder: Path) -> InputResult:
+    """The files of the sequence, in the store; what it is made of lies under these keys, by name."""
+    name = str(attempt.arguments["name"])
     (folder / INPUTS).mkdir()
-    (folder / INPUTS / SEQUENCE_FILE).symlink_to(platform.store.local(key))
+    for called, key in keys.items():
+        if key is not None:
+            (folder / INPUTS / called).symlink_to(platform.store.local(key))
     sandbox, inputs = ExportSandbox(platform, attempt, folder), ExportInputs(folder / INPUTS, PackedLabels({}, ()))
     labels = ExportedLabels(str(attempt.arguments["label_set_id"]), str(attempt.arguments["sequence_id"]))
     inputs = with_samples(sandbox, inputs, labels)

@@ -3,7 +3,8 @@
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
-from services.domain.sequences.recording_sources import kept_recording, locate
+from services.domain.sequences.chosen_recordings import recording_ids_of
+from services.domain.sequences.recording_sources import kept_recording, locate_run
 from services.domain.sequences.restart import arguments_of_run
 from services.domain.sequences.run_files import SEQUENCE_FILE, SWEEPS_FILE
 from services.domain.sequences.stage_checks import require_sequence
@@ -19,6 +20,7 @@ from services.runtime.sandbox.answers import SandboxAnswer
 from services.runtime.sandbox.job_sandbox import JobSandbox, SandboxedWork, private_folder_in
 from services.runtime.store.workspace import Workspace
 from stone_files.bag_fingerprint import bag_paths
+from stone_files.joined_file import JOINED
 
 A = TypeVar("A", bound=SandboxAnswer)
 
@@ -38,13 +40,13 @@ class LabelStageContext:
         return RunOpening(self.workspace.folder, self.arguments["profile"], self.arguments["parameters"])
 
     def opening_with_sweeps(self) -> RunOpening:
-        """The run and its recording, brought to this machine. Raises `JobCancelledError` where that was deleted."""
+        """The run and its recordings, brought to this machine. Raises `JobCancelledError` where one was deleted."""
         with self.platform.database.reading() as session:
-            recording = session.get(Recording, self.arguments["recording_id"])
-            if recording is None:
-                raise JobCancelledError("its recording was deleted")
-            kept = kept_recording(session, recording)
-        return replace(self.opening, recording=locate(self.platform, kept))
+            recordings = [session.get(Recording, one) for one in recording_ids_of(self.arguments)]
+            kept = [kept_recording(session, recording) for recording in recordings if recording is not None]
+        if len(kept) < len(recordings):
+            raise JobCancelledError("its recording was deleted")
+        return replace(self.opening, recording=locate_run(self.platform, kept, self.workspace.folder))
 
     def ask(self, answer: type[A], work: SandboxedWork, shown: str, opening: RunOpening) -> A:
         """What a sandboxed child answers that may open what `opening` leads to.
@@ -83,6 +85,6 @@ def stage_context_of(platform: Platform, attempt: Attempt) -> LabelStageContext:
         require_sequence(session, attempt)
     arguments = arguments_of_run(platform, attempt)
     workspace = Workspace(platform.store, platform.settings, attempt.root_id)
-    workspace.pull(SEQUENCE_FILE, SWEEPS_FILE)
+    workspace.pull(SEQUENCE_FILE, SWEEPS_FILE, JOINED)
     require_left(workspace.folder, (SWEEPS_FILE, SEQUENCE_FILE))
     return LabelStageContext(platform, attempt, arguments, workspace)

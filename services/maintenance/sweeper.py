@@ -1,7 +1,8 @@
 """The sweeper process: recovers jobs and submissions every second, cleans uploads and blobs every minute.
 
 **Conventions.** Any number of sweepers may run. Jobs are recovered in a thread of their own, which nothing else delays;
-submissions, what is cleaned, notifications and what is told of it have theirs (`chore_loops`). What a chore does in a
+submissions, recordings that are added later, what is cleaned, notifications and what is told of it have theirs
+(`chore_loops`). What a chore does in a
 turn is bounded whatever anybody has sent: what is more is done in the next. SIGTERM ends each thread between two
 chores.
 """
@@ -18,6 +19,7 @@ from types import FrameType
 from services.domain.benchmarks.submissions.chores import DraftWalk, settle_ended, tidy_submissions
 from services.domain.notifications.phase_clock import tell_phases
 from services.domain.notifications.spread import forget_told, queue_due, spread_events, take_back_lost
+from services.domain.sequences.later_recordings import SequenceWalk, follow_recordings
 from services.maintenance.chore_loops import Chore, ChoreLoop, sweep_side_by_side
 from services.maintenance.notifications.delivery import deliver_queued
 from services.runtime.access.audit_retention import cut_audit
@@ -37,6 +39,7 @@ from services.runtime.uploads import expire
 from services.runtime.uploads.sweep_cursor import UploadCursor
 
 MINUTE_S = 60.0
+FOLLOW_S = 5.0
 HEARTBEAT_S = 5.0
 LEDGER_S = 10.0
 SENDERS = ("senderone", "sendertwo")
@@ -47,7 +50,7 @@ def loops_of(platform: Platform) -> tuple[ChoreLoop, ...]:
     """What the sweeper does on this platform."""
     settings = platform.settings
     sweeper = Sweeper(platform, wake_up_counter(settings), wake_up_sender(settings))
-    uploads, turn, drafts = UploadCursor(), GcCursor(), DraftWalk()
+    uploads, turn, drafts, sequences = UploadCursor(), GcCursor(), DraftWalk(), SequenceWalk()
     cleaning = (
         Chore("submitted files", MINUTE_S, lambda: tidy_submissions(platform, drafts)),
         Chore("uploads", MINUTE_S, lambda: expire(platform, uploads)),
@@ -59,6 +62,7 @@ def loops_of(platform: Platform) -> tuple[ChoreLoop, ...]:
     return (
         ChoreLoop("jobs", (Chore("jobs", settings.jobs.sweep_s, sweeper.sweep),)),
         ChoreLoop("submissions", (Chore("submissions", settings.jobs.sweep_s, lambda: settle_ended(platform)),)),
+        ChoreLoop("recordings", (Chore("recordings", FOLLOW_S, lambda: follow_recordings(platform, sequences)),)),
         ChoreLoop("cleaning", cleaning),
         ChoreLoop("notifications", _notifying(platform)),
         *(ChoreLoop(name, (Chore(name, settings.jobs.sweep_s, lambda: deliver_queued(platform)),)) for name in SENDERS),

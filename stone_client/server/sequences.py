@@ -5,12 +5,17 @@ there already is used, not made twice.
 """
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from stone_client.api import Api, Patience
-from stone_client.errors import ServerRefusedError, ServerRefusedRecordingError, UnknownSubjectError
+from stone_client.errors import (
+    NoSuchRecordingError,
+    ServerRefusedError,
+    ServerRefusedRecordingError,
+    UnknownSubjectError,
+)
 from stone_client.files.bags import LocalBag, part_of
 from stone_client.files.tus import Purpose, upload_file
 from stone_client.progress import Report
@@ -104,6 +109,16 @@ def has_other_recording(api: Api, sequence: Item, local: LocalBag) -> bool:
     """Whether the sequence has a recording that is not this bag."""
     recordings = api.pages(f"/sequences/{sequence['id']}/recordings")
     return any(recording["sha256"] != local.sha256 for recording in recordings)
+
+
+def recordings_named(api: Api, sequence: Item, subjects: Iterable[str]) -> list[str]:
+    """The ids of the sequence's recordings with these names or ids. Raises `NoSuchRecordingError`."""
+    recordings = list(api.pages(f"/sequences/{sequence['id']}/recordings"))
+    ids = {recording[key]: str(recording["id"]) for recording in recordings for key in ("filename", "id")}
+    for subject in subjects:
+        if subject not in ids:
+            raise NoSuchRecordingError(subject, sorted(recording["filename"] for recording in recordings))
+    return [ids[subject] for subject in subjects]
 
 
 def start_run(api: Api, sequence: Item, body: Mapping[str, Any]) -> Item:

@@ -36,7 +36,7 @@ def server_status_of(api: Api, subject: str | None) -> ServerStatus:
         return ServerStatus({**job, "lines": lines}, (_job_table(job), *_lines_tables(lines)))
     sequence = find_sequence(api, subject)
     recordings = list(api.pages(f"/sequences/{sequence['id']}/recordings"))
-    tables = [_sequences_table(api.url, [sequence]), _recordings_table(recordings)]
+    tables = [_sequences_table(api.url, [sequence]), _recordings_table(recordings), *_later_tables(sequence)]
     if sequence["job"] is not None:
         tables.append(_job_table(find_job(api, sequence["job"]["id"])))
     return ServerStatus({**sequence, "recordings": recordings}, tuple(tables))
@@ -56,6 +56,16 @@ def _recordings_table(items: Iterable[Item]) -> Table:
     for item in items:
         table.add_row(safe_text(item["filename"]), f"{item['size_bytes']:,}", item["state"], item["sha256"][:16])
     return table
+
+
+def _later_tables(sequence: Item) -> Iterable[Table]:
+    """A server of an earlier release says nothing of it."""
+    later = sequence.get("later_recordings")
+    if later:
+        table = plain_table("labels are older than these recordings", "file", "made again")
+        for name in later["names"]:
+            table.add_row(safe_text(name), safe_text(later["why_not"] or "by itself"))
+        yield table
 
 
 def _job_table(job: Item) -> Table:

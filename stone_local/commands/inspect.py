@@ -6,10 +6,12 @@ from typing import Annotated, Any
 
 import typer
 
+from stone_client.clock_offsets import ClockOffsetOption
+from stone_client.options import RunArgument
 from stone_client.refusals import REFUSED
 from stone_client.streams import JsonOption, echo_findings, echo_json
 from stone_client.tables import clock_table, inspection_table, recording_table, show
-from stone_local.joined_run import ClockOffsetOption, RunArgument, RunRecordings, run_of
+from stone_local.joined_run import RunRecordings, run_of
 from stone_local.pose_files import PosesFrameOption, PosesOption, chosen_poses
 from stone_local.quality_file import HtmlOption, deduction_table, write_quality_page
 from stone_local.topic_choices import SaveTopicsOption, TopicOption, TopicsOption, chosen_topics

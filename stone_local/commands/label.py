@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from stone.findings import Finding
+from stone_client.clock_offsets import ClockOffsetOption
 from stone_client.options import (
     CalibrationOption,
     Ground,
@@ -16,13 +17,14 @@ from stone_client.options import (
     LidarOption,
     OdometryOption,
     ProfileOption,
+    RunArgument,
     WorkersOption,
     cores,
 )
 from stone_client.progress import reported
 from stone_client.streams import JsonOption, echo_findings, echo_json
 from stone_client.tables import class_table, show
-from stone_local.joined_run import ClockOffsetOption, RunArgument, RunRecordings, run_of
+from stone_local.joined_run import RunRecordings, run_of
 from stone_local.pose_files import PosesFrameOption, PosesOption, chosen_poses
 from stone_local.time_offsets import TimeOffsetOption, chosen_offsets
 from stone_local.topic_choices import TopicOption, TopicsOption, chosen_topics

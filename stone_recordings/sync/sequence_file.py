@@ -73,7 +73,7 @@ def read_sequence(payload: bytes) -> Sequence:
         height_drift=HeightDrift(**record["height_drift"]) if record["height_drift"] else None,
         recordings=tuple(
             RecordingClock(name, offset_ns, sigma_ns, tuple(known_by))
-            for name, offset_ns, sigma_ns, known_by in record["recordings"]
+            for name, offset_ns, sigma_ns, known_by in record.get("recordings", ())
         ),
     )
 

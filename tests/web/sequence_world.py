@@ -37,6 +37,10 @@ REPORT: dict[str, Any] = {
     },
     "observed_ratio": {"lidar": 0.38, "camera": 0.2},
     "map": {"voxels": 80826, "points": 372429},
+    "recordings": [
+        {"name": "run.mcap", "offset_ns": 0, "sigma_ns": None, "known_by": ["reference"]},
+        {"name": "cameras.mcap", "offset_ns": -80_000_000, "sigma_ns": 412_000, "known_by": ["camera motion"]},
+    ],
     "findings": [{"code": "LAB-603", "severity": "warning", "topic": "", "message": "the track spans 3.11 m"}],
 }
 

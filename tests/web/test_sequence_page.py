@@ -105,6 +105,10 @@ def test_a_recording_shows_its_gaps_its_clocks_and_how_good_it_is(
         expect(radar).to_contain_text("−37 s")
         expect(radar.locator(".clock-dot").first).to_have_attribute("data-tone", "bad")
         expect(page.locator(".spoke-gap")).to_have_count(1)
+        shifted = page.get_by_role("row", name="cameras.mcap")
+        expect(shifted).to_contain_text("-0.080000 s")
+        expect(shifted).to_contain_text("0.41 ms")
+        expect(shifted).to_contain_text("camera motion")
         look(page, "sequence-recordings")
 
 

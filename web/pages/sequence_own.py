@@ -10,16 +10,18 @@ from sqlalchemy.orm import Session
 
 from api.callers import Reader
 from api.deps import Caller
+from api.views.artefact_files import artefact_file
 from api.views.exports import export_items
 from api.views.jobs import job_items
 from api.views.label_sets import comparison_items, label_set_items
 from api.views.recordings import recording_detail
-from api.visible import sequence_of
+from api.visible import labels_of, sequence_of
 from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import Export, Job, LabelComparison, LabelSet, Recording
 from web.boards.results import CLASS_NAMES, matrix
 from web.sequence.export_formats import TITLES, offers_beside
 from web.sequence.recording import recording_view
+from web.sequence.report import read_report
 from web.sequence.sections import AtSequence, shown_section
 from web.sequence.status import SequenceStatus, sequence_status_of
 
@@ -29,14 +31,19 @@ MOST_SHOWN = 50
 
 @router.get("/recordings")
 def recordings(at: AtSequence, caller: Reader) -> HTMLResponse:
-    """What came off the robot: uploads, and for each recording its clocks and how good it is."""
+    """What came off the robot: uploads, how their clocks were joined, and for each its clocks and how good it is."""
     with at.platform.database.reading() as session:
         status = _own(session, caller, at.sequence_id)
         of_sequence = select(Recording).where(Recording.sequence_id == at.sequence_id).order_by(Recording.id)
         shown = [recording_detail(session, row) for row in session.scalars(of_sequence.limit(MOST_SHOWN))]
+        row, labels = sequence_of(session, caller, at.sequence_id), labels_of(session, at.sequence_id)
+        file = artefact_file(session, row, labels, "report.json")
+    report = read_report(at.platform.store, file)
     views = [recording_view(one.inspection, one.quality) if one.inspection else None for one in shown]
     pairs = list(zip(shown, views, strict=True))
-    return shown_section(at, (caller, status), "recordings", needs_wasm=status.may_change, recordings=pairs)
+    joined = report.recordings if report else ()
+    looking = (caller, status)
+    return shown_section(at, looking, "recordings", needs_wasm=status.may_change, recordings=pairs, joined=joined)
 
 
 @router.get("/processing")

@@ -16,8 +16,21 @@ CLASS_KEYS = ("traversable", "potentially_traversable", "non_traversable")
 
 
 @dataclass(frozen=True)
+class ClockShift:
+    """What was added to the times of a recording, its standard error, and how that is known."""
+
+    name: str
+    added_s: float
+    error_ms: float | None
+    known_by: str
+
+
+@dataclass(frozen=True)
 class Report:
-    """Facts by what people call them; `shares` are of T, P and N among occupied voxels."""
+    """Facts by what people call them; `shares` are of T, P and N among occupied voxels.
+
+    `recordings` are those that were joined, each with what was added to its times: none of one alone.
+    """
 
     profile: str
     pose_source: str
@@ -27,6 +40,7 @@ class Report:
     map_voxels: int | None
     map_points: int | None
     findings: tuple[Mapping[str, str], ...]
+    recordings: tuple[ClockShift, ...] = ()
 
 
 def read_report(store: Store, file: StoredFile | None) -> Report | None:
@@ -49,4 +63,11 @@ def report_of(record: Mapping[str, Any]) -> Report:
         map_voxels=mapped.get("voxels"),
         map_points=mapped.get("points"),
         findings=tuple(record.get("findings") or ()),
+        recordings=tuple(_shift(one) for one in record.get("recordings") or ()),
     )
+
+
+def _shift(one: Mapping[str, Any]) -> ClockShift:
+    sigma_ns = one.get("sigma_ns")
+    error_ms = None if sigma_ns is None else round(sigma_ns / 1e6, 2)
+    return ClockShift(str(one["name"]), one["offset_ns"] / 1e9, error_ms, ", ".join(one.get("known_by") or ()))

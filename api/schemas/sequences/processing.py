@@ -1,20 +1,35 @@
 """Processing over the wire: the request, and the resulting frames."""
 
+from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, StrictFloat, StrictInt
 
-from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Body, example
+from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Body, IdText, example
 from services.domain.sequences.processing import ProcessRequest
+from stone_files.joined_file import MOST_MEMBERS, MOST_OFFSET_NS
 
 Topic = Annotated[str, Field(max_length=256, pattern=r"^/?[A-Za-z0-9_][A-Za-z0-9_/]*$")]
 ParameterName = Annotated[str, Field(max_length=64, pattern=r"^[a-z][a-z0-9_.]*$")]
 
 
-class ProcessBody(Body):
-    """How a sequence is to be labelled; what is left out is as the paper has it."""
+RecordingName = Annotated[str, Field(min_length=1, max_length=255)]
+OffsetSeconds = Annotated[float, Field(ge=-MOST_OFFSET_NS / 1e9, le=MOST_OFFSET_NS / 1e9, allow_inf_nan=False)]
 
-    model_config = example(profile="local", parameters={"reference.alpha": 0.05}, odometry_topic="/novatel/oem7/odom")
+
+class ProcessBody(Body):
+    """How a sequence is to be labelled; what is left out is as the paper has it.
+
+    Without `recording_ids` it is made of all registered recordings, and again, by itself, once one is added.
+    `clock_offsets_s`, by id or name of recording, are added to its times instead of what is measured.
+    """
+
+    model_config = example(
+        profile="local",
+        parameters={"reference.alpha": 0.05},
+        odometry_topic="/novatel/oem7/odom",
+        clock_offsets_s={"cameras.mcap": -0.08},
+    )
 
     profile: Literal["paper", "local"] = "paper"
     parameters: dict[ParameterName, StrictInt | StrictFloat] = Field(default={}, max_length=64)
@@ -22,12 +37,16 @@ class ProcessBody(Body):
     lidar_topic: Topic | None = None
     ground: Literal["given", "auto"] = "given"
     stages: list[Literal["synchronise", "label"]] = Field(default=["synchronise", "label"], min_length=1, max_length=2)
+    recording_ids: list[IdText] = Field(default=[], max_length=MOST_MEMBERS)
+    clock_offsets_s: dict[RecordingName, OffsetSeconds] = Field(default={}, max_length=MOST_MEMBERS)
 
     def chosen(self) -> ProcessRequest:
         """The request as the runtime understands it."""
         stages = tuple[str, ...](self.stages)
         topics = (self.odometry_topic, self.lidar_topic)
-        return ProcessRequest(self.profile, self.parameters, *topics, stages, ground=self.ground)
+        chosen = ProcessRequest(self.profile, self.parameters, *topics, stages, ground=self.ground)
+        offsets_ns = {name: round(offset_s * 1e9) for name, offset_s in self.clock_offsets_s.items()}
+        return replace(chosen, recording_ids=tuple(self.recording_ids), clock_offsets_ns=offsets_ns)
 
 
 class FrameItem(Answer):

@@ -182,13 +182,29 @@ class ArtefactItem(Answer):
     sha256: str
 
 
+class LaterRecordingsItem(Answer):
+    """Recordings that the labels of a sequence were not made of, by name.
+
+    It is processed again by itself, with the last run's request; `why_not` says why it is not, "" where it is.
+    """
+
+    model_config = example(names=["cameras.mcap"], why_not="")
+
+    names: list[str]
+    why_not: str
+
+
 class SequenceDetail(SequenceItem):
     """A sequence with the files of its newest label set, and pictures of what they were made of.
 
-    The packs of labels are reached through its frames.
+    The packs of labels are reached through its frames. `later_recordings` were added after its labels were made; null
+    where none were, and told to its owner and to administrators only.
     """
 
-    model_config = example(**SEQUENCE_EXAMPLE, artefacts=[ARTEFACT_EXAMPLE], previews=[PREVIEW_EXAMPLE])
+    model_config = example(
+        **SEQUENCE_EXAMPLE, artefacts=[ARTEFACT_EXAMPLE], previews=[PREVIEW_EXAMPLE], later_recordings=None
+    )
 
+    later_recordings: LaterRecordingsItem | None
     artefacts: list[ArtefactItem]
     previews: list[PreviewItem]

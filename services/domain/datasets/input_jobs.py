@@ -30,6 +30,7 @@ from services.runtime.orm import (
 from services.runtime.store.blobs import PreparedBlob, link_all
 from services.runtime.store.packs import PackedFiles
 from stone.errors import StoneError
+from stone_files.joined_file import JOINED
 
 INPUTS = "labeler.inputs"
 
@@ -121,5 +122,11 @@ def sequence_key(session: Session, attempt: Attempt) -> str:
     return key
 
 
-def _artefact(label_set_id: str) -> Select[str]:
-    return select(Artefact.id).where(Artefact.label_set_id == label_set_id, Artefact.name == SEQUENCE_FILE)
+def joined_key(session: Session, attempt: Attempt) -> str | None:
+    """The object that describes the recordings of the sequence the attempt works for; None where it is one."""
+    found = _artefact(attempt.arguments["label_set_id"], JOINED).with_only_columns(Artefact.blob_sha256)
+    return session.scalar(select(Blob.object_key).where(Blob.sha256.in_(found)))
+
+
+def _artefact(label_set_id: str, name: str = SEQUENCE_FILE) -> Select[str]:
+    return select(Artefact.id).where(Artefact.label_set_id == label_set_id, Artefact.name == name)

@@ -13,14 +13,13 @@ from typing import Any
 from sqlalchemy import delete, func, select
 from sqlalchemy.orm import Session
 
+from services.domain.sequences.chosen_recordings import chosen_recordings, offsets_by_name
 from services.domain.sequences.label_choices import check_choices
 from services.domain.sequences.processing_errors import (
     AlreadyProcessingError,
     NoCalibrationError,
-    NoRecordingError,
     RecordingPendingError,
     SequenceDeletedError,
-    SeveralRecordingsError,
     UnknownStagesError,
 )
 from services.domain.sequences.profiles import topics_of
@@ -50,6 +49,8 @@ class ProcessRequest:
 
     `topics` are those of the platform's profile; the two topics named here go before them. `ground` is "given" by the
     calibration, or "auto": measured, and the height of the LiDAR's mount taken from it, and a tilt beyond terrain's.
+    Without `recording_ids` all registered recordings are meant, those too that are added later. `clock_offsets_ns`, by
+    id or name of recording, are taken instead of measured ones.
     """
 
     profile: str = "paper"
@@ -59,6 +60,17 @@ class ProcessRequest:
     stages: tuple[str, ...] = STAGES
     topics: Mapping[str, str] = field(default_factory=dict)
     ground: str = GIVEN_GROUND
+    recording_ids: tuple[str, ...] = ()
+    clock_offsets_ns: Mapping[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Ingredients:
+    """What a sequence is made of; `offsets_ns` by name of recording."""
+
+    calibration: CalibrationRow
+    recordings: tuple[Recording, ...]
+    offsets_ns: Mapping[str, int]
 
 
 def register(session: Session, recording: Recording) -> Job:
@@ -71,17 +83,18 @@ def start_processing(session: Session, sequence: SequenceRow, request: ProcessRe
     """The run that makes what is asked for: a new one, the one that is at it, or the one that has made it already.
 
     Raises `ChoiceError`, `UnknownStagesError`, `SequenceDeletedError`, `NoCalibrationError`, `NoRecordingError`,
-    `RecordingPendingError`, `SeveralRecordingsError`, `AlreadyProcessingError`, `QueueDrainingError`.
+    `RecordingPendingError`, `UnknownRecordingError`, `RecordingNamesError`, `ClockOffsetError`,
+    `AlreadyProcessingError`, `QueueDrainingError`.
     """
     check_choices(request.profile, request.parameters)
     if not request.stages or request.stages != STAGES[: len(request.stages)]:
         raise UnknownStagesError(request.stages, STAGES)
     sequence = lock_sequence(session, sequence.id)
-    calibration, recording = _inputs(session, sequence)
+    inputs = checked_inputs(session, sequence, request)
     request = replace(request, topics=topics_of(session, sequence))
-    link_uploads_of(session, recording.id)
-    arguments = _arguments(request, calibration, recording)
-    recipe = _recipe(sequence, request, calibration, recording)
+    for recording in inputs.recordings:
+        link_uploads_of(session, recording.id)
+    arguments, recipe = _arguments(request, inputs), _recipe(sequence, request, inputs)
     standing = _existing_run(session, sequence, recipe)
     if standing is not None:
         return standing
@@ -128,31 +141,34 @@ def lock_sequence(session: Session, sequence_id: str) -> SequenceRow:
     return sequence
 
 
+def pending_recordings(session: Session, sequence: SequenceRow) -> int:
+    """How many of its recordings are still being read."""
+    pending = select(func.count()).where(Job.sequence_id == sequence.id, Job.kind == REGISTER, ALIVE)
+    return session.scalar(pending) or 0
+
+
 def _context(sequence: SequenceRow) -> Context:
     return Context(sequence.owner_id, sequence.id)
 
 
-def _inputs(session: Session, sequence: SequenceRow) -> tuple[CalibrationRow, Recording]:
-    """The calibration it pins, and its one registered recording."""
+def checked_inputs(session: Session, sequence: SequenceRow, request: ProcessRequest) -> Ingredients:
+    """The calibration it pins, and the recordings that are meant. Raises as `start_processing`."""
     if sequence.calibration_id is None:
         raise NoCalibrationError(sequence.id)
-    of_sequence = select(Recording).where(Recording.sequence_id == sequence.id).order_by(Recording.id)
-    recordings = session.scalars(of_sequence.execution_options(populate_existing=True)).all()
-    registered = [recording for recording in recordings if recording.state == "registered"]
-    pending = select(func.count()).where(Job.sequence_id == sequence.id, Job.kind == REGISTER, ALIVE)
-    if count := session.scalar(pending):
+    if count := pending_recordings(session, sequence):
         raise RecordingPendingError(sequence.id, count)
-    if not registered:
-        raise NoRecordingError(sequence.id, len(recordings))
-    if len(registered) > 1:
-        raise SeveralRecordingsError(sequence.id, len(registered))
-    return session.get_one(CalibrationRow, sequence.calibration_id), registered[0]
+    recordings = chosen_recordings(session, sequence, request.recording_ids)
+    offsets_ns = offsets_by_name(recordings, request.clock_offsets_ns)
+    return Ingredients(session.get_one(CalibrationRow, sequence.calibration_id), recordings, offsets_ns)
 
 
-def _arguments(request: ProcessRequest, calibration: CalibrationRow, recording: Recording) -> dict[str, Any]:
+def _arguments(request: ProcessRequest, inputs: Ingredients) -> dict[str, Any]:
     return {
-        "recording_id": recording.id,
-        "calibration_id": calibration.id,
+        "recording_ids": [recording.id for recording in inputs.recordings],
+        "recording_sha256s": [recording.sha256 for recording in inputs.recordings],
+        "names_recordings": bool(request.recording_ids),
+        "clock_offsets_ns": dict(inputs.offsets_ns),
+        "calibration_id": inputs.calibration.id,
         "odometry_topic": request.odometry_topic,
         "lidar_topic": request.lidar_topic,
         "topics": dict(request.topics),
@@ -164,12 +180,28 @@ def _arguments(request: ProcessRequest, calibration: CalibrationRow, recording: 
     }
 
 
-def _recipe(sequence: SequenceRow, request: ProcessRequest, calibration: CalibrationRow, recording: Recording) -> str:
+def request_of(arguments: Mapping[str, Any]) -> ProcessRequest:
+    """What the owner of a run with these arguments asked for. The topics are those of the platform's profile now."""
+    return ProcessRequest(
+        profile=arguments["profile"],
+        parameters=arguments["parameters"],
+        odometry_topic=arguments["odometry_topic"],
+        lidar_topic=arguments["lidar_topic"],
+        stages=tuple(arguments.get("stages", STAGES)),
+        ground=arguments.get("ground", GIVEN_GROUND),
+        recording_ids=tuple(arguments["recording_ids"]) if arguments.get("names_recordings") else (),
+        clock_offsets_ns=arguments.get("clock_offsets_ns", {}),
+    )
+
+
+def _recipe(sequence: SequenceRow, request: ProcessRequest, inputs: Ingredients) -> str:
     """By content, not by id: the same bag uploaded again is the same ingredient. Names are in tokens and report."""
+    calibration = inputs.calibration
     return recipe_of(
         {
             "sequence": sequence.name,
-            "recordings": [[recording.filename, recording.sha256]],
+            "recordings": sorted([recording.filename, recording.sha256] for recording in inputs.recordings),
+            **({"clock_offsets_ns": dict(inputs.offsets_ns)} if inputs.offsets_ns else {}),
             "calibration": [calibration.filename, calibration.sha256],
             "odometry_topic": request.odometry_topic,
             "lidar_topic": request.lidar_topic,

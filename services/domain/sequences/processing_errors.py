@@ -40,16 +40,36 @@ class RecordingPendingError(StoneError):
         super().__init__(f"{pending} recordings of sequence {sequence_id} are still being read; wait for their jobs")
 
 
-class SeveralRecordingsError(StoneError):
-    """Bags are not merged, and nothing says which one is meant."""
+class UnknownRecordingError(StoneError):
+    """A recording was asked for that the sequence has not, or that could not be registered."""
 
-    code = "several_recordings"
+    code = "unknown_recording"
 
-    def __init__(self, sequence_id: str, recordings: int) -> None:
+    def __init__(self, sequence_id: str, recording_id: str) -> None:
         super().__init__(
-            f"sequence {sequence_id} has {recordings} registered recordings and 1 can be processed: "
-            "make a sequence of each (or were the parts of one split bag added?)"
+            f"{recording_id[:80]} is no registered recording of sequence {sequence_id}; was it removed, or refused?"
         )
+
+
+class RecordingNamesError(StoneError):
+    """Two different recordings have one name, by which nobody could tell them apart."""
+
+    code = "recordings_named_alike"
+
+    def __init__(self, sequence_id: str, name: str) -> None:
+        super().__init__(
+            f"two different recordings of sequence {sequence_id} are called {name[:120]}; recordings of one run are "
+            "told apart by their names: remove one and upload it under another, or name in recording_ids those meant"
+        )
+
+
+class ClockOffsetError(StoneError):
+    """An offset of a clock is given that belongs to no recording of the run."""
+
+    code = "bad_clock_offset"
+
+    def __init__(self, recording: str, problem: str) -> None:
+        super().__init__(f"a clock offset is given for {recording[:120]}, but {problem}")
 
 
 class UnknownStagesError(StoneError):

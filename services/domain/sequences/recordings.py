@@ -12,6 +12,7 @@ from sqlalchemy import delete, select
 from sqlalchemy.orm import Session
 
 from services.domain.exports.requests import EXPORT
+from services.domain.sequences.chosen_recordings import recording_ids_of
 from services.domain.sequences.processing import PROCESS, REGISTER, lock_sequence, register
 from services.runtime.access import storage_quota
 from services.runtime.jobs.control import cancel
@@ -80,7 +81,7 @@ def remove_recording(session: Session, recording: Recording) -> None:
     """
     lock_sequence(session, recording.sequence_id)
     for run in _alive(session, recording.sequence_id):
-        if run.kind == PROCESS and run.arguments["recording_id"] == recording.id:
+        if run.kind == PROCESS and recording.id in recording_ids_of(run.arguments):
             raise RecordingInUseError(recording.id, run.id)
         if run.kind == EXPORT and recording.state == "registered":
             raise RecordingInUseError(recording.id, run.id)

@@ -5,12 +5,11 @@ taken as `services/domain/sequences/processing.py` takes them: the sequence firs
 again and again, because workers of two versions serve at once, fails in the end.
 """
 
-from collections.abc import Mapping
 from typing import Any
 
 from sqlalchemy.orm import Session
 
-from services.domain.sequences.processing import GIVEN_GROUND, STAGES, ProcessRequest, lock_sequence, start_processing
+from services.domain.sequences.processing import lock_sequence, request_of, start_processing
 from services.domain.sequences.processing_errors import (
     AlreadyProcessingError,
     RecordingPendingError,
@@ -91,20 +90,8 @@ def begin_again(session: Session, root_id: str) -> Job | None:
         raise RestartedTooOftenError(MOST_RESTARTS)
     upgraded = f"the platform was upgraded to code version {code_version('labels')}"
     terminate(session, root_id, upgraded)
-    new = start_processing(session, sequence, _request_of(old.arguments))
+    new = start_processing(session, sequence, request_of(old.arguments))
     old.cancel_reason = f"{upgraded}; its sequence is processed by job {new.id} instead"
     if new.state not in TERMINAL:  # else these labels were made already
         new.arguments = {**new.arguments, RESTARTS: restarts}
     return new
-
-
-def _request_of(arguments: Mapping[str, Any]) -> ProcessRequest:
-    """What the owner asked for. The topics are those of the platform's profile as it is now."""
-    return ProcessRequest(
-        profile=arguments["profile"],
-        parameters=arguments["parameters"],
-        odometry_topic=arguments["odometry_topic"],
-        lidar_topic=arguments["lidar_topic"],
-        stages=tuple(arguments.get("stages", STAGES)),
-        ground=arguments.get("ground", GIVEN_GROUND),
-    )

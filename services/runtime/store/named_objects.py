@@ -1,12 +1,13 @@
 """Objects of the store under the file names that their owner gave them.
 
 **Conventions.** A file is a symbolic link `<folder>/<name of the object>/<filename>`; several that are one bag are
-links in a folder `<folder>/<hash of names and objects>/<name>/`. The path is the same for every job on this machine, so
-a recording once opened is found open; links whose object is gone are removed when others are made.
+links in a folder `<folder>/<hash of names and objects>/<name>/`, and so are several bags that are one run, beside a
+file that describes it. The path is the same for every job on this machine, so a recording once opened is found open;
+links whose object is gone are removed when others are made.
 """
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
@@ -32,6 +33,25 @@ def named_folder(folder: Path, files: Iterable[tuple[Path, str]], name: str) -> 
     made = folder / sha256("".join(lines).encode()).hexdigest() / name
     for filename, path in targets.items():
         _lead(folder, made / filename, path)
+    return made
+
+
+def described_folder(folder: Path, bags: Mapping[str, Path], description: tuple[str, bytes], name: str) -> Path:
+    """A folder that ends in `name` and holds a link to each bag, called so, and the file `description` (name, content).
+
+    Bags are paths that `named` or `named_folder` answered. Raises as `named`.
+    """
+    called, content = description
+    for given in (name, called, *bags):
+        _refuse_path(given)
+    lines = sorted(f"{path.parent.name}  {bag}\n" for bag, path in bags.items())
+    made = folder / sha256("".join(lines).encode() + content).hexdigest() / name
+    for bag, path in bags.items():
+        _lead(folder, made / bag, path)
+    if not (made / called).is_file():
+        staging = folder / f".{token_hex(8)}"
+        staging.write_bytes(content)
+        os.replace(staging, made / called)
     return made
 
 

@@ -4,6 +4,7 @@ from typing import Annotated, Any
 
 import typer
 
+from stone_client.clock_offsets import ClockOffsetOption, clock_offsets_body
 from stone_client.options import (
     Ground,
     GroundOption,
@@ -16,6 +17,10 @@ from stone_client.options import (
 )
 from stone_client.streams import JsonOption, echo_json
 
+RecordingOption = Annotated[
+    list[str],
+    typer.Option("--recording", metavar="FILE", help="Of several recordings only this one; repeatable."),
+]
 WatchOption = Annotated[bool, typer.Option("--watch", help="Stay until it has ended.")]
 
 
@@ -25,21 +30,28 @@ def process(
     odometry: OdometryOption = None,
     lidar: LidarOption = None,
     ground: GroundOption = Ground.GIVEN,
+    recording: RecordingOption = [],  # noqa: B006
+    clock_offset: ClockOffsetOption = [],  # noqa: B006
     watch: WatchOption = False,
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Have every frame of a sequence labelled; asked twice, it is done once."""
+    """Have every frame of a sequence labelled; asked twice, it is done once.
+
+    It is made of all its recordings, on one clock, and again by itself once one is added; not where some are named.
+    """
     from stone_client.connection import connected
     from stone_client.server.run_watch import watch_run
-    from stone_client.server.sequences import find_sequence, start_run
+    from stone_client.server.sequences import find_sequence, recordings_named, start_run
 
     body: dict[str, Any] = {"profile": profile.value}
     body |= {"odometry_topic": odometry} if odometry else {}
     body |= {"lidar_topic": lidar} if lidar else {}
     body |= {"ground": ground.value} if ground != Ground.GIVEN else {}
+    body |= clock_offsets_body(clock_offset)
     with connected(server) as api:
         found = find_sequence(api, sequence)
+        body |= {"recording_ids": recordings_named(api, found, recording)} if recording else {}
         run = start_run(api, found, body)
         run = watch_run(api, run) if watch else run
     if as_json:

@@ -1,11 +1,12 @@
-"""`stone upload`: a recording and its calibration to a server."""
+"""`stone upload`: recordings and their calibration to a server."""
 
 from typing import Annotated, Any
 
 import typer
 
 from stone_base.findings import Finding
-from stone_client.options import BagArgument, CalibrationOption, ServerOption
+from stone_client.clock_offsets import ClockOffsetOption, clock_offsets_body
+from stone_client.options import CalibrationOption, RunArgument, ServerOption
 from stone_client.progress import transferred
 from stone_client.streams import JsonOption, echo_findings, echo_json
 
@@ -14,37 +15,49 @@ ProcessOption = Annotated[bool, typer.Option("--process", help="Have it processe
 
 
 def upload(
-    bag: BagArgument,
+    bags: RunArgument,
     calibration: CalibrationOption,
     name: NameOption = None,
     process: ProcessOption = False,
+    clock_offset: ClockOffsetOption = [],  # noqa: B006
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Send a recording and its calibration; begun again after anything, it goes on where it was.
+    """Send the recordings of a run and its calibration; begun again after anything, it goes on where it was.
 
-    A folder of a split bag is one recording: every file of the bag is sent, and then they are sealed together.
+    A folder of a split bag is one recording, and so are files whose names count on (run_0.mcap run_1.mcap): every file
+    of the bag is sent, and then they are sealed together. Other files are recordings of their own (LiDAR here, cameras
+    there), of one sequence, which is processed from all of them.
     """
     from stone_client.connection import connected
-    from stone_client.files.bags import called, hashed_bag
+    from stone_client.files.bags import bags_among, hashed_parts
     from stone_client.server.run_watch import watch_run
     from stone_client.server.sequences import add_recording, ensure_sequence, pin_calibration, start_run
 
+    found, choices = bags_among(bags), clock_offsets_body(clock_offset)
     with connected(server) as api:
-        sequence = ensure_sequence(api, name or called(bag))
+        sequence = ensure_sequence(api, name or found[0].called)
         kept = pin_calibration(api, sequence, calibration)
-        with transferred() as progress:
-            recording = add_recording(api, sequence, hashed_bag(bag, progress), progress)
-        record: dict[str, Any] = {"sequence": sequence["id"], "name": sequence["name"], "recording": recording["id"]}
-        record |= {"calibration": kept["id"], "sha256": recording["sha256"]}
+        recordings = []
+        for bag in found:
+            with transferred() as progress:
+                recordings.append(add_recording(api, sequence, hashed_parts(bag, progress), progress))
+        record: dict[str, Any] = {"sequence": sequence["id"], "name": sequence["name"], "calibration": kept["id"]}
+        record |= {"recordings": [{key: one[key] for key in ("id", "filename", "sha256")} for one in recordings]}
+        record |= {"recording": recordings[0]["id"], "sha256": recordings[0]["sha256"]}
         if process:
-            record["job"] = watch_run(api, start_run(api, sequence, {}))
+            record["job"] = watch_run(api, start_run(api, sequence, choices))
     if as_json:
         echo_json(record)
     else:
-        typer.echo(f"{sequence['name']}: {recording['filename']} is on {api.url}")
+        for recording in recordings:
+            parts = f" ({len(recording['files'])} files of one bag)" if len(recording["files"]) > 1 else ""
+            typer.echo(f"{sequence['name']}: {recording['filename']}{parts} is on {api.url}")
+        if len(recordings) > 1:
+            typer.echo(f"{len(recordings)} recordings of one run: it is processed from all of them, on one clock.")
         _say_next(sequence["name"], is_processed=process)
-    echo_findings(Finding(**finding) for finding in (*kept["findings"], *recording["findings"]))
+    noticed = [*kept["findings"], *(finding for recording in recordings for finding in recording["findings"])]
+    echo_findings(Finding(**finding) for finding in noticed)
 
 
 def _say_next(name: str, *, is_processed: bool) -> None:

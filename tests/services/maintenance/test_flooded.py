@@ -8,6 +8,7 @@ from sqlalchemy import func, insert, select
 
 from services.domain.benchmarks.submissions import chores as submission_chores
 from services.domain.notifications import spread
+from services.domain.sequences import later_recordings
 from services.maintenance import sweeper
 from services.maintenance.notifications import delivery
 from services.runtime.access import audit_retention, retention
@@ -23,7 +24,17 @@ SOME, MORE = 250, 750
 SMALL = 40
 ATTACK = 5000
 CHORES = (
-    *("jobs", "submissions", "submitted files", "uploads", "blobs", "credentials", "audit log", "workers"),
+    *(
+        "jobs",
+        "submissions",
+        "recordings",
+        "submitted files",
+        "uploads",
+        "blobs",
+        "credentials",
+        "audit log",
+        "workers",
+    ),
     *("phases", "events", "deliveries", "lost deliveries", "old events", "senderone", "sendertwo"),
 )
 
@@ -31,7 +42,7 @@ CHORES = (
 @pytest.fixture
 def flooded(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> Platform:
     """A platform whose chores take small slices, so that `SOME` rows are many already."""
-    for module in (submission_chores, audit_retention, retention, spread, delivery):
+    for module in (submission_chores, audit_retention, retention, spread, delivery, later_recordings):
         monkeypatch.setattr(module, "AT_A_TIME", SMALL)
     for module in (audit_retention, retention):
         monkeypatch.setattr(module, "MOST_TIMES", 2)

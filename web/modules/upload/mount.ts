@@ -4,7 +4,7 @@ import { call } from "../api.js";
 import { refresh } from "../refresh.js";
 import { toast } from "../notices.js";
 import { mountCalibrations } from "./calibrations.js";
-import { Panel } from "./panel.js";
+import { Panel, type Registered } from "./panel.js";
 import { mountProcessing } from "./processing_form.js";
 
 const AFTER_A_RECORDING = ["#recordings", "#process"];
@@ -13,15 +13,15 @@ for (const root of document.querySelectorAll<HTMLElement>("[data-uploader]")) ne
 for (const root of document.querySelectorAll<HTMLElement>("[data-calibrations]")) mountCalibrations(root);
 for (const form of document.querySelectorAll<HTMLFormElement>("form[data-process]")) mountProcessing(form);
 
-addEventListener("registered", (event) => void registered(String((event as CustomEvent<string>).detail)));
+addEventListener("registered", (event) => void registered((event as CustomEvent<Registered>).detail));
 addEventListener("bags", (event) => countBags(Number((event as CustomEvent<number>).detail)));
 
-/** A recording is there: what the page says of it is fetched again, and where it was asked for, it is processed. */
-async function registered(sequenceId: string): Promise<void> {
+/** What the page says of it is fetched again, and where it was asked for, the sequence is processed once it is whole. */
+async function registered({ sequenceId, isWhole }: Registered): Promise<void> {
   for (const part of AFTER_A_RECORDING) if (document.querySelector(part)) await refresh(part);
   const wish = document.querySelector<HTMLInputElement>('form[data-bags] [name="process"]');
   const calibration = document.querySelector<HTMLSelectElement>('form[data-bags] [name="calibration_id"]');
-  if (!wish?.checked || !calibration?.value) return;
+  if (!isWhole || !wish?.checked || !calibration?.value) return;
   try {
     await call("POST", `/api/v1/sequences/${sequenceId}/process`, {});
     toast("It is being processed now.");

@@ -10,6 +10,12 @@ import { size, span, Speed } from "./speed.js";
 import { type Target, Transfer } from "./transfer.js";
 import { begunOf, showUnfinished, type Unfinished, unfinished } from "./unfinished.js";
 
+/** A recording of the sequence is there; with `isWhole` none of its others is still under way in this panel. */
+export interface Registered {
+  sequenceId: string;
+  isWhole: boolean;
+}
+
 interface Line {
   transfer: Transfer;
   row: Row;
@@ -18,6 +24,8 @@ interface Line {
 export class Panel {
   readonly #lines: Line[] = [];
   readonly #speed = new Speed();
+  /** What makes a sequence by its body: asked again, by another bag too, it is the same sequence. */
+  readonly #keys = new Map<string, string>();
   #begun: Unfinished[] = [];
 
   constructor(private readonly root: HTMLElement) {
@@ -109,8 +117,11 @@ export class Panel {
   async #start(transfer: Transfer): Promise<void> {
     await transfer.start();
     await this.#lookForUnfinished();
-    if (transfer.phase !== "registered") return;
-    this.root.dispatchEvent(new CustomEvent("registered", { bubbles: true, detail: transfer.sequenceId }));
+    const { sequenceId } = transfer;
+    const ofSequence = this.#lines.map(({ transfer: one }) => one.sequenceId === sequenceId ? one.phase : "refused");
+    if (!sequenceId || !ofSequence.includes("registered")) return;
+    const isWhole = ofSequence.every((phase) => phase === "registered" || phase === "refused");
+    this.root.dispatchEvent(new CustomEvent<Registered>("registered", { bubbles: true, detail: { sequenceId, isWhole } }));
   }
 
   #remove(transfer: Transfer): void {
@@ -128,11 +139,10 @@ export class Panel {
     if (field) field.value = begun?.sequenceName ?? plainName(bag);
     if (field && known) field.disabled = true;
     if (known) return () => Promise.resolve(known);
-    const keys = new Map<string, string>();
     return async () => {
       const body = JSON.stringify({ ...said(this.#facts), name: field?.value.trim() ?? "" });
-      const key = keys.get(body) ?? freshKey();
-      keys.set(body, key); // asked again, it is the same sequence
+      const key = this.#keys.get(body) ?? freshKey();
+      this.#keys.set(body, key);
       const id = await created(body, key, this.#facts);
       if (field) field.disabled = true;
       return id;

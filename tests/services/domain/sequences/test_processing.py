@@ -8,43 +8,51 @@ import pytest
 from sqlalchemy import func, select
 
 from api.visible import newest_label_set
+from services.domain.sequences.chosen_recordings import recording_ids_of
 from services.domain.sequences.label_choices import ChoiceError
 from services.domain.sequences.processing import (
     PROCESS,
     ProcessRequest,
     delete_sequence,
     register,
+    request_of,
     start_processing,
 )
 from services.domain.sequences.processing_errors import (
     AlreadyProcessingError,
+    ClockOffsetError,
     NoCalibrationError,
     NoRecordingError,
+    RecordingNamesError,
     RecordingPendingError,
     SequenceDeletedError,
-    SeveralRecordingsError,
+    UnknownRecordingError,
     UnknownStagesError,
 )
 from services.domain.sequences.profiles import keep_profile
+from services.domain.sequences.recordings import RecordingInUseError, remove_recording
 from services.runtime.access import storage_quota
 from services.runtime.jobs.claims import claim
 from services.runtime.jobs.control import cancel
 from services.runtime.jobs.enqueue import enqueue_run
 from services.runtime.jobs.specs import Context, JobSpec
-from services.runtime.orm import Job, LabelSet, ProfileRow, QuotaEntry, Recording, SequenceRow, Upload
+from services.runtime.orm import CalibrationRow, Job, LabelSet, ProfileRow, QuotaEntry, Recording, SequenceRow, Upload
 from services.runtime.platform import Platform
+from services.runtime.store.recipes import recipe_of
 from testing.worlds.rows import recording_of
 from testing.worlds.runs import Brought, bring
 
 
-def with_recording(brought: Brought, state: str = "registered") -> None:
+def with_recording(
+    brought: Brought, state: str = "registered", name: str = "run.mcap", sha256: str = "ab" * 32
+) -> None:
     with brought.platform.database.transaction() as session:
-        facts: dict[str, Any] = {"purpose": "recording", "filename": "run.mcap", "length_bytes": 7}
+        facts: dict[str, Any] = {"purpose": "recording", "filename": name, "length_bytes": 7}
         upload = Upload(owner_id=brought.owner_id, state="consumed", expires_ns=0, **facts)
         session.add(upload)
         session.flush()
         storage_quota.reserve(session, brought.owner_id, 7, upload.id, "upload", 100)
-        upload.sha256 = "ab" * 32
+        upload.sha256 = sha256
         recording = recording_of(upload, brought.sequence_id, state)
         session.add(recording)
         session.flush()
@@ -88,10 +96,107 @@ def test_what_is_missing_is_said_in_the_order_in_which_it_is_given(platform_on: 
         brought.process()
 
 
-def test_two_bags_are_not_merged_by_chance(ready: Brought) -> None:
+def recipe_of_run(brought: Brought, **request: Any) -> str:
+    """The recipe of a run that is cancelled at once."""
+    root_id = brought.process(**request)
+    with brought.platform.database.transaction() as session:
+        cancel(session, root_id, "")
+    return str(brought.job(root_id).arguments["recipe"])
+
+
+def test_all_registered_recordings_are_processed_and_named_in_the_arguments(ready: Brought) -> None:
+    with_recording(ready, name="cameras.mcap", sha256="cd" * 32)
+    with_recording(ready, "refused", name="bad.mcap", sha256="ef" * 32)
+    arguments = ready.job(ready.process()).arguments
+    assert arguments["recording_ids"] == ready.recording_ids[:2]
+    assert arguments["recording_sha256s"] == ["ab" * 32, "cd" * 32]
+
+
+def test_a_recipe_goes_by_the_content_of_recordings_whatever_their_order(ready: Brought, tmp_path: Path) -> None:
+    with_recording(ready, name="cameras.mcap", sha256="cd" * 32)
+    other = bring(ready.platform, "other")
+    other.calibrate(tmp_path / "rig.yaml")
+    with ready.platform.database.transaction() as session:  # recipes name the sequence
+        session.get_one(SequenceRow, other.sequence_id).name = ready.sequence().name
+    with_recording(other, name="cameras.mcap", sha256="cd" * 32)
+    with_recording(other)
+    assert recipe_of_run(ready) == recipe_of_run(other)
+    both = recipe_of_run(ready)
+    offset = {"cameras.mcap": 80_000_000}
+    recipes = {both, recipe_of_run(ready, clock_offsets_ns=offset)}
+    recipes |= {recipe_of_run(ready, recording_ids=(one,)) for one in ready.recording_ids}
+    assert len(recipes) == 4
+    assert recipe_of_run(ready, clock_offsets_ns={ready.recording_ids[1]: 80_000_000}) in recipes
+
+
+def test_a_sequence_of_one_recording_keeps_the_recipe_that_earlier_versions_gave_it(ready: Brought) -> None:
+    arguments = ready.job(ready.process()).arguments
+    as_before = {
+        "sequence": ready.sequence().name,
+        "recordings": [["run.mcap", "ab" * 32]],
+        "calibration": ["rig.yaml", _calibration_sha256(ready)],
+        "odometry_topic": None,
+        "lidar_topic": None,
+        "profile": "paper",
+        "parameters": {},
+        "stages": ("synchronise", "label"),
+    }
+    assert arguments["recipe"] == recipe_of(as_before)
+
+
+def _calibration_sha256(brought: Brought) -> str:
+    with brought.platform.database.reading() as session:
+        return session.get_one(CalibrationRow, brought.sequence().calibration_id).sha256
+
+
+def test_a_recording_that_was_sent_twice_is_one(ready: Brought) -> None:
+    alone = recipe_of_run(ready)
     with_recording(ready)
-    with pytest.raises(SeveralRecordingsError, match="2 registered recordings and 1 can be processed"):
+    with_recording(ready, name="copy.mcap")
+    assert recipe_of_run(ready) == alone
+
+
+def test_what_stays_ambiguous_is_refused_by_its_own_code(ready: Brought) -> None:
+    with_recording(ready, name="RUN.mcap", sha256="cd" * 32)
+    with pytest.raises(RecordingNamesError, match=r"two different recordings .* are called"):
         ready.process()
+    with pytest.raises(UnknownRecordingError, match="is no registered recording"):
+        ready.process(recording_ids=("f" * 32,))
+    first = (ready.recording_ids[0],)
+    with pytest.raises(ClockOffsetError, match="the run has one recording"):
+        ready.process(recording_ids=first, clock_offsets_ns={"run.mcap": 1})
+    with_recording(ready, name="cameras.mcap", sha256="ef" * 32)
+    two = (ready.recording_ids[0], ready.recording_ids[2])
+    with pytest.raises(ClockOffsetError, match=r"none of the run.s recordings, which are cameras\.mcap, run\.mcap"):
+        ready.process(recording_ids=two, clock_offsets_ns={"other.mcap": 1})
+    with pytest.raises(ClockOffsetError, match="two different offsets"):
+        ready.process(recording_ids=two, clock_offsets_ns={"cameras.mcap": 1, two[1]: 2})
+    assert ready.process(recording_ids=two)
+
+
+def test_no_recording_of_a_run_is_removed_while_it_is_read(ready: Brought) -> None:
+    with_recording(ready, name="cameras.mcap", sha256="cd" * 32)
+    with_recording(ready, name="radar.mcap", sha256="ef" * 32)
+    ready.process(recording_ids=tuple(ready.recording_ids[:2]))
+    for number in (0, 1):
+        with pytest.raises(RecordingInUseError), ready.platform.database.transaction() as session:
+            remove_recording(session, session.get_one(Recording, ready.recording_ids[number]))
+    with ready.platform.database.transaction() as session:
+        remove_recording(session, session.get_one(Recording, ready.recording_ids[2]))
+
+
+def test_a_run_that_an_earlier_version_began_names_its_one_recording(ready: Brought) -> None:
+    root_id = ready.process()
+    with ready.platform.database.transaction() as session:
+        run = session.get_one(Job, root_id)
+        earlier = {"recording_ids", "recording_sha256s", "names_recordings", "clock_offsets_ns"}
+        kept = {name: value for name, value in run.arguments.items() if name not in earlier}
+        run.arguments = {**kept, "recording_id": ready.recording_ids[0]}
+    arguments = ready.job(root_id).arguments
+    assert recording_ids_of(arguments) == (ready.recording_ids[0],)
+    assert request_of(arguments) == ProcessRequest()
+    with pytest.raises(RecordingInUseError), ready.platform.database.transaction() as session:
+        remove_recording(session, session.get_one(Recording, ready.recording_ids[0]))
 
 
 @pytest.mark.parametrize(
