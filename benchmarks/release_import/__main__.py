@@ -12,10 +12,11 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from benchmarks.datasets import FRAMES, SCENES, release_sized
-from benchmarks.release_import.run import ImportMeasurement, imported
+from benchmarks.release_import.run import ImportMeasurement, administrator, imported
 from benchmarks.release_import.scoring import scored
 from benchmarks.release_import.verification import verified
 from testing.stone_serve import serving
@@ -25,25 +26,25 @@ KILLS, TEST_SCENES, VAL_SCENES = 20, 2, 2
 SMALLER = 4
 
 
-def splits_of(dataset: SyntheticDataset) -> SyntheticDataset:
-    """With the last scenes as test, those before as val, the others as train."""
+def dataset_of(scenes: int, count: int) -> SyntheticDataset:
+    """So many frames in so many scenes: the last ones are test, those before val, the others train."""
+    each, longer = divmod(count, scenes)
+    dataset = replace(release_sized(count), scenes=scenes, frames=each, longer=longer)
+    train, val, test = scenes - TEST_SCENES - VAL_SCENES, scenes - TEST_SCENES, scenes
     names = dataset.names
-    parts = {"train": names[: -TEST_SCENES - VAL_SCENES], "val": names[-TEST_SCENES - VAL_SCENES : -TEST_SCENES]}
-    splits = {**parts, "test": names[-TEST_SCENES:]}
-    return SyntheticDataset(
-        dataset.scenes, dataset.frames, dataset.longer, dataset.cameras, dataset.radars, dataset.labels, splits
-    )
+    return replace(dataset, splits={"train": names[:train], "val": names[train:val], "test": names[val:test]})
 
 
 def main(words: Sequence[str]) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scenes", type=int, default=SCENES)
     parser.add_argument("--frames", type=int, default=FRAMES)
     parser.add_argument("--kills", type=int, default=KILLS)
     parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()), help="some 20 GB are written there")
     given = parser.parse_args(words)
     with tempfile.TemporaryDirectory(dir=given.folder) as folder:
         for name, count, kills in (("smaller", given.frames // SMALLER, 0), ("whole", given.frames, given.kills)):
-            measure(Path(folder) / name, splits_of(release_sized(count)), kills)
+            measure(Path(folder) / name, dataset_of(given.scenes, count), kills)
 
 
 def measure(folder: Path, dataset: SyntheticDataset, kills: int) -> None:
@@ -52,11 +53,11 @@ def measure(folder: Path, dataset: SyntheticDataset, kills: int) -> None:
     begun = time.perf_counter()
     tar = write_published_tar(folder / "field.tar", dataset)
     written = f"{tar.stat().st_size / 1e9:.2f} GB written in {time.perf_counter() - begun:.0f} s"
-    print(f"{SCENES} scenes, {sum(map(dataset.length, range(SCENES)))} frames, {written}", flush=True)
+    print(f"{dataset.scenes} scenes, {sum(map(dataset.length, range(dataset.scenes)))} frames, {written}", flush=True)
     made = imported(folder / "data", tar, kills)
     show(made)
     if kills:
-        with serving(folder / "data") as running, running.api() as api:
+        with serving(folder / "data") as running, administrator(running) as api:
             print(verified(api, dataset), flush=True)
             print(scored(api, dataset, folder), flush=True)
 

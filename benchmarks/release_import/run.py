@@ -11,6 +11,9 @@ from typing import Any
 
 import psutil
 
+from benchmarks.season.people import signed_in
+from services.runtime.embedded.first_start import ADMINISTRATOR, PASSWORD_FILE
+from stone_client.api import Api
 from stone_client.errors import ServerUnreachableError
 from stone_client.sdk import ignore_progress
 from stone_client.server.dataset_imports import DatasetWishes, read_import, send_dataset
@@ -42,7 +45,7 @@ def imported(data: Path, tar: Path, kills: int, seed: int = 1) -> ImportMeasurem
     """Send the tar, have it imported, and kill what works on it. Raises `ImportFailedError`."""
     made, chance = ImportMeasurement(), Random(seed)
     begun = time.perf_counter()
-    with serving(data) as running, running.api() as api:
+    with serving(data) as running, administrator(running) as api:
         asked = send_dataset(api, tar, WISHES, ignore_progress)
     made.sent_s = time.perf_counter() - begun
     begun, state = time.perf_counter(), dict[str, Any](asked)
@@ -55,10 +58,15 @@ def imported(data: Path, tar: Path, kills: int, seed: int = 1) -> ImportMeasurem
     return made
 
 
+def administrator(running: Serving) -> Api:
+    """The platform as its administrator, who may set splits and open phases."""
+    return signed_in(running.url, ADMINISTRATOR, (running.data / PASSWORD_FILE).read_text().strip())
+
+
 def _disturbed(running: Serving, import_id: str, plan: tuple[ImportMeasurement, int, Random]) -> dict[str, Any]:
     """The import once it has ended, or once all of the platform was killed."""
     made, kills, chance = plan
-    with running.api() as api:
+    with administrator(running) as api:
         while True:
             with suppress(ServerUnreachableError):
                 state = dict(read_import(api, import_id))
