@@ -72,13 +72,17 @@ def warm() -> None:
 
 
 def _fuse_labels(scratch: Path) -> None:
-    """What an import makes of the labels of frames, of one frame."""
+    """What an import makes of the labels of frames: of the bytes of files, and of what classes were mapped to."""
     from services.labeler.imports.fused_labels import FusedLabels
+    from services.labeler.imports.label_counts import class_counts
     from services.labeler.imports.voxel_surface import exposed_faces
 
     labels, grid = FusedLabels("warmup", scratch), np.zeros(GRID_SHAPE, np.uint8)
     grid[100:110, 100:110, 10] = 1
-    labels.add(grid, SE3.identity())
+    for is_mapped in (True, False):
+        grid.setflags(write=is_mapped)
+        class_counts(grid)
+        labels.add(grid, SE3.identity())
     for _, keys, classes in labels.tiles():
         exposed_faces(keys, classes, VOXEL_M)
 
