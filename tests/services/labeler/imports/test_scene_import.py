@@ -23,6 +23,8 @@ from stone.labels.grid import GRID_SHAPE
 from stone.sensors.sequence import Sequence
 from stone_datasets.classes import ClassMap, class_map_of
 from stone_datasets.faults import DatasetFaultError
+from stone_datasets.labels import read_labels
+from stone_exports.files import ExportFileSpan
 from stone_files.npz import npz_bytes
 from stone_recordings.sync.sequence_file import read_sequence
 from testing.worlds.imported import artefacts_of, tar_of, write_import, write_index, write_scene, write_synthetic_import
@@ -188,6 +190,28 @@ def test_labels_of_other_classes_are_written_as_ours(tmp_path: Path) -> None:
         "classes": {"11": "T", "13": "N", "17": "free", "255": "unobserved"},
     }
     assert report_in(out)["rewritten_frames"] == 2
+
+
+FURTHER: dict[str, tuple[dict[str, np.ndarray], bool]] = {
+    "confidence": ({"distance_squared": np.full(GRID_SHAPE, 1.5, np.float16)}, True),
+    "confidence of another kind": ({"distance_squared": np.zeros(GRID_SHAPE)}, False),
+    "confidence of another shape": ({"distance_squared": np.zeros(GRID_SHAPE[:2], np.float16)}, False),
+    "something else": ({"distance": np.zeros(GRID_SHAPE, np.float16)}, False),
+    "text": ({"note": np.array(["x" * 999])}, False),
+}
+
+
+@pytest.mark.parametrize("name", FURTHER)
+def test_labels_with_more_than_ours_have_are_written_anew(tmp_path: Path, name: str) -> None:
+    further, is_kept = FURTHER[name]
+    raw, seen = np.zeros(GRID_SHAPE, np.uint8), np.ones(GRID_SHAPE, np.uint8)
+    raw[::3, :, 9] = 2
+    grids = {"semantics": raw, "mask_lidar": seen, "mask_camera": seen}
+    content = npz_bytes(grids | further)
+    (tmp_path / "labels.npz").write_bytes(content)
+    span = ExportFileSpan(tmp_path / "labels.npz", "labels.npz", 0, len(content))
+    assert (read_labels(span).content == content) is is_kept
+    assert np.array_equal(read_labels(span).classes, raw)
 
 
 def test_masks_that_a_dataset_has_not_are_said_to_be_missing(tmp_path: Path) -> None:
