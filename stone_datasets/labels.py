@@ -120,7 +120,7 @@ class _Arrays:
             npy = self._begun(member, packed, size + 1)
         except NO_NPY:
             return False
-        is_grid = (member.filename, shape, is_fortran, dtype) == (CONFIDENCE, GRID_SHAPE, False, np.float16)
+        is_grid = shape == GRID_SHAPE and dtype == np.float16 and not is_fortran and member.filename == CONFIDENCE
         return is_grid and len(npy) == size == member.file_size and isal_zlib.crc32(npy) == member.CRC
 
     def _whole(self, member: zipfile.ZipInfo, packed: bytes, start: int) -> Grid:

@@ -14,7 +14,7 @@ def class_counts(classes: Grid) -> list[int]:
     counts = np.zeros(4, np.int64)
     _count(_words(classes), counts)
     counts[0] = classes.size - counts[1:].sum()
-    return counts.tolist()  # type: ignore[no-any-return]
+    return counts.tolist()
 
 
 def set_count(mask: Grid) -> int:
