@@ -26,6 +26,7 @@ from api.routes import (
     audit,
     benchmarks,
     client,
+    dataset_imports,
     dataset_inputs,
     datasets,
     docs,
@@ -91,6 +92,7 @@ ROUTERS: tuple[APIRouter, ...] = (
     splits.router,
     statistics.router,
     datasets.router,
+    dataset_imports.router,
     dataset_inputs.router,
     benchmarks.router,
     leaderboard.router,
@@ -163,7 +165,7 @@ def from_environment() -> FastAPI:
 def told(api: FastAPI) -> FastAPI:
     """The application of a process of its own, whose spans and counts others hear of; what it reads of strangers it
     reads in children of a process without keys."""
-    use_fork_server(["stone_recordings.calibrations.file"])
+    use_fork_server(["stone_recordings.calibrations.file", "stone_datasets.classes"])
     setup_tracing("stone-api")
     api.state.meters.keep_writing()
     return api

@@ -20,6 +20,7 @@ from services.domain.benchmarks.teams import names as team_names
 from services.domain.datasets import errors as datasets
 from services.domain.datasets import input_jobs as inputs
 from services.domain.exports import requests
+from services.domain.imports import errors as imports
 from services.domain.notifications import errors as notifications
 from services.domain.sequences import label_choices as choices
 from services.domain.sequences import label_comparisons as comparisons
@@ -37,6 +38,7 @@ from services.runtime.uploads import errors as uploads
 from stone.errors import StoneError
 from stone.scoring import metric
 from stone.splits import splits as splitting
+from stone_datasets import file_faults
 from stone_files import bag_files, virtual_archive
 from stone_recordings.topics import profile_errors as profiles
 
@@ -84,6 +86,8 @@ STATUS_OF: dict[type[StoneError], int] = {
     requests.UnknownExportFormatError: 422,
     files.CalibrationRefusedError: 422,
     files.RangeError: 416,
+    file_faults.BadClassMapError: 422,
+    imports.SplitsForbiddenError: 403,
     inputs.InputsImpossibleError: 409,
     inputs.InputsStandError: 409,
     oidc.IdTokenRefusedError: 502,

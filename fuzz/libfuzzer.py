@@ -10,7 +10,7 @@ import stone_recordings.messages.point_kernel  # noqa: F401 # numba compiles byt
 # isort: split
 
 EXPORTED = (
-    "stone_exports.files", "stone_exports.tar_index", "stone_exports.tables", "stone_exports.sweeps",
+    "stone_exports.files", "stone_files.tar_index", "stone_exports.tables", "stone_exports.sweeps",
     "stone_exports.frames", "stone_exports.labels", "stone_exports.radar", "stone_exports.cameras",
 )  # fmt: skip
 OF_FILES = ("stone_files.bag_files", "stone_files.bag_fingerprint", "stone_files.calibration_bundle")

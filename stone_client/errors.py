@@ -101,7 +101,7 @@ class FileChangedError(StoneError):
 
     def __init__(self, path: Path) -> None:
         super().__init__(
-            f"{path} changed while it was uploaded; is it still being recorded? Upload it again when it is done"
+            f"{path} changed while it was uploaded; is it still being written? Upload it again when it is done"
         )
 
 

@@ -19,10 +19,13 @@ from typing import Any
 
 from stone_client.api import Api
 from stone_client.credentials import Server, choose_server, plain_url
+from stone_client.files.datasets import dataset_name
 from stone_client.platform_part import platform_module
 from stone_client.progress import Report
 from stone_client.server import benchmarks, boards, scores, teams
+from stone_client.server import dataset_imports as imports
 from stone_client.server import submission as submitting
+from stone_client.server.job_following import follow
 from stone_client.server.sequences import Item
 
 StrPath = str | Path
@@ -113,6 +116,27 @@ class Stone:
         at = (str(self.phase(benchmark, phase)["id"]), str(teams.find_team(self.api, team)["id"]))
         entry = submitting.SubmissionDescription(*at, method, modality, description, kind)
         return Submission(self.api, submitting.submit(self.api, Path(path), entry, self._progress), self._progress)
+
+    def import_dataset(
+        self,
+        path: StrPath,
+        *,
+        name: str = "",
+        classes: StrPath | None = None,
+        adds_to_existing: bool = False,
+        sets_splits: bool = False,
+        is_public: bool = False,
+    ) -> Item:
+        """Send a published dataset in a folder or tar; its import, once a sequence stands for every scene.
+
+        Raises a `DatasetFaultError` for what its layout tells, `JobFailedError` with the code of what the server found.
+        """
+        said = None if classes is None else Path(classes).read_text("utf-8")
+        existing = "add" if adds_to_existing else "refuse"
+        wishes = imports.DatasetWishes(name or dataset_name(Path(path)), said, existing, sets_splits, is_public)
+        begun = imports.send_dataset(self.api, Path(path), wishes, self._progress)
+        follow(self.api, begun["job_id"], self._progress)
+        return imports.read_import(self.api, begun["id"])
 
     def submission(self, submission_id: str) -> Submission:
         """One of one's own."""

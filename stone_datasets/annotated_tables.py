@@ -16,10 +16,10 @@ import numpy as np
 from stone.geometry.se3 import SE3
 from stone_datasets.build import NS_PER_US
 from stone_datasets.faults import DatasetPlace
-from stone_datasets.files import ANNOTATIONS
 from stone_datasets.index import DatasetChannel, DatasetSequence
 from stone_datasets.scene_tables import TABLES, SceneTableFiles, encoded
 from stone_datasets.table_faults import StampOrderError
+from stone_files.dataset_layout import ANNOTATIONS
 
 CLASSES = ("free", "traversable", "potentially_traversable", "non_traversable")
 MOST_BYTES = 1 << 40  # of one scene: as much as its annotations say, a few times

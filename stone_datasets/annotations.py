@@ -19,16 +19,10 @@ from stone_datasets.build import NS_PER_US, channel_and_stamp
 from stone_datasets.columns import NameColumn
 from stone_datasets.faults import DatasetFaultError, DatasetFaults, DatasetPlace, quoted
 from stone_datasets.file_faults import LabelPathError
-from stone_datasets.files import ANNOTATIONS, DatasetFiles, is_inside
+from stone_datasets.files import DatasetFiles
 from stone_datasets.index import DatasetChannel, DatasetIndex, DatasetSequence, label_folder
 from stone_datasets.json_stream import JsonStream
-from stone_datasets.layout_faults import (
-    BadDatasetTokenError,
-    BadSceneNameError,
-    DuplicateTokenError,
-    PathLeavesDatasetError,
-    TableMissingError,
-)
+from stone_datasets.layout_faults import BadDatasetTokenError, BadSceneNameError, DuplicateTokenError, TableMissingError
 from stone_datasets.links import LinkedRows, check_chains
 from stone_datasets.rows import FARTHEST_MOUNT_M, FARTHEST_POSE_M, DatasetRow
 from stone_datasets.samples import picture_of
@@ -40,6 +34,7 @@ from stone_datasets.table_faults import (
     DuplicateSceneError,
 )
 from stone_exports.frames import TOKEN, ExportedSensor
+from stone_files.dataset_layout import ANNOTATIONS, PathLeavesDatasetError, is_inside
 
 SPLIT_KEYS = {"train_split": "train", "val_split": "val", "test_split": "test"}
 PICTURE_FOLDERS = ("", "imgs/", "samples/")

@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 from stone.geometry.se3 import SE3
 from stone_datasets.columns import Keys, repeated, rows_of
 from stone_datasets.faults import DatasetFaultError, DatasetFaults, DatasetPlace, quoted
-from stone_datasets.files import is_inside
 from stone_datasets.index import DatasetChannel
-from stone_datasets.layout_faults import PathLeavesDatasetError
 from stone_datasets.links import LinkedRows, Places, check_chains, check_scenes
 from stone_datasets.table_faults import (
     CalibrationChangesError,
@@ -29,6 +27,7 @@ from stone_datasets.table_faults import (
 )
 from stone_datasets.tables import CalibratedSensorRow, DatasetTables
 from stone_exports.frames import LIDAR_CHANNEL, ExportedSensor
+from stone_files.dataset_layout import PathLeavesDatasetError, is_inside
 
 FARTHEST_US, NS_PER_US = 1_000_000, 1000
 FOLDERS = ("samples", "sweeps")

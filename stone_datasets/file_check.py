@@ -6,10 +6,10 @@ from stone_datasets.classes import ClassMap
 from stone_datasets.contents import DatasetContents
 from stone_datasets.faults import DatasetFaultError, DatasetFaults, DatasetPlace
 from stone_datasets.file_faults import LabelsMissingError, SampleMissingError
-from stone_datasets.files import ANNOTATIONS
 from stone_datasets.index import DatasetChannel, DatasetIndex, DatasetSequence
 from stone_datasets.labels import read_labels
 from stone_datasets.samples import check_sample
+from stone_files.dataset_layout import ANNOTATIONS
 
 Progress = Callable[[int, int], None]
 

@@ -6,9 +6,8 @@ is of 64 bits and another in every process.
 """
 
 import os
-import re
 import stat
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -17,21 +16,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone_datasets.columns import NumberColumn, places_of
-from stone_datasets.faults import DatasetPlace, quoted
-from stone_datasets.layout_faults import (
-    CompressedDatasetError,
-    NotADatasetError,
-    PathLeavesDatasetError,
-    TwoVersionsError,
-)
 from stone_exports.files import ExportFileSpan
-from stone_exports.tar_index import tar_members
+from stone_files.dataset_layout import (
+    head_of,
+    is_below,
+    is_inside,
+    leaving,
+    refuse_compressed,
+    refuse_outside,
+    root_in_folder,
+    root_in_tar,
+)
+from stone_files.tar_index import tar_members
 from stone_files.virtual_archive import NAME
-
-ANNOTATIONS = "annotations.json"
-VERSION_FOLDER = re.compile(r"v1\.0-[a-z0-9_-]{1,40}")
-HEAD = re.compile(rf"(?P<root>(?:.*/)?)(?:(?P<version>{VERSION_FOLDER.pattern})/[a-z_]+\.json|{ANNOTATIONS})")
-GZIP = b"\x1f\x8b"
 
 
 class DatasetFiles(Protocol):
@@ -59,16 +56,15 @@ class DatasetFolder:
     _known: dict[str, str] = field(default_factory=dict, repr=False, compare=False)
 
     def span(self, name: str) -> ExportFileSpan | None:
-        if not is_inside(name):
-            raise _leaves(name)
+        refuse_outside(name)
         folder, _, base = name.rpartition("/")
         try:
             place = f"{self._real(folder)}/{base}"
             status = os.lstat(place)
             if stat.S_ISLNK(status.st_mode):
                 place = os.path.realpath(place)
-                if not _is_below(place, self._real("")):
-                    raise _leaves(name)
+                if not is_below(place, self._real("")):
+                    raise leaving(name)
                 status = os.lstat(place)
         except (OSError, ValueError):
             return None
@@ -81,8 +77,8 @@ class DatasetFolder:
         """The folder of this name without links, asked once. Raises where those lead outside."""
         if folder not in self._known:
             real = os.path.realpath(self.path / folder)
-            if not _is_below(real, os.path.realpath(self.path)):
-                raise _leaves(folder)
+            if not is_below(real, os.path.realpath(self.path)):
+                raise leaving(folder)
             self._known[folder] = real
         return self._known[folder]
 
@@ -99,8 +95,7 @@ class DatasetTar:
     folders: frozenset[str] = field(repr=False)
 
     def span(self, name: str) -> ExportFileSpan | None:
-        if not is_inside(name):
-            raise _leaves(name)
+        refuse_outside(name)
         at = int(places_of(self.keys, np.array([hash(self.root + name)]))[0])
         return None if at < 0 else ExportFileSpan(self.path, name, *self.places[at].tolist())
 
@@ -120,71 +115,36 @@ class DatasetTar:
         return self.root + name in self.folders
 
 
-def is_inside(name: str) -> bool:
-    """Whether a path stays below the folder that it is relative to."""
-    return not name.startswith("/") and "\\" not in name and "\0" not in name and ".." not in name.split("/")
-
-
 def open_dataset(path: Path) -> DatasetFiles:
     """The dataset in a folder or tar, also one folder below. Raises a `DatasetFaultError`, `BadTarError`."""
     return _in_tar(path) if path.is_file() else _in_folder(path)
 
 
 def _in_folder(path: Path) -> DatasetFiles:
-    folders = [path, *(one for one in sorted(path.iterdir()) if one.is_dir() and not one.is_symlink())]
-    found = {f"{one.relative_to(path).as_posix()}/{version}" for one in folders for version in _versions(one)}
-    if not any(VERSION_FOLDER.fullmatch(one.rpartition("/")[2]) for one in found):
-        found = {f"{one.relative_to(path).as_posix()}/" for one in folders if (one / ANNOTATIONS).is_file()}
-    root, _, version = _only(path, found).rpartition("/")
-    return DatasetFolder(path / root, version)
-
-
-def _versions(folder: Path) -> Iterator[str]:
-    names = (one.name for one in folder.iterdir() if one.is_dir())
-    return (name for name in names if VERSION_FOLDER.fullmatch(name))
+    return DatasetFolder(*root_in_folder(path))
 
 
 def _in_tar(path: Path) -> DatasetFiles:
-    with path.open("rb") as file:
-        if file.read(2) == GZIP:
-            raise CompressedDatasetError(DatasetPlace(path.name), "it is compressed by gzip")
+    refuse_compressed(path)
     keys, places = NumberColumn("q"), NumberColumn("q")
     heads, folders = set[tuple[str, str]](), set[str]()
     for name, place in tar_members(path):
-        if not is_inside(name):
-            raise _leaves(name)
+        refuse_outside(name)
         if not NAME.fullmatch(name):
             continue
         keys.add(hash(name))
         places.add(*place)
-        head = HEAD.fullmatch(name)
+        head = head_of(name)
         if head is not None:
-            heads.add((head["root"], head["version"] or ""))
+            heads.add(head)
         _note_labels(folders, name)
-    tables = {f"{root}{version}" for root, version in heads if version} or {root for root, _ in heads}
-    root, slash, version = _only(path, tables).rpartition("/")
+    root, version = root_in_tar(path, heads)
     order = np.argsort(keys.array(np.int64), kind="stable")
     held = (keys.array(np.int64)[order], places.array(np.int64).reshape(-1, 2)[order])
-    return DatasetTar(path, version, root + slash, *held, frozenset(folders))
+    return DatasetTar(path, version, root, *held, frozenset(folders))
 
 
 def _note_labels(folders: set[str], name: str) -> None:
     """Of the folders only those two above labels.npz are asked for."""
     if name.endswith("/labels.npz"):
         folders.add(name.rsplit("/", 2)[0])
-
-
-def _only(path: Path, found: set[str]) -> str:
-    if not found:
-        raise NotADatasetError(DatasetPlace(path.name), f"expected is a folder v1.0-…, or {ANNOTATIONS}")
-    if len(found) > 1:
-        raise TwoVersionsError(DatasetPlace(path.name), f"there are {', '.join(sorted(found)[:4])}")
-    return next(iter(found))
-
-
-def _leaves(name: str) -> PathLeavesDatasetError:
-    return PathLeavesDatasetError(DatasetPlace(name), f"{quoted(name)} leads out of the dataset")
-
-
-def _is_below(path: str, root: str) -> bool:
-    return path == root or path.startswith(root.rstrip("/") + "/")

@@ -1,36 +1,8 @@
-"""What is refused of a dataset's layout, its JSON and the values of its rows."""
+"""What is refused of a dataset's JSON and of the values of its rows."""
 
 from typing import ClassVar
 
 from stone_datasets.faults import DatasetFaultError
-
-
-class NotADatasetError(DatasetFaultError):
-    """There is neither a folder of tables nor an annotations.json."""
-
-    code: ClassVar[str] = "DST-001"
-    likely: ClassVar[str] = "is it the folder above, or a set of another layout?"
-
-
-class TwoVersionsError(DatasetFaultError):
-    """There are tables in two places."""
-
-    code: ClassVar[str] = "DST-002"
-    likely: ClassVar[str] = "give one version, or the folder of one dataset"
-
-
-class CompressedDatasetError(DatasetFaultError):
-    """The tar is compressed, so that no file in it can be read by its place."""
-
-    code: ClassVar[str] = "DST-003"
-    likely: ClassVar[str] = "unpack it, or `gunzip` it first"
-
-
-class PathLeavesDatasetError(DatasetFaultError):
-    """A path is absolute, has `..`, or is a link to outside of the dataset."""
-
-    code: ClassVar[str] = "DST-004"
-    likely: ClassVar[str] = "paths are relative to the dataset's folder; copy what a link leads to"
 
 
 class TooManyRowsError(DatasetFaultError):

@@ -14,12 +14,12 @@ from stone_datasets.classes import OWN_CLASSES, ClassMap
 from stone_datasets.contents import DatasetContents
 from stone_datasets.faults import MOST_SHOWN, DatasetFaultError, DatasetFaults, DatasetPlace
 from stone_datasets.file_check import Progress, check_files
-from stone_datasets.files import ANNOTATIONS, DatasetFiles, open_dataset
+from stone_datasets.files import DatasetFiles, open_dataset
 from stone_datasets.index import DatasetIndex, DatasetSequence, label_folder
-from stone_datasets.layout_faults import NotADatasetError
 from stone_datasets.splits import check_splits, read_splits, splits_of
 from stone_datasets.tables import DatasetTables, read_tables
 from stone_exports.frames import LIDAR_CHANNEL
+from stone_files.dataset_layout import ANNOTATIONS, NotADatasetError
 
 Stage = Literal["rows", "links", "files"]
 

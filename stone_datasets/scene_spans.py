@@ -16,9 +16,10 @@ from stone_datasets.annotated_tables import picture_names
 from stone_datasets.build import PlacedData
 from stone_datasets.faults import DatasetPlace, quoted
 from stone_datasets.file_faults import LabelsMissingError, SampleMissingError
-from stone_datasets.files import ANNOTATIONS, DatasetTar
+from stone_datasets.files import DatasetTar
 from stone_datasets.index import DatasetSequence
 from stone_datasets.json_stream import json_rows
+from stone_files.dataset_layout import ANNOTATIONS
 from stone_files.virtual_archive import NAME
 
 MAPS = "maps/"

@@ -22,6 +22,7 @@ from web.pages import (
     device,
     downloads,
     home,
+    imports,
     methods,
     people,
     sequence,
@@ -45,6 +46,7 @@ ROUTERS: tuple[APIRouter, ...] = (
     device.router,
     administration.router,
     calibrations.router,
+    imports.router,
     sequences.router,  # before a sequence's own page, which would take `new` for an id
     viewer.router,
     benchmarks.router,

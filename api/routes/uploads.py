@@ -61,9 +61,9 @@ async def create_upload(
 ) -> Response:
     """Create an upload; bytes in the body are taken at once (creation-with-upload).
 
-    Metadata: `filename`, `purpose` (recording, calibration, submission, ground_truth), `target_id`, `sha256`; of a
-    submission they are what its draft announces. Where you have the declared bytes here already, the answer's
-    `Upload-Offset` is the length and nothing is to be sent.
+    Metadata: `filename`, `purpose` (recording, calibration, submission, ground_truth, dataset: a tar), `target_id`,
+    `sha256`; of a submission they are what its draft announces. Where you have the declared bytes here already, the
+    answer's `Upload-Offset` is the length and nothing is to be sent.
     """
     upload = await accept_creation(request, platform, caller)
     offset_bytes = await in_thread(bytes_here, platform, upload)

@@ -17,8 +17,10 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from services.domain.exports.requests import ExportResult, begin_export, write_export
+from services.domain.sequences.label_sources import located_source
 from services.domain.sequences.run_files import SEQUENCE_FILE
 from services.domain.sequences.stage_checks import require_sequence
+from services.labeler.exports.dataset_source import DatasetSource
 from services.labeler.exports.registry import Exporter, exporter_of
 from services.labeler.exports.sandboxed_export import (
     FILES,
@@ -33,7 +35,7 @@ from services.labeler.exports.source import MESH, REPORT, TABLE
 from services.labeler.kernel_warmup import warm
 from services.labeler.recordings import located_recording
 from services.runtime.jobs.specs import Attempt, Outcome
-from services.runtime.orm import Artefact, Blob, Export, LabelledFrameRow, LabelSet
+from services.runtime.orm import Artefact, Blob, Export, LabelledFrameRow
 from services.runtime.platform import Platform
 from services.runtime.sandbox.job_sandbox import JobSandbox, SandboxedWork, private_folder_in
 from services.runtime.store.blobs import PreparedBlob, prepare
@@ -65,7 +67,7 @@ def export(platform: Platform, attempt: Attempt) -> Outcome:
 
 
 def located_inputs(platform: Platform, label_set_id: str, folder: Path, exporter: Exporter) -> ExportInputs:
-    """What an export of the label set is made of, but the recording, on this machine.
+    """What an export of the label set is made of, but what was measured, on this machine.
 
     `folder` gets links that call the files as they are called. Raises `ObjectMissingError`.
     """
@@ -92,16 +94,34 @@ class ExportSandbox:
         """Raises as `JobSandbox.run`."""
         bag = inputs.recording
         files = (path.resolve() for path in inputs.folder.iterdir())
-        reads = (inputs.folder, *files, *inputs.labels.packs.values(), *(bag_paths(bag) if bag else ()))
+        measured = (*(bag_paths(bag) if bag else ()), *(inputs.source.paths if inputs.source else ()))
+        reads = (inputs.folder, *files, *inputs.labels.packs.values(), *measured)
         with private_folder_in(self.folder) as temporary:
             sandbox = JobSandbox(self.folder, reads, self.attempt, self.platform.settings, warm, temporary)
             return sandbox.run(work, "export", 1)
 
 
-def with_recording(sandbox: ExportSandbox, inputs: ExportInputs, sequence_id: str) -> ExportInputs:
-    """The inputs and the bag that the sequence was made of. Raises `RecordingDeletedError`."""
+@dataclass(frozen=True)
+class ExportedLabels:
+    """The label set that is exported, and its sequence."""
+
+    label_set_id: str
+    sequence_id: str
+
+
+def with_samples(sandbox: ExportSandbox, inputs: ExportInputs, of: ExportedLabels) -> ExportInputs:
+    """The inputs and what was measured: the source of labels that were imported, else the bag that they were made of.
+
+    Raises `RecordingDeletedError`.
+    """
+    platform = sandbox.platform
+    with platform.database.reading() as session:
+        located = located_source(session, of.label_set_id)
+    if located is not None:
+        index, *packs = (platform.store.local(key) for key in (located.index_key, *located.pack_keys))
+        return replace(inputs, source=DatasetSource(index, tuple(packs)))
     made_of = SourceAnswer.believed(sandbox.run(partial(source_of, inputs), inputs))
-    return replace(inputs, recording=located_recording(sandbox.platform, sequence_id, made_of.sha256s))
+    return replace(inputs, recording=located_recording(platform, of.sequence_id, made_of.sha256s))
 
 
 def _ranges(session: Session, label_set_id: str) -> tuple[LabelRange, ...]:
@@ -158,15 +178,10 @@ def _packed(platform: Platform, attempt: Attempt, row: Export, folder: Path) -> 
     exporter, sandbox = exporter_of(row.format), ExportSandbox(platform, attempt, folder)
     inputs = located_inputs(platform, row.label_set_id, folder / INPUTS, exporter)
     if exporter.reads_samples:
-        inputs = with_recording(sandbox, inputs, _sequence_of(platform, row.label_set_id))
+        inputs = with_samples(sandbox, inputs, ExportedLabels(row.label_set_id, row.sequence_id))
     (folder / FILES).mkdir()
     sandbox.run(partial(write_format, row.format, inputs), inputs)
     return pack_files(attempt, folder)
-
-
-def _sequence_of(platform: Platform, label_set_id: str) -> str:
-    with platform.database.reading() as session:
-        return session.get_one(LabelSet, label_set_id).sequence_id
 
 
 def _made(platform: Platform, attempt: Attempt, folder: Path, files: PackedFiles) -> ExportResult:

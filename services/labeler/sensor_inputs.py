@@ -1,5 +1,5 @@
-"""The stage that makes an input of a phase or of a dataset version: a synchronised sequence and its recording → files
-→ packs in the store.
+"""The stage that makes an input of a phase or of a dataset version: a synchronised sequence and what was measured →
+files → packs in the store.
 
 **Conventions.** As `services/labeler/export_stage.py`, but that labels, mesh and report are not even located: what is
 not opened cannot get into what participants are given. Log lines and results say no more than names, files and bytes.
@@ -14,11 +14,12 @@ from services.domain.datasets.inputs import version_of_attempt, write_version_in
 from services.domain.sequences.run_files import SEQUENCE_FILE
 from services.labeler.export_stage import (
     INPUTS,
+    ExportedLabels,
     ExportSandbox,
     attempt_folder,
     pack_files,
     stored_packs,
-    with_recording,
+    with_samples,
 )
 from services.labeler.exports.sandboxed_export import FILES, ExportInputs, PackedLabels, write_phase_input
 from services.runtime.jobs.specs import Attempt, Outcome
@@ -50,7 +51,8 @@ def _made(platform: Platform, attempt: Attempt, of: tuple[str, str], folder: Pat
     (folder / INPUTS).mkdir()
     (folder / INPUTS / SEQUENCE_FILE).symlink_to(platform.store.local(key))
     sandbox, inputs = ExportSandbox(platform, attempt, folder), ExportInputs(folder / INPUTS, PackedLabels({}, ()))
-    inputs = with_recording(sandbox, inputs, str(attempt.arguments["sequence_id"]))
+    labels = ExportedLabels(str(attempt.arguments["label_set_id"]), str(attempt.arguments["sequence_id"]))
+    inputs = with_samples(sandbox, inputs, labels)
     (folder / FILES).mkdir()
     sandbox.run(partial(write_phase_input, inputs), inputs)
     files = pack_files(attempt, folder)

@@ -14,6 +14,7 @@ from services.domain.datasets.input_jobs import INPUTS
 from services.domain.exports.requests import EXPORT
 from services.domain.sequences.processing import LABEL
 from services.labeler.export_stage import export
+from services.labeler.imports.stages import import_handlers
 from services.labeler.pipeline import PUBLISH, STAGES
 from services.labeler.publication import publish
 from services.labeler.run_answers import FilesAnswer, GraphAnswer, WorkAnswer
@@ -35,7 +36,8 @@ def handlers(platform: Platform) -> Handlers:
         PUBLISH: publish,
     }
     made = {kind: partial(_with_context, platform, stage) for kind, stage in stages.items()}
-    return {**made, EXPORT: partial(export, platform), INPUTS: partial(make_input, platform)}
+    others = {EXPORT: partial(export, platform), INPUTS: partial(make_input, platform)}
+    return {**made, **others, **import_handlers(platform)}
 
 
 def list_jobs(context: LabelStageContext) -> Outcome:

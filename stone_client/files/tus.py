@@ -9,7 +9,7 @@ import os
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Protocol
 
 from stone_client.api import Api, Patience
 from stone_client.errors import FileChangedError, ServerRefusedError, ServerUnreachableError
@@ -29,6 +29,23 @@ class Purpose:
     target_id: str = ""
 
 
+class LocalContent(Protocol):
+    """Bytes of this machine that can be sent: a file, or a folder as a tar."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def size_bytes(self) -> int: ...
+
+    @property
+    def sha256(self) -> str: ...
+
+    def read(self, offset: int, most_bytes: int) -> bytes:
+        """At most so many bytes from there on. Raises `FileChangedError`."""
+        ...
+
+
 @dataclass(frozen=True)
 class LocalFile:
     """A file as it was when its sha256 was taken."""
@@ -38,21 +55,31 @@ class LocalFile:
     modified_ns: int
     sha256: str
 
-    def refuse_change(self, file: BinaryIO) -> None:
-        """Raises `FileChangedError`."""
-        now = os.fstat(file.fileno())
-        if (now.st_size, now.st_mtime_ns) != (self.size_bytes, self.modified_ns):
-            raise FileChangedError(self.path)
+    @property
+    def name(self) -> str:
+        return self.path.name
+
+    def read(self, offset: int, most_bytes: int) -> bytes:
+        with self.path.open("rb") as file:
+            refuse_change(self.path, file, (self.size_bytes, self.modified_ns))
+            file.seek(offset)
+            return file.read(most_bytes)
 
 
-def upload_file(api: Api, local: LocalFile, purpose: Purpose, progress: Report) -> str:
-    """Send the file, or what of it the server does not have yet; the id of the complete upload.
+def refuse_change(path: Path, file: BinaryIO, before: tuple[int, int]) -> None:
+    """Compare size and time of change (ns) with what they were. Raises `FileChangedError`."""
+    now = os.fstat(file.fileno())
+    if (now.st_size, now.st_mtime_ns) != before:
+        raise FileChangedError(path)
+
+
+def upload_file(api: Api, local: LocalContent, purpose: Purpose, progress: Report) -> str:
+    """Send the bytes, or what of them the server does not have yet; the id of the complete upload.
 
     Raises what `Api.send` raises, and `FileChangedError`.
     """
     upload_id, offset = _begun(api, local, purpose) or _create(api, local, purpose)
-    with local.path.open("rb") as file:
-        _send_rest(api, f"/uploads/{upload_id}", _Rest(file, local, offset), progress)
+    _send_rest(api, f"/uploads/{upload_id}", _Rest(local, offset), progress)
     return upload_id
 
 
@@ -66,17 +93,15 @@ def hashed(path: Path, progress: Report) -> LocalFile:
             whole.update(piece)
             done += len(piece)
             progress("hash", done, now.st_size)
-        local = LocalFile(path, now.st_size, now.st_mtime_ns, whole.hexdigest())
-        local.refuse_change(file)
-    return local
+        refuse_change(path, file, (now.st_size, now.st_mtime_ns))
+    return LocalFile(path, now.st_size, now.st_mtime_ns, whole.hexdigest())
 
 
 @dataclass
 class _Rest:
     """The bytes still to be sent; `offset` is where the bytes on the server end."""
 
-    file: BinaryIO
-    local: LocalFile
+    local: LocalContent
     offset: int
 
 
@@ -85,9 +110,7 @@ def _send_rest(api: Api, address: str, rest: _Rest, progress: Report) -> None:
     patience = Patience(PATIENCE_S)
     progress("upload", rest.offset, size_bytes)
     while rest.offset < size_bytes:
-        rest.local.refuse_change(rest.file)
-        rest.file.seek(rest.offset)
-        piece = rest.file.read(PIECE_BYTES)
+        piece = rest.local.read(rest.offset, PIECE_BYTES)
         before = rest.offset
         try:
             rest.offset = _send_piece(api, address, piece, rest.offset)
@@ -117,12 +140,12 @@ def _may_pass(error: ServerRefusedError | ServerUnreachableError) -> bool:
     return isinstance(error, ServerUnreachableError) or error.status in TRY_AGAIN
 
 
-def _begun(api: Api, local: LocalFile, purpose: Purpose) -> tuple[str, int] | None:
+def _begun(api: Api, local: LocalContent, purpose: Purpose) -> tuple[str, int] | None:
     """The upload of these bytes to this target that is under way or complete, with its offset.
 
     Asked of the upload itself: a server killed after the last byte then verifies what it has.
     """
-    asked = (purpose.name, purpose.target_id or None, local.path.name, local.size_bytes, local.sha256)
+    asked = (purpose.name, purpose.target_id or None, local.name, local.size_bytes, local.sha256)
     for state in ("open", "complete"):
         for item in api.pages("/uploads", state=state):
             keys = ("purpose", "target_id", "filename", "length_bytes", "declared_sha256")
@@ -131,9 +154,9 @@ def _begun(api: Api, local: LocalFile, purpose: Purpose) -> tuple[str, int] | No
     return None
 
 
-def _create(api: Api, local: LocalFile, purpose: Purpose) -> tuple[str, int]:
+def _create(api: Api, local: LocalContent, purpose: Purpose) -> tuple[str, int]:
     """Announce the file; its id, and how much of it the server has already."""
-    said = {"filename": local.path.name, "purpose": purpose.name, "sha256": local.sha256}
+    said = {"filename": local.name, "purpose": purpose.name, "sha256": local.sha256}
     if purpose.target_id:
         said["target_id"] = purpose.target_id
     metadata = ",".join(f"{key} {base64.b64encode(value.encode()).decode('ascii')}" for key, value in said.items())

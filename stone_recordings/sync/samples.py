@@ -19,8 +19,9 @@ from stone.sensors.deskew import BIN_NS, SweepMount, deskew, sweep_motion
 from stone.sensors.samples import CameraSample, LidarSample, RadarSample
 from stone.sensors.sequence import Association, Sequence
 from stone_files.bag_fingerprint import recording_sha256
-from stone_recordings.messages.camera import CameraPicture, decode_image
+from stone_recordings.messages.camera import COMPRESSED, CameraPicture, decode_image
 from stone_recordings.messages.lidar import LidarPoints
+from stone_recordings.messages.picture_head import head_of
 from stone_recordings.messages.pointcloud2 import lidar_points
 from stone_recordings.messages.sweep_clouds import cloud_at
 from stone_recordings.sync.radars import BagRadar, radars_of
@@ -76,7 +77,7 @@ class BagSamples:
         bag = opened(self.path)
         topic = next(topic for topic in bag.topics if topic.name == taken.topic)
         picture = decode_image(bag.message(topic.name, int(taken.message_index[index])).payload, topic.type)
-        content = bytes(picture.data) if picture.encoding == "JPEG" else _encoded(picture)
+        content = as_jpeg(picture)
         return CameraSample(self._taken_ns(taken, index), content, picture.width_px, picture.height_px)
 
     def radar(self, channel: str, index: int) -> RadarSample | None:
@@ -139,7 +140,20 @@ def _intensity(points: NDArray[np.void], rows: NDArray[np.int32]) -> NDArray[np.
     return np.zeros(len(rows), np.float32)
 
 
-def _encoded(picture: CameraPicture) -> bytes:
+def jpeg_of(content: bytes) -> tuple[bytes, tuple[int, int]]:
+    """A JPEG or PNG file as JPEG, as pictures of recordings become it, and its width and height.
+
+    Raises `PictureError`.
+    """
+    head = head_of(content, COMPRESSED)
+    picture = CameraPicture(COMPRESSED, 0, "", head.width_px, head.height_px, head.kind, 0, False, memoryview(content))
+    return as_jpeg(picture), (head.width_px, head.height_px)
+
+
+def as_jpeg(picture: CameraPicture) -> bytes:
+    """The recorded bytes where they are JPEG, else encoded once."""
+    if picture.encoding == "JPEG":
+        return bytes(picture.data)
     file = io.BytesIO()
     Image.fromarray(picture.pixels()).save(file, "JPEG", quality=JPEG_QUALITY, subsampling=0)
     return file.getvalue()

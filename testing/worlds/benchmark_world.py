@@ -135,9 +135,9 @@ def benchmark_world(platform: Platform, frames: int = FRAMES) -> World:
     administrator, curator = person(platform, "administrator"), person(platform, "curator")
     grids, ids = _sequences(platform, curator, frames)
     dataset = published.dataset(platform, administrator.user_id, ids)
-    benchmark, phases = _benchmark(platform, administrator, dataset)
+    benchmark, phases = benchmark_over(platform, administrator, dataset)
     captains = (person(platform, "participant"), person(platform, "participant"))
-    teams = tuple(_team(platform, captain) for captain in captains)
+    teams = tuple(team_led_by(platform, captain) for captain in captains)
     member = person(platform, "participant")
     with platform.database.transaction() as session:
         team, captain = session.get_one(Team, teams[0]), session.get_one(User, captains[0].user_id)
@@ -172,7 +172,7 @@ def _sequences(platform: Platform, owner: Person, frames: int) -> tuple[dict[str
             name = f"{part}-{environment}-{new_id()[-6:]}"
             of_sequence = [ground(seed := seed + 1, canary=part == "test") for _ in range(frames)]
             ids[part].append(labelled(platform, owner, name, of_sequence, (environment, illumination)))
-            tokens = [frame_token(name, made.START_NS + index) for index in range(frames)]
+            tokens = [frame_token(name, made.stamp_of(index)) for index in range(frames)]
             grids[part][name] = dict(zip(tokens, of_sequence, strict=True))
         grids[part] = dict(sorted(grids[part].items()))
     return grids, ids
@@ -192,7 +192,8 @@ def labelled(
     return row.id
 
 
-def _benchmark(platform: Platform, administrator: Person, dataset: str) -> tuple[str, dict[str, str]]:
+def benchmark_over(platform: Platform, administrator: Person, dataset: str) -> tuple[str, dict[str, str]]:
+    """A benchmark's name, and its phases over val (open) and test (hidden) of a version, their ground truth ready."""
     with platform.database.transaction() as session:
         version = session.scalars(select(Dataset).where(Dataset.name == dataset)).one()
         asked = NewBenchmark(f"stone-{new_id()[-6:]}", "STONE", "Where can it go?", administrator.user_id)
@@ -209,7 +210,8 @@ def _benchmark(platform: Platform, administrator: Person, dataset: str) -> tuple
     return name, phases
 
 
-def _team(platform: Platform, captain: Person) -> str:
+def team_led_by(platform: Platform, captain: Person) -> str:
+    """The id of a new team."""
     with platform.database.transaction() as session:
         team = Team(name=f"team-{new_id()[-8:]}")
         session.add(team)

@@ -34,10 +34,15 @@ from stone.sensors.sequence import frame_token
 from stone_files.npz import npz_bytes
 from stone_files.virtual_archive import KINDS
 from testing.api.serving import Person
-from testing.worlds.frame_tables import frame_table_bytes
+from testing.worlds.frame_tables import FRAME_NS, frame_table_bytes
 
 NOBODY = "0" * 32
 START_NS = 1_777_800_000_000_000_000
+
+
+def stamp_of(ordinal: int) -> int:
+    """The stamp of a frame of a label set that is laid down, in nanoseconds."""
+    return START_NS + ordinal * FRAME_NS
 
 
 @dataclass(frozen=True)
@@ -84,7 +89,7 @@ def labels(
     """
     contents = contents or [seed + b"labels of %d " % i * (i + 1) for i in range(frames)]
     frames = len(contents)
-    of_frames = {frame_token(made["name"], START_NS + i): content for i, content in enumerate(contents)}
+    of_frames = {frame_token(made["name"], stamp_of(i)): content for i, content in enumerate(contents)}
     files = {
         "report.json": b'{"frames": %d, "seed": "%s"}' % (frames, seed),
         "mesh.ply": b"ply\n" + seed + bytes(range(256)) * 40,
@@ -108,7 +113,7 @@ def labels(
         artefacts = {name: _artefact(session, platform, row.id, name, content) for name, content in files.items()}
         offset = 0
         for ordinal, (token, content) in enumerate(of_frames.items()):
-            frame = LabelledFrameRow(label_set_id=row.id, ordinal=ordinal, token=token, stamp_ns=START_NS + ordinal)
+            frame = LabelledFrameRow(label_set_id=row.id, ordinal=ordinal, token=token, stamp_ns=stamp_of(ordinal))
             frame.pack_id, frame.offset_bytes, frame.length_bytes = (
                 artefacts["labels/000000.pack"],
                 offset,
@@ -148,7 +153,7 @@ def scene_json(name: str, tokens: Listing[str]) -> bytes:
     """What the labeler tells the viewer of a sequence with these frames."""
     frames = {
         "tokens": list(tokens),
-        "stamps_ns": [str(START_NS + i) for i in range(len(tokens))],
+        "stamps_ns": [str(stamp_of(i)) for i in range(len(tokens))],
         "map_from_ego": [[float(i), 0.0, 0.3, 1.0, 0.0, 0.0, 0.0] for i in range(len(tokens))],
     }
     record = {

@@ -83,27 +83,17 @@ class Brought:
         """Upload a file, or every file of a folder, as a recording; the id of the job that reads it."""
         files = sorted(path.iterdir()) if path.is_dir() else [path]
         received = NewRecording(
-            tuple(self._uploaded(file, "" if path.is_dir() else filename) for file in files), path.name
+            tuple(
+                uploaded(self.platform, self.owner_id, file, filename="" if path.is_dir() else filename)
+                for file in files
+            ),
+            path.name,
         )
         with self.platform.database.transaction() as session:
             sequence = session.get_one(SequenceRow, self.sequence_id)
             recording, job = add_recording(session, sequence, received, self.owner_id)
             self.recording_ids.append(recording.id)
             return job.id
-
-    def _uploaded(self, path: Path, filename: str) -> str:
-        content = path.read_bytes()
-        with self.platform.database.transaction() as session:
-            facts = {"purpose": "recording", "filename": filename or path.name, "length_bytes": len(content)}
-            upload = Upload(owner_id=self.owner_id, state="complete", expires_ns=0, **facts)
-            upload.sha256 = hashlib.sha256(content).hexdigest()
-            session.add(upload)
-            session.flush()
-            reserve(session, self.owner_id, len(content), upload.id, "upload", 2**40)
-            file = upload_file(self.platform.settings, upload.id)
-            file.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(path, file)
-            return upload.id
 
     def calibrate(self, path: Path) -> None:
         with self.platform.database.transaction() as session:
@@ -136,6 +126,22 @@ class Brought:
             frame.length_bytes for frame in frames
         )
         return files
+
+
+def uploaded(platform: Platform, owner_id: str, path: Path, *, purpose: str = "recording", filename: str = "") -> str:
+    """The id of a complete upload of the file."""
+    with path.open("rb") as file:
+        sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+    with platform.database.transaction() as session:
+        facts = {"purpose": purpose, "filename": filename or path.name, "length_bytes": path.stat().st_size}
+        upload = Upload(owner_id=owner_id, state="complete", expires_ns=0, sha256=sha256, **facts)
+        session.add(upload)
+        session.flush()
+        reserve(session, owner_id, upload.length_bytes, upload.id, "upload", 2**40)
+        kept = upload_file(platform.settings, upload.id)
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(path, kept)
+        return upload.id
 
 
 def bring(platform: Platform, name: str = NAME) -> Brought:

@@ -95,7 +95,7 @@ def known(world: World) -> dict[str, list[str]]:
     known |= {"token": [*world.truth("val"), *world.truth("test")], "metric": list(METRICS), "code": ["not_found"]}
     known |= {"name": ["bev.png"], "path": [EXPORTED], "platform_name": ["robot"]}
     known |= {"tile_name": ["0_-1"], "channel": ["CAM_FRONT"], "v": sets}
-    known |= {one: [STRANGER] for one in ("calibration_id", "recording_id", "rescore_id")}
+    known |= {one: [STRANGER] for one in ("calibration_id", "recording_id", "rescore_id", "import_id")}
     return known | {one: ["meadow", "quarry"] for one in ("environment", "illumination", "region")}
 
 

@@ -170,6 +170,7 @@ def test_a_refusal_that_writes_is_found(holed: Scene) -> None:
 BODIES = {
     "a calibration": ("PUT", "/api/v1/sequences/{sequence_id}/calibration", "calibration_id"),
     "an upload": ("POST", "/api/v1/sequences/{sequence_id}/recordings", "complete_upload"),
+    "an upload to import": ("POST", "/api/v1/dataset-imports", "complete_upload"),
 }
 
 

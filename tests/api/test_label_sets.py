@@ -1,7 +1,7 @@
 """Label sets and their comparisons over HTTP: counted once by a job, shown to their owner alone."""
 
 import io
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,7 @@ from PIL import Image
 from sqlalchemy import select
 
 from services.runtime.jobs.control import cancel
-from services.runtime.orm import AuditEntry, Job, LabelComparison, LabelSet
+from services.runtime.orm import AuditEntry, Job, LabelComparison, LabelledFrameRow, LabelSet, new_id
 from services.runtime.platform import Platform
 from stone_files.npz import npz_bytes
 from testing.api.serving import Person
@@ -113,6 +113,34 @@ def test_a_comparison_whose_job_was_cancelled_is_tried_again(
     second = ask(api, curator, forest).json()
     assert (second["comparison"]["id"], second["comparison"]["state"]) == (first["comparison"]["id"], "queued")
     assert second["job"]["id"] != first["job"]["id"]
+
+
+def test_frames_are_those_of_equal_stamps_in_whole_microseconds(
+    api: httpx.Client, platform: Platform, curator: Person, forest: Compared
+) -> None:
+    """A published label set has no nanoseconds; its frames have tokens of their own."""
+    change_stamps(platform, forest.b_id, lambda ordinal: 999 if ordinal < 2 else 1000)
+    made = ask(api, curator, forest).json()["comparison"]["id"]
+    run_eval(platform)
+    record = api.get(f"{forest.url}/{made}", headers=curator.headers).json()["record"]
+    assert (record["frames"], record["only_in_a"], record["only_in_b"]) == (2, 1, 1)
+    with platform.database.reading() as session:
+        in_b = select(LabelledFrameRow.token).where(LabelledFrameRow.label_set_id == forest.b_id)
+        theirs = session.scalars(in_b.order_by(LabelledFrameRow.ordinal)).all()
+    for token, status in (
+        *zip(forest.tokens, (200, 200, 404), strict=True),
+        *zip(theirs, (200, 200, 404), strict=True),
+    ):
+        for shown in (f"{token}.png", f"{token}/voxels"):
+            assert api.get(f"{forest.url}/{made}/frames/{shown}", headers=curator.headers).status_code == status
+
+
+def change_stamps(platform: Platform, label_set_id: str, later_ns: Callable[[int], int]) -> None:
+    """Give the frames of a label set other tokens, and stamps that are so much later."""
+    frames = select(LabelledFrameRow).where(LabelledFrameRow.label_set_id == label_set_id)
+    with platform.database.transaction() as session:
+        for row in session.scalars(frames):
+            row.stamp_ns, row.token = row.stamp_ns + later_ns(row.ordinal), new_id()
 
 
 def test_the_picture_of_a_frame_shows_both_and_the_difference(

@@ -126,7 +126,7 @@ def test_a_file_that_is_still_being_written_is_refused(server: ApiProcess, owner
     local = hashed(file, quiet)
     with file.open("ab") as recorder:
         recorder.write(b"more")
-    with Api(Server(server.url, owner.secret)) as api, pytest.raises(FileChangedError, match="still being recorded"):
+    with Api(Server(server.url, owner.secret)) as api, pytest.raises(FileChangedError, match="still being written"):
         upload_file(api, local, RECORDING, quiet)
 
 

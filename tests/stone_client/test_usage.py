@@ -12,6 +12,7 @@ ON_A_SERVER = [
     "serve",
     "login",
     "upload",
+    "import",
     "process",
     "watch",
     "status",

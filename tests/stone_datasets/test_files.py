@@ -10,9 +10,9 @@ import pytest
 
 from stone_datasets.columns import NameColumn, repeated, rows_of
 from stone_datasets.files import open_dataset
-from stone_datasets.layout_faults import CompressedDatasetError, PathLeavesDatasetError, TwoVersionsError
 from stone_datasets.reading import check_dataset
-from stone_exports.tar_index import BadTarError
+from stone_files.dataset_layout import CompressedDatasetError, PathLeavesDatasetError, TwoVersionsError
+from stone_files.tar_index import BadTarError
 from testing.worlds.published_datasets import write_published_tar
 from tests.stone_datasets.conftest import GOOD
 from tests.stone_datasets.malformed import SWEEP, linked

@@ -8,9 +8,10 @@ import pytest
 
 from stone_datasets.index import DatasetIndex, DatasetSequence
 from stone_datasets.labels import read_labels
-from stone_datasets.layout_faults import NotADatasetError, TableMissingError
+from stone_datasets.layout_faults import TableMissingError
 from stone_datasets.reading import check_dataset, read_dataset
 from stone_datasets.rows import DatasetRow
+from stone_files.dataset_layout import NotADatasetError
 from testing.worlds.published_datasets import (
     LOGFILE,
     VERSION,

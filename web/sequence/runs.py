@@ -22,9 +22,15 @@ TITLES: Mapping[str, str] = {
     "labeler.publish": "Publish",
     "labeler.export": "Write the export",
     "eval.compare": "Compare label sets",
+    "ingest.keep_dataset": "Keep the dataset",
+    "labeler.import_index": "Read its tables",
+    "labeler.import_scene": "Import scenes",
+    "labeler.import_publish": "Publish the dataset",
+    "dataset.import": "Importing a dataset",
     "sequence.process": "Labelling",
 }
-LABELLING = tuple(kind for kind in TITLES if kind.startswith("labeler.") and kind != "labeler.export")
+OTHERS = ("labeler.export", "labeler.import")
+LABELLING = tuple(kind for kind in TITLES if kind.startswith("labeler.") and not kind.startswith(OTHERS))
 ORDER = tuple(TITLES)
 PROCESS, SYNCHRONISE = "sequence.process", "ingest.synchronise"
 ENDED = ("succeeded", "failed", "cancelled")

@@ -13,6 +13,7 @@ from api.schemas.base import IdPath
 from api.schemas.sequences.calibrations import CalibrationItem
 from api.views.calibrations import calibration_item
 from api.visible import theirs
+from services.domain.sequences.label_sources import SOURCE_INDEX
 from services.runtime.orm import CalibrationRow
 from stone.splits.surroundings import ENVIRONMENTS, ILLUMINATIONS
 from web.rendering import page
@@ -46,6 +47,7 @@ def shown_section(
         "section": "" if name == "overview" else f"/{name}",
         "base": f"/sequences/{shown.id}",
         "api": f"/api/v1/sequences/{shown.id}",
+        "is_imported": any(one.name == SOURCE_INDEX for one in shown.artefacts),
         "pictures": {one.name for one in shown.artefacts} | {one.name for one in shown.previews},
         "steps": steps_of(standing.run) if standing.run else (),
         "title_of": title_of,

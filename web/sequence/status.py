@@ -16,11 +16,12 @@ from api.schemas.jobs import JobDetail, JobItem
 from api.schemas.sequences.sequences import SequenceDetail
 from api.views.jobs import job_detail, job_items
 from api.views.sequences import sequence_detail
-from api.visible import shown_sequence
+from api.visible import labels_of, shown_sequence
 from services.domain.sequences.processing import PROCESS
 from services.runtime.access import roles
 from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import Job
+from web.sequence.origin import LabelOrigin, origin_of
 
 MOST_RUNS = 12
 
@@ -48,7 +49,10 @@ SECTIONS = (
 
 @dataclass(frozen=True)
 class SequenceStatus:
-    """A sequence as who looks may see it: `run` is the one that is alive, else the last labelling; others see none."""
+    """A sequence as who looks may see it: `run` is the one that is alive, else the last labelling; others see none.
+
+    `origin` is what the labels that count were imported from.
+    """
 
     sequence: SequenceDetail
     is_own: bool
@@ -57,6 +61,12 @@ class SequenceStatus:
     match: str
     run: JobDetail | None
     runs: tuple[JobItem, ...]
+    origin: LabelOrigin | None = None
+
+    @property
+    def may_process(self) -> bool:
+        """Whether there is, or may be, something to process: what was imported brought no recording."""
+        return self.may_change and (self.origin is None or self.sequence.recordings > 0)
 
     @property
     def sections(self) -> tuple[Section, ...]:
@@ -82,6 +92,7 @@ def sequence_status_of(session: Session, caller: Caller, sequence_id: str) -> Se
         etag(shown.revision),
         job_detail(session, followed) if followed else None,
         tuple(job_items(session, jobs)),
+        origin_of(labels_of(session, sequence_id)),
     )
 
 

@@ -14,11 +14,12 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from services.domain.datasets.catalogue import CatalogueSequence
+from services.domain.sequences.label_sources import SOURCE
 from services.runtime.orm import Artefact, LabelledFrameRow
 from services.runtime.store.packs import SUMS, PackedFiles
 from stone_files.virtual_archive import check_names
 
-ELSEWHERE = ("labels/", "scene/")
+ELSEWHERE = ("labels/", "scene/", f"{SOURCE}/")
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,8 @@ def _labels(session: Session, one: CatalogueSequence) -> Iterator[DatasetFile]:
 
 
 def _others(session: Session, one: CatalogueSequence) -> Iterator[DatasetFile]:
-    """Files published with the labels, but packs (the frames' files are ranges of them) and the viewer's scene."""
+    """Files published with the labels, but packs (the frames' files are ranges of them), the viewer's scene, and what
+    was measured, which inputs are made of."""
     artefacts = select(Artefact).where(Artefact.label_set_id == one.labels.id).order_by(Artefact.name)
     for row in session.scalars(artefacts):
         if not row.name.startswith(ELSEWHERE):

@@ -1,6 +1,7 @@
 """Inputs: the sensor data of a sequence of a version, made by a job; for a phase or for the version itself.
 
-**Conventions.** An input is made of the synchronised sequence that the version was published with and of its recording.
+**Conventions.** An input is made of the synchronised sequence that the version was published with and of what was
+measured (`services/domain/sequences/label_sources.py`).
 Of labels, mesh and report nothing is located: it may be read by whoever may read. What it is made for, its holder, is
 named in the job's arguments. It is never made anew, so a member that lost its recording before has none for good.
 """
@@ -12,6 +13,7 @@ from dataclasses import dataclass
 from sqlalchemy import Select, select
 from sqlalchemy.orm import Session
 
+from services.domain.sequences.label_sources import has_samples
 from services.domain.sequences.run_files import SEQUENCE_FILE
 from services.runtime.jobs.specs import TERMINAL, Attempt, JobSpec
 from services.runtime.orm import (
@@ -23,7 +25,6 @@ from services.runtime.orm import (
     Job,
     PhaseInput,
     PhaseInputPack,
-    Recording,
     SequenceRow,
 )
 from services.runtime.store.blobs import PreparedBlob, link_all
@@ -104,11 +105,11 @@ def run_under_way(session: Session, kind: str, holder: Mapping[str, str]) -> Job
 
 
 def is_possible(session: Session, member: DatasetMember) -> bool:
-    """Whether sequence, synchronised frames and a recording are still there."""
+    """Whether sequence, synchronised frames and what was measured are still there."""
     sequence = session.get(SequenceRow, member.sequence_id)
-    recorded = select(Recording.id).where(Recording.sequence_id == member.sequence_id, Recording.state == "registered")
-    parts = (session.scalar(_artefact(member.label_set_id)), session.scalar(recorded.limit(1)))
-    return sequence is not None and sequence.deleted_ns is None and None not in parts
+    is_there = sequence is not None and sequence.deleted_ns is None
+    is_synchronised = session.scalar(_artefact(member.label_set_id)) is not None
+    return is_there and is_synchronised and has_samples(session, member.sequence_id, member.label_set_id)
 
 
 def sequence_key(session: Session, attempt: Attempt) -> str:

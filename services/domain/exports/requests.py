@@ -17,6 +17,7 @@ from typing import Literal, get_args
 from sqlalchemy import delete, select
 from sqlalchemy.orm import Session
 
+from services.domain.sequences.label_sources import has_samples
 from services.domain.sequences.processing import lock_sequence
 from services.domain.sequences.run_files import SEQUENCE_FILE
 from services.domain.sequences.stage_checks import require_sequence
@@ -32,7 +33,6 @@ from services.runtime.orm import (
     ExportPack,
     Job,
     LabelSet,
-    Recording,
     SequenceRow,
     new_id,
 )
@@ -109,10 +109,10 @@ def start_export(session: Session, sequence: SequenceRow, form: str) -> tuple[Ex
 def follow_labels(session: Session, sequence: SequenceRow, labels: LabelSet, form: str) -> None:
     """Have labels that are being published exported without anybody asking, after all that somebody asked for.
 
-    Nothing happens where the queue is draining, or where the recording is gone: it may be asked for later. The
+    Nothing happens where the queue is draining, or where what was measured is gone: it may be asked for later. The
     sequence is not locked: whoever deletes it waits for the run that publishes, and then finds the export.
     """
-    if _has_recording(session, sequence):
+    if has_samples(session, sequence.id, labels.id):
         export = _new_export(labels, form, _recipe(labels, form))
         with suppress(QueueDrainingError):
             _enqueued(session, export, Context(sequence.owner_id, sequence.id, LAST))
@@ -197,11 +197,6 @@ def _enqueued(session: Session, export: Export, context: Context) -> Job:
     return job
 
 
-def _has_recording(session: Session, sequence: SequenceRow) -> bool:
-    registered = select(Recording.id).where(Recording.sequence_id == sequence.id, Recording.state == "registered")
-    return session.scalar(registered.limit(1)) is not None
-
-
 def _existing_export(session: Session, sequence: SequenceRow, recipe: str) -> Export | None:
     same = select(Export).where(Export.sequence_id == sequence.id, Export.recipe == recipe)
     return session.scalars(same.execution_options(populate_existing=True)).one_or_none()
@@ -215,6 +210,6 @@ def _exportable_labels(session: Session, sequence: SequenceRow, form: str) -> La
     synchronised = select(Artefact.id).where(Artefact.label_set_id == labels.id, Artefact.name == SEQUENCE_FILE)
     if session.scalar(synchronised) is None:
         raise NothingToExportError(sequence.id, "an earlier version made its labels and kept no sequence.npz")
-    if form not in FROM_LABELS_ALONE and not _has_recording(session, sequence):
+    if form not in FROM_LABELS_ALONE and not has_samples(session, sequence.id, labels.id):
         raise NothingToExportError(sequence.id, "its recording was deleted; only a mesh can be made of labels alone")
     return labels

@@ -54,7 +54,8 @@ def sequences_of_scenes(session: Session, imported: DatasetImport) -> list[Seque
     storage_quota.lock_owner(session, imported.owner_id)
     names = [scene["name"] for scene in imported.scenes or []]
     standing = refuse_existing(session, imported, names)
-    rows = [standing.get(name) or SequenceRow(owner_id=imported.owner_id, name=name) for name in names]
+    said = {"owner_id": imported.owner_id, **imported.facts}
+    rows = [standing.get(name) or SequenceRow(name=name, **said) for name in names]
     session.add_all(rows)
     session.flush()
     return rows

@@ -1,9 +1,9 @@
-"""Imports as they stand: those of an owner, and how far one is, scene by scene."""
+"""How far an import is, scene by scene."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from sqlalchemy import Select, select
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from services.domain.imports.requests import SCENE
@@ -38,15 +38,6 @@ class ImportProgress:
     def done(self) -> int:
         """The number of scenes that are done."""
         return sum(scene.state == "succeeded" for scene in self.scenes)
-
-
-def imports_of(owner_id: str) -> Select[DatasetImport]:
-    return select(DatasetImport).where(DatasetImport.owner_id == owner_id)
-
-
-def import_of(session: Session, import_id: str, owner_id: str) -> DatasetImport | None:
-    """The owner's import of this id; None also where it is somebody else's."""
-    return session.scalars(imports_of(owner_id).where(DatasetImport.id == import_id)).one_or_none()
 
 
 def progress_of(session: Session, imported: DatasetImport) -> ImportProgress:

@@ -1,4 +1,4 @@
-"""Imports of published datasets: asked for with a complete upload, cancelled, begun again, deleted.
+"""Imports of published datasets: asked for with a complete upload, begun again, deleted; cancelled as any run is.
 
 **Conventions.** Each function is part of the caller's transaction. The run's row is locked first, then the import's,
 then what belongs to the owner. The tar's bytes are counted against the owner under its upload's id until the import has
@@ -7,7 +7,7 @@ ended well or was deleted; what was made of it stays then, and is deleted sequen
 
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from sqlalchemy import delete
@@ -50,6 +50,17 @@ class StatedClasses:
 
 
 @dataclass(frozen=True)
+class ImportedFacts:
+    """What is said of every sequence that an import makes; of one that stands already nothing is changed."""
+
+    environment: str = ""
+    illumination: str = ""
+    region: str = ""
+    platform: str = ""
+    is_public: bool = False
+
+
+@dataclass(frozen=True)
 class NewImport:
     """The import of the dataset in a complete upload of a tar, called `name`, or else as its file is.
 
@@ -63,6 +74,7 @@ class NewImport:
     classes: StatedClasses | None = None
     existing: Existing = "refuse"
     sets_splits: bool = False
+    facts: ImportedFacts = ImportedFacts()
 
 
 def start_import(session: Session, owner: User, new: NewImport) -> tuple[DatasetImport, Job]:
@@ -84,16 +96,12 @@ def start_import(session: Session, owner: User, new: NewImport) -> tuple[Dataset
         classes=new.classes.as_record() if new.classes else None,
         existing=new.existing,
         sets_splits=new.sets_splits,
+        facts=asdict(new.facts),
     )
     run = _begun(session, imported)
     session.add(imported)
     session.flush()
     return imported, run
-
-
-def cancel_import(session: Session, imported: DatasetImport) -> Job:
-    """Stop the run; it may be tried again. Raises `JobStateError` where it has ended."""
-    return cancel(session, imported.job_id, "its owner cancelled the import")
 
 
 def begin_import_again(session: Session, imported: DatasetImport, reason: str, restarts: int = 0) -> Job:

@@ -1,6 +1,7 @@
 """Comparisons of two label sets of a sequence: asked for, made by a job, written down once.
 
-**Conventions.** Frames are those of equal stamps. Equal requests are one comparison, for label sets never change; one
+**Conventions.** Frames are those of equal stamps in whole microseconds, since published datasets keep no nanoseconds.
+Equal requests are one comparison, for label sets never change; one
 whose job failed or was cancelled is tried again. Each function is part of the caller's transaction.
 """
 
@@ -9,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from sqlalchemy import select
-from sqlalchemy.orm import Session, aliased
+from sqlalchemy.orm import Session
 
 from services.domain.sequences.processing import lock_sequence
 from services.runtime.code_version import code_version
@@ -30,6 +31,7 @@ from services.runtime.orm.base import now_ns
 from stone.errors import StoneError
 
 COMPARE = "eval.compare"
+NS_PER_US = 1000
 
 
 class UnknownLabelSetError(StoneError):
@@ -112,31 +114,44 @@ def write_comparison(session: Session, attempt: Attempt, record: Mapping[str, An
 
 def stored_pairs(session: Session, comparison: LabelComparison) -> list[StoredPair]:
     """The frames that both label sets have, in the order of A."""
-    a, b = aliased(LabelledFrameRow), aliased(LabelledFrameRow)
-    pack_a, pack_b, blob_a, blob_b = aliased(Artefact), aliased(Artefact), aliased(Blob), aliased(Blob)
-    pairs = (
-        select(a, blob_a.object_key, b, blob_b.object_key)
-        .join(b, a.stamp_ns == b.stamp_ns)
-        .join(pack_a, pack_a.id == a.pack_id)
-        .join(blob_a, blob_a.sha256 == pack_a.blob_sha256)
-        .join(pack_b, pack_b.id == b.pack_id)
-        .join(blob_b, blob_b.sha256 == pack_b.blob_sha256)
-        .where(a.label_set_id == comparison.a_id, b.label_set_id == comparison.b_id)
-        .order_by(a.ordinal)
-    )
-    found = session.execute(pairs).all()
-    return [StoredPair(_stored(of_a, key_a), _stored(of_b, key_b)) for of_a, key_a, of_b, key_b in found]
+    of_b = _by_microsecond(session, comparison.b_id)
+    of_a = _by_microsecond(session, comparison.a_id)
+    return [StoredPair(file, of_b[stamp_us]) for stamp_us, file in of_a.items() if stamp_us in of_b]
 
 
 def stored_pair(session: Session, comparison: LabelComparison, token: str) -> StoredPair | None:
-    """The pair of one frame, named by its token in A; None where A has none of it, or B none of its stamp."""
-    at = select(LabelledFrameRow).where(LabelledFrameRow.token == token)
-    a = session.scalars(at.where(LabelledFrameRow.label_set_id == comparison.a_id).limit(1)).one_or_none()
-    if a is None:
+    """The pair of one frame, named by its token in A or in B, which may differ; None where either has none of it."""
+    ids = (comparison.a_id, comparison.b_id)
+    named = select(LabelledFrameRow.stamp_ns).where(LabelledFrameRow.token == token)
+    stamp_ns = session.scalar(named.where(LabelledFrameRow.label_set_id.in_(ids)).limit(1))
+    if stamp_ns is None:
         return None
-    same = select(LabelledFrameRow).where(LabelledFrameRow.stamp_ns == a.stamp_ns)
-    b = session.scalars(same.where(LabelledFrameRow.label_set_id == comparison.b_id).limit(1)).one_or_none()
-    return None if b is None else StoredPair(*(_stored(row, _object_key(session, row)) for row in (a, b)))
+    pair = [_frame_at(session, label_set_id, stamp_ns) for label_set_id in ids]
+    found = [_stored(row, _object_key(session, row)) for row in pair if row is not None]
+    return StoredPair(*found) if len(found) == len(pair) else None
+
+
+def _frame_at(session: Session, label_set_id: str, stamp_ns: int) -> LabelledFrameRow | None:
+    """The first frame of the set in the microsecond of this stamp."""
+    first_ns = stamp_ns // NS_PER_US * NS_PER_US
+    same = LabelledFrameRow.stamp_ns.between(first_ns, first_ns + NS_PER_US - 1)
+    frames = select(LabelledFrameRow).where(LabelledFrameRow.label_set_id == label_set_id, same)
+    return session.scalars(frames.order_by(LabelledFrameRow.ordinal).limit(1)).one_or_none()
+
+
+def _by_microsecond(session: Session, label_set_id: str) -> dict[int, StoredLabelFile]:
+    """The label files of a set by the whole microsecond of their stamp, in the order of frames; the first of each."""
+    frames = (
+        select(LabelledFrameRow, Blob.object_key)
+        .join(Artefact, Artefact.id == LabelledFrameRow.pack_id)
+        .join(Blob, Blob.sha256 == Artefact.blob_sha256)
+        .where(LabelledFrameRow.label_set_id == label_set_id)
+        .order_by(LabelledFrameRow.ordinal)
+    )
+    found = dict[int, StoredLabelFile]()
+    for row, key in session.execute(frames):
+        found.setdefault(row.stamp_ns // NS_PER_US, _stored(row, key))
+    return found
 
 
 def _object_key(session: Session, row: LabelledFrameRow) -> str:

@@ -1,6 +1,7 @@
 """A fast reader for single grids of a frame's `labels.npz`.
 
-**Conventions.** Only what `stone_files/npz.py` wrote: members `<key>.npy`, deflated or stored, C order, uint8.
+**Conventions.** Only what `stone_files/npz.py` wrote, or an import found to be as good (`stone_datasets/labels.py`):
+members `<key>.npy`, deflated or stored, C order, uint8.
 """
 
 import io
@@ -17,6 +18,7 @@ from stone.errors import PlatformFaultError
 
 SHAPE = (256, 256, 32)
 SHOWN_GRIDS = ("semantics", "mask_lidar")
+HEADS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 LOCAL_HEAD_BYTES, NAME_AT = 30, 26
 
 
@@ -48,12 +50,11 @@ def read_grids(payload: bytes, keys: Iterable[str]) -> list[NDArray[np.uint8]]:
 def _grid(payload: bytes, key: str, info: zipfile.ZipInfo) -> NDArray[np.uint8]:
     try:
         npy = io.BytesIO(_member(payload, info))
-        np.lib.format.read_magic(npy)
-        shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(npy)
+        shape, is_fortran, dtype = HEADS[np.lib.format.read_magic(npy)](npy)
         if (shape, is_fortran, dtype) != (SHAPE, False, np.dtype(np.uint8)):
             raise ValueError(f"it is {dtype} {shape}")
         return np.frombuffer(npy.getbuffer()[npy.tell() :], np.uint8).reshape(SHAPE)
-    except (ValueError, struct.error, isal_zlib.error) as error:  # type: ignore[misc]  # the stub knows no class
+    except (ValueError, KeyError, struct.error, isal_zlib.error) as error:  # type: ignore[misc]  # the stub knows no class
         raise GridUnreadableError(key, str(error)) from error
 
 

@@ -37,6 +37,7 @@ def write_playback(source: LabelledSequence, out: Path, step: Step) -> None:
     for channel in taken:
         (out / "cameras" / channel).mkdir(parents=True)
     (out / "clouds").mkdir()
+    has_clouds = total > 0 and sequence.frames.sweeps is not None
     shown = set[str]()
     for index, token in enumerate(sequence.frames.tokens):
         for channel in taken:
@@ -44,11 +45,12 @@ def write_playback(source: LabelledSequence, out: Path, step: Step) -> None:
             if picture is not None:
                 (out / camera_file(channel, token)).write_bytes(picture)
                 shown.add(channel)
-        sweep = source.samples.lidar(index)
-        (out / cloud_file(token)).write_bytes(small_cloud(sweep, sequence.calibration.ego_from_lidar))
+        if has_clouds:
+            sweep = source.samples.lidar(index)
+            (out / cloud_file(token)).write_bytes(small_cloud(sweep, sequence.calibration.ego_from_lidar))
         step(index + 1, total)
     cameras = tuple(channel for channel in taken if channel in shown)
-    (out / INDEX).write_bytes(index_record(PlaybackChannels(cameras, has_clouds=total > 0)))
+    (out / INDEX).write_bytes(index_record(PlaybackChannels(cameras, has_clouds)))
 
 
 def small_picture(sample: CameraSample | None) -> bytes | None:

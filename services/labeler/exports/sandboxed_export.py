@@ -1,7 +1,8 @@
 """What a sandboxed child does for an export: it opens the files that the parent located, and writes the format's.
 
 **Conventions.** The child writes below its folder's `files`, makes no links, and reads what is named here and no more:
-an input of a phase is made where no label, mesh or report is named. Which recording it needs, it says by hashes.
+an input of a phase is made where no label, mesh or report is named. Which recording it needs, it says by hashes; what
+was imported needs none (`services/domain/sequences/label_sources.py`).
 """
 
 import json
@@ -15,6 +16,8 @@ from typing import Annotated, ClassVar
 from pydantic import Field
 
 from services.domain.sequences.run_files import SEQUENCE_FILE
+from services.labeler.exports.dataset_samples import DatasetSamples
+from services.labeler.exports.dataset_source import DatasetSource
 from services.labeler.exports.errors import DamagedLabelsError
 from services.labeler.exports.inputs import write_sensed
 from services.labeler.exports.registry import exporter_of
@@ -69,14 +72,15 @@ class PackedLabels:
 
 @dataclass(frozen=True)
 class ExportInputs:
-    """What an export is made of: a folder with the sequence's files by their names, its labels, its recording.
+    """What an export is made of: a folder with the sequence's files by their names, its labels, and what was measured.
 
-    Without `labels` or a `recording` the format does not ask for them.
+    That is the `recording`, or the `source` of labels that were imported. What is left out the format does not ask for.
     """
 
     folder: Path
     labels: PackedLabels
     recording: Path | None = None
+    source: DatasetSource | None = None
 
     def sequence(self) -> Sequence:
         return read_sequence((self.folder / SEQUENCE_FILE).read_bytes())
@@ -85,10 +89,13 @@ class ExportInputs:
         """The labelled sequence."""
         sequence = self.sequence()
         report = json.loads((self.folder / REPORT).read_text("utf-8"))
-        samples = self.samples(sequence)
-        return LabelledSequence(sequence, samples, self.labels, report, self.folder / MESH, self.folder / TABLE)
+        samples, published = self.samples(sequence), self.source.opened() if self.source else None
+        files = (self.folder / MESH, self.folder / TABLE)
+        return LabelledSequence(sequence, samples, self.labels, report, *files, published)
 
     def samples(self, sequence: Sequence) -> SampleSource:
+        if self.source is not None:
+            return DatasetSamples(self.source, sequence)
         return NoSamples() if self.recording is None else BagSamples(self.recording, sequence)
 
 

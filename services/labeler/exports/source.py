@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from services.labeler.exports.dataset_source import DatasetSourceFiles
 from services.labeler.exports.errors import DamagedLabelsError, NotLabelsError, RecordingGoneError
 from stone.labels.grid import GRID_SHAPE
 from stone.sensors.samples import SampleSource
@@ -28,7 +29,10 @@ OpenSamples = Callable[[Path, Sequence], SampleSource]
 
 @dataclass(frozen=True, eq=False)
 class LabelledSequence:
-    """`labels(index)` are the bytes of a frame's `labels.npz`; `mesh` is the map's PLY, `frames_table` the Parquet."""
+    """`labels(index)` are the bytes of a frame's `labels.npz`; `mesh` is the map's PLY, `frames_table` the Parquet.
+
+    `published` are the files that labels were imported with, None where they were made here.
+    """
 
     sequence: Sequence
     samples: SampleSource
@@ -36,6 +40,7 @@ class LabelledSequence:
     report: Mapping[str, Any]
     mesh: Path
     frames_table: Path
+    published: DatasetSourceFiles | None = None
 
     def grids(self, index: int) -> dict[str, NDArray[Any]]:
         """The grids of frame `index`: semantics, mask_lidar and mask_camera, uint8, and further ones where asked for.

@@ -20,10 +20,10 @@ from stone_datasets.build import PlacedData
 from stone_datasets.faults import DatasetPlace
 from stone_datasets.files import DatasetTar
 from stone_datasets.index import DatasetIndex
-from stone_datasets.layout_faults import NotADatasetError
 from stone_datasets.reading import read_tables_of
 from stone_datasets.scene_spans import SceneSpans, annotated_spans, table_spans
 from stone_datasets.scene_tables import write_scene_tables, write_splits
+from stone_files.dataset_layout import NotADatasetError
 
 Scene = tuple[Sequence, SceneSpans]
 

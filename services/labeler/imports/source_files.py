@@ -9,18 +9,18 @@
 from collections.abc import Callable
 from pathlib import Path
 
+from services.domain.sequences.label_sources import SOURCE, SOURCE_INDEX
 from services.labeler.exports.nuscenes.tables import VERSION
 from services.labeler.imports.errors import SceneDamagedError
 from services.labeler.imports.scene_parts import TABLES, SceneParts
 from services.runtime.store.packs import PackWriter, index_bytes, pieces_of
 from stone_datasets.faults import DatasetPlace
-from stone_datasets.files import ANNOTATIONS
 from stone_datasets.samples import check_sample
 from stone_exports.files import ExportFileSpan
 from stone_exports.frames import LIDAR_CHANNEL, ExportedSensor
+from stone_files.dataset_layout import ANNOTATIONS
 from stone_files.virtual_archive import check_names
 
-SOURCE, INDEX = "source", "index.npz"
 Told = Callable[[int, int], None]
 
 
@@ -37,7 +37,7 @@ def write_source(parts: SceneParts, out: Path, told: Told) -> None:
             packed.add(name, pieces_of(tables[name]))
         else:
             packed.add(name, _checked(parts, places[name], sensors).pieces())
-    (out / SOURCE / INDEX).write_bytes(index_bytes(packed.files()))
+    (out / SOURCE_INDEX).write_bytes(index_bytes(packed.files()))
 
 
 def sensors_of(parts: SceneParts) -> dict[str, ExportedSensor]:

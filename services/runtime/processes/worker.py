@@ -41,10 +41,12 @@ FORKED_FROM = {
         "services.ingest.sandboxed_synchronisation",
     ),
     "labeler": (
-        "services.labeler.kernel_warmup:warm",
+        "services.labeler.imports.kernel_warmup:warm_imports",
         "services.labeler.sandboxed_run",
         "services.labeler.exports.sandboxed_export",
         "services.labeler.exports.playback",
+        "services.labeler.imports.indexing",
+        "services.labeler.imports.scene_import",
     ),
     "eval": ("services.eval.kernel_warmup:warm", "services.eval.examination", "services.eval.sandboxed_truth"),
 }

@@ -16,6 +16,7 @@ from tests.api.access.world import CALIBRATION_FILE
 
 NUMBERS = count(1)
 INSTEAD = {  # of what is usually named
+    "/api/v1/dataset-imports": {"complete_upload": "dataset_upload"},
     "/api/v1/submissions/{submission_id}/finalize": {"complete_upload": "submission_upload"},
     "/api/v1/submissions/{submission_id}/withdraw": {"submission_id": "settled_submission"},
     **{
@@ -23,6 +24,7 @@ INSTEAD = {  # of what is usually named
         for part in ("results", "results/breakdowns", "provenance", "confusions")
     },
 }
+IN_BODIES = ("team_id", "upload_id")
 ACT_OF = {"queues": "resume", "jobs": "cancel"}
 PIECES = "application/offset+octet-stream"
 FORM = "multipart/form-data"
@@ -38,7 +40,7 @@ HEADERS = {
 
 @dataclass(frozen=True)
 class Asked:
-    """A request without its credential; `ids` are those it names in its path or query, and its team."""
+    """A request without its credential; `ids` are those it names in its path or query, its team and upload."""
 
     operation: Operation
     path: str
@@ -63,7 +65,7 @@ def asked(document: Mapping[str, Any], operation: Operation, named: Mapping[str,
     scope = next(iter(security[0].values()))[0]
     headers = {"if-match": "*", **_headers(described)}
     content = _content(document, described, values, user_name) | _queries(described, values)
-    spoken = [*content.get("params", {}).values(), content.get("json", {}).get("team_id")]
+    spoken = [*content.get("params", {}).values(), *(content.get("json", {}).get(one) for one in IN_BODIES)]
     ids |= {value for value in spoken if value in named.values()}
     return Asked(operation, template.format_map(values), headers, content, frozenset(ids), scope)
 

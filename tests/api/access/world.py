@@ -38,6 +38,7 @@ from testing.api.serving import Person
 from testing.worlds import made
 from testing.worlds.published import dataset, published_sequence
 from testing.worlds.rows import recording_of
+from tests.api.access.imported import imported
 from tests.api.access.rescored import rescored
 from tests.api.access.scored_entry import scored_entry
 from tests.api.access.submitted import submitted
@@ -65,6 +66,8 @@ IDS = (
     "alarm_id",
     "submission_id",
     "submission_upload",
+    "import_id",
+    "dataset_upload",
     "settled_submission",
     "scored_submission",
 )
@@ -131,6 +134,7 @@ def make_world(platform: Platform, user: User, published: str = "") -> World:
         "member": user.name,
     }
     made.playback(platform, sequence_id, list(labels.frames))
+    named |= imported(platform, owner)
     named |= rescored(platform, named["phase_id"], user.id)
     named |= scored_entry(platform, named["phase_id"], named["team_id"], user.id)
     named |= submitted(platform, named["phase_id"], named["team_id"], owner)

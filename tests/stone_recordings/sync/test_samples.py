@@ -21,7 +21,7 @@ from stone_recordings.sync.samples import (
     BagSamples,
     NotRecordedError,
     RecordingMismatchError,
-    _encoded,
+    as_jpeg,
     checked_samples,
 )
 from stone_recordings.sync.sequence_file import read_sequence, sequence_bytes
@@ -102,9 +102,9 @@ def test_a_picture_that_is_no_jpeg_is_encoded_with_its_colours() -> None:
     pixels = np.zeros((48, 64, 3), np.uint8)
     pixels[:, :32], pixels[:, 32:] = (200, 30, 40), (20, 60, 220)
     raw = CameraPicture("sensor_msgs/msg/Image", 0, "", 64, 48, "rgb8", 192, False, memoryview(pixels.tobytes()))
-    with Image.open(io.BytesIO(_encoded(raw))) as image:
+    with Image.open(io.BytesIO(as_jpeg(raw))) as image:
         assert np.abs(np.asarray(image).astype(int) - pixels)[:, [4, 60]].max() <= 4
-    assert _encoded(raw) == _encoded(raw)
+    assert as_jpeg(raw) == as_jpeg(raw)
 
 
 def test_a_radar_scan_stands_in_both_frames(drive: Drive) -> None:

@@ -1,7 +1,7 @@
-// One file of a bag: counted, announced once, and sent from where the platform's bytes end.
+// One file: counted, announced once, and sent from where the platform's bytes end.
 //
-// Nothing is kept on this side but sha256 sums. The platform is asked for an upload of the same bytes to the same
-// sequence, so a page that was loaded again, another browser, or the command goes on where the bytes on the platform's
+// Nothing is kept on this side but sha256 sums. The platform is asked for an upload of the same bytes for the same
+// purpose, so a page that was loaded again, another browser, or the command goes on where the bytes on the platform's
 // disk end, and nothing is sent twice (`stone_client/files/tus.py` does the same).
 
 import { call, type Problem } from "../api.js";
@@ -27,6 +27,12 @@ export interface UploadItem {
 interface Listed<T> {
   items: T[];
   next: string | null;
+}
+
+/** What an upload is for: a recording of a sequence, or a dataset, which has no target. */
+export interface Purpose {
+  name: "recording" | "dataset";
+  target_id: string | null;
 }
 
 /** Who is told how far it is, and why nothing moves for a while. */
@@ -55,10 +61,10 @@ export function summed(file: File, heard: Heard, signal: AbortSignal): Promise<s
 }
 
 /** Send the file, or what of it is not there yet; the id of the complete upload. Throws what is refused. */
-export function sent(file: File, sha256: string, sequenceId: string, heard: Heard, signal: AbortSignal): Promise<string> {
+export function sent(file: File, sha256: string, purpose: Purpose, heard: Heard, signal: AbortSignal): Promise<string> {
   const away = (problem: Problem, wait_ms: number): void => heard.away(problem, wait_ms);
   return sending.run(() => patiently(async () => {
-    const upload = (await begun(file, sha256, sequenceId)) ?? (await created(file, sha256, sequenceId));
+    const upload = (await begun(file, sha256, purpose)) ?? (await created(file, sha256, purpose));
     heard.back();
     heard.sent(file, upload.offset_bytes);
     if (upload.offset_bytes < file.size) {
@@ -70,19 +76,19 @@ export function sent(file: File, sha256: string, sequenceId: string, heard: Hear
   }, signal, away), signal);
 }
 
-/** The upload of these bytes to this sequence that is under way or complete; asked of itself where it ends. */
-async function begun(file: File, sha256: string, sequenceId: string): Promise<Opened | null> {
+/** The upload of these bytes for this purpose that is under way or complete; asked of itself where it ends. */
+async function begun(file: File, sha256: string, purpose: Purpose): Promise<Opened | null> {
   for (const state of ["open", "complete"]) {
     for (const item of await all<UploadItem>(`/api/v1/uploads?state=${state}`)) {
-      const isSame = item.purpose === "recording" && item.target_id === sequenceId && item.filename === file.name;
+      const isSame = item.purpose === purpose.name && item.target_id === purpose.target_id && item.filename === file.name;
       if (isSame && item.length_bytes === file.size && item.declared_sha256 === sha256) return findUpload(item.id);
     }
   }
   return null;
 }
 
-function created(file: File, sha256: string, sequenceId: string): Promise<Opened> {
-  const said = { purpose: "recording", target_id: sequenceId, sha256 };
+function created(file: File, sha256: string, purpose: Purpose): Promise<Opened> {
+  const said = { purpose: purpose.name, ...(purpose.target_id ? { target_id: purpose.target_id } : {}), sha256 };
   return createUpload(file, said, freshKey());
 }
 

@@ -5,7 +5,7 @@ import type { Bag } from "./bags.js";
 import { sizeOf } from "./bags.js";
 import { patiently } from "./concurrency.js";
 import { type Finding, read, type Recording, sealed, standing } from "./recording_creation.js";
-import { type Heard, sent, summed } from "./file_upload.js";
+import { type Heard, type Purpose, sent, summed } from "./file_upload.js";
 import { Speed } from "./speed.js";
 import { forgetSum } from "./checksums.js";
 
@@ -90,8 +90,9 @@ export class Transfer implements Heard {
       for (const file of this.bag.files) this.sent(file, file.size);
       return read(known, sequenceId, undefined, this, signal);
     }
+    const purpose: Purpose = { name: "recording", target_id: sequenceId };
     const ids = await Promise.all(
-      this.bag.files.map(async (file) => sent(file, await summed(file, this, signal), sequenceId, this, signal)),
+      this.bag.files.map(async (file) => sent(file, await summed(file, this, signal), purpose, this, signal)),
     );
     this.#enter("reading");
     const { recording, job } = await ask(() => sealed(this.bag, ids, sequenceId));

@@ -86,8 +86,10 @@ class NuscenesPlan:
 
 
 def channels_of(sequence: Sequence) -> tuple[NuscenesChannel, ...]:
-    """The LiDAR, then cameras that can project, then radars, as the calibration lists them."""
+    """The LiDAR where there is one, then cameras that can project, then radars, as the calibration lists them."""
     frames = sequence.frames
+    if frames.sweeps is None:
+        return tuple(_others(sequence))
     lidar = Mount(LIDAR, "lidar", SE3.identity())
     every = np.arange(len(frames), dtype=np.int64)
     return (NuscenesChannel(LIDAR, "lidar", lidar, every, frames.stamps_ns, frames.map_from_ego), *_others(sequence))

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stone_exports.tar_index import BadTarError, tar_spans_of
+from stone_files.tar_index import BadTarError, tar_spans_of
 
 PARTS = st.text("abcXYZ019_-", min_size=1, max_size=60)
 NAMES = st.lists(PARTS, min_size=1, max_size=5).map("/".join)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
-from stone.errors import StoneError
+from stone_base.errors import StoneError
 from stone_files.virtual_archive import NAME
 
 BLOCK_BYTES = 512

@@ -1,0 +1,78 @@
+"""Routes of imports of published datasets: ask for one with a complete upload, watch it scene by scene, forget it.
+
+**Conventions.** The dataset is one tar, sent as an upload whose purpose is `dataset`. An import is whole or absent: its
+sequences appear all at once. What is wrong is the failure of its run: a code (DST-…), and a sentence that begins with
+file, row and token.
+"""
+
+from fastapi import APIRouter, Response
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from api import audit
+from api.answers import refusals
+from api.callers import Curator, Reader
+from api.deps import Caller, PlatformDep
+from api.errors import NotFoundError
+from api.paging import Page, PageDep, page
+from api.schemas.base import IdPath
+from api.schemas.dataset_imports import DatasetImportDetail, DatasetImportItem, NewDatasetImportBody
+from api.views.imports.class_maps import stated_classes
+from api.views.imports.items import import_detail, import_items
+from api.visible import theirs
+from services.domain.imports.errors import SplitsForbiddenError
+from services.domain.imports.requests import delete_import, start_import
+from services.runtime.orm import DatasetImport, User
+
+router = APIRouter(prefix="/dataset-imports", tags=["dataset imports"])
+
+
+@router.post("", status_code=202, responses=refusals(403, 404, 409))
+def create_dataset_import(
+    body: NewDatasetImportBody, caller: Curator, platform: PlatformDep, response: Response
+) -> DatasetImportDetail:
+    """Have the dataset in a complete upload of yours imported; the job `job_id` does it. An upload serves once."""
+    if body.sets_splits and not caller.is_administrator:  # the role is asked for below; here, the token's scope
+        raise SplitsForbiddenError
+    classes = None if body.classes is None else stated_classes(body.classes)
+    with platform.database.transaction() as session:
+        imported, run = start_import(session, session.get_one(User, caller.user_id), body.wished(classes))
+        facts = {"upload_id": body.upload_id, "job_id": run.id, "sets_splits": body.sets_splits}
+        audit.record(session, caller, "dataset_import.create", imported.id, facts=facts)
+        shown = import_detail(session, imported)
+    response.headers["Location"] = f"/api/v1/dataset-imports/{shown.id}"
+    return shown
+
+
+@router.get("")
+def list_dataset_imports(caller: Reader, platform: PlatformDep, query: PageDep) -> Page[DatasetImportItem]:
+    """Your imports, newest first; administrators see everybody's."""
+    mine = theirs(select(DatasetImport), caller, DatasetImport.owner_id)
+    with platform.database.reading() as session:
+        found = page(session, mine, DatasetImport.id.desc(), query)
+        return Page[DatasetImportItem](items=import_items(session, found.rows), next=found.next)
+
+
+@router.get("/{import_id}", responses=refusals(404))
+def show_dataset_import(import_id: IdPath, caller: Reader, platform: PlatformDep) -> DatasetImportDetail:
+    """One import with its scenes."""
+    with platform.database.reading() as session:
+        return import_detail(session, import_shown_to(session, caller, import_id))
+
+
+@router.delete("/{import_id}", status_code=204, responses=refusals(403, 404))
+def delete_dataset_import(import_id: IdPath, caller: Curator, platform: PlatformDep) -> None:
+    """Stop an import that runs, or forget one that has ended; its tar is given back, its sequences stay."""
+    with platform.database.transaction() as session:
+        imported = import_shown_to(session, caller, import_id)
+        delete_import(session, imported)
+        audit.record(session, caller, "dataset_import.delete", import_id, facts={"name": imported.name})
+
+
+def import_shown_to(session: Session, caller: Caller, import_id: str) -> DatasetImport:
+    """Raises `NotFoundError`."""
+    mine = theirs(select(DatasetImport), caller, DatasetImport.owner_id).where(DatasetImport.id == import_id)
+    found = session.scalars(mine).one_or_none()
+    if found is None:
+        raise NotFoundError("import", import_id)
+    return found

@@ -1,0 +1,129 @@
+"""Imports of published datasets over the wire."""
+
+from datetime import datetime
+from typing import Annotated, Any
+
+from pydantic import Field, StringConstraints
+
+from api.schemas.base import ID_EXAMPLE, PLAIN, PROSE, SHA256_EXAMPLE, Answer, Body, IdText, Line, example
+from api.schemas.jobs import FailureItem
+from api.schemas.sequences.sequences import Environment, Illumination, Region
+from services.domain.imports.requests import LONGEST_NAME, Existing, ImportedFacts, NewImport, StatedClasses
+
+LONGEST_CLASSES = 64 * 1024
+SCENE_EXAMPLE: dict[str, Any] = {
+    "ordinal": 0,
+    "name": "field-0000",
+    "frames": 1183,
+    "splits": ["train"],
+    "state": "succeeded",
+    "sequence_id": ID_EXAMPLE,
+}
+IMPORT_EXAMPLE: dict[str, Any] = {
+    "id": ID_EXAMPLE,
+    "owner_id": ID_EXAMPLE,
+    "job_id": ID_EXAMPLE,
+    "name": "offroad-v1.0",
+    "sha256": SHA256_EXAMPLE,
+    "size_bytes": 812345678901,
+    "classes": None,
+    "existing": "refuse",
+    "sets_splits": False,
+    "state": "succeeded",
+    "failure": None,
+    "scenes_total": 43,
+    "scenes_done": 43,
+    "frames": 50878,
+    "created_at": "2026-05-03T09:12:44.120000Z",
+    "finished_at": "2026-05-03T11:40:02Z",
+}
+DatasetLabel = Annotated[
+    str, StringConstraints(pattern=PLAIN, min_length=1, max_length=LONGEST_NAME, strip_whitespace=True)
+]
+ClassesText = Annotated[str, StringConstraints(pattern=PROSE, min_length=1, max_length=LONGEST_CLASSES)]
+
+
+class NewDatasetImportBody(Body):
+    """The import of the dataset in a complete upload, whose purpose is `dataset`; `name` is its file's unless said.
+
+    `classes` is the text of a class map (YAML or JSON: `name`, and `classes` from number to free, T, P, N or
+    unobserved); without one labels are numbered as here. `existing`: a scene that is called as a sequence of yours is
+    refused, or (`add`) its labels become another label set of that sequence. `sets_splits`: administrators only. The
+    rest is said of every sequence that is new.
+    """
+
+    model_config = example(
+        upload_id=ID_EXAMPLE,
+        name="offroad-v1.0",
+        classes="name: theirs\nclasses: {0: free, 1: T, 2: P, 3: N, 255: unobserved}\n",
+        existing="refuse",
+        sets_splits=False,
+        environment="mountain",
+        illumination="day",
+        region="Gyeonggi",
+        platform="warthog-1",
+        is_public=False,
+    )
+
+    upload_id: IdText
+    name: DatasetLabel | None = None
+    classes: ClassesText | None = None
+    existing: Existing = "refuse"
+    sets_splits: bool = False
+    environment: Environment = ""
+    illumination: Illumination = ""
+    region: Region = ""
+    platform: Line = ""
+    is_public: bool = False
+
+    def wished(self, classes: StatedClasses | None) -> NewImport:
+        """The import as the domain knows it."""
+        facts = ImportedFacts(self.environment, self.illumination, self.region, self.platform, self.is_public)
+        return NewImport(self.upload_id, self.name or "", classes, self.existing, self.sets_splits, facts)
+
+
+class DatasetImportItem(Answer):
+    """An import as a list shows it; `state` is that of its run, `job_id`, and `classes` the name of its class map.
+
+    Scenes and frames are null before the dataset's tables were read.
+    """
+
+    model_config = example(**IMPORT_EXAMPLE)
+
+    id: str
+    owner_id: str
+    job_id: str
+    name: str
+    sha256: str
+    size_bytes: int
+    classes: str | None
+    existing: Existing
+    sets_splits: bool
+    state: str
+    failure: FailureItem | None = Field(description="the first fault: its sentence begins with file, row and token")
+    scenes_total: int | None
+    scenes_done: int
+    frames: int | None
+    created_at: datetime
+    finished_at: datetime | None
+
+
+class ImportedSceneItem(Answer):
+    """A scene: `state` is that of the job that imports it, `sequence_id` its sequence once all of them stand."""
+
+    model_config = example(**SCENE_EXAMPLE)
+
+    ordinal: int
+    name: str
+    frames: int
+    splits: list[str]
+    state: str
+    sequence_id: str | None
+
+
+class DatasetImportDetail(DatasetImportItem):
+    """An import with its scenes, in the order of the dataset's table."""
+
+    model_config = example(**IMPORT_EXAMPLE, scenes=[SCENE_EXAMPLE])
+
+    scenes: list[ImportedSceneItem]

@@ -1,0 +1,37 @@
+"""What the samples of a label set are read from: the recording it was made of, or the source that was imported with it.
+
+**Conventions.** A label set is imported where it has the artefact `source/index.npz`: the index of the files of its
+scene in the release's layout, without labels (`services/runtime/store/packs.py`), which lie in `source/000000.pack` and
+on. Its samples come from there and never from a recording, whatever its sequence has beside.
+"""
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from services.runtime.orm import Artefact, Blob, Recording
+from services.runtime.store.pack_archive import ExportLocation
+
+SOURCE = "source"
+SOURCE_INDEX = f"{SOURCE}/index.npz"
+
+
+def is_imported(session: Session, label_set_id: str) -> bool:
+    index = select(Artefact.id).where(Artefact.label_set_id == label_set_id, Artefact.name == SOURCE_INDEX)
+    return session.scalar(index) is not None
+
+
+def has_samples(session: Session, sequence_id: str, label_set_id: str) -> bool:
+    """Whether what its sensors measured is still there: its source, or else a recording of its sequence."""
+    registered = select(Recording.id).where(Recording.sequence_id == sequence_id, Recording.state == "registered")
+    return is_imported(session, label_set_id) or session.scalar(registered.limit(1)) is not None
+
+
+def located_source(session: Session, label_set_id: str) -> ExportLocation | None:
+    """The objects that hold the source of an imported label set; None of one that was made here."""
+    of_labels = select(Artefact.name, Blob.object_key).join(Blob, Blob.sha256 == Artefact.blob_sha256)
+    of_source = of_labels.where(Artefact.label_set_id == label_set_id, Artefact.name.like(f"{SOURCE}/%"))
+    keys = {name: key for name, key in session.execute(of_source)}
+    if SOURCE_INDEX not in keys:
+        return None
+    packs = (keys[name] for name in sorted(keys) if name.endswith(".pack"))
+    return ExportLocation(keys[SOURCE_INDEX], tuple(packs))

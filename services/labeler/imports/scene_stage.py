@@ -1,0 +1,117 @@
+"""The stage that imports one scene: its files are checked and copied, its products made, and all kept as blobs.
+
+    tables of the scene, the tar → (child: artefacts in `out/`) → blobs, held by rows of the import until it ends
+
+**Conventions.** Bytes first, then the rows and the job's success in one transaction. What the child told of labels lies
+in the workspace as `published/<ordinal>.json`, for the stage that publishes all scenes.
+"""
+
+import shutil
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from sqlalchemy.orm import Session
+
+from services.domain.imports.runs import begin_run_again, kept_import
+from services.domain.sequences.run_files import SEQUENCE_FILE
+from services.labeler.exports.source import MESH, REPORT, TABLE
+from services.labeler.imports.openings import OUT, SceneOpening, scene_folder
+from services.labeler.imports.scene_import import import_scene
+from services.labeler.imports.stage_context import ImportStageContext
+from services.labeler.label_rows import LABELS
+from services.labeler.left_files import LeftFile, files_left, pack_left
+from services.labeler.run_answers import PublicationAnswer
+from services.runtime.jobs.errors import JobCancelledError
+from services.runtime.jobs.specs import Outcome
+from services.runtime.orm import ImportedFile
+from services.runtime.sandbox import SandboxCrashedError
+from services.runtime.store.blobs import PreparedBlob, link, prepare
+from stone_files.atomic import atomic_file
+
+TOLD = "published"
+SOURCE_INDEX = "source/index.npz"
+NEEDED = (REPORT, TABLE, SEQUENCE_FILE, MESH, SOURCE_INDEX)
+LONGEST_NAME = 128
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """What a scene was made into: its files and their blobs."""
+
+    ordinal: int
+    files: list[tuple[LeftFile, PreparedBlob]]
+
+
+def import_one_scene(context: ImportStageContext) -> Outcome:
+    """Import the scene that the job is for.
+
+    Raises the `DST-*` faults, what `ImportStageContext.ask` raises, and `JobCancelledError` where what the index left
+    is gone, once the run is begun again.
+    """
+    ordinal = int(context.attempt.arguments["scene"])
+    _require_indexed(context, ordinal)
+    tar, imported = context.tar(), context.imported
+    opening = SceneOpening(tar, ordinal, imported.name, imported.sha256, context.classes)
+    with context.folder() as folder:
+        scene = folder / scene_folder(ordinal)
+        shutil.copytree(context.workspace.folder / scene_folder(ordinal), scene)
+        told = context.ask(PublicationAnswer, partial(import_scene, opening), "import", (tar, folder))
+        kept = _Kept(ordinal, _stored(context, _files(scene / OUT, told)))
+    _leave(context, ordinal, told)
+    size_bytes = sum(blob.size_bytes for _, blob in kept.files)
+    context.attempt.log("imported", scene=ordinal, frames=len(told.tokens), size_bytes=size_bytes)
+    return Outcome({"frames": len(told.tokens)}, commit=partial(_hold, context, kept))
+
+
+def told_path(ordinal: int) -> str:
+    """The name, in the workspace, of what was told of a scene."""
+    return f"{TOLD}/{ordinal:06d}.json"
+
+
+def _require_indexed(context: ImportStageContext, ordinal: int) -> None:
+    """Raises `JobCancelledError`."""
+    context.workspace.pull(f"{scene_folder(ordinal)}/")
+    if not (context.workspace.folder / scene_folder(ordinal)).is_dir():
+        gone = "what its index left was removed"
+        begin_run_again(context.platform, context.attempt, gone)
+        raise JobCancelledError(gone)
+
+
+def _files(out: Path, told: PublicationAnswer) -> list[LeftFile]:
+    """The artefacts of the scene. Raises `SandboxCrashedError` where they are not those that were spoken of."""
+    found = {file.name: file for file in files_left(out)} if out.is_dir() and not out.is_symlink() else {}
+    packs = {f"{LABELS}{Path(pack.name).name}": pack for pack in told.packs}
+    missing = [name for name in (*NEEDED, *packs) if name not in found]
+    unasked = [name for name in found if len(name) > LONGEST_NAME or (name.startswith(LABELS) and name not in packs)]
+    if missing or unasked:
+        raise SandboxCrashedError(f"left a scene without {missing[:3]}, or with {unasked[:3]}")
+    return [pack_left(file.path, packs[name]) if name in packs else file for name, file in found.items()]
+
+
+def _stored(context: ImportStageContext, files: list[LeftFile]) -> list[tuple[LeftFile, PreparedBlob]]:
+    stored = list[tuple[LeftFile, PreparedBlob]]()
+    for number, file in enumerate(files):
+        context.attempt.progress("store", number, len(files))
+        stored.append((file, prepare(context.platform.store, context.platform.database, file.path, adopt=True)))
+    context.attempt.progress("store", len(files), len(files))
+    return stored
+
+
+def _leave(context: ImportStageContext, ordinal: int, told: PublicationAnswer) -> None:
+    path = context.workspace.folder / told_path(ordinal)
+    path.parent.mkdir(exist_ok=True)
+    with atomic_file(path) as staging:
+        staging.write_bytes(told.packed())
+    context.workspace.push(told_path(ordinal))
+
+
+def _hold(context: ImportStageContext, kept: _Kept, session: Session) -> None:
+    """Raises `JobCancelledError`."""
+    imported = kept_import(session, context.attempt)
+    for file, prepared in sorted(kept.files, key=lambda pair: pair[1].sha256):  # the order in which all link
+        blob = link(session, prepared)
+        row = ImportedFile(import_id=imported.id, scene=kept.ordinal, name=file.name, media_type=file.media_type)
+        row.blob_sha256, row.size_bytes = blob.sha256, blob.size_bytes
+        session.add(row)
+        session.flush()

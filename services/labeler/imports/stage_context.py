@@ -1,0 +1,100 @@
+"""The context of a stage of an import: the dataset's tar on this machine, the run's files, and the sandbox.
+
+**Conventions.** An attempt works in a hidden folder of its own in the run's workspace; what it leaves goes from there
+into the workspace whole, or into the store. The child may read the tar, and writes in that folder alone.
+"""
+
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from secrets import token_hex
+from typing import TypeVar
+
+from sqlalchemy import select
+
+from services.domain.imports.runs import import_of_attempt
+from services.labeler.imports.kernel_warmup import warm_imports
+from services.runtime.jobs.errors import JobCancelledError
+from services.runtime.jobs.specs import Attempt
+from services.runtime.orm import Blob, DatasetImport, Job
+from services.runtime.platform import Platform
+from services.runtime.sandbox.answers import SandboxAnswer
+from services.runtime.sandbox.job_sandbox import JobSandbox, SandboxedWork, private_folder_in
+from services.runtime.store.folder import refusing_full
+from services.runtime.store.workspace import Workspace
+from stone_datasets.classes import OWN_CLASSES, ClassMap, class_map_of
+
+APART = ".import-"
+A = TypeVar("A", bound=SandboxAnswer)
+
+
+@dataclass(frozen=True, eq=False)
+class ImportStageContext:
+    """`imported` is the import's row as it was when the attempt began."""
+
+    platform: Platform
+    attempt: Attempt
+    imported: DatasetImport
+    workspace: Workspace
+
+    @property
+    def classes(self) -> ClassMap:
+        """What the numbers of its labels mean."""
+        stated = self.imported.classes
+        if stated is None:
+            return OWN_CLASSES
+        return class_map_of(stated["name"], {int(number): meaning for number, meaning in stated["classes"].items()})
+
+    def tar(self) -> Path:
+        """The tar on this machine. Raises `JobCancelledError` where the import was deleted meanwhile, what the store
+        raises."""
+        with self.platform.database.reading() as session:
+            kept = select(Blob.object_key).join(DatasetImport, DatasetImport.blob_sha256 == Blob.sha256)
+            key = session.scalar(kept.where(DatasetImport.id == self.imported.id))
+        if key is None:
+            raise JobCancelledError("its dataset was deleted")
+        return self.platform.store.local(key)
+
+    @contextmanager
+    def folder(self) -> Iterator[Path]:
+        """A fresh folder of this attempt; it stays when all went well, since what is stored may share its bytes.
+
+        Those of earlier attempts, and of jobs of the run that have ended, are removed.
+        """
+        work, job_id = self.workspace.folder, self.attempt.job_id
+        for ended in {job_id, *self._ended_jobs()}:
+            for earlier in work.glob(f"{APART}{ended}-*"):
+                shutil.rmtree(earlier, ignore_errors=True)
+        folder = work / f"{APART}{job_id}-{token_hex(8)}"
+        try:
+            with refusing_full(work):
+                folder.mkdir()
+                yield folder
+        except BaseException:
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
+
+    def ask(self, answer: type[A], work: SandboxedWork, shown: str, place: tuple[Path, Path]) -> A:
+        """What a sandboxed child answers that may read the tar and write in the folder: (tar, folder).
+
+        Raises what `work` raises, `SandboxCrashedError`, `SandboxInterruptedError`, `JobCancelledError`.
+        """
+        tar, folder = place
+        with private_folder_in(folder) as temporary:
+            sandbox = JobSandbox(folder, (tar,), self.attempt, self.platform.settings, warm_imports, temporary)
+            return answer.believed(sandbox.run(work, shown, 1))
+
+    def _ended_jobs(self) -> Mapping[str, None]:
+        succeeded = select(Job.id).where(Job.root_id == self.attempt.root_id, Job.state == "succeeded")
+        with self.platform.database.reading() as session:
+            return dict.fromkeys(session.scalars(succeeded))
+
+
+def import_context_of(platform: Platform, attempt: Attempt) -> ImportStageContext:
+    """The context of this attempt. Raises as `import_of_attempt`."""
+    imported = import_of_attempt(platform, attempt)
+    return ImportStageContext(
+        platform, attempt, imported, Workspace(platform.store, platform.settings, attempt.root_id)
+    )

@@ -1,0 +1,121 @@
+"""`stone import`: a published dataset with its labels to a server."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from stone_client.options import ServerOption
+from stone_client.progress import transferred
+from stone_client.streams import JsonOption, echo_json
+from stone_client.tables import show
+
+MOST_CLASSES_BYTES = 64 * 1024
+MOST_NAMED = 20
+
+
+DatasetArgument = Annotated[
+    Path | None,
+    typer.Argument(metavar="DATASET", exists=True, readable=True, help="A folder or tar: v1.0-*/ tables, or Occ3D's."),
+]
+NameOption = Annotated[
+    str | None, typer.Option("--name", metavar="NAME", help="What to call it; else as its folder or tar is called.")
+]
+ClassesOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--classes", metavar="FILE", exists=True, dir_okay=False, help="What the labels' numbers mean: T, P, N, free."
+    ),
+]
+AddOption = Annotated[
+    bool, typer.Option("--add-to-existing", help="Give sequences that you have by these names a second label set.")
+]
+SplitsOption = Annotated[bool, typer.Option("--set-splits", help="Put the sequences into train, val and test.")]
+PublicOption = Annotated[bool, typer.Option("--public", help="Let anybody look at the sequences.")]
+NoWaitOption = Annotated[bool, typer.Option("--no-wait", help="Leave once it is sent; the server goes on.")]
+ListOption = Annotated[bool, typer.Option("--list", help="List your imports instead.")]
+
+
+def import_dataset(
+    dataset: DatasetArgument = None,
+    name: NameOption = None,
+    classes: ClassesOption = None,
+    add_to_existing: AddOption = False,
+    set_splits: SplitsOption = False,
+    public: PublicOption = False,
+    no_wait: NoWaitOption = False,
+    list_them: ListOption = False,
+    server: ServerOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Send a published dataset with its labels, and have a sequence made of every scene: of all of them, or of none.
+
+    Begun again after anything, it goes on where it was. `stone check` tells beforehand what is wrong with a dataset.
+    """
+    from stone_client.connection import connected
+    from stone_client.files.datasets import dataset_name
+    from stone_client.server.dataset_imports import DatasetWishes
+
+    if list_them:
+        _list(server, as_json=as_json)
+        return
+    if dataset is None:
+        raise typer.BadParameter("name the DATASET, or ask for --list")
+    wishes = DatasetWishes(
+        name or dataset_name(dataset),
+        None if classes is None else _text(classes),
+        "add" if add_to_existing else "refuse",
+        set_splits,
+        public,
+    )
+    with connected(server) as api:
+        record = _imported(api, dataset, wishes, waits=not no_wait)
+    if as_json:
+        echo_json(record)
+    else:
+        _say(record)
+
+
+import_dataset.__name__ = "import"  # what the command is called: a word of Python's own
+
+
+def _imported(api: Any, dataset: Path, wishes: Any, *, waits: bool) -> dict[str, Any]:
+    """The import as it ended well, or as it is. Raises `JobFailedError`."""
+    from stone_client.server.dataset_imports import read_import, send_dataset
+    from stone_client.server.run_watch import watch_run
+
+    with transferred() as progress:
+        begun = send_dataset(api, dataset, wishes, progress)
+    if waits:
+        watch_run(api, {"id": begun["job_id"]})
+        begun = read_import(api, begun["id"])
+    return dict(begun)
+
+
+def _list(server: str | None, *, as_json: bool) -> None:
+    from stone_client.connection import connected
+    from stone_client.server.dataset_imports import imports_of, imports_table
+
+    with connected(server) as api:
+        listed = list(imports_of(api))
+    if as_json:
+        echo_json({"imports": listed})
+    else:
+        show(imports_table(listed))
+
+
+def _say(record: dict[str, Any]) -> None:
+    typer.echo(f"{record['name']}: import {record['id']} {record['state']}")
+    if record["state"] != "succeeded":
+        typer.echo(f"Next: stone watch {record['job_id']}")
+        return
+    names = [scene["name"] for scene in record["scenes"]]
+    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    typer.echo(f"{len(names)} sequences, {record['frames']:,} frames: {', '.join(names[:MOST_NAMED])}{more}")
+    typer.echo(f"Next: stone download {names[0]} -o DIR")
+
+
+def _text(path: Path) -> str:
+    """The content of the file, which the server reads; of one that is too large, what shows it so."""
+    with path.open("rb") as file:
+        return file.read(MOST_CLASSES_BYTES + 1).decode("utf-8", "replace")

@@ -1,0 +1,133 @@
+"""Local datasets to send: a tar as it is, or a folder as the tar that it would make, of which no copy is written.
+
+**Conventions.** Equal folders give equal tars, so that a client that was killed goes on with the same upload. What has
+no plain name (`stone_files/virtual_archive.py`: hidden files, blanks) cannot be in a dataset and is not sent. What the
+server would refuse of the layout alone is refused here, by the same codes, before a byte is sent.
+"""
+
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from hashlib import sha256
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone_client.errors import FileChangedError
+from stone_client.files.tus import PIECE_BYTES, LocalContent, hashed, refuse_change
+from stone_client.progress import Report
+from stone_files.dataset_layout import (
+    head_of,
+    is_below,
+    leaving,
+    refuse_compressed,
+    refuse_outside,
+    root_in_folder,
+    root_in_tar,
+)
+from stone_files.tar_index import tar_members
+from stone_files.virtual_archive import MOST_NAME, NAME, Archive, ArchiveMemberRange, ArchiveMembers, Segment, layout
+
+ENDING = ".tar"
+
+
+@dataclass(frozen=True, eq=False)
+class DatasetFolderTar:
+    """A folder as a tar: N files in the order of their names, as they were when they were listed.
+
+    `modified_ns` (N,) tells that one has changed.
+    """
+
+    root: Path
+    name: str
+    members: ArchiveMembers = field(repr=False)
+    modified_ns: NDArray[np.int64] = field(repr=False)
+    archive: Archive = field(repr=False)
+    sha256: str = ""
+
+    @property
+    def size_bytes(self) -> int:
+        return self.archive.size_bytes
+
+    def read(self, offset: int, most_bytes: int) -> bytes:
+        return b"".join(map(self._content, self.archive.segments(offset, offset + most_bytes)))
+
+    def _content(self, segment: Segment) -> bytes:
+        if not isinstance(segment, ArchiveMemberRange):
+            return segment
+        path, ordinal = self.root / self.members.names[segment.ordinal], segment.ordinal
+        try:
+            with path.open("rb") as file:
+                refuse_change(path, file, (int(self.members.sizes_bytes[ordinal]), int(self.modified_ns[ordinal])))
+                file.seek(segment.start)
+                return file.read(len(segment))
+        except FileNotFoundError:
+            raise FileChangedError(path) from None
+
+
+def dataset_name(path: Path) -> str:
+    """The default name of a dataset that lies there."""
+    return path.resolve().name.removesuffix(ENDING)
+
+
+def hashed_dataset(path: Path, progress: Report) -> LocalContent:
+    """The dataset in a folder or a tar with its hash.
+
+    Raises a `DatasetFaultError`, `BadTarError`, `FileChangedError`.
+    """
+    if path.is_dir():
+        return _hashed_folder(path, progress)
+    _refuse_layout(path)
+    return hashed(path, progress)
+
+
+def _refuse_layout(path: Path) -> None:
+    """What the server would refuse of a tar by its heads alone."""
+    refuse_compressed(path)
+    heads = set[tuple[str, str]]()
+    for name, _place in tar_members(path):
+        refuse_outside(name)
+        heads |= {head} if (head := head_of(name)) else set()
+    root_in_tar(path, heads)
+
+
+def _hashed_folder(path: Path, progress: Report) -> DatasetFolderTar:
+    root, _version = root_in_folder(path)
+    listed = sorted(_files(root))
+    sizes = np.array([size for _, size, _ in listed], np.int64)
+    members = ArchiveMembers([name for name, _, _ in listed], sizes, np.zeros(len(sizes), np.uint32))
+    modified_ns = np.array([time_ns for _, _, time_ns in listed], np.int64)
+    name = f"{path.resolve().name or 'dataset'}{ENDING}"
+    tar = DatasetFolderTar(root, name, members, modified_ns, layout(members, "tar"))
+    return DatasetFolderTar(root, name, members, modified_ns, tar.archive, _sum_of(tar.read, tar.size_bytes, progress))
+
+
+def _sum_of(read: Callable[[int, int], bytes], size_bytes: int, progress: Report) -> str:
+    whole = sha256()
+    progress("hash", 0, size_bytes)
+    for offset in range(0, size_bytes, PIECE_BYTES):
+        whole.update(read(offset, PIECE_BYTES))
+        progress("hash", min(offset + PIECE_BYTES, size_bytes), size_bytes)
+    return whole.hexdigest()
+
+
+def _files(root: Path) -> Iterator[tuple[str, int, int]]:
+    """Name, size and time of change of every file that has a plain name. Raises `PathLeavesDatasetError`."""
+    real_root = os.path.realpath(root)
+    waiting: list[tuple[str, tuple[str, ...]]] = [("", (real_root,))]
+    while waiting:
+        folder, above = waiting.pop()
+        with os.scandir(root / folder) as entries:
+            plain = [
+                one for one in entries if len(folder + one.name) <= MOST_NAME and NAME.fullmatch(folder + one.name)
+            ]
+        for entry in plain:
+            name, real = f"{folder}{entry.name}", os.path.realpath(entry.path) if entry.is_symlink() else ""
+            if real and not is_below(real, real_root):
+                raise leaving(name)
+            if entry.is_file():
+                status = entry.stat()
+                yield name, status.st_size, status.st_mtime_ns
+            elif entry.is_dir() and real not in above:
+                waiting.append((f"{name}/", (*above, real) if real else above))

@@ -1,0 +1,92 @@
+"""Imports of published datasets on a server: sent, asked for, followed, listed.
+
+**Conventions.** Nothing is kept on this side. A dataset that is being imported, or was, is not sent again: the server
+is asked for one's own import of the same bytes that was asked for in the same way. Of class maps it tells the name
+alone, so with one only an import that has not ended is gone on with.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+
+from stone_client.api import Api
+from stone_client.files.datasets import hashed_dataset
+from stone_client.files.tus import LocalContent, Purpose, upload_file
+from stone_client.progress import Report
+from stone_client.server.sequences import Item
+from stone_client.tables import DASH, plain_table, safe_text
+
+PATH = "/dataset-imports"
+ALIVE = ("queued", "running")
+
+
+@dataclass(frozen=True)
+class DatasetWishes:
+    """What an import is to make of a dataset; `classes` is the content of a file that states a class map."""
+
+    name: str
+    classes: str | None = None
+    existing: str = "refuse"
+    sets_splits: bool = False
+    is_public: bool = False
+
+
+def send_dataset(api: Api, path: Path, wishes: DatasetWishes, progress: Report) -> Item:
+    """The import of the dataset in a folder or a tar, asked for once all of it is on the server.
+
+    Raises a `DatasetFaultError`, `BadTarError`, `FileChangedError`, and what `Api.send` raises.
+    """
+    local = hashed_dataset(path, progress)
+    standing = _standing(api, local, wishes)
+    if standing is not None:
+        return standing
+    upload_id = upload_file(api, local, Purpose("dataset"), progress)
+    made: Item = api.create(PATH, {"upload_id": upload_id, **asdict(wishes)})
+    return made
+
+
+def read_import(api: Api, import_id: str) -> Item:
+    """One import, with its scenes."""
+    found: Item = api.read(f"{PATH}/{import_id}")
+    return found
+
+
+def imports_of(api: Api) -> Iterator[Item]:
+    """One's own imports, newest first; an administrator is told of everybody's."""
+    own = api.read("/me")["user_id"]
+    return (one for one in api.pages(PATH) if one["owner_id"] == own)
+
+
+def imports_table(imports: Iterable[Item]) -> Table:
+    """A row each: what it is, how far."""
+    table = plain_table("imports of datasets", "dataset", "state", "scenes", "frames", "bytes", "begun", "id")
+    for one in imports:
+        counts = _counts(one)
+        facts = (f"{one['size_bytes']:,}", one["created_at"][:19], one["id"])
+        table.add_row(safe_text(one["name"]), one["state"], *counts, *facts)
+    return table
+
+
+def _counts(one: Mapping[str, Any]) -> tuple[str, str]:
+    if one["scenes_total"] is None:
+        return DASH, DASH
+    return f"{one['scenes_done']:,} of {one['scenes_total']:,}", f"{one['frames']:,}"
+
+
+def _standing(api: Api, local: LocalContent, wishes: DatasetWishes) -> Item | None:
+    """The import of these bytes by these wishes that is under way, or has ended well."""
+    asked = (local.sha256, wishes.name, wishes.existing, wishes.sets_splits)
+    for one in imports_of(api):
+        is_same = (one["sha256"], one["name"], one["existing"], one["sets_splits"]) == asked
+        if is_same and _goes_on(one, wishes.classes):
+            return read_import(api, one["id"])
+    return None
+
+
+def _goes_on(one: Item, classes: str | None) -> bool:
+    if classes is None or one["classes"] is None:
+        return classes == one["classes"] and one["state"] in (*ALIVE, "succeeded")
+    return one["state"] in ALIVE and one["classes"] in classes

@@ -1,0 +1,159 @@
+"""The layout of a published dataset: where its tables are, in a folder or a tar, and what of it is refused unread.
+
+**Conventions.** A dataset lies in the folder that is given, or one below it. Its tables are in `v1.0-*/`, or all is in
+annotations.json: then its version is "". A name is a path relative to the dataset. The client refuses by the same
+rules before it sends a byte; what the tables and files hold is `stone_datasets`.
+"""
+
+import re
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from reprlib import Repr
+from typing import ClassVar
+
+from stone_base.errors import StoneError
+
+ANNOTATIONS = "annotations.json"
+VERSION_FOLDER = re.compile(r"v1\.0-[a-z0-9_-]{1,40}")
+HEAD = re.compile(rf"(?P<root>(?:.*/)?)(?:(?P<version>{VERSION_FOLDER.pattern})/[a-z_]+\.json|{ANNOTATIONS})")
+COMPRESSED = {
+    b"\x1f\x8b": "gzip",
+    b"BZh": "bzip2",
+    b"\xfd7zXZ": "xz",
+    b"\x28\xb5\x2f\xfd": "zstd",
+    b"PK\x03\x04": "zip",
+}
+QUOTED = 120
+SHORT = Repr()
+SHORT.maxlevel, SHORT.maxlist, SHORT.maxdict, SHORT.maxstring = 4, 8, 4, QUOTED
+
+
+@dataclass(frozen=True)
+class DatasetPlace:
+    """Where a fault is: a file of the dataset, by its name there, and the row where it is a table's."""
+
+    file: str
+    row: int | None = None
+    token: str = ""
+
+    def __str__(self) -> str:
+        row = "" if self.row is None else f" row {self.row}"
+        token = f" (token {self.token[:QUOTED]})" if self.token else ""
+        return f"{self.file[: 2 * QUOTED]}{row}{token}"
+
+
+class DatasetFaultError(StoneError):
+    """Something in a published dataset is wrong. `likely` is the mistake that usually is behind it."""
+
+    likely: ClassVar[str]
+
+    def __init__(self, place: DatasetPlace, what: str) -> None:
+        super().__init__(f"{place}: {what} ({self.likely})")
+        self.place = place
+
+    def as_record(self) -> dict[str, object]:
+        return {"code": self.code, **asdict(self.place), "message": str(self)}
+
+
+class NotADatasetError(DatasetFaultError):
+    """There is neither a folder of tables nor an annotations.json."""
+
+    code: ClassVar[str] = "DST-001"
+    likely: ClassVar[str] = "is it the folder above, or a set of another layout?"
+
+
+class TwoVersionsError(DatasetFaultError):
+    """There are tables in two places."""
+
+    code: ClassVar[str] = "DST-002"
+    likely: ClassVar[str] = "give one version, or the folder of one dataset"
+
+
+class CompressedDatasetError(DatasetFaultError):
+    """The tar is compressed, so that no file in it can be read by its place."""
+
+    code: ClassVar[str] = "DST-003"
+    likely: ClassVar[str] = "unpack it, or `gunzip` it first"
+
+
+class PathLeavesDatasetError(DatasetFaultError):
+    """A path is absolute, has `..`, or is a link to outside of the dataset."""
+
+    code: ClassVar[str] = "DST-004"
+    likely: ClassVar[str] = "paths are relative to the dataset's folder; copy what a link leads to"
+
+
+def root_in_folder(path: Path) -> tuple[Path, str]:
+    """The folder of the dataset, and its version. Raises `NotADatasetError`, `TwoVersionsError`."""
+    folders = [path, *(one for one in sorted(path.iterdir()) if one.is_dir() and not one.is_symlink())]
+    found = {f"{one.relative_to(path).as_posix()}/{version}" for one in folders for version in _versions(one)}
+    if not found:
+        found = {f"{one.relative_to(path).as_posix()}/" for one in folders if (one / ANNOTATIONS).is_file()}
+    root, _, version = _only(path, found).rpartition("/")
+    return path / root, version
+
+
+def root_in_tar(path: Path, heads: set[tuple[str, str]]) -> tuple[str, str]:
+    """Root, which ends in a slash or is empty, and version, by all that `head_of` answered for the tar's names.
+
+    Raises `NotADatasetError`, `TwoVersionsError`.
+    """
+    found = {f"{root}{version}" for root, version in heads if version} or {root for root, _ in heads}
+    root, slash, version = _only(path, found).rpartition("/")
+    return root + slash, version
+
+
+def head_of(name: str) -> tuple[str, str] | None:
+    """What a table, or annotations.json, tells by its name: the root that it lies in, and the version."""
+    head = HEAD.fullmatch(name)
+    return None if head is None else (head["root"], head["version"] or "")
+
+
+def refuse_compressed(path: Path) -> None:
+    """Raises `CompressedDatasetError`."""
+    with path.open("rb") as file:
+        begin = file.read(max(map(len, COMPRESSED)))
+    for magic, tool in COMPRESSED.items():
+        if begin.startswith(magic):
+            raise CompressedDatasetError(DatasetPlace(path.name), f"it is compressed by {tool}")
+
+
+def refuse_outside(name: str) -> None:
+    """Raises `PathLeavesDatasetError`."""
+    if not is_inside(name):
+        raise leaving(name)
+
+
+def is_inside(name: str) -> bool:
+    """Whether a path stays below the folder that it is relative to."""
+    return not name.startswith("/") and "\\" not in name and "\0" not in name and ".." not in name.split("/")
+
+
+def is_below(path: str, root: str) -> bool:
+    """Whether a path without links is that of the folder `root`, or of something in it."""
+    return path == root or path.startswith(root.rstrip("/") + "/")
+
+
+def leaving(name: str) -> PathLeavesDatasetError:
+    """The refusal of this name."""
+    return PathLeavesDatasetError(DatasetPlace(name), f"{quoted(name)} leads out of the dataset")
+
+
+def quoted(value: object) -> str:
+    """A value from outside as a message shows it: short, and no deeper than anybody would read."""
+    text = SHORT.repr(value)
+    return text if len(text) <= QUOTED else f"{text[:QUOTED]}…"
+
+
+def _versions(folder: Path) -> Iterator[str]:
+    names = (one.name for one in folder.iterdir() if one.is_dir())
+    return (name for name in names if VERSION_FOLDER.fullmatch(name))
+
+
+def _only(path: Path, found: set[str]) -> str:
+    if not found:
+        raise NotADatasetError(DatasetPlace(path.name), f"expected is a folder v1.0-…, or {ANNOTATIONS}")
+    if len(found) > 1:
+        raise TwoVersionsError(DatasetPlace(path.name), f"there are {', '.join(sorted(found)[:4])}")
+    return next(iter(found))

@@ -1,0 +1,95 @@
+"""A dataset brought to a platform as the routes do it, and what its import left there."""
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import func, select
+
+from services.domain.imports.requests import NewImport, start_import
+from services.runtime.access.storage_quota import balance
+from services.runtime.orm import (
+    Artefact,
+    Blob,
+    DatasetImport,
+    ImportedFile,
+    Job,
+    LabelledFrameRow,
+    LabelSet,
+    SequenceRow,
+    User,
+    new_id,
+)
+from services.runtime.platform import Platform
+from testing.worlds.runs import uploaded
+
+
+@dataclass(frozen=True)
+class BroughtDataset:
+    """An import on a platform, by ids."""
+
+    platform: Platform
+    owner_id: str
+    import_id: str
+
+    def row(self) -> DatasetImport:
+        with self.platform.database.reading() as session:
+            return session.get_one(DatasetImport, self.import_id)
+
+    def run(self) -> Job:
+        with self.platform.database.reading() as session:
+            return session.get_one(Job, session.get_one(DatasetImport, self.import_id).job_id)
+
+    def jobs(self) -> list[Job]:
+        with self.platform.database.reading() as session:
+            root_id = session.get_one(DatasetImport, self.import_id).job_id
+            return list(session.scalars(select(Job).where(Job.root_id == root_id).order_by(Job.id)))
+
+
+def an_owner(platform: Platform, role: str = "curator") -> str:
+    """The id of a new user."""
+    with platform.database.transaction() as session:
+        owner = User(id=new_id(), name=f"{role}-{new_id()[-8:]}", role=role)
+        session.add(owner)
+        return owner.id
+
+
+def bring_dataset(platform: Platform, tar: Path, owner_id: str, **asked: Any) -> BroughtDataset:
+    """The import of a tar, begun; `asked` as in `NewImport`."""
+    upload_id = uploaded(platform, owner_id, tar, purpose="dataset")
+    with platform.database.transaction() as session:
+        owner = session.get_one(User, owner_id)
+        imported, _ = start_import(session, owner, NewImport(upload_id=upload_id, **asked))
+        return BroughtDataset(platform, owner_id, imported.id)
+
+
+def files_of(platform: Platform, owner_id: str) -> dict[str, bytes]:
+    """Every artefact of every label set of the owner, as `<sequence>/<name>`; packs of labels frame by frame."""
+    with platform.database.reading() as session:
+        named = (
+            select(SequenceRow.name, Artefact, Blob.object_key)
+            .join(LabelSet, LabelSet.sequence_id == SequenceRow.id)
+            .join(Artefact, Artefact.label_set_id == LabelSet.id)
+            .join(Blob, Blob.sha256 == Artefact.blob_sha256)
+            .where(SequenceRow.owner_id == owner_id)
+        )
+        found = session.execute(named).all()
+        frames = session.scalars(select(LabelledFrameRow).order_by(LabelledFrameRow.ordinal)).all()
+    content = {artefact.id: b"".join(platform.store.read(key)) for _, artefact, key in found}
+    of = {artefact.id: name for name, artefact, _ in found}
+    files = {f"{name}/{one.name}": content[one.id] for name, one, _ in found if not one.name.startswith("labels/")}
+    for frame in frames:
+        if frame.pack_id in content:
+            payload = content[frame.pack_id][frame.offset_bytes :][: frame.length_bytes]
+            assert hashlib.sha256(payload).hexdigest() == frame.sha256
+            files[f"{of[frame.pack_id]}/{frame.token}/labels.npz"] = payload
+    return files
+
+
+def counts_of(platform: Platform, owner_id: str) -> dict[str, int]:
+    """How many rows there are of what an import writes, and the bytes that are counted against the owner."""
+    tables = (SequenceRow, LabelSet, Artefact, LabelledFrameRow, ImportedFile, DatasetImport)
+    with platform.database.reading() as session:
+        counts = {table.__tablename__: session.scalar(select(func.count()).select_from(table)) or 0 for table in tables}
+        return {**counts, "bytes": balance(session, owner_id)}

@@ -1,0 +1,19 @@
+"""An import of a dataset that somebody owns, and an upload of theirs that another one could be made of."""
+
+from services.domain.imports.requests import NewImport, start_import
+from services.runtime.orm import User, new_id
+from services.runtime.platform import Platform
+from testing.api.serving import Person
+from testing.worlds import made
+
+
+def imported(platform: Platform, owner: Person) -> dict[str, str]:
+    """`import_id` and `dataset_upload`."""
+    sent, waiting = _tar(platform, owner), _tar(platform, owner)
+    with platform.database.transaction() as session:
+        row, _run = start_import(session, session.get_one(User, owner.user_id), NewImport(sent, "offroad"))
+        return {"import_id": row.id, "dataset_upload": waiting}
+
+
+def _tar(platform: Platform, owner: Person) -> str:
+    return made.upload(platform, owner, new_id().encode(), purpose="dataset", filename="offroad.tar")

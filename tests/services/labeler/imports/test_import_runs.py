@@ -1,0 +1,346 @@
+"""A published dataset goes through the queues: whole or absent, done once, nothing left of it when it is over."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from sqlalchemy import select
+
+from services.domain.imports.errors import ExistingSequencesError
+from services.domain.imports.queries import progress_of
+from services.domain.imports.requests import PUBLISH_IMPORT, SCENE, delete_import
+from services.domain.sequences.processing import delete_sequence
+from services.labeler.imports.publish_stage import PROFILE
+from services.runtime.access.storage_quota import balance
+from services.runtime.database.migrate import upgrade
+from services.runtime.jobs.control import cancel, retry
+from services.runtime.jobs.specs import Attempt, Handler, Outcome
+from services.runtime.orm import (
+    Artefact,
+    Blob,
+    DatasetImport,
+    Job,
+    JobAttempt,
+    LabelSet,
+    SequenceRow,
+)
+from services.runtime.platform import Platform
+from services.runtime.settings import DatabaseSettings, StoreSettings
+from services.runtime.store.blobs import collect_garbage
+from services.runtime.store.workspace import Workspace
+from services.runtime.uploads import upload_file
+from testing.servers.fixtures import make_settings, opened
+from testing.worlds.brought_datasets import BroughtDataset, an_owner, bring_dataset, counts_of, files_of
+from testing.worlds.published_datasets import SyntheticDataset, made_labels, write_published_tar
+from testing.worlds.runs import Interrupted, run_all
+
+LABELS = tuple(made_labels(seed) for seed in range(3))
+SCENES = SyntheticDataset(
+    scenes=3,
+    frames=2,
+    cameras=("CAM_FRONT",),
+    radars=(),
+    labels=LABELS,
+    splits={"train": ["field-0000"], "val": ["field-0002"]},
+)
+FRAMES, NOTHING = 6, {"sequences": 0, "label_sets": 0, "artefacts": 0, "labelled_frames": 0, "imported_files": 0}
+
+
+@pytest.fixture(scope="module")
+def tar(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_published_tar(tmp_path_factory.mktemp("published") / "field.tar", SCENES)
+
+
+@pytest.fixture
+def brought(platform: Platform, tar: Path) -> BroughtDataset:
+    return bring_dataset(platform, tar, an_owner(platform))
+
+
+@pytest.fixture
+def imported(brought: BroughtDataset) -> BroughtDataset:
+    run_all(brought.platform)
+    assert (brought.run().state, brought.run().failure) == ("succeeded", "")
+    return brought
+
+
+def without_grace(platform: Platform) -> Platform:
+    """A platform whose grace is nothing: whatever may be collected is collected."""
+    store = replace(platform.settings.store, grace_s=0.0)
+    return replace(platform, settings=platform.settings.model_copy(update={"store": store}))
+
+
+class Interruptions:
+    """Every kind of job is interrupted once: at its second word or when it is done, publishing while it commits."""
+
+    def __init__(self) -> None:
+        self.kinds: set[str] = set()
+
+    def wrap(self, kind: str, handler: Handler) -> Handler:
+        def run(attempt: Attempt) -> Outcome:
+            if kind in self.kinds:
+                return handler(attempt)
+            self.kinds.add(kind)
+            if kind == PUBLISH_IMPORT:
+                outcome = handler(attempt)
+                return replace(outcome, commit=lambda session: self._break(outcome, session))
+            handler(Interrupted(attempt))
+            raise RuntimeError("interrupted at the end")
+
+        return run
+
+    def _break(self, outcome: Outcome, session: object) -> None:
+        outcome.commit(session)  # type: ignore[arg-type]
+        raise RuntimeError("interrupted in the commit")
+
+
+def test_rows_say_which_sequences_the_scenes_became(imported: BroughtDataset) -> None:
+    row, run = imported.row(), imported.run()
+    with imported.platform.database.reading() as session:
+        sequences = session.scalars(select(SequenceRow).order_by(SequenceRow.name)).all()
+        labels = {one.sequence_id: one for one in session.scalars(select(LabelSet))}
+        progress = progress_of(session, row)
+    assert [one.name for one in sequences] == list(SCENES.names)
+    assert {one.owner_id for one in sequences} == {imported.owner_id}
+    assert [labels[one.id].frames for one in sequences] == [2, 2, 2]
+    assert {one.job_id for one in labels.values()} == {run.id}
+    assert {one.parameters["profile"] for one in labels.values()} == {PROFILE}
+    assert [scene.sequence_id for scene in progress.scenes] == [one.id for one in sequences]
+    assert [(scene.frames, scene.splits, scene.state) for scene in progress.scenes] == [
+        (2, ("train",), "succeeded"),
+        (2, (), "succeeded"),
+        (2, ("val",), "succeeded"),
+    ]
+    assert run.result == {"import_id": row.id, "sequences": 3}
+    assert (row.blob_sha256, row.finished_ns is not None, progress.done) == (None, True, 3)
+
+
+def test_labels_are_those_of_the_dataset_to_the_last_byte(imported: BroughtDataset) -> None:
+    files = files_of(imported.platform, imported.owner_id)
+    for scene, name in enumerate(SCENES.names):
+        for frame, token in enumerate(SCENES.tokens(scene)):
+            assert files[f"{name}/{token}/labels.npz"] == LABELS[frame % 3]
+
+
+def test_source_and_labels_are_counted_and_the_tar_is_given_back(imported: BroughtDataset, tar: Path) -> None:
+    with imported.platform.database.reading() as session:
+        sizes = session.execute(select(Artefact.name, Artefact.size_bytes)).all()
+        counted = sum(size for name, size in sizes if name.startswith(("labels/", "source/")))
+        assert balance(session, imported.owner_id) == counted > 0
+
+
+def test_the_tar_and_the_files_of_the_run_are_collected(imported: BroughtDataset) -> None:
+    row = imported.row()
+    platform = imported.platform
+    assert not upload_file(platform.settings, row.upload_id).exists()
+    collect_garbage(without_grace(platform))
+    with platform.database.reading() as session:
+        assert session.get(Blob, row.sha256) is None
+    assert list((platform.settings.root / "store" / "work").glob("*/*")) == []
+    assert files_of(platform, imported.owner_id), "what was published stays"
+
+
+def test_every_stage_interrupted_once_leaves_the_same(
+    platform: Platform, tmp_path: Path, tar: Path, imported: BroughtDataset
+) -> None:
+    """Catches alone a stage that leaves other bytes, or rows twice, after it was killed and done again."""
+    other = opened(make_settings(tmp_path / "other"), [])
+    upgrade(other.settings)
+    brought, interruptions = bring_dataset(other, tar, an_owner(other)), Interruptions()
+    run_all(other, wrap=interruptions.wrap)
+    assert len(interruptions.kinds) == 4
+    assert (brought.run().state, brought.run().failure) == ("succeeded", "")
+    assert files_of(other, brought.owner_id) == files_of(platform, imported.owner_id)
+    assert counts_of(other, brought.owner_id) == counts_of(platform, imported.owner_id)
+    with other.database.reading() as session:
+        lost = session.scalars(select(JobAttempt).where(JobAttempt.outcome == "lost")).all()
+    assert len(lost) == 4
+    other.database.close()
+
+
+def test_a_fault_in_the_last_scene_leaves_nothing_and_the_others_are_not_done_again(brought: BroughtDataset) -> None:
+    platform, done = brought.platform, list[int]()
+
+    def wrap(kind: str, handler: Handler) -> Handler:
+        def run(attempt: Attempt) -> Outcome:
+            if attempt.arguments["scene"] == 2 and done.count(2) == 0:
+                done.append(2)
+                raise ExistingSequencesError(["a fault of this scene"])
+            done.append(attempt.arguments["scene"])
+            return handler(attempt)
+
+        return run if kind == SCENE else handler
+
+    run_all(platform, wrap=wrap)
+    assert (brought.run().state, brought.run().failure_code) == ("failed", "sequences_exist")
+    counts = counts_of(platform, brought.owner_id)
+    assert (counts["sequences"], counts["label_sets"], counts["labelled_frames"]) == (0, 0, 0)
+    with platform.database.transaction() as session:
+        retry(session, brought.run().id, 3)
+    run_all(platform, wrap=wrap)
+    assert brought.run().state == "succeeded"
+    assert done == [0, 1, 2, 2], "a scene that is done is not done again"
+    assert counts_of(platform, brought.owner_id)["labelled_frames"] == FRAMES
+
+
+def test_two_imports_at_once_do_not_mix(platform: Platform, tar: Path) -> None:
+    both = [bring_dataset(platform, tar, an_owner(platform)) for _ in range(2)]
+    run_all(platform)
+    first, second = (files_of(platform, one.owner_id) for one in both)
+    assert [one.run().state for one in both] == ["succeeded", "succeeded"]
+    assert first == second != {}
+
+
+def test_a_second_import_of_the_same_names_is_refused_naming_all(imported: BroughtDataset, tar: Path) -> None:
+    before = counts_of(imported.platform, imported.owner_id)
+    again = bring_dataset(imported.platform, tar, imported.owner_id)
+    run_all(imported.platform)
+    assert (again.run().state, again.run().failure_code) == ("failed", "sequences_exist")
+    assert all(name in again.run().failure for name in SCENES.names)
+    with imported.platform.database.transaction() as session:
+        delete_import(session, again.row())
+    assert counts_of(imported.platform, imported.owner_id) == before, "and what it held is given back"
+
+
+def test_of_two_that_race_for_the_names_one_is_published(platform: Platform, tar: Path) -> None:
+    owner_id = an_owner(platform)
+    both = [bring_dataset(platform, tar, owner_id) for _ in range(2)]
+    run_all(platform)
+    assert sorted(one.run().state for one in both) == ["failed", "succeeded"]
+    assert counts_of(platform, owner_id)["labelled_frames"] == FRAMES
+
+
+def test_labels_are_added_beside_those_that_a_sequence_has(imported: BroughtDataset, tmp_path: Path) -> None:
+    other = write_published_tar(tmp_path / "other.tar", replace(SCENES, labels=LABELS[::-1]))
+    again = bring_dataset(imported.platform, other, imported.owner_id, existing="add")
+    run_all(imported.platform)
+    assert again.run().state == "succeeded", again.run().failure
+    counts = counts_of(imported.platform, imported.owner_id)
+    assert (counts["sequences"], counts["label_sets"], counts["labelled_frames"]) == (3, 6, 2 * FRAMES)
+
+
+def test_the_same_labels_are_not_added_twice(imported: BroughtDataset, tar: Path) -> None:
+    before = counts_of(imported.platform, imported.owner_id)
+    again = bring_dataset(imported.platform, tar, imported.owner_id, existing="add")
+    run_all(imported.platform)
+    assert again.run().state == "succeeded"
+    assert counts_of(imported.platform, imported.owner_id) == {**before, "dataset_imports": 2}
+
+
+def test_a_deleted_sequence_leaves_nothing_behind(imported: BroughtDataset) -> None:
+    platform = imported.platform
+    with platform.database.transaction() as session:
+        for sequence in session.scalars(select(SequenceRow)).all():
+            delete_sequence(session, sequence)
+    with platform.database.transaction() as session:
+        delete_import(session, imported.row())
+    counts = counts_of(platform, imported.owner_id)
+    assert counts == {**NOTHING, "sequences": 3, "dataset_imports": 0, "bytes": 0}, "the rows of sequences stay"
+    collect_garbage(without_grace(platform))
+    with platform.database.reading() as session:
+        assert session.scalars(select(Blob)).all() == []
+    assert [path for path in (platform.settings.root / "store").rglob("*") if path.is_file()] == []
+
+
+def test_an_import_that_is_deleted_in_the_middle_leaves_nothing(brought: BroughtDataset) -> None:
+    platform = brought.platform
+
+    def wrap(kind: str, handler: Handler) -> Handler:
+        def run(attempt: Attempt) -> Outcome:
+            outcome = handler(attempt)
+            with platform.database.transaction() as session:
+                delete_import(session, session.get_one(DatasetImport, brought.import_id))
+            return outcome
+
+        return run if kind == PUBLISH_IMPORT else handler
+
+    root_id = brought.run().id
+    run_all(platform, wrap=wrap)
+    with platform.database.reading() as session:
+        assert session.get_one(Job, root_id).state == "cancelled"
+    assert counts_of(platform, brought.owner_id) == {**NOTHING, "dataset_imports": 0, "bytes": 0}
+
+
+def test_a_cancelled_import_goes_on_where_it_was(brought: BroughtDataset) -> None:
+    platform, done = brought.platform, list[int]()
+
+    def wrap(kind: str, handler: Handler) -> Handler:
+        def run(attempt: Attempt) -> Outcome:
+            done.append(attempt.arguments["scene"])
+            if done == [0, 1]:
+                with platform.database.transaction() as session:
+                    cancel(session, attempt.root_id, "")
+            return handler(attempt)
+
+        return run if kind == SCENE else handler
+
+    run_all(platform, wrap=wrap)
+    assert brought.run().state == "cancelled"
+    with platform.database.transaction() as session:
+        retry(session, brought.run().id, 3)
+    run_all(platform, wrap=wrap)
+    assert brought.run().state == "succeeded"
+    assert done.count(0) == 1
+
+
+@pytest.mark.parametrize("done", [0, 1, 2, 4])
+def test_a_run_of_another_version_is_begun_again_and_ends_as_any(
+    brought: BroughtDataset, done: int, tmp_path: Path, tar: Path
+) -> None:
+    """Catches alone a dataset half of which was imported by the code before an upgrade."""
+    platform = brought.platform
+    attempts = list[str]()
+
+    def wrap(kind: str, handler: Handler) -> Handler:
+        def run(attempt: Attempt) -> Outcome:
+            if len(attempts) == done:
+                with platform.database.transaction() as session:
+                    row = session.get_one(Job, attempt.root_id)
+                    row.arguments = {**row.arguments, "code_version": "0.1.0"}
+            attempts.append(kind)
+            return handler(attempt)
+
+        return run
+
+    old_id = brought.run().id
+    run_all(platform, wrap=wrap)
+    new = brought.run()
+    with platform.database.reading() as session:
+        old = session.get_one(Job, old_id)
+    assert (old.state, new.state, new.failure) == ("cancelled", "succeeded", "")
+    assert new.id != old_id
+    assert new.id in old.cancel_reason
+    counts = counts_of(platform, brought.owner_id)
+    assert (counts["sequences"], counts["labelled_frames"], counts["imported_files"]) == (3, FRAMES, 0)
+
+
+@pytest.mark.parametrize(("kind", "number"), [(SCENE, 1), (PUBLISH_IMPORT, 0)])
+def test_a_run_whose_files_are_gone_is_begun_again(brought: BroughtDataset, kind: str, number: int) -> None:
+    platform, seen = brought.platform, list[str]()
+
+    def wrap(of: str, handler: Handler) -> Handler:
+        def run(attempt: Attempt) -> Outcome:
+            if seen.count(kind) == number:
+                Workspace(platform.store, platform.settings, attempt.root_id).remove()
+            seen.append(of)
+            return handler(attempt)
+
+        return run if of == kind else handler
+
+    run_all(platform, wrap=wrap)
+    assert (brought.run().state, brought.run().failure) == ("succeeded", "")
+    assert counts_of(platform, brought.owner_id)["labelled_frames"] == FRAMES
+
+
+def test_two_machines_with_s3_and_postgres_make_the_same(
+    tar: Path, s3_settings: StoreSettings, fresh_postgres_url: str, tmp_path: Path, imported: BroughtDataset
+) -> None:
+    """Catches alone an import that depends on which machine, store or database a stage has."""
+    groups = {"store": s3_settings, "database": DatabaseSettings(fresh_postgres_url)}
+    here, there = (opened(make_settings(tmp_path / name, **groups), []) for name in ("here", "there"))
+    upgrade(here.settings)
+    brought = bring_dataset(here, tar, an_owner(here))
+    run_all(here, there)
+    assert (brought.run().state, brought.run().failure) == ("succeeded", "")
+    assert files_of(here, brought.owner_id) == files_of(imported.platform, imported.owner_id)
+    for machine in (here, there):
+        machine.database.close()

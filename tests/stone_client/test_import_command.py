@@ -1,0 +1,223 @@
+"""`stone import` against a real server and its workers: a dataset in, its labels out again, what is wrong by code."""
+
+import json
+import shutil
+import tarfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from structlog.testing import capture_logs
+from typer.testing import Result
+
+from services.ingest import stages as ingest
+from services.labeler import stages as labeler
+from services.runtime.platform import Platform
+from stone_client.errors import JobFailedError
+from stone_client.sdk import Stone
+from testing.api.serving import Person, client_of, person, serving
+from testing.worlds.published_datasets import SyntheticDataset, made_labels, write_published, write_published_tar
+from tests.stone_client.test_server_commands import refused, stone
+from tests.stone_datasets.conftest import GOOD, Edit
+from tests.stone_datasets.malformed import GRID, LABELS, gone, npz, row, text
+from tests.working import working
+
+DATASET = SyntheticDataset(
+    frames=2,
+    cameras=("CAM_FRONT",),
+    labels=(made_labels(1), made_labels(2)),
+    splits={"train": ["field-0000"], "val": ["field-0001"]},
+)
+PICTURE = GOOD.filename("CAM_FRONT", GOOD.datum_us(0, 0, "CAM_FRONT"))
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_published(tmp_path_factory.mktemp("published") / "offroad", DATASET)
+
+
+@pytest.fixture
+def owner(platform: Platform) -> Person:
+    return person(platform, "curator", "ada")
+
+
+@pytest.fixture(autouse=True)
+def served(platform: Platform, owner: Person, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """A server that the owner is signed in at; its log lines stay out of the command's stdout."""
+    with serving(platform) as url, capture_logs():
+        monkeypatch.setenv("STONE_URL", url)
+        monkeypatch.setenv("STONE_TOKEN", owner.secret)
+        monkeypatch.setenv("STONE_CONFIG_HOME", str(tmp_path / "configuration"))
+        yield url
+
+
+@pytest.fixture
+def api(platform: Platform, owner: Person) -> Iterator[httpx.Client]:
+    with client_of(platform) as client:
+        client.headers.update(owner.headers)
+        yield client
+
+
+@contextmanager
+def importing(platform: Platform) -> Iterator[None]:
+    """Workers of the queues that import."""
+    with working(platform, "ingest", ingest.handlers), working(platform, "labeler", labeler.handlers):
+        yield
+
+
+def imported(platform: Platform, *arguments: str | Path) -> dict[str, Any]:
+    with importing(platform):
+        result = stone("import", *arguments, "--json")
+    assert result.exit_code == 0, result.stderr
+    said: dict[str, Any] = json.loads(result.stdout)
+    return said
+
+
+def uploads(api: httpx.Client) -> list[str]:
+    return [one["state"] for one in api.get("/api/v1/uploads").json()["items"]]
+
+
+@pytest.mark.whole
+def test_a_folder_becomes_sequences_whose_labels_are_the_datasets_own(
+    platform: Platform, api: httpx.Client, dataset: Path, tmp_path: Path
+) -> None:
+    """Catches alone labels that change on their way from a folder through upload, queues and store and out again."""
+    made = imported(platform, dataset, "--public")
+    assert (made["name"], made["state"], made["scenes_done"], made["frames"]) == ("offroad", "succeeded", 2, 4)
+    listed = {one["name"]: one for one in api.get("/api/v1/sequences").json()["items"]}
+    assert set(listed) == set(DATASET.names)
+    assert [listed[scene["name"]]["id"] for scene in made["scenes"]] == [one["sequence_id"] for one in made["scenes"]]
+    assert all(one["is_public"] and one["labels"]["frames"] == 2 for one in listed.values())
+    for scene, name in enumerate(DATASET.names):
+        for token in DATASET.tokens(scene):
+            kept = api.get(f"/api/v1/frames/{token}/labels.npz").content
+            assert kept == (dataset / "gts" / name / token / "labels.npz").read_bytes()
+    again = imported(platform, dataset)
+    assert (again["id"], uploads(api)) == (made["id"], ["consumed"]), "it is neither sent nor imported twice"
+    assert stone("download", "field-0000", "-o", tmp_path / "labels").exit_code == 0
+    _exported_again(platform, dataset, tmp_path / "field.tar")
+
+
+def _exported_again(platform: Platform, dataset: Path, path: Path) -> None:
+    """The nuScenes export has the samples and labels of the dataset, byte for byte."""
+    with importing(platform):
+        assert stone("exports", "field-0000", "--format", "nuscenes").exit_code == 0
+    assert stone("download", "field-0000", "--format", "nuscenes", "-o", path).exit_code == 0
+    with tarfile.open(path) as tar:
+        held = {one.name.split("/", 1)[1] if "v1.0" in one.name.split("/")[0] else one.name: one for one in tar}
+        found = {
+            name: tar.extractfile(one).read()  # type: ignore[union-attr]
+            for name, one in held.items()
+            if name.startswith(("samples/", "gts/")) and one.isfile()
+        }
+    for name, content in found.items():
+        assert (dataset / name).read_bytes() == content, name
+    assert sum(name.startswith("gts/") for name in found) == 2
+    assert sum(name.startswith("samples/") for name in found) == 2 * len(DATASET.sensors)
+
+
+@pytest.mark.whole
+def test_a_tar_with_a_class_map_is_added_beside_what_is_there(
+    platform: Platform, api: httpx.Client, dataset: Path, tmp_path: Path
+) -> None:
+    """Catches alone a second import that overwrites the first, and a class map that is not applied."""
+    imported(platform, dataset)
+    tar = write_published_tar(tmp_path / "theirs.tar", DATASET, "theirs/")
+    (tmp_path / "classes.yaml").write_text("name: swapped\nclasses: {0: free, 1: N, 2: P, 3: T, 255: unobserved}\n")
+    asked = (tar, "--name", "theirs", "--classes", tmp_path / "classes.yaml")
+    with importing(platform):
+        assert refused(stone("import", *asked)) == "sequences_exist"
+    made = imported(platform, *asked, "--add-to-existing")
+    assert (made["classes"], made["existing"]) == ("swapped", "add")
+    sequence_id = made["scenes"][0]["sequence_id"]
+    sets = api.get(f"/api/v1/sequences/{sequence_id}/label-sets").json()["items"]
+    assert [one["frames"] for one in sets] == [2, 2]
+    shown = stone("import", "--list")
+    assert shown.exit_code == 0
+    assert "succeeded" in shown.stdout
+    assert "failed" in shown.stdout
+
+
+WRONG: dict[str, tuple[str, Edit, str]] = {
+    "a duplicate token": ("DST-018", row("sample", 2, token=GOOD.tokens(0)[0]), "sample.json row 3"),
+    "a broken reference": ("DST-030", row("sample_data", 1, ego_pose_token="0" * 32), "sample_data.json row 2"),
+    "a rotation of 3 x 3": ("DST-021", row("ego_pose", 0, rotation=[[1, 0, 0]] * 3), "ego_pose.json row 1"),
+    "a table that is cut off": ("DST-011", text("v1.0-trainval/sensor.json", "[{"), "sensor.json"),
+    "a picture that is gone": ("DST-050", gone(PICTURE), PICTURE.rpartition("/")[2]),
+    "labels of 18 classes": (
+        "DST-066",
+        npz(semantics=GRID + 17, mask_lidar=GRID, mask_camera=GRID),
+        LABELS.rpartition("/")[0],
+    ),
+    "a frame without labels": ("DST-060", gone(LABELS), LABELS),
+}
+
+
+@pytest.mark.parametrize("kind", WRONG)
+def test_what_is_wrong_is_refused_by_its_code_with_table_row_and_file(
+    platform: Platform, api: httpx.Client, tmp_path: Path, kind: str
+) -> None:
+    code, edit, place = WRONG[kind]
+    folder = write_published(tmp_path / "wrong", GOOD)
+    edit(folder)
+    with importing(platform):
+        result = stone("import", folder)
+    assert refused(result) == code
+    assert place in result.stderr.replace("\n", "")
+    (shown,) = api.get("/api/v1/dataset-imports").json()["items"]
+    assert (shown["state"], shown["failure"]["code"]) == ("failed", code)
+    assert place in shown["failure"]["sentence"]
+    assert api.get("/api/v1/sequences").json()["items"] == [], "all of it, or nothing"
+
+
+def test_a_dataset_that_the_layout_gives_away_costs_no_upload(api: httpx.Client, tmp_path: Path) -> None:
+    (tmp_path / "photos").mkdir()
+    assert refused(stone("import", tmp_path / "photos")) == "DST-001"
+    assert uploads(api) == []
+
+
+def test_a_class_map_that_is_none_is_told_by_the_server_and_the_upload_stays(
+    api: httpx.Client, dataset: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "classes.yaml").write_text("name: theirs\nclasses: {0: grass}\n")
+    assert refused(stone("import", dataset, "--classes", tmp_path / "classes.yaml")) == "DST-070"
+    assert uploads(api) == ["complete"]
+    assert refused(stone("import", dataset, "--set-splits")) == "splits_forbidden"
+    result: Result = stone("import", dataset, "--no-wait")
+    assert (result.exit_code, uploads(api)) == (0, ["consumed"])
+    assert "Next: stone watch" in result.stdout
+
+
+def test_only_ones_own_import_of_the_same_wishes_is_gone_on_with(
+    platform: Platform, api: httpx.Client, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    classes = tmp_path / "classes.yaml"
+    classes.write_text("name: theirs\nclasses: {0: free, 1: T, 2: P, 3: N, 255: unobserved}\n")
+    lines = ([], ["--add-to-existing"], ["--name", "other"], ["--classes", classes])
+    begun = [json.loads(stone("import", dataset, "--no-wait", "--json", *line).stdout)["id"] for line in lines]
+    assert len(set(begun)) == len(lines)
+    assert [json.loads(stone("import", dataset, "--no-wait", "--json", *line).stdout)["id"] for line in lines] == begun
+    monkeypatch.setenv("STONE_TOKEN", person(platform, "administrator").secret)
+    assert json.loads(stone("import", "--list", "--json").stdout) == {"imports": []}
+    assert json.loads(stone("import", dataset, "--no-wait", "--json").stdout)["id"] not in begun
+    assert len(api.get("/api/v1/dataset-imports").json()["items"]) == len(lines)
+
+
+def test_nothing_to_import_is_a_mistake_of_usage() -> None:
+    assert stone("import").exit_code == 2
+
+
+@pytest.mark.whole
+def test_the_sdk_imports_and_raises_what_was_wrong(platform: Platform, dataset: Path, tmp_path: Path) -> None:
+    """Catches alone an SDK that differs from the command."""
+    wrong = Path(shutil.copytree(dataset, tmp_path / "wrong"))
+    (wrong / "v1.0-trainval" / "log.json").unlink()
+    with importing(platform), Stone() as there:
+        with pytest.raises(JobFailedError, match=r"log\.json") as caught:
+            there.import_dataset(wrong)
+        assert caught.value.code == "DST-010"
+        made = there.import_dataset(dataset, name="offroad")
+    assert [scene["name"] for scene in made["scenes"]] == list(DATASET.names)
