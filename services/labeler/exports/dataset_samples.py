@@ -147,7 +147,7 @@ def _believed(records: Records) -> Records:
     """Detections that are a place and a motion near a sensor, and that the radar calls valid where it says so."""
     names = records.dtype.names or ()
     measured = _columns(records, (*WANTED, *(name for name in MEASURED if name in names)))
-    is_near: NDArray[np.bool_] = (np.abs(measured) < FARTHEST_DETECTION_M).all(axis=1)
+    is_near = np.asarray((np.abs(measured) < FARTHEST_DETECTION_M).all(axis=1))
     is_kept = is_near & (np.linalg.norm(np.where(is_near[:, None], measured[:, :3], 0), axis=1) > 0)
     if "invalid_state" in names:
         is_kept &= records["invalid_state"] == VALID_STATE
