@@ -29,7 +29,7 @@ from testing.worlds.imported import NAME
 from testing.worlds.published_datasets import SyntheticDataset, write_published_tar
 
 
-class Shares:
+class StepShares:
     """CPU seconds between what a child tells of its progress, by the step that it tells of."""
 
     def __init__(self) -> None:
@@ -49,7 +49,7 @@ class Shares:
 def index(tar: Path, folder: Path) -> None:
     with tar.open("rb") as file:
         opening = DatasetOpening(tar, NAME, file_digest(file, "sha256").hexdigest(), OWN_CLASSES)
-    begun, shares = time.process_time(), Shares()
+    begun, shares = time.process_time(), StepShares()
     answer = DatasetIndexAnswer.believed(index_dataset(opening, folder, shares))
     frames = sum(scene.frames for scene in answer.scenes)
     _say(f"index of {len(answer.scenes)} scenes", frames, (time.process_time() - begun, shares))
@@ -60,7 +60,7 @@ def scenes(tar: Path, folder: Path) -> None:
     ordinals = range(len(list((folder / "scenes").iterdir())))
     opening = SceneOpening(tar, 0, NAME, "0" * 64, OWN_CLASSES)
     import_scene(opening, folder, lambda *_: None)
-    begun, shares, frames = time.process_time(), Shares(), 0
+    begun, shares, frames = time.process_time(), StepShares(), 0
     for ordinal in ordinals:
         answer = import_scene(SceneOpening(tar, ordinal, NAME, "0" * 64, OWN_CLASSES), folder, shares)
         frames += len(PublicationAnswer.believed(answer).tokens)
@@ -72,7 +72,7 @@ def _sized(count: int, frames: int) -> SyntheticDataset:
     return replace(release_sized(count), scenes=count, frames=frames, longer=0, turns_after=150)
 
 
-def _say(what: str, frames: int, cost: tuple[float, Shares]) -> None:
+def _say(what: str, frames: int, cost: tuple[float, StepShares]) -> None:
     held_mib = getrusage(RUSAGE_SELF).ru_maxrss / 1024
     cpu_s, shares = cost
     rate = f"{cpu_s:.1f} CPU-s, {frames / cpu_s:.0f} frames per CPU-s, {held_mib:.0f} MiB at most"

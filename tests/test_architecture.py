@@ -14,6 +14,8 @@ from pathlib import Path
 
 import pytest
 
+from stone_client.main import COMMANDS, GROUPS
+
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = (
     "stone", "stone_base", "stone_files", "stone_recordings", "stone_submissions", "stone_exports", "stone_datasets",
@@ -246,8 +248,7 @@ def test_the_pages_point_at_what_exists(page: Path) -> None:
 @pytest.mark.parametrize("page", sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]), ids=lambda p: p.name)
 def test_the_pages_name_only_commands_and_targets_that_exist(page: Path) -> None:
     text = page.read_text("utf-8")
-    folders = [ROOT / package / "commands" for package in ("stone_client", "stone_local")]
-    commands = {path.stem for folder in folders for path in folder.rglob("*.py")}
+    commands = {function.__name__ for panel in COMMANDS.values() for function in panel} | set(GROUPS)
     targets = set(re.findall(r"(?m)^([\w-]+):", (ROOT / "Makefile").read_text("utf-8")))
     assert set(re.findall(r"bin/stone (\w+)", text)) <= commands
     assert set(re.findall(r"(?m)(?:`|^)make ([\w-]+)", text)) <= targets

@@ -8,7 +8,7 @@ from pydantic import Field, StringConstraints
 from api.schemas.base import ID_EXAMPLE, PLAIN, PROSE, SHA256_EXAMPLE, Answer, Body, IdText, Line, example
 from api.schemas.jobs import FailureItem
 from api.schemas.sequences.sequences import Environment, Illumination, Region
-from services.domain.imports.requests import LONGEST_NAME, Existing, NewImport, SequenceFacts, StatedClasses
+from services.domain.imports.requests import LONGEST_NAME, Existing, ImportedFacts, NewImport, StatedClasses
 
 LONGEST_CLASSES = 64 * 1024
 SCENE_EXAMPLE: dict[str, Any] = {
@@ -78,7 +78,7 @@ class NewDatasetImportBody(Body):
 
     def wished(self, classes: StatedClasses | None) -> NewImport:
         """The import as the domain knows it."""
-        facts = SequenceFacts(self.environment, self.illumination, self.region, self.platform, self.is_public)
+        facts = ImportedFacts(self.environment, self.illumination, self.region, self.platform, self.is_public)
         return NewImport(self.upload_id, self.name or "", classes, self.existing, self.sets_splits, facts)
 
 

@@ -1,10 +1,11 @@
 """Imports of published datasets on a server: sent, asked for, followed, listed.
 
 **Conventions.** Nothing is kept on this side. A dataset that is being imported, or was, is not sent again: the server
-is asked for an import of the same bytes under the same name.
+is asked for one's own import of the same bytes that was asked for in the same way. Of class maps it tells the name
+alone, so with one only an import that has not ended is gone on with.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from stone_client.server.sequences import Item
 from stone_client.tables import DASH, plain_table, safe_text
 
 PATH = "/dataset-imports"
-ENDED_BADLY = ("failed", "cancelled")
+ALIVE = ("queued", "running")
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ def send_dataset(api: Api, path: Path, wishes: DatasetWishes, progress: Report) 
     Raises a `DatasetFaultError`, `BadTarError`, `FileChangedError`, and what `Api.send` raises.
     """
     local = hashed_dataset(path, progress)
-    standing = _standing(api, local, wishes.name)
+    standing = _standing(api, local, wishes)
     if standing is not None:
         return standing
     upload_id = upload_file(api, local, Purpose("dataset"), progress)
@@ -53,12 +54,13 @@ def read_import(api: Api, import_id: str) -> Item:
     return found
 
 
-def imports_of(api: Api) -> list[Item]:
-    """One's own imports, newest first."""
-    return list(api.pages(PATH))
+def imports_of(api: Api) -> Iterator[Item]:
+    """One's own imports, newest first; an administrator is told of everybody's."""
+    own = api.read("/me")["user_id"]
+    return (one for one in api.pages(PATH) if one["owner_id"] == own)
 
 
-def imports_table(imports: list[Item]) -> Table:
+def imports_table(imports: Iterable[Item]) -> Table:
     """A row each: what it is, how far."""
     table = plain_table("imports of datasets", "dataset", "state", "scenes", "frames", "bytes", "begun", "id")
     for one in imports:
@@ -74,9 +76,17 @@ def _counts(one: Mapping[str, Any]) -> tuple[str, str]:
     return f"{one['scenes_done']:,} of {one['scenes_total']:,}", f"{one['frames']:,}"
 
 
-def _standing(api: Api, local: LocalContent, name: str) -> Item | None:
-    """The import of these bytes under this name that has not ended badly."""
-    for one in api.pages(PATH):
-        if (one["sha256"], one["name"]) == (local.sha256, name) and one["state"] not in ENDED_BADLY:
+def _standing(api: Api, local: LocalContent, wishes: DatasetWishes) -> Item | None:
+    """The import of these bytes by these wishes that is under way, or has ended well."""
+    asked = (local.sha256, wishes.name, wishes.existing, wishes.sets_splits)
+    for one in imports_of(api):
+        is_same = (one["sha256"], one["name"], one["existing"], one["sets_splits"]) == asked
+        if is_same and _goes_on(one, wishes.classes):
             return read_import(api, one["id"])
     return None
+
+
+def _goes_on(one: Item, classes: str | None) -> bool:
+    if classes is None or one["classes"] is None:
+        return classes == one["classes"] and one["state"] in (*ALIVE, "succeeded")
+    return one["state"] in ALIVE and one["classes"] in classes

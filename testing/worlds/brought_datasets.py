@@ -22,7 +22,18 @@ from services.runtime.orm import (
     new_id,
 )
 from services.runtime.platform import Platform
+from testing.worlds.published_datasets import SyntheticDataset, made_labels
 from testing.worlds.runs import uploaded
+
+LABELS = tuple(made_labels(seed) for seed in range(3))
+FIELD = SyntheticDataset(
+    scenes=3,
+    frames=2,
+    cameras=("CAM_FRONT",),
+    radars=(),
+    labels=LABELS,
+    splits={"train": ["field-0000"], "val": ["field-0002"]},
+)
 
 
 @dataclass(frozen=True)

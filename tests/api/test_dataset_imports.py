@@ -92,6 +92,9 @@ def test_a_class_map_that_is_none_is_refused_by_its_code(
 def test_splits_are_set_by_administrators_only(platform: Platform, api: httpx.Client, owner: Person) -> None:
     answer = asked(api, owner, sent(platform, owner), sets_splits=True)
     assert (answer.status_code, answer.json()["code"]) == (403, "splits_forbidden")
+    restricted = person(platform, "administrator", scopes=["read", "upload"])
+    answer = asked(api, restricted, sent(platform, restricted), sets_splits=True)
+    assert answer.json()["code"] == "splits_forbidden", "a token without the scope admin does not do it for them"
     administrator = person(platform, "administrator")
     assert begun(platform, api, administrator, sets_splits=True)["sets_splits"] is True
 

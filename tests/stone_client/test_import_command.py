@@ -191,6 +191,21 @@ def test_a_class_map_that_is_none_is_told_by_the_server_and_the_upload_stays(
     assert "Next: stone watch" in result.stdout
 
 
+def test_only_ones_own_import_of_the_same_wishes_is_gone_on_with(
+    platform: Platform, api: httpx.Client, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    classes = tmp_path / "classes.yaml"
+    classes.write_text("name: theirs\nclasses: {0: free, 1: T, 2: P, 3: N, 255: unobserved}\n")
+    lines = ([], ["--add-to-existing"], ["--name", "other"], ["--classes", classes])
+    begun = [json.loads(stone("import", dataset, "--no-wait", "--json", *line).stdout)["id"] for line in lines]
+    assert len(set(begun)) == len(lines)
+    assert [json.loads(stone("import", dataset, "--no-wait", "--json", *line).stdout)["id"] for line in lines] == begun
+    monkeypatch.setenv("STONE_TOKEN", person(platform, "administrator").secret)
+    assert json.loads(stone("import", "--list", "--json").stdout) == {"imports": []}
+    assert json.loads(stone("import", dataset, "--no-wait", "--json").stdout)["id"] not in begun
+    assert len(api.get("/api/v1/dataset-imports").json()["items"]) == len(lines)
+
+
 def test_nothing_to_import_is_a_mistake_of_usage() -> None:
     assert stone("import").exit_code == 2
 

@@ -50,7 +50,7 @@ class StatedClasses:
 
 
 @dataclass(frozen=True)
-class SequenceFacts:
+class ImportedFacts:
     """What is said of every sequence that an import makes; of one that stands already nothing is changed."""
 
     environment: str = ""
@@ -74,7 +74,7 @@ class NewImport:
     classes: StatedClasses | None = None
     existing: Existing = "refuse"
     sets_splits: bool = False
-    facts: SequenceFacts = SequenceFacts()
+    facts: ImportedFacts = ImportedFacts()
 
 
 def start_import(session: Session, owner: User, new: NewImport) -> tuple[DatasetImport, Job]:

@@ -97,7 +97,7 @@ def _list(server: str | None, *, as_json: bool) -> None:
     from stone_client.server.dataset_imports import imports_of, imports_table
 
     with connected(server) as api:
-        listed = imports_of(api)
+        listed = list(imports_of(api))
     if as_json:
         echo_json({"imports": listed})
     else:

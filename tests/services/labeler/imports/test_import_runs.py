@@ -3,17 +3,14 @@
 from dataclasses import replace
 from pathlib import Path
 
-import pytest
 from sqlalchemy import select
 
-from services.domain.imports.errors import ExistingSequencesError
 from services.domain.imports.queries import progress_of
-from services.domain.imports.requests import PUBLISH_IMPORT, SCENE, delete_import
+from services.domain.imports.requests import PUBLISH_IMPORT, delete_import
 from services.domain.sequences.processing import delete_sequence
 from services.labeler.imports.publish_stage import PROFILE
 from services.runtime.access.storage_quota import balance
 from services.runtime.database.migrate import upgrade
-from services.runtime.jobs.control import cancel, retry
 from services.runtime.jobs.specs import Attempt, Handler, Outcome
 from services.runtime.orm import (
     Artefact,
@@ -27,40 +24,13 @@ from services.runtime.orm import (
 from services.runtime.platform import Platform
 from services.runtime.settings import DatabaseSettings, StoreSettings
 from services.runtime.store.blobs import collect_garbage
-from services.runtime.store.workspace import Workspace
 from services.runtime.uploads import upload_file
 from testing.servers.fixtures import make_settings, opened
-from testing.worlds.brought_datasets import BroughtDataset, an_owner, bring_dataset, counts_of, files_of
-from testing.worlds.published_datasets import SyntheticDataset, made_labels, write_published_tar
+from testing.worlds.brought_datasets import FIELD, LABELS, BroughtDataset, an_owner, bring_dataset, counts_of, files_of
+from testing.worlds.published_datasets import write_published_tar
 from testing.worlds.runs import Interrupted, run_all
 
-LABELS = tuple(made_labels(seed) for seed in range(3))
-SCENES = SyntheticDataset(
-    scenes=3,
-    frames=2,
-    cameras=("CAM_FRONT",),
-    radars=(),
-    labels=LABELS,
-    splits={"train": ["field-0000"], "val": ["field-0002"]},
-)
 FRAMES, NOTHING = 6, {"sequences": 0, "label_sets": 0, "artefacts": 0, "labelled_frames": 0, "imported_files": 0}
-
-
-@pytest.fixture(scope="module")
-def tar(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_published_tar(tmp_path_factory.mktemp("published") / "field.tar", SCENES)
-
-
-@pytest.fixture
-def brought(platform: Platform, tar: Path) -> BroughtDataset:
-    return bring_dataset(platform, tar, an_owner(platform))
-
-
-@pytest.fixture
-def imported(brought: BroughtDataset) -> BroughtDataset:
-    run_all(brought.platform)
-    assert (brought.run().state, brought.run().failure) == ("succeeded", "")
-    return brought
 
 
 def without_grace(platform: Platform) -> Platform:
@@ -99,7 +69,7 @@ def test_rows_say_which_sequences_the_scenes_became(imported: BroughtDataset) ->
         sequences = session.scalars(select(SequenceRow).order_by(SequenceRow.name)).all()
         labels = {one.sequence_id: one for one in session.scalars(select(LabelSet))}
         progress = progress_of(session, row)
-    assert [one.name for one in sequences] == list(SCENES.names)
+    assert [one.name for one in sequences] == list(FIELD.names)
     assert {one.owner_id for one in sequences} == {imported.owner_id}
     assert [labels[one.id].frames for one in sequences] == [2, 2, 2]
     assert {one.job_id for one in labels.values()} == {run.id}
@@ -116,8 +86,8 @@ def test_rows_say_which_sequences_the_scenes_became(imported: BroughtDataset) ->
 
 def test_labels_are_those_of_the_dataset_to_the_last_byte(imported: BroughtDataset) -> None:
     files = files_of(imported.platform, imported.owner_id)
-    for scene, name in enumerate(SCENES.names):
-        for frame, token in enumerate(SCENES.tokens(scene)):
+    for scene, name in enumerate(FIELD.names):
+        for frame, token in enumerate(FIELD.tokens(scene)):
             assert files[f"{name}/{token}/labels.npz"] == LABELS[frame % 3]
 
 
@@ -157,31 +127,6 @@ def test_every_stage_interrupted_once_leaves_the_same(
     other.database.close()
 
 
-def test_a_fault_in_the_last_scene_leaves_nothing_and_the_others_are_not_done_again(brought: BroughtDataset) -> None:
-    platform, done = brought.platform, list[int]()
-
-    def wrap(kind: str, handler: Handler) -> Handler:
-        def run(attempt: Attempt) -> Outcome:
-            if attempt.arguments["scene"] == 2 and done.count(2) == 0:
-                done.append(2)
-                raise ExistingSequencesError(["a fault of this scene"])
-            done.append(attempt.arguments["scene"])
-            return handler(attempt)
-
-        return run if kind == SCENE else handler
-
-    run_all(platform, wrap=wrap)
-    assert (brought.run().state, brought.run().failure_code) == ("failed", "sequences_exist")
-    counts = counts_of(platform, brought.owner_id)
-    assert (counts["sequences"], counts["label_sets"], counts["labelled_frames"]) == (0, 0, 0)
-    with platform.database.transaction() as session:
-        retry(session, brought.run().id, 3)
-    run_all(platform, wrap=wrap)
-    assert brought.run().state == "succeeded"
-    assert done == [0, 1, 2, 2], "a scene that is done is not done again"
-    assert counts_of(platform, brought.owner_id)["labelled_frames"] == FRAMES
-
-
 def test_two_imports_at_once_do_not_mix(platform: Platform, tar: Path) -> None:
     both = [bring_dataset(platform, tar, an_owner(platform)) for _ in range(2)]
     run_all(platform)
@@ -195,7 +140,7 @@ def test_a_second_import_of_the_same_names_is_refused_naming_all(imported: Broug
     again = bring_dataset(imported.platform, tar, imported.owner_id)
     run_all(imported.platform)
     assert (again.run().state, again.run().failure_code) == ("failed", "sequences_exist")
-    assert all(name in again.run().failure for name in SCENES.names)
+    assert all(name in again.run().failure for name in FIELD.names)
     with imported.platform.database.transaction() as session:
         delete_import(session, again.row())
     assert counts_of(imported.platform, imported.owner_id) == before, "and what it held is given back"
@@ -210,7 +155,7 @@ def test_of_two_that_race_for_the_names_one_is_published(platform: Platform, tar
 
 
 def test_labels_are_added_beside_those_that_a_sequence_has(imported: BroughtDataset, tmp_path: Path) -> None:
-    other = write_published_tar(tmp_path / "other.tar", replace(SCENES, labels=LABELS[::-1]))
+    other = write_published_tar(tmp_path / "other.tar", replace(FIELD, labels=LABELS[::-1]))
     again = bring_dataset(imported.platform, other, imported.owner_id, existing="add")
     run_all(imported.platform)
     assert again.run().state == "succeeded", again.run().failure
@@ -258,77 +203,6 @@ def test_an_import_that_is_deleted_in_the_middle_leaves_nothing(brought: Brought
     with platform.database.reading() as session:
         assert session.get_one(Job, root_id).state == "cancelled"
     assert counts_of(platform, brought.owner_id) == {**NOTHING, "dataset_imports": 0, "bytes": 0}
-
-
-def test_a_cancelled_import_goes_on_where_it_was(brought: BroughtDataset) -> None:
-    platform, done = brought.platform, list[int]()
-
-    def wrap(kind: str, handler: Handler) -> Handler:
-        def run(attempt: Attempt) -> Outcome:
-            done.append(attempt.arguments["scene"])
-            if done == [0, 1]:
-                with platform.database.transaction() as session:
-                    cancel(session, attempt.root_id, "")
-            return handler(attempt)
-
-        return run if kind == SCENE else handler
-
-    run_all(platform, wrap=wrap)
-    assert brought.run().state == "cancelled"
-    with platform.database.transaction() as session:
-        retry(session, brought.run().id, 3)
-    run_all(platform, wrap=wrap)
-    assert brought.run().state == "succeeded"
-    assert done.count(0) == 1
-
-
-@pytest.mark.parametrize("done", [0, 1, 2, 4])
-def test_a_run_of_another_version_is_begun_again_and_ends_as_any(
-    brought: BroughtDataset, done: int, tmp_path: Path, tar: Path
-) -> None:
-    """Catches alone a dataset half of which was imported by the code before an upgrade."""
-    platform = brought.platform
-    attempts = list[str]()
-
-    def wrap(kind: str, handler: Handler) -> Handler:
-        def run(attempt: Attempt) -> Outcome:
-            if len(attempts) == done:
-                with platform.database.transaction() as session:
-                    row = session.get_one(Job, attempt.root_id)
-                    row.arguments = {**row.arguments, "code_version": "0.1.0"}
-            attempts.append(kind)
-            return handler(attempt)
-
-        return run
-
-    old_id = brought.run().id
-    run_all(platform, wrap=wrap)
-    new = brought.run()
-    with platform.database.reading() as session:
-        old = session.get_one(Job, old_id)
-    assert (old.state, new.state, new.failure) == ("cancelled", "succeeded", "")
-    assert new.id != old_id
-    assert new.id in old.cancel_reason
-    counts = counts_of(platform, brought.owner_id)
-    assert (counts["sequences"], counts["labelled_frames"], counts["imported_files"]) == (3, FRAMES, 0)
-
-
-@pytest.mark.parametrize(("kind", "number"), [(SCENE, 1), (PUBLISH_IMPORT, 0)])
-def test_a_run_whose_files_are_gone_is_begun_again(brought: BroughtDataset, kind: str, number: int) -> None:
-    platform, seen = brought.platform, list[str]()
-
-    def wrap(of: str, handler: Handler) -> Handler:
-        def run(attempt: Attempt) -> Outcome:
-            if seen.count(kind) == number:
-                Workspace(platform.store, platform.settings, attempt.root_id).remove()
-            seen.append(of)
-            return handler(attempt)
-
-        return run if of == kind else handler
-
-    run_all(platform, wrap=wrap)
-    assert (brought.run().state, brought.run().failure) == ("succeeded", "")
-    assert counts_of(platform, brought.owner_id)["labelled_frames"] == FRAMES
 
 
 def test_two_machines_with_s3_and_postgres_make_the_same(
