@@ -49,7 +49,8 @@ class StepShares:
 def index(tar: Path, folder: Path) -> None:
     with tar.open("rb") as file:
         opening = DatasetOpening(tar, NAME, file_digest(file, "sha256").hexdigest(), OWN_CLASSES)
-    begun, shares = time.process_time(), StepShares()
+    shares = StepShares()
+    begun = time.process_time()
     answer = DatasetIndexAnswer.believed(index_dataset(opening, folder, shares))
     frames = sum(scene.frames for scene in answer.scenes)
     _say(f"index of {len(answer.scenes)} scenes", frames, (time.process_time() - begun, shares))
@@ -91,10 +92,13 @@ def main(words: Sequence[str]) -> None:
         (index if what == "index" else scenes)(Path(tar), Path(folder))
         return
     with TemporaryDirectory() as folder:
-        tar = write_published_tar(Path(folder) / "dataset.tar", _sized(given.scenes, given.frames))
+        what = _sized(given.scenes, given.frames)
+        if given.index_only:
+            what = replace(what, labels=(b"never opened",))
+        tar = write_published_tar(Path(folder) / "dataset.tar", what)
         print(f"{tar.stat().st_size / 2**20:.0f} MiB", flush=True)
-        for what in ("index",) if given.index_only else ("index", "scenes"):
-            command = [sys.executable, "-m", "benchmarks.dataset_import", "--measure", what, str(tar), folder]
+        for step in ("index",) if given.index_only else ("index", "scenes"):
+            command = [sys.executable, "-m", "benchmarks.dataset_import", "--measure", step, str(tar), folder]
             subprocess.run(command, check=True)
 
 

@@ -6,6 +6,7 @@ farther than its header says, and its header is compared first.
 
 import struct
 import zipfile
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from io import BytesIO
@@ -37,9 +38,11 @@ MOST_ARRAYS = 64
 HEAD_BYTES, LOCAL_BYTES = 128, 30
 RAW = -15
 INFLATING: type[Exception] = isal_zlib.error  # type: ignore[assignment]
+NO_NPY = (INFLATING, ValueError, KeyError, EOFError, OSError, TypeError, SyntaxError)
 HEADS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 SEMANTICS, MASK_LIDAR, MASK_CAMERA = "semantics", "mask_lidar", "mask_camera"
-PLAIN = sorted(f"{key}.npy" for key in (SEMANTICS, MASK_LIDAR, MASK_CAMERA))
+PLAIN = tuple(f"{key}.npy" for key in (SEMANTICS, MASK_LIDAR, MASK_CAMERA))
+CONFIDENCE = "distance_squared.npy"
 Grid = NDArray[np.uint8]
 
 
@@ -48,7 +51,8 @@ class FrameLabels:
     """`classes` 0–3; `mask_lidar` 1 where observed, `mask_camera` 1 where a camera sees it: None where nothing says so.
 
     What the labels call unobserved is free, and 0 in `mask_lidar`. `content` is the file where it says the same to
-    whoever reads it as labels of this platform: the three grids, of this platform's classes, and nothing else.
+    whoever reads it as labels of this platform: the three grids, of this platform's classes, and nothing else but the
+    confidence that such labels may have.
     """
 
     classes: Grid
@@ -75,8 +79,15 @@ def read_labels(span: ExportFileSpan, classes: ClassMap = OWN_CLASSES) -> FrameL
     found = arrays.grid(members[SEMANTICS], LabelShapeError)
     masks = [_mask(arrays, members[key], key) if key in members else None for key in (MASK_LIDAR, MASK_CAMERA)]
     meant = _meant(span, found, (masks[0], masks[1]), classes)
-    is_plain = sorted(one.filename for one in listed) == PLAIN and meant.classes is found
-    return replace(meant, content=content) if is_plain else meant
+    return replace(meant, content=content) if meant.classes is found and _are_ours(listed, arrays) else meant
+
+
+def _are_ours(listed: Sequence[zipfile.ZipInfo], arrays: "_Arrays") -> bool:
+    """Whether a file has the three grids, each once, and nothing else but confidence."""
+    names = [one.filename for one in listed]
+    further = [one for one in listed if one.filename not in PLAIN]
+    is_whole = set(names) >= set(PLAIN) and len(set(names)) == len(names)
+    return is_whole and len(further) <= 1 and all(map(arrays.is_confidence, further))
 
 
 @dataclass(frozen=True)
@@ -91,7 +102,7 @@ class _Arrays:
         packed, place = self._packed(member), DatasetPlace(self.name)
         try:
             shape, is_fortran, dtype, start = npy_head(self._begun(member, packed, HEAD_BYTES))
-        except (INFLATING, ValueError, KeyError, EOFError, OSError, TypeError, SyntaxError) as error:
+        except NO_NPY as error:
             raise self._damaged(member, "it is no npy") from error
         if shape != GRID_SHAPE:
             raise shape_fault(place, f"{member.filename} has shape {str(shape)[:60]}")
@@ -99,6 +110,18 @@ class _Arrays:
             fault = LabelTypeError if shape_fault is LabelShapeError else MaskShapeError
             raise fault(place, f"{member.filename} is {dtype} in {'Fortran' if is_fortran else 'C'} order")
         return self._whole(member, packed, start)
+
+    def is_confidence(self, member: zipfile.ZipInfo) -> bool:
+        """Whether it is a number of each voxel, float16, as labels with confidence have them."""
+        packed = self._packed(member)
+        try:
+            shape, is_fortran, dtype, start = npy_head(self._begun(member, packed, HEAD_BYTES))
+            size = start + 2 * prod(GRID_SHAPE)
+            npy = self._begun(member, packed, size + 1)
+        except NO_NPY:
+            return False
+        is_grid = shape == GRID_SHAPE and dtype == np.float16 and not is_fortran and member.filename == CONFIDENCE
+        return is_grid and len(npy) == size == member.file_size and isal_zlib.crc32(npy) == member.CRC
 
     def _whole(self, member: zipfile.ZipInfo, packed: bytes, start: int) -> Grid:
         size = start + prod(GRID_SHAPE)

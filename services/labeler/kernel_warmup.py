@@ -19,8 +19,6 @@ from services.labeler.parameters import LabelParameters, parameters_for
 from services.labeler.run import LabelRun, silent
 from stone.geometry.lattice import keys_of
 from stone.geometry.se3 import SE3
-from stone.labels.grid import GRID_SHAPE
-from stone.labels.voxels import VOXEL_M
 from stone.sensors.calibration import Calibration, CameraIntrinsics, Mount
 from stone.sensors.sequence import Frames, Sequence, Sweep, frame_token
 from stone_recordings.sync.sequence_file import read_sequence, sequence_bytes
@@ -68,19 +66,6 @@ def warm() -> None:
     with TemporaryDirectory(prefix="stone-warmup-") as folder:
         _label(Path(folder) / "confident", confident, without=(MAP,))
         _label(Path(folder) / "paper", parameters_for("paper"))
-        _fuse_labels(Path(folder) / "votes")
-
-
-def _fuse_labels(scratch: Path) -> None:
-    """What an import makes of the labels of frames, of one frame."""
-    from services.labeler.imports.fused_labels import FusedLabels
-    from services.labeler.imports.voxel_surface import exposed_faces
-
-    labels, grid = FusedLabels("warmup", scratch), np.zeros(GRID_SHAPE, np.uint8)
-    grid[100:110, 100:110, 10] = 1
-    labels.add(grid, SE3.identity())
-    for _, keys, classes in labels.tiles():
-        exposed_faces(keys, classes, VOXEL_M)
 
 
 def _label(scratch: Path, parameters: LabelParameters, without: Collection[str] = ()) -> None:

@@ -33,7 +33,9 @@ def index_dataset(opening: DatasetOpening, folder: Path, progress: ProgressCallb
 
     Raises the first `DatasetFaultError` that is found, `BadTarError`.
     """
+    progress("check", 0, 1)
     reading = read_tables_of(opening.dataset)
+    progress("check", 1, 1)
     index, tar = reading.index, reading.index.files
     if not isinstance(tar, DatasetTar):
         raise NotADatasetError(DatasetPlace(opening.dataset.name), "it is a folder, where a tar is imported")
@@ -45,8 +47,9 @@ def index_dataset(opening: DatasetOpening, folder: Path, progress: ProgressCallb
     for ordinal, (sequence, spans) in enumerate(scenes):
         write_scene_parts(folder / scene_folder(ordinal), tar.version, sequence, spans)
         progress("index", ordinal, len(index.sequences))
-    _write_tables(index, placed, folder)
     progress("index", len(index.sequences), len(index.sequences))
+    _write_tables(index, placed, folder)
+    progress("part", 1, 1)
     return _answer(index).packed()
 
 

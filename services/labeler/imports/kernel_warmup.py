@@ -11,6 +11,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from services.labeler.imports.fused_labels import FusedLabels
+from services.labeler.imports.label_counts import class_counts
 from services.labeler.imports.voxel_surface import exposed_faces
 from services.labeler.kernel_warmup import warm, warmup_sequence
 from stone.labels.grid import GRID_SHAPE
@@ -21,13 +22,18 @@ HEIGHT, SIDE = 9, slice(120, 136)
 
 @cache
 def warm_imports() -> None:
-    """Whatever labelling compiles, and the map of one small frame: once a process."""
+    """Whatever labelling compiles, and the map of one small frame: once a process.
+
+    Its classes are those of a file, which nobody may write to, and such as a class map makes.
+    """
     warm()
     classes = np.zeros(GRID_SHAPE, np.uint8)
     classes[SIDE, SIDE, HEIGHT] = 1
-    classes.flags.writeable = False
     with TemporaryDirectory(prefix="stone-warmup-") as folder:
         fused = FusedLabels("warmup", Path(folder) / "votes")
-        fused.add(classes, warmup_sequence().frames.map_from_ego[0])
+        for is_mapped in (True, False):
+            classes.flags.writeable = is_mapped
+            class_counts(classes)
+            fused.add(classes, warmup_sequence().frames.map_from_ego[0])
         for _tile, keys, kinds in fused.tiles():
             exposed_faces(keys, kinds, VOXEL_M)

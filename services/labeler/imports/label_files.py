@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from services.labeler.frames import GRIDS, FrameVoxelCounts
+from services.labeler.imports.label_counts import class_counts, set_count
 from services.labeler.imports.scene_parts import SceneParts
 from services.labeler.run_answers import PackAnswer, Range
 from stone.labels.grid import GRID_SHAPE, Grid
@@ -74,6 +75,5 @@ def _add(labels: FrameLabels, path: Path, into: ImportedLabels) -> None:
     with path.open("ab") as pack:
         into.ranges.append((pack.tell(), len(payload), sha256(payload).hexdigest()))
         pack.write(payload)
-    by_class = [int(np.count_nonzero(labels.classes == kind)) for kind in (1, 2, 3)]
-    into.classes.append([labels.classes.size - sum(by_class), *by_class])
-    into.observed.append([int(np.count_nonzero(grid)) for grid in grids])
+    into.classes.append(class_counts(labels.classes))
+    into.observed.append([set_count(grid) for grid in grids])

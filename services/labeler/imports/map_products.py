@@ -24,7 +24,7 @@ from services.labeler.previews.map_pieces import MapPiece
 from services.labeler.previews.thumbnail import write_thumbnail
 from services.labeler.run import Step, Tile
 from services.labeler.scratch import load, save, tile_name
-from stone.geometry.lattice import Keys, indices_of
+from stone.geometry.lattice import BIAS, MASK, Keys, indices_of
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.sequence import Sequence
 from stone_datasets.faults import DatasetPlace
@@ -47,10 +47,11 @@ class MapFacts:
 
 @dataclass(frozen=True, eq=False)
 class _Made:
-    """A tile of the map: `voxels` and `surface` are the files that keep them."""
+    """A tile of the map: `voxels` and `surface` are the files that keep them, `slabs` the heights of its slabs."""
 
     voxels: Path
     surface: Path
+    slabs: tuple[int, ...]
     size: tuple[int, int, int]  # voxels, vertices, triangles
 
 
@@ -98,7 +99,8 @@ def _tile(one: tuple[Tile, Keys, NDArray[np.uint8]], into: tuple[TopView, SceneW
     vertices = mesh.vertices_m.astype(np.float32)
     save(files[0], {"keys": keys, "classes": classes})
     save(files[1], {"vertices": vertices, "triangles": mesh.triangles, "kinds": mesh.classes})
-    return _Made(files[0], files[1], (len(keys), len(vertices), len(mesh.triangles)))
+    slabs = tuple(np.unique(_slabs_of(keys)).tolist())
+    return _Made(files[0], files[1], slabs, (len(keys), len(vertices), len(mesh.triangles)))
 
 
 def _piece(made: _Made) -> Piece:
@@ -108,12 +110,17 @@ def _piece(made: _Made) -> Piece:
 
 def _slabs(made: _Made) -> Iterator[Callable[[], MapPiece]]:
     """The tile in pieces of few heights, so that each is a block of few voxels however far apart they lie."""
-    heights = indices_of(load(made.voxels)["keys"].astype(np.int64))[:, 2] // SLAB_VOXELS
-    return (partial(_slab, made, int(height)) for height in np.unique(heights))
+    return (partial(_slab, made, height) for height in made.slabs)
+
+
+def _slabs_of(keys: Keys) -> NDArray[np.int64]:
+    return ((keys & MASK) - BIAS) // SLAB_VOXELS
 
 
 def _slab(made: _Made, height: int) -> MapPiece:
     arrays = load(made.voxels)
     keys, classes = arrays["keys"].astype(np.int64), arrays["classes"].astype(np.uint8)
-    is_in = indices_of(keys)[:, 2] // SLAB_VOXELS == height
-    return MapPiece(keys[is_in], np.zeros((int(is_in.sum()), 3)), classes[is_in])
+    if len(made.slabs) > 1:
+        is_in = _slabs_of(keys) == height
+        keys, classes = keys[is_in], classes[is_in]
+    return MapPiece(keys, np.zeros((len(keys), 3)), classes)

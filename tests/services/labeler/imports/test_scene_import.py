@@ -2,7 +2,6 @@
 
 import json
 import tracemalloc
-from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
 from shutil import copytree
@@ -13,16 +12,14 @@ import pyarrow.parquet as pq
 import pytest
 
 from services.labeler.exports.ply_file import open_mesh
-from services.labeler.imports.errors import SceneDamagedError
-from services.labeler.imports.scene_parts import read_scene_parts, write_scene_parts
 from services.labeler.run_answers import PublicationAnswer
 from services.runtime.store.pack_reading import file_pieces, local_reader
 from services.runtime.store.packs import read_index
-from stone.errors import StoneError
 from stone.labels.grid import GRID_SHAPE
 from stone.sensors.sequence import Sequence
-from stone_datasets.classes import ClassMap, class_map_of
-from stone_datasets.faults import DatasetFaultError
+from stone_datasets.classes import class_map_of
+from stone_datasets.labels import read_labels
+from stone_exports.files import ExportFileSpan
 from stone_files.npz import npz_bytes
 from stone_recordings.sync.sequence_file import read_sequence
 from testing.worlds.imported import artefacts_of, tar_of, write_import, write_index, write_scene, write_synthetic_import
@@ -190,6 +187,28 @@ def test_labels_of_other_classes_are_written_as_ours(tmp_path: Path) -> None:
     assert report_in(out)["rewritten_frames"] == 2
 
 
+FURTHER: dict[str, tuple[dict[str, np.ndarray], bool]] = {
+    "confidence": ({"distance_squared": np.full(GRID_SHAPE, 1.5, np.float16)}, True),
+    "confidence of another kind": ({"distance_squared": np.zeros(GRID_SHAPE)}, False),
+    "confidence of another shape": ({"distance_squared": np.zeros(GRID_SHAPE[:2], np.float16)}, False),
+    "something else": ({"distance": np.zeros(GRID_SHAPE, np.float16)}, False),
+    "text": ({"note": np.array(["x" * 999])}, False),
+}
+
+
+@pytest.mark.parametrize("name", FURTHER)
+def test_labels_with_more_than_ours_have_are_written_anew(tmp_path: Path, name: str) -> None:
+    further, is_kept = FURTHER[name]
+    raw, seen = np.zeros(GRID_SHAPE, np.uint8), np.ones(GRID_SHAPE, np.uint8)
+    raw[::3, :, 9] = 2
+    grids = {"semantics": raw, "mask_lidar": seen, "mask_camera": seen}
+    content = npz_bytes(grids | further)
+    (tmp_path / "labels.npz").write_bytes(content)
+    span = ExportFileSpan(tmp_path / "labels.npz", "labels.npz", 0, len(content))
+    assert (read_labels(span).content == content) is is_kept
+    assert np.array_equal(read_labels(span).classes, raw)
+
+
 def test_masks_that_a_dataset_has_not_are_said_to_be_missing(tmp_path: Path) -> None:
     raw = np.zeros(GRID_SHAPE, np.uint8)
     raw[:, :, 9] = 2
@@ -219,110 +238,6 @@ def test_occ3ds_layout_gets_tables_and_names_of_the_release(tmp_path: Path) -> N
         assert sequence.frames.sweeps is None
         assert set(sequence.frames.associations) == {"CAM_FRONT", "CAM_BACK"}
         assert labels_of(out, told[ordinal]) == [LABELS[0], LABELS[1], LABELS[0]]
-
-
-Damage = Callable[[Path], object]
-
-
-def _spans(change: Callable[[np.ndarray, np.ndarray], object]) -> Damage:
-    """Other spans than were indexed."""
-
-    def damage(out: Path) -> None:
-        folder = out / "scenes" / "000000"
-        parts = read_scene_parts(folder, out / "dataset.tar")
-        change(parts.spans.places, parts.spans.labels)
-        write_scene_parts(folder, parts.version, parts.sequence, parts.spans)
-
-    return damage
-
-
-DAMAGES: dict[str, Damage] = {
-    "a span that leaves the tar": _spans(lambda places, _: places.__setitem__((0, 0), 1 << 50)),
-    "a span of more than the tar has": _spans(lambda places, _: places.__setitem__((0, 1), 1 << 50)),
-    "a span from before the tar": _spans(lambda _, labels: labels.__setitem__((0, 0), -5)),
-    "no spans": lambda out: (out / "scenes/000000/files.npz").unlink(),
-    "no sequence": lambda out: (out / "scenes/000000/sequence.npz").write_bytes(b"PK\5\6" + bytes(18)),
-    "a tar that was cut off": lambda out: (out / "dataset.tar").write_bytes(b""),
-}
-
-
-@pytest.mark.parametrize("name", DAMAGES)
-def test_what_the_index_left_is_not_believed(imported: Path, tmp_path: Path, name: str) -> None:
-    out = copytree(imported, tmp_path / "out")
-    DAMAGES[name](out)
-    with pytest.raises(SceneDamagedError):
-        write_scene(out / "dataset.tar", out, 0)
-
-
-def refused(folder: Path, tmp_path: Path, classes: ClassMap | None = None) -> StoneError:
-    """Why the dataset in a folder is not imported."""
-    with pytest.raises(DatasetFaultError) as caught:
-        write_import(folder, tmp_path / "out", *([] if classes is None else [classes]))
-    return caught.value
-
-
-def _rows(folder: Path, table: str, change: Callable[[list[dict[str, Any]]], object]) -> None:
-    path = folder / VERSION / f"{table}.json"
-    rows = json.loads(path.read_text())
-    change(rows)
-    path.write_text(json.dumps(rows))
-
-
-def test_faults_of_files_are_told_with_the_row_that_they_have_in_the_dataset(tmp_path: Path) -> None:
-    folder = write_published(tmp_path / "dataset", GOOD)
-    rows = json.loads((folder / VERSION / "sample_data.json").read_text())
-    row = next(at for at in range(len(rows) - 1, 0, -1) if "LIDAR" in rows[at]["filename"])
-    sweep = folder / rows[row]["filename"]
-    sweep.unlink()
-    sweep.write_bytes(b"1234567")
-    fault = refused(folder, tmp_path)
-    assert fault.code == "DST-051"
-    assert f"sample_data.json row {row + 1}" in str(fault)
-
-
-@pytest.mark.parametrize(("gone", "code"), [("samples", "DST-050"), ("gts", "DST-060")])
-def test_a_file_that_is_not_there_is_refused_before_any_is_copied(tmp_path: Path, gone: str, code: str) -> None:
-    folder = write_published(tmp_path / "dataset", GOOD)
-    next(path for path in sorted((folder / gone).rglob("*"))[::-1] if path.is_file()).unlink()
-    with pytest.raises(DatasetFaultError) as caught:
-        write_index(tar_of(folder, tmp_path / "d.tar"), tmp_path / "out")
-    assert caught.value.code == code
-
-
-def test_labels_that_are_free_everywhere_are_refused(tmp_path: Path) -> None:
-    what = SyntheticDataset(scenes=1, labels=[made_labels(1, highest=0)])
-    fault = refused(write_published(tmp_path / "dataset", what), tmp_path)
-    assert fault.code == "DST-071"
-
-
-def test_poses_that_no_lattice_holds_are_refused(tmp_path: Path) -> None:
-    folder = write_published(tmp_path / "dataset", GOOD)
-
-    def shift(rows: list[dict[str, Any]]) -> None:
-        for row in rows:
-            row["translation"][1] += 5_400_000.0
-
-    _rows(folder, "ego_pose", shift)
-    fault = refused(folder, tmp_path)
-    assert fault.code == "DST-049"
-    assert "UTM" in str(fault)
-
-
-def test_a_folder_is_no_tar(tmp_path: Path) -> None:
-    from services.labeler.imports.indexing import index_dataset
-    from services.labeler.imports.openings import DatasetOpening
-    from stone_datasets.classes import OWN_CLASSES
-
-    folder = write_published(tmp_path / "dataset", GOOD)
-    opening = DatasetOpening(folder, "published", "0" * 64, OWN_CLASSES)
-    with pytest.raises(DatasetFaultError, match="it is a folder"):
-        index_dataset(opening, tmp_path, lambda *_: None)
-
-
-def test_scenes_without_labels_are_indexed_as_such(tmp_path: Path) -> None:
-    what = SyntheticDataset(scenes=1)
-    answer = write_index(write_published_tar(tmp_path / "d.tar", what), tmp_path / "out")
-    assert [(scene.name, scene.frames, scene.is_labelled) for scene in answer.scenes] == [("field-0000", 3, False)]
 
 
 def peak_bytes(what: SyntheticDataset, folder: Path) -> int:
