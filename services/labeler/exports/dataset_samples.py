@@ -23,13 +23,14 @@ from stone.sensors.sequence import Sequence
 from stone_exports.cameras import MOST_PICTURE_BYTES
 from stone_exports.files import ExportFileSpan
 from stone_exports.frames import LIDAR_CHANNEL
-from stone_exports.radar import FARTHEST_DETECTION_M, scan_records
+from stone_exports.radar import FARTHEST_DETECTION_M, WANTED, scan_records
 from stone_exports.sweeps import COLUMNS, FARTHEST_RETURN_M, MOST_SWEEP_BYTES
 from stone_exports.tables import table_rows, table_span
 from stone_recordings.sync.samples import jpeg_of
 
 LAST_RING = np.iinfo(np.uint16).max
 VALID_STATE = 0
+MEASURED = ("vx", "vy")
 Records = NDArray[np.void]
 Rates = NDArray[np.float64]
 
@@ -131,11 +132,11 @@ def lidar_sample(span: ExportFileSpan) -> LidarSample:
 def radar_sample(span: ExportFileSpan, taken_ns: int, motion: RadarMotion) -> RadarSample:
     """A binary PCD of a radar that moved so. Raises `DamagedExportError`."""
     records = _believed(scan_records(span))
-    points = _columns(records, ("x", "y", "z"))
+    points = _columns(records, WANTED[:3])
     ground_rate_m_s = _rates(points, _columns(records, ("vx_comp", "vy_comp")))
     own = compensated(points, np.zeros(len(points)), motion)
-    if {"vx", "vy"} <= set(records.dtype.names or ()):
-        range_rate_m_s = _rates(points, _columns(records, ("vx", "vy")))
+    if set(MEASURED) <= set(records.dtype.names or ()):
+        range_rate_m_s = _rates(points, _columns(records, MEASURED))
     else:
         range_rate_m_s = ground_rate_m_s - own.ground_rate_m_s
     rcs_db = records["rcs"].astype(np.float32)
@@ -143,10 +144,12 @@ def radar_sample(span: ExportFileSpan, taken_ns: int, motion: RadarMotion) -> Ra
 
 
 def _believed(records: Records) -> Records:
-    """Detections that are a place, and that the radar calls valid where it says so."""
-    points = _columns(records, ("x", "y", "z"))
-    is_kept = (np.abs(points) < FARTHEST_DETECTION_M).all(axis=1) & (points != 0).any(axis=1)
-    if "invalid_state" in (records.dtype.names or ()):
+    """Detections that are a place and a motion near a sensor, and that the radar calls valid where it says so."""
+    names = records.dtype.names or ()
+    measured = _columns(records, (*WANTED, *(name for name in MEASURED if name in names)))
+    is_near = np.asarray((np.abs(measured) < FARTHEST_DETECTION_M).all(axis=1))
+    is_kept = is_near & (np.linalg.norm(np.where(is_near[:, None], measured[:, :3], 0), axis=1) > 0)
+    if "invalid_state" in names:
         is_kept &= records["invalid_state"] == VALID_STATE
     kept: Records = records[is_kept]
     return kept

@@ -34,6 +34,8 @@ from stone.scoring.metric import RATIOS
 from stone_exports.frames import frames_in
 from stone_exports.labels import observed_classes
 from stone_exports.tables import exports_in
+from stone_local.baseline import BaselinePlan, write_baseline
+from stone_submissions.manifest import Manifest, write_manifest
 from testing.api.serving import person
 from testing.servers.fixtures import make_settings, opened
 from testing.worlds.benchmark_world import World, benchmark_over, run_eval, team_led_by
@@ -224,6 +226,25 @@ def test_a_submission_to_a_phase_of_imported_labels_is_scored_as_the_command_sco
     assert row_of(world.platform, submission_id).state == "scored"
     assert (row.signature, row.record["cells"]) == (told["signature"], told["cells"])
     assert {name: getattr(row, name) for name in RATIOS} == told["total"]
+
+
+def test_the_geometric_baseline_predicts_from_inputs_and_is_scored(imported: Downstream, tmp_path: Path) -> None:
+    world = world_of(imported)
+    with imported.platform.database.transaction() as session:
+        start_inputs(session, session.get_one(Phase, world.val), world.administrator.user_id)
+    run_all(imported.platform)
+    with imported.platform.database.reading() as session:
+        (row,) = session.scalars(inputs_of(world.val))
+        files = imported.files(locate_input(session, row))
+    for name, content in files.items():
+        (tmp_path / "inputs" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "inputs" / name).write_bytes(content)
+    write_manifest(tmp_path / "val.json", Manifest({PARTS["val"]: SCENES.tokens(1)}))
+    plan = BaselinePlan(tmp_path / "val.json", tmp_path / "sweep.zip", 1)
+    assert write_baseline([tmp_path / "inputs"], plan, lambda _stage, _done, _total: None).frames == 3
+    submission_id = send(world, (tmp_path / "sweep.zip").read_bytes())
+    run_eval(world.platform)
+    assert row_of(world.platform, submission_id).state == "scored"
 
 
 def world_of(imported: Downstream) -> World:
