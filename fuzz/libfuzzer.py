@@ -13,7 +13,9 @@ EXPORTED = (
     "stone_exports.files", "stone_files.tar_index", "stone_exports.tables", "stone_exports.sweeps",
     "stone_exports.frames", "stone_exports.labels", "stone_exports.radar", "stone_exports.cameras",
 )  # fmt: skip
-OF_FILES = ("stone_files.bag_files", "stone_files.bag_fingerprint", "stone_files.calibration_bundle")
+OF_FILES = (
+    "stone_files.bag_files", "stone_files.bag_fingerprint", "stone_files.calibration_bundle", "stone_files.joined_file",
+)  # fmt: skip
 
 with atheris.instrument_imports(
     include=[

@@ -21,6 +21,7 @@ from fuzz.calibrations import calibrations
 from fuzz.datasets import published_seeds
 from fuzz.exported_frames import exported_labels_seeds, frames_seeds, picture_seeds, scan_seeds
 from fuzz.exports import table_seeds, tar_seeds
+from fuzz.joined import joined_seeds
 from fuzz.labels import label_seeds
 from fuzz.messages import DECODERS
 from fuzz.packets import packet_seeds, pose_seeds
@@ -149,6 +150,7 @@ SEEDS: Mapping[str, Callable[[], Iterator[tuple[str, bytes]]]] = {
     "labels": label_seeds,
     "packets": packet_seeds,
     "poses": pose_seeds,
+    "joined": joined_seeds,
 }
 
 

@@ -13,6 +13,7 @@ from tempfile import TemporaryDirectory
 from fuzz.datasets import read_published
 from fuzz.exported_frames import read_frames, read_labels, read_picture, read_scan
 from fuzz.exports import read_tables, read_tar
+from fuzz.joined import read_description
 from fuzz.labels import read_and_label
 from fuzz.limits import OF_LABELLING, OF_PARSERS, FuzzLimits, Target
 from fuzz.messages import DECODERS
@@ -115,6 +116,7 @@ TARGETS: Mapping[str, Target] = {
     "labels": read_and_label,
     "packets": read_packets,
     "poses": read_poses,
+    "joined": read_description,
 }
 
 

@@ -69,8 +69,8 @@ def scan(scene: RayScene, stamps_ns: list[int], radars: Radars, rng: np.random.G
     stamps = np.repeat(np.array(stamps_ns, np.int64), len(mounts))
     ego_from_radar = SE3(np.tile(np.array([mount.wxyz_xyz for mount in mounts]), (len(stamps_ns), 1)))
     pose = scene.world.trajectory.at(stamps) @ ego_from_radar
-    later = scene.world.trajectory.at(stamps + POSE_NS) @ ego_from_radar
-    velocity = (later.translation_m - pose.translation_m) / (POSE_NS * 1e-9)
+    before, after = (scene.world.trajectory.at(stamps + at_ns) @ ego_from_radar for at_ns in (-POSE_NS, POSE_NS))
+    velocity = (after.translation_m - before.translation_m) / (2 * POSE_NS * 1e-9)
     azimuth = rng.uniform(-VIEW_AZIMUTH_RAD, VIEW_AZIMUTH_RAD, (len(stamps), RAYS))
     elevation = rng.uniform(-VIEW_ELEVATION_RAD, VIEW_ELEVATION_RAD, (len(stamps), RAYS))
     flat = np.cos(elevation)
