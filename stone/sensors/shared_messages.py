@@ -5,7 +5,6 @@ counts: what repeats itself (a camera's intrinsics) would match at any time. Off
 recording, to be on the clock of the first. Stamps of zero are none.
 """
 
-from bisect import bisect_left
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,15 +81,19 @@ def _is_logged_near(
     first: tuple[NDArray[np.uint64], Times], second: tuple[NDArray[np.uint64], Times], tolerance_ns: int
 ) -> NDArray[np.bool_]:
     """Which messages (K,) of the second were logged within `tolerance_ns` of one of the first with their digest."""
-    times_of: dict[int, list[int]] = {}
-    for digest, time_ns in sorted(zip(first[0].tolist(), first[1].tolist(), strict=True)):
-        times_of.setdefault(digest, []).append(time_ns)
-    is_near = np.zeros(len(second[0]), np.bool_)
-    for row, (digest, time_ns) in enumerate(zip(second[0].tolist(), second[1].tolist(), strict=True)):
-        times_ns = times_of.get(digest, [])
-        at = bisect_left(times_ns, time_ns - tolerance_ns)
-        is_near[row] = at < len(times_ns) and times_ns[at] <= time_ns + tolerance_ns
-    return is_near
+    digests, times_ns = (np.concatenate(columns) for columns in zip(first, second, strict=True))
+    order = np.lexsort((times_ns, digests))
+    digests, times_ns, is_first = digests[order], times_ns[order], order < len(first[0])
+    places = np.arange(len(order))
+    before = np.maximum.accumulate(np.where(is_first, places, 0))
+    after = np.minimum.accumulate(np.where(is_first, places, len(order) - 1)[::-1])[::-1]
+    is_near = np.zeros(len(order), np.bool_)
+    for other in (before, after):
+        is_same = is_first[other] & (digests[other] == digests)
+        is_near |= is_same & (np.abs(times_ns[other] - times_ns) <= tolerance_ns)
+    found = np.zeros(len(order), np.bool_)
+    found[order] = is_near
+    return found[len(first[0]) :]
 
 
 def _once_in_both(first: NDArray[np.uint64], second: NDArray[np.uint64]) -> tuple[NDArray[np.int64], ...]:

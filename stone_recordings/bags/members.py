@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from stone.findings import Finding
+from stone_files.joined_file import is_joined
 from stone_recordings.bags.bag_metadata import BagMetadata, MetadataError, read_metadata
 from stone_recordings.bags.errors import MembersRefusedError, NotABagError
 from stone_recordings.bags.magic import container_of, is_container
@@ -32,6 +33,8 @@ def members_of(path: Path) -> RecordingMembers:
     if not path.is_dir():
         container_of(path)
         return RecordingMembers((path,))
+    if is_joined(path):
+        raise MembersRefusedError(path.name, "it is joined of several recordings: name one of them")
     names = _names(path)
     if METADATA not in names:
         return _found(path, names)

@@ -68,3 +68,27 @@ def test_runs_are_the_rows(rows: set[int]) -> None:
     runs = runs_of(np.array(sorted(rows), np.int64))
     assert {row for start, stop in runs for row in range(start, stop)} == rows
     assert all(one[1] < two[0] for one, two in pairwise(runs))
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 3), st.integers(0, 40)), max_size=12),
+    st.lists(st.tuples(st.integers(0, 3), st.integers(0, 40)), max_size=12),
+    st.integers(0, 9),
+)
+def test_messages_without_a_stamp_are_found_as_by_looking_at_each_pair(
+    one: list[tuple[int, int]], two: list[tuple[int, int]], tolerance: int
+) -> None:
+    first, second = (
+        TopicMessages(
+            np.array([time for _, time in messages], np.int64),
+            np.zeros(len(messages), np.int64),
+            np.array([digest for digest, _ in messages], np.uint64),
+        )
+        for messages in (one, two)
+    )
+    slowly = [
+        row
+        for row, (digest, time) in enumerate(two)
+        if any(digest == other and abs(time - at) <= tolerance for other, at in one)
+    ]
+    assert repeated_rows(first, second, tolerance).tolist() == slowly

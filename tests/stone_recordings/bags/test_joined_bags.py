@@ -11,9 +11,10 @@ from simulator.pipeline import simulate
 from stone_files.bag_fingerprint import bag_paths, recording_inputs, recording_sha256
 from stone_files.joined_file import GIVEN, JOINED, REFERENCE, SAME_TOPICS, JoinedFileError, JoinedMember, joined_bytes
 from stone_recordings.bags.bag import Bag, open_bag
-from stone_recordings.bags.errors import NotABagError
+from stone_recordings.bags.errors import MembersRefusedError, NotABagError
 from stone_recordings.bags.joined.joined_store import JoinedTopicError
 from stone_recordings.bags.joined.moved_stamps import moved
+from stone_recordings.bags.recovery.recovery import recover
 from stone_recordings.bags.topic import Topic
 from stone_recordings.joining.joined_recording import JoinedRecording, write_joined
 from stone_recordings.sync.sweeps import opened
@@ -189,6 +190,11 @@ def test_a_member_that_is_no_bag_is_refused(three: Path) -> None:
     (three / "imu.mcap").write_bytes(b"root:x:0:0")
     with pytest.raises(NotABagError):
         open_bag(three)
+
+
+def test_joined_recordings_are_recovered_one_by_one(three: Path, tmp_path: Path) -> None:
+    with pytest.raises(MembersRefusedError, match="name one of them"):
+        recover(three, tmp_path / "whole.mcap")
 
 
 @pytest.mark.parametrize("stamp_ns", [0, 1, 2**31 * 10**9 - 1, -(10**9)])
