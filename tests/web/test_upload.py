@@ -49,6 +49,20 @@ def test_bags_of_several_kinds_become_sequences_of_their_own(site: Site, curator
     assert kept == {"alone.mcap": ["alone.mcap"], "older.bag": ["older.bag"]}
 
 
+def test_bags_that_are_given_one_name_become_one_sequence(site: Site, curator: Person, tmp_path: Path) -> None:
+    lidar, cameras = (shutil.copy(bag(), tmp_path / name) for name in ("lidar.mcap", "cameras.mcap"))
+    with site.visit(curator) as page, working(site.platform, "ingest", handlers):
+        page.goto("/sequences/new")
+        page.locator("[data-files]").set_input_files([lidar, cameras])
+        for name in ("lidar.mcap", "cameras.mcap"):
+            row_of(page, name).get_by_label("Sequence").fill("hill-4")
+        page.get_by_role("button", name="Upload 2 bags").click()
+        for name in ("lidar.mcap", "cameras.mcap"):
+            expect(row_of(page, name).locator("[data-phase]")).to_have_text("registered", timeout=300_000)
+    assert {row.filename for row in recordings(site.platform)} == {"lidar.mcap", "cameras.mcap"}
+    assert len({row.sequence_id for row in recordings(site.platform)}) == 1
+
+
 def test_what_cannot_be_taken_says_why_beside_its_line(site: Site, curator: Person, tmp_path: Path) -> None:
     junk = tmp_path / "junk.mcap"
     junk.write_bytes(b"this is no recording " * 50)

@@ -26,6 +26,7 @@ export class Panel {
   readonly #speed = new Speed();
   /** What makes a sequence by its body: asked again, by another bag too, it is the same sequence. */
   readonly #keys = new Map<string, string>();
+  readonly #made = new Map<string, Promise<string>>(); // while they are being made
   #begun: Unfinished[] = [];
 
   constructor(private readonly root: HTMLElement) {
@@ -143,7 +144,9 @@ export class Panel {
       const body = JSON.stringify({ ...said(this.#facts), name: field?.value.trim() ?? "" });
       const key = this.#keys.get(body) ?? freshKey();
       this.#keys.set(body, key);
-      const id = await created(body, key, this.#facts);
+      const making = this.#made.get(body) ?? created(body, key, this.#facts);
+      this.#made.set(body, making);
+      const id = await making.finally(() => this.#made.delete(body));
       if (field) field.disabled = true;
       return id;
     };
