@@ -257,3 +257,28 @@ def test_a_sweeper_that_is_killed_while_it_starts_the_run_leaves_it_to_the_next(
         runs = session.scalars(select(Job).where(Job.kind == PROCESS).order_by(Job.id)).all()
     assert [len(run.arguments["recording_ids"]) for run in runs] == [3, 4]
     assert runs[1].arguments["clock_offsets_ns"] == OFFSETS_NS
+
+
+def test_clocks_that_nobody_knows_are_measured_in_the_sandbox(tmp_path: Path) -> None:
+    """Catches alone a measurement that needs what a sandboxed child may not open."""
+    rig = SimulateOptions(seconds=6.0, seed=1, channels=16, columns=180, camera_width_px=320)
+    simulate(tmp_path / "whole.mcap", rig)
+    files = (
+        RecordingPart("run.mcap", lambda topic, _: "camera" not in topic and "radar" not in topic),
+        RecordingPart("cameras.mcap", lambda topic, _: "camera" in topic, AHEAD_NS),
+        RecordingPart("radars.bag", lambda topic, _: "radar" in topic, -AHEAD_NS),
+    )
+    brought = bring(platform_in(tmp_path / "platform"))
+    brought.calibrate(calibration_path(tmp_path / "whole.mcap"))
+    for path in split_into(tmp_path / "whole.mcap", tmp_path, files):
+        brought.add(path)
+    run_all(brought.platform)
+    root_id = brought.process(stages=("synchronise",))
+    run_all(brought.platform)
+    told = brought.jobs(root_id)[-1].result
+    assert told is not None, brought.job(root_id).failure
+    offsets_ns = {clock["recording"]: clock["offset_ns"] for clock in told["clocks"]}
+    assert set(offsets_ns) == {part.name for part in files}
+    assert all(abs(offsets_ns[part.name] + part.ahead_ns) < 2_000_000 for part in files)
+    assert {clock["recording"] for clock in told["clocks"] if "reference" in clock["known_by"]} == {"run.mcap"}
+    brought.platform.database.close()
