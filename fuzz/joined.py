@@ -29,7 +29,7 @@ def read_description(content: bytes) -> None:
     member_findings(members)
     for member in members:
         for places in ("header", "transforms"):
-            if len(moved(memoryview(message), places, member.offset_ns)) != len(message):  # type: ignore[arg-type]
+            if len(moved(memoryview(message), places, member.offset_ns)) != len(message):
                 raise AssertionError("a moved message has another length")
 
 
