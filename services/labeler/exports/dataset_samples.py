@@ -167,5 +167,6 @@ def _rates(points_radar: Rates, velocities_m_s: Rates) -> Rates:
 
 
 def _columns(records: Records, names: tuple[str, ...]) -> NDArray[np.float64]:
-    columns: Any = [records[name].astype(np.float64) for name in names]
+    with np.errstate(invalid="ignore"):  # a signalling NaN says so when it is made wider
+        columns: Any = [records[name].astype(np.float64) for name in names]
     return np.stack(columns, axis=1)
