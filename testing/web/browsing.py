@@ -72,7 +72,7 @@ class Site:
         page.on("request", watch.request)
         try:
             yield page
-            assert watch.unexpected() == []
+            assert watch.unexpected() == [], watch.unexpected()
         finally:
             context.close()
 

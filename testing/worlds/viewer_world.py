@@ -20,7 +20,6 @@ from services.runtime.orm import Artefact, LabelSet, SequenceRow, Upload
 from services.runtime.platform import Platform
 from stone.labels.traversability import Reference, distance_squared, threshold
 from stone.labels.voxels import VOXEL_M
-from stone.sensors.sequence import frame_token
 from stone_files.npz import npz_bytes
 from testing.api.serving import Person
 from testing.worlds import made
@@ -143,7 +142,7 @@ def viewed(platform: Platform, owner: Person, run: Run | None = None, *, has_clo
         session.flush()
         facts = {"id": row.id, "name": row.name, "owner_id": owner.user_id}
     labels = made.labels(platform, facts, seed=row.id.encode(), contents=_label_files(run))
-    tokens = [frame_token(facts["name"], made.START_NS + index) for index in range(run.frames)]
+    tokens = list(labels.frames)
     _replace_scene(platform, labels.id, scene_files(facts["name"], tokens, run))
     if has_clouds:
         upload_id = made.upload(platform, owner)
