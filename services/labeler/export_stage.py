@@ -5,13 +5,10 @@ go from the folder into packs one by one, so the export lies on the disk once. B
 the job's success are one transaction, in which an export that was deleted meanwhile gets none.
 """
 
-import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from secrets import token_hex
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
@@ -39,10 +36,9 @@ from services.runtime.orm import Artefact, Blob, Export, LabelledFrameRow
 from services.runtime.platform import Platform
 from services.runtime.sandbox.job_sandbox import JobSandbox, SandboxedWork, private_folder_in
 from services.runtime.store.blobs import PreparedBlob, prepare
-from services.runtime.store.folder import refusing_full
 from services.runtime.store.pack_reading import archive_sha256, local_reader
 from services.runtime.store.packs import PackedFiles, index_bytes, pack_count, pack_folder, pack_path
-from services.runtime.store.workspace import Workspace
+from services.runtime.store.workspace import Workspace, fresh_folder
 from stone_files.bag_fingerprint import bag_paths
 from stone_files.joined_file import JOINED
 
@@ -143,20 +139,10 @@ def _ranges(session: Session, label_set_id: str) -> tuple[LabelRange, ...]:
     )
 
 
-@contextmanager
-def attempt_folder(platform: Platform, attempt: Attempt) -> Iterator[Path]:
-    """A fresh folder of this attempt; it stays when all went well, since what is stored is linked to it."""
+def attempt_folder(platform: Platform, attempt: Attempt) -> AbstractContextManager[Path]:
+    """A fresh folder of this attempt, as `fresh_folder`."""
     work = Workspace(platform.store, platform.settings, attempt.root_id).folder
-    for earlier in work.glob(f"export-{attempt.job_id}-*"):
-        shutil.rmtree(earlier, ignore_errors=True)
-    folder = work / f"export-{attempt.job_id}-{token_hex(8)}"
-    try:
-        with refusing_full(work):
-            folder.mkdir()
-            yield folder
-    except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
+    return fresh_folder(work, f"export-{attempt.job_id}")
 
 
 def pack_files(attempt: Attempt, folder: Path) -> PackedFiles:

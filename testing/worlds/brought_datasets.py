@@ -25,6 +25,7 @@ from services.runtime.platform import Platform
 from testing.worlds.published_datasets import SyntheticDataset, made_labels
 from testing.worlds.runs import uploaded
 
+TAR_BYTES = 1000
 LABELS = tuple(made_labels(seed) for seed in range(3))
 FIELD = SyntheticDataset(
     scenes=3,
@@ -51,6 +52,13 @@ class BroughtDataset:
     def run(self) -> Job:
         with self.platform.database.reading() as session:
             return session.get_one(Job, session.get_one(DatasetImport, self.import_id).job_id)
+
+    def indexed(self, *names: str, splits: tuple[str, ...] = ()) -> "BroughtDataset":
+        """Itself, with scenes of these names as its index would write them."""
+        with self.platform.database.transaction() as session:
+            row = session.get_one(DatasetImport, self.import_id)
+            row.scenes = [{"name": name, "frames": 1, "splits": list(splits)} for name in names]
+        return self
 
     def jobs(self) -> list[Job]:
         with self.platform.database.reading() as session:

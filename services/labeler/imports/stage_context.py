@@ -4,12 +4,10 @@
 into the workspace whole, or into the store. The child may read the tar, and writes in that folder alone.
 """
 
-import shutil
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from secrets import token_hex
 from typing import TypeVar
 
 from sqlalchemy import select
@@ -22,8 +20,7 @@ from services.runtime.orm import Blob, DatasetImport, Job
 from services.runtime.platform import Platform
 from services.runtime.sandbox.answers import SandboxAnswer
 from services.runtime.sandbox.job_sandbox import JobSandbox, SandboxedWork, private_folder_in
-from services.runtime.store.folder import refusing_full
-from services.runtime.store.workspace import Workspace
+from services.runtime.store.workspace import Workspace, fresh_folder
 from stone_datasets.classes import OWN_CLASSES, ClassMap, class_map_of
 
 APART = ".import-"
@@ -57,24 +54,10 @@ class ImportStageContext:
             raise JobCancelledError("its dataset was deleted")
         return self.platform.store.local(key)
 
-    @contextmanager
-    def folder(self) -> Iterator[Path]:
-        """A fresh folder of this attempt; it stays when all went well, since what is stored may share its bytes.
-
-        Those of earlier attempts, and of jobs of the run that have ended, are removed.
-        """
-        work, job_id = self.workspace.folder, self.attempt.job_id
-        for ended in {job_id, *self._ended_jobs()}:
-            for earlier in work.glob(f"{APART}{ended}-*"):
-                shutil.rmtree(earlier, ignore_errors=True)
-        folder = work / f"{APART}{job_id}-{token_hex(8)}"
-        try:
-            with refusing_full(work):
-                folder.mkdir()
-                yield folder
-        except BaseException:
-            shutil.rmtree(folder, ignore_errors=True)
-            raise
+    def folder(self) -> AbstractContextManager[Path]:
+        """A fresh folder of this attempt, as `fresh_folder`; those of jobs of the run that have ended are removed."""
+        ended = [f"{APART}{job_id}" for job_id in self._ended_jobs()]
+        return fresh_folder(self.workspace.folder, f"{APART}{self.attempt.job_id}", ended)
 
     def ask(self, answer: type[A], work: SandboxedWork, shown: str, place: tuple[Path, Path]) -> A:
         """What a sandboxed child answers that may read the tar and write in the folder: (tar, folder).
@@ -86,10 +69,10 @@ class ImportStageContext:
             sandbox = JobSandbox(folder, (tar,), self.attempt, self.platform.settings, warm_imports, temporary)
             return answer.believed(sandbox.run(work, shown, 1))
 
-    def _ended_jobs(self) -> Mapping[str, None]:
+    def _ended_jobs(self) -> Sequence[str]:
         succeeded = select(Job.id).where(Job.root_id == self.attempt.root_id, Job.state == "succeeded")
         with self.platform.database.reading() as session:
-            return dict.fromkeys(session.scalars(succeeded))
+            return session.scalars(succeeded).all()
 
 
 def import_context_of(platform: Platform, attempt: Attempt) -> ImportStageContext:

@@ -9,6 +9,7 @@ import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from secrets import token_hex
 from typing import TypeVar
@@ -109,6 +110,26 @@ def _is_same(path: Path, stored: StoredObject) -> bool:
     except FileNotFoundError:
         return False
     return (facts.st_size, facts.st_mtime_ns) == (stored.size_bytes, stored.modified_ns)
+
+
+@contextmanager
+def fresh_folder(work: Path, prefix: str, ended: Iterable[str] = ()) -> Iterator[Path]:
+    """A new folder of an attempt in its run's, called `<prefix>-<random>`; those of earlier attempts are removed, and
+    those whose prefix is among `ended`.
+
+    It stays when all went well, since what is stored may share its bytes. Raises `StoreFullError`.
+    """
+    for one in {prefix, *ended}:
+        for earlier in work.glob(f"{one}-*"):
+            shutil.rmtree(earlier, ignore_errors=True)
+    folder = work / f"{prefix}-{token_hex(8)}"
+    try:
+        with refusing_full(work):
+            folder.mkdir()
+            yield folder
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
 
 
 def _all(act: Callable[[T], None], items: Iterable[T]) -> None:

@@ -37,30 +37,8 @@ from services.runtime.platform import Platform
 from services.runtime.sandbox.errors import SandboxCrashedError
 from services.runtime.uploads import expire, upload_file
 from services.runtime.uploads.errors import UploadMissingError, UploadPurposeError, UploadStateError
-from testing.worlds.brought_datasets import BroughtDataset, an_owner, bring_dataset
+from testing.worlds.brought_datasets import TAR_BYTES, BroughtDataset, an_owner, bring_dataset
 from testing.worlds.runs import Said, uploaded
-
-SIZE_BYTES = 1000
-
-
-@pytest.fixture
-def tar(tmp_path: Path) -> Path:
-    """Bytes that nobody opens here."""
-    path = tmp_path / "field.tar"
-    path.write_bytes(bytes(SIZE_BYTES))
-    return path
-
-
-@pytest.fixture
-def brought(platform_on: Platform, tar: Path) -> BroughtDataset:
-    return bring_dataset(platform_on, tar, an_owner(platform_on))
-
-
-def indexed(brought: BroughtDataset, *names: str, splits: tuple[str, ...] = ()) -> BroughtDataset:
-    with brought.platform.database.transaction() as session:
-        row = session.get_one(DatasetImport, brought.import_id)
-        row.scenes = [{"name": name, "frames": 1, "splits": list(splits)} for name in names]
-    return brought
 
 
 def asked(platform: Platform, owner_id: str, upload_id: str, **choices: Any) -> str:
@@ -83,7 +61,7 @@ def test_an_import_is_a_run_that_belongs_to_no_sequence(brought: BroughtDataset)
     assert (run.kind, run.sequence_id, run.owner_id) == (IMPORT, None, brought.owner_id)
     assert (first.kind, first.sequence_id, first.state) == (KEEP_DATASET, None, "queued")
     row = brought.row()
-    assert (row.name, row.size_bytes, row.existing, row.classes) == ("field", SIZE_BYTES, "refuse", None)
+    assert (row.name, row.size_bytes, row.existing, row.classes) == ("field", TAR_BYTES, "refuse", None)
 
 
 def test_stated_classes_are_kept_as_they_were_stated(platform: Platform, tar: Path) -> None:
@@ -131,7 +109,7 @@ def test_the_tar_is_counted_and_kept_until_the_import_is_deleted(brought: Brough
     expire(platform)
     assert file.exists(), "no blob has its bytes yet"
     with platform.database.reading() as session:
-        assert balance(session, brought.owner_id) == SIZE_BYTES
+        assert balance(session, brought.owner_id) == TAR_BYTES
         needed = {one.id for one in backup_references(session.connection()).uploads}
     assert needed == {row.upload_id}
     with platform.database.transaction() as session:
@@ -145,7 +123,7 @@ def test_the_tar_is_counted_and_kept_until_the_import_is_deleted(brought: Brough
 
 
 def test_progress_is_told_scene_by_scene(brought: BroughtDataset) -> None:
-    indexed(brought, "a", "b", splits=("train",))
+    brought.indexed("a", "b", splits=("train",))
     with brought.platform.database.transaction() as session:
         run = session.get_one(Job, brought.run().id)
         facts = {"root_id": run.id, "owner_id": run.owner_id, "kind": SCENE, "queue": "labeler"}

@@ -18,30 +18,9 @@ from services.runtime.orm import (
     SequenceRow,
 )
 from services.runtime.platform import Platform
-from testing.worlds.brought_datasets import BroughtDataset, an_owner, bring_dataset
+from testing.worlds.brought_datasets import TAR_BYTES, BroughtDataset, an_owner, bring_dataset
 
-SIZE_BYTES = 1000
 LIMIT_BYTES, MINUTE_NS = 2**40, 60_000_000_000
-
-
-@pytest.fixture
-def tar(tmp_path: Path) -> Path:
-    """Bytes that nobody opens here."""
-    path = tmp_path / "field.tar"
-    path.write_bytes(bytes(SIZE_BYTES))
-    return path
-
-
-@pytest.fixture
-def brought(platform_on: Platform, tar: Path) -> BroughtDataset:
-    return bring_dataset(platform_on, tar, an_owner(platform_on))
-
-
-def indexed(brought: BroughtDataset, *names: str, splits: tuple[str, ...] = ()) -> BroughtDataset:
-    with brought.platform.database.transaction() as session:
-        row = session.get_one(DatasetImport, brought.import_id)
-        row.scenes = [{"name": name, "frames": 1, "splits": list(splits)} for name in names]
-    return brought
 
 
 def ended(brought: BroughtDataset, limit_bytes: int = LIMIT_BYTES) -> list[str]:
@@ -64,19 +43,19 @@ def _ended(session: Session, import_id: str, limit_bytes: int = LIMIT_BYTES, dur
 
 
 def test_what_would_not_fit_is_not_published(brought: BroughtDataset) -> None:
-    indexed(brought, "a", "b")
+    brought.indexed("a", "b")
     with pytest.raises(QuotaExceededError):
         ended(brought, limit_bytes=15)
     with brought.platform.database.reading() as session:
         assert session.scalars(select(SequenceRow)).all() == []
-        assert balance(session, brought.owner_id) == SIZE_BYTES
+        assert balance(session, brought.owner_id) == TAR_BYTES
 
 
 def test_a_sequence_that_is_deleted_as_labels_are_added_keeps_none(brought: BroughtDataset, tar: Path) -> None:
     """Catches alone labels that are added to a sequence between the deletion of its labels and its own."""
     platform = brought.platform
-    (sequence_id,) = ended(indexed(brought, "a"))
-    again = indexed(bring_dataset(platform, tar, brought.owner_id, existing="add"), "a")
+    (sequence_id,) = ended(brought.indexed("a"))
+    again = bring_dataset(platform, tar, brought.owner_id, existing="add").indexed("a")
     is_written, is_deleting = Event(), Event()
 
     def add() -> None:
@@ -101,8 +80,8 @@ def test_a_sequence_that_is_deleted_as_labels_are_added_keeps_none(brought: Brou
 
 def test_the_draft_splits_follow_the_dataset_and_keep_what_it_does_not_name(platform: Platform, tar: Path) -> None:
     owner_id = an_owner(platform, "administrator")
-    first = indexed(bring_dataset(platform, tar, owner_id, sets_splits=True), "a", "b", splits=("train", "all"))
-    second = indexed(bring_dataset(platform, tar, owner_id, sets_splits=True), "c", splits=("val",))
+    first = bring_dataset(platform, tar, owner_id, sets_splits=True).indexed("a", "b", splits=("train", "all"))
+    second = bring_dataset(platform, tar, owner_id, sets_splits=True).indexed("c", splits=("val",))
     ids = [*ended(first), *ended(second)]
     for brought in (first, second):
         with platform.database.transaction() as session:
@@ -113,7 +92,7 @@ def test_the_draft_splits_follow_the_dataset_and_keep_what_it_does_not_name(plat
 
 def test_splits_that_the_rules_forbid_stay_as_they_are(platform: Platform, tar: Path) -> None:
     brought = bring_dataset(platform, tar, an_owner(platform, "administrator"), sets_splits=True)
-    indexed(brought, "a", splits=("test",))
+    brought.indexed("a", splits=("test",))
     with platform.database.transaction() as session:
         _ended(session, brought.import_id, duration_ns=1)
         assert follow_splits(session, session.get_one(DatasetImport, brought.import_id)) == ("sequence_length",)
