@@ -32,7 +32,7 @@ def test_a_shift_and_a_turn_are_found(right: float, down: float, roll: float, se
     found = picture_shift(seen(scene, 0, 0, 0), seen(scene, right, down, roll))
     assert found is not None
     assert np.abs(found[:2] - (right, down)).max() < 0.15
-    assert abs(found[2] - roll) < 0.003
+    assert abs(found[2] - roll) < 0.005
 
 
 def test_what_moves_by_itself_counts_little() -> None:
