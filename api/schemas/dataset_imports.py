@@ -122,8 +122,13 @@ class ImportedSceneItem(Answer):
 
 
 class DatasetImportDetail(DatasetImportItem):
-    """An import with its scenes, in the order of the dataset's table."""
+    """An import with its scenes, in the order of the dataset's table.
 
-    model_config = example(**IMPORT_EXAMPLE, scenes=[SCENE_EXAMPLE])
+    `splits_refused` are the codes of the rules that the dataset's splits break, for which the draft splits stayed as
+    they were; null where they were not to be set, or are not yet.
+    """
 
+    model_config = example(**IMPORT_EXAMPLE, scenes=[SCENE_EXAMPLE], splits_refused=None)
+
+    splits_refused: list[str] | None
     scenes: list[ImportedSceneItem]

@@ -27,12 +27,13 @@ SMALLER = 4
 
 
 def dataset_of(scenes: int, count: int) -> SyntheticDataset:
-    """So many frames in so many scenes: the last ones are test, those before val, the others train."""
+    """So many frames in so many scenes: the last ones are test, somewhere else, those before val, the others train."""
     each, longer = divmod(count, scenes)
     dataset = replace(release_sized(count), scenes=scenes, frames=each, longer=longer)
     train, val, test = scenes - TEST_SCENES - VAL_SCENES, scenes - TEST_SCENES, scenes
     names = dataset.names
-    return replace(dataset, splits={"train": names[:train], "val": names[train:val], "test": names[val:test]})
+    splits = {"train": names[:train], "val": names[train:val], "test": names[val:test]}
+    return replace(dataset, splits=splits, locations=("quarry",) * val + ("lake",))
 
 
 def main(words: Sequence[str]) -> None:

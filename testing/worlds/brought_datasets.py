@@ -53,11 +53,12 @@ class BroughtDataset:
         with self.platform.database.reading() as session:
             return session.get_one(Job, session.get_one(DatasetImport, self.import_id).job_id)
 
-    def indexed(self, *names: str, splits: tuple[str, ...] = ()) -> "BroughtDataset":
+    def indexed(self, *names: str, splits: tuple[str, ...] = (), region: str = "") -> "BroughtDataset":
         """Itself, with scenes of these names as its index would write them."""
         with self.platform.database.transaction() as session:
             row = session.get_one(DatasetImport, self.import_id)
-            row.scenes = [{"name": name, "frames": 1, "splits": list(splits)} for name in names]
+            facts = {"frames": 1, "splits": list(splits), "region": region}
+            row.scenes = [{"name": name, **facts} for name in names]
         return self
 
     def jobs(self) -> list[Job]:

@@ -52,6 +52,7 @@ class SyntheticDataset:
     radars: Sequence[str] = ("RADAR_FRONT",)
     labels: Sequence[bytes] = ()
     splits: Mapping[str, Sequence[str]] | None = None
+    locations: Sequence[str] = ("field",)
     turns_after: int = 0
 
     @property
@@ -69,6 +70,9 @@ class SyntheticDataset:
 
     def stamp_us(self, scene: int, frame: int) -> int:
         return FIRST_US + scene * SCENE_US + frame * STEP_US
+
+    def location(self, scene: int) -> str:
+        return self.locations[min(scene, len(self.locations) - 1)]
 
     def tokens(self, scene: int) -> tuple[str, ...]:
         stamps_us = (self.stamp_us(scene, frame) for frame in range(self.length(scene)))
@@ -148,8 +152,8 @@ def tables_of(what: SyntheticDataset) -> Mapping[str, Iterator[Row]]:
         ),
         "calibrated_sensor": (_mount(what, name, one) for name in what.names for one in what.sensors),
         "log": (
-            {"token": _of("log", name), "logfile": LOGFILE, "vehicle": "rover", "location": "field"}
-            for name in what.names
+            {"token": _of("log", name), "logfile": LOGFILE, "vehicle": "rover", "location": what.location(scene)}
+            for scene, name in enumerate(what.names)
         ),
         "scene": (_scene(what, scene) for scene in range(what.scenes)),
         "sample": (row for scene in range(what.scenes) for row in _samples(what, scene)),

@@ -149,7 +149,15 @@ def test_how_far_it_is_is_said_scene_by_scene(platform: Platform, api: httpx.Cli
     ]
     assert (shown["scenes_total"], shown["scenes_done"], shown["frames"]) == (2, 1, 7)
     (listed,) = api.get(PATH, headers=owner.headers).json()["items"]
-    assert listed == {key: value for key, value in shown.items() if key != "scenes"}
+    assert listed == {key: value for key, value in shown.items() if key not in ("scenes", "splits_refused")}
+
+
+def test_why_the_draft_splits_stayed_as_they_were_is_told(platform: Platform, api: httpx.Client, owner: Person) -> None:
+    made = begun(platform, api, owner)
+    assert api.get(f"{PATH}/{made['id']}", headers=owner.headers).json()["splits_refused"] is None
+    with platform.database.transaction() as session:
+        session.get_one(Job, made["job_id"]).result = {"splits_refused": ["test_regions"]}
+    assert api.get(f"{PATH}/{made['id']}", headers=owner.headers).json()["splits_refused"] == ["test_regions"]
 
 
 def test_what_was_wrong_is_the_failure_with_its_code_and_place(

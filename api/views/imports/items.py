@@ -28,8 +28,9 @@ def import_items(session: Session, rows: Sequence[DatasetImport]) -> list[Datase
 def import_detail(session: Session, row: DatasetImport) -> DatasetImportDetail:
     """An import with its scenes."""
     (item,) = import_items(session, [row])
-    scenes = [_scene(scene) for scene in progress_of(session, row).scenes]
-    return DatasetImportDetail(**dict(item), scenes=scenes)
+    progress = progress_of(session, row)
+    refused = (progress.run.result or {}).get("splits_refused")
+    return DatasetImportDetail(**dict(item), splits_refused=refused, scenes=[_scene(one) for one in progress.scenes])
 
 
 def _facts(row: DatasetImport, run: JobItem, done: int) -> Mapping[str, Any]:

@@ -6,6 +6,7 @@ that no sequence of the owner's is deleted between the look at it and the end (`
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from sqlalchemy import delete, select
 from sqlalchemy.orm import Session
@@ -52,13 +53,19 @@ def sequences_of_scenes(session: Session, imported: DatasetImport) -> list[Seque
     Raises `ExistingSequencesError`.
     """
     storage_quota.lock_owner(session, imported.owner_id)
-    names = [scene["name"] for scene in imported.scenes or []]
-    standing = refuse_existing(session, imported, names)
-    said = {"owner_id": imported.owner_id, **imported.facts}
-    rows = [standing.get(name) or SequenceRow(name=name, **said) for name in names]
+    scenes = imported.scenes or []
+    standing = refuse_existing(session, imported, [scene["name"] for scene in scenes])
+    rows = [standing.get(scene["name"]) or _new_sequence(imported, scene) for scene in scenes]
     session.add_all(rows)
     session.flush()
     return rows
+
+
+def _new_sequence(imported: DatasetImport, scene: Mapping[str, Any]) -> SequenceRow:
+    """What the import says of all its sequences goes before the region that the dataset says of one."""
+    facts = dict(imported.facts)
+    facts["region"] = facts.get("region") or scene.get("region", "")
+    return SequenceRow(owner_id=imported.owner_id, name=scene["name"], **facts)
 
 
 def end_import(session: Session, imported: DatasetImport, made: Sequence[PublishedScene], limit_bytes: int) -> None:

@@ -5,18 +5,19 @@
 
 from typing import Annotated, ClassVar, Self
 
-from pydantic import Field, StringConstraints, model_validator
+from pydantic import Field, StringConstraints, field_validator, model_validator
 
 from services.labeler.run_answers import Count
 from services.runtime.sandbox.answers import SandboxAnswer
 
-MOST_SCENES, MOST_SPLITS = 20_000, 1000
+MOST_SCENES, MOST_SPLITS, LONGEST_REGION = 20_000, 1000, 64
 SceneName = Annotated[str, StringConstraints(min_length=1, max_length=300)]
 SplitName = Annotated[str, StringConstraints(min_length=1, max_length=200)]
 
 
 class IndexedSceneAnswer(SandboxAnswer):
-    """A scene: its place, its name, its frames, whether each of them has labels, and the splits that name it."""
+    """A scene: its place, its name, its frames, whether each of them has labels, the splits that name it, and the
+    region that it was recorded in, "" where the dataset does not say."""
 
     asked: ClassVar[str] = "a scene"
     ordinal: Count
@@ -24,6 +25,14 @@ class IndexedSceneAnswer(SandboxAnswer):
     frames: Count
     is_labelled: bool
     splits: Annotated[tuple[SplitName, ...], Field(max_length=MOST_SPLITS)] = ()
+    region: Annotated[str, StringConstraints(max_length=LONGEST_REGION)] = ""
+
+    @field_validator("region")
+    @classmethod
+    def _is_plain(cls, region: str) -> str:
+        if not region.isprintable():
+            raise ValueError("a region has characters that do not print")
+        return region
 
 
 class DatasetIndexAnswer(SandboxAnswer):

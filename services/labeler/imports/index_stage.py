@@ -79,5 +79,6 @@ def _jobs(told: DatasetIndexAnswer) -> tuple[JobSpec, ...]:
 def _write(context: ImportStageContext, told: DatasetIndexAnswer, session: Session) -> None:
     """Raises `JobCancelledError`."""
     kept_import(session, context.attempt).scenes = [
-        {"name": scene.name, "frames": scene.frames, "splits": list(scene.splits)} for scene in told.scenes
+        {"name": scene.name, "frames": scene.frames, "splits": list(scene.splits), "region": scene.region}
+        for scene in told.scenes
     ]

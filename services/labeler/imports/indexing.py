@@ -4,12 +4,13 @@
 for its size). Everything is streamed: what is held grows by some hundred bytes a row.
 """
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
-from services.labeler.imports.answers import DatasetIndexAnswer, IndexedSceneAnswer
+from services.labeler.imports.answers import LONGEST_REGION, DatasetIndexAnswer, IndexedSceneAnswer
 from services.labeler.imports.openings import DatasetOpening, scene_folder
 from services.labeler.imports.scene_parts import TABLES, write_scene_parts
 from services.labeler.imports.sequences import annotated_data, placed_data, sequence_of
@@ -26,6 +27,7 @@ from stone_datasets.scene_tables import write_scene_tables, write_splits
 from stone_files.dataset_layout import NotADatasetError
 
 Scene = tuple[Sequence, SceneSpans]
+COORDINATES, UNKNOWN = re.compile(r"[-+.\d]+\s*,\s*[-+.\d]+"), "unknown"  # what our own exports say of a place
 
 
 def index_dataset(opening: DatasetOpening, folder: Path, progress: ProgressCallback) -> bytes:
@@ -77,11 +79,23 @@ def _write_tables(index: DatasetIndex, placed: PlacedData | None, folder: Path) 
         write_splits(of_scene, scene.name, scene.splits)
 
 
+def region_of(location: str) -> str:
+    """The region that a log's `location` names; "" where it says nothing, coordinates, or no plain name."""
+    plain = location.strip()
+    is_name = plain.isprintable() and len(plain) <= LONGEST_REGION and not COORDINATES.fullmatch(plain)
+    return plain if is_name and plain.casefold() != UNKNOWN else ""
+
+
 def _answer(index: DatasetIndex) -> DatasetIndexAnswer:
     return DatasetIndexAnswer(
         scenes=[
             IndexedSceneAnswer(
-                ordinal=ordinal, name=one.name, frames=len(one), is_labelled=one.is_labelled, splits=one.splits
+                ordinal=ordinal,
+                name=one.name,
+                frames=len(one),
+                is_labelled=one.is_labelled,
+                splits=one.splits,
+                region=region_of(one.location),
             )
             for ordinal, one in enumerate(index.sequences)
         ]

@@ -112,6 +112,8 @@ def _say(record: dict[str, Any]) -> None:
     names = [scene["name"] for scene in record["scenes"]]
     more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
     typer.echo(f"{len(names)} sequences, {record['frames']:,} frames: {', '.join(names[:MOST_NAMED])}{more}")
+    if refused := record["splits_refused"]:
+        typer.echo(f"The draft splits stay as they were: the rules forbid the dataset's ({', '.join(refused)})")
     typer.echo(f"Next: stone download {names[0]} -o DIR")
 
 

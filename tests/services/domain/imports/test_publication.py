@@ -10,6 +10,7 @@ from sqlalchemy.orm import Session
 
 from services.domain.datasets.splits import current_splits
 from services.domain.imports.publication import PublishedScene, end_import, follow_splits, sequences_of_scenes
+from services.domain.imports.requests import ImportedFacts
 from services.domain.sequences.processing import delete_sequence
 from services.runtime.access.storage_quota import QuotaExceededError, balance
 from services.runtime.orm import (
@@ -97,3 +98,13 @@ def test_splits_that_the_rules_forbid_stay_as_they_are(platform: Platform, tar: 
         _ended(session, brought.import_id, duration_ns=1)
         assert follow_splits(session, session.get_one(DatasetImport, brought.import_id)) == ("sequence_length",)
         assert current_splits(session).revision == 0
+
+
+def test_what_an_import_says_of_all_goes_before_the_region_of_a_scene(platform: Platform, tar: Path) -> None:
+    owner_id, regions = an_owner(platform), dict[str, str]()
+    for name, facts in (("a", ImportedFacts()), ("b", ImportedFacts(region="quarry"))):
+        brought = bring_dataset(platform, tar, owner_id, facts=facts).indexed(name, region="lake")
+        with platform.database.transaction() as session:
+            (row,) = sequences_of_scenes(session, session.get_one(DatasetImport, brought.import_id))
+            regions[name] = row.region
+    assert regions == {"a": "lake", "b": "quarry"}

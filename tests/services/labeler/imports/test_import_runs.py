@@ -70,6 +70,7 @@ def test_rows_say_which_sequences_the_scenes_became(imported: BroughtDataset) ->
         labels = {one.sequence_id: one for one in session.scalars(select(LabelSet))}
         progress = progress_of(session, row)
     assert [one.name for one in sequences] == list(FIELD.names)
+    assert [one.region for one in sequences] == ["field"] * 3, "what the log of each says"
     assert {one.owner_id for one in sequences} == {imported.owner_id}
     assert [labels[one.id].frames for one in sequences] == [2, 2, 2]
     assert {one.job_id for one in labels.values()} == {run.id}

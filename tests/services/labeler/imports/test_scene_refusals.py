@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from services.labeler.imports.answers import IndexedSceneAnswer
 from services.labeler.imports.errors import SceneDamagedError
-from services.labeler.imports.indexing import index_dataset
+from services.labeler.imports.indexing import index_dataset, region_of
 from services.labeler.imports.openings import DatasetOpening
 from services.labeler.imports.scene_parts import read_scene_parts, write_scene_parts
 from stone_datasets.classes import OWN_CLASSES
@@ -133,3 +134,25 @@ def test_scenes_without_labels_are_indexed_as_such(tmp_path: Path) -> None:
     what = SyntheticDataset(scenes=1)
     answer = write_index(write_published_tar(tmp_path / "d.tar", what), tmp_path / "out")
     assert [(scene.name, scene.frames, scene.is_labelled) for scene in answer.scenes] == [("field-0000", 3, False)]
+
+
+@pytest.mark.parametrize(
+    ("location", "region"),
+    [
+        ("boston-seaport", "boston-seaport"),
+        (" lake ", "lake"),
+        ("unknown", ""),
+        ("", ""),
+        ("36.3724,127.3628", ""),
+        ("-1.5, +20", ""),
+        ("a\u202eb", ""),
+        ("x" * 65, ""),
+    ],
+)
+def test_the_region_of_a_scene_is_what_its_log_names(location: str, region: str) -> None:
+    assert region_of(location) == region
+
+
+def test_a_region_that_does_not_print_is_believed_of_no_child() -> None:
+    with pytest.raises(ValueError, match="do not print"):
+        IndexedSceneAnswer(ordinal=0, name="a", frames=1, is_labelled=True, region="a\u202eb")
