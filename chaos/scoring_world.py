@@ -77,7 +77,7 @@ def _team(platform: Platform, captain: Person) -> str:
 
 
 def _token(name: str, index: int) -> str:
-    return frame_token(name, made.START_NS + index)
+    return frame_token(name, made.stamp_of(index))
 
 
 def _spoilt(grid: Grid) -> Grid:

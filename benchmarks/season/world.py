@@ -104,7 +104,7 @@ def _predictions(
             share = _patches(seed + 7919 * number, place)
             grids = (np.where((share < (level + 1) / LEVELS)[..., None], predicted, truth) for level in range(LEVELS))
             yield (
-                frame_token(sequence["name"], made.START_NS + place),
+                frame_token(sequence["name"], made.stamp_of(place)),
                 tuple(npz_bytes({"semantics": grid}) for grid in grids),
             )
 

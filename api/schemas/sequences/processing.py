@@ -28,7 +28,6 @@ class ProcessBody(Body):
         profile="local",
         parameters={"reference.alpha": 0.05},
         odometry_topic="/novatel/oem7/odom",
-        clock_offsets_s={"cameras.mcap": -0.08},
     )
 
     profile: Literal["paper", "local"] = "paper"
@@ -38,7 +37,9 @@ class ProcessBody(Body):
     ground: Literal["given", "auto"] = "given"
     stages: list[Literal["synchronise", "label"]] = Field(default=["synchronise", "label"], min_length=1, max_length=2)
     recording_ids: list[IdText] = Field(default=[], max_length=MOST_MEMBERS)
-    clock_offsets_s: dict[RecordingName, OffsetSeconds] = Field(default={}, max_length=MOST_MEMBERS)
+    clock_offsets_s: dict[RecordingName, OffsetSeconds] = Field(
+        default={}, max_length=MOST_MEMBERS, examples=[{"cameras.mcap": -0.08}]
+    )
 
     def chosen(self) -> ProcessRequest:
         """The request as the runtime understands it."""
