@@ -12,10 +12,10 @@ class DatasetImport(Base):
     """A dataset that came as one tar, since its import was asked for; `job_id` is the run that imports it, or has.
 
     `blob_sha256` is the tar while it is needed, from when it was kept until the import has ended well. `classes` is
-    the stated class map, null where labels are numbered as ours; `scenes` (name, frames, splits; at the end the
-    sequence and the label set of each) is what the index found, null before. `existing` says what becomes of a scene
-    that is called as a sequence of the owner's: refuse or add. `facts` are columns
-    of every sequence that is new. `finished_ns` is set in the transaction that writes all its sequences.
+    the stated class map, null where labels are numbered as ours; `scenes` (name, frames, splits, region; at the end
+    the sequence and the label set of each) is what the index found, null before. `existing` says what becomes of a
+    scene that is called as a sequence of the owner's: refuse or add. `facts` are columns of every sequence that is new.
+    `finished_ns` is set in the transaction that writes all its sequences.
     """
 
     __tablename__ = "dataset_imports"
@@ -30,7 +30,7 @@ class DatasetImport(Base):
     classes: Mapped[dict[str, Any] | None] = mapped_column(JSON)
     existing: Mapped[str] = mapped_column(String(8))
     sets_splits: Mapped[bool] = mapped_column(default=False, server_default=false())
-    facts: Mapped[dict[str, Any]] = mapped_column(JSON, default=dict, server_default="{}")
+    facts: Mapped[dict[str, Any]] = mapped_column(JSON, default=dict)
     scenes: Mapped[list[Any] | None] = mapped_column(JSON)
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
     finished_ns: Mapped[Ns | None]

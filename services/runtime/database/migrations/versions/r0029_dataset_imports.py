@@ -26,7 +26,7 @@ def upgrade() -> None:
         sa.Column("classes", sa.JSON(), nullable=True),
         sa.Column("existing", sa.String(length=8), nullable=False),
         sa.Column("sets_splits", sa.Boolean(), server_default=sa.false(), nullable=False),
-        sa.Column("facts", sa.JSON(), server_default="{}", nullable=False),
+        sa.Column("facts", sa.JSON(), nullable=False),
         sa.Column("scenes", sa.JSON(), nullable=True),
         sa.Column("created_ns", sa.BigInteger(), nullable=False),
         sa.Column("finished_ns", sa.BigInteger(), nullable=True),
