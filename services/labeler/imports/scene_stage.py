@@ -14,6 +14,7 @@ from pathlib import Path
 from sqlalchemy.orm import Session
 
 from services.domain.imports.runs import begin_run_again, kept_import
+from services.domain.sequences.label_sources import SOURCE_INDEX
 from services.domain.sequences.run_files import SEQUENCE_FILE
 from services.labeler.exports.source import MESH, REPORT, TABLE
 from services.labeler.imports.openings import OUT, SceneOpening, scene_folder
@@ -30,7 +31,6 @@ from services.runtime.store.blobs import PreparedBlob, link, prepare
 from stone_files.atomic import atomic_file
 
 TOLD = "published"
-SOURCE_INDEX = "source/index.npz"
 NEEDED = (REPORT, TABLE, SEQUENCE_FILE, MESH, SOURCE_INDEX)
 LONGEST_NAME = 128
 
