@@ -76,10 +76,10 @@ class DuplicateTokenError(DatasetFaultError):
 
 
 class BadSceneNameError(DatasetFaultError):
-    """A scene's name can be no folder."""
+    """A scene's name can be no sequence's."""
 
     code: ClassVar[str] = "DST-019"
-    likely: ClassVar[str] = "letters, digits, dots, dashes and underscores, at most 100"
+    likely: ClassVar[str] = "1 to 100 letters, digits, dots, dashes and underscores, the first a letter or digit"
 
 
 class NotFiniteValueError(DatasetFaultError):

@@ -40,18 +40,6 @@ class UnlabelledScenesError(StoneError):
         )
 
 
-class SceneNamesError(StoneError):
-    """No sequence can be called as these scenes are."""
-
-    code = "bad_scene_names"
-
-    def __init__(self, names: Sequence[str]) -> None:
-        super().__init__(
-            f"{len(names)} scenes have names that no sequence can have: {_shown([repr(name) for name in names])}; a "
-            "name is 1 to 100 letters, digits, points, dashes and underscores and begins with a letter or digit"
-        )
-
-
 def _shown(names: Sequence[str]) -> str:
     """The first names, and that there are more; each is cut."""
     return ", ".join(name[:100] for name in names[:SHOWN]) + (", …" if len(names) > SHOWN else "")

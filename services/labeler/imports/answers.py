@@ -9,9 +9,10 @@ from pydantic import Field, StringConstraints, field_validator, model_validator
 
 from services.labeler.run_answers import Count
 from services.runtime.sandbox.answers import SandboxAnswer
+from stone_base.names import NAME
 
 MOST_SCENES, MOST_SPLITS, LONGEST_REGION = 20_000, 1000, 64
-SceneName = Annotated[str, StringConstraints(min_length=1, max_length=300)]
+SceneName = Annotated[str, StringConstraints(pattern=rf"^{NAME.pattern}$")]
 SplitName = Annotated[str, StringConstraints(min_length=1, max_length=200)]
 
 

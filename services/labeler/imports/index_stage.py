@@ -3,8 +3,7 @@
     the tar → (child: tables of each scene, spans of its files) → `scenes/<ordinal>/` in the workspace → jobs
 
 **Conventions.** Folders of scenes are renamed into place; equal tars give equal ones. What can be known to be
-refused is refused here, before any scene is copied: names of scenes, scenes without labels, sequences that are there
-already.
+refused is refused here, before any scene is copied: scenes without labels, sequences that are there already.
 """
 
 from functools import partial
@@ -12,7 +11,7 @@ from pathlib import Path
 
 from sqlalchemy.orm import Session
 
-from services.domain.imports.errors import SceneNamesError, UnlabelledScenesError
+from services.domain.imports.errors import UnlabelledScenesError
 from services.domain.imports.publication import refuse_existing
 from services.domain.imports.requests import PUBLISH_IMPORT, SCENE
 from services.domain.imports.runs import kept_import
@@ -22,13 +21,12 @@ from services.labeler.imports.openings import SCENES, DatasetOpening, scene_fold
 from services.labeler.imports.stage_context import ImportStageContext
 from services.runtime.jobs.specs import JobSpec, Outcome
 from services.runtime.sandbox import SandboxCrashedError
-from stone_base.names import NAME
 
 
 def index_tar(context: ImportStageContext) -> Outcome:
     """Index the dataset.
 
-    Raises the `DST-*` faults, `SceneNamesError`, `UnlabelledScenesError`, `ExistingSequencesError`, and what
+    Raises the `DST-*` faults, `UnlabelledScenesError`, `ExistingSequencesError`, and what
     `ImportStageContext.ask` raises.
     """
     tar, imported = context.tar(), context.imported
@@ -47,8 +45,6 @@ def index_tar(context: ImportStageContext) -> Outcome:
 
 def _refuse(context: ImportStageContext, told: DatasetIndexAnswer) -> None:
     names = [scene.name for scene in told.scenes]
-    if unfit := [name for name in names if not NAME.fullmatch(name)]:
-        raise SceneNamesError(unfit)
     if unlabelled := [scene.name for scene in told.scenes if not scene.is_labelled]:
         raise UnlabelledScenesError(unlabelled)
     with context.platform.database.reading() as session:

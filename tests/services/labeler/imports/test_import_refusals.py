@@ -50,10 +50,10 @@ def refused(platform: Platform, path: Path, wrap: Wrap = unchanged) -> tuple[str
     return brought.run().failure_code, brought.run().failure
 
 
-def test_scenes_that_no_sequence_can_be_called_as_are_named(platform: Platform, tmp_path: Path) -> None:
+def test_a_scene_that_no_sequence_can_be_called_as_is_named(platform: Platform, tmp_path: Path) -> None:
     what = NamedDataset(scenes=2, frames=1, cameras=(), radars=(), labels=ONE.labels)
     code, sentence = refused(platform, write_published_tar(tmp_path / "named.tar", what))
-    assert (code, "'the field, 0', 'the field, 1'" in sentence) == ("bad_scene_names", True)
+    assert (code, "'the field, 0'" in sentence, "the first a letter" in sentence) == ("DST-019", True, True)
 
 
 def test_scenes_without_labels_are_named(platform: Platform, tmp_path: Path) -> None:
@@ -91,6 +91,11 @@ def leaves_no_scene(opening: DatasetOpening, folder: Path, progress: ProgressCal
     return answer
 
 
+def tells_a_scene_that_is_a_path(opening: DatasetOpening, folder: Path, progress: ProgressCallback) -> bytes:
+    told = DatasetIndexAnswer.model_validate_json(index_dataset(opening, folder, progress))
+    return told.model_copy(update={"scenes": [told.scenes[0].model_copy(update={"name": "../up"})]}).packed()
+
+
 def tells_of_another_scene(opening: DatasetOpening, folder: Path, progress: ProgressCallback) -> bytes:
     told = DatasetIndexAnswer.model_validate_json(index_dataset(opening, folder, progress))
     return told.model_copy(update={"scenes": [*told.scenes, told.scenes[0]]}).packed()
@@ -105,7 +110,7 @@ def leaves(tamper: Tamper) -> Callable[[SceneOpening, Path, ProgressCallback], b
     return work
 
 
-@pytest.mark.parametrize("work", [leaves_no_scene, tells_of_another_scene])
+@pytest.mark.parametrize("work", [leaves_no_scene, tells_of_another_scene, tells_a_scene_that_is_a_path])
 def test_an_index_that_is_not_as_it_says_is_not_believed(
     platform: Platform, tar: Path, monkeypatch: pytest.MonkeyPatch, work: Callable[..., bytes]
 ) -> None:
