@@ -24,12 +24,13 @@ from testing.worlds.published_datasets import SyntheticDataset, write_published_
 
 KILLS, TEST_SCENES, VAL_SCENES = 20, 2, 2
 SMALLER = 4
+TURNS_AFTER = 150  # frames: the robot drives half a kilometre to and fro, as in `benchmarks.dataset_import`
 
 
 def dataset_of(scenes: int, count: int) -> SyntheticDataset:
     """So many frames in so many scenes: the last ones are test, somewhere else, those before val, the others train."""
     each, longer = divmod(count, scenes)
-    dataset = replace(release_sized(count), scenes=scenes, frames=each, longer=longer)
+    dataset = replace(release_sized(count), scenes=scenes, frames=each, longer=longer, turns_after=TURNS_AFTER)
     train, val, test = scenes - TEST_SCENES - VAL_SCENES, scenes - TEST_SCENES, scenes
     names = dataset.names
     splits = {"train": names[:train], "val": names[train:val], "test": names[val:test]}
