@@ -5,14 +5,16 @@
 
 from typing import Annotated, ClassVar, Self
 
-from pydantic import Field, StringConstraints, field_validator, model_validator
+from pydantic import Field, StringConstraints, model_validator
 
 from services.labeler.run_answers import Count
 from services.runtime.sandbox.answers import SandboxAnswer
+from stone.splits.surroundings import REGION
 from stone_base.names import NAME
 
-MOST_SCENES, MOST_SPLITS, LONGEST_REGION = 20_000, 1000, 64
-SceneName = Annotated[str, StringConstraints(pattern=rf"^{NAME.pattern}$")]
+MOST_SCENES, MOST_SPLITS = 20_000, 1000
+SceneName = Annotated[str, StringConstraints(pattern=f"^{NAME.pattern}$")]
+Region = Annotated[str, StringConstraints(pattern=f"^({REGION.pattern})?$")]
 SplitName = Annotated[str, StringConstraints(min_length=1, max_length=200)]
 
 
@@ -26,14 +28,7 @@ class IndexedSceneAnswer(SandboxAnswer):
     frames: Count
     is_labelled: bool
     splits: Annotated[tuple[SplitName, ...], Field(max_length=MOST_SPLITS)] = ()
-    region: Annotated[str, StringConstraints(max_length=LONGEST_REGION)] = ""
-
-    @field_validator("region")
-    @classmethod
-    def _is_plain(cls, region: str) -> str:
-        if not region.isprintable():
-            raise ValueError("a region has characters that do not print")
-        return region
+    region: Region = ""
 
 
 class DatasetIndexAnswer(SandboxAnswer):

@@ -26,8 +26,8 @@ from services.runtime.sandbox import SandboxCrashedError
 def index_tar(context: ImportStageContext) -> Outcome:
     """Index the dataset.
 
-    Raises the `DST-*` faults, `UnlabelledScenesError`, `ExistingSequencesError`, and what
-    `ImportStageContext.ask` raises.
+    Raises the `DST-*` faults, `UnlabelledScenesError`, `ExistingSequencesError`, and what `ImportStageContext.ask`
+    raises.
     """
     tar, imported = context.tar(), context.imported
     opening = DatasetOpening(tar, imported.name, imported.sha256, context.classes)
@@ -44,11 +44,10 @@ def index_tar(context: ImportStageContext) -> Outcome:
 
 
 def _refuse(context: ImportStageContext, told: DatasetIndexAnswer) -> None:
-    names = [scene.name for scene in told.scenes]
     if unlabelled := [scene.name for scene in told.scenes if not scene.is_labelled]:
         raise UnlabelledScenesError(unlabelled)
     with context.platform.database.reading() as session:
-        refuse_existing(session, context.imported, names)
+        refuse_existing(session, context.imported, [scene.name for scene in told.scenes])
 
 
 def _keep(folder: Path, work: Path, ordinal: int) -> None:

@@ -4,18 +4,18 @@
 for its size). Everything is streamed: what is held grows by some hundred bytes a row.
 """
 
-import re
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
-from services.labeler.imports.answers import LONGEST_REGION, DatasetIndexAnswer, IndexedSceneAnswer
+from services.labeler.imports.answers import DatasetIndexAnswer, IndexedSceneAnswer
 from services.labeler.imports.openings import DatasetOpening, scene_folder
 from services.labeler.imports.scene_parts import TABLES, write_scene_parts
 from services.labeler.imports.sequences import annotated_data, placed_data, sequence_of
 from services.runtime.sandbox import ProgressCallback
 from stone.sensors.sequence import Sequence
+from stone.splits.surroundings import REGION, UNSAID
 from stone_datasets.annotated_tables import write_annotated_tables
 from stone_datasets.build import PlacedData
 from stone_datasets.faults import DatasetPlace
@@ -27,7 +27,7 @@ from stone_datasets.scene_tables import write_scene_tables, write_splits
 from stone_files.dataset_layout import NotADatasetError
 
 Scene = tuple[Sequence, SceneSpans]
-COORDINATES, UNKNOWN = re.compile(r"[-+.\d]+\s*,\s*[-+.\d]+"), "unknown"  # what our own exports say of a place
+UNKNOWN = "unknown"  # what our own exports say of a place that nobody named
 
 
 def index_dataset(opening: DatasetOpening, folder: Path, progress: ProgressCallback) -> bytes:
@@ -80,10 +80,9 @@ def _write_tables(index: DatasetIndex, placed: PlacedData | None, folder: Path) 
 
 
 def region_of(location: str) -> str:
-    """The region that a log's `location` names; "" where it says nothing, coordinates, or no plain name."""
-    plain = location.strip()
-    is_name = plain.isprintable() and len(plain) <= LONGEST_REGION and not COORDINATES.fullmatch(plain)
-    return plain if is_name and plain.casefold() != UNKNOWN else ""
+    """The region that a log's `location` names, with dashes for blanks; "" where it names none, as coordinates do."""
+    name = "-".join(location.split())
+    return name if REGION.fullmatch(name) and name.casefold() != UNKNOWN else UNSAID
 
 
 def _answer(index: DatasetIndex) -> DatasetIndexAnswer:
